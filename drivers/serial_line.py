@@ -8,12 +8,13 @@ handlers of the last two in the packages named below; the emulators are not impo
 from __future__ import annotations
 
 import contextlib
+import re
 from dataclasses import dataclass
 
 import serial
 
 from gyrobench.bench.foundations.clock import Clock, Deadline
-from gyrobench.bench.foundations.errors import ConnectionFailedError, NoReplyError, ReplyError
+from gyrobench.bench.foundations.errors import ConnectionFailedError, DocumentError, NoReplyError, ReplyError
 from gyrobench.drivers.recording.protocol_replay import ReplayError, with_clock
 from gyrobench.drivers.recording.recording_file import RecordingFile, new_line_recording
 
@@ -58,6 +59,12 @@ def _port_errors(*others: type[Exception]) -> tuple[type[Exception], ...]:
     return (serial.SerialException, OSError, termios.error, *others)
 
 
+def system_reason(error: Exception) -> str:
+    """What the system says about a port that can't be opened, without the name of the port again."""
+    found = re.findall(r"\[Errno \d+\] ([^\[:']+)", str(error))
+    return found[-1].strip() if found else str(error)
+
+
 class SerialLine:
     """Bytes to and from one instrument.
 
@@ -89,14 +96,18 @@ class SerialLine:
         """Close the port and open it again with the same settings; unread input is lost.
 
         Raises ConnectionFailedError if the port can't be opened; it stays closed and can be reopened later.
+        Raises DocumentError if the world behind an emulated port is wrong.
         """
         self.close()
         try:
             port = open_port(self.url, self.clock, self._baudrate, self._parity)
         except _port_errors(ValueError) as error:
+            if isinstance(error.__cause__, DocumentError):
+                raise error.__cause__ from None
             raise ConnectionFailedError(
                 self.instrument,
-                f"can't open {self.url}: {error}. Check the station file's port and the cable.",
+                f"can't open {self.url}: {system_reason(error)}. "
+                "Check the station file's port and the cable.",
             ) from error
         self._port, self._open = port, True
         self._recording = new_line_recording(self.instrument, self.clock, self._baudrate, self._parity)

@@ -16,8 +16,8 @@ from gyrobench.bench.authoring.file_kinds import (
 )
 from gyrobench.bench.foundations.documents import Document, read_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.text import hours_minutes
 from gyrobench.bench.procedure.procedure_file import checked_procedure, resolve
-from gyrobench.bench.procedure.timeline import hours_minutes
 from gyrobench.bench.runs.compensation_file import read_compensation
 from gyrobench.bench.station.station import Station
 

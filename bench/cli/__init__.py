@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -16,7 +17,13 @@ from gyrobench.bench.cli.output import (
     EXIT_WRONG_INPUT,
     fail,
 )
-from gyrobench.bench.foundations.errors import BenchInUseError, DocumentError, GyrobenchError, InstrumentError
+from gyrobench.bench.foundations.errors import (
+    BenchInUseError,
+    DocumentError,
+    GyrobenchError,
+    InstrumentError,
+    MissingRunError,
+)
 
 # The matrices of this project are small: threads of the linear algebra slow each other down.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -58,8 +65,12 @@ def main() -> None:
     """Run the command line; known errors become a message and an exit code."""
     gc.set_threshold(*_GC_THRESHOLD)
     try:
+        Path.cwd()
+    except FileNotFoundError:
+        fail(GyrobenchError("the current folder was deleted. Change to another one"), EXIT_WRONG_INPUT)
+    try:
         app()
-    except DocumentError as error:
+    except (DocumentError, MissingRunError) as error:
         fail(error, EXIT_WRONG_INPUT)
     except (InstrumentError, BenchInUseError) as error:
         fail(error, EXIT_INSTRUMENT)

@@ -9,7 +9,7 @@ import typer
 
 from gyrobench.bench.cli.options import RunArgument
 from gyrobench.bench.engine.operator import RunCommand
-from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.foundations.errors import MissingRunError, RunFolderError
 
 _CommandArgument = Annotated[RunCommand, typer.Argument(help="Command to the run.")]
 
@@ -24,13 +24,20 @@ def control(run_folder: RunArgument, command: _CommandArgument) -> None:
     import socket
 
     from gyrobench.bench.engine.operator import COMMAND_MEANINGS, COMMAND_SIGNALS
-    from gyrobench.bench.station.locks import holder_of
+    from gyrobench.bench.station.locks import holder_of, is_held_by
 
+    if not run_folder.is_dir():
+        raise MissingRunError(f"{run_folder}: no such folder. Give the folder of the run in progress")
     holder = holder_of(run_folder)
     if holder is None:
         raise RunFolderError(f"{run_folder}: no run is in progress there on this machine")
     if holder.host != socket.gethostname():
         raise RunFolderError(f"{run_folder}: the run is on {holder.host}. Run gyrobench control there")
+    if not is_held_by(run_folder, holder.pid):
+        raise RunFolderError(
+            f"{run_folder}: its lock names process {holder.pid}, which does not hold it. No signal was sent; "
+            "type the command in the run's terminal"
+        )
     number = next(number for number, each in COMMAND_SIGNALS.items() if each is command)
     try:
         os.kill(holder.pid, number)

@@ -32,8 +32,8 @@ def jog(
     lists them. The interlocks of the station are active: a trip brings the bench to its safe state and
     reports the reason. Ctrl-C stops the table. At the end the bench is left in its safe state.
 
-    Exit codes: 0 success, 1 a command failed or an interlock tripped, 3 an instrument can't be reached
-    or a run uses the bench.
+    Exit codes: 0 success, 1 a command failed or an interlock tripped, 3 no instrument can be reached
+    or a run uses the bench. An instrument that does not answer is left out.
 
     Example: gyrobench jog my_bench.yaml "table outer 30" "chamber 40 at 1.5" "watch 60"
     """

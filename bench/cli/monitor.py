@@ -36,12 +36,12 @@ def monitor(
     import webbrowser
 
     from gyrobench.bench.foundations.clock import WallClock
-    from gyrobench.bench.foundations.errors import RunFolderError
+    from gyrobench.bench.foundations.errors import MissingRunError
     from gyrobench.bench.monitor.server import MonitorServer
     from gyrobench.bench.monitor.site import Site
 
     if not run.is_dir():
-        raise RunFolderError(f"{run}: no such folder. Give a run folder, or a folder of runs")
+        raise MissingRunError(f"{run}: no such folder. Give a run folder, or a folder of runs")
     with MonitorServer(Site(run, WallClock().utc).answer, port) as server:
         local = server.server_port
         typer.echo(f"{run} is shown at {server.url} until Ctrl-C.")

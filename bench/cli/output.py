@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 #: The run did not finish, or a check failed.
 EXIT_NOT_FINISHED = 1
-#: A file, table or option is wrong.
+#: A file, table or option is wrong, or the run that was named does not exist.
 EXIT_WRONG_INPUT = 2
 #: An instrument can't be reached.
 EXIT_INSTRUMENT = 3
@@ -38,7 +38,7 @@ EXIT_CODES_HELP = """\b
 Exit codes of all commands:
   0  success; run and resume: the run finished
   1  not finished, or a check failed
-  2  a file, table or option is wrong; the message states where
+  2  a file, table or option is wrong, or there is no such run; the message states where
   3  an instrument can't be reached, or another run uses the bench
 
 Codes of a single command: gyrobench COMMAND --help

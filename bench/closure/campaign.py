@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.closure.plausibility import implausible
 from gyrobench.bench.closure.temperatures import TemperatureRecord, record_of_dwells, set_point_path
 from gyrobench.bench.closure.thermal_network import electronics_above_optics
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
@@ -93,6 +94,11 @@ class Campaign:
         return 0.5 * (self.start_s + self.end_s)
 
     @cached_property
+    def computed_terms(self) -> dict[object, FloatArray]:
+        """Terms of effects (n, 3, k) that have been computed for these dwells, by form and parameters."""
+        return {}
+
+    @cached_property
     def power_on_s(self) -> FloatArray:
         """Times of power-on, in order; at least one."""
         if self.part_of is not None:
@@ -144,9 +150,13 @@ def campaign_of(rows: Sequence[DwellRow], record: TemperatureRecord | None = Non
     """Collect the dwells that have a result and no flags; of the others only temperatures are used.
 
     ``rows``: in any order. ``record``: temperatures of the gyros over the whole time; by default
-    interpolated between the dwells. Raises MeasurementError if no dwell has a result, or the dwells are of
-    several units.
+    interpolated between the dwells. Raises MeasurementError if no dwell has a result, the dwells are of
+    several units, or the table is implausible.
     """
+    if not rows:
+        raise MeasurementError("has no dwells. Search a run with finished dwells")
+    if problems := implausible(rows):
+        raise MeasurementError("\n".join(["implausible:", *problems]))
     ordered = sorted(rows, key=lambda row: (row.start_s, row.dwell))
     warm = [row for row in ordered if np.isfinite([*row.gyro_c, *row.gyro_rate_c_per_h]).all()]
     good = [not row.flags and bool(np.isfinite([*row.bias_dph, *row.sigma_dph]).all()) for row in warm]

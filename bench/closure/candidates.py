@@ -38,7 +38,10 @@ class Candidate:
 
     def columns(self, campaign: Campaign) -> FloatArray:
         """Terms (n, 3, k) in all dwells."""
-        return self.form.columns(campaign, self.values)
+        key = self.form, self.values
+        if key not in campaign.computed_terms:
+            campaign.computed_terms[key] = self.form.columns(campaign, self.values)
+        return campaign.computed_terms[key]
 
     @property
     def is_at_open_end(self) -> bool:
@@ -130,10 +133,10 @@ def start_count(effect: Effect, campaign: Campaign) -> int:
 
 def best_start(problem: Problem, effect: Effect, form: Form) -> Candidate:
     """Form at the starting values that reduce chi2 most."""
-    values = starts(form, problem.campaign)
-    reductions = [problem.chi2_reduction(form.columns(problem.campaign, each))[0] for each in values]
     all_terms = np.ones((3, len(form.terms)), dtype=bool)
-    return Candidate(effect, form, values[int(np.argmax(reductions))], all_terms)
+    found = [Candidate(effect, form, values, all_terms) for values in starts(form, problem.campaign)]
+    reductions = [problem.chi2_reduction(each.columns(problem.campaign))[0] for each in found]
+    return found[int(np.argmax(reductions))]
 
 
 def refine(problem: Problem, candidates: Sequence[Candidate]) -> list[Candidate]:

@@ -8,7 +8,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.temperatures import TemperatureRecord
@@ -220,6 +219,8 @@ def _inputs(steps: tuple[PlannedStep, ...], time_s: FloatArray) -> tuple[FloatAr
 
 def _lagged(goal: FloatArray, step_s: float, lag_s: float) -> FloatArray:
     """First-order lag along the first axis, at rest before the first instant."""
+    from scipy.signal import lfilter  # a fifth of a second, which a search does not need
+
     keep = np.exp(-step_s / lag_s)
     rise: FloatArray = lfilter([1.0 - keep], [1.0, -keep], goal - goal[0], axis=0)
     return np.asarray(rise + goal[0])

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtrc
 
 from gyrobench.bench.closure.candidates import (
     Candidate,
@@ -230,4 +230,4 @@ def _at_lower_bounds(candidates: Sequence[Candidate]) -> Iterator[list[Candidate
 
 
 def _p_value(chi2_reduction: float, parameters: int) -> float:
-    return float(chi2_distribution.sf(chi2_reduction, parameters))
+    return float(chdtrc(parameters, chi2_reduction))

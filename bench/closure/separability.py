@@ -20,8 +20,7 @@ from functools import cache, cached_property
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.stats import chi2 as chi2_distribution
-from scipy.stats import ncx2
+from scipy.special import chdtri, chndtr
 
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import TIE_MARGIN, bic_penalty, start_count
@@ -285,9 +284,9 @@ def _found_dph(present: AssumedEffect, candidate_fits: int) -> float:
 @cache
 def _noncentrality(parameters: int, candidate_fits: int) -> float:
     """Non-centrality of a reduction of chi2 that the search finds significant; see its p_value."""
-    limit = float(chi2_distribution.isf(SIGNIFICANCE / candidate_fits, parameters))
+    limit = float(chdtri(parameters, SIGNIFICANCE / candidate_fits))
     highest = 4.0 * limit + 100.0
-    return float(brentq(lambda value: float(ncx2.sf(limit, parameters, value)) - POWER, 1e-3, highest))
+    return float(brentq(lambda value: 1.0 - float(chndtr(limit, parameters, value)) - POWER, 1e-3, highest))
 
 
 def _inflation(typical: Mapping[str, AssumedEffect], name: str) -> float:

@@ -12,9 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import BSpline
-from scipy.stats import chi2 as chi2_distribution
-from scipy.stats import f as f_distribution
-from scipy.stats import norm
+from scipy.special import chdtrc, fdtrc, ndtr
 
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate, solve_with
@@ -65,10 +63,10 @@ def lack_of_fit(problem: Problem, parameters: int) -> LackOfFit:
         reduction, rank = problem.chi2_reduction(_in_all_dwells(columns(seen), problem))
         if rank and dof > rank:
             ratio = (reduction / rank) / max((problem.chi2 - reduction) / (dof - rank), 1e-300)
-            structure[name] = float(f_distribution.sf(ratio, rank, dof - rank))
+            structure[name] = float(fdtrc(rank, dof - rank, ratio))
     structure["the previous dwell"] = _serial_correlation(problem)
     return LackOfFit(
-        p_noise=float(chi2_distribution.sf(problem.chi2, dof)),
+        p_noise=float(chdtrc(dof, problem.chi2)),
         p_structure=structure,
         noise_ratio=float(np.sqrt(problem.chi2 / dof)),
     )
@@ -121,7 +119,7 @@ def _serial_correlation(problem: Problem) -> float:
     expected = -sum(float(np.sum(basis[1:] * basis[:-1])) for basis in problem.bases)
     scale = problem.chi2 / problem.dof
     spread = scale * np.sqrt(problem.residuals.size)
-    return float(2.0 * norm.sf(abs(products - scale * expected) / max(spread, 1e-300)))
+    return float(2.0 * ndtr(-abs(products - scale * expected) / max(spread, 1e-300)))
 
 
 _STRUCTURES: dict[str, Callable[[Campaign], FloatArray]] = {

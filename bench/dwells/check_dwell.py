@@ -19,7 +19,7 @@ from gyrobench.bench.dwells.dwell import (
 )
 from gyrobench.bench.dwells.marks import DwellMarks
 from gyrobench.bench.dwells.temperatures import DwellTemperatures, dwell_temperatures
-from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.foundations.errors import MeasurementError, SignalMapError
 from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.navigation_data import EpochCounts, NavigationData
 
@@ -42,6 +42,7 @@ class CheckDwell:
     aligning_c: Triple  #: Mean temperatures of the gyros over the alignment.
     counts: EpochCounts  #: How the frames came.
     flags: str  #: What was wrong; empty where nothing was.
+    signal_fault: str = ""  #: Which sign or axis of the signal map is wrong.
 
     @property
     def dwell(self) -> int:
@@ -81,7 +82,7 @@ def measure_check_dwell(marks: DwellMarks, frames: FrameBlock, setup: Measuremen
     """
     flags = list(marks.disturbances)
     navigation, counts = None, EpochCounts()
-    temperatures, aligning_c = DwellTemperatures(), NOT_MEASURED
+    temperatures, aligning_c, signal_fault = DwellTemperatures(), NOT_MEASURED, ""
     try:
         data = checked_navigation(marks, frames, setup, flags)
         counts = data.counts
@@ -97,7 +98,8 @@ def measure_check_dwell(marks: DwellMarks, frames: FrameBlock, setup: Measuremen
             flags.append(lack_of_fit_text(fit))
     except MeasurementError as error:
         flags.append(str(error))
-    return CheckDwell(marks, navigation, temperatures, aligning_c, counts, "; ".join(flags))
+        signal_fault = str(error) if isinstance(error, SignalMapError) else ""
+    return CheckDwell(marks, navigation, temperatures, aligning_c, counts, "; ".join(flags), signal_fault)
 
 
 def _navigation(dwell: Dwell, setup: MeasurementSetup) -> AlignedNavigation:

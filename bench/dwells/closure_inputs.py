@@ -5,22 +5,24 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.closure.campaign import Campaign, campaign_of
-from gyrobench.bench.closure.planned_campaign import PlannedUnit
 from gyrobench.bench.closure.temperatures import TemperatureRecord
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.positions import AXES
-from gyrobench.bench.procedure.plan import Plan
-from gyrobench.bench.procedure.procedure_file import checked_procedure
 from gyrobench.bench.runs.folder import open_run_folder
 from gyrobench.bench.runs.telemetry import read_telemetry
-from gyrobench.bench.station.station import Station
+
+if TYPE_CHECKING:
+    from gyrobench.bench.closure.planned_campaign import PlannedUnit
+    from gyrobench.bench.foundations.documents import Document
+    from gyrobench.bench.procedure.plan import Plan
+    from gyrobench.bench.station.station import Station
 
 _MIN_SAMPLES = 2
 _STEP_S = 30.0
@@ -32,13 +34,15 @@ def read_campaign(path: Path) -> Campaign:
 
     ``path``: a dwell table, or a run folder. Raises DocumentError if there is no dwell table, or it is wrong.
     Raises RunFolderError if the folder is not a run folder, or its telemetry can't be read. Raises
-    MeasurementError if the table has no good dwells, or dwells of several units.
+    MeasurementError if there are no good dwells, or dwells of several units.
     """
     record = None
     table = path
     if path.is_dir():
         folder = open_run_folder(path)
         table = folder.dwells
+        if not table.exists():
+            raise MeasurementError(f"{path}: no dwell was finished in this run: nothing to search")
         record = temperature_record(read_telemetry(folder.telemetry))
     try:
         return campaign_of(read_dwells(table), record)
@@ -67,6 +71,8 @@ def temperature_record(telemetry: Mapping[str, FloatArray]) -> TemperatureRecord
 
 def planned_unit(station: Station) -> PlannedUnit:
     """The unit on a station: its sensors, and its noise where that is declared."""
+    from gyrobench.bench.closure.planned_campaign import PlannedUnit
+
     signals, noise = station.file.ins.signals, station.file.ins.noise
     unit = PlannedUnit(
         has_boards=signals.gyro_electronics_temperature is not None,
@@ -83,4 +89,6 @@ def plan_on(station: Station, document: Document) -> Plan:
 
     Raises DocumentError if it is not a valid procedure, or the station can't run it.
     """
+    from gyrobench.bench.procedure.procedure_file import checked_procedure
+
     return station.plan(document, checked_procedure(document))

@@ -20,6 +20,7 @@ from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.bias.window_filter import EPOCH_S
 from gyrobench.bench.dwells.marks import DwellMarks, WindowMark
 from gyrobench.bench.dwells.output_checks import OutputFault, exceeds_noise, output_faults
+from gyrobench.bench.dwells.sign_check import SignCheck
 from gyrobench.bench.dwells.temperatures import (
     DwellTemperatures,
     dwell_temperatures,
@@ -28,7 +29,7 @@ from gyrobench.bench.dwells.temperatures import (
     valid_temperatures,
 )
 from gyrobench.bench.foundations.arrays import UG_TO_MPS2, BoolArray, FloatArray
-from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.foundations.errors import MeasurementError, SignalMapError
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.navigation.table_axes import TwoAxisTable
@@ -62,6 +63,7 @@ class MeasurementSetup:
     velocity_lsb_mps: float
     heading_lsb_rad: float
     resolution: tuple[ResolutionLimit, ...]  #: Which estimates it limits, and by how much.
+    signs: SignCheck | None = None  #: Test of the signal map's signs and axes.
 
     def turn(
         self, before: WindowMark, after: WindowMark, navigation: NavigationData, first_frame: int = 0
@@ -112,6 +114,8 @@ class MeasuredDwell:
     windows: tuple[NavigationWindow, ...]
     counts: EpochCounts  #: How the frames came.
     doubts: tuple[str, ...]  #: Those flags that noise larger than declared would explain.
+    #: Which sign or axis of the signal map is wrong; every further dwell would be invalid too.
+    signal_fault: str = ""
 
     @property
     def flags(self) -> str:
@@ -133,7 +137,7 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
     estimate, paper = None, None
     doubts: tuple[str, ...] = ()
     windows: tuple[NavigationWindow, ...] = ()
-    counts, temperatures = EpochCounts(), DwellTemperatures()
+    counts, temperatures, signal_fault = EpochCounts(), DwellTemperatures(), ""
     try:
         navigation = checked_navigation(marks, frames, setup, flags)
         counts = navigation.counts
@@ -150,8 +154,9 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
         flags += doubts
     except MeasurementError as error:
         flags.append(str(error))
+        signal_fault = str(error) if isinstance(error, SignalMapError) else ""
     row = _row(marks, temperatures, estimate, paper, flags)
-    return MeasuredDwell(row, estimate, paper, windows, counts, doubts)
+    return MeasuredDwell(row, estimate, paper, windows, counts, doubts, signal_fault)
 
 
 def estimate_dwell(
@@ -193,7 +198,8 @@ def checked_navigation(
 ) -> NavigationData:
     """Decode a dwell; what frames and temperature sensors do wrong is added to ``flags``.
 
-    Raises MeasurementError if the dwell never came to a window.
+    Raises MeasurementError if the dwell never came to a window, SignalMapError if it contradicts the signs or
+    axes of the signal map.
     """
     if not marks.windows:
         raise MeasurementError("the INS never navigated at rest in this dwell")
@@ -206,6 +212,8 @@ def checked_navigation(
             f"{navigation.counts.contradicted} frames of the INS contradict those of the same epoch: does a "
             "second node send with its identifiers? Check the bus"
         )
+    if setup.signs is not None:
+        setup.signs.check(marks, frames, navigation)
     return navigation
 
 
@@ -345,8 +353,9 @@ def measurement_setup(station: Station) -> MeasurementSetup:
     limits = resolution_report(signals, codec)
     velocity_lsb_mps = max(limit.lsb for limit in limits if limit.unit == "m/s")
     heading_lsb_rad = math.radians(max(limit.lsb for limit in limits if limit.unit == "deg"))
+    decode = partial(decode_navigation, signal_map=signals, codec=codec)
     return MeasurementSetup(
-        decode=partial(decode_navigation, signal_map=signals, codec=codec),
+        decode=decode,
         table=station.table,
         noise=station.noise(velocity_lsb_mps, heading_lsb_rad),
         velocity_lsb_mps=velocity_lsb_mps,
@@ -354,4 +363,5 @@ def measurement_setup(station: Station) -> MeasurementSetup:
         site=station.site,
         prior=station.prior(),
         resolution=tuple(limits),
+        signs=SignCheck(signals, decode, station.table, station.site, velocity_lsb_mps),
     )

@@ -16,6 +16,7 @@ from gyrobench.bench.dwells.run_dwells import add_dwell
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.run_context import RunContext
 from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.errors import SignalMapError
 from gyrobench.bench.navigation.table_axes import Angles
 from gyrobench.drivers.frames import FrameBlock, concatenate
 
@@ -150,13 +151,16 @@ class DwellLedger:
         self._recorder = recorder
 
     def finish(self) -> bool:
-        """Measure the dwell that is over; returns False where it has to be repeated."""
+        """Measure the dwell that is over; returns False where it has to be repeated.
+
+        Raises SignalMapError if it contradicts the signal map: each further dwell would be invalid too.
+        """
         run = self._run
         marks = self._recorder.marks()
         frames = self._bench.end_capture()
         measure = measure_check_dwell if marks.is_calibration_check else measure_dwell
         measured = measure(marks, frames, run.setup)
-        if measured.is_disturbed and self.may_repeat(marks.dwell):
+        if measured.is_disturbed and not measured.signal_fault and self.may_repeat(marks.dwell):
             self._repeat(marks.dwell, measured.flags, counts=True)
             return False
         run.journal.record(
@@ -172,6 +176,8 @@ class DwellLedger:
             run.outcome.check_dwells.append(measured)
             text = measured.flags or "measured for the calibration check"
             run.observers.noted(f"{marks.position} at {marks.azimuth_deg:g} deg: {text}")
+        if measured.signal_fault:
+            raise SignalMapError(measured.signal_fault)
         return True
 
     def may_repeat(self, dwell: int) -> bool:

@@ -12,10 +12,9 @@ from gyrobench.bench.engine.damage import Damage, find_damage
 from gyrobench.bench.engine.job import Job, job_in
 from gyrobench.bench.foundations.clock import RESUME_STEP_S, Clock, VirtualClock, WallClock
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.foundations.text import listed
+from gyrobench.bench.foundations.text import hours_minutes, listed
 from gyrobench.bench.procedure.approach import end_of_dwell
 from gyrobench.bench.procedure.plan import Plan
-from gyrobench.bench.procedure.timeline import hours_minutes
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
 from gyrobench.bench.runs.journal import MAX_RUN_S, Journal
 from gyrobench.bench.runs.provenance import start_of, started_utc

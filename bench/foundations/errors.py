@@ -16,7 +16,9 @@
     ├── InvalidDwellError                 a dwell in progress can't give a result any more
     ├── RunStoppedError                   a command or an answer stops the run
     ├── MeasurementError (ValueError)     measured data that can't give a result
+    │   └── SignalMapError                they contradict the signs or axes of the signal map
     ├── RunFolderError (OSError)          a run folder that can't be written or read
+    │   └── MissingRunError               there is no run where one was named
     └── MissingPackageError (ImportError) an optional package is not installed
 
 A message says what happened, where, and what to do about it. Kinds that only the engine
@@ -92,8 +94,16 @@ class MeasurementError(GyrobenchError, ValueError):
     """Measured data that can't give a result: a window too short, gaps, not a number."""
 
 
+class SignalMapError(MeasurementError):
+    """Measured data contradict the signs or axes in the signal map of the station file."""
+
+
 class RunFolderError(GyrobenchError, OSError):
     """A run folder can't be written, or what it holds can't be read."""
+
+
+class MissingRunError(RunFolderError):
+    """No run is in the folder that was named, or there is no such folder."""
 
 
 class MissingPackageError(GyrobenchError, ImportError):

@@ -6,6 +6,7 @@ A file's content is on the disk once the file is synced; its name, once its fold
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
 import json
 import os
@@ -130,7 +131,7 @@ def make_new_folder(path: Path) -> bool:
     except OSError as error:
         if isinstance(error, FileExistsError) and path.exists():  # made by another process meanwhile
             return False
-        raise RunFolderError(f"{path}: can't be made: {error.strerror}. Is the disk full?") from error
+        raise RunFolderError(f"{path}: can't be made: {_reason(error)}") from error
     return True
 
 
@@ -145,4 +146,17 @@ def sync_folder(folder: Path) -> None:
 
 def cant_be_written(path: Path, error: OSError) -> RunFolderError:
     """Make the error of a file that can't be written."""
-    return RunFolderError(f"{path}: can't be written: {error.strerror or error}. Is the disk full?")
+    return RunFolderError(f"{path}: can't be written: {_reason(error)}")
+
+
+def _reason(error: OSError) -> str:
+    """What the system says, and what to do about it."""
+    advice = _ADVICE.get(error.errno or 0, "")
+    return f"{error.strerror or error}.{advice}"
+
+
+_ADVICE = {
+    **dict.fromkeys((errno.ENOSPC, errno.EDQUOT), " Free some space on its disk."),
+    **dict.fromkeys((errno.EACCES, errno.EPERM), " Check the permissions of its folder."),
+    errno.EROFS: " Choose a folder on a writable disk.",
+}

@@ -22,6 +22,12 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
+def hours_minutes(time_s: float) -> str:
+    """Write a time as h:mm, to the nearest minute."""
+    minutes = round(time_s / 60.0)
+    return f"{minutes // 60}:{minutes % 60:02d}"
+
+
 def bin_label(low_c: float, high_c: float, between: str = " to ") -> str:
     """Write the range of a bin, without its unit."""
     return f"{low_c:g}{between}{high_c:g}"

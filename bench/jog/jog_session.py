@@ -25,9 +25,10 @@ from gyrobench.bench.jog.terminal import (
     StoppedByOperatorError,
     TypedLines,
 )
-from gyrobench.bench.station.instruments import Emulation, Instruments
+from gyrobench.bench.station.instruments import CHAMBER, Emulation, Instruments
 from gyrobench.bench.station.locks import JOG_COMMAND, BenchLock
 from gyrobench.bench.station.station import Station
+from gyrobench.drivers.ins.can_bus import INSTRUMENT as INS
 
 _PROMPT = "jog> "
 _TICKS_TO_FIRST_FRAME = 2
@@ -57,7 +58,7 @@ def jog_bench(name: str, commands: Sequence[str], emulation: Emulation, leave: b
     BenchInUseError
         Another process holds the bench.
     InstrumentError
-        An instrument can't be reached when the bench is opened.
+        No instrument can be reached when the bench is opened; one that can't is left out.
     """
     station = Station(find_document("stations", name))
     station.check_dbc()
@@ -71,7 +72,9 @@ def jog_bench(name: str, commands: Sequence[str], emulation: Emulation, leave: b
     with ExitStack() as held:
         interruptions = held.enter_context(Interruptions())
         lock = held.enter_context(BenchLock(station, folder, clock, JOG_COMMAND))
-        instruments = held.enter_context(Instruments(station, clock, emulation))
+        instruments = held.enter_context(Instruments(station, clock, emulation, may_be_absent=True))
+        for error in instruments.absent.values():
+            display.print(f"Left out: {error}")
         for text in lock.taken_over:
             display.print(text)
         bench = LiveBench(station, instruments, clock, None, None, report)
@@ -148,6 +151,8 @@ class _Session:
             self._display.print("Chamber, INS power and servos are left as they are.")
             return True
         actions = self._control.make_safe()
+        absent = tuple(self._control.bench.instruments.absent)
+        actions = [action for action in actions if not action.what.startswith(_outputs_of(absent))]
         for action in actions:
             self._display.print(action.text)
         return not any(action.problem for action in actions)
@@ -168,6 +173,11 @@ class _Session:
 
         # Unlike a generator, this iterator continues after an exception raised while it waits for a line.
         return iter(typed, None)
+
+
+def _outputs_of(absent: Sequence[str]) -> tuple[str, ...]:
+    """First words of the safe actions that these instruments perform: the chamber powers the INS."""
+    return tuple(output for name in absent for output in ((name, INS) if name == CHAMBER else (name,)))
 
 
 def _error_text(error: GyrobenchError) -> str:

@@ -9,8 +9,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
 
-from gyrobench.bench.foundations.text import listed
-from gyrobench.bench.procedure.timeline import hours_minutes
+from gyrobench.bench.foundations.text import hours_minutes, listed
 from gyrobench.bench.station.receivers import EventName
 
 #: What happened. Receivers choose events with their key ``on``; the last two go to all.

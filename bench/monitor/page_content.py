@@ -9,7 +9,7 @@ from datetime import datetime, timedelta
 from urllib.parse import quote
 
 from gyrobench.bench.foundations.clock import parsed_utc
-from gyrobench.bench.foundations.text import bin_label, counted
+from gyrobench.bench.foundations.text import bin_label, counted, hours_minutes
 from gyrobench.bench.monitor.run_list import RunSummary
 from gyrobench.bench.monitor.snapshot import (
     BenchReadings,
@@ -20,7 +20,6 @@ from gyrobench.bench.monitor.snapshot import (
     mean_known,
 )
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
-from gyrobench.bench.procedure.timeline import hours_minutes
 from gyrobench.bench.report.number_format import BiasScale, by_temperature, true_minus
 
 #: A run writes every two seconds; a busy run takes longer.

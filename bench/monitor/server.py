@@ -51,6 +51,8 @@ _HOST_NAMES = {LOOPBACK, "localhost"}
 _MAX_THREADS = 16
 _SOCKET_TIMEOUT_S = 10.0
 _MAX_REQUEST_S = 20.0
+#: A connection that was cut off releases its thread within this time.
+_MAX_CUT_OFF_S = 1.0
 _MAX_TARGET = 2000
 _MIN_GZIP_BYTES = 1000
 _BUSY = b"HTTP/1.0 503 Service Unavailable\r\nRetry-After: 2\r\nContent-Length: 0\r\n\r\n"
@@ -76,6 +78,7 @@ class MonitorServer(ThreadingHTTPServer):
     def __init__(self, answer: Callable[[str], Response], port: int) -> None:
         self.answer = answer
         self._free_threads = threading.BoundedSemaphore(_MAX_THREADS)
+        self._waiting: dict[socket.socket, None] = {}  # connections without a whole request, oldest first
         try:
             super().__init__((LOOPBACK, port), _Handler)
         except (OSError, OverflowError) as error:
@@ -90,10 +93,19 @@ class MonitorServer(ThreadingHTTPServer):
         return f"http://{LOOPBACK}:{self.server_port}/"
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer in a separate thread, or reject at once if there are too many."""
+        """Answer in a separate thread; of too many connections the one that waits longest is cut off.
+
+        Where all are being answered, the request is rejected.
+        """
         if not self._free_threads.acquire(blocking=False):
-            self._reject(request)
-            return
+            slowest = next(iter(self._waiting.copy()), None)
+            if slowest is not None:
+                self.has_asked(slowest)
+                _shut_down(slowest)
+            if slowest is None or not self._free_threads.acquire(timeout=_MAX_CUT_OFF_S):
+                self._reject(request)
+                return
+        self._waiting[request] = None
         super().process_request(request, client_address)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
@@ -105,7 +117,12 @@ class MonitorServer(ThreadingHTTPServer):
             super().process_request_thread(request, client_address)
         finally:
             end.cancel()
+            self.has_asked(request)
             self._free_threads.release()
+
+    def has_asked(self, request: socket.socket) -> None:
+        """Note that a connection has sent a whole request, or ended."""
+        self._waiting.pop(request, None)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Ignore clients that disconnected."""
@@ -154,6 +171,7 @@ class _Handler(BaseHTTPRequestHandler):
         """Log nothing: a browser sends a request every two seconds."""
 
     def _answer(self) -> Response:
+        self.server.has_asked(self.request)
         if not _is_allowed_host(self.headers.get_all("Host", [])):
             text = f"Open {self.server.url}: requests to other names are rejected."
             return refusal(HTTPStatus.MISDIRECTED_REQUEST, text)

@@ -15,6 +15,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
 from gyrobench.bench.foundations.files import read_limited
+from gyrobench.bench.foundations.text import hours_minutes
 from gyrobench.bench.monitor.attitude_drawing import axes_drawing
 from gyrobench.bench.monitor.charts import bias_charts, profile_chart, window_charts
 from gyrobench.bench.monitor.page_content import (
@@ -40,7 +41,6 @@ from gyrobench.bench.monitor.run_list import (
 from gyrobench.bench.monitor.server import HTML, RECORD_POLICY, Response, page_policy, refusal
 from gyrobench.bench.monitor.snapshot import Attitude, RunSnapshot
 from gyrobench.bench.navigation.positions import POSITIONS, position_label
-from gyrobench.bench.procedure.timeline import hours_minutes
 from gyrobench.bench.report.number_format import true_minus
 
 

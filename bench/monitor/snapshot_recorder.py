@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from typing import Generic, TypeVar
 
@@ -271,6 +271,7 @@ class SnapshotRecorder(RunObserver):
         self._dwells: tuple[MeasuredDwell, ...] = ()
         self._bins: tuple[LiveBin, ...] = ()
         self._messages: deque[Note] = deque(maxlen=MAX_MESSAGES)
+        self._estimate: Callable[[], StateSpaceEstimate | None] | None = None
 
     def snapshot(self) -> RunSnapshot | None:
         """The run now; None before it starts."""
@@ -278,6 +279,7 @@ class SnapshotRecorder(RunObserver):
         if folder is None or bench is None:
             return None
         is_read = self._last_reading_s > -math.inf
+        self._take_estimate(bench)
         return RunSnapshot(
             name=folder.path.resolve().name,
             folder=str(folder.path),
@@ -305,6 +307,12 @@ class SnapshotRecorder(RunObserver):
             messages=tuple(self._messages),
         )
 
+    def _take_estimate(self, bench: LiveBench) -> None:
+        make, self._estimate = self._estimate, None
+        estimate = make() if make and self._dwell else None
+        if estimate and self._dwell:
+            self._dwell.estimated(bench.clock.now(), estimate)
+
     def begun(self, folder: RunFolder, bench: LiveBench, outcome: RunOutcome) -> None:
         """Start with the dwells measured before a resume."""
         self._folder, self._bench, self._outcome = folder, bench, outcome
@@ -322,6 +330,7 @@ class SnapshotRecorder(RunObserver):
     def step_started(self, planned: PlannedStep, bench: LiveBench) -> None:
         """Show the next step."""
         now_s, step = bench.clock.now(), planned.step
+        self._estimate = None
         self._state, self._reason = RunState.RUNNING, ""
         self._step = CurrentStep(
             planned.number, len(self._plan.steps), planned.label, step.describe(), now_s, planned.duration_s
@@ -360,10 +369,9 @@ class SnapshotRecorder(RunObserver):
         """Keep the planned time remaining."""
         self._left_s = left_s
 
-    def estimated(self, estimate: StateSpaceEstimate) -> None:
-        """Keep the newest estimate."""
-        if self._dwell and self._bench:
-            self._dwell.estimated(self._bench.clock.now(), estimate)
+    def estimable(self, estimate: Callable[[], StateSpaceEstimate | None]) -> None:
+        """Estimate with the next snapshot."""
+        self._estimate = estimate
 
     def dwell_measured(self, row: DwellRow) -> None:  # noqa: ARG002
         """Replace all dwells: the last one may have flagged earlier ones."""
@@ -379,6 +387,7 @@ class SnapshotRecorder(RunObserver):
             self._state = RunState.HOLDING
         self._reason = why
         self._step = self._dwell = None
+        self._estimate = None
 
     def continued(self) -> None:
         """The hold is over."""

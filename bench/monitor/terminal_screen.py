@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 from rich.text import Text
 
+from gyrobench.bench.foundations.text import hours_minutes
 from gyrobench.bench.monitor.snapshot import (
     BenchReadings,
     LiveBias,
@@ -18,7 +19,6 @@ from gyrobench.bench.monitor.snapshot import (
 )
 from gyrobench.bench.monitor.terminal_plot import Curve, axes_drawing, plot
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
-from gyrobench.bench.procedure.timeline import hours_minutes
 
 _STATE_STYLES = {
     RunState.STARTING: "bold cyan",

@@ -21,7 +21,7 @@ from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.observers import ObserverGroup, RunObserver, RunOutcome
 from gyrobench.bench.engine.operator import ConsentingOperator, Operator, RunCommand
 from gyrobench.bench.foundations.clock import WallClock
-from gyrobench.bench.foundations.text import counted
+from gyrobench.bench.foundations.text import counted, hours_minutes
 from gyrobench.bench.monitor.snapshot import RunSnapshot
 from gyrobench.bench.monitor.snapshot_recorder import SnapshotRecorder
 from gyrobench.bench.monitor.terminal import (
@@ -35,11 +35,13 @@ from gyrobench.bench.monitor.terminal_screen import MAX_HEIGHT, MAX_WIDTH, scree
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.procedure.plan import Plan, PlannedStep
 from gyrobench.bench.procedure.steps import Chamber
-from gyrobench.bench.procedure.timeline import hours_minutes
 
 
 class TerminalOperator:
     """Takes answers and commands from the keyboard without waiting for them."""
+
+    #: Commands that are executed.
+    commands: Sequence[RunCommand] = tuple(RunCommand)
 
     def __init__(self, console: Console, keyboard: Keyboard) -> None:
         self._console = console
@@ -68,11 +70,30 @@ class TerminalOperator:
     def command(self) -> RunCommand | None:
         """A command that has been typed; other input prints the commands."""
         typed = "" if self._answers else self._keyboard.line()
-        if typed in list(RunCommand):
+        if typed in self.commands:
             return RunCommand(typed)
         if typed:
-            self._console.print(f"Type one of: {', '.join(RunCommand)}", soft_wrap=True)
+            why = f"{typed}: a run on virtual time never waits. " if typed in list(RunCommand) else ""
+            self._console.print(f"{why}Type one of: {', '.join(self.commands)}", soft_wrap=True)
         return None
+
+
+class VirtualTimeOperator(TerminalOperator):
+    """Takes commands from the keyboard, and consents to every question: no operator can be waited for."""
+
+    commands = (RunCommand.SKIP, RunCommand.ABORT)
+
+    def __init__(self, console: Console, keyboard: Keyboard) -> None:
+        super().__init__(console, keyboard)
+        self._consent = ConsentingOperator()
+
+    def ask(self, question: str, answers: Sequence[str]) -> None:
+        """Choose an answer."""
+        self._consent.ask(question, answers)
+
+    def answer(self) -> str | None:
+        """The chosen answer."""
+        return self._consent.answer()
 
 
 _UNITS = "Biases in 0.001 deg/h with their standard uncertainty, temperatures in degC."
@@ -135,10 +156,11 @@ class LinesView(RunObserver):
             text = f"{hours_minutes(left_s)} h left | {where}{self._step}"
             self._status.update(Text(text, no_wrap=True, overflow="ellipsis"))
 
-    def estimated(self, estimate: StateSpaceEstimate) -> None:
+    def estimable(self, estimate: Callable[[], StateSpaceEstimate | None]) -> None:
         """Show the present biases with the next update."""
-        pairs = zip(AXES, 1e3 * estimate.bias_dph, 1e3 * estimate.sigma_dph, strict=True)
-        self._so_far = " ".join(f"{axis} {bias:+z.1f}±{sigma:.1f}" for axis, bias, sigma in pairs)
+        if self._status and (so_far := estimate()):
+            pairs = zip(AXES, 1e3 * so_far.bias_dph, 1e3 * so_far.sigma_dph, strict=True)
+            self._so_far = " ".join(f"{axis} {bias:+z.1f}±{sigma:.1f}" for axis, bias, sigma in pairs)
 
     def dwell_measured(self, row: DwellRow) -> None:
         """Print a dwell, the table head above the first one, and the reasons below a flagged one."""
@@ -177,13 +199,13 @@ class TerminalView(RunObserver):
         console: Console,
         recorder: SnapshotRecorder,
         keyboard: Keyboard,
-        takes_orders: bool,
+        commands: Sequence[RunCommand],
         can_draw: Callable[[], bool],
     ) -> None:
         self._console = console
         self._recorder = recorder
         self._keyboard = keyboard
-        self._takes_orders = takes_orders
+        self._commands = commands
         self._can_draw = can_draw
         self._clock = WallClock()
         self._next_snapshot_s = 0.0
@@ -229,7 +251,7 @@ class TerminalView(RunObserver):
         drawn: tuple[RunSnapshot | None, str, tuple[int, int]] | None = None
         while not self._over.wait(_KEYS_EVERY_S):
             size = (self._console.width, self._console.height)
-            typed = self._keyboard.unfinished if self._takes_orders else ""
+            typed = self._keyboard.unfinished
             seen = (self._snapshot, typed, size)
             is_same = drawn is not None and seen[0] is drawn[0] and seen[1:] == drawn[1:]
             if not is_same and self._can_draw():
@@ -240,7 +262,7 @@ class TerminalView(RunObserver):
         width = min(MAX_WIDTH, size[0])
         height = min(MAX_HEIGHT, max(_MIN_HEIGHT, size[1] - _ROWS_ABOVE))
         is_ascii = self._console.options.ascii_only or is_c_locale(os.environ)
-        prompt = [self._prompt(snapshot, typed)] if self._takes_orders else []
+        prompt = [self._prompt(snapshot, typed)]
         if snapshot is None:
             return [Text("starting", "bold cyan"), *prompt]
         return [*screen(snapshot, width, height - len(prompt), is_ascii), *prompt]
@@ -249,7 +271,7 @@ class TerminalView(RunObserver):
         if typed:
             return Text(f"> {typed}_", no_wrap=True)
         question = snapshot.question if snapshot else None
-        choice = "an answer" if question else ", ".join(RunCommand)
+        choice = "an answer" if question else ", ".join(self._commands)
         return Text.assemble("> ", (f"type {choice}", "dim"), no_wrap=True)
 
 
@@ -268,7 +290,7 @@ def observe_in_terminal(
     consent.
     """
     keyboard = Keyboard()
-    operator = ConsentingOperator() if job.is_virtual else TerminalOperator(console, keyboard)
+    operator = (VirtualTimeOperator if job.is_virtual else TerminalOperator)(console, keyboard)
     is_live = wants_live and console.is_terminal and not console.is_dumb_terminal and is_in_foreground()
     recorder = SnapshotRecorder(job.plan)
     with ExitStack() as shown:
@@ -276,7 +298,7 @@ def observe_in_terminal(
         lines = shown.enter_context(LinesView(console, job.plan, has_status=not is_live))
         watchers: list[RunObserver] = [recorder, lines]
         if is_live:
-            view = TerminalView(console, recorder, keyboard, not job.is_virtual, lambda: not stream.is_behind)
+            view = TerminalView(console, recorder, keyboard, operator.commands, lambda: not stream.is_behind)
             watchers.append(shown.enter_context(view))
         yield ObserverGroup(*watchers), operator
 

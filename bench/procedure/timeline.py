@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.text import hours_minutes
 from gyrobench.bench.procedure.plan import Plan, PlannedStep
 from gyrobench.bench.procedure.steps import GoTo
 
@@ -36,12 +37,6 @@ class TimelineRow:
     def duration(self) -> str:
         """Duration as h:mm."""
         return hours_minutes(self.duration_s)
-
-
-def hours_minutes(time_s: float) -> str:
-    """Write a time as h:mm, to the nearest minute."""
-    minutes = round(time_s / 60.0)
-    return f"{minutes // 60}:{minutes % 60:02d}"
 
 
 def timeline_rows(plan: Plan) -> list[TimelineRow]:

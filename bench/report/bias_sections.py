@@ -12,9 +12,8 @@ from types import MappingProxyType
 from gyrobench.bench.bias.bins import BiasBin, PositionComparison, compare_positions, paper_bins
 from gyrobench.bench.bias.dwell_table import DwellRow, paper_rows
 from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits, Judgement, Verdict
-from gyrobench.bench.foundations.text import bin_label, listed
+from gyrobench.bench.foundations.text import bin_label, hours_minutes, listed
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
-from gyrobench.bench.procedure.timeline import hours_minutes
 from gyrobench.bench.report.content import RunContent
 from gyrobench.bench.report.figures.bias import before_after_figure
 from gyrobench.bench.report.number_format import BiasScale, bins_by_temperature, p_text, scale_of_bins

@@ -21,9 +21,8 @@ from gyrobench.bench.foundations.clock import parsed_utc
 from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
 from gyrobench.bench.foundations.files import file_sha256, make_folder, write_whole
 from gyrobench.bench.foundations.packages import require
-from gyrobench.bench.foundations.text import counted
+from gyrobench.bench.foundations.text import counted, hours_minutes
 from gyrobench.bench.navigation.positions import AXES
-from gyrobench.bench.procedure.timeline import hours_minutes
 from gyrobench.bench.report.bias_sections import (
     acceptance_section,
     before_after_section,

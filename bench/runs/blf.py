@@ -136,7 +136,7 @@ def _packed(block: FrameBlock, start_s: float) -> bytes:
 
 
 def _filled(template: NDArray[np.void], rows: NDArray[np.void], start_s: float) -> NDArray[np.void]:
-    objects = np.repeat(template, len(rows))
+    objects = np.frombuffer(bytearray(template.tobytes() * len(rows)), template.dtype)
     objects["time"] = np.maximum((rows["time_s"] - start_s) * _NS, 0.0)
     objects["dlc"], objects["id"], objects["data"] = rows["length"], rows["id"], rows["data"]
     return objects

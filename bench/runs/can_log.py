@@ -95,11 +95,12 @@ class _OpenPart:
     def write(self, block: FrameBlock) -> None:
         if not len(block):
             return
+        last_s = block.timestamp_s.item(-1)
         if not self._pending:
-            self._since_s = block.timestamp_s[0]
+            self._since_s = last_s
         self._pending.append(block)
         self._count += len(block)
-        if self._count >= _FRAMES_AT_ONCE or abs(block.timestamp_s[-1] - self._since_s) >= _SECONDS_AT_ONCE:
+        if self._count >= _FRAMES_AT_ONCE or abs(last_s - self._since_s) >= _SECONDS_AT_ONCE:
             self._flush()
 
     def _flush(self) -> None:

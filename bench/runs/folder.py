@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.foundations.errors import MissingRunError, RunFolderError
 from gyrobench.bench.foundations.files import make_folder, make_new_folder
 
 
@@ -108,7 +108,8 @@ def create_run_folder(out: Path | None, name: str) -> RunFolder:
 def open_run_folder(path: Path) -> RunFolder:
     """Find an existing run folder.
 
-    Raises RunFolderError if there is none at that path, or one of its folders is a link to elsewhere.
+    Raises MissingRunError if there is none at that path, and RunFolderError if one of its folders is a link
+    to elsewhere.
     """
     folder = RunFolder(path)
     for name in (
@@ -128,7 +129,7 @@ def open_run_folder(path: Path) -> RunFolder:
                 "Replace the link by a folder"
             )
     if not folder.journal.is_file():
-        raise RunFolderError(
+        raise MissingRunError(
             f"{path}: is not a run folder (it has no {folder.journal.name}). Give the folder of a "
             "run that has started"
         )

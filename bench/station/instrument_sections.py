@@ -23,8 +23,18 @@ from gyrobench.bench.foundations.packages import CHAMBERS, RATE_TABLES, installe
 from gyrobench.drivers.chamber import ChamberDialect
 from gyrobench.drivers.rate_table import TableDialect
 
-Positive = Annotated[float, Field(gt=0.0)]
-NotNegative = Annotated[float, Field(ge=0.0)]
+#: Beyond these no quantity of a bench is meant, and squares of it overflow.
+_SMALLEST, _LARGEST = 1e-9, 1e9
+
+
+def _sizeable(value: float) -> float:
+    if 0.0 < value < _SMALLEST:
+        raise ValueError(f"a number of at least {_SMALLEST:g} is expected")
+    return value
+
+
+Positive = Annotated[float, Field(gt=0.0, le=_LARGEST), AfterValidator(_sizeable)]
+NotNegative = Annotated[float, Field(ge=0.0, le=_LARGEST), AfterValidator(_sizeable)]
 Direction = Literal["east", "north", "up", "west", "south", "down"]
 
 _USER_IN_ADDRESS = re.compile(r"://[^/?#]*@")

@@ -3,28 +3,35 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, InvalidStateError, wait
 from dataclasses import dataclass
 from functools import partial
-from typing import Self, TypeVar
+from typing import Any, Self, TypeVar, cast
 from urllib.parse import urlencode, urlsplit
+from uuid import uuid4
 
 import can
 
 from gyrobench.bench.foundations.clock import Clock, Deadline
-from gyrobench.bench.foundations.errors import ConnectionFailedError, GyrobenchError, InstrumentError
+from gyrobench.bench.foundations.errors import (
+    ConnectionFailedError,
+    GyrobenchError,
+    InstrumentError,
+    RefusedError,
+)
 from gyrobench.bench.foundations.packages import CHAMBERS, RATE_TABLES, load
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.instrument_sections import DialectSection
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.chamber import Chamber, ChamberDialect
+from gyrobench.drivers.chamber import Chamber, ChamberDialect, ChamberReading
 from gyrobench.drivers.ins.can_bus import INSTRUMENT as INS
 from gyrobench.drivers.ins.can_bus import close_bus, open_bus
 from gyrobench.drivers.ins.can_ins import CanIns
 from gyrobench.drivers.ins.dbc_codec import load_dbc
-from gyrobench.drivers.rate_table import RateTable, TableDialect
+from gyrobench.drivers.rate_table import RateTable, TableDialect, TableReading
 from gyrobench.drivers.serial_line import LineDefaults, SerialLine
 
 _POLL_S = 0.25
@@ -184,17 +191,40 @@ class Outputs:
 class Instruments(Outputs):
     """All instruments of a bench, opened; a context manager that closes them.
 
-    Raises ConnectionFailedError if one can't be opened; the others are closed again.
+    ``may_be_absent``: whether an instrument that can't be opened is left out, if another answers. It then
+    reads nothing and refuses commands. Raises ConnectionFailedError if one, or all, can't be opened; the
+    others are closed again.
     """
 
-    def __init__(self, station: Station, clock: Clock, emulation: Emulation) -> None:
+    def __init__(
+        self, station: Station, clock: Clock, emulation: Emulation, may_be_absent: bool = False
+    ) -> None:
         super().__init__(station, clock, emulation)
+        #: Instruments that are left out, and why.
+        self.absent: dict[str, InstrumentError] = {}
         with contextlib.ExitStack() as opened:
             opened.callback(super().close)
-            self.table  # noqa: B018 - opens it
-            self.chamber  # noqa: B018
-            self.ins = self._opened(INS, open_ins)
+            try:
+                self.table  # noqa: B018 - opens it
+            except InstrumentError as error:
+                self._leave_out(error, may_be_absent)
+                self._table = cast(RateTable, _AbsentTable(error, len(station.file.rate_table.axis_numbers)))
+            try:
+                self.chamber  # noqa: B018
+            except InstrumentError as error:
+                self._leave_out(error, may_be_absent)
+                self._chamber = cast(Chamber, _AbsentChamber(error))
+            try:
+                self.ins = self._opened(INS, open_ins)
+            except InstrumentError as error:
+                self._leave_out(error, may_be_absent and len(self.absent) < _OTHERS)
+                self.ins = _silent_ins(station, clock)
             opened.pop_all()
+
+    def _leave_out(self, error: InstrumentError, may_be: bool) -> None:
+        if not may_be:
+            raise error
+        self.absent[error.instrument] = error
 
     def reopen(self, instrument: str) -> None:
         """Close and reopen one instrument, also the INS; see :meth:`Outputs.reopen`.
@@ -217,6 +247,57 @@ class Instruments(Outputs):
         """Close all ports; the instruments keep their state."""
         self.ins.close()
         super().close()
+
+
+#: Instruments beside the INS.
+_OTHERS = 2
+
+
+class _Absent:
+    """In place of an instrument that does not answer: refuses every command."""
+
+    def __init__(self, error: InstrumentError) -> None:
+        self._instrument = error.instrument
+
+    def __getattr__(self, name: str) -> Callable[..., Any]:
+        def refuse(*_: object, **__: object) -> None:
+            raise RefusedError(self._instrument, "did not answer when the bench was opened")
+
+        return refuse
+
+    def close(self) -> None:
+        """Do nothing: it has no port."""
+
+
+class _AbsentTable(_Absent):
+    def __init__(self, error: InstrumentError, axes: int) -> None:
+        super().__init__(error)
+        self._nothing = TableReading((math.nan,) * axes, (math.nan,) * axes, is_servoed=False)
+
+    def read(self) -> TableReading:
+        """Read nothing."""
+        return self._nothing
+
+    def faults(self) -> tuple[str, ...]:
+        """Report none."""
+        return ()
+
+
+class _AbsentChamber(_Absent):
+    def read(self) -> ChamberReading:
+        """Read nothing."""
+        return ChamberReading(math.nan)
+
+    def alarms(self) -> tuple[str, ...]:
+        """Report none."""
+        return ()
+
+
+def _silent_ins(station: Station, clock: Clock) -> CanIns:
+    """The INS on a bus of this process, on which no other sends."""
+    section = station.file.ins
+    bus = open_bus("virtual", f"absent INS {uuid4()}", clock)
+    return CanIns(bus, section.signals, load_dbc(station.dbc_path), clock, section.commands)
 
 
 def open_table(station: Station, clock: Clock, emulation: Emulation) -> RateTable:

@@ -73,9 +73,9 @@ class Holder:
 class _LockFile:
     """A locked file with its holder's identity in it."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, mode: int) -> None:
         self.path = path
-        self._descriptor = _opened(path)
+        self._descriptor = _opened(path, mode)
         self.held = False
 
     def take(self) -> bool:
@@ -106,6 +106,9 @@ class _LockFile:
 class _Lock:
     """Locks on several files, taken all or none; a context manager."""
 
+    #: Of the files: the next user of a bench writes into its locks.
+    _mode = 0o666
+
     def __init__(
         self, paths: dict[str, Path], identity: Callable[[], Holder], clock: Clock, patience_s: float = 0.0
     ) -> None:
@@ -123,7 +126,7 @@ class _Lock:
         left_by: dict[Holder, list[str]] = {}
         with ExitStack() as taken:
             for what, path in sorted(self._paths.items(), key=lambda item: item[1]):
-                file = _LockFile(path)
+                file = _LockFile(path, self._mode)
                 taken.callback(file.release)
                 self._take(what, file)
                 if (former := file.holder()) is not None:
@@ -190,6 +193,8 @@ class BenchLock(_Lock):
 class RunLock(_Lock):
     """Holds a run folder; a context manager with the same attributes and errors as :class:`BenchLock`."""
 
+    _mode = 0o644
+
     def __init__(self, run_path: Path, clock: Clock, command: str | None = None) -> None:
         paths = {f"the run folder {run_path}": run_path / LOCK}
         super().__init__(paths, lambda: _identity(run_path, command), clock)
@@ -201,6 +206,23 @@ class RunLock(_Lock):
 def holder_of(run_path: Path) -> Holder | None:
     """Find the process that holds a run folder; None if it is free."""
     return _present_holder(run_path / LOCK)
+
+
+def is_held_by(run_path: Path, pid: int) -> bool:
+    """Whether the kernel lists that process as the holder of a run folder.
+
+    Without such a list, whether no other user may have written the lock.
+    """
+    status = (run_path / LOCK).stat()
+    try:
+        held = [line.split() for line in Path("/proc/locks").read_text().splitlines()]
+    except OSError:
+        return pid > 1 and status.st_uid == os.geteuid() and not status.st_mode & 0o022
+    return pid > 1 and any(
+        fields[1] == "FLOCK" and fields[4] == str(pid) and fields[5].endswith(f":{status.st_ino}")
+        for fields in held
+        if len(fields) > 5 and fields[1] != "->"
+    )
 
 
 def bench_holders(station: Station) -> list[Holder]:
@@ -290,14 +312,14 @@ def _lock_folder() -> Path:
     return _SHARED_FOLDERS[-1]
 
 
-def _opened(path: Path) -> int:
-    """Open a lock file, or make it; never through a link that another user planted."""
+def _opened(path: Path, mode: int) -> int:
+    """Open a lock file, or make it with this mode; never through a link that another user planted."""
     flags = os.O_RDWR | _FLAGS
     try:
         for more in (0, os.O_CREAT | os.O_EXCL, 0):
             # Not O_CREAT alone: the kernel may refuse that for files of other users in shared folders.
             with contextlib.suppress(FileNotFoundError if not more else FileExistsError):
-                descriptor = os.open(path, flags | more, 0o666)
+                descriptor = os.open(path, flags | more, mode)
                 break
         else:
             raise FileNotFoundError(errno.ENOENT, "appears and disappears", str(path))
@@ -307,8 +329,8 @@ def _opened(path: Path) -> int:
     if not stat.S_ISREG(status.st_mode) or status.st_nlink > 1:  # a second name may be a trap as well
         os.close(descriptor)
         raise _can_not_lock(path, "it is not an ordinary file")
-    if more:
-        os.fchmod(descriptor, 0o666)  # the next user of the bench writes into it
+    if more or (status.st_uid == os.geteuid() and status.st_mode & ~mode & 0o777):
+        os.fchmod(descriptor, mode)
     return descriptor
 
 

@@ -11,13 +11,16 @@ ones may omit them.
 
 from __future__ import annotations
 
+import functools
+import logging
 import math
+import time
 from dataclasses import dataclass, fields
 from pathlib import Path
 from urllib.parse import parse_qsl, urlsplit
 
-from gyrobench.bench.foundations.clock import Clock, WallClock, clock_named
-from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.clock import Clock, VirtualClock, WallClock, clock_named
+from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError
 from gyrobench.bench.foundations.packages import EMULATORS, load
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.drivers.emulators.can_ins import CanInsEmulator, CanNode
@@ -26,12 +29,14 @@ from gyrobench.drivers.emulators.faults.fault import BenchParts
 from gyrobench.drivers.emulators.faults.fault_list import FaultList, check_faults, load_faults
 from gyrobench.drivers.emulators.faults.faulty_lines import FaultyCan, FaultySerial
 from gyrobench.drivers.emulators.faults.injector import InjectionLog, Injector
-from gyrobench.drivers.emulators.world.world import World
+from gyrobench.drivers.emulators.world.strapdown import table_attitude
+from gyrobench.drivers.emulators.world.world import OUTER, World
 from gyrobench.drivers.emulators.world.world_file import load_world
 
 #: The chamber controller's event output that feeds the unit's power supply.
 UNIT_POWER_EVENT = 2
 
+_LOG = logging.getLogger("gyrobench")
 _DEFAULT_WORLD = "gyro_a"
 _DEFAULT_TABLE, _DEFAULT_CHAMBER = "acutrol3000", "watlow_f4"
 
@@ -115,6 +120,34 @@ class EmulatedBench:
             self.world.power_unit(on)
 
 
+@functools.cache
+def compile_world() -> None:
+    """Compile everything that simulated benches compute, or load it from numba's cache, once per process.
+
+    A temporary bench aligns, navigates, compensates and turns. Where the first function was not in the cache,
+    the start and the duration are logged.
+    """
+    started_s = time.perf_counter()
+    bench = EmulatedBench(VirtualClock(), find_document("worlds", _DEFAULT_WORLD), 0)
+    is_first_time = bool(table_attitude.stats.cache_misses)
+    if is_first_time:
+        _LOG.warning("Compiling the simulated bench, once after installation; this takes some 10 s.")
+    unit = bench.world.unit
+    bench.world.power_unit(True)
+    for duration_s, act in (
+        (20.0, unit.align),
+        (60.0, unit.navigate),
+        (5.0, unit.apply_compensation),
+        (5.0, lambda: bench.world.axes[OUTER].move_to(10.0, bench.clock.now())),
+        (10.0, unit.standby),
+    ):
+        bench.clock.sleep(duration_s)
+        bench.advance()
+        act()
+    if is_first_time:
+        _LOG.warning(f"Compiled the simulated bench in {time.perf_counter() - started_s:.1f} s.")
+
+
 _wall_clocks: dict[str, WallClock] = {}
 
 
@@ -122,7 +155,7 @@ def emulated_bench(address: BenchAddress) -> EmulatedBench:
     """Find the bench of that address, or create it.
 
     Raises DocumentError if the world file or the list of faults is wrong or missing, the seed is negative, no
-    clock has that name, or the bench has other dialects.
+    clock has that name. Raises GyrobenchError if the bench has other dialects.
     """
     clock: Clock
     try:
@@ -134,6 +167,7 @@ def emulated_bench(address: BenchAddress) -> EmulatedBench:
     key = (world, address.seed, faults)
     bench = clock.companions.get(key)
     if not isinstance(bench, EmulatedBench):
+        compile_world()
         bench = clock.companions[key] = EmulatedBench(
             clock,
             world,
@@ -144,7 +178,7 @@ def emulated_bench(address: BenchAddress) -> EmulatedBench:
         )
     for name, dialect in (("table", address.table), ("chamber", address.chamber)):
         if dialect and dialect != bench.dialects[name]:
-            raise DocumentError(
+            raise GyrobenchError(
                 f"emulator address: the {name} of this bench is a {bench.dialects[name]}, not a {dialect}"
             )
     return bench

@@ -22,10 +22,10 @@ from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
-from gyrobench.bench.foundations.clock import VirtualClock, WallClock
+from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document
-from gyrobench.drivers.emulators.bench import EmulatedBench
+from gyrobench.drivers.emulators.bench import EmulatedBench, compile_world
 from gyrobench.drivers.emulators.can_adapters import BUS_NAME, CanAdapter, SlcanAdapter, SocketcandDaemon
 from gyrobench.drivers.emulators.dialect import Connection, SerialInstrument
 from gyrobench.drivers.served_ports import Port, PseudoTerminal, TcpPort
@@ -156,7 +156,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         try:
             world = find_document("worlds", options.world)
             faults = find_document("faults", options.faults) if options.faults else None
-            _compile_kernels(world)
+            compile_world()
             clock = WallClock(speed=options.speed)
             bench = EmulatedBench(
                 clock,
@@ -251,20 +251,6 @@ def _port_maker(
         return PseudoTerminal(folder / name if folder else None)
 
     return make_port
-
-
-def _compile_kernels(world: Path) -> None:
-    """Align, navigate and turn on a temporary bench: compilation must not delay the real-time bench."""
-    bench = EmulatedBench(VirtualClock(), world, 0)
-    unit, axis = bench.world.unit, bench.world.axes[1]
-    bench.world.power_unit(True)
-    for duration_s, act in ((60.0, unit.align), (120.0, unit.navigate), (5.0, lambda: None)):
-        bench.clock.sleep(duration_s)
-        bench.advance()
-        act()
-    axis.move_to(10.0, bench.clock.now())
-    bench.clock.sleep(10.0)
-    bench.advance()
 
 
 if __name__ == "__main__":

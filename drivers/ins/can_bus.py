@@ -11,9 +11,10 @@ from typing import Any
 import can
 
 from gyrobench.bench.foundations.clock import Clock
-from gyrobench.bench.foundations.errors import ConnectionFailedError
+from gyrobench.bench.foundations.errors import ConnectionFailedError, DocumentError
 from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.text_buses import SlcanBus, SocketcandBus
+from gyrobench.drivers.serial_line import system_reason
 
 #: Name of the instrument in errors.
 INSTRUMENT = "INS"
@@ -30,7 +31,8 @@ def open_bus(
 ) -> can.BusABC:
     """Open a CAN bus by its python-can interface name, without python-can's configuration files.
 
-    Raises ConnectionFailedError if the interface or channel does not exist or can't be opened.
+    Raises ConnectionFailedError if the interface or channel does not exist or can't be opened. Raises
+    DocumentError if the world behind an emulated bus is wrong.
     """
     if bitrate is not None:
         options["bitrate"] = bitrate
@@ -41,9 +43,11 @@ def open_bus(
             options["clock"] = clock.name
         return can.Bus(channel=channel, interface=interface, ignore_config=True, **options)
     except (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError) as error:
+        if isinstance(error.__cause__, DocumentError):  # the world behind an emulated bus is wrong
+            raise error.__cause__ from None
         raise ConnectionFailedError(
             INSTRUMENT,
-            f"can't open the CAN interface '{interface}', channel {channel}: {error}. "
+            f"can't open the CAN interface '{interface}', channel {channel}: {system_reason(error)}. "
             "Check the station file's interface, channel and options, and the adapter.",
         ) from error
 

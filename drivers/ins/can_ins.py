@@ -101,9 +101,10 @@ class CanIns:
 
     def _take(self, block: FrameBlock) -> None:
         data_frames = block.data_frames()
-        self._frames += len(data_frames)
-        self._error_frames += len(block) - len(data_frames)
-        if len(data_frames):
+        count = len(data_frames)
+        self._frames += count
+        self._error_frames += len(block) - count
+        if count:
             self._newest.take(data_frames, self._clock.now())
         if self.on_frames is not None:
             self.on_frames(block)

@@ -133,8 +133,7 @@ class DbcCodec:
         NaN where a multiplexed signal is absent. Integers of more than 53 bits are rounded to float64.
         """
         layout = self._layout(message_name)
-        data = block.data[self.rows(block, message_name)]
-        words = Payloads(data)
+        words = Payloads(block.take(self.rows(block, message_name)).data)
         return {name: layout.physical(name, words) for name in layout.fields}
 
     def decode_one(self, data: bytes, message_name: str, signal_name: str) -> float:
@@ -239,12 +238,12 @@ class Payloads:
     """Payloads, shape (n, 8), as 64-bit numbers in both byte orders."""
 
     def __init__(self, data: NDArray[np.uint8]) -> None:
-        self._data = np.ascontiguousarray(data)
+        self._data = data
 
     @cached_property
     def little(self) -> Words:
         """Numbers whose first byte is the lowest, shape (n,)."""
-        return self._data.view("<u8")[:, 0].astype(np.uint64, copy=False)
+        return self._data.view("<u8")[:, 0].astype(np.uint64)
 
     @cached_property
     def big(self) -> Words:

@@ -67,7 +67,7 @@ class NewestFrames:
 
     def take(self, frames: FrameBlock, now_s: float) -> None:
         """Store frames that have just arrived, in order; at least one."""
-        self._stamp_s = float(frames.timestamp_s[-1])
+        self._stamp_s = frames.timestamp_s.item(-1)
         self._append(frames, now_s)
         while self._arrivals[0].received_s < now_s - _KEPT_S:
             self._arrivals.popleft()
@@ -99,13 +99,16 @@ class Snapshot:
         self._oldest_s = oldest_s
         self._codec = codec
 
-    def held(self, bound: BoundSignal, rows: IntArray) -> FloatArray:  # noqa: ARG002 - only now
-        """Value of a signal, shape (1,); NaN without its frame."""
+    def value(self, bound: BoundSignal) -> float:
+        """Value of a signal; NaN without its frame."""
         row = self._arrival.newest(self._codec.arbitration_id(bound.message))
-        value = math.nan
-        if row is not None and row[0] >= self._oldest_s:
-            value = self._codec.decode_one(bytes(row[4][: row[2]]), bound.message, bound.signal.name)
-        return bound.to_si(np.array([value]))
+        if row is None or row[0] < self._oldest_s:
+            return math.nan
+        return bound.si(self._codec.decode_one(bytes(row[4][: row[2]]), bound.message, bound.signal.name))
+
+    def held(self, bound: BoundSignal, rows: IntArray) -> FloatArray:  # noqa: ARG002 - only now
+        """Value of a signal, shape (1,)."""
+        return np.array([self.value(bound)])
 
 
 class InsStatus:
@@ -115,6 +118,8 @@ class InsStatus:
         self, snapshot: Snapshot, age_s: float, signal_map: SignalMap, signals: Mapping[str, BoundSignal]
     ) -> None:
         self.age_s = age_s  #: Time since the last frame; infinite before the first.
+        self._snapshot = snapshot
+        self._signals = signals
         self._readout = Readout(snapshot, signal_map, signals)
 
     @cached_property
@@ -137,7 +142,7 @@ class InsStatus:
     def compensation(self) -> bool | None:
         """Whether a compensation is in use."""
         value = self._number("compensation")
-        return None if np.isnan(value) else value != 0.0
+        return None if math.isnan(value) else value != 0.0
 
     @cached_property
     def compensation_in_use(self) -> int | None:
@@ -172,7 +177,7 @@ class InsStatus:
     @cached_property
     def velocity_enu_mps(self) -> FloatArray:
         """Velocity, shape (3,)."""
-        return np.asarray(self._readout.velocity_enu_mps(_NOW)[0])
+        return np.array([self._number(f"velocity_{axis}") for axis in ("east", "north", "up")])
 
     @cached_property
     def attitude(self) -> FloatArray:
@@ -182,12 +187,12 @@ class InsStatus:
     @cached_property
     def optics_c(self) -> FloatArray:
         """Temperature of each gyro's optics by body axis, shape (3,)."""
-        return np.asarray(self._readout.axes("gyro_optics_temperature", _NOW)[0])
+        return self._axes("gyro_optics_temperature")
 
     @cached_property
     def electronics_c(self) -> FloatArray:
         """Temperature of each gyro's electronics by body axis, shape (3,)."""
-        return np.asarray(self._readout.axes("gyro_electronics_temperature", _NOW)[0])
+        return self._axes("gyro_electronics_temperature")
 
     @cached_property
     def case_c(self) -> float:
@@ -198,11 +203,15 @@ class InsStatus:
     def identity(self) -> dict[str, int]:
         """Numbers of the signal map's ``identity`` that have arrived."""
         numbers = {name: self._number(f"identity.{name}") for name in self._readout.map.identity}
-        return {name: int(number) for name, number in numbers.items() if np.isfinite(number)}
+        return {name: int(number) for name, number in numbers.items() if math.isfinite(number)}
 
     def _whole_number(self, path: str) -> int | None:
         value = self._number(path)
-        return None if np.isnan(value) else int(value)
+        return None if math.isnan(value) else int(value)
 
     def _number(self, path: str) -> float:
-        return float(self._readout.value(path, _NOW)[0])
+        bound = self._signals.get(path)
+        return math.nan if bound is None else self._snapshot.value(bound)
+
+    def _axes(self, name: str) -> FloatArray:
+        return np.array([self._number(f"{name}.{axis}") for axis in "xyz"])

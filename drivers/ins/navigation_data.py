@@ -329,8 +329,8 @@ def _count_contradicted(reader: BlockReader, readout: Readout, ends: IntArray, s
     contradicted = 0
     for message in readout.map.messages_of_epoch():
         rows = reader.rows(message)
-        data = reader.block.data[rows]
-        other = np.concatenate([[True], (data[1:] != data[:-1]).any(axis=1)])[: len(rows)]
+        data = reader.block.data.view(np.uint64)[rows, 0]
+        other = np.concatenate([[True], data[1:] != data[:-1]])[: len(rows)]
         found = np.bincount(np.searchsorted(ends, rows[other]), minlength=len(ends) + 1)
         # Frames before the first and after the last epoch belong to epochs cut off by the block's edges.
         contradicted += int(np.maximum(found[1 : len(ends)] - steps[1:], 0.0).sum())

@@ -135,7 +135,8 @@ class Readout:
         sequence = self.euler_sequence(rows)
         for index, name in enumerate(EulerSequence):
             chosen = sequence == index
-            matrices[chosen] = attitude_matrices(name, roll[chosen], pitch[chosen], yaw[chosen])
+            if chosen.any():
+                matrices[chosen] = attitude_matrices(name, roll[chosen], pitch[chosen], yaw[chosen])
         return matrices
 
     def _from_quaternion(self, rows: IntArray) -> FloatArray:
@@ -147,7 +148,8 @@ class Readout:
 def _coded(values: FloatArray, meanings: Mapping[int, Sequence[int]], other: int) -> NDArray[np.int8]:
     codes = np.full(len(values), other, np.int8)
     for code, raw in meanings.items():
-        codes[np.isin(values, raw)] = code
+        for each in raw:
+            codes[values == each] = code
     codes[np.isnan(values)] = -1
     return codes
 
@@ -159,6 +161,8 @@ class BlockReader:
         self.block = block
         self.codec = codec
         self._decoded: dict[str, tuple[IntArray, dict[str, FloatArray]]] = {}
+        #: By message, the rows last asked for and the newest frame at each: its signals are read together.
+        self._places: dict[str, tuple[IntArray, IntArray]] = {}
 
     def rows(self, message: str) -> IntArray:
         """Rows of the block with frames of a message."""
@@ -169,10 +173,14 @@ class BlockReader:
         frames, decoded = self._message(bound.message)
         values = np.append(bound.to_si(decoded[bound.signal.name]), np.nan)
         # Index -1, before the first value, is the NaN at the end.
-        return np.asarray(values[np.searchsorted(frames, rows, side="right") - 1])
+        asked, places = self._places.get(bound.message, (None, frames))
+        if asked is not rows:
+            places = np.searchsorted(frames, rows, side="right") - 1
+            self._places[bound.message] = rows, places
+        return np.asarray(values[places])
 
     def _message(self, message: str) -> tuple[IntArray, dict[str, FloatArray]]:
         if message not in self._decoded:
             rows = self.codec.rows(self.block, message)
-            self._decoded[message] = rows, self.codec.decode(self.block, message)
+            self._decoded[message] = rows, self.codec.decode(self.block.take(rows), message)
         return self._decoded[message]

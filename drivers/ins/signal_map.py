@@ -7,6 +7,7 @@ temperature at the end of its field's range, or outside the DBC's, is saturated 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
@@ -315,6 +316,14 @@ class BoundSignal:
             low, high = self._limits
             values[~((physical > low) & (physical < high))] = np.nan
         return values
+
+    def si(self, physical: float) -> float:
+        """Convert one value as :meth:`to_si` does, faster."""
+        if self.saturates:
+            low, high = self._limits
+            if not low < physical < high:
+                return math.nan
+        return physical * self.gain + self.offset
 
     @cached_property
     def _limits(self) -> tuple[float, float]:

@@ -24,7 +24,14 @@ from numpy.typing import NDArray
 from gyrobench.bench.foundations.arrays import BoolArray, IntArray
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import ReplyError
-from gyrobench.drivers.frames import ERROR_FRAME, EXTENDED_ID, FRAME_DTYPE, REMOTE_FRAME, FrameBlock
+from gyrobench.drivers.frames import (
+    ERROR_FRAME,
+    EXTENDED_ID,
+    FRAME_DTYPE,
+    REMOTE_FRAME,
+    FrameBlock,
+    concatenate,
+)
 
 _READ_PERIOD_S = 0.005
 _MAX_READ = 1 << 20
@@ -74,7 +81,7 @@ class _Format:
         invalid[np.isin(letters, list(self.letters))] = True
         wrong = np.flatnonzero(invalid & ~is_frame)
         line = data[begin[wrong[0]] : end[wrong[0]]] if len(wrong) else b""
-        return FrameBlock(rows[is_frame]), end[is_frame], line
+        return FrameBlock(rows).take(is_frame), end[is_frame], line
 
     def _rows_like_first(
         self, data: bytes, begin: IntArray, end: IntArray, rows: NDArray[np.void], numbers: IntArray
@@ -167,7 +174,7 @@ class _TextBus(can.BusABC):
         self._arrived, self._stopping = threading.Event(), threading.Event()
         self._failure: Exception | None = None  # for good
         self._error: ReplyError | None = None
-        self._ahead = FrameBlock(np.zeros(0, FRAME_DTYPE))
+        self._ahead = concatenate([])
         self._thread = threading.Thread(target=self._read_all, args=(received,), daemon=True)
         self._thread.start()
 
@@ -218,7 +225,7 @@ class _TextBus(can.BusABC):
         block, self._ahead = self._ahead, self._ahead.take(slice(0, 0))
         if chunks:
             arrived, line = self._converted(chunks)
-            block = FrameBlock(np.concatenate([block.rows, arrived.rows])) if len(block) else arrived
+            block = concatenate([block, arrived]) if len(block) else arrived
             if line:
                 text = line[:40].decode("ascii", "backslashreplace")
                 self._error = ReplyError("INS", f"{self}: received bytes are no CAN frame: '{text}'")

@@ -8,7 +8,8 @@ from typing import Any
 
 from tests.adversarial.harness import Case, Row
 
-_VELOCITY = "VELOCITY_NE.VELOCITY_"
+VELOCITY = "VELOCITY_NE.VELOCITY_"
+EULER = "ins.signals.attitude.euler"
 
 
 def _nothing(case: Case) -> Case:
@@ -32,15 +33,20 @@ def _latitude(error_arcmin: float) -> Any:
 def _mirrored(*names: str) -> Any:
     return _station(
         {
-            f"ins.signals.velocity_{name}": {"signal": f"{_VELOCITY}{name.upper()}", "sign": -1}
+            f"ins.signals.velocity_{name}": {"signal": f"{VELOCITY}{name.upper()}", "sign": -1}
             for name in names
         }
     )
 
 
+def _reversed(angle: str) -> dict[str, Any]:
+    return {"signal": f"ROLL_PITCH.{angle}", "sign": -1}
+
+
+_EXCHANGED_ANGLES = {f"{EULER}.roll": "ROLL_PITCH.PITCH", f"{EULER}.pitch": "ROLL_PITCH.ROLL"}
 _EXCHANGED = {
-    "ins.signals.velocity_east": f"{_VELOCITY}NORTH",
-    "ins.signals.velocity_north": f"{_VELOCITY}EAST",
+    "ins.signals.velocity_east": f"{VELOCITY}NORTH",
+    "ins.signals.velocity_north": f"{VELOCITY}EAST",
 }
 
 #: With nothing wrong.
@@ -51,7 +57,10 @@ ROWS = (
     Row("velocity_east with the wrong sign", _mirrored("east"), "velocity_east"),
     Row("both velocities with the wrong sign", _mirrored("north", "east"), "velocity_(north|east)"),
     Row("east and north exchanged", _station(_EXCHANGED), "exchange"),
-    Row("yaw_positive wrong", _station({"ins.signals.attitude.euler.yaw_positive": "up"}), "yaw_positive"),
+    Row("yaw_positive wrong", _station({f"{EULER}.yaw_positive": "up"}), "yaw_positive"),
+    Row("roll with the wrong sign", _station({f"{EULER}.roll": _reversed("ROLL")}), "roll"),
+    Row("pitch with the wrong sign", _station({f"{EULER}.pitch": _reversed("PITCH")}), "pitch"),
+    Row("roll and pitch exchanged", _station(_EXCHANGED_ANGLES), "exchange"),
     Row("latitude 1 arcmin off", _latitude(1.0), "latitude"),
     Row("latitude -1 arcmin off", _latitude(-1.0), "latitude"),
     Row("deflection of the vertical by 8 arcsec", _latitude(8.0 / 60.0), "latitude"),

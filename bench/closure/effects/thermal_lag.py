@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from itertools import accumulate
+
 import numpy as np
-from scipy.signal import lfilter
 
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter, fixed, no_ins_term
@@ -17,8 +18,10 @@ def _behind(temperature_c: FloatArray, step_s: float, tau_s: float) -> FloatArra
     """
     keep = np.exp(-step_s / tau_s)
     slopes = np.diff(temperature_c, axis=0, prepend=temperature_c[:1]) / step_s
-    behind: FloatArray = lfilter([-(1.0 - keep) * tau_s], [1.0, -keep], slopes, axis=0)
-    return behind
+    steps = -(1.0 - keep) * tau_s * slopes.T
+    return np.array(
+        [list(accumulate(each, lambda sofar, step: step + keep * sofar)) for each in steps.tolist()]
+    ).T
 
 
 def _columns(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:

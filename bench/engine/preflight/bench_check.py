@@ -13,11 +13,10 @@ from gyrobench.bench.engine.preflight.instruments import ANSWERS, chamber_checks
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document
-from gyrobench.bench.foundations.text import listed, plain_name
+from gyrobench.bench.foundations.text import hours_minutes, listed, plain_name
 from gyrobench.bench.messages.delivery import read_secret
 from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.procedure.procedure_file import load_procedure
-from gyrobench.bench.procedure.timeline import hours_minutes
 from gyrobench.bench.runs.telemetry import COLUMNS
 from gyrobench.bench.station.instruments import Emulation, Outputs, open_ins
 from gyrobench.bench.station.locks import BenchLock

@@ -11,10 +11,12 @@ from functools import partial
 
 import numpy as np
 
+from gyrobench.bench.bias.dwell import MAX_ATTITUDE_DISAGREEMENT
 from gyrobench.bench.engine.interlocks.checks import ins_temperatures
 from gyrobench.bench.engine.preflight.instruments import answered, failed, unanswered
 from gyrobench.bench.foundations.clock import Clock, Deadline
 from gyrobench.bench.foundations.errors import InstrumentError, NoReplyError
+from gyrobench.bench.navigation.attitude import angle_between
 from gyrobench.bench.station.instruments import Outputs
 from gyrobench.bench.station.preflight_check import Check
 from gyrobench.bench.station.station import Station
@@ -94,7 +96,7 @@ def _running(
         return
     yield from _states(station, ins.status())
     yield _resolution(station, ins)
-    yield from _stream(station, ins, clock, traffic)
+    yield from _stream(station, outputs, ins, clock, traffic)
 
 
 def _silent(station: Station, error: InstrumentError) -> Check:
@@ -195,7 +197,9 @@ def _temperatures(station: Station, status: InsStatus) -> Check:
     )
 
 
-def _stream(station: Station, ins: CanIns, clock: Clock, traffic: CanTraffic) -> Iterator[Check]:
+def _stream(
+    station: Station, outputs: Outputs, ins: CanIns, clock: Clock, traffic: CanTraffic
+) -> Iterator[Check]:
     received = concatenate(traffic.blocks)
     block = received.data_frames()
     errors = len(received) - len(block)
@@ -218,7 +222,29 @@ def _stream(station: Station, ins: CanIns, clock: Clock, traffic: CanTraffic) ->
     if len(data.ins_time_s) < 3:
         return
     yield _epoch_rate(station, data)
+    yield from _attitude(station, outputs, data)
     yield from _clocks(station, clock, data, traffic)
+
+
+def _attitude(station: Station, outputs: Outputs, data: NavigationData) -> Iterator[Check]:
+    """Compare the attitude of an INS that navigates with that of the table.
+
+    What a wrong sign does at rest shows over minutes alone: the dwells of a run test that, from the first on.
+    """
+    if data.mode[-1] != InsMode.NAVIGATE or not np.isfinite(data.attitude[-1]).all():
+        return
+    try:
+        angles = station.table_axes_of(outputs.table.read().position_deg)
+    except InstrumentError:  # the checks of the table report it
+        return
+    off = angle_between(data.attitude[-1], station.table.attitude(*angles))
+    yield _check(
+        "attitude",
+        off <= MAX_ATTITUDE_DISAGREEMENT,
+        f"{math.degrees(off):.1f} deg from that of the table; "
+        f"at most {math.degrees(MAX_ATTITUDE_DISAGREEMENT):g} deg",
+        "Check signs and axes of `attitude` in the signal map, and `mounting` and axes of the table.",
+    )
 
 
 def _missing(station: Station, traffic: CanTraffic, epochs: int) -> int:

@@ -74,8 +74,18 @@ def closure_residual_figure(closure: Closure, gyro: str) -> Figure:
     scale = scale_of_errors(closure)
     against = _against(closure, axis)
     largest = _MARGIN * scale.factor * max(float(np.abs(each).max()) for each in residuals.values())
-    figure = new_figure(0.8 + 1.75 * len(residuals))
-    grid = figure.subplots(len(residuals), len(against), sharex="col", sharey=True, squeeze=False)
+    # To compute the margins of eight panels takes longer than to draw them.
+    figure = new_figure(0.8 + 1.75 * len(residuals), layout=None)
+    height_in = figure.get_figheight()
+    margins = {"left": 0.09, "right": 0.99, "bottom": 0.95 / height_in, "top": 1.0 - 0.3 / height_in}
+    grid = figure.subplots(
+        len(residuals),
+        len(against),
+        sharex="col",
+        sharey=True,
+        squeeze=False,
+        gridspec_kw=margins | {"wspace": 0.06, "hspace": 0.22},
+    )
     for row, (name, values_dph) in zip(grid, residuals.items(), strict=True):
         row[0].set_title(f"{gyro_label(gyro)}, {name}")
         row[0].set_ylim(-largest, largest)
@@ -88,8 +98,8 @@ def closure_residual_figure(closure: Closure, gyro: str) -> Figure:
         axes.set_xlabel(label, fontsize=8)
     names = _positions(closure)
     grid[-1, -1].set_xticks(range(len(names)), list(map(position_label, names)), fontsize=7, rotation=90)
-    figure.supylabel(f"residual / ({scale.unit})", fontsize=9)
-    figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    figure.supylabel(f"residual / ({scale.unit})", x=0.005, fontsize=9)
+    figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="lower center", ncols=3)
     return figure
 
 
@@ -180,8 +190,9 @@ def closure_effect_figure(closure: Closure, found: FoundEffect) -> Figure:
         axis: _MainTerm(closure, found, columns, axis) for axis, gyro in enumerate(AXES) if gyro in found.axes
     }
     scale = scale_of_errors(closure)
-    figure = new_figure(3.1)
-    all_axes = figure.subplots(1, len(AXES), sharey=True)
+    figure = new_figure(3.1, layout=None)
+    margins = {"left": 0.09, "right": 0.99, "bottom": 0.25, "top": 0.84, "wspace": 0.06}
+    all_axes = figure.subplots(1, len(AXES), sharey=True, gridspec_kw=margins)
     for axis, (axes, gyro) in enumerate(zip(all_axes, AXES, strict=True)):
         axes.set_title(gyro_label(gyro))
         if axis not in parts:
@@ -193,7 +204,7 @@ def closure_effect_figure(closure: Closure, found: FoundEffect) -> Figure:
     all_axes[0].set_ylabel(f"partial residual / ({scale.unit})")
     first = all_axes[min(parts)]
     figure.suptitle(found.effect.display_name.capitalize(), fontsize=9)
-    figure.legend(*first.get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    figure.legend(*first.get_legend_handles_labels(), loc="lower center", ncols=4)
     return figure
 
 
@@ -241,8 +252,9 @@ def closure_error_figure(closure: Closure) -> Figure:
     """
     held_out = ~closure.searched
     scale = scale_of_errors(closure)
-    figure = new_figure(4.6)
-    upper, lower = figure.subplots(2, 1, sharey=True)
+    figure = new_figure(4.6, layout=None)
+    margins = {"left": 0.09, "right": 0.99, "bottom": 0.17, "top": 0.93, "hspace": 0.25}
+    upper, lower = figure.subplots(2, 1, sharey=True, gridspec_kw=margins)
     groups = {
         gyro_label(gyro): np.asarray(held_out[:, np.newaxis] & (np.arange(len(AXES)) == axis))
         for axis, gyro in enumerate(AXES)
@@ -258,7 +270,7 @@ def closure_error_figure(closure: Closure) -> Figure:
     lower.set_xlabel("gyro temperature / °C")
     for axes in (upper, lower):
         axes.set_ylabel(f"rms / ({scale.unit})")
-    figure.legend(*upper.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    figure.legend(*upper.get_legend_handles_labels(), loc="lower center", ncols=3)
     return figure
 
 

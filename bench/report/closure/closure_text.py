@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable
 
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtri
 
 from gyrobench.bench.closure.candidates import start_count
 from gyrobench.bench.closure.loop import LACK_OF_FIT_P, Closure, Evidence, FoundEffect
@@ -57,7 +57,7 @@ def smallest_visible_dph(closure: Closure) -> float:
     number of dwells searched times the square of its size over the noise.
     """
     counts = [start_count(each.effect, closure.campaign) for each in closure.evidence]
-    reduction = float(chi2_distribution.isf(SIGNIFICANCE / (min(counts) * len(counts)), 1))
+    reduction = float(chdtri(1, SIGNIFICANCE / (min(counts) * len(counts))))
     return closure.noise_dph * float(np.sqrt(reduction / closure.searched.sum()))
 
 

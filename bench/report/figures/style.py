@@ -20,6 +20,8 @@ from gyrobench.bench.foundations.files import write_whole
 #: Width of all figures, inch: the text of an A4 page.
 WIDTH_IN = 7.2
 _PNG_DPI = 160
+#: Takes half as long as the default level, for 6 % larger files.
+_PNG = {"compress_level": 3}
 #: Name of the text of a PNG file that holds the key, near its beginning.
 _KEY, _KEY_WITHIN_BYTES = "Inputs", 1000
 
@@ -85,9 +87,9 @@ GYRO_STYLES: Mapping[str, tuple[str, str, str]] = MappingProxyType(
 )
 
 
-def new_figure(height_in: float) -> Figure:
+def new_figure(height_in: float, layout: Literal["constrained"] | None = "constrained") -> Figure:
     """Make an empty figure that is drawn without a display."""
-    figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+    figure = Figure(figsize=(WIDTH_IN, height_in), layout=layout)
     FigureCanvasAgg(figure)
     return figure
 
@@ -138,7 +140,7 @@ def png_bytes(figure: Figure, key: str = "") -> bytes:
     metadata = {"Software": None} | ({_KEY: key} if key else {})
     figure.set_dpi(_PNG_DPI)
     # Unlike savefig, which draws everything twice.
-    FigureCanvasAgg(figure).print_png(buffer, metadata=metadata)  # type: ignore[no-untyped-call]
+    FigureCanvasAgg(figure).print_png(buffer, metadata=metadata, pil_kwargs=_PNG)  # type: ignore[no-untyped-call]
     figure.set_dpi(dpi)
     return buffer.getvalue()
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -22,8 +22,6 @@ from matplotlib.patches import Rectangle
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.positions import POSITIONS, gyro_label, position_label
-from gyrobench.bench.procedure.plan import Plan
-from gyrobench.bench.procedure.timeline import position_spans, temperature_profile
 from gyrobench.bench.report.figures.style import (
     GYRO_STYLES,
     POSITION_STYLES,
@@ -32,6 +30,9 @@ from gyrobench.bench.report.figures.style import (
     new_figure,
     say_empty,
 )
+
+if TYPE_CHECKING:
+    from gyrobench.bench.procedure.plan import Plan
 
 #: Column name to values, as :func:`gyrobench.bench.runs.telemetry.read_telemetry` gives them.
 Readings = Mapping[str, FloatArray]
@@ -87,6 +88,8 @@ def temperature_figure(
 @house_style
 def plan_figure(plan: Plan) -> Figure:
     """Draw the temperatures and positions that a plan expects: the counterpart of the paper's Fig. 7."""
+    from gyrobench.bench.procedure.timeline import position_spans, temperature_profile
+
     time_s, chamber_c, gyro_c = temperature_profile(plan)
     figure = new_figure(4.8)
     axes, unit_s = _time_axes(figure, f"Plan of {plan.procedure.procedure}", [plan.duration_s])

@@ -13,9 +13,9 @@ from rich.text import Text
 
 from gyrobench.bench.bias.bins import BiasBin, PositionComparison, compare_positions, paper_bins
 from gyrobench.bench.bias.verdicts import Acceptance
-from gyrobench.bench.foundations.text import bin_label
+from gyrobench.bench.foundations.text import bin_label, hours_minutes
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
-from gyrobench.bench.procedure.timeline import TimelineRow, hours_minutes
+from gyrobench.bench.procedure.timeline import TimelineRow
 from gyrobench.bench.report.journal_sections import Took, durations_by_kind
 from gyrobench.bench.report.number_format import (
     NO_PAPER,

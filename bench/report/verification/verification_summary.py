@@ -10,8 +10,7 @@ from rich.text import Text
 
 from gyrobench.bench.closure.loadable_model import LoadableModel
 from gyrobench.bench.closure.loop import Closure
-from gyrobench.bench.foundations.text import counted, listed
-from gyrobench.bench.procedure.timeline import hours_minutes
+from gyrobench.bench.foundations.text import counted, hours_minutes, listed
 from gyrobench.bench.report.closure.closure_text import verdict_sentence
 from gyrobench.bench.report.terminal.tables import plain_table, topics
 from gyrobench.bench.report.verification.verification_text import (

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.foundations.errors import MissingRunError, RunFolderError
 from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.runs.folder import (
     ACCEPTANCE,
@@ -116,7 +116,7 @@ class RunStore:
     def _walk(self) -> Iterator[tuple[str, dict[str, Any], dict[str, Any]]]:
         try:
             if not self.file_system.isdir(self.root):
-                raise RunFolderError(
+                raise MissingRunError(
                     f"{self.url}: no such folder. Give the folder that contains the run folders"
                 )
             yield from self.file_system.walk(self.root, maxdepth=_MAX_DEPTH, detail=True)
@@ -164,7 +164,7 @@ def _named(name: str) -> Iterator[Path]:
             found = True
             yield path
     if not found:
-        raise RunFolderError(f"{name}: no run folder found. Give run folders, or folders that contain some")
+        raise MissingRunError(f"{name}: no run folder found. Give run folders, or folders that contain some")
 
 
 def _below(place: Path) -> Iterator[Path]:

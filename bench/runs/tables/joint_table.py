@@ -6,15 +6,17 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from gyrobench.bench.bias.joint_solution import JointSolution
 from gyrobench.bench.bias.vertical_pairs import Finding, UpRate
 from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, UG_TO_MPS2
 from gyrobench.bench.foundations.csv_tables import CsvTable, format_rows, read_text, write_text
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
+
+if TYPE_CHECKING:
+    from gyrobench.bench.bias.joint_solution import JointSolution
 
 
 @dataclass(frozen=True)

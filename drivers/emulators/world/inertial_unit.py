@@ -8,6 +8,7 @@ gyro). The sums are evaluated once a second, so the result does not depend on ho
 
 from __future__ import annotations
 
+import math
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -146,7 +147,8 @@ class InertialUnit:
         if self.mode is Mode.NAVIGATE:
             self._up_body = matrix_of(self._state[:4])[2]
         elif self._second_samples:
-            self._up_body = self._second_sums[1] / np.linalg.norm(self._second_sums[1])
+            up = self._second_sums[1]
+            self._up_body = up / math.sqrt(up @ up)
         if self.compensation is not None:
             self.compensation.update(self._temperatures, self._up_body)
 
@@ -180,7 +182,8 @@ class InertialUnit:
                 add_up(rotation, self._second_sums[0])
                 add_up(velocity, self._second_sums[1])
                 self._second_samples += n
-            states = np.repeat(self._state[None], len(samples), axis=0)
+            states = np.empty((len(samples), STATE_SIZE))
+            states[:] = self._state
         return Epochs(samples, states, self.mode, self.alignment)
 
     def _reset_state(self) -> None:
@@ -204,7 +207,7 @@ class InertialUnit:
                 self.mode = Mode.STANDBY
         elif self.mode is Mode.ALIGN:
             limit = _MOTION_RADPS * _DT_S * self._second_samples + _PULSES_RAD
-            if np.abs(self._second_sums[0]).max() > limit:
+            if max(map(abs, self._second_sums[0].tolist())) > limit:
                 self._reset_state()
             else:
                 self._add_second()

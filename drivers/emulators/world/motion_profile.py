@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numba
 import numpy as np
 from scipy.optimize import brentq
 
@@ -74,24 +75,15 @@ class Settling:
         """Time from the end of the motion to complete rest."""
         return _SETTLING_TIME_CONSTANTS * self.time_constant_s if self.size_deg else 0.0
 
-    def position_deg(self, time_s: FloatArray) -> FloatArray:
-        """Offset at times since the end of the motion; zero before and after settling."""
-        x, scale = self._scaled(time_s)
-        return scale * x**3
-
-    def rate_dps(self, time_s: FloatArray) -> FloatArray:
-        """Time derivative of :meth:`position_deg`."""
-        x, scale = self._scaled(time_s)
-        return scale * (3.0 - x) * x**2 / self.time_constant_s
-
-    def acceleration_dps2(self, time_s: FloatArray) -> FloatArray:
-        """Second time derivative of :meth:`position_deg`."""
-        x, scale = self._scaled(time_s)
-        return scale * (6.0 - 6.0 * x + x**2) * x / self.time_constant_s**2
-
-    def _scaled(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        x = np.where((time_s > 0.0) & (time_s < self.duration_s), time_s, 0.0) / self.time_constant_s
-        return x, self.size_deg * np.exp(-x) / _SETTLING_PEAK
+    def state(self, time_s: float) -> AxisState:
+        """Offset and its derivatives at a time since the end of the motion; zero before and after."""
+        if not 0.0 < time_s < self.duration_s:
+            return AxisState(0.0)
+        tau_s, x = self.time_constant_s, time_s / self.time_constant_s
+        scale = self.size_deg * math.exp(-x) / _SETTLING_PEAK
+        return AxisState(
+            scale * x**3, scale * (3.0 - x) * x**2 / tau_s, scale * (6.0 - 6.0 * x + x**2) * x / tau_s**2
+        )
 
 
 def change_rate(start: AxisState, rate_dps: float, limits: AxisLimits) -> list[Piece]:
@@ -165,6 +157,8 @@ class Motion:
         self._times_s = list(itertools.accumulate((p.duration_s for p in finite), initial=start_s))
         self._states = states
         self._jerks_dps3 = [*(piece.jerk_dps3 for piece in finite), 0.0]
+        # Start, position, rate, acceleration and jerk of each piece.
+        self._pieces = np.column_stack([self._times_s, states, self._jerks_dps3])
         self._settling = settling
         #: end_s, still_from_s: End of the pieces; end of settling, after which the position is constant.
         self.end_s = math.inf if endless else self._times_s[-1]
@@ -183,33 +177,40 @@ class Motion:
         state = self._states[index].after(self._jerks_dps3[index], time_s - self._times_s[index])
         if time_s <= self.end_s:
             return state
-        since_s = np.asarray(time_s - self.end_s)
-        return AxisState(
-            state.position_deg + float(self._settling.position_deg(since_s)),
-            state.rate_dps + float(self._settling.rate_dps(since_s)),
-            state.acceleration_dps2 + float(self._settling.acceleration_dps2(since_s)),
-        )
+        return AxisState(*map(sum, zip(state, self._settling.state(time_s - self.end_s), strict=True)))
 
     def positions_deg(self, time_s: FloatArray) -> FloatArray:
-        """Position at each time, none before the start."""
-        t, position, rate, acceleration, jerk = self._pieces_at(time_s)
-        profile_deg = position + t * (rate + t * (acceleration / 2.0 + t * jerk / 6.0))
-        return profile_deg + self._settling.position_deg(time_s - self.end_s)
-
-    def rates_dps(self, time_s: FloatArray) -> FloatArray:
-        """Rate at each time, none before the start."""
-        t, _, rate, acceleration, jerk = self._pieces_at(time_s)
-        return rate + t * (acceleration + t * jerk / 2.0) + self._settling.rate_dps(time_s - self.end_s)
-
-    def _pieces_at(self, time_s: FloatArray) -> tuple[FloatArray, ...]:
-        """Time since the piece's start, its start state (three arrays) and its jerk, at each time."""
-        times_s = np.array(self._times_s)
-        index = np.maximum(np.searchsorted(times_s, time_s, side="right") - 1, 0)
-        position, rate, acceleration = np.array(self._states).T[:, index]
-        return time_s - times_s[index], position, rate, acceleration, np.array(self._jerks_dps3)[index]
+        """Position at each time, shape (n,), none before the start."""
+        settling = self._settling
+        return np.asarray(
+            _positions_deg(
+                time_s, self._pieces, self.end_s, settling.size_deg, settling.time_constant_s,
+                settling.duration_s,
+            )
+        )  # fmt: skip
 
 
 def _end(start: AxisState, pieces: Sequence[Piece]) -> AxisState:
     for piece in pieces:
         start = start.after(*piece)
     return start
+
+
+@numba.njit(cache=True)
+def _positions_deg(
+    time_s: FloatArray, pieces: FloatArray, end_s: float, settling_deg: float, time_constant_s: float,
+    settling_s: float,
+) -> FloatArray:  # fmt: skip
+    positions = np.empty(time_s.size)
+    for k in range(time_s.size):
+        index = pieces.shape[0] - 1
+        while index > 0 and time_s[k] < pieces[index, 0]:
+            index -= 1
+        t = time_s[k] - pieces[index, 0]
+        rate, acceleration, jerk = pieces[index, 2], pieces[index, 3], pieces[index, 4]
+        positions[k] = pieces[index, 1] + t * (rate + t * (acceleration / 2.0 + t * jerk / 6.0))
+        since_s = time_s[k] - end_s
+        if 0.0 < since_s < settling_s:
+            x = since_s / time_constant_s
+            positions[k] += settling_deg * math.exp(-x) / _SETTLING_PEAK * x**3
+    return positions

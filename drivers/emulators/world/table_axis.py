@@ -7,7 +7,6 @@ encoder's error, which is repeatable over angle.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -157,16 +156,17 @@ class TableAxis:
         return 0.0
 
     def position_deg(self, time_s: FloatArray) -> FloatArray:
-        """True angle at each time, not wrapped; any shape."""
+        """True angle at each time, shape (n,), not wrapped."""
         if time_s.size and time_s.min() >= self._motions[-1].still_from_s:
             return np.full(time_s.shape, self._rest_angle_deg)
-        return self._true_angle(self._select(Motion.positions_deg, time_s))
-
-    def rate_dps(self, time_s: FloatArray) -> FloatArray:
-        """True rate at each time; any shape."""
-        first, second = self._error_arguments(self._select(Motion.positions_deg, time_s))
-        slope = math.radians(self._error_deg) * (np.cos(first) + np.cos(second))
-        return self._select(Motion.rates_dps, time_s) * (1.0 + slope)
+        encoder_deg = self._motions[-1].positions_deg(time_s)
+        # Before the start of a motion the one before it was under way.
+        for earlier, later in zip(self._motions[-2::-1], self._motions[:0:-1], strict=True):
+            before = time_s < later.start_s
+            if not before.any():
+                break
+            encoder_deg = np.where(before, earlier.positions_deg(time_s), encoder_deg)
+        return self._true_angle(encoder_deg)
 
     def profile_complete(self, now_s: float) -> bool:
         """Whether the commanded position or rate is reached and held."""
@@ -208,24 +208,10 @@ class TableAxis:
         size_deg = share * parameters.settling_amplitude_arcsec * _ARCSEC_DEG
         return Settling(size_deg, parameters.settling_time_constant_s)
 
-    def _select(self, evaluate: Callable[[Motion, FloatArray], FloatArray], time_s: FloatArray) -> FloatArray:
-        """Evaluate for each time the motion that was under way."""
-        values = evaluate(self._motions[-1], time_s)
-        for earlier, later in zip(self._motions[-2::-1], self._motions[:0:-1], strict=True):
-            before = time_s < later.start_s
-            if not before.any():
-                break
-            values = np.where(before, evaluate(earlier, time_s), values)
-        return values
-
-    @property
-    def _error_deg(self) -> float:
-        return self.parameters.position_error_arcsec * _ARCSEC_DEG / 1.5
-
-    def _error_arguments(self, encoder_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
-        first_deg, second_deg = self.parameters.position_error_phases_deg
-        return np.deg2rad(encoder_deg + first_deg), np.deg2rad(2.0 * encoder_deg + second_deg)
-
     def _true_angle(self, encoder_deg: FloatArray) -> FloatArray:
-        first, second = self._error_arguments(encoder_deg)
-        return encoder_deg + self._error_deg * (np.sin(first) + 0.5 * np.sin(second))
+        parameters = self.parameters
+        error_deg = parameters.position_error_arcsec * _ARCSEC_DEG / 1.5
+        first_deg, second_deg = parameters.position_error_phases_deg
+        harmonics = np.sin(np.deg2rad(encoder_deg + first_deg))
+        harmonics += 0.5 * np.sin(np.deg2rad(2.0 * encoder_deg + second_deg))
+        return encoder_deg + error_deg * harmonics

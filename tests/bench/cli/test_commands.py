@@ -168,7 +168,7 @@ def test_a_wrong_procedure_lists_its_mistakes_and_nothing_is_made(tmp_path):
         (("run", "ten_minute_check", "--world", "mars"), EXIT_WRONG_INPUT, "gyro_a"),
         (("run", "ten_minute_check", "--station", "mars"), EXIT_WRONG_INPUT, "emulated"),
         (("run", "ten_minute_check", "--seed", "-1"), EXIT_WRONG_INPUT, "seed"),
-        (("bins", "."), EXIT_NOT_FINISHED, "is not a run folder"),
+        (("bins", "."), EXIT_WRONG_INPUT, "is not a run folder"),
     ],
 )
 def test_a_wrong_word_gets_a_message_and_an_exit_code(tmp_path, arguments, code, message):
@@ -230,3 +230,13 @@ def test_help_does_not_load_the_heavy_libraries():
         "assert not heavy & set(sys.modules), heavy & set(sys.modules)\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+
+
+def test_what_is_typed_during_a_run_on_virtual_time_is_executed_or_answered(tmp_path):
+    command = [*PROCESS, "run", "quick_campaign", "--station", "quick", "--world", "quick", "--out", "run"]
+    typed = "hello\npause\nabort\n"
+    ended = subprocess.run(command, input=typed, cwd=tmp_path, capture_output=True, text=True, timeout=200)
+    assert ended.returncode == EXIT_NOT_FINISHED
+    assert ended.stdout.count("Type one of: skip, abort") == 2
+    assert "pause: a run on virtual time never waits" in ended.stdout
+    assert "stopped by the terminal" in ended.stdout

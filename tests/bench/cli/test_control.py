@@ -1,5 +1,7 @@
 """`gyrobench control`, its old name, and help with names."""
 
+import json
+import os
 import subprocess
 import sys
 
@@ -53,6 +55,18 @@ def test_a_folder_without_a_run_in_progress_is_an_error(tmp_path):
     done = command("control", tmp_path, "pause", cwd=tmp_path)
     assert done.returncode == EXIT_NOT_FINISHED
     assert "no run is in progress there on this machine" in done.stderr
+
+
+@pytest.mark.parametrize("pid", [1, -1, 0, "own"])
+def test_a_process_that_does_not_hold_the_run_gets_no_signal(run_in_progress, pid, monkeypatch):
+    run, _ = run_in_progress
+    lock = run / ".lock"
+    assert lock.stat().st_mode & 0o777 == 0o644
+    lock.write_text(json.dumps(json.loads(lock.read_text()) | {"pid": os.getpid() if pid == "own" else pid}))
+    monkeypatch.setattr("os.kill", lambda *_: pytest.fail("a signal was sent"))
+    done = command("control", run, "hold", cwd=run.parent)
+    assert done.returncode == EXIT_NOT_FINISHED
+    assert "does not hold it" in done.stderr
 
 
 def test_the_version_is_printed(tmp_path):

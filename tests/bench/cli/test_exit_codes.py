@@ -1,6 +1,8 @@
 """Exit codes that all commands share."""
 
 import os
+import re
+import subprocess
 
 import pytest
 
@@ -8,7 +10,7 @@ from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.locks import LOCK_DIR_VARIABLE, BenchLock
 from gyrobench.bench.station.station import Station
-from tests.bench.command_line import gyrobench
+from tests.bench.command_line import PROCESS, gyrobench
 
 COMMANDS = {
     "run": ("run", "ten_minute_check", "--station", "real.yaml"),
@@ -45,3 +47,94 @@ def test_a_station_with_one_signal_in_two_roles_is_refused_with_its_line(command
     assert answer.returncode == 2
     assert "VELOCITY_NORTH is already mapped to velocity_east" in answer.stderr + answer.stdout
     assert "bad.yaml:" in answer.stderr + answer.stdout
+
+
+@pytest.mark.parametrize("option", ["--world", "--faults"])
+@pytest.mark.parametrize(
+    "command", [("run", "ten_minute_check"), ("check", "emulated"), ("jog", "emulated", "show")]
+)
+def test_a_wrong_world_or_list_of_faults_is_wrong_input_and_no_cable(command, option, tmp_path):
+    (tmp_path / "wrong.yaml").write_text("x: 1\n")
+    where = (*command[:2], option, "wrong.yaml", *command[2:])
+    answer = gyrobench(*where, cwd=tmp_path)
+    assert answer.returncode == 2
+    assert answer.stderr.count("unknown key 'x'") == 1
+    assert "cable" not in answer.stderr
+    assert "can't open" not in answer.stderr
+
+
+def test_a_current_folder_that_was_deleted_is_reported(tmp_path):
+    (tmp_path / "gone").mkdir()
+    script = f"import os; os.chdir({str(tmp_path / 'gone')!r}); os.rmdir({str(tmp_path / 'gone')!r}); "
+    command = [PROCESS[0], "-c", script + PROCESS[2], "validate", "mine.yaml"]
+    answer = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert (answer.returncode, "Traceback" in answer.stderr) == (2, False)
+    assert "the current folder was deleted" in answer.stderr
+
+
+@pytest.mark.parametrize("value", ["1.0e-300", "1.0e+300", "-1"])
+def test_noise_whose_square_overflows_is_refused(value, tmp_path):
+    text = find_document("stations", "emulated").read_text()
+    text = re.sub(r"(angle_random_walk_deg_per_sqrt_h: )\S+", rf"\g<1>{value}", text)
+    (tmp_path / "noisy.yaml").write_text(text)
+    answer = gyrobench("validate", "noisy.yaml", cwd=tmp_path)
+    assert answer.returncode == 2
+    assert value.replace(".0", "") in answer.stdout
+    assert "noisy.yaml:104" in answer.stdout
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("resume", "nowhere"),
+        ("resume", "nowhere", "--look"),
+        ("report", "nowhere"),
+        ("bins", "nowhere"),
+        ("close", "nowhere"),
+        ("export", "nowhere"),
+        ("monitor", "nowhere"),
+        ("control", "nowhere", "abort"),
+        ("verify", "nowhere"),
+        ("fleet", "bins", "nowhere"),
+        ("runs", "nowhere"),
+    ],
+)
+def test_a_missing_run_is_wrong_input_in_every_command(command, tmp_path):
+    answer = gyrobench(*command, cwd=tmp_path)
+    assert answer.returncode == 2
+    assert answer.stderr.count("nowhere") == 1
+
+
+def test_close_on_a_run_without_dwells_says_why(tmp_path):
+    (tmp_path / "journal.jsonl").write_text("")
+    answer = gyrobench("close", tmp_path, cwd=tmp_path)
+    assert answer.returncode == 2
+    assert "no dwell was finished in this run" in answer.stderr
+
+
+@pytest.mark.parametrize("port", ["/dev/nowhere", "socket://127.0.0.1:1"])
+def test_a_port_that_can_not_be_opened_is_named_once(port, tmp_path):
+    text = find_document("stations", "emulated").read_text().replace("clock: virtual", "clock: wall")
+    (tmp_path / "real.yaml").write_text(text.replace("emulator://table", port))
+    answer = gyrobench("run", "ten_minute_check", "--station", "real.yaml", cwd=tmp_path)
+    assert answer.returncode == 3
+    assert answer.stderr.count(port) == 1
+    assert "rate table: can't open" in answer.stderr
+
+
+def test_jog_works_with_the_instruments_that_answer(tmp_path):
+    text = (
+        find_document("stations", "emulated").read_text().replace("emulator://chamber", "emulator://nowhere")
+    )
+    (tmp_path / "mine.yaml").write_text(text)
+    moved = gyrobench("jog", "mine.yaml", "servo on", "table inner 5 at 1", "show", cwd=tmp_path)
+    assert moved.returncode == 0, moved.stdout
+    assert "Left out: chamber" in moved.stdout
+    assert "inner 5.0" in moved.stdout
+    assert "rate table stopped" in moved.stdout
+    refused = gyrobench("jog", "mine.yaml", "chamber 25 at 1", cwd=tmp_path)
+    assert (refused.returncode, "did not answer" in refused.stdout) == (1, True)
+    checked = gyrobench("check", "mine.yaml", cwd=tmp_path)
+    assert checked.returncode == 1
+    assert checked.stdout.count("can't open") == 1
+    assert "Acutrol3000" in checked.stdout

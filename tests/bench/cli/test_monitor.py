@@ -39,7 +39,7 @@ def test_it_serves_until_ctrl_c_and_then_ends_quietly(tmp_path):
 
 def test_a_folder_that_is_not_there_is_reported(tmp_path):
     ended = gyrobench("monitor", "nowhere", cwd=tmp_path)
-    assert ended.returncode == 1
+    assert ended.returncode == 2
     assert "nowhere: no such folder" in ended.stderr
 
 

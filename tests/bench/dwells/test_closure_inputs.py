@@ -74,7 +74,7 @@ def test_a_table_that_is_not_there_is_reported(tmp_path):
         read_campaign(tmp_path / "nothing.csv")
 
 
-def test_a_table_without_good_dwells_is_refused(tmp_path):
+def test_a_table_without_dwells_is_refused(tmp_path):
     write_dwells(tmp_path / "dwells.csv", [])
-    with pytest.raises(MeasurementError, match="no dwell of the table has a result without flags"):
+    with pytest.raises(MeasurementError, match=r"dwells\.csv: has no dwells"):
         read_campaign(tmp_path / "dwells.csv")

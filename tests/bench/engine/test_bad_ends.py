@@ -8,9 +8,11 @@ from pathlib import Path
 import pytest
 
 from gyrobench.bench.engine.job import prepare_job
+from gyrobench.bench.engine.observers import RunObserver
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.emulators.acl_axis import SoftwareFault
@@ -137,3 +139,19 @@ steps:
     )
     assert outcome.ended == "stopped"
     assert len(folder.dwells.read_text().splitlines()) == 3
+
+
+def test_a_velocity_mapped_with_the_wrong_sign_ends_the_run_after_its_first_dwell(tmp_path):
+    text = find_document("stations", "emulated").read_text()
+    right = "velocity_north: VELOCITY_NE.VELOCITY_NORTH"
+    assert right in text
+    station = tmp_path / "station.yaml"
+    station.write_text(text.replace(right, "velocity_north: {signal: VELOCITY_NE.VELOCITY_NORTH, sign: -1}"))
+    job = prepare_job("calibration_check", str(station), Emulation("gyro_a", 1))
+    folder, outcome = run_job(job, tmp_path / "run", RunObserver(), ConsentingOperator())
+    assert outcome.ended == "failed"
+    assert outcome.reason.startswith("ins.signals.velocity_north has the wrong sign")
+    (dwell,) = outcome.check_dwells
+    assert dwell.flags == outcome.reason
+    assert [action.problem for action in outcome.safe_state] == [""] * len(outcome.safe_state)
+    assert "dwell_given_up" not in [entry["event"] for entry in read_journal(folder.journal)]

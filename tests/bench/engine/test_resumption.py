@@ -233,3 +233,34 @@ def test_a_run_of_another_unit_is_not_continued(procedure, tmp_path):
     assert outcome.ended == "stopped"
     assert "is unit 1003, but this run measures 77" in outcome.reason
     assert open_run_folder(path).journal.exists()
+
+
+class Script(ConsentingOperator):
+    """Types commands, one at each tick."""
+
+    def __init__(self, *commands):
+        super().__init__()
+        self._left = list(commands)
+
+    def command(self):
+        return self._left.pop(0) if self._left else None
+
+
+def test_nothing_is_approached_when_the_only_dwell_left_is_skipped(procedure, tmp_path):
+    path = broken_off(procedure, tmp_path / "run", "turn", 4)
+    before = list(read_journal(path / "journal.jsonl"))
+    operator = Script(None, RunCommand.HOLD, RunCommand.SKIP)
+    _, outcome = resume_run(prepare_resumption(path), Watcher(), operator)
+    assert outcome.ended == "finished"
+    entries = list(read_journal(path / "journal.jsonl"))[len(before) :]
+    events = [entry["event"] for entry in entries]
+    skipped = events.index("dwell_skipped")
+    assert "approach_started" not in events[skipped:]
+    assert "powered_on" not in events
+    assert not [entry for entry in entries if "restarted" in entry.get("text", "")]
+    given = [(entry["order"], entry["by"]) for entry in entries if entry["event"] == "ordered"]
+    assert given == [("hold", "the terminal"), ("skip", "the terminal")]
+    assert [entry["kind"] for entry in entries[skipped:] if entry["event"] == "step_started"] == [
+        "power_off",
+        "chamber_off",
+    ]

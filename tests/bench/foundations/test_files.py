@@ -1,9 +1,11 @@
+import errno
 import os
 
 import pytest
 
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
 from gyrobench.bench.foundations.files import (
+    cant_be_written,
     file_sha256,
     make_folder,
     make_new_folder,
@@ -130,3 +132,14 @@ def test_a_character_of_two_halves_is_read():
 def test_what_is_no_json_is_a_value_error(text):
     with pytest.raises(ValueError):
         parse_json(text)
+
+
+@pytest.mark.parametrize(
+    ("number", "advice"),
+    [(errno.ENOSPC, "Free some space"), (errno.EACCES, "Check the permissions"), (errno.EIO, "")],
+)
+def test_the_advice_fits_the_cause_of_a_failed_write(tmp_path, number, advice):
+    error = cant_be_written(tmp_path, OSError(number, os.strerror(number)))
+    assert os.strerror(number) in str(error)
+    assert advice in str(error)
+    assert ("disk" in str(error)) == (number == errno.ENOSPC)

@@ -1,6 +1,7 @@
 import contextlib
 import gzip
 import socket
+import threading
 import time
 from http import HTTPStatus
 
@@ -107,17 +108,41 @@ def test_a_long_answer_is_packed_for_who_can_unpack_it(server):
 
 
 def test_too_many_at_once_are_turned_away_until_some_have_ended():
-    with served(lambda target: Response(HTTPStatus.OK, target.encode())) as server:
-        with contextlib.ExitStack() as waiting:
-            for _ in range(16):
-                waiting.enter_context(socket.create_connection(("127.0.0.1", server.server_port)))
-            response, _ = ask(server)
-            assert (response.status, response.headers["Retry-After"]) == (503, "2")
+    may_end, begun = threading.Event(), threading.Semaphore(0)
+
+    def answer(target):
+        if target == "/slow":
+            begun.release()
+            assert may_end.wait(30)
+        return Response(HTTPStatus.OK, target.encode())
+
+    with served(answer) as server:
+        threads = [threading.Thread(target=ask, args=(server, "/slow")) for _ in range(16)]
+        for thread in threads:
+            thread.start()
+            assert begun.acquire(timeout=30)
+        response, _ = ask(server)
+        assert (response.status, response.headers["Retry-After"]) == (503, "2")
+        may_end.set()
+        for thread in threads:
+            thread.join()
         end_s = time.monotonic() + 30.0
         while ask(server)[0].status == 503:
             assert time.monotonic() < end_s
             time.sleep(0.02)
         assert ask(server)[0].status == 200
+
+
+def test_connections_that_send_nothing_keep_no_one_out():
+    with (
+        served(lambda target: Response(HTTPStatus.OK, target.encode())) as server,
+        contextlib.ExitStack() as waiting,
+    ):
+        for _ in range(40):
+            waiting.enter_context(socket.create_connection(("127.0.0.1", server.server_port)))
+        for _ in range(20):
+            response, body = ask(server, "/page")
+            assert (response.status, body) == (200, b"/page")
 
 
 def test_a_client_that_goes_away_leaves_nothing_in_the_terminal(capfd):

@@ -5,16 +5,12 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.foundations.documents import Document
+from gyrobench.bench.foundations.text import hours_minutes
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.procedure.estimate import BenchEstimate, ThermalEstimate
 from gyrobench.bench.procedure.plan import Plan, expand
 from gyrobench.bench.procedure.procedure_file import load_procedure
-from gyrobench.bench.procedure.timeline import (
-    hours_minutes,
-    position_spans,
-    temperature_profile,
-    timeline_rows,
-)
+from gyrobench.bench.procedure.timeline import position_spans, temperature_profile, timeline_rows
 
 PlanOf = Callable[[str], tuple[Document, Plan]]
 

@@ -1,4 +1,5 @@
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 
 import can
@@ -115,84 +116,63 @@ def command_map() -> CommandMap:
     return validate(parse_document(COMMANDS, Path("station.yaml")), CommandMap)
 
 
+def make_frames(
+    codec: DbcCodec, message: str, times_s: ArrayLike, values: Mapping[str, ArrayLike]
+) -> FrameBlock:
+    """Frames of one message at given times with given values."""
+    times_s = np.atleast_1d(np.asarray(times_s, float))
+    payloads = codec.encode(message, {name: np.broadcast_to(v, times_s.shape) for name, v in values.items()})
+    data = np.zeros((len(times_s), 8), np.uint8)
+    data[:, : payloads.shape[1]] = payloads
+    return FrameBlock.from_columns(
+        times_s,
+        np.full(len(times_s), codec.arbitration_id(message), np.uint32),
+        np.full(len(times_s), payloads.shape[1], np.uint8),
+        data,
+    )
+
+
+def make_recording(codec: DbcCodec, first: int, last: int, **values: ArrayLike) -> FrameBlock:
+    """What an INS sends from one epoch to another (not included), its time beginning at 100 s."""
+    frames_of = partial(make_frames, codec)
+    epoch = np.arange(first, last)
+    second = epoch[epoch % 10 == 0]
+    sent_s, second_s = epoch * 0.1 + 0.002, second * 0.1
+    blocks = [
+        frames_of("SYSTEM_TIME", second_s, {"TIME_S": 100 + second // 10}),
+        frames_of("HEIGHT_VELOCITY_D", second_s + 0.0002, {"VELOCITY_DOWN": 0.5}),
+        frames_of("INS_STATUS", second_s + 0.0004, {"MODE": 3, "EULER_SEQUENCE": values.get("sequence", 0)}),
+        frames_of("GYRO_OPTICS_TEMPERATURE", second_s + 0.0006, {"X": 20 + second * 0.01, "Y": 21, "Z": 22}),
+        frames_of("GYRO_ELECTRONICS_TEMPERATURE", second_s + 0.0008, {"X": 30, "Y": 31, "Z": 32, "CASE": 18}),
+        frames_of("VELOCITY_NE", sent_s, {"VELOCITY_NORTH": epoch * 1e-3, "VELOCITY_EAST": epoch * -1e-4}),
+        frames_of(
+            "ROLL_PITCH", sent_s + 0.0002, {"ROLL": values.get("roll", 0), "PITCH": values.get("pitch", 0)}
+        ),
+        frames_of(
+            "HEADING",
+            sent_s + 0.0004,
+            {
+                "HEADING": values.get("heading", 0),
+                "EPOCH_COUNTER": (epoch + values.get("counter_offset", 0)) % 65536,
+                "ALIGNMENT": 2,
+                "ATTITUDE_VALID": values.get("valid", 1),
+            },
+        ),
+    ]
+    block = concatenate(blocks)
+    return block.take(np.argsort(block.timestamp_s, kind="stable"))
+
+
 @pytest.fixture(scope="session")
 def frames_of(codec) -> Callable[[str, ArrayLike, Mapping[str, ArrayLike]], FrameBlock]:
-    """Frames of one message at given times with given values."""
-
-    def make(message: str, times_s: ArrayLike, values: Mapping[str, ArrayLike]) -> FrameBlock:
-        times_s = np.atleast_1d(np.asarray(times_s, float))
-        payloads = codec.encode(
-            message, {name: np.broadcast_to(v, times_s.shape) for name, v in values.items()}
-        )
-        data = np.zeros((len(times_s), 8), np.uint8)
-        data[:, : payloads.shape[1]] = payloads
-        return FrameBlock.from_columns(
-            times_s,
-            np.full(len(times_s), codec.arbitration_id(message), np.uint32),
-            np.full(len(times_s), payloads.shape[1], np.uint8),
-            data,
-        )
-
-    return make
+    return partial(make_frames, codec)
 
 
 @pytest.fixture(scope="session")
-def recording(frames_of) -> Callable[..., FrameBlock]:
-    """What an INS sends from one epoch to another (not included), its time beginning at 100 s."""
-
-    def make(first: int, last: int, **values: ArrayLike) -> FrameBlock:
-        epoch = np.arange(first, last)
-        second = epoch[epoch % 10 == 0]
-        sent_s, second_s = epoch * 0.1 + 0.002, second * 0.1
-        blocks = [
-            frames_of("SYSTEM_TIME", second_s, {"TIME_S": 100 + second // 10}),
-            frames_of("HEIGHT_VELOCITY_D", second_s + 0.0002, {"VELOCITY_DOWN": 0.5}),
-            frames_of(
-                "INS_STATUS", second_s + 0.0004, {"MODE": 3, "EULER_SEQUENCE": values.get("sequence", 0)}
-            ),
-            frames_of(
-                "GYRO_OPTICS_TEMPERATURE", second_s + 0.0006, {"X": 20 + second * 0.01, "Y": 21, "Z": 22}
-            ),
-            frames_of(
-                "GYRO_ELECTRONICS_TEMPERATURE", second_s + 0.0008, {"X": 30, "Y": 31, "Z": 32, "CASE": 18}
-            ),
-            frames_of(
-                "VELOCITY_NE", sent_s, {"VELOCITY_NORTH": epoch * 1e-3, "VELOCITY_EAST": epoch * -1e-4}
-            ),
-            frames_of(
-                "ROLL_PITCH",
-                sent_s + 0.0002,
-                {"ROLL": values.get("roll", 0), "PITCH": values.get("pitch", 0)},
-            ),
-            frames_of(
-                "HEADING",
-                sent_s + 0.0004,
-                {
-                    "HEADING": values.get("heading", 0),
-                    "EPOCH_COUNTER": (epoch + values.get("counter_offset", 0)) % 65536,
-                    "ALIGNMENT": 2,
-                    "ATTITUDE_VALID": values.get("valid", 1),
-                },
-            ),
-        ]
-        block = concatenate(blocks)
-        return block.take(np.argsort(block.timestamp_s, kind="stable"))
-
-    return make
+def recording(codec) -> Callable[..., FrameBlock]:
+    return partial(make_recording, codec)
 
 
 @pytest.fixture(scope="session")
 def to_messages() -> Callable[[FrameBlock], list[can.Message]]:
-    def convert(block: FrameBlock) -> list[can.Message]:
-        rows = zip(block.timestamp_s, block.arbitration_id, block.length, block.data, strict=True)
-        return [
-            can.Message(
-                timestamp=float(stamp),
-                arbitration_id=int(identifier) & 0x1FFF_FFFF,
-                is_extended_id=bool(identifier >> 31),
-                data=bytes(data[:length]),
-            )
-            for stamp, identifier, length, data in rows
-        ]
-
-    return convert
+    return FrameBlock.messages

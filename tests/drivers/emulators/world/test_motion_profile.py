@@ -93,24 +93,18 @@ def test_a_move_to_infinity_turns_for_ever():
 
 def test_settling_begins_smoothly_peaks_at_its_size_and_ends():
     settling = Settling(size_deg=0.01, time_constant_s=0.2)
-    assert float(settling.position_deg(np.asarray(0.6))) == pytest.approx(0.01)
-    at_start = np.asarray(0.0)
-    assert float(settling.position_deg(at_start)) == float(settling.rate_dps(at_start)) == 0.0
-    assert float(settling.position_deg(np.asarray(settling.duration_s))) == 0.0
-    assert abs(float(settling.position_deg(np.asarray(settling.duration_s - 1e-9)))) < 1e-8
+    assert settling.state(0.6).position_deg == pytest.approx(0.01)
+    assert settling.state(0.0) == settling.state(settling.duration_s) == (0.0, 0.0, 0.0)
+    assert settling.state(1e-6) == pytest.approx((0.0, 0.0, 0.0), abs=1e-4)
+    assert abs(settling.state(settling.duration_s - 1e-9).position_deg) < 1e-8
 
 
 @given(time_s=st.floats(0.01, 4.0))
 def test_rate_and_acceleration_of_settling_are_derivatives_of_its_position(time_s):
     settling, h = Settling(0.01, 0.2), 1e-5
-    position = settling.position_deg(np.array([time_s - h, time_s + h]))
-    rate = settling.rate_dps(np.array([time_s - h, time_s + h]))
-    assert float(settling.rate_dps(np.asarray(time_s))) == pytest.approx(
-        np.diff(position)[0] / 2 / h, abs=1e-7
-    )
-    assert float(settling.acceleration_dps2(np.asarray(time_s))) == pytest.approx(
-        np.diff(rate)[0] / 2 / h, abs=1e-6
-    )
+    before, at, after = (settling.state(time_s + each_s) for each_s in (-h, 0.0, h))
+    assert at.rate_dps == pytest.approx((after.position_deg - before.position_deg) / 2 / h, abs=1e-7)
+    assert at.acceleration_dps2 == pytest.approx((after.rate_dps - before.rate_dps) / 2 / h, abs=1e-6)
 
 
 @given(time_s=st.floats(0.0, 20.0))
@@ -120,4 +114,3 @@ def test_single_times_and_arrays_give_the_same_motion(time_s):
     state = motion.at(1.0 + time_s)
     times_s = np.array([1.0 + time_s])
     assert motion.positions_deg(times_s)[0] == pytest.approx(state.position_deg, abs=1e-12)
-    assert motion.rates_dps(times_s)[0] == pytest.approx(state.rate_dps, abs=1e-12)

@@ -1,0 +1,87 @@
+"""Plausibility of a dwell table: what a search would take for data although no bench measures it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.foundations.arrays import FloatArray
+
+#: Temperatures at which no INS is calibrated, degC.
+_COLDEST_C, _HOTTEST_C = -150.0, 200.0
+#: From this on, a temperature that is too high is probably in kelvin.
+_KELVIN_FROM = 213.15
+#: Sigmas this many times the spread of all biases of a gyro are wrong. With honest ones that has a
+#: probability below 1e-7 in the least number of dwells.
+_MAX_SIGMA_TO_SPREAD, _MIN_DWELLS = 10.0, 8
+_TEMPERATURES = {
+    "gyro_{}_c": "gyro_c",
+    "board_{}_c": "board_c",
+    "case_c": "case_c",
+    "chamber_c": "chamber_c",
+    "chamber_set_c": "chamber_set_c",
+}
+
+
+def implausible(rows: Sequence[DwellRow]) -> list[str]:
+    """Everything about the dwells without flags that can't be measured data, each as one sentence."""
+    good = [row for row in rows if not row.flags]
+    return [*_times(good), *_temperatures(good), *_sigmas(good)] if good else []
+
+
+def _times(rows: Sequence[DwellRow]) -> Iterator[str]:
+    starts = Counter(row.start_s for row in rows)
+    most_s, count = starts.most_common(1)[0]
+    if count > 1:
+        yield (
+            f"{count} of {len(rows)} dwells start at {most_s:g} s: start_s has to be on one clock for the "
+            "whole table"
+        )
+        return
+    for run in dict.fromkeys(row.run for row in rows):
+        ordered = sorted((row for row in rows if row.run == run), key=lambda row: row.start_s)
+        for row, after in pairwise(ordered):
+            if after.start_s < row.end_s - 1e-3:
+                yield (
+                    f"dwell {after.dwell} starts at {after.start_s:g} s, before dwell {row.dwell} ends at "
+                    f"{row.end_s:g} s"
+                )
+                return
+
+
+def _temperatures(rows: Sequence[DwellRow]) -> Iterator[str]:
+    for pattern, name in _TEMPERATURES.items():
+        values = np.array([getattr(row, name) for row in rows], dtype=np.float64).reshape(len(rows), -1)
+        for axis, column in zip("xyz", values.T, strict=False):
+            problem = _temperature(column)
+            if problem:
+                yield f"{pattern.format(axis)} {problem}"
+
+
+def _temperature(column: FloatArray) -> str:
+    wrong = column[(column < _COLDEST_C) | (column > _HOTTEST_C)]
+    if not len(wrong):
+        return ""
+    worst = wrong[np.argmax(np.abs(wrong))]
+    kelvin = bool(np.nanmin(column) > _KELVIN_FROM) and worst < _HOTTEST_C + 273.15
+    advice = "the column seems to be in kelvin" if kelvin else "correct the value or its unit"
+    return f"is {worst:g} degC, outside {_COLDEST_C:g} to {_HOTTEST_C:g} degC: {advice}"
+
+
+def _sigmas(rows: Sequence[DwellRow]) -> Iterator[str]:
+    if len(rows) < _MIN_DWELLS:
+        return
+    biases, sigmas = (
+        np.array([getattr(row, name) for row in rows], dtype=np.float64) for name in ("bias_dph", "sigma_dph")
+    )
+    for axis, bias, sigma in zip("xyz", biases.T, sigmas.T, strict=True):
+        spread, stated = float(np.nanstd(bias)), float(np.nanmedian(sigma))
+        if stated > _MAX_SIGMA_TO_SPREAD * spread:
+            yield (
+                f"sigma_{axis}_dph is {stated:.2g} deg/h, although all biases of that gyro lie within "
+                f"{spread:.2g} deg/h rms: correct its values or their unit"
+            )

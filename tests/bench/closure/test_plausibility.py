@@ -1,0 +1,52 @@
+"""Tables that no bench measures are refused before the search, each problem once and with its column."""
+
+import re
+from dataclasses import replace
+
+import pytest
+
+from gyrobench.bench.bias.dwell_table import write_dwells
+from gyrobench.bench.closure.plausibility import implausible
+from tests.bench.closure.thermal_bench import measure
+from tests.bench.command_line import gyrobench
+
+
+@pytest.fixture(scope="module")
+def rows():
+    return measure(cycles=2).rows
+
+
+def kelvin(values):
+    return tuple(value + 273.15 for value in values)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (lambda row: {"start_s": 0.0, "end_s": 1200.0}, "dwells start at 0 s"),
+        (lambda row: {"end_s": row.end_s + 86_400.0}, "before dwell 1 ends"),
+        (
+            lambda row: {"sigma_dph": tuple(2e5 * sigma for sigma in row.sigma_dph)},
+            "all biases of that gyro lie within",
+        ),
+        (lambda row: {"gyro_c": (1000.0, *row.gyro_c[1:])}, "gyro_x_c is 1000 degC"),
+        (lambda row: {"gyro_c": kelvin(row.gyro_c)}, "gyro_z_c .* in kelvin"),
+    ],
+)
+def test_close_names_what_can_not_be_and_searches_nothing(rows, tmp_path, changes, message):
+    write_dwells(tmp_path / "dwells.csv", [replace(row, **changes(row)) for row in rows])
+    answer = gyrobench("close", "dwells.csv", cwd=tmp_path)
+    assert answer.returncode == 2
+    assert re.search(message, answer.stderr)
+    assert "implausible" in answer.stderr
+    assert not (tmp_path / "closure").exists()
+
+
+def test_one_wrong_temperature_is_named_and_a_sound_table_has_no_problems(rows):
+    assert implausible(rows) == []
+    (problem,) = implausible([replace(rows[0], gyro_c=(25.0, 999.0, 25.0)), *rows[1:]])
+    assert problem.startswith("gyro_y_c is 999 degC")
+
+
+def test_sigmas_too_cautious_by_a_factor_of_five_are_no_problem(rows):
+    assert implausible([replace(row, sigma_dph=tuple(5.0 * s for s in row.sigma_dph)) for row in rows]) == []

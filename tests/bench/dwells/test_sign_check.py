@@ -1,0 +1,91 @@
+"""Wrong signs and axes of the signal map, in dwells of a strapdown that shares no code with the bench."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gyrobench.bench.dwells.dwell import measure_dwell
+from tests.adversarial.frames import dwell_frames
+from tests.adversarial.harness import Case, any_unit, dwell_angles, setup_of
+from tests.adversarial.rows import EULER, VELOCITY
+from tests.adversarial.strapdown import Place, Schedule, simulate
+
+SIGNALS = "ins.signals"
+MIRRORED = {
+    name: {f"{SIGNALS}.velocity_{name}": {"signal": f"{VELOCITY}{name.upper()}", "sign": -1}}
+    for name in ("east", "north")
+}
+
+
+def measured(station, position="z_up", seed=1, **unit):
+    random = np.random.default_rng(seed)
+    case = Case(replace(any_unit(random), **unit), Place(), Schedule(), station)
+    setup = setup_of(case)
+    angles = dwell_angles(setup, position)
+    output = simulate(case.unit, case.place, case.schedule, angles, random)
+    return measure_dwell(*dwell_frames(output, position, angles, 1, random), setup)
+
+
+@pytest.mark.parametrize("position", ["z_up", "y_down", "x_up"])
+@pytest.mark.parametrize("name", ["east", "north"])
+def test_a_velocity_with_the_wrong_sign_is_named_and_gives_no_bias(name, position):
+    dwell = measured(MIRRORED[name], position)
+    assert dwell.signal_fault.startswith(f"{SIGNALS}.velocity_{name} has the wrong sign: at rest")
+    assert dwell.row.flags == dwell.signal_fault
+    assert np.isnan(dwell.row.bias_dph).all()
+
+
+def test_both_velocities_with_the_wrong_sign_are_named_beside_what_would_look_the_same():
+    """With z up, angles with the wrong sign tilt the other way, and nothing else shows."""
+    fault = measured(MIRRORED["east"] | MIRRORED["north"]).signal_fault
+    assert "velocity_east has the wrong sign and ins.signals.velocity_north has the wrong sign; or" in fault
+    assert "euler.roll has the wrong sign and ins.signals.attitude.euler.pitch has the wrong sign" in fault
+    assert "euler" not in measured(MIRRORED["east"] | MIRRORED["north"], "x_up").signal_fault
+
+
+def test_east_and_north_exchanged_are_named():
+    exchanged = {
+        f"{SIGNALS}.velocity_{a}": f"{VELOCITY}{b}" for a, b in (("east", "NORTH"), ("north", "EAST"))
+    }
+    fault = measured(exchanged).signal_fault
+    assert fault.startswith(f"{SIGNALS}.velocity_east and {SIGNALS}.velocity_north are exchanged")
+
+
+@pytest.mark.parametrize("position", ["z_up", "z_down", "y_up", "x_down"])
+def test_a_heading_with_the_wrong_sense_is_named(position):
+    fault = measured({f"{EULER}.yaw_positive": "up"}, position).signal_fault
+    assert fault.startswith(f"{EULER}.yaw_positive is 'up' in place of 'down'")
+    off_deg, otherwise_deg = map(float, re.search(r"lies (\S+) deg .* and (\S+) deg", fault).groups())
+    assert off_deg > 80.0
+    assert otherwise_deg < 5.0
+
+
+@pytest.mark.parametrize(("angle", "position"), [("ROLL", "z_up"), ("PITCH", "z_up"), ("ROLL", "x_up")])
+def test_roll_or_pitch_with_the_wrong_sign_is_named(angle, position):
+    name = f"{EULER}.{angle.lower()}"
+    fault = measured({name: {"signal": f"ROLL_PITCH.{angle}", "sign": -1}}, position).signal_fault
+    assert f"{name} has the wrong sign" in fault
+
+
+def test_roll_and_pitch_exchanged_are_named():
+    exchanged = {f"{EULER}.roll": "ROLL_PITCH.PITCH", f"{EULER}.pitch": "ROLL_PITCH.ROLL"}
+    assert "euler.roll and ins.signals.attitude.euler.pitch are exchanged" in measured(exchanged).signal_fault
+
+
+@pytest.mark.parametrize(
+    "unit",
+    [
+        {"accelerometer_bias_ug": (1000.0, -1000.0, 1000.0)},
+        {"accelerometer_transient_ug": (50.0, -50.0, 50.0)},
+        {"velocity_damping_s": 600.0},
+        {"lever_arm_m": (0.2, -0.1, 0.1)},
+        {"gyro_pulse_arcsec": 0.5},
+        {"angle_random_walk": 0.0001, "velocity_random_walk": 50.0, "gyro_bias_dph": (0.0, 0.0, 0.0)},
+        {"velocity_output_mps": 0.02, "attitude_output_arcsec": 5.0},
+    ],
+)
+def test_no_error_of_the_unit_passes_for_a_wrong_sign(unit):
+    for seed, position in enumerate(("z_up", "x_down", "y_up")):
+        assert measured({}, position, seed, **unit).signal_fault == ""
