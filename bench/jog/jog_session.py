@@ -153,6 +153,9 @@ class _Session:
         actions = self._control.make_safe()
         absent = tuple(self._control.bench.instruments.absent)
         actions = [action for action in actions if not action.what.startswith(_outputs_of(absent))]
+        if self._control.bench.instruments.is_ramping:
+            self._display.print("The chamber's set point is moved to its safe value; Ctrl-C ends that.")
+            actions += self._control.finish_ramp()
         for action in actions:
             self._display.print(action.text)
         return not any(action.problem for action in actions)

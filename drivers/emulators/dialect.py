@@ -107,6 +107,37 @@ class WithAlarms(Protocol):
 
 
 @runtime_checkable
+class WithProfiles(Protocol):
+    """A chamber whose controller can run a profile by itself."""
+
+    def start_profile(self, to_c: float) -> None:
+        """Start a profile to a temperature at the panel."""
+
+
+@runtime_checkable
+class WithUnit(Protocol):
+    """A chamber whose panel can change the unit of temperatures."""
+
+    def use_fahrenheit(self, fahrenheit: bool) -> None:
+        """Change the unit."""
+
+
+@runtime_checkable
+class WithDecimals(Protocol):
+    """A chamber whose numbers have decimals that its panel can change."""
+
+    decimals: int  #: Decimals of temperatures.
+
+
+@runtime_checkable
+class WithRamp(Protocol):
+    """A chamber of which some models do not ramp their set point."""
+
+    def remove_ramp(self) -> None:
+        """Become a model without ramps."""
+
+
+@runtime_checkable
 class SpeaksModbus(Protocol):
     """A device with Modbus RTU frames."""
 
