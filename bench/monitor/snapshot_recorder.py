@@ -268,6 +268,7 @@ class SnapshotRecorder(RunObserver):
         self._step: CurrentStep | None = None
         self._dwell: DwellTrace | None = None
         self._position, self._azimuth_deg = "", math.nan
+        self._has_new_dwell = True
         self._dwells: tuple[MeasuredDwell, ...] = ()
         self._bins: tuple[LiveBin, ...] = ()
         self._messages: deque[Note] = deque(maxlen=MAX_MESSAGES)
@@ -280,6 +281,8 @@ class SnapshotRecorder(RunObserver):
             return None
         is_read = self._last_reading_s > -math.inf
         self._take_estimate(bench)
+        if self._has_new_dwell:
+            self._take_dwells()
         return RunSnapshot(
             name=folder.path.resolve().name,
             folder=str(folder.path),
@@ -316,7 +319,6 @@ class SnapshotRecorder(RunObserver):
     def begun(self, folder: RunFolder, bench: LiveBench, outcome: RunOutcome) -> None:
         """Start with the dwells measured before a resume."""
         self._folder, self._bench, self._outcome = folder, bench, outcome
-        self._take_dwells()
         self._write()
 
     def noted(self, text: str) -> None:
@@ -374,8 +376,8 @@ class SnapshotRecorder(RunObserver):
         self._estimate = estimate
 
     def dwell_measured(self, row: DwellRow) -> None:  # noqa: ARG002
-        """Replace all dwells: the last one may have flagged earlier ones."""
-        self._take_dwells()
+        """Replace all dwells with the next snapshot: the last one may have flagged earlier ones."""
+        self._has_new_dwell = True
 
     def held(self, why: str, needs_person: bool, command: RunCommand | None) -> None:
         """The run holds; an interrupted dwell will be repeated."""
@@ -412,6 +414,7 @@ class SnapshotRecorder(RunObserver):
         self._write()
 
     def _take_dwells(self) -> None:
+        self._has_new_dwell = False
         rows = [dwell.row for dwell in self._outcome.dwells]
         self._dwells = measured_dwells(rows)
         self._bins = live_bins(rows, self._plan.procedure.bin_width_c)
