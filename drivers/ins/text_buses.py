@@ -312,7 +312,7 @@ class SocketcandBus(_TextBus):
             self._socket = socket.create_connection((host, int(port)), _CONNECT_S)
         except OSError as error:
             raise ConnectionError(
-                f"no socketcand server at {host}:{port}: {error}. Check that socketcand runs"
+                f"no socketcand server at {host}:{port} ({error.strerror or error})"
             ) from error
         try:
             if tcp_tune:
