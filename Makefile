@@ -11,6 +11,8 @@ BIN := $(VENV)/bin
 
 # The matrices are small: threads of the linear algebra only get into each other's way.
 export OPENBLAS_NUM_THREADS ?= 1
+# Hundreds of processes would each compile what they import, and each worker all tests.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: run test test-long soak check docs audit benchmark install clean
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from functools import singledispatch
+from functools import cache, singledispatch
 from typing import TypeVar
 
 import numpy as np
@@ -116,6 +116,7 @@ def _power_off(step: PowerOff, context: StepContext) -> Ticks:  # noqa: ARG001
 @perform.register
 def _chamber(step: Chamber, context: StepContext) -> Ticks:
     bench = context.bench
+    bench.state.chamber_state_unknown()
     # Each driver is looked up when it is used: a port that was reopened has a new one.
     yield from tried(
         context, lambda: bench.instruments.chamber.set_temperature(step.temperature_c, step.ramp_c_per_min)
@@ -135,6 +136,7 @@ def _chamber(step: Chamber, context: StepContext) -> Ticks:
 @perform.register
 def _chamber_off(step: ChamberOff, context: StepContext) -> Ticks:  # noqa: ARG001
     bench = context.bench
+    bench.state.chamber_switching()
     yield from tried(context, lambda: bench.instruments.chamber.switch(False))
     bench.state.chamber_switched(False)
     yield
@@ -213,15 +215,13 @@ def _navigating(step: Navigate, context: StepContext) -> Ticks:
     while clock.now() < begin_s + step.max_duration_s - 1e-6:
         if clock.now() >= next_estimate_s:
             next_estimate_s += _ESTIMATE_PERIOD_S
-            estimate = context.recorder.estimate_so_far()
-            if estimate is not None:
-                sigma_dph = float(estimate.sigma_dph.max())
-                context.run.observers.estimated(estimate)
-                if step.is_satisfied(clock.now() - begin_s, sigma_dph):
-                    context.run.note(
-                        f"biases known to {sigma_dph:.2g} deg/h after {clock.now() - begin_s:.0f} s"
-                    )
-                    return
+            estimate = cache(context.recorder.estimate_so_far)
+            context.run.observers.estimable(estimate)
+            so_far = estimate() if step.until else None
+            sigma_dph = float(so_far.sigma_dph.max()) if so_far else np.inf
+            if step.is_satisfied(clock.now() - begin_s, sigma_dph):
+                context.run.note(f"biases known to {sigma_dph:.2g} deg/h after {clock.now() - begin_s:.0f} s")
+                return
         yield
     if step.until:
         limit_dph = step.until.bias_sigma_below_dph

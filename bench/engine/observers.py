@@ -71,8 +71,13 @@ class RunObserver:
     def ticked(self, bench: LiveBench, left_s: float) -> None:
         """A tick has passed in a step; ``left_s`` remain by the plan."""
 
-    def estimated(self, estimate: StateSpaceEstimate) -> None:
-        """A new estimate of the biases of the dwell in progress."""
+    def estimable(self, estimate: Callable[[], StateSpaceEstimate | None]) -> None:
+        """The biases of the dwell in progress can be estimated again, until its step is over.
+
+        ``estimate`` does so at its first call, and returns None as long as they are not observable. It takes
+        milliseconds, and on virtual time a dwell takes a fraction of a second: an observer calls it only for
+        what it shows.
+        """
 
     def dwell_measured(self, row: DwellRow) -> None:
         """A dwell is over and its biases are known."""

@@ -86,6 +86,8 @@ class VirtualTimeOperator(TerminalOperator):
     def __init__(self, console: Console, keyboard: Keyboard) -> None:
         super().__init__(console, keyboard)
         self._consent = ConsentingOperator()
+        self._real = WallClock()
+        self._next_look_s = 0.0
 
     def ask(self, question: str, answers: Sequence[str]) -> None:
         """Choose an answer."""
@@ -94,6 +96,14 @@ class VirtualTimeOperator(TerminalOperator):
     def answer(self) -> str | None:
         """The chosen answer."""
         return self._consent.answer()
+
+    def command(self) -> RunCommand | None:
+        """A command that has been typed; looked for some times a second, since ticks take microseconds."""
+        now_s = self._real.now()
+        if now_s < self._next_look_s:
+            return None
+        self._next_look_s = now_s + _KEYS_EVERY_S
+        return super().command()
 
 
 _UNITS = "Biases in 0.001 deg/h with their standard uncertainty, temperatures in degC."
@@ -156,10 +166,11 @@ class LinesView(RunObserver):
             text = f"{hours_minutes(left_s)} h left | {where}{self._step}"
             self._status.update(Text(text, no_wrap=True, overflow="ellipsis"))
 
-    def estimated(self, estimate: StateSpaceEstimate) -> None:
+    def estimable(self, estimate: Callable[[], StateSpaceEstimate | None]) -> None:
         """Show the present biases with the next update."""
-        pairs = zip(AXES, 1e3 * estimate.bias_dph, 1e3 * estimate.sigma_dph, strict=True)
-        self._so_far = " ".join(f"{axis} {bias:+z.1f}±{sigma:.1f}" for axis, bias, sigma in pairs)
+        if self._status and (so_far := estimate()):
+            pairs = zip(AXES, 1e3 * so_far.bias_dph, 1e3 * so_far.sigma_dph, strict=True)
+            self._so_far = " ".join(f"{axis} {bias:+z.1f}±{sigma:.1f}" for axis, bias, sigma in pairs)
 
     def dwell_measured(self, row: DwellRow) -> None:
         """Print a dwell, the table head above the first one, and the reasons below a flagged one."""

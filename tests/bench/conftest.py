@@ -46,9 +46,10 @@ class Watcher(LinesView):
             emulated = emulated_bench(BenchAddress(bench.clock.name, world, self._emulation.seed))
             self._true.append(emulated.world.true_gyro_bias() * RADPS_TO_DPH)
 
-    def estimated(self, estimate):
-        super().estimated(estimate)
-        self._estimated.append(estimate)
+    def estimable(self, estimate):
+        super().estimable(estimate)
+        if estimate() is not None:
+            self._estimated.append(estimate())
 
     def dwell_measured(self, row):
         super().dwell_measured(row)

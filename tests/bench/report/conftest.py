@@ -19,6 +19,7 @@ from gyrobench.bench.bias.bins import BiasBin, bin_biases, write_bins
 from gyrobench.bench.bias.dwell_table import DwellRow, Triple, write_dwells
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.report.run_report import write_report
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal
 from gyrobench.bench.runs.tables.joint_table import JointBiasRow, JointPlateauRow, write_joint
@@ -254,7 +255,9 @@ def telemetry() -> dict[str, np.ndarray]:
 @pytest.fixture(scope="session")
 def run_folder(tmp_path_factory: pytest.TempPathFactory, dwells: list[DwellRow]) -> RunFolder:
     """A run folder with everything in it."""
-    return write_run(RunFolder(tmp_path_factory.mktemp("run") / "six_position_fig7-001"), dwells)
+    folder = write_run(RunFolder(tmp_path_factory.mktemp("run") / "six_position_fig7-001"), dwells)
+    write_report(folder).unlink()  # its figures are drawn once for all tests
+    return folder
 
 
 @pytest.fixture
