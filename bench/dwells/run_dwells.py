@@ -223,15 +223,16 @@ def evaluate(
     good = [dwell for dwell in dwells if dwell.estimate and not dwell.row.flags]
     joint = [solve_jointly(plateau, setup.prior) for plateau in group_plateaus(_joint_dwells(good))]
     rate = pooled_up_rate(joint, setup.prior)
-    dwells = with_latitude(dwells, joint, rate, setup.prior)
+    evaluated = with_latitude(dwells, joint, rate, setup.prior)
+    rows = [dwell.row for dwell in evaluated if dwell.estimate and not dwell.row.flags]
     return RunResults(
-        dwells=dwells,
-        bins=bin_biases([each.row for each in dwells if each.estimate and not each.row.flags], bin_width_c),
+        dwells=evaluated,
+        bins=bin_biases(rows, bin_width_c),
         joint=joint,
         up_rate=rate,
         noise=_noise([dwell for dwell in dwells if not dwell.is_disturbed], setup),
         calibration_check=list(calibration_check),
-        acceptance=judge([dwell.row for dwell in dwells], limits, planned, bin_width_c),
+        acceptance=judge([dwell.row for dwell in evaluated], limits, planned, bin_width_c),
     )
 
 
