@@ -50,7 +50,7 @@ def test_level_biases_stay_as_measured():
 
 
 def test_without_a_gyro_up_and_down_a_wrong_latitude_flags_the_dwells():
-    _, results = evaluated(2.0, positions=("z_up",) * 4)
+    _, results = evaluated(1.6, positions=("z_up",) * 6, declared_arcmin=0.6)
     assert results.up_rate.finding is Finding.NO_PAIR
     for dwell in results.dwells:
         assert dwell.row.flags.startswith("a rate North fixed in the navigation frame, as of a latitude")

@@ -126,7 +126,10 @@ def test_what_is_known_beforehand_comes_from_location_and_ins(changed):
 
 
 def test_without_a_word_on_uncertainty_the_usual_sizes_hold(changed):
-    assert Station(changed((", latitude_uncertainty_arcmin: 0.02", ""))).prior() == PriorKnowledge.from_datasheet()
+    assert (
+        Station(changed((", latitude_uncertainty_arcmin: 0.02", ""))).prior()
+        == PriorKnowledge.from_datasheet()
+    )
 
 
 def test_instruments_are_opened_on_the_runs_clock_and_name_themselves():
