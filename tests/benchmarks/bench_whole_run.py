@@ -100,8 +100,9 @@ def test_table(tmp_path):
     shift_s, _, shift_h, _ = run("three_temperature_shift", tmp_path / "shift")
     row(f"three_temperature_shift, {shift_h:.2f} h, processor time", f"{shift_s:.1f} s")
     row("Fig. 7, peak memory", f"{peak_kb / 1024:.0f} MB")
+    quick = ("--station", "quick", "--world", "quick")
     peaks_kb = [
-        run(many_dwells(tmp_path / f"{dwells}.yaml", dwells), tmp_path / str(dwells), "--station", "quick", "--world", "quick")[1]
+        run(many_dwells(tmp_path / f"{dwells}.yaml", dwells), tmp_path / str(dwells), *quick)[1]
         for dwells in (FEW, MANY)
     ]
     row(
