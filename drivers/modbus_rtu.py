@@ -27,6 +27,7 @@ PAUSE_AFTER_WRITE_S = 0.03
 _READ, _WRITE = 3, 6
 _EXCEPTION_BIT = 0x80
 _EXCEPTION_FRAME_BYTES = 5
+_ILLEGAL_ADDRESS = 2
 _EXCEPTIONS = {1: "illegal function", 2: "illegal data address", 3: "illegal data value", 4: "device failure"}
 
 
@@ -52,6 +53,10 @@ def crc16(data: bytes) -> int:
 def framed(content: bytes) -> bytes:
     """Append the CRC, low byte first."""
     return content + crc16(content).to_bytes(2, "little")
+
+
+class UnknownRegisterError(RefusedError):
+    """The device has no such register."""
 
 
 class ModbusRtu:
@@ -120,7 +125,8 @@ class ModbusRtu:
     def _refused(self, reply: bytes, attempt: str) -> RefusedError:
         code = reply[2]
         meaning = _EXCEPTIONS.get(code, "unknown")
-        return RefusedError(self._line.instrument, f"refused to {attempt}: exception {code:02d}, {meaning}")
+        refusal = UnknownRegisterError if code == _ILLEGAL_ADDRESS else RefusedError
+        return refusal(self._line.instrument, f"refused to {attempt}: exception {code:02d}, {meaning}")
 
 
 def _label(register: int) -> str:

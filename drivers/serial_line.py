@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import re
 from dataclasses import dataclass
+from urllib.parse import urlsplit
 
 import serial
 
@@ -36,6 +37,13 @@ class LineDefaults:
     baudrate: int = 9600
     parity: str = "N"  #: Parity bit; eight data bits and one stop bit always.
     tcp_port: int | None = None  #: TCP port for an address without one; None if there is no usual port.
+
+    def completed(self, url: str) -> str:
+        """Complete ``socket://host`` with the usual TCP port."""
+        parts = urlsplit(url)
+        if parts.scheme != "socket" or self.tcp_port is None or parts.netloc.rpartition(":")[2].isdecimal():
+            return url
+        return parts._replace(netloc=f"{parts.netloc.rstrip(':')}:{self.tcp_port}").geturl()
 
 
 def open_port(url: str, clock: Clock, baudrate: int, parity: str) -> serial.Serial:

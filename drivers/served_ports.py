@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import socket
-from collections.abc import Callable
 from pathlib import Path
 
 _CHUNK = 4096
@@ -61,16 +60,13 @@ class PseudoTerminal:
             return 0
 
 
-class TcpPort:
-    """A TCP port of the loopback with one client at a time; a new client replaces the old one.
+class TcpListener:
+    """A TCP port of the loopback on which clients connect.
 
-    ``number`` 0 stands for any free port; ``greet`` returns bytes to send to each new client. Raises OSError
-    if the port is taken.
+    ``number`` 0 stands for any free port. Raises OSError if the port is taken.
     """
 
-    def __init__(self, number: int = 0, greet: Callable[[], bytes] = bytes) -> None:
-        self._greet = greet
-        self._client: socket.socket | None = None
+    def __init__(self, number: int = 0) -> None:
         self.number = number
         self.plug_in()
         self.url = f"socket://127.0.0.1:{self.number}"
@@ -82,27 +78,39 @@ class TcpPort:
         self.number = self._listener.getsockname()[1]
 
     def unplug(self) -> None:
-        """Disconnect the client and stop listening."""
-        self._hang_up()
+        """Stop listening."""
         self._listener.close()
 
     def fileno(self) -> int:
         """Descriptor to wait on."""
-        return (self._client or self._listener).fileno()
+        return self._listener.fileno()
 
-    def read(self) -> bytes:
-        """Bytes that have arrived, without waiting."""
+    def accept(self, greeting: bytes = b"") -> TcpClient | None:
+        """The next client, greeted; None where no other has connected."""
         try:
             client, _ = self._listener.accept()
-            client.setblocking(False)
-            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._hang_up()
-            self._client = client
-            client.sendall(self._greet())
         except BlockingIOError:
-            pass
-        if self._client is None:
-            return b""
+            return None
+        client.setblocking(False)
+        client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        accepted = TcpClient(client)
+        accepted.write(greeting)
+        return accepted
+
+
+class TcpClient:
+    """A connected client."""
+
+    def __init__(self, client: socket.socket) -> None:
+        self._client = client
+        self.is_connected = True
+
+    def fileno(self) -> int:
+        """Descriptor to wait on."""
+        return self._client.fileno()
+
+    def read(self) -> bytes:
+        """Bytes that have arrived, without waiting; notes a client that disconnected."""
         try:
             data = self._client.recv(_CHUNK)
         except BlockingIOError:
@@ -110,25 +118,57 @@ class TcpPort:
         except OSError:
             data = b""
         if not data:
-            self._hang_up()
+            self.close()
+        return data
+
+    def write(self, data: bytes) -> int:
+        """Send what fits in the buffer; bytes to a client that has disconnected are lost."""
+        try:
+            return self._client.send(data) if data else 0
+        except BlockingIOError:
+            return 0
+        except OSError:
+            self.close()
+            return len(data)
+
+    def close(self) -> None:
+        """Disconnect the client."""
+        self.is_connected = False
+        self._client.close()
+
+
+class TcpPort(TcpListener):
+    """A TCP port of the loopback with one client at a time; another one is disconnected at once."""
+
+    _client: TcpClient | None = None
+
+    def unplug(self) -> None:
+        """Disconnect the client and stop listening."""
+        if self._client is not None:
+            self._client.close()
+            self._client = None
+        super().unplug()
+
+    def fileno(self) -> int:
+        """Descriptor to wait on."""
+        return self._client.fileno() if self._client else super().fileno()
+
+    def read(self) -> bytes:
+        """Bytes that have arrived, without waiting."""
+        data = self._client.read() if self._client else b""
+        if self._client and not self._client.is_connected:
+            self._client = None
+        if self._client is None:
+            self._client = self.accept()
+            return self._client.read() if self._client else b""
+        # Of a client with unread bytes it is not known yet whether it has disconnected.
+        if not data and (other := self.accept()):
+            other.close()
         return data
 
     def write(self, data: bytes) -> int:
         """Send what fits in the buffer; without a client the bytes are lost."""
-        if self._client is None:
-            return len(data)
-        try:
-            return self._client.send(data)
-        except BlockingIOError:
-            return 0
-        except OSError:
-            self._hang_up()
-            return len(data)
-
-    def _hang_up(self) -> None:
-        if self._client is not None:
-            self._client.close()
-            self._client = None
+        return self._client.write(data) if self._client else len(data)
 
 
 Port = PseudoTerminal | TcpPort

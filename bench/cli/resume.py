@@ -48,6 +48,8 @@ def resume(
     if look or not resumption.damage:
         terminal.print(resumption.describe(), soft_wrap=True)
     if look:
+        if bench := resumption.describe_bench():
+            terminal.print(bench, soft_wrap=True)
         raise typer.Exit(EXIT_NOT_FINISHED if resumption.damage else 0)
     if resumption.damage and give_up_damaged:
         give_up_damage(resumption)

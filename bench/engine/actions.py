@@ -116,6 +116,7 @@ def _power_off(step: PowerOff, context: StepContext) -> Ticks:  # noqa: ARG001
 @perform.register
 def _chamber(step: Chamber, context: StepContext) -> Ticks:
     bench = context.bench
+    bench.state.chamber_state_unknown()
     # Each driver is looked up when it is used: a port that was reopened has a new one.
     yield from tried(
         context, lambda: bench.instruments.chamber.set_temperature(step.temperature_c, step.ramp_c_per_min)
@@ -135,6 +136,7 @@ def _chamber(step: Chamber, context: StepContext) -> Ticks:
 @perform.register
 def _chamber_off(step: ChamberOff, context: StepContext) -> Ticks:  # noqa: ARG001
     bench = context.bench
+    bench.state.chamber_switching()
     yield from tried(context, lambda: bench.instruments.chamber.switch(False))
     bench.state.chamber_switched(False)
     yield

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from gyrobench.bench.navigation.table_axes import Angles
 from gyrobench.bench.procedure.plan import PlannedStep
+from gyrobench.bench.station.safe_state import SafeAction, SafePart
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.chamber import ChamberReading
 from gyrobench.drivers.ins.ins_status import InsStatus
@@ -35,6 +37,7 @@ class ExpectedState:
     chamber_reached: bool = False  #: the air has reached the set point, so it should stay there
     ins_on: bool = False  #: the INS is on and has sent data, so silence is a fault
     table_prepared: bool = False  #: the table is ready to move, so open servos and faults count
+    table_stopped: bool = False  #: the table was stopped, so a servo that moves it is a fault
 
 
 @dataclass(frozen=True)
@@ -108,13 +111,17 @@ class BenchState:
         """The chamber was switched on or off."""
         self._expect(chamber_on=on, chamber_reached=False)
 
+    def chamber_switching(self) -> None:
+        """The chamber gets a command to switch that it has not acknowledged yet."""
+        self._expect(chamber_on=None)
+
     def chamber_set_point_reached(self) -> None:
         """The air has reached the set point."""
         self._expect(chamber_reached=True)
 
     def chamber_state_unknown(self) -> None:
-        """The chamber was changed at its panel; it is commanded again before it is used."""
-        self._expect(chamber_set_c=None, chamber_on=None)
+        """The chamber was changed at its panel, or gets a command that it has not acknowledged yet."""
+        self._expect(chamber_set_c=None, chamber_on=None, chamber_reached=False)
 
     # INS
 
@@ -153,7 +160,7 @@ class BenchState:
 
     def table_prepared(self) -> None:
         """The table's servos are closed and its faults cleared."""
-        self._expect(table_prepared=True)
+        self._expect(table_prepared=True, table_stopped=False)
 
     def table_released(self) -> None:
         """The table's servos are open."""
@@ -169,14 +176,22 @@ class BenchState:
 
     # all
 
-    def made_safe(self) -> None:
-        """Every output has the safe value of the station."""
+    def made_safe(self, actions: Iterable[SafeAction]) -> None:
+        """Safe values were commanded; what was not acknowledged is unknown."""
         safe = self._station.file.safe_state
-        if safe.chamber_c is None:
-            self.chamber_switched(False)
-        else:
-            self._expect(chamber_set_c=safe.chamber_c, chamber_reached=False)
-        self._expect(ins_on=self._expected.ins_on and safe.unit == "keep", table_prepared=False)
+        for action in actions:
+            match action.part:
+                case SafePart.CHAMBER if safe.chamber_c is None:
+                    self._expect(chamber_on=None if action.problem else False, chamber_reached=False)
+                case SafePart.CHAMBER:
+                    set_c = None if action.problem else safe.chamber_c
+                    self._expect(chamber_set_c=set_c, chamber_reached=False)
+                case SafePart.TABLE_AT_REST:
+                    self._expect(table_prepared=False, table_stopped=not action.problem)
+                case SafePart.TABLE_RELEASED:
+                    self._expect(table_prepared=False)
+                case SafePart.UNIT:
+                    self._expect(ins_on=self._expected.ins_on and safe.unit == "keep")
 
     def _expect(self, **changes: float | bool | None) -> None:
         self._expected = replace(self._expected, **changes)  # type: ignore[arg-type]

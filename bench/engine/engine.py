@@ -27,7 +27,8 @@ from gyrobench.bench.procedure.approach import RetainedState, approach, end_of_d
 from gyrobench.bench.procedure.plan import PlannedStep, turns_after
 from gyrobench.bench.procedure.steps import Align, GoTo, PowerOn
 from gyrobench.bench.runs.provenance import add_identity
-from gyrobench.bench.station.safe_state import SafeAction
+from gyrobench.bench.station.interlocks import PassingRule
+from gyrobench.bench.station.safe_state import SafeAction, finish_ramp
 
 #: A dwell that was repeated so often is tried with the INS switched off and on.
 _REPEATS_UNTIL_POWER_CYCLE = 2
@@ -120,10 +121,15 @@ class Engine:
     def _check_interlocks_before_motion(self) -> None:
         """Stop while anything is tripped, or for faults from before the run, which are not cleared unseen.
 
-        Raises TrippedError if an interlock is tripped, or the table reports faults that the operator has not
-        seen.
+        Raises TrippedError if an interlock is tripped, a safe action has failed, or the table reports faults
+        that the operator has not seen.
         """
         trips = self._bench.trips()
+        failed = self._bench.failed_safe_actions.values()
+        if failed:
+            problems = "; ".join(f"{action.what}: {action.problem}" for action in failed)
+            found = Finding("safe_state", f"the bench is not in its safe state: {problems}", "")
+            trips = [*trips, Trip("safe_state", (found,), PassingRule())]
         faults, self._unseen_faults = self._unseen_faults, ()
         if faults:
             rule = self._bench.station.file.interlocks.table_fault
@@ -348,9 +354,20 @@ class Engine:
             if action.problem:
                 self._run.observers.noted(action.text)
 
+    def _aborted_by(self) -> str:
+        try:
+            self._heartbeat.command()
+        except RunStoppedError as error:
+            return str(error)
+        return ""
+
     def _end(self) -> None:
         outcome, journal = self._run.outcome, self._run.journal
-        outcome.safe_state = self._bench.make_safe(meanwhile=self._heartbeat.signal_guard)
+        beat = self._heartbeat.signal_guard
+        outcome.safe_state = self._bench.make_safe(meanwhile=beat)
+        if self._bench.instruments.is_ramping:
+            self._run.observers.noted("The chamber's set point is moved to its safe value; abort ends that.")
+            outcome.safe_state += finish_ramp(self._bench.instruments, beat, self._aborted_by)
         if not outcome.is_safe:
             outcome.fail("the bench could not be brought to its safe state")
         try:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import asdict
 
 from gyrobench.bench.engine.interlocks.watch import Trip, TrippedError, text_of_trips
 from gyrobench.bench.engine.operator import GivenCommand, RunCommand
 from gyrobench.bench.engine.run_context import RunContext
 from gyrobench.bench.foundations.errors import InstrumentError, RunStoppedError
+from gyrobench.bench.foundations.text import listed
 
 #: A calendar that differs by so much more than before was set, or corrected over a long time.
 _CALENDAR_STEP_S = 1.0
@@ -124,7 +126,11 @@ class Holding:
 
     def _good_for_s(self, trips: Sequence[Trip], held_s: float) -> float:
         """For how long nothing that led to the hold has been wrong; zero while anything is."""
-        return 0.0 if self._bench.trips() else min(self._bench.good_for_s(trips), held_s)
+        return (
+            0.0
+            if self._bench.failed_safe_actions or self._bench.trips()
+            else min(self._bench.good_for_s(trips), held_s)
+        )
 
     def _continuations(self, why: str, needs_operator: bool) -> Iterator[str]:
         """Let ticks pass, and yield at each who continues the run; an empty text for no one."""
@@ -135,10 +141,19 @@ class Holding:
                 operator.ask(f"The run holds: {why}", [RunCommand.CONTINUE, RunCommand.ABORT])
                 ask_s = math.inf
             self._heartbeat.beat()
+            self._repeat_safe_actions()
             by = self._answer(why, needs_operator)
             if by and needs_operator:
                 ask_s = clock.now() + _ASK_AGAIN_S  # in case something is still tripped
             yield by
+
+    def _repeat_safe_actions(self) -> None:
+        """Repeat safe actions that failed until they are done; each that is done is in the journal."""
+        actions = self._bench.repeat_safe_actions(self._heartbeat.signal_guard)
+        if any(not action.problem for action in actions):
+            self._run.journal.record("made_safe", actions=[asdict(action) for action in actions])
+            done = [action.what for action in actions if not action.problem]
+            self._run.observers.noted(f"Safe state, repeated: {listed(done)}")
 
     def _answer(self, why: str, needs_operator: bool) -> str:
         given = self._heartbeat.command()
@@ -160,7 +175,8 @@ class Holding:
         if any(trip.name == "chamber_command" for trip in trips):
             self._bench.state.chamber_state_unknown()
         self._bench.read_instruments()
-        still = text_of_trips(self._bench.trips())
+        unsafe = [action.text for action in self._bench.failed_safe_actions.values()]
+        still = " ".join([*unsafe, text_of_trips(self._bench.trips())]).strip()
         if still and still != self._noted:
             self._run.note(f"can't continue yet: {still}")
         self._noted = still

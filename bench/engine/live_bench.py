@@ -38,6 +38,8 @@ _EPOCH_COUNT_TOLERANCE_S = 3.0
 _BUS_SILENCE_S = 4.0
 #: Period at which a disconnected port is reopened.
 _REOPEN_PERIOD_S = 5.0
+#: Period at which a safe action that failed is repeated.
+_REPEAT_PERIOD_S = 5.0
 #: The chamber's air has reached its set point within this.
 _REACHED_C = 2.0
 #: Bins of lateness are evenly wide in the logarithm; below the first edge a tick counts as on time.
@@ -143,6 +145,9 @@ class LiveBench:
         self._failing: list[str] = []
         self._next_reopen_s = 0.0
         self._next_reading_s = 0.0
+        #: Safe actions that failed and have not succeeded since, by what they do.
+        self.failed_safe_actions: dict[str, SafeAction] = {}
+        self._next_safe_s = 0.0
         self._mode = InsMode.UNKNOWN
         self._epochs: tuple[float, int] | None = None
         instruments.ins.on_frames = self._received
@@ -182,6 +187,8 @@ class LiveBench:
         while (now_s := self.clock.now()) < next_tick_s:
             self.clock.sleep_until(min(next_tick_s, now_s + self.station.file.poll_period_s))
             self.poll_ins()
+        if self.instruments.is_ramping:
+            self._asked("chamber", self.instruments.advance_ramp)
         self.lateness.add(next_tick_s, now_s, tick_s)
         if self._failing:
             self._reopen()
@@ -336,8 +343,30 @@ class LiveBench:
     ) -> list[SafeAction]:
         """Bring all outputs to their safe values; ``meanwhile`` is called during the waits. None raises."""
         actions = make_safe(self.station, self.instruments, release_table, meanwhile=meanwhile)
-        self.state.made_safe()
+        self.failed_safe_actions = {}
+        self._made_safe(actions)
         return actions
+
+    def repeat_safe_actions(self, meanwhile: Callable[[], object]) -> list[SafeAction]:
+        """Repeat the safe actions that failed and whose instrument answers, every few seconds."""
+        due = [
+            what
+            for what, action in self.failed_safe_actions.items()
+            if action.instrument not in self._failing and self.clock.now() >= self._next_safe_s
+        ]
+        if not due:
+            return []
+        actions = make_safe(self.station, self.instruments, only=due, meanwhile=meanwhile)
+        self._made_safe(actions)
+        return actions
+
+    def _made_safe(self, actions: list[SafeAction]) -> None:
+        self._next_safe_s = self.clock.now() + _REPEAT_PERIOD_S
+        self.state.made_safe(actions)
+        for action in actions:
+            self.failed_safe_actions.pop(action.what, None)
+            if action.problem:
+                self.failed_safe_actions[action.what] = action
 
     def check_set_point_reached(self) -> None:
         """Expect the chamber's air to stay at the set point once it has reached it."""

@@ -11,7 +11,7 @@ from typing import Any
 from gyrobench.bench.engine.damage import Damage, find_damage
 from gyrobench.bench.engine.job import Job, job_in
 from gyrobench.bench.foundations.clock import RESUME_STEP_S, Clock, VirtualClock, WallClock
-from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.foundations.errors import GyrobenchError, InstrumentError, RunFolderError
 from gyrobench.bench.foundations.text import hours_minutes, listed
 from gyrobench.bench.procedure.approach import end_of_dwell
 from gyrobench.bench.procedure.plan import Plan
@@ -19,12 +19,17 @@ from gyrobench.bench.runs.folder import RunFolder, open_run_folder
 from gyrobench.bench.runs.journal import MAX_RUN_S, Journal
 from gyrobench.bench.runs.provenance import start_of, started_utc
 from gyrobench.bench.runs.telemetry import last_reading_s
-from gyrobench.bench.station.locks import RunLock
+from gyrobench.bench.station.instruments import Outputs
+from gyrobench.bench.station.locks import BenchLock, RunLock
+from gyrobench.bench.station.station import Station
+from gyrobench.drivers.chamber import running_profile
 
 #: After so many resumes in a row without a finished step the cause has to be found first.
 MAX_RESUMES_WITHOUT_PROGRESS = 5
 #: How a run ended whose journal has no end.
 NO_END_RECORDED = "stopped without recording its end, as after a power cut or a kill"
+#: Of a run whose engine and guard both ended without making the bench safe.
+_NO_SAFE_STATE = {"safe state": "neither the run nor its guard recorded one"}
 #: In place of the checksum of a compensation in the INS; older journals have "a compensation".
 UNKNOWN_CHECKSUM = "checksum unknown"
 
@@ -49,6 +54,8 @@ class ResumeState:
     last_s: float = 0.0  #: time of the last entry, on the run's clock
     ended: str = ""  #: how the run ended; empty where the journal has no end
     reason: str = ""  #: why it did not finish
+    #: Safe actions that were not done at the end of the run, and why; empty for a bench that was made safe.
+    unsafe: dict[str, str] = field(default_factory=dict)
     in_progress: str = ""  #: the step in progress at the last entry; empty where there was none
     resumes_without_progress: int = 0  #: resumes since a step was finished
     #: The operator's decision on each compensation found in the INS.
@@ -107,11 +114,22 @@ class ResumeState:
                 self.power_ons = max(self.power_ons, _number(entry["run"], _MAX_POWER_ONS))
             case "ins_identified":
                 self.unit = str(entry["unit"])
+            case "run_started":
+                self.unsafe = dict(_NO_SAFE_STATE)
+            case "guard_acted":
+                self._made_safe(entry)
             case "run_resumed":
+                self.unsafe = dict(_NO_SAFE_STATE)
                 self.ended = self.reason = ""
                 self.resumes_without_progress += 1
             case "run_ended":
                 self.ended, self.reason = str(entry["ended"]), str(entry["reason"])
+                self._made_safe(entry)
+
+    def _made_safe(self, entry: Mapping[str, Any]) -> None:
+        problems = {str(action["what"]): str(action["problem"]) for action in entry.get("safe_state", ())}
+        before = {} if self.unsafe == _NO_SAFE_STATE else self.unsafe
+        self.unsafe = {what: problem for what, problem in {**before, **problems}.items() if problem}
 
     def _finish_up_to(self, next_index: int) -> None:
         if next_index > self.next_index:
@@ -182,6 +200,25 @@ class Resumption:
                 f"{self.folder.path}: another process has resumed this run in the meantime. Resume it again"
             )
 
+    def describe_bench(self) -> str:
+        """Describe a bench that was not made safe, and what it reads now; empty if it was made safe."""
+        if not self.state.unsafe or self.job.is_virtual:
+            return ""
+        problems = "; ".join(f"{what}: {problem}" for what, problem in self.state.unsafe.items())
+        lines = [f"The bench was NOT made safe at the end ({problems}). It reads now:"]
+        station = self.job.station
+        clock = station.new_clock()
+        try:
+            with BenchLock(station, self.folder.path, clock), Outputs(station, clock) as outputs:
+                for read in (_table_now, _chamber_now):
+                    try:
+                        lines.append(read(station, outputs))
+                    except InstrumentError as error:
+                        lines.append(str(error))
+        except GyrobenchError as error:
+            lines.append(f"Not read: {error}")
+        return "\n".join(lines)
+
     def describe(self) -> str:
         """Describe what the run folder holds and what resuming it will do."""
         state, plan = self.state, self.job.plan
@@ -217,6 +254,27 @@ class Resumption:
                 "again."
             )
         return "\n".join(lines)
+
+
+def _table_now(station: Station, outputs: Outputs) -> str:
+    reading = outputs.table.read()
+    axes = zip(
+        ("outer", "inner"),
+        station.table_axes_of(reading.position_deg),
+        station.table_axes_of(reading.rate_dps),
+        strict=True,
+    )
+    motion = ", ".join(f"{axis} {angle:.3f} deg at {rate:.3f} deg/s" for axis, angle, rate in axes)
+    return f"rate table: {motion}; servos {'closed' if reading.is_servoed else 'open'}"
+
+
+def _chamber_now(station: Station, outputs: Outputs) -> str:  # noqa: ARG001 - as for the table
+    reading = outputs.chamber.read()
+    set_c = "unknown" if reading.set_point_c is None else f"{reading.set_point_c:.1f} degC"
+    state = "" if reading.is_on is None else ", on" if reading.is_on else ", off"
+    profile = running_profile(outputs.chamber)
+    runs = f", runs {profile}" if profile else ""
+    return f"chamber: air {reading.temperature_c:.1f} degC, set point {set_c}{state}{runs}"
 
 
 def prepare_resumption(path: Path, anyway: bool = False) -> Resumption:

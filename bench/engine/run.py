@@ -125,13 +125,14 @@ def _execute(start: _Start, observer: RunObserver, operator: Operator) -> tuple[
     """Run what is left of a job, and evaluate all of it."""
     job, clock, outcome = start.job, start.clock, start.outcome
     setup = measurement_setup(job.station)
-    if not job.is_virtual:
-        warm_up(setup)  # on wall time no tick may wait for a compiler
+    if compiled_s := warm_up(setup):  # no tick may wait for a compiler
+        observer.noted(f"Compiled the estimators, once after installation, in {compiled_s:.1f} s.")
     with ExitStack() as opened:
         commands = opened.enter_context(CommandQueue())
         patience_s = _GUARD_TIME_S if start.state.last_s else 0.0
         bench_lock = opened.enter_context(BenchLock(job.station, RUNS, clock, patience_s=patience_s))
         instruments = opened.enter_context(Instruments(job.station, clock, job.emulation))
+        instruments.require_no_profile()
         folder = start.open_folder()
         bench_lock.sign(folder.path)
         run_lock = opened.enter_context(RunLock(folder.path, clock))

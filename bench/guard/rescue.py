@@ -18,7 +18,7 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal, facts_of, read_journal
 from gyrobench.bench.station.instruments import Outputs
 from gyrobench.bench.station.locks import GUARD_COMMAND, BenchLock, Holder, bench_holders
-from gyrobench.bench.station.safe_state import SafeAction, make_safe
+from gyrobench.bench.station.safe_state import SafeAction, finish_ramp, make_safe
 from gyrobench.bench.station.station import Station
 
 #: Pauses between attempts, s: a quarter of an hour in all.
@@ -122,6 +122,7 @@ class Rescue:
     def _make_safe(self, only: list[str] | None) -> list[SafeAction]:
         with Outputs(self._station, self._clock) as outputs:
             actions = make_safe(self._station, outputs, only=only)
+            actions += finish_ramp(outputs)
         for action in actions:
             self._log.add(f"{action.what}: {action.problem or 'done'}")
         return actions

@@ -8,11 +8,11 @@ from typing import TypeVar
 
 from gyrobench.bench.engine.interlocks.watch import TrippedError
 from gyrobench.bench.engine.live_bench import LiveBench
-from gyrobench.bench.foundations.errors import FaultError, InstrumentError, RefusedError
+from gyrobench.bench.foundations.errors import FaultError, GyrobenchError, InstrumentError, RefusedError
 from gyrobench.bench.jog.manual_limits import AXES, ManualLimits
 from gyrobench.bench.jog.readings import mode_words, watch_line
 from gyrobench.bench.jog.terminal import CommandError, Display, Interruptions
-from gyrobench.bench.station.safe_state import SafeAction
+from gyrobench.bench.station.safe_state import SafeAction, finish_ramp
 from gyrobench.drivers.ins.readout import InsMode
 
 #: Rate of a move without a given rate, deg/s, where the limits allow it.
@@ -166,6 +166,7 @@ class ManualControl:
         ramp = self.limits.ramp_c_per_min if ramp_c_per_min is None else ramp_c_per_min
         self.limits.check_chamber(temperature_c, ramp)
         self._refuse_while(_CHAMBER_TRIPS)
+        self.bench.state.chamber_state_unknown()
         # Look the driver up at each use: a port that is reopened has a new one.
         self._retry(lambda: self.bench.instruments.chamber.set_temperature(temperature_c, ramp))
         self._retry(lambda: self.bench.instruments.chamber.switch(True))
@@ -178,6 +179,7 @@ class ManualControl:
         """Switch the chamber's temperature control."""
         if on:
             self._refuse_while(_CHAMBER_TRIPS)
+        self.bench.state.chamber_switching()
         self._retry(lambda: self.bench.instruments.chamber.switch(on))
         self.bench.state.chamber_switched(on)
         self._display.print(f"chamber {'on' if on else 'off'}")
@@ -249,6 +251,18 @@ class ManualControl:
         """Bring the whole bench to the station's safe state, servos open."""
         self._turning.clear()
         return self.bench.make_safe(meanwhile=self._beat_guard)
+
+    def finish_ramp(self) -> list[SafeAction]:
+        """Wait until the chamber's set point has its safe value or a signal comes."""
+
+        def stopped() -> str:
+            try:
+                self._interruptions.check()
+            except GyrobenchError as error:
+                return str(error)
+            return ""
+
+        return finish_ramp(self.bench.instruments, self._beat_guard, stopped)
 
     def _await_position(self, angles_deg: Mapping[str, float], rate_dps: float) -> None:
         self.bench.read_instruments()

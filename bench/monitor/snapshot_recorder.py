@@ -175,23 +175,22 @@ class _Window:
     def __init__(self, planned_s: float, begun_s: float) -> None:
         self._planned_s = planned_s
         self._begun_s = begun_s
-        self._first: FloatArray | None = None
-        self._rows: Thinned[tuple[float, float, float, float]] = Thinned(MAX_WINDOW_SAMPLES)
+        self._rows: Thinned[tuple[float, float, float, InsStatus]] = Thinned(MAX_WINDOW_SAMPLES)
 
     def add(self, time_s: float, ins: InsStatus) -> None:
-        if self._first is None and not np.isnan(ins.attitude).any():
-            self._first = ins.attitude
-        heading_deg = float("nan") if self._first is None else _heading_deg(ins.attitude @ self._first.T)
+        ins.keep_attitude()  # to compute it takes longer, and on virtual time few snapshots show it
         east, north, _ = ins.velocity_enu_mps.tolist()
-        self._rows.add((time_s - self._begun_s, east, north, heading_deg))
+        self._rows.add((time_s - self._begun_s, east, north, ins))
 
     def trace(self) -> WindowTrace:
         rows = self._rows.rows()
-        return (
-            WindowTrace(self._planned_s, *map(tuple, zip(*rows, strict=True)))
-            if rows
-            else WindowTrace(self._planned_s)
-        )
+        if not rows:
+            return WindowTrace(self._planned_s)
+        time_s, east, north, statuses = zip(*rows, strict=True)
+        known = (each.attitude for each in statuses if not np.isnan(each.attitude).any())
+        first = next(known, np.full((3, 3), np.nan))
+        heading_deg = tuple(_heading_deg(each.attitude @ first.T) for each in statuses)
+        return WindowTrace(self._planned_s, time_s, east, north, heading_deg)
 
 
 class DwellTrace:
@@ -268,6 +267,7 @@ class SnapshotRecorder(RunObserver):
         self._step: CurrentStep | None = None
         self._dwell: DwellTrace | None = None
         self._position, self._azimuth_deg = "", math.nan
+        self._has_new_dwell = True
         self._dwells: tuple[MeasuredDwell, ...] = ()
         self._bins: tuple[LiveBin, ...] = ()
         self._messages: deque[Note] = deque(maxlen=MAX_MESSAGES)
@@ -280,6 +280,8 @@ class SnapshotRecorder(RunObserver):
             return None
         is_read = self._last_reading_s > -math.inf
         self._take_estimate(bench)
+        if self._has_new_dwell:
+            self._take_dwells()
         return RunSnapshot(
             name=folder.path.resolve().name,
             folder=str(folder.path),
@@ -316,7 +318,6 @@ class SnapshotRecorder(RunObserver):
     def begun(self, folder: RunFolder, bench: LiveBench, outcome: RunOutcome) -> None:
         """Start with the dwells measured before a resume."""
         self._folder, self._bench, self._outcome = folder, bench, outcome
-        self._take_dwells()
         self._write()
 
     def noted(self, text: str) -> None:
@@ -374,8 +375,8 @@ class SnapshotRecorder(RunObserver):
         self._estimate = estimate
 
     def dwell_measured(self, row: DwellRow) -> None:  # noqa: ARG002
-        """Replace all dwells: the last one may have flagged earlier ones."""
-        self._take_dwells()
+        """Replace all dwells with the next snapshot: the last one may have flagged earlier ones."""
+        self._has_new_dwell = True
 
     def held(self, why: str, needs_person: bool, command: RunCommand | None) -> None:
         """The run holds; an interrupted dwell will be repeated."""
@@ -412,6 +413,7 @@ class SnapshotRecorder(RunObserver):
         self._write()
 
     def _take_dwells(self) -> None:
+        self._has_new_dwell = False
         rows = [dwell.row for dwell in self._outcome.dwells]
         self._dwells = measured_dwells(rows)
         self._bins = live_bins(rows, self._plan.procedure.bin_width_c)

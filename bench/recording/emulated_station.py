@@ -125,7 +125,7 @@ def _chamber_clients(file: StationFile, url: str) -> list[str]:
     if where.scheme == "socket":
         client = f'ModbusTcpClient("{where.hostname}", port={where.port}, framer=FramerType.RTU)'
         return [f"{client} of pymodbus"]
-    return [f"mbpoll -a {getattr(file.chamber, 'address', 1)} -b 9600 -P none -0 -r 100 -c 2 {url}"]
+    return [f"mbpoll -m rtu -a {getattr(file.chamber, 'address', 1)} -b 9600 -P none -0 -r 100 -c 2 {url}"]
 
 
 def _serial_terminal(url: str) -> str:

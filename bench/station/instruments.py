@@ -10,7 +10,7 @@ from concurrent.futures import Future, InvalidStateError, wait
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Self, TypeVar, cast
-from urllib.parse import urlencode, urlsplit
+from urllib.parse import urlencode
 from uuid import uuid4
 
 import can
@@ -26,7 +26,8 @@ from gyrobench.bench.foundations.packages import CHAMBERS, RATE_TABLES, load
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.instrument_sections import DialectSection
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.chamber import Chamber, ChamberDialect, ChamberReading
+from gyrobench.drivers.chamber import Chamber, ChamberDialect, ChamberReading, running_profile
+from gyrobench.drivers.chamber.software_ramp import SoftwareRamp
 from gyrobench.drivers.ins.can_bus import INSTRUMENT as INS
 from gyrobench.drivers.ins.can_bus import close_bus, open_bus
 from gyrobench.drivers.ins.can_ins import CanIns
@@ -143,6 +144,27 @@ class Outputs:
             self._chamber = self._opened(CHAMBER, open_chamber)
         return self._chamber
 
+    @property
+    def is_ramping(self) -> bool:
+        """Whether the chamber's set point is being moved along a ramp that its controller lacks."""
+        return isinstance(self._chamber, SoftwareRamp) and self._chamber.is_moving
+
+    def advance_ramp(self) -> None:
+        """Move the chamber's set point on along such a ramp; to be called at every tick."""
+        if isinstance(self._chamber, SoftwareRamp):
+            self._chamber.advance()
+
+    def require_no_profile(self) -> None:
+        """Raise RefusedError if the chamber runs a profile that the station file does not let a run end."""
+        if getattr(self._station.file.chamber, "running_profile", "refuse") == "refuse" and (
+            profile := running_profile(self.chamber)
+        ):
+            raise RefusedError(
+                CHAMBER,
+                f"runs {profile} by itself. End it at its panel, or set chamber.running_profile: end in the "
+                "station file. Nothing was moved.",
+            )
+
     def power_unit(self, on: bool) -> None:
         """Switch the supply of the unit, if the bench can."""
         unit = self._station.file.unit
@@ -157,7 +179,10 @@ class Outputs:
         if instrument == RATE_TABLE:
             self._table = self._reopened(RATE_TABLE, self._table, open_table)
         elif instrument == CHAMBER:
-            self._chamber = self._reopened(CHAMBER, self._chamber, open_chamber)
+            before = self._chamber
+            self._chamber = self._reopened(CHAMBER, before, open_chamber)
+            if isinstance(before, SoftwareRamp) and isinstance(self._chamber, SoftwareRamp):
+                self._chamber.continue_from(before)
         else:
             raise ValueError(f"no instrument is called {instrument!r}")
 
@@ -311,13 +336,14 @@ def open_table(station: Station, clock: Clock, emulation: Emulation) -> RateTabl
 
 
 def open_chamber(station: Station, clock: Clock, emulation: Emulation) -> Chamber:
-    """Open the chamber; raises InstrumentError if it can't be opened or does not answer."""
+    """Open the chamber, with ramps; raises InstrumentError if it can't be opened or does not answer."""
     section = station.file.chamber
     dialect = load(CHAMBERS, section.dialect, ChamberDialect)
     with _silent_line(
         CHAMBER, section, dialect.line, clock, _addressed(section, station, clock, emulation)
     ) as line:
-        return dialect.open(line, section)
+        driver = dialect.open(line, section)
+    return driver if getattr(driver, "can_ramp", True) else cast(Chamber, SoftwareRamp(driver, clock))
 
 
 def open_ins(station: Station, clock: Clock, emulation: Emulation) -> CanIns:
@@ -355,21 +381,13 @@ def _silent_line(
 ) -> Iterator[SerialLine]:
     """Open a line and wait until it is silent; an error of the driver closes it."""
     baudrate, parity = section.baudrate or usual.baudrate, section.parity or usual.parity
-    line = SerialLine(instrument, _with_tcp_port(url, usual), clock, baudrate, parity)
+    line = SerialLine(instrument, usual.completed(url), clock, baudrate, parity)
     try:
         line.await_silence(_LATE_REPLY_S, _opening_time_s(clock) / 2.0)
         yield line
     except BaseException:
         line.close()
         raise
-
-
-def _with_tcp_port(url: str, usual: LineDefaults) -> str:
-    """Complete ``socket://host`` with the usual TCP port of the dialect."""
-    parts = urlsplit(url)
-    if parts.scheme != "socket" or usual.tcp_port is None or parts.netloc.rpartition(":")[2].isdecimal():
-        return url
-    return parts._replace(netloc=f"{parts.netloc.rstrip(':')}:{usual.tcp_port}").geturl()
 
 
 def _addressed(section: DialectSection, station: Station, clock: Clock, emulation: Emulation) -> str:

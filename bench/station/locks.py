@@ -23,6 +23,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, fields
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Self
 
@@ -160,10 +161,10 @@ class BenchLock(_Lock):
     """Holds every port of a bench; a context manager.
 
     Emulated ports live inside one process and need no lock. Names of one device, such as a link under
-    ``/dev/serial/by-id``, lead to the same lock. ``run_path`` is the run folder, or where it will be.
-    ``command`` is by default the command line, and ``patience_s`` how long to wait for another holder's
-    release. Raises BenchInUseError when entered if another process holds a port, and GyrobenchError if a lock
-    file can't be opened.
+    ``/dev/serial/by-id`` or two names of a host, lead to the same lock. ``run_path`` is the run folder, or
+    where it will be. ``command`` is by default the command line, and ``patience_s`` how long to wait for
+    another holder's release. Raises BenchInUseError when entered if another process holds a port, and
+    GyrobenchError if a lock file can't be opened.
     """
 
     def __init__(
@@ -275,25 +276,40 @@ def _port_files(station: Station) -> dict[str, Path]:
 
 def _ports(station: Station) -> Iterator[tuple[str, str]]:
     file = station.file
-    for what, url in (("rate table", file.rate_table.port), ("chamber", file.chamber.port)):
+    for what, section in (("rate table", file.rate_table), ("chamber", file.chamber)):
+        url = section.installed_dialect.line.completed(section.port)
         if not url.startswith(f"{_EMULATED}://"):
-            yield f"the {what}'s port {url}", _same_for_one_port(url)
+            yield f"the {what}'s port {section.port}", _same_for_one_port(url)
     ins = file.ins
     if ins.interface != _EMULATED:
         name = f"the INS's port {ins.interface} {ins.channel}"
         if ins.interface == "slcan":
             yield name, _same_for_one_port(ins.channel.partition("@")[0])
         else:
-            place = [str(ins.options[key]) for key in ("host", "port") if key in ins.options]
-            yield name, ":".join([ins.interface, *place, ins.channel])
+            host = [_same_for_one_host(str(ins.options["host"]))] if "host" in ins.options else []
+            port = [str(ins.options["port"])] if "port" in ins.options else []
+            yield name, ":".join([ins.interface, *host, *port, ins.channel])
 
 
 def _same_for_one_port(url: str) -> str:
     scheme, separator, rest = url.partition("://")
     address = rest.partition("?")[0] if separator else url
     if separator and scheme not in ("spy", "alt"):  # those two are serial devices
-        return address.lower()
+        host, colon, port = address.lower().rpartition(":")
+        return f"{_same_for_one_host(host)}:{port}" if colon else _same_for_one_host(address)
     return os.path.realpath(address)
+
+
+def _same_for_one_host(name: str) -> str:
+    """Lowest address of a host, one for all names of this machine; the name where it can't be resolved."""
+    name = name.lower().strip("[]")
+    try:
+        found = {ip_address(str(each[4][0])) for each in socket.getaddrinfo(name, None)}
+    except (OSError, ValueError):
+        return name
+    if any(each.is_loopback or each.is_unspecified for each in found):
+        return "localhost"
+    return min(map(str, found))
 
 
 def _file_name(port: str) -> str:

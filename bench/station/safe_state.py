@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from enum import StrEnum
 
 from gyrobench.bench.foundations.errors import ConnectionFailedError, InstrumentError
 from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE, Outputs, within
@@ -14,13 +15,32 @@ _EXCHANGE_TIME_S = 20.0
 _RELEASE_TIME_S = 60.0
 
 
+#: Period of readings while the chamber's set point is moved to its safe value.
+_RAMP_PERIOD_S = 1.0
+
+
+class SafePart(StrEnum):
+    """What an action makes safe."""
+
+    TABLE_AT_REST = "table at rest"
+    TABLE_RELEASED = "table released"
+    CHAMBER = "chamber"
+    UNIT = "unit"
+
+
 @dataclass(frozen=True)
 class SafeAction:
-    """One action on the way to the safe state, why it failed, and why its first attempt did; empty if not."""
+    """One action on the way to the safe state."""
 
     what: str
-    problem: str = ""
-    first_problem: str = ""
+    part: SafePart
+    problem: str = ""  #: Why it failed; empty if not.
+    first_problem: str = ""  #: Why its first attempt failed; empty if not.
+
+    @property
+    def instrument(self) -> str:
+        """Instrument that it commands."""
+        return RATE_TABLE if self.part in (SafePart.TABLE_AT_REST, SafePart.TABLE_RELEASED) else CHAMBER
 
     @property
     def text(self) -> str:
@@ -30,10 +50,9 @@ class SafeAction:
 
 @dataclass(frozen=True)
 class _Step:
-    what: str
-    instrument: str
+    action: SafeAction  #: If it succeeds.
     limit_s: float
-    apply: Callable[[], None]
+    apply: Callable[[], object]
 
 
 def make_safe(
@@ -52,60 +71,78 @@ def make_safe(
     repeatedly while waiting.
     """
     steps = _steps(station, instruments, release_table)
-    return [_taken(step, instruments, meanwhile) for step in steps if only is None or step.what in only]
+    chosen = (step for step in steps if only is None or step.action.what in only)
+    return [_taken(step, instruments, meanwhile) for step in chosen]
+
+
+def finish_ramp(
+    instruments: Outputs,
+    meanwhile: Callable[[], object] = lambda: None,
+    stopped: Callable[[], str] = lambda: "",
+) -> list[SafeAction]:
+    """Move the chamber's set point to its safe value where its controller does not ramp; may take an hour.
+
+    One action, or none where nothing is left to do. ``meanwhile`` is called repeatedly; ``stopped`` returns
+    who ends it before that, empty for no one.
+    """
+    action = SafeAction("chamber's set point moved to its safe value", SafePart.CHAMBER)
+    step = _Step(action, _EXCHANGE_TIME_S, instruments.advance_ramp)
+    taken: list[SafeAction] = []
+    while instruments.is_ramping and not any(each.problem for each in taken):
+        taken = [_taken(step, instruments, meanwhile)]
+        if by := stopped():
+            taken = [replace(action, problem=by)]
+        instruments.clock.sleep(_RAMP_PERIOD_S)
+    return taken
 
 
 def _steps(station: Station, instruments: Outputs, release_table: bool) -> list[_Step]:
     safe = station.file.safe_state
-    steps = [_Step("rate table stopped", RATE_TABLE, _EXCHANGE_TIME_S, lambda: instruments.table.stop())]
+    steps: list[_Step] = []
 
-    def chamber(what: str, apply: Callable[[], None]) -> None:
-        steps.append(_Step(what, CHAMBER, _EXCHANGE_TIME_S, apply))
+    def add(part: SafePart, what: str, apply: Callable[[], None], limit_s: float = _EXCHANGE_TIME_S) -> None:
+        steps.append(_Step(SafeAction(what, part), limit_s, apply))
 
+    add(SafePart.TABLE_AT_REST, "rate table stopped", lambda: instruments.table.stop())
     if safe.chamber_c is None:
-        chamber("chamber switched off", lambda: instruments.chamber.switch(False))
+        add(SafePart.CHAMBER, "chamber switched off", lambda: instruments.chamber.switch(False))
     else:
         safe_c = safe.chamber_c
         ramp = station.file.chamber.limits.ramp_c_per_min
-        chamber(
+        add(
+            SafePart.CHAMBER,
             f"chamber's set point at {safe_c:g} degC",
             lambda: instruments.chamber.set_temperature(safe_c, ramp),
         )
     if safe.unit == "off":
-        chamber("INS switched off", lambda: instruments.power_unit(False))
+        add(SafePart.UNIT, "INS switched off", lambda: instruments.power_unit(False))
     else:
-        chamber("INS left as it is", lambda: None)
+        add(SafePart.UNIT, "INS left as it is", lambda: None)
     if release_table:
-        steps.append(
-            _Step(
-                "rate table's interlocks opened",
-                RATE_TABLE,
-                _RELEASE_TIME_S,
-                lambda: instruments.table.release(),
-            )
-        )
+        what = "rate table's interlocks opened"
+        add(SafePart.TABLE_RELEASED, what, lambda: instruments.table.release(), _RELEASE_TIME_S)
     return steps
 
 
 def _taken(step: _Step, instruments: Outputs, meanwhile: Callable[[], object]) -> SafeAction:
     first = _problem(step, instruments, step.apply, meanwhile)
     if first is None:
-        return SafeAction(step.what)
+        return step.action
 
     def again() -> None:
         if isinstance(first, ConnectionFailedError):
-            instruments.reopen(step.instrument)
+            instruments.reopen(step.action.instrument)
         step.apply()
 
     second = _problem(step, instruments, again, meanwhile)
-    return SafeAction(step.what, "" if second is None else _text(second), _text(first))
+    return replace(step.action, problem="" if second is None else _text(second), first_problem=_text(first))
 
 
 def _problem(
-    step: _Step, instruments: Outputs, apply: Callable[[], None], meanwhile: Callable[[], object]
+    step: _Step, instruments: Outputs, apply: Callable[[], object], meanwhile: Callable[[], object]
 ) -> Exception | None:
     try:
-        within(instruments.clock, step.limit_s, step.instrument, apply, meanwhile=meanwhile)
+        within(instruments.clock, step.limit_s, step.action.instrument, apply, meanwhile=meanwhile)
     except Exception as error:  # noqa: BLE001 - nothing may keep the next action from being tried
         return error
     return None

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, Literal, Protocol, TypeVar
+
+from pydantic import Field
 
 from gyrobench.bench.foundations.documents import StrictModel
+from gyrobench.bench.foundations.errors import RefusedError
 from gyrobench.drivers.serial_line import LineDefaults, SerialLine
 
 OptionsT = TypeVar("OptionsT", bound=StrictModel)
@@ -21,8 +24,20 @@ class ChamberReading:
     is_on: bool | None = None  #: Whether the temperature is controlled; None if it can't be read.
 
 
-class Chamber(Protocol):
+class RunsProfiles(Protocol):
+    """A controller that may run a profile (a program) by itself."""
+
+    def running_profile(self) -> str:
+        """Describe the profile that it runs; empty if none, or it can't be read."""
+
+    def end_profile(self) -> None:
+        """End that profile."""
+
+
+class Chamber(RunsProfiles, Protocol):
     """A thermal chamber; every method may raise an InstrumentError of the bench."""
+
+    can_ramp: bool  #: Whether the controller ramps its set point; without it the bench takes it that it does.
 
     def identify(self) -> str:
         """Name of the controller, for the run's provenance."""
@@ -49,15 +64,15 @@ class Chamber(Protocol):
         """Command a temperature, approached at that rate, or as fast as possible with None.
 
         Both are rounded to the controller's resolution. Raises RefusedError if a value is not finite or
-        outside the controller's limits (nothing is sent then), or the controller does not keep what was
-        written.
+        outside the controller's limits, the controller has a profile or other settings than when it was
+        opened, or it does not keep what was written.
         """
 
     def set_point_c(self) -> float:
         """Temperature last commanded."""
 
     def switch(self, on: bool) -> None:
-        """Switch the chamber's temperature control on or off."""
+        """Switch the chamber's temperature control on or off; raises RefusedError while a profile runs."""
 
     def switch_event(self, number: int, on: bool) -> None:
         """Switch one of the controller's event outputs, counted from 1."""
@@ -67,6 +82,34 @@ class Chamber(Protocol):
 
     def close(self) -> None:
         """Close the line to the controller; the chamber continues unchanged."""
+
+
+class ChamberOptions(StrictModel):
+    """Additional keys in the station file that chambers with profiles share."""
+
+    running_profile: Literal["refuse", "end"] = Field(
+        "refuse",
+        description="a profile that the controller runs by itself: refuse to use the chamber, or end it",
+    )
+
+
+def running_profile(chamber: Chamber) -> str:
+    """Describe the profile that a chamber runs; a driver without this method reports none."""
+    return str(getattr(chamber, "running_profile", str)())
+
+
+def require_no_profile(chamber: RunsProfiles, instrument: str, end: bool) -> None:
+    """End a profile that the controller runs by itself, or raise RefusedError: it overrides the set point."""
+    profile = chamber.running_profile()
+    if profile and end:
+        chamber.end_profile()
+        profile = chamber.running_profile()
+    if profile:
+        raise RefusedError(
+            instrument,
+            f"runs {profile}, which overrides its set point. End it at the panel, or set "
+            "chamber.running_profile: end.",
+        )
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 from gyrobench.bench.foundations.clock import Deadline
 from gyrobench.bench.foundations.errors import RefusedError
+from gyrobench.drivers.chamber import require_no_profile
 from gyrobench.drivers.serial_line import SerialLine
 from gyrobench.drivers.text_line import TextLine
 
@@ -29,6 +30,8 @@ class TextChamber(ABC):
     #: prefix, separator: Before the name, and between name and value.
     prefix = ""
     separator: str
+    can_ramp = True
+    end_profiles = False  #: Whether a running profile is ended.
     event_name: str  #: What the controller calls its event outputs.
     max_events: int  #: Number of its event outputs.
 
@@ -43,19 +46,28 @@ class TextChamber(ABC):
     def set_temperature(self, temperature_c: float, rate_c_per_min: float | None) -> None:
         """Command a ramp, then the temperature.
 
-        Raises RefusedError: a value is not a number that can be commanded, or the controller does not
-        keep it.
+        Raises RefusedError: a value is not a number that can be commanded, the controller runs a profile or
+        works in another unit, or it does not keep the value.
         """
         if rate_c_per_min is not None and not _MAX_NUMBER > round(rate_c_per_min, DECIMALS) > 0.0:
             raise self._refused(f"a ramp of {rate_c_per_min} °C/min can't be commanded")
         if not abs(temperature_c) < _MAX_NUMBER:
             raise self._refused(f"a set point of {temperature_c} °C can't be commanded")
+        self._require_ready()
         self._set_ramp(rate_c_per_min)
         self._set_number(self.set_point_name, temperature_c, _agrees)
 
     def set_point_c(self) -> float:
         """Temperature last commanded."""
         return self._number(f"{self.prefix}{self.set_point_name}?")
+
+    @abstractmethod
+    def running_profile(self) -> str:
+        """Describe the profile that the controller runs by itself; empty if none."""
+
+    @abstractmethod
+    def end_profile(self) -> None:
+        """End that profile."""
 
     @abstractmethod
     def is_event_on(self, number: int) -> bool:
@@ -72,6 +84,10 @@ class TextChamber(ABC):
     @abstractmethod
     def _command(self, command: str) -> None:
         """Send a command."""
+
+    def _require_ready(self) -> None:
+        """Raise RefusedError if a set point would not have its effect."""
+        require_no_profile(self, self._line.instrument, self.end_profiles)
 
     def _format(self, value: float) -> str:
         return f"{value:.{DECIMALS}f}"

@@ -6,7 +6,8 @@ carriage return. The reply to a command is a code, zero for done; the reply to a
 Some controllers repeat the command before or in place of the code, so every setting is read back.
 Assumed, since the public sources are silent or differ: a manual ramp of zero means as fast as
 possible; bits 0 (program) and 4 (manual) of ``MODE?`` mean that the temperature is controlled;
-auxiliaries keep their state when the chamber stops. There is no query for the set point limits.
+auxiliaries keep their state when the chamber stops; ``STOP`` ends a program. There is no query for the set
+point limits, and none for the unit, which has to be °C.
 """
 
 from __future__ import annotations
@@ -16,9 +17,8 @@ from typing import Literal
 
 from pydantic import Field
 
-from gyrobench.bench.foundations.documents import StrictModel
-from gyrobench.bench.foundations.errors import FaultError
-from gyrobench.drivers.chamber import ChamberDialect, ChamberReading
+from gyrobench.bench.foundations.errors import FaultError, RefusedError
+from gyrobench.drivers.chamber import ChamberDialect, ChamberOptions, ChamberReading
 from gyrobench.drivers.chamber.text_chamber import TextChamber
 from gyrobench.drivers.serial_line import LineDefaults, SerialLine
 from gyrobench.drivers.text_line import LINE_ENDINGS, TextLine
@@ -28,6 +28,7 @@ _AUXILIARIES_IN_GROUP = 8
 #: Time within which the code follows a repeated command.
 _CODE_AFTER_ECHO_S = 0.25
 _MASK = re.compile(rb"[0-9]{1,5}(?:\.0*)?")
+_ERROR_CODE = re.compile(rb"[1-9]")
 _DONE = 0
 
 _ALARMS = {0: "low deviation", 1: "high deviation", 4: "low process", 5: "high process"}
@@ -94,9 +95,25 @@ class Thermotron8800(TextChamber):
         if self._mask("SCOD?") in _FAULT_STOPS:
             self._command("STOP")
 
+    def running_profile(self) -> str:
+        """Describe a program that runs (bit 0 of ``MODE?``)."""
+        mode = self._mask("MODE?")
+        return f"a program (MODE? {mode})" if mode & _PROGRAM else ""
+
+    def end_profile(self) -> None:
+        """Stop the chamber (``STOP``); it was on, so it runs in manual mode then (``RUNM``)."""
+        self._command("STOP")
+        self._command("RUNM")
+
     def switch(self, on: bool) -> None:
-        """Run in manual mode (``RUNM``) or stop (``STOP``); raises RefusedError if it does not."""
-        if on == self._is_running():
+        """Run in manual mode (``RUNM``) or stop (``STOP``), which ends a program too.
+
+        Raises RefusedError if it does not, or is to be on while it runs a program.
+        """
+        mode = self._mask("MODE?")
+        if on and mode & _PROGRAM:
+            self._require_ready()
+        elif on == bool(mode & (_PROGRAM | _MANUAL)):
             return
         self._command("RUNM" if on else "STOP")
         if not self._settles(lambda: self._is_running() == on):
@@ -151,6 +168,12 @@ class Thermotron8800(TextChamber):
         reply = self._text.ask(query)
         return self._text.receive(query) if reply == query.encode("ascii") else reply
 
+    def _number(self, query: str) -> float:
+        reply = self._ask(query)
+        if _ERROR_CODE.fullmatch(reply):  # values have decimals
+            raise RefusedError(self._line.instrument, f"{query} was refused with code {reply.decode()}")
+        return self._text.number(query, reply)
+
     def _mask(self, query: str) -> int:
         reply = self._ask(query)
         if not _MASK.fullmatch(reply):
@@ -158,15 +181,17 @@ class Thermotron8800(TextChamber):
         return int(float(reply))
 
 
-class Thermotron8800Options(StrictModel):
+class Thermotron8800Options(ChamberOptions):
     """Additional keys in the station file."""
 
     channel: int = Field(1, ge=1, le=4, description="the controller's channel of the air temperature")
     line_ending: Literal["cr", "crlf", "lf"] = Field("cr", description="what ends each command")
 
 
-DIALECT = ChamberDialect[Thermotron8800Options](
-    lambda line, options: Thermotron8800(line, options.channel, LINE_ENDINGS[options.line_ending]),
-    Thermotron8800Options,
-    LineDefaults(baudrate=9600, tcp_port=8888),
-)
+def _open(line: SerialLine, options: Thermotron8800Options) -> Thermotron8800:
+    chamber = Thermotron8800(line, options.channel, LINE_ENDINGS[options.line_ending])
+    chamber.end_profiles = options.running_profile == "end"
+    return chamber
+
+
+DIALECT = ChamberDialect(_open, Thermotron8800Options, LineDefaults(baudrate=9600, tcp_port=8888))

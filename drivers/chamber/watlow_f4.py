@@ -1,7 +1,8 @@
 """Driver of the Watlow F4 (F4S, F4D, F4P) chamber controller over Modbus RTU.
 
 Registers: Watlow F4P user's manual 0600-0032-0013. Temperatures and ramp rates are 16-bit numbers
-with an implied decimal point, whose position is read from the controller.
+with an implied decimal point, whose position is read from the controller: when it is opened, and again
+before each set point, since an operator can change it and the unit at the panel.
 """
 
 from __future__ import annotations
@@ -10,10 +11,9 @@ from enum import IntEnum
 
 from pydantic import Field
 
-from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.errors import FaultError, RefusedError, ReplyError
-from gyrobench.drivers.chamber import ChamberDialect, ChamberReading
-from gyrobench.drivers.modbus_rtu import ModbusRtu
+from gyrobench.drivers.chamber import ChamberDialect, ChamberOptions, ChamberReading, require_no_profile
+from gyrobench.drivers.modbus_rtu import ModbusRtu, UnknownRegisterError
 from gyrobench.drivers.serial_line import SerialLine
 
 _RAMP_OFF, _RAMP_AT_EVERY_CHANGE = 0, 2
@@ -21,6 +21,8 @@ _PER_MINUTE, _PER_HOUR = 0, 1
 _MAX_RAMP = 999
 _MAX_DECIMALS = 3
 _FAHRENHEIT = 0
+#: Operation modes from here on are those of a profile that runs or is held.
+_PROFILE_RUNS = 2
 _INT16_MIN, _INT16_MAX = -32768, 32767
 
 
@@ -32,6 +34,7 @@ class Register(IntEnum):
     INPUT_1_ERROR = 101
     ALARM_1 = 102
     ALARM_2 = 106
+    OPERATION_MODE = 200
     SET_POINT_1 = 300
     CLEAR_INPUT_ERROR = 311
     CLEAR_ALARM = 312
@@ -41,6 +44,7 @@ class Register(IntEnum):
     RAMP_MODE = 1100
     RAMP_RATE = 1101
     RAMP_SCALE = 1102
+    TERMINATE_PROFILE = 1217
     EVENT_1 = 2000
     EVENT_2 = 2010
     EVENT_3 = 2020
@@ -69,29 +73,37 @@ class WatlowF4:
     """A chamber behind a Watlow F4; raises InstrumentError where it can't be reached.
 
     ``address`` is its Modbus address; ``chamber_event`` is the event output that switches the chamber's
-    machinery on. Raises RefusedError if the controller works in degrees Fahrenheit.
+    machinery on; ``end_profiles`` is whether a running profile is ended. Raises RefusedError if the
+    controller works in degrees Fahrenheit.
     """
 
     def __init__(
-        self, line: SerialLine, address: int = 1, chamber_event: int = 1, reply_timeout_s: float = 1.0
+        self,
+        line: SerialLine,
+        address: int = 1,
+        chamber_event: int = 1,
+        reply_timeout_s: float = 1.0,
+        end_profiles: bool = False,
     ) -> None:
         self._line = line
         self._address = address
         self._chamber_event = chamber_event
+        self._end_profiles = end_profiles
         self._modbus = ModbusRtu(line, address, reply_timeout_s)
         (self._decimals,) = self._modbus.read(Register.INPUT_1_DECIMALS)
         if not 0 <= self._decimals <= _MAX_DECIMALS:
             raise ReplyError(
                 line.instrument, f"register 606 reads {self._decimals} decimals; is it a Watlow F4?"
             )
-        if self._optional(Register.TEMPERATURE_UNIT) == _FAHRENHEIT:
+        self._unit = self._optional(Register.TEMPERATURE_UNIT)
+        if self._unit == _FAHRENHEIT:
             raise self._refused("the controller works in °F; set it to °C in its setup menu")
-        self._can_ramp = self._optional(Register.RAMP_MODE) is not None
+        self.can_ramp = self._optional(Register.RAMP_MODE) is not None  #: The model F4P alone does.
 
     def identify(self) -> str:
         """Model number, Modbus address and kind of ramps."""
         (model,) = self._modbus.read(Register.MODEL_NUMBER)
-        ramps = "ramps to set points" if self._can_ramp else "ramps by profiles only"
+        ramps = "ramps to set points" if self.can_ramp else "ramps by profiles only"
         return f"Watlow F4, model number {model}, Modbus address {self._address}, {ramps}"
 
     def read(self) -> ChamberReading:
@@ -129,12 +141,15 @@ class WatlowF4:
         """Command a temperature and the ramp to it (registers 300, 1100 to 1102).
 
         Raises RefusedError: a value is outside the controller's limits, the controller ramps by profiles
-        only, or it does not keep what was written.
+        only or runs one, its decimals or unit were changed (the chamber is off then), or it does not keep
+        what was written.
         """
         set_point = to_register(temperature_c, self._decimals)
         if set_point is None:
             raise self._refused(f"a set point of {temperature_c} °C can't be written to register 300")
         settings = self._ramp_settings(rate_c_per_min)
+        self._require_same_numbers()
+        require_no_profile(self, self._line.instrument, self._end_profiles)
         low_c, high_c = self.limits_c()
         if not low_c <= from_register(set_point, self._decimals) <= high_c:
             raise self._refused(
@@ -149,9 +164,25 @@ class WatlowF4:
         (number,) = self._modbus.read(Register.SET_POINT_1)
         return from_register(number, self._decimals)
 
+    def running_profile(self) -> str:
+        """Describe a profile that runs or is held (register 200)."""
+        mode = self._optional(Register.OPERATION_MODE) or 0
+        return f"a profile (register 200 reads {mode})" if mode >= _PROFILE_RUNS else ""
+
+    def end_profile(self) -> None:
+        """Terminate the profile (register 1217)."""
+        self._modbus.write(Register.TERMINATE_PROFILE, 1)
+
     def switch(self, on: bool) -> None:
-        """Switch the chamber's event output."""
-        self.switch_event(self._chamber_event, on)
+        """Switch the chamber's event output.
+
+        Raises RefusedError while a profile runs, which may switch it too; off it is switched before.
+        """
+        if not on:
+            self.switch_event(self._chamber_event, on)
+        require_no_profile(self, self._line.instrument, self._end_profiles)
+        if on:
+            self.switch_event(self._chamber_event, on)
 
     def switch_event(self, number: int, on: bool) -> None:
         """Switch an event output, 1 to 8 (registers 2000, 2010, ...).
@@ -169,11 +200,25 @@ class WatlowF4:
         """Close the line; the controller continues unchanged."""
         self._line.close()
 
+    def _require_same_numbers(self) -> None:
+        """Raise RefusedError, with the chamber switched off, if decimals or unit were changed."""
+        (decimals,) = self._modbus.read(Register.INPUT_1_DECIMALS)
+        unit = None if self._unit is None else self._modbus.read(Register.TEMPERATURE_UNIT)[0]
+        if (decimals, unit) == (self._decimals, self._unit):
+            return
+        self.switch_event(self._chamber_event, False)
+        changed = (
+            f"its decimals (register 606) were changed from {self._decimals} to {decimals}"
+            if decimals != self._decimals
+            else "its unit (register 901) was changed from °C to °F"
+        )
+        raise self._refused(f"{changed}, so the chamber was switched off. Change it back at the panel.")
+
     def _ramp_settings(self, rate_c_per_min: float | None) -> list[tuple[Register, int]]:
         """Values of the ramp registers, in the scale that is closer to the rate."""
         if rate_c_per_min is None:
-            return [(Register.RAMP_MODE, _RAMP_OFF)] if self._can_ramp else []
-        if not self._can_ramp:
+            return [(Register.RAMP_MODE, _RAMP_OFF)] if self.can_ramp else []
+        if not self.can_ramp:
             raise self._refused(
                 f"no ramp of {rate_c_per_min} °C/min: this controller ramps by profiles only; "
                 "command the set point without a rate"
@@ -211,7 +256,7 @@ class WatlowF4:
         """Read a register that not every model has."""
         try:
             (number,) = self._modbus.read(register)
-        except RefusedError:
+        except UnknownRegisterError:
             return None
         return number
 
@@ -223,7 +268,7 @@ def _sensor_error(code: int) -> str:
     return f"error {code} of input 1 (register 101)"
 
 
-class WatlowF4Options(StrictModel):
+class WatlowF4Options(ChamberOptions):
     """Additional keys in the station file."""
 
     address: int = Field(1, ge=1, le=247, description="Modbus address")
@@ -233,5 +278,8 @@ class WatlowF4Options(StrictModel):
 
 
 DIALECT = ChamberDialect[WatlowF4Options](
-    lambda line, options: WatlowF4(line, options.address, options.chamber_event), WatlowF4Options
+    lambda line, options: WatlowF4(
+        line, options.address, options.chamber_event, end_profiles=options.running_profile == "end"
+    ),
+    WatlowF4Options,
 )

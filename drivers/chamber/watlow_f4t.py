@@ -2,7 +2,8 @@
 
 Source: the command list of the F4T's SCPI interface in a chamber maker's manual. Commands have no
 reply, so every setting is read back by the same words with a question mark; it is assumed that this
-works for the ramp settings too. There are no queries for set point limits and alarms, and none to
+works for the ramp settings, the unit and the state of a profile too; an F4T that does not answer those two
+queries is used without them. There are no queries for set point limits and alarms, and none to
 clear them; the error of the control loop can be read.
 """
 
@@ -10,9 +11,8 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from gyrobench.bench.foundations.documents import StrictModel
-from gyrobench.bench.foundations.errors import FaultError
-from gyrobench.drivers.chamber import ChamberDialect, ChamberReading
+from gyrobench.bench.foundations.errors import FaultError, NoReplyError
+from gyrobench.drivers.chamber import ChamberDialect, ChamberOptions, ChamberReading, require_no_profile
 from gyrobench.drivers.chamber.text_chamber import TextChamber
 from gyrobench.drivers.serial_line import LineDefaults, SerialLine
 from gyrobench.drivers.text_line import LINE_ENDINGS, TextLine
@@ -20,6 +20,9 @@ from gyrobench.drivers.text_line import LINE_ENDINGS, TextLine
 _OUTPUTS = 8
 _STATES = {b"ON": True, b"1": True, b"OFF": False, b"0": False}
 _ERRORS = {b"ERROR": True, b"NONE": False}
+_UNIT, _PROGRAM = ":UNIT:TEMPERATURE", ":PROGRAM:SELECTED:STATE"
+#: Beginnings of the words for a profile in progress.
+_IN_PROGRESS = ("RUN", "PAUS", "HOLD")
 _MINUTES, _SET_POINT_RAMP, _NO_RAMP = "MINUTES", "SETPOINT", "OFF"
 
 
@@ -43,7 +46,8 @@ class WatlowF4T(TextChamber):
         self._loop = loop
         self._chamber_output = chamber_output
         self._identity = self._word("*IDN?")
-        self._command(":UNIT:TEMPERATURE C")
+        self._command(f"{_UNIT} C")
+        self._unanswered: set[str] = set()
 
     def identify(self) -> str:
         """Reply to ``*IDN?``, and the control loop."""
@@ -66,9 +70,26 @@ class WatlowF4T(TextChamber):
     def clear_alarms(self) -> None:
         """Do nothing: the error clears with its cause."""
 
+    def running_profile(self) -> str:
+        """Describe a profile that runs or is paused (``PROGRAM:SELECTED:STATE?``)."""
+        state = self._optional_word(_PROGRAM)
+        return f"a profile (its state is {state})" if state.upper().startswith(_IN_PROGRESS) else ""
+
+    def end_profile(self) -> None:
+        """Stop the profile."""
+        self._command(f"{_PROGRAM} STOP")
+        self._settles(lambda: not self.running_profile())
+
     def switch(self, on: bool) -> None:
-        """Switch the chamber's output."""
-        self.switch_event(self._chamber_output, on)
+        """Switch the chamber's output.
+
+        Raises RefusedError while a profile runs, which may switch it too; off it is switched before.
+        """
+        if not on:
+            self.switch_event(self._chamber_output, on)
+        require_no_profile(self, self._line.instrument, self.end_profiles)
+        if on:
+            self.switch_event(self._chamber_output, on)
 
     def switch_event(self, number: int, on: bool) -> None:
         """Switch an output (``OUTPUTn:STATE``); raises RefusedError if it does not keep its state."""
@@ -78,6 +99,27 @@ class WatlowF4T(TextChamber):
     def is_event_on(self, number: int) -> bool:
         """Whether an output is on; raises RefusedError where there is none."""
         return self._choice(f"{self._output(number)}?", _STATES)
+
+    def _require_ready(self) -> None:
+        """Raise RefusedError if the unit was changed, with the chamber switched off, or a profile runs."""
+        if self._optional_word(_UNIT).upper().startswith("F"):
+            self.switch_event(self._chamber_output, False)
+            raise self._refused(
+                "its unit was changed from °C to °F, so the chamber was switched off. Change it back at the "
+                "panel."
+            )
+        super()._require_ready()
+
+    def _optional_word(self, name: str) -> str:
+        """Answer to a query that not every model answers; empty without one."""
+        if name in self._unanswered:
+            return ""
+        try:
+            return self._word(f"{name}?")
+        except NoReplyError:
+            self._word("*IDN?")  # raises where nothing at all is answered
+            self._unanswered.add(name)
+            return ""
 
     def _has_error(self) -> bool:
         return self._choice(self.prefix + "ERROR?", _ERRORS)
@@ -127,7 +169,7 @@ class WatlowF4T(TextChamber):
         return self._text.ask(query).decode("ascii", errors="backslashreplace")
 
 
-class WatlowF4TOptions(StrictModel):
+class WatlowF4TOptions(ChamberOptions):
     """Additional keys in the station file."""
 
     loop: int = Field(1, ge=1, le=4, description="control loop of the air temperature")
@@ -137,7 +179,9 @@ class WatlowF4TOptions(StrictModel):
 
 
 def _open(line: SerialLine, options: WatlowF4TOptions) -> WatlowF4T:
-    return WatlowF4T(line, options.loop, options.chamber_output)
+    chamber = WatlowF4T(line, options.loop, options.chamber_output)
+    chamber.end_profiles = options.running_profile == "end"
+    return chamber
 
 
 DIALECT = ChamberDialect(_open, WatlowF4TOptions, LineDefaults(baudrate=38400, tcp_port=5025))

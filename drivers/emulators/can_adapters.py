@@ -42,13 +42,13 @@ class CanAdapter(ABC):
         self._received = bytearray()
         bus.listeners.append(self._on_bus)
 
-    def greet(self) -> bytes:
-        """Greeting of a new client."""
-        return b""
-
     @abstractmethod
     def feed(self, data: bytes, now_s: float) -> bytes:
         """Take bytes; see :class:`gyrobench.drivers.emulators.dialect.SerialInstrument`."""
+
+    def leave_bus(self) -> None:
+        """Receive no more frames."""
+        self._bus.listeners.remove(self._on_bus)
 
     def from_bus(self) -> bytes:
         """Encoded frames received from the bus since the last call."""
@@ -131,21 +131,17 @@ class SlcanAdapter(CanAdapter):
 
 
 class SocketcandDaemon(CanAdapter):
-    """A daemon on a TCP connection: CAN as text in angle brackets, with one bus.
+    """One client's part of a daemon on TCP: CAN as text in angle brackets, with one bus.
 
     It implements the commands of python-can's client: ``open``, ``rawmode``, ``send`` and ``echo``; frames go
     out as ``< frame ID SECONDS DATA >``. An unknown command, or one in the wrong state, is answered with an
     error.
     """
 
-    _raw = False
+    #: What the daemon sends to a new client.
+    GREETING = b"< hi >"
 
-    def greet(self) -> bytes:
-        """Reset the state for a new client."""
-        self._opened, self._raw = None, False
-        self._input = b""
-        self._received.clear()
-        return b"< hi >"
+    _raw = False
 
     def feed(self, data: bytes, now_s: float) -> bytes:  # noqa: ARG002
         """Take bytes; return the answers to the commands that they complete."""

@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
-from gyrobench.drivers.emulators.world.chamber_air import ChamberAir
 from gyrobench.drivers.emulators.world.table_axis import TableAxis
 
 #: Called for every event output that changes: its number, counted from 1, and its state.
@@ -61,8 +60,9 @@ class TableEmulation:
 class ChamberEmulation:
     """A dialect of emulated chambers; offered as an entry point of the group ``gyrobench.emulators``."""
 
-    #: Makes the controller from the air that it controls and a function to call when an event output changes.
-    make: Callable[[ChamberAir, OnEvent], SerialInstrument]
+    #: Makes the controller from the air that it controls, a function to call when an event output changes,
+    #: and options by keyword.
+    make: Callable[..., SerialInstrument]
 
 
 @runtime_checkable
@@ -104,6 +104,37 @@ class WithAlarms(Protocol):
 
     def end_alarm(self, number: int) -> None:
         """End the condition of the alarm."""
+
+
+@runtime_checkable
+class WithProfiles(Protocol):
+    """A chamber whose controller can run a profile by itself."""
+
+    def start_profile(self, to_c: float) -> None:
+        """Start a profile to a temperature at the panel."""
+
+
+@runtime_checkable
+class WithUnit(Protocol):
+    """A chamber whose panel can change the unit of temperatures."""
+
+    def use_fahrenheit(self, fahrenheit: bool) -> None:
+        """Change the unit."""
+
+
+@runtime_checkable
+class WithDecimals(Protocol):
+    """A chamber whose numbers have decimals that its panel can change."""
+
+    decimals: int  #: Decimals of temperatures.
+
+
+@runtime_checkable
+class WithRamp(Protocol):
+    """A chamber of which some models do not ramp their set point."""
+
+    def remove_ramp(self) -> None:
+        """Become a model without ramps."""
 
 
 @runtime_checkable

@@ -28,7 +28,7 @@ from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.drivers.emulators.bench import EmulatedBench, compile_world
 from gyrobench.drivers.emulators.can_adapters import BUS_NAME, CanAdapter, SlcanAdapter, SocketcandDaemon
 from gyrobench.drivers.emulators.dialect import Connection, SerialInstrument
-from gyrobench.drivers.served_ports import Port, PseudoTerminal, TcpPort
+from gyrobench.drivers.served_ports import Port, PseudoTerminal, TcpClient, TcpListener, TcpPort
 
 _INSTRUMENTS = ("table", "chamber", "ins")
 _MAX_SPEED = 100.0
@@ -40,35 +40,39 @@ _MAX_BACKLOG = 65536
 class Server:
     """The three instruments of an emulated bench at ports.
 
-    ``make_port`` makes a port from the name of its instrument and a function that returns a client's
-    greeting. With ``socketcand``, which needs a TCP port, the INS uses that instead of slcan.
+    ``make_port`` makes a port from the name of its instrument. With ``socketcand`` the INS uses that instead
+    of slcan, on ``daemon_port``, for any number of clients.
     """
 
     def __init__(
         self,
         bench: EmulatedBench,
-        make_port: Callable[[str, Callable[[], bytes]], Port],
+        make_port: Callable[[str], Port],
         socketcand: bool = False,
+        daemon_port: int = 0,
     ) -> None:
         self._bench = bench
-        self._lines: dict[str, _Line] = {}
+        self._lines: list[_Line | _Daemon] = []
         self.urls: dict[str, str] = {}  #: Addresses of ``table``, ``chamber`` and ``ins``.
         for name, instrument in bench.serial.items():
-            self._add(name, make_port(name, bytes), instrument, bench.connections[name])
+            self._add(name, make_port(name), instrument, bench.connections[name])
         # Faults of the bus act on the adapter's channel; the adapter itself stays plugged in.
-        adapter = SocketcandDaemon if socketcand else SlcanAdapter
-        self._adapter: CanAdapter = adapter(bench.bus, bench.connections["ins"])
-        self._add("ins", make_port("ins", self._adapter.greet), self._adapter, Connection())
         if socketcand:
-            self.urls["ins"] = f"{self.urls['ins'].replace('socket://', 'socketcand://')}/{BUS_NAME}"
+            daemon = _Daemon(daemon_port, lambda: SocketcandDaemon(bench.bus, bench.connections["ins"]))
+            self._lines.append(daemon)
+            self.urls["ins"] = daemon.url
+        else:
+            self._add(
+                "ins", make_port("ins"), SlcanAdapter(bench.bus, bench.connections["ins"]), Connection()
+            )
 
     def _add(self, name: str, port: Port, instrument: SerialInstrument, connection: Connection) -> None:
-        self._lines[name] = _Line(port, instrument, connection)
+        self._lines.append(_Line(port, instrument, connection))
         self.urls[name] = port.url
 
     def close(self) -> None:
         """Close all ports and remove their links."""
-        for line in self._lines.values():
+        for line in self._lines:
             line.close()
 
     def serve(self, duration_s: float | None = None) -> None:
@@ -78,24 +82,23 @@ class Server:
         while end_s is None or clock.now() < end_s:
             self._wait()
             self._bench.advance()
-            for line in self._lines.values():
+            for line in self._lines:
                 line.exchange(clock.now())
-            self._lines["ins"].send(self._adapter.from_bus())
 
     def _wait(self) -> None:
         with selectors.DefaultSelector() as selector:
-            for line in self._lines.values():
-                if line.plugged_in:
-                    selector.register(line.port, selectors.EVENT_READ)
+            for line in self._lines:
+                for port in line.ports():
+                    selector.register(port, selectors.EVENT_READ)
             clock = self._bench.clock
-            due_s = min(line.due_s for line in self._lines.values())
+            due_s = min(line.due_s for line in self._lines)
             selector.select(max(0.0, min(_PERIOD_S, due_s - clock.now()) / clock.speed))
 
 
 class _Line:
     """An instrument on its port, with its pending replies and unsent bytes."""
 
-    def __init__(self, port: Port, instrument: SerialInstrument, connection: Connection) -> None:
+    def __init__(self, port: Port | TcpClient, instrument: SerialInstrument, connection: Connection) -> None:
         self.port = port
         self.plugged_in = True
         self._instrument = instrument
@@ -103,6 +106,10 @@ class _Line:
         self._generation = connection.generation
         self._replies: deque[tuple[float, bytes]] = deque()
         self._backlog = bytearray()
+
+    def ports(self) -> list[Port | TcpClient]:
+        """Ports to wait on."""
+        return [self.port] if self.plugged_in else []
 
     @property
     def due_s(self) -> float:
@@ -118,16 +125,19 @@ class _Line:
             self._replies.append((now_s + self._instrument.latency_s, reply))
         while self.due_s <= now_s:
             self.send(self._replies.popleft()[1])
-        self.send(b"")
+        self.send(self._instrument.from_bus() if isinstance(self._instrument, CanAdapter) else b"")
 
     def close(self) -> None:
         """Close the port."""
         if self.plugged_in:
             self.plugged_in = False
-            self.port.unplug()
+            if isinstance(self.port, TcpClient):
+                self.port.close()
+            else:
+                self.port.unplug()
 
     def _follow_plug(self) -> None:
-        if self._connection.generation == self._generation:
+        if self._connection.generation == self._generation or isinstance(self.port, TcpClient):
             return
         self._generation = self._connection.generation
         if self.plugged_in:
@@ -144,6 +154,39 @@ class _Line:
         del self._backlog[:-_MAX_BACKLOG]
         if self._backlog and self.plugged_in:
             del self._backlog[: self.port.write(bytes(self._backlog))]
+
+
+class _Daemon:
+    """The socketcand daemon on its port, with an adapter for each client."""
+
+    due_s = math.inf  # frames and answers go out at once
+
+    def __init__(self, number: int, make_adapter: Callable[[], SocketcandDaemon]) -> None:
+        self._listener = TcpListener(number)
+        self._make_adapter = make_adapter
+        self._clients: list[tuple[TcpClient, SocketcandDaemon, _Line]] = []
+        self.url = f"{self._listener.url.replace('socket://', 'socketcand://')}/{BUS_NAME}"
+
+    def ports(self) -> list[TcpListener | TcpClient]:
+        """Ports to wait on."""
+        return [self._listener, *(client for client, _, _ in self._clients)]
+
+    def exchange(self, now_s: float) -> None:
+        """Accept clients, pass on what they send, and send them frames and answers."""
+        while client := self._listener.accept(SocketcandDaemon.GREETING):
+            adapter = self._make_adapter()
+            self._clients.append((client, adapter, _Line(client, adapter, Connection())))
+        for client, adapter, line in self._clients.copy():
+            line.exchange(now_s)
+            if not client.is_connected:
+                adapter.leave_bus()
+                self._clients.remove((client, adapter, line))
+
+    def close(self) -> None:
+        """Disconnect all clients and stop listening."""
+        for client, _, _ in self._clients:
+            client.close()
+        self._listener.unplug()
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -166,13 +209,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 options.faults_log,
                 table=options.table_dialect,
                 chamber=options.chamber_dialect,
+                chamber_options=dict(each.split("=", 1) for each in options.chamber_option),
             )
             bench.ins.use_format(options.frames)
         except DocumentError as error:
             parser.exit(2, f"gyrobench emulate: {error}\n")
         signal.signal(signal.SIGTERM, _end)
         try:
-            server = Server(bench, _port_maker(opened, options), options.can == "socketcand")
+            daemon_port = int(options.ins_port) if options.ins_port.isdecimal() else 0
+            server = Server(bench, _port_maker(opened, options), options.can == "socketcand", daemon_port)
         except OSError as error:
             parser.exit(2, f"gyrobench emulate: can't open a port: {error}. Choose another port or path.\n")
         opened.callback(server.close)
@@ -198,6 +243,9 @@ def _parser() -> argparse.ArgumentParser:
         )
     parser.add_argument("--table-dialect", default="acutrol3000", help="dialect of the table")
     parser.add_argument("--chamber-dialect", default="watlow_f4", help="dialect of the chamber")
+    parser.add_argument(
+        "--chamber-option", type=_key_and_value, action="append", default=[], help="KEY=VALUE of its emulator"
+    )
     parser.add_argument("--frames", default="gyrobench_ins", help="set of frames that the INS sends")
     parser.add_argument(
         "--can",
@@ -211,6 +259,12 @@ def _parser() -> argparse.ArgumentParser:
         "--until-stdin-closes", action="store_true", help="end when the standard input closes"
     )
     return parser
+
+
+def _key_and_value(text: str) -> str:
+    if "=" not in text:
+        raise argparse.ArgumentTypeError(f"expected KEY=VALUE; found {text}")
+    return text
 
 
 def _speed(text: str) -> float:
@@ -231,21 +285,19 @@ def _end_with_stdin() -> None:
     os.kill(os.getpid(), signal.SIGTERM)
 
 
-def _port_maker(
-    opened: contextlib.ExitStack, options: argparse.Namespace
-) -> Callable[[str, Callable[[], bytes]], Port]:
+def _port_maker(opened: contextlib.ExitStack, options: argparse.Namespace) -> Callable[[str], Port]:
     """Makes ports; with faults, pseudo-terminals get links, so that they return under the same name."""
     folder: Path | None = None
     if options.faults:
         name = opened.enter_context(tempfile.TemporaryDirectory(prefix="gyrobench-emulators-"))
         folder = Path(name)
 
-    def make_port(name: str, greet: Callable[[], bytes]) -> Port:
+    def make_port(name: str) -> Port:
         requested: str = getattr(options, f"{name}_port")
         if requested.isdecimal():
-            return TcpPort(int(requested), greet)
-        if (name == "ins" and options.can == "socketcand") or (options.tcp and not requested):
-            return TcpPort(0, greet)
+            return TcpPort(int(requested))
+        if options.tcp and not requested:
+            return TcpPort()
         if requested:
             return PseudoTerminal(Path(requested))
         return PseudoTerminal(folder / name if folder else None)

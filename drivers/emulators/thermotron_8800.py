@@ -1,11 +1,12 @@
 """Emulator of a Thermotron 8800 chamber controller at its serial port or TCP socket.
 
-Source: Thermotron's published list of computer interface commands, in parts. No programs are
-emulated: the chamber is stopped or runs in manual mode.
+Source: Thermotron's published list of computer interface commands, in parts. The chamber is stopped, runs
+in manual mode, or runs a program, which is started at the panel alone and has one interval.
 
-Assumptions where the public sources are silent: the codes of refusals; a query that can't be answered is
-ignored; alarms end with their condition; a process alarm and an open input stop the chamber; set points
-outside the range of the chamber are refused.
+Assumptions where the public sources are silent: the codes of refusals, which also answer a query that
+can't be answered; ``STOP`` ends a program, and ``RUNM`` is refused while one runs; alarms end with their
+condition; a process alarm and an open input stop the chamber; set points outside the range of the chamber
+are refused.
 """
 
 from __future__ import annotations
@@ -19,11 +20,12 @@ from typing import Literal
 from gyrobench.drivers.emulators.dialect import ChamberEmulation, OnEvent
 from gyrobench.drivers.emulators.text_instrument import TextInstrument, decimal
 from gyrobench.drivers.emulators.world.chamber_air import ChamberAir
+from gyrobench.drivers.text_line import LINE_ENDINGS
 
 _CHANNEL = "1"
 _COMMAND = re.compile(r"([A-Z]{4})(\d*)(?:,([^,]*))?")
 _QUERY = re.compile(r"([A-Z]{4})(\d*)\?")
-_MANUAL = 1 << 4
+_PROGRAM, _MANUAL = 1 << 0, 1 << 4
 _MAX_RAMP = 999.0
 _MAX_DEVIATION = 100.0
 _AUXILIARIES_IN_GROUP = 8
@@ -64,6 +66,7 @@ class Thermotron8800Emulator(TextInstrument):
 
     ``echo``: it repeats each request never, before each reply, or in place of a command's code. With
     ``auxiliaries_need_run``, auxiliaries can be switched, and keep their state, only while the chamber runs.
+    ``line_ending`` ends each reply: cr, crlf or lf.
     """
 
     def __init__(
@@ -73,10 +76,13 @@ class Thermotron8800Emulator(TextInstrument):
         *,
         echo: Literal["never", "before", "instead"] = "never",
         auxiliaries_need_run: bool = False,
+        line_ending: Literal["cr", "crlf", "lf"] = "cr",
         latency_s: float = 0.05,
     ) -> None:
         super().__init__(latency_s)
         self.air = air
+        self._end_of_reply = LINE_ENDINGS[line_ending]
+        self._manual_c: float | None = None  # set point that has no effect while a program runs
         self.stop_code = Stop.RUNNING if air.running else Stop.COLD_BOOT  #: Answer to ``SCOD?``.
         self._on_event = on_event
         self._echo = echo
@@ -99,13 +105,13 @@ class Thermotron8800Emulator(TextInstrument):
         }
         self._queries: dict[str, Callable[[str], str | None]] = {
             "PVAR": lambda channel: self._of_air(channel, f"{self.air.air_c:.3f}"),
-            "SETP": lambda channel: self._of_air(channel, f"{self.air.set_point_c:.3f}"),
+            "SETP": lambda channel: self._of_air(channel, f"{self._set_point_c:.3f}"),
             "MRMP": lambda channel: self._of_air(channel, f"{self._ramp_c_per_min:.3f}"),
             "DEVN": lambda channel: self._of_air(channel, f"{self._deviation_c:.3f}"),
             "ALRM": lambda channel: self._of_air(channel, str(self._alarms)),
             "THTL": lambda channel: self._of_air(channel, f"{100.0 * self.air.power:.1f}"),
             "AUXE": lambda group: str(self._auxiliaries[group]) if group in self._auxiliaries else None,
-            "MODE": lambda number: None if number else str(_MANUAL if self.air.running else 0),
+            "MODE": lambda number: None if number else str(self._mode),
             "SCOD": lambda number: None if number else str(int(self.stop_code)),
             "OPTN": lambda number: None if number else "0",
             "CHST": lambda number: None if number else str(1 << 8 | 1),
@@ -116,6 +122,7 @@ class Thermotron8800Emulator(TextInstrument):
     def power_off(self, now_s: float) -> None:  # noqa: ARG002
         """Lose power: the chamber stops and its auxiliaries drop."""
         self.air.running = False
+        self._end_program()
         self._discard_input()
         for group in self._auxiliaries:
             self._switch_auxiliaries(group, 0)
@@ -145,18 +152,33 @@ class Thermotron8800Emulator(TextInstrument):
             if alarm == number:
                 self._alarms &= ~(1 << bit)
 
+    def start_profile(self, to_c: float) -> None:
+        """Start a program at the panel."""
+        self._manual_c = self._set_point_c
+        self.air.set_point_c = to_c
+        self.air.running, self.stop_code = True, Stop.RUNNING
+
+    @property
+    def _set_point_c(self) -> float:
+        return self.air.set_point_c if self._manual_c is None else self._manual_c
+
+    @property
+    def _mode(self) -> int:
+        return 0 if not self.air.running else _MANUAL if self._manual_c is None else _PROGRAM
+
     def _reply(self, request: str) -> bytes:
         text = request.upper()
         if query := _QUERY.fullmatch(text):
             handle = self._queries.get(query[1])
-            answer = handle(query[2]) if handle else None
+            answer = handle(query[2]) if handle else str(int(Code.UNKNOWN_COMMAND))
+            if answer is None:
+                answer = str(int(Code.WRONG_PARAMETER))
         else:
             answer = str(int(self._execute(text)))
             if self._echo == "instead" and answer == "0":
                 answer = request
         lines = [request] if self._echo == "before" else []
-        lines += [answer] if answer is not None else []
-        return b"".join(line.encode("latin-1") + b"\r" for line in lines)
+        return b"".join(line.encode("latin-1") + self._end_of_reply for line in [*lines, answer])
 
     def _execute(self, text: str) -> Code:
         command = _COMMAND.fullmatch(text)
@@ -178,7 +200,9 @@ class Thermotron8800Emulator(TextInstrument):
         value = decimal(text) if text is not None and channel == _CHANNEL else None
         if value is None or not low <= value <= high:
             return Code.WRONG_PARAMETER
-        if name == "set point":
+        if name == "set point" and self._manual_c is not None:
+            self._manual_c = value
+        elif name == "set point":
             self.air.set_point_c = value
         elif name == "ramp":
             self._ramp_c_per_min, self.air.ramp_rate_c_per_min = value, value or None
@@ -204,7 +228,7 @@ class Thermotron8800Emulator(TextInstrument):
                 self._on_event(number, bool(mask >> place & 1))
 
     def _run(self) -> Code:
-        if self._open_input or self._alarms & _PROCESS_ALARM_BITS:
+        if self._open_input or self._alarms & _PROCESS_ALARM_BITS or self._mode == _PROGRAM:
             return Code.NOT_NOW
         self.air.running = True
         self.stop_code = Stop.RUNNING
@@ -212,6 +236,7 @@ class Thermotron8800Emulator(TextInstrument):
 
     def _stop(self, code: Stop) -> Code:
         self.air.running = False
+        self._end_program()
         if self._open_input:
             code = Stop.OPEN_INPUT
         elif self._alarms & _PROCESS_ALARM_BITS:
@@ -221,6 +246,9 @@ class Thermotron8800Emulator(TextInstrument):
             for group in self._auxiliaries:
                 self._switch_auxiliaries(group, 0)
         return Code.DONE
+
+    def _end_program(self) -> None:
+        self.air.set_point_c, self._manual_c = self._set_point_c, None
 
     def _initialise(self) -> Code:
         self._deviation_c = 0.0

@@ -6,6 +6,8 @@ with an implied decimal point.
 
 from __future__ import annotations
 
+import contextlib
+from datetime import datetime, timedelta
 from functools import partial
 from typing import Literal, NamedTuple
 
@@ -22,7 +24,13 @@ _NO_ALARM, _LOW_ALARM, _HIGH_ALARM = 0, 1, 2
 _ALARM_MARGIN_C = 5.0
 _DEFAULT_RAMP = 100.0
 _MAX_DECIMALS = 3
-_CELSIUS = 1
+_FAHRENHEIT, _CELSIUS = 0, 1
+_STATIC, _RUNNING, _HELD = 0, 2, 3
+_RAMP_REGISTERS = (1100, 1101, 1102)
+#: Levels of the digital inputs, which are high, and the level at which each is active: low.
+_DIGITAL_INPUTS, _INPUT_CONDITIONS = (201, 213, 225, 237), (1061, 1063, 1065, 1067)
+#: The clock: first of six registers, and what each holds.
+_CLOCK, _CLOCK_FIELDS = 1916, ("hour", "minute", "second", "month", "day", "year")
 _INT16_MIN, _INT16_MAX = -32768, 32767
 
 
@@ -38,8 +46,8 @@ class _Settings(NamedTuple):
 class WatlowF4Emulator:
     """A Watlow F4 that controls the air of an emulated chamber.
 
-    Event output 1 switches the control of the air. Only the model F4P ramps to its set point. ``decimals``
-    are the places after the implied decimal point, 0 to 3.
+    Event output 1 switches the control of the air. Only the model F4P ramps to its set point. Profiles are
+    started at the panel alone and have one step.
     """
 
     latency_s = 0.02  #: Time that the controller takes to answer.
@@ -61,7 +69,7 @@ class WatlowF4Emulator:
         #: alarm_1, alarm_2: Latched state of the alarms, zero for none. Alarm 1 monitors the air at each
         #: exchange.
         self.alarm_1 = self.alarm_2 = _NO_ALARM
-        self._decimals = decimals
+        self.decimals = decimals  #: Places after the implied decimal point, 0 to 3.
         self._loop = WatlowLoop(air, on_event, _DEFAULT_RAMP)
         low_c, high_c = air.parameters.low_c, air.parameters.high_c
         self._limits_c = {
@@ -70,12 +78,18 @@ class WatlowF4Emulator:
             _SET_POINT_LOW: low_c,
             _SET_POINT_HIGH: high_c,
         }
-        self._device = ModbusRtuDevice(self._registers(ramps=model == "F4P"), address)
+        self._now_s, self._date = 0.0, datetime(2026, 1, 1)
+        self._holding = self._registers()
+        if model != "F4P":
+            self.remove_ramp()
+        self._device = ModbusRtuDevice(self._holding, address)
         self._memory = self._present_settings()
 
     def feed(self, data: bytes, now_s: float) -> bytes:
         """Take bytes from the line at time ``now_s`` and return the reply, if one is complete."""
         self._watch_air()
+        self._date += timedelta(seconds=now_s - self._now_s)
+        self._now_s = now_s
         return self._device.feed(data, now_s)
 
     def refusal(self, function: int, code: int) -> bytes:
@@ -92,8 +106,9 @@ class WatlowF4Emulator:
         self.sensor_error = self._sensor_fault
         self.air.faults.blind = bool(self._sensor_fault)
         saved = self._memory
+        self._loop.end_profile()
         self.air.set_point_c = saved.set_point_c
-        self._decimals = saved.decimals
+        self.decimals = saved.decimals
         self._limits_c = dict(saved.limits_c)
         self._loop.set_ramp(*saved.ramp)
 
@@ -115,17 +130,33 @@ class WatlowF4Emulator:
         """End the condition of the alarm; the alarm stays until it is cleared."""
         self._alarm_conditions[number] = _NO_ALARM
 
-    def _registers(self, ramps: bool) -> dict[int, HoldingRegister]:
+    def start_profile(self, to_c: float) -> None:
+        """Start a profile at the panel."""
+        self._loop.start_profile(to_c)
+
+    def use_fahrenheit(self, fahrenheit: bool) -> None:
+        """Change the unit at the panel; temperatures keep their value."""
+        self._loop.degrees_per_kelvin = 1.8 if fahrenheit else 1.0
+
+    def remove_ramp(self) -> None:
+        """Become a model that ramps by profiles only."""
+        self._loop.set_ramp(RampAction.OFF)
+        for register in _RAMP_REGISTERS:
+            self._holding.pop(register, None)
+
+    def _registers(self) -> dict[int, HoldingRegister]:
         read_only = {
             0: lambda: MODEL_NUMBER,
-            100: lambda: self._number(self.air.air_c),
+            100: lambda: self._temperature(self.air.air_c),
             101: lambda: self.sensor_error,
             102: lambda: self.alarm_1,
             103: lambda: _hundredths_of_percent(self.air.power),
             106: lambda: self.alarm_2,
             107: lambda: _hundredths_of_percent(-self.air.power),
-            200: lambda: 0,
+            200: lambda: _STATIC if not self._loop.in_profile else _HELD if self._loop.is_held else _RUNNING,
             608: lambda: 0,
+            **dict.fromkeys(_DIGITAL_INPUTS, lambda: 1),
+            **dict.fromkeys(_INPUT_CONDITIONS, lambda: 0),
         }
         registers = {register: HoldingRegister(read) for register, read in read_only.items()}
         for register in self._limits_c:
@@ -136,58 +167,92 @@ class WatlowF4Emulator:
             registers[1990 + 10 * number] = HoldingRegister(
                 partial(self._event, number), partial(self._loop.switch, number), _is_bit
             )
-        if ramps:
-            registers |= {
-                1100: HoldingRegister(
-                    lambda: self._loop.action,
-                    lambda value: self._loop.set_ramp(action=RampAction(value)),
-                    lambda value: value in tuple(RampAction),
-                ),
-                1101: HoldingRegister(
-                    lambda: self._number(self._loop.ramp_rate),
-                    lambda value: self._loop.set_ramp(rate=self._value(value)),
-                    lambda value: 0.0 < self._value(value) <= MAX_RAMP,
-                ),
-                1102: HoldingRegister(
-                    lambda: int(self._loop.per_hour),
-                    lambda value: self._loop.set_ramp(per_hour=bool(value)),
-                    _is_bit,
-                ),
-            }
+        for place, name in enumerate(_CLOCK_FIELDS):
+            registers[_CLOCK + place] = HoldingRegister(
+                partial(self._clock, name), partial(self._set_clock, name)
+            )
         return registers | {
             25: HoldingRegister(lambda: 0, self._save, lambda value: value == 0),
             300: HoldingRegister(
-                lambda: self._number(self.air.set_point_c),
-                lambda value: self._loop.set_set_point(self._value(value)),
+                lambda: self._temperature(self._loop.set_point_c),
+                lambda value: self._loop.set_set_point(self._celsius(value)),
                 lambda value: self._limit(_SET_POINT_LOW) <= value <= self._limit(_SET_POINT_HIGH),
             ),
             311: HoldingRegister(lambda: 0, self._clear_input_error, _is_bit),
             312: HoldingRegister(lambda: 0, self._clear_alarms, _is_bit),
             313: HoldingRegister(lambda: 0, lambda _: None, _is_bit),
             606: HoldingRegister(
-                lambda: self._decimals, self._set_decimals, lambda value: 0 <= value <= _MAX_DECIMALS
+                lambda: self.decimals, self._set_decimals, lambda value: 0 <= value <= _MAX_DECIMALS
             ),
-            901: HoldingRegister(lambda: _CELSIUS, lambda _: None, lambda value: value == _CELSIUS),
+            901: HoldingRegister(
+                lambda: _CELSIUS if self._loop.degrees_per_kelvin == 1.0 else _FAHRENHEIT,
+                lambda value: self.use_fahrenheit(value == _FAHRENHEIT),
+                _is_bit,
+            ),
+            1100: HoldingRegister(
+                lambda: self._loop.action,
+                lambda value: self._loop.set_ramp(action=RampAction(value)),
+                lambda value: value in tuple(RampAction),
+            ),
+            1101: HoldingRegister(
+                lambda: self._number(self._loop.ramp_rate),
+                lambda value: self._loop.set_ramp(rate=self._value(value)),
+                lambda value: 0.0 < self._value(value) <= MAX_RAMP,
+            ),
+            1102: HoldingRegister(
+                lambda: int(self._loop.per_hour),
+                lambda value: self._loop.set_ramp(per_hour=bool(value)),
+                _is_bit,
+            ),
+            1209: HoldingRegister(lambda: 0, partial(self._hold_profile, False), _is_bit),
+            1210: HoldingRegister(lambda: 0, partial(self._hold_profile, True), _is_bit),
+            1217: HoldingRegister(lambda: 0, self._end_profile, _is_bit),
         }
 
+    def _hold_profile(self, hold: bool, value: int) -> None:
+        if value:
+            self._loop.is_held = hold
+
+    def _end_profile(self, end: int) -> None:
+        if end:
+            self._loop.end_profile()
+
+    def _clock(self, name: str) -> int:
+        return int(getattr(self._date, name))
+
+    def _set_clock(self, name: str, value: int) -> None:
+        # Registers are written one after the other: the 31st may precede its month.
+        for day in (self._date.day, 1):
+            with contextlib.suppress(ValueError):
+                self._date = self._date.replace(**{"day": day, name: value})  # type: ignore[arg-type]
+                return
+
     def _number(self, value: float) -> int:
-        return min(max(round(value * 10.0**self._decimals), _INT16_MIN), _INT16_MAX)
+        return min(max(round(value * 10.0**self.decimals), _INT16_MIN), _INT16_MAX)
 
     def _value(self, number: int) -> float:
-        return number / 10.0**self._decimals
+        return number / 10.0**self.decimals
+
+    def _temperature(self, temperature_c: float) -> int:
+        scale = self._loop.degrees_per_kelvin
+        return self._number(temperature_c if scale == 1.0 else temperature_c * scale + 32.0)
+
+    def _celsius(self, number: int) -> float:
+        value, scale = self._value(number), self._loop.degrees_per_kelvin
+        return value if scale == 1.0 else (value - 32.0) / scale
 
     def _limit(self, register: int) -> int:
-        return self._number(self._limits_c[register])
+        return self._temperature(self._limits_c[register])
 
     def _set_limit(self, register: int, number: int) -> None:
-        self._limits_c[register] = self._value(number)
+        self._limits_c[register] = self._celsius(number)
 
     def _set_decimals(self, decimals: int) -> None:
-        self._decimals = decimals
+        self.decimals = decimals
 
     def _present_settings(self) -> _Settings:
         ramp = (self._loop.action, self._loop.ramp_rate, self._loop.per_hour)
-        return _Settings(self.air.set_point_c, self._decimals, dict(self._limits_c), ramp)
+        return _Settings(self._loop.set_point_c, self.decimals, dict(self._limits_c), ramp)
 
     def _save(self, _: int) -> None:
         self._memory = self._present_settings()

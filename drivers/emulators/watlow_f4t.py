@@ -1,11 +1,12 @@
 """Emulator of a Watlow F4T chamber controller at its SCPI interface.
 
 Source: the command list of the F4T's SCPI interface in a chamber maker's manual. One control loop,
-eight outputs, no profiles.
+eight outputs. A profile is started at the panel alone, has one step, and can be stopped.
 
 Assumptions where the public sources are silent: settings are read by their command with a question mark;
-a request that can't be executed is ignored without an answer; set points outside the range of the
-chamber can't be executed; the error of the loop ends with its condition.
+a profile's state reads ``RUNNING`` or ``IDLE``; a request that can't be executed is ignored without an
+answer; set points outside the range of the chamber can't be executed; the error of the loop ends with its
+condition.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from gyrobench.drivers.emulators.world.chamber_air import ChamberAir
 
 _REQUEST = re.compile(r":?([A-Z0-9*:]+)(\?| +(\S+))?")
 _LOOP = "SOURCE:CLOOP1:"
+_PROGRAM = "PROGRAM:SELECTED:STATE"
 _ACTIONS = {
     "OFF": RampAction.OFF,
     "STARTUP": RampAction.AT_START,
@@ -52,16 +54,18 @@ class WatlowF4TEmulator(TextInstrument):
             _LOOP + "RSCALE": self._set_scale,
             _LOOP + "RRATE": self._set_rate,
             "UNIT:TEMPERATURE": self._set_unit,
+            _PROGRAM: self._set_program,
         }
         self._queries: dict[str, Callable[[], str]] = {
             "*IDN": lambda: "WATLOW ELECTRIC MANUFACTURING COMPANY,F4T,00000,gyrobench emulator",
             _LOOP + "PVALUE": lambda: self._shown(self.air.air_c),
-            _LOOP + "SPOINT": lambda: self._shown(self.air.set_point_c),
+            _LOOP + "SPOINT": lambda: self._shown(self._loop.set_point_c),
             _LOOP + "ERROR": lambda: "ERROR" if self._error else "NONE",
             _LOOP + "RACTION": lambda: self._action,
             _LOOP + "RSCALE": lambda: "HOURS" if self._loop.per_hour else "MINUTES",
             _LOOP + "RRATE": lambda: self._number(self._loop.ramp_rate),
             "UNIT:TEMPERATURE": lambda: "F" if self._fahrenheit else "C",
+            _PROGRAM: lambda: "RUNNING" if self._loop.in_profile else "IDLE",
         }
         for number in OUTPUTS:
             self._commands[f"OUTPUT{number}:STATE"] = partial(self._set_output, number)
@@ -82,6 +86,14 @@ class WatlowF4TEmulator(TextInstrument):
     def repair_sensor(self) -> None:
         """Repair the input; the loop continues."""
         self._error = self.air.faults.blind = False
+
+    def start_profile(self, to_c: float) -> None:
+        """Start a profile at the panel."""
+        self._loop.start_profile(to_c)
+
+    def use_fahrenheit(self, fahrenheit: bool) -> None:
+        """Change the unit at the panel."""
+        self._set_unit("F" if fahrenheit else "C")
 
     def _reply(self, request: str) -> bytes:
         parts = _REQUEST.fullmatch(request.upper())
@@ -126,6 +138,10 @@ class WatlowF4TEmulator(TextInstrument):
         if text in ("C", "F"):
             self._fahrenheit = text == "F"
             self._loop.degrees_per_kelvin = 1.8 if self._fahrenheit else 1.0
+
+    def _set_program(self, text: str) -> None:
+        if text == "STOP":
+            self._loop.end_profile()
 
     def _output(self, number: int) -> str:
         return "ON" if self._loop.outputs[number] else "OFF"

@@ -32,7 +32,30 @@ class WatlowLoop:
         self.ramp_rate = ramp_rate  #: Ramp rate in degrees per minute, or per hour with ``per_hour``.
         self.per_hour = False
         self.degrees_per_kelvin = 1.0  #: 1 for degC, 1.8 for degF.
+        self.is_held = False  #: Whether the profile is held.
+        self._static_c: float | None = None  # set point that has no effect while a profile runs
         self._on_event = on_event
+
+    @property
+    def set_point_c(self) -> float:
+        """Set point as it reads, also while a profile overrides it."""
+        return self.air.set_point_c if self._static_c is None else self._static_c
+
+    @property
+    def in_profile(self) -> bool:
+        """Whether a profile controls the air."""
+        return self._static_c is not None
+
+    def start_profile(self, to_c: float) -> None:
+        """Start a profile with one step, which switches the chamber on."""
+        self._static_c, self.is_held = self.set_point_c, False
+        self.air.set_point_c = to_c
+        self.switch(CHAMBER_OUTPUT, True)
+
+    def end_profile(self) -> None:
+        """End the profile; the set point has effect again."""
+        if self._static_c is not None:
+            self.air.set_point_c, self._static_c = self._static_c, None
 
     def switch(self, number: int, on: bool) -> None:
         """Switch an output."""
@@ -54,6 +77,9 @@ class WatlowLoop:
 
     def set_set_point(self, set_point_c: float) -> None:
         """Change the set point."""
+        if self._static_c is not None:
+            self._static_c = set_point_c
+            return
         self.air.set_point_c = set_point_c
         if self.action is RampAction.AT_START and self.air.running:
             self.air.ramp_rate_c_per_min = None

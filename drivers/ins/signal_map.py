@@ -52,12 +52,26 @@ def _value_alone(value: Any) -> Any:
     return [value] if isinstance(value, int) else value
 
 
+def _bit_alone(value: Any) -> Any:
+    if isinstance(value, int):
+        return (value, value)
+    return tuple(value) if isinstance(value, list) else value
+
+
+Bit = Annotated[int, Field(ge=0, le=63)]
 SignalName = Annotated[
     str, Field(json_schema_extra={"pattern": r"^[^.]+\.[^.]+$"}), AfterValidator(_is_signal_name)
 ]
 _SequenceName = Literal["rpy_321", "pry_231"]
 #: One raw value or several with the same meaning.
 Values = Annotated[list[int], BeforeValidator(_value_alone, json_schema_input_type=int | list[int])]
+
+
+#: The first and the last of some bits of a signal's raw value, 0 for the lowest; or one bit alone.
+Bits = Annotated[tuple[Bit, Bit], BeforeValidator(_bit_alone, json_schema_input_type=Bit | tuple[Bit, Bit])]
+
+
+_BITS = "bit, or first and last bit, of the raw value that hold the quantity; 0 is the lowest"
 
 
 class SignalSource(StrictModel):
@@ -67,6 +81,7 @@ class SignalSource(StrictModel):
     sign: Literal[1, -1] = Field(1, description="-1 where the signal has the opposite sign")
     scale: float = Field(1.0, description="factor on the value in the unit of the DBC")
     unit: str | None = Field(None, description="unit in place of the DBC's")
+    bits: Bits | None = Field(None, description=_BITS)
 
 
 Source = Annotated[
@@ -129,7 +144,7 @@ class AttitudeMap(StrictModel):
 
     euler: EulerMap | None = Field(None, description="attitude as Euler angles")
     quaternion: QuaternionMap | None = Field(None, description="attitude as a unit quaternion")
-    valid: SignalName | None = Field(None, description="signal that is zero where the attitude is invalid")
+    valid: Source | None = Field(None, description="signal that is zero where the attitude is invalid")
 
     @model_validator(mode="after")
     def _one_form(self) -> AttitudeMap:
@@ -142,6 +157,7 @@ class ModeMap(StrictModel):
     """Mode of the INS by raw value; others count as booting."""
 
     signal: SignalName = Field(description="signal of the mode")
+    bits: Bits | None = Field(None, description=_BITS)
     standby: Values = Field(default_factory=list, description="raw values that mean standby")
     align: Values = Field(default_factory=list, description="raw values that mean align")
     navigate: Values = Field(description="raw values that mean navigate")
@@ -152,6 +168,7 @@ class AlignmentMap(StrictModel):
     """Progress of alignment by raw value; others count as none."""
 
     signal: SignalName = Field(description="signal of the progress of alignment")
+    bits: Bits | None = Field(None, description=_BITS)
     coarse: Values = Field(default_factory=list, description="raw values that mean coarse")
     fine: Values = Field(description="raw values that mean fine")
 
@@ -190,7 +207,7 @@ class SignalMap(StrictModel):
     alignment: AlignmentMap | None = Field(
         None, description="progress of alignment; other values count as none"
     )
-    compensation: SignalName | None = Field(None, description="not zero where a compensation is in use")
+    compensation: Source | None = Field(None, description="not zero where a compensation is in use")
     compensation_in_use: SignalName | None = Field(
         None, description="checksum of the compensation in use, 0 for none"
     )
@@ -248,8 +265,9 @@ class SignalMap(StrictModel):
             for name in "wxyz":
                 add(getattr(quaternion, name), Dimension.NUMBER, "attitude", "quaternion", name)
         add(self.attitude.valid, Dimension.NUMBER, "attitude", "valid")
-        add(self.mode.signal if self.mode else None, Dimension.NUMBER, "mode")
-        add(self.alignment.signal if self.alignment else None, Dimension.NUMBER, "alignment")
+        for name, coded in (("mode", self.mode), ("alignment", self.alignment)):
+            source = SignalSource(signal=coded.signal, bits=coded.bits) if coded else None
+            add(source, Dimension.NUMBER, name)
         for name in ("compensation", "compensation_in_use", "compensation_loaded"):
             add(getattr(self, name), Dimension.NUMBER, name)
         for name, signal in self.identity.items():
@@ -308,9 +326,11 @@ class BoundSignal:
     gain: float
     offset: float
     saturates: bool = False
+    bits: tuple[int, int] | None = None  #: First and last bit of the raw value, where it is split.
 
     def to_si(self, physical: FloatArray) -> FloatArray:
         """Convert values in the DBC's unit to SI; NaN where the signal is saturated."""
+        physical = physical if self.bits is None else self._field(physical)
         values = np.asarray(physical * self.gain + self.offset, np.float64)
         if self.saturates:
             low, high = self._limits
@@ -319,11 +339,22 @@ class BoundSignal:
 
     def si(self, physical: float) -> float:
         """Convert one value as :meth:`to_si` does, faster."""
+        if self.bits is not None:
+            return float(self.to_si(np.array([physical]))[0])
         if self.saturates:
             low, high = self._limits
             if not low < physical < high:
                 return math.nan
         return physical * self.gain + self.offset
+
+    def _field(self, physical: FloatArray) -> FloatArray:
+        """The bits of the raw value as a number; NaN stays."""
+        assert self.bits is not None  # noqa: S101 - the caller checks
+        first, last = self.bits
+        raw = np.rint((physical - self.signal.offset) / self.signal.scale)
+        known = np.isfinite(raw)
+        field = np.where(known, raw, 0.0).astype(np.int64) >> first & ((1 << (last - first + 1)) - 1)
+        return np.where(known, field, np.nan)
 
     @cached_property
     def _limits(self) -> tuple[float, float]:
@@ -344,11 +375,15 @@ class BoundSignal:
     @property
     def lsb(self) -> float:
         """Resolution of an integer signal, in SI; zero for a floating-point signal."""
+        if self.bits is not None:
+            return abs(self.gain)
         return 0.0 if self.signal.conversion.is_float else abs(self.signal.scale * self.gain)
 
     @property
     def modulus(self) -> float:
         """Value at which an integer counter wraps, in SI; infinite for floating point."""
+        if self.bits is not None:
+            return self.lsb * 2.0 ** (self.bits[1] - self.bits[0] + 1)
         return np.inf if self.signal.conversion.is_float else self.lsb * 2.0**self.signal.length
 
 
@@ -398,7 +433,8 @@ def _two_roles(signal_map: SignalMap) -> list[Problem]:
     for path, quantity in signal_map.quantities().items():
         role = path.partition(".")[0]
         role = role if role in _SHARED else path
-        first = roles.setdefault(quantity.source.signal, role)
+        signal = f"{quantity.source.signal}{quantity.source.bits or ''}"
+        first = roles.setdefault(signal, role)
         is_measured = quantity.dimension is not Dimension.NUMBER or path.startswith("attitude.quaternion.")
         if first != role and is_measured:
             problems.append(
@@ -416,8 +452,20 @@ def _bind_one(quantity: Quantity, codec: DbcCodec) -> BoundSignal:
     signal = codec.signal(message, name)
     gain, offset = _conversion(quantity, signal)
     factor = quantity.source.sign * quantity.source.scale
-    saturates = quantity.dimension in (Dimension.SPEED, Dimension.TEMPERATURE)
-    return BoundSignal(message, signal, factor * gain, factor * offset, saturates)
+    bits = quantity.source.bits
+    if bits is not None and not (bits[0] <= bits[1] < min(signal.length, _MAX_SPLIT_BITS)):
+        raise DocumentError(
+            f"the signal {quantity.source.signal} has bits 0 to {signal.length - 1}; bits {bits[0]} to "
+            f"{bits[1]} are no part of them"
+        )
+    if bits is not None and signal.conversion.is_float:
+        raise DocumentError(f"the signal {quantity.source.signal} is floating-point and has no bit fields")
+    saturates = bits is None and quantity.dimension in (Dimension.SPEED, Dimension.TEMPERATURE)
+    return BoundSignal(message, signal, factor * gain, factor * offset, saturates, bits)
+
+
+#: A longer integer loses its lowest bits as a floating-point number.
+_MAX_SPLIT_BITS = 52
 
 
 def _conversion(quantity: Quantity, signal: Signal) -> tuple[float, float]:

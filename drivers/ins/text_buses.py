@@ -18,7 +18,6 @@ from typing import Any
 import can
 import numpy as np
 from can.interfaces.slcan import slcanBus
-from can.interfaces.socketcand.socketcand import convert_can_message_to_ascii_message
 from numpy.typing import NDArray
 
 from gyrobench.bench.foundations.arrays import BoolArray, IntArray
@@ -34,7 +33,7 @@ from gyrobench.drivers.frames import (
 )
 
 _READ_PERIOD_S = 0.005
-_MAX_READ = 1 << 20
+_MAX_READ = 1 << 16
 #: Text that waits to be converted: a minute of a full bus of 1 Mbit/s.
 _MAX_QUEUED = 16 << 20
 _MAX_LINE = 1000
@@ -100,19 +99,21 @@ class _Format:
             for name in found.re.groupindex
             if found[name] is not None
         }
-        numeric = np.concatenate([place[name] for name in ("id", "whole", "fraction") if name in place])
+        none = np.zeros(0, np.int64)
+        time = np.concatenate([place.get("whole", none), place.get("fraction", none)])
         size = int(found["length"]) if "length" in place else len(place["data"]) // 2
         kind = found["kind"]
         remote = kind in (b"r", b"R")
         payload = place["data"][: 0 if remote else 2 * size]
         if len(payload) < (0 if remote else 2 * size):
             return like
-        fixed = np.setdiff1d(np.arange(length), np.concatenate([numeric, place["data"]]))
+        fixed = np.setdiff1d(np.arange(length), np.concatenate([place["id"], time, place["data"]]))
         nibbles = _NIBBLE[lines]
         good = (
             np.all(lines[:, fixed] == lines[0, fixed], axis=1)
             & np.all(nibbles[:, payload] < 16, axis=1)
-            & np.all(nibbles[:, numeric] < 16, axis=1)
+            & np.all(nibbles[:, place["id"]] < 16, axis=1)
+            & np.all(nibbles[:, time] < 10, axis=1)
         )
         nibbles, chosen = nibbles[good], numbers[same[good]]
         extended = len(place["id"]) != 3
@@ -122,9 +123,8 @@ class _Format:
         if len(payload):
             bytes_ = nibbles[:, payload[::2]] << 4 | nibbles[:, payload[1::2]]
             rows["data"][chosen, : len(payload) // 2] = bytes_
-        if "whole" in place:
-            digits = nibbles[:, np.concatenate([place["whole"], place["fraction"]])]
-            rows["time_s"][chosen] = _number(digits, 10) / 10.0 ** len(place["fraction"])
+        if len(time):
+            rows["time_s"][chosen] = _number(nibbles[:, time], 10) / 10.0 ** len(place["fraction"])
         if kind == b"error":  # as python-can has it: socketcand sends no details
             rows["length"][chosen], rows["id"][chosen] = 1, rows["id"][chosen] | np.uint32(EXTENDED_ID)
         like[same[good]] = True
@@ -192,7 +192,7 @@ class _TextBus(can.BusABC):
                 whole = 1 + max(data.rfind(end) for end in self._format.ends)
                 rest = data[whole:]
                 if len(rest) > _MAX_LINE:
-                    data, whole, rest = rest + self._format.ends[:1], len(rest) + 1, b""
+                    data, whole, rest = data + self._format.ends[:1], len(data) + 1, b""
                 if whole:
                     self._put(data[:whole])
         except Exception as error:  # noqa: BLE001 - raised in the thread of the bench
@@ -312,7 +312,7 @@ class SocketcandBus(_TextBus):
             self._socket = socket.create_connection((host, int(port)), _CONNECT_S)
         except OSError as error:
             raise ConnectionError(
-                f"no socketcand server at {host}:{port}: {error}. Check that socketcand runs"
+                f"no socketcand server at {host}:{port} ({error.strerror or error})"
             ) from error
         try:
             if tcp_tune:
@@ -348,7 +348,9 @@ class SocketcandBus(_TextBus):
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Send a frame; raises OSError if the server is gone."""
         self._socket.settimeout(timeout or _CONNECT_S)
-        self._socket.sendall(convert_can_message_to_ascii_message(msg).encode("ascii"))
+        identifier = f"{msg.arbitration_id:08X}" if msg.is_extended_id else f"{msg.arbitration_id:03X}"
+        data = " ".join(f"{byte:x}" for byte in msg.data)
+        self._socket.sendall(f"< send {identifier} {msg.dlc:X} {data} >".encode("ascii"))
 
     def shutdown(self) -> None:
         """Close the connection."""

@@ -4,6 +4,10 @@ Sources: manuals TM-8004 (command language, registers) and TM-9374A (error word 
 reply). They do not give the byte order of the two words over TCP and RS-232. On a continuous axis
 the controller takes the shortest way to a position, so the direction of a turn of 180 deg is
 undefined: axes must be set up with position limits, where the demanded angle decides the direction.
+
+A reply does not name its request, and replies come in the order of the requests. So after a failed
+exchange a status register is read a number of times that no other query has: what arrives before that
+reply belongs to earlier requests.
 """
 
 from __future__ import annotations
@@ -13,6 +17,7 @@ import re
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
+from itertools import cycle
 from typing import TypeVar
 
 from gyrobench.bench.foundations.clock import Deadline
@@ -37,6 +42,8 @@ _STANDSTILL_DPS = 0.01
 _POLL_S = 0.1
 #: Ends an incomplete message in the controller's buffer in a way that can't be executed.
 _INVALID_MESSAGE = b"~\r\n"
+#: Numbers of values in the replies that mark the end of late ones; more than in any other reply.
+_MARKS = range(31, 64)
 
 
 PREFIX_BYTES = 8
@@ -89,6 +96,7 @@ class Acutrol3000:
         self._reply_timeout_s = reply_timeout_s
         self._framing = ReplyFraming()
         self._out_of_step = False
+        self._marks = cycle(_MARKS)
         self._is_new = True
         self._limits: tuple[float, float, float] | None = None
         self._moved = self._axes
@@ -240,13 +248,28 @@ class Acutrol3000:
 
     def _exchange_once(self, message: str, parse: Callable[[str], ReplyT]) -> ReplyT:
         line = self._line
-        if self._out_of_step:
-            line.write(_INVALID_MESSAGE)
-            line.await_silence(self._reply_timeout_s)
+        problem = self._skip_late_replies() if self._out_of_step else ""
         line.discard_input()
         self._out_of_step = True
         line.write(message.encode("ascii") + b"\r\n")
-        deadline = Deadline(line.clock, self._reply_timeout_s)
+        if problem:  # sent nevertheless, since it may be a stop
+            raise NoReplyError(
+                line.instrument, f"{message} was sent, its reply can't be identified: {problem}"
+            )
+        code, text = self._reply(message)
+        if code:
+            self._out_of_step = False
+            raise RefusedError(line.instrument, f"{message} was refused with error {code} {text}".rstrip())
+        try:
+            reply = parse(text)
+        except ValueError:
+            raise self._unexpected(message, text) from None
+        self._out_of_step = False
+        return reply
+
+    def _reply(self, message: str) -> tuple[int, str]:
+        """Error code and text of the next reply."""
+        line, deadline = self._line, Deadline(self._line.clock, self._reply_timeout_s)
         try:
             prefix = line.read(PREFIX_BYTES, deadline)
             decoded = self._framing.decode(prefix)
@@ -257,16 +280,23 @@ class Acutrol3000:
         except NoReplyError as error:
             detail = str(error).removeprefix(f"{line.instrument}: ")
             raise NoReplyError(line.instrument, f"no complete reply to {message}: {detail}") from error
-        text = body.decode("ascii", errors="backslashreplace").strip()
-        if code:
-            self._out_of_step = False
-            raise RefusedError(line.instrument, f"{message} was refused with error {code} {text}".rstrip())
+        return code, body.decode("ascii", errors="backslashreplace").strip()
+
+    def _skip_late_replies(self) -> str:
+        """Discard the replies to earlier requests; returns why that did not succeed, empty if it did."""
+        line = self._line
+        line.write(_INVALID_MESSAGE)
         try:
-            reply = parse(text)
-        except ValueError:
-            raise self._unexpected(message, text) from None
-        self._out_of_step = False
-        return reply
+            line.await_silence(self._reply_timeout_s)
+            count = next(self._marks)
+            mark = ":Status:" + ";".join([f"CSR? A{self._axes[0]}STATE"] * count)
+            line.write(mark.encode("ascii") + b"\r\n")
+            while True:
+                code, text = self._reply(mark)
+                if not code and len(text.split(";")) == count:
+                    return ""
+        except (NoReplyError, ReplyError) as error:
+            return str(error).removeprefix(f"{line.instrument}: ")
 
     def _unexpected(self, message: str, reply: str) -> ReplyError:
         return ReplyError(
@@ -285,6 +315,8 @@ def _acknowledgement(text: str) -> None:
 
 
 def _finite_numbers(text: str, count: int) -> tuple[float, ...]:
+    if "." not in text:  # a reply with registers alone
+        raise ValueError
     values = tuple(map(float, re.split("[;,]", text)))
     if len(values) != count or not all(map(math.isfinite, values)):
         raise ValueError

@@ -3,7 +3,7 @@ import socket
 
 import pytest
 
-from gyrobench.drivers.served_ports import PseudoTerminal, TcpPort
+from gyrobench.drivers.served_ports import PseudoTerminal, TcpListener, TcpPort
 
 
 def test_a_link_that_a_killed_program_left_is_replaced(tmp_path):
@@ -47,8 +47,28 @@ def test_a_port_number_in_use_is_an_error():
 
 
 def test_a_new_client_is_greeted():
-    port = TcpPort(greet=lambda: b"< hi >")
+    port = TcpListener()
     with socket.create_connection(("127.0.0.1", port.number), timeout=120) as client:
-        port.read()
+        accepted = port.accept(b"< hi >")
         assert client.recv(100) == b"< hi >"
+        accepted.close()
+    assert port.accept() is None
+    port.unplug()
+
+
+def test_a_second_client_is_disconnected_and_the_first_stays():
+    port = TcpPort()
+    with socket.create_connection(("127.0.0.1", port.number), timeout=120) as first:
+        first.sendall(b"a")
+        assert port.read() == b"a"
+        with socket.create_connection(("127.0.0.1", port.number), timeout=120) as second:
+            assert port.read() == b""
+            assert second.recv(100) == b""
+        port.write(b"still yours")
+        assert first.recv(100) == b"still yours"
+        first.sendall(b"b")
+        assert port.read() == b"b"
+    with socket.create_connection(("127.0.0.1", port.number), timeout=120) as after:
+        after.sendall(b"c")
+        assert b"c" in (port.read(), port.read())
     port.unplug()

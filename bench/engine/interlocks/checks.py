@@ -16,6 +16,7 @@ from gyrobench.bench.station.interlocks import TemperatureInterlock, Temperature
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.ins.ins_status import InsStatus
 from gyrobench.drivers.ins.readout import InsMode
+from gyrobench.drivers.rate_table import MAX_STOP_S
 
 _CHECK_LINE = "Check its power, cable and port."
 _CHECK_SERVO = "Check the controller's limits and its servo."
@@ -24,6 +25,8 @@ _CHECK_SENSOR = "Check the sensor and the signal map"
 _COOL_DOWN = f"{_CHECK_SENSOR}; let the unit return to room temperature."
 #: The acceleration is not computed from readings closer than this: their times are too uncertain.
 _MIN_SPAN_S = 0.4
+#: A table at rest turns no faster, with the noise of its reading.
+_REST_DPS = 0.05
 #: A rate needs two periods between readings, and a margin for late ones.
 _MIN_PERIODS = 2.5
 
@@ -126,8 +129,8 @@ class TableChecks:
         self._silence_s = rules.table_silence.limit_or_default_s(station.file.instruments_period_s)
         self._rates: tuple[float, tuple[float, float]] = (-math.inf, (0.0, 0.0))
         self._accelerations_dps2 = (0.0, 0.0)
-        self._prepared = False
-        self._prepared_s = -math.inf
+        self._prepared = self._stopped = False
+        self._prepared_s = self._stopped_s = -math.inf
 
     def observe(self, readings: Readings, now_s: float) -> None:  # noqa: ARG002 - as the others
         """Take a reading; an old one changes nothing."""
@@ -147,11 +150,16 @@ class TableChecks:
         if expected.table_prepared and not self._prepared:
             self._prepared_s = now_s
         self._prepared = expected.table_prepared
+        if expected.table_stopped and not self._stopped:
+            self._stopped_s = now_s
+        self._stopped = expected.table_stopped
         if problem := _silent("rate table", now_s - readings.table_s, self._silence_s):
             yield Finding("table_silence", problem, _CHECK_LINE)
         yield from self._motion(readings)
         if self._prepared and readings.table_s > self._prepared_s:
             yield from self._faults(readings)
+        if self._stopped and readings.table.is_servoed and readings.table_s > self._stopped_s + MAX_STOP_S:
+            yield from self._motion_although_stopped(readings)
 
     def good_until_s(self, readings: Readings) -> float:
         """Return until when nothing goes wrong by the passage of time alone."""
@@ -175,6 +183,13 @@ class TableChecks:
             ):
                 if problem := _out_of_range(f"the {what} of the {axis} axis", value, -limit, limit, unit):
                     yield Finding(interlock, problem, _CHECK_SERVO)
+
+    def _motion_although_stopped(self, readings: Readings) -> Iterator[Finding]:
+        rates_dps = self._station.table_axes_of(readings.table.rate_dps)
+        for axis, rate_dps in zip(self._angles_deg, rates_dps, strict=True):
+            if not abs(rate_dps) <= _REST_DPS:
+                problem = f"the {axis} axis turns at {rate_dps:.2f} deg/s although the table was stopped"
+                yield Finding("table_fault", problem, "Use its emergency stop, and find the cause.")
 
     def _faults(self, readings: Readings) -> Iterator[Finding]:
         for fault in readings.table_faults:

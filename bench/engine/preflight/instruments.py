@@ -8,7 +8,7 @@ from typing import TypeVar
 from gyrobench.bench.foundations.errors import FaultError, InstrumentError, RefusedError
 from gyrobench.bench.station.preflight_check import Check
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.chamber import Chamber
+from gyrobench.drivers.chamber import Chamber, running_profile
 from gyrobench.drivers.rate_table import AxisLimits, RateTable
 
 #: The first check of each instrument.
@@ -16,6 +16,8 @@ ANSWERS = "answers"
 
 _TABLE, _CHAMBER = "rate table", "chamber"
 _LIMITS = "limits"
+#: The air of a chamber that holds its set point is closer to it.
+_ARRIVED_C = 2.0
 _FIND_CAUSE = "Find the cause and clear it at the controller."
 
 DriverT = TypeVar("DriverT", RateTable, Chamber)
@@ -51,11 +53,19 @@ def table_checks(station: Station, table: Callable[[], RateTable]) -> Iterator[C
 
 
 def chamber_checks(station: Station, chamber: Callable[[], Chamber]) -> Iterator[Check]:
-    """Check whether the chamber answers, has no alarms, and accepts the station's set points.
+    """Check whether the chamber answers, has no alarms, runs no profile, and takes set points and ramps.
+
+    Its present set point is commanded again, which moves nothing.
 
     ``chamber`` returns the driver, or raises where it can't be opened.
     """
-    checks = (("no alarms", _chamber_alarms), ("air temperature", _chamber_air), (_LIMITS, _chamber_limits))
+    checks = (
+        ("no alarms", _chamber_alarms),
+        ("air temperature", _chamber_air),
+        (_LIMITS, _chamber_limits),
+        ("no profile", _chamber_profile),
+        ("set point", _chamber_set_point),
+    )
     yield from _checks(_CHAMBER, station, chamber, station.file.chamber.identity, checks)
 
 
@@ -158,3 +168,30 @@ def _chamber_limits(station: Station, chamber: Chamber) -> tuple[bool, str, str]
     )
     advice = "Reduce chamber.limits in the station file, or extend the controller's set point limits."
     return low_c <= limits.low_c and limits.high_c <= high_c, found, advice
+
+
+def _chamber_profile(station: Station, chamber: Chamber) -> tuple[bool, str, str]:
+    profile = running_profile(chamber)
+    is_ended = getattr(station.file.chamber, "running_profile", "refuse") == "end"
+    found = f"runs {profile}{'; a run ends it' if is_ended else ''}" if profile else "reports none"
+    advice = "End it at its panel, or set chamber.running_profile: end."
+    return is_ended or not profile, found, advice
+
+
+def _chamber_set_point(station: Station, chamber: Chamber) -> tuple[bool, str, str]:
+    """Command the present set point again with the station's fastest ramp."""
+    limits, reading = station.file.chamber.limits, chamber.read()
+    set_c = chamber.set_point_c()
+    if running_profile(chamber) or (reading.is_on and abs(reading.temperature_c - set_c) > _ARRIVED_C):
+        raise _NotReportedError(_CHAMBER, "is not tried while the chamber changes its temperature")
+    if not limits.low_c <= set_c <= limits.high_c:
+        raise _NotReportedError(
+            _CHAMBER, f"is not tried: {set_c:g} degC is outside {limits.low_c:g} to {limits.high_c:g} degC"
+        )
+    ramps = getattr(chamber, "can_ramp", True)
+    try:
+        chamber.set_temperature(set_c, limits.ramp_c_per_min if ramps else None)
+    except RefusedError as error:
+        return False, str(error).removeprefix(f"{_CHAMBER}: "), "Every run commands set points with ramps."
+    how = "the controller ramps" if ramps else "the controller does not ramp, so the bench moves it in steps"
+    return True, f"{set_c:g} degC was accepted again; {how}", ""

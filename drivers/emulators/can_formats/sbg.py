@@ -26,7 +26,7 @@ from gyrobench.drivers.emulators.can_formats import (
 from gyrobench.drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs, Mode
 from gyrobench.drivers.frames import FrameBlock
 
-STATUS_02, IMU_INFO = 0x102, 0x120
+STATUS_03, IMU_INFO = 0x102, 0x120
 EKF_INFO, EKF_QUAT, EKF_VEL_NED = 0x130, 0x131, 0x137
 BENCH_COMMAND = 0x7F0
 
@@ -50,7 +50,7 @@ class SbgFormat(CanFormat):
         time_s = self._epoch_unix_s + epochs.sample / SAMPLE_RATE_HZ
         stamps_us = epochs.sample * _US_PER_SAMPLE & 0xFFFFFFFF
         whole = epochs.sample % SAMPLE_RATE_HZ == 0
-        slow = empty_frames(time_s[whole], (STATUS_02, IMU_INFO), (6, 8))
+        slow = empty_frames(time_s[whole], (STATUS_03, IMU_INFO), (6, 8))
         words, halves = slow["data"].view("<u4"), slow["data"].view("<i2")
         words[:, 0, 0] = _solution(epochs)
         words[:, 1, 0], halves[:, 1, 2] = stamps_us[whole], _IMU_OK

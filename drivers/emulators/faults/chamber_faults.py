@@ -8,7 +8,14 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from gyrobench.drivers.emulators.dialect import WithAlarms, WithSensor
+from gyrobench.drivers.emulators.dialect import (
+    WithAlarms,
+    WithDecimals,
+    WithProfiles,
+    WithRamp,
+    WithSensor,
+    WithUnit,
+)
 from gyrobench.drivers.emulators.faults.fault import BenchParts, End, Fault, Occurrence, Persistence
 from gyrobench.drivers.emulators.world.chamber_air import ChamberAir
 from gyrobench.drivers.emulators.world.undeclared_effects import Positive
@@ -108,4 +115,56 @@ class SetPointChangedAtPanel(Fault):
 
     def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         bench.world.air.set_point_c = self.to_c
+        return None
+
+
+class ProfileStartedAtPanel(Fault):
+    """An operator starts a profile at the chamber's controller; its set point still reads as before."""
+
+    persistence = Persistence.MOMENTARY
+
+    requires = ("chamber", WithProfiles)
+    fault: Literal["profile_started_at_panel"]
+    to_c: float = Field(ge=-60.0, le=100.0, description="temperature of the profile, degC")
+
+    def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
+        bench.capable("chamber", WithProfiles).start_profile(self.to_c)
+        return None
+
+
+class UnitChangedAtPanel(Fault):
+    """An operator changes the controller's unit to °F, for ``for_s`` if given."""
+
+    requires = ("chamber", WithUnit)
+    fault: Literal["unit_changed_at_panel"]
+
+    def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
+        chamber = bench.capable("chamber", WithUnit)
+        chamber.use_fahrenheit(True)
+        return partial(chamber.use_fahrenheit, False)
+
+
+class DecimalsChangedAtPanel(Fault):
+    """An operator changes the decimals of the controller's numbers, for ``for_s`` if given."""
+
+    requires = ("chamber", WithDecimals)
+    fault: Literal["decimals_changed_at_panel"]
+    decimals: Annotated[int, Field(ge=0, le=3)] = Field(2, description="places after the decimal point")
+
+    def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
+        chamber = bench.capable("chamber", WithDecimals)
+        before, chamber.decimals = chamber.decimals, self.decimals
+        return partial(setattr, chamber, "decimals", before)
+
+
+class NoSetPointRamp(Fault):
+    """The controller is a model that does not ramp its set point."""
+
+    persistence = Persistence.MOMENTARY
+
+    requires = ("chamber", WithRamp)
+    fault: Literal["no_set_point_ramp"]
+
+    def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
+        bench.capable("chamber", WithRamp).remove_ramp()
         return None

@@ -136,5 +136,4 @@ def test_jog_works_with_the_instruments_that_answer(tmp_path):
     assert (refused.returncode, "did not answer" in refused.stdout) == (1, True)
     checked = gyrobench("check", "mine.yaml", cwd=tmp_path)
     assert checked.returncode == 1
-    assert checked.stdout.count("can't open") == 1
     assert "Acutrol3000" in checked.stdout

@@ -1,5 +1,8 @@
 """The estimate while a dwell goes on, fed with a recorded dwell bit by bit."""
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
 from itertools import cycle
 
@@ -157,3 +160,22 @@ def test_after_warming_up_no_estimate_compiles_anything(recorded, has_noise):
     measure_dwell(marks, frames, setup)
     assert Replayed(marks, frames, setup).estimate_at(end_of(recorded)) is not None
     assert list(whiten.signatures) == compiled
+
+
+def test_warming_up_says_how_long_it_compiled_but_only_once(tmp_path):
+    code = (
+        "from gyrobench.bench.dwells.dwell import measurement_setup\n"
+        "from gyrobench.bench.dwells.live import warm_up\n"
+        "from gyrobench.bench.foundations.shipped import find_document\n"
+        "from gyrobench.bench.station.station import Station\n"
+        "setup = measurement_setup(Station(find_document('stations', 'emulated')))\n"
+        "print(warm_up(setup), warm_up(setup))\n"
+    )
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    for is_first in (True, False):
+        printed = subprocess.run(
+            [sys.executable, "-c", code], env=environment, check=True, capture_output=True
+        )
+        first_s, second_s = map(float, printed.stdout.split())
+        assert (first_s > 0.0) == is_first
+        assert second_s == 0.0

@@ -4,6 +4,7 @@ import pytest
 
 from gyrobench.bench.engine.bench_state import BenchState, ExpectedState
 from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.station.safe_state import SafeAction, SafePart
 from gyrobench.bench.station.station import Station
 
 
@@ -49,5 +50,14 @@ def test_the_safe_state_has_the_stations_set_point_open_servos_and_the_ins_as_it
     state.chamber_commanded(60.0)
     state.table_prepared()
     state.ins_powered(0.0)
-    state.made_safe()
-    assert state.expected == ExpectedState(chamber_set_c=23.0, chamber_on=True, ins_on=True)
+    state.made_safe(SafeAction(part.value, part) for part in SafePart)
+    assert state.expected == ExpectedState(
+        chamber_set_c=23.0, chamber_on=True, ins_on=True, table_stopped=True
+    )
+
+
+def test_a_safe_command_that_failed_leaves_the_state_unknown(state):
+    state.chamber_commanded(60.0)
+    state.table_prepared()
+    state.made_safe(SafeAction(part.value, part, "no reply") for part in SafePart)
+    assert state.expected == ExpectedState(chamber_set_c=None, chamber_on=True)

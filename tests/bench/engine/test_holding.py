@@ -57,7 +57,9 @@ def test_a_chamber_that_was_restarted_is_commanded_again_once_the_operator_conti
     story = [
         entry["event"] for entry in entries if entry["event"] in ("tripped", "made_safe", "held", "continued")
     ]
-    assert story[1:8] == ["tripped", "made_safe", "held", "tripped", "made_safe", "held", "continued"]
+    # While it starts, its set point fails; that is repeated once it answers.
+    assert story[1:5] == ["tripped", "made_safe", "held", "made_safe"]
+    assert story[5:9] == ["tripped", "made_safe", "held", "continued"]
     assert [entry["by"] for entry in entries if entry["event"] == "continued"] == ["the operator"]
     assert len(outcome.dwells) == 1
     assert outcome.dwells[0].row.chamber_set_c == 26.0

@@ -29,7 +29,7 @@ def test_it_says_how_other_programs_connect():
     file = Station(find_document("stations", "emulated")).file
     text = guide(LINKS, file, 1.0, None)
     assert f"picocom --omap crcrlf {LINKS['table']}" in text
-    assert f"mbpoll -a 1 -b 9600 -P none -0 -r 100 -c 2 {LINKS['chamber']}" in text
+    assert f"mbpoll -m rtu -a 1 -b 9600 -P none -0 -r 100 -c 2 {LINKS['chamber']}" in text
     assert f"python -m can.viewer -i slcan -c {LINKS['ins']}" in text
     assert "event output 2" in text
     text = guide(TCP, file, 1.0, None)

@@ -113,6 +113,25 @@ def test_two_names_of_one_device_are_one_lock(make_station, tmp_path):
         pass
 
 
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ("socket://localhost:9878", "socket://127.0.0.1:9878"),
+        ("socket://localhost:9878", "socket://[::1]:9878"),
+        ("socket://127.0.0.1", "socket://localhost:9878"),
+        ("rfc2217://LOCALHOST:4000", "rfc2217://127.0.0.1:4000?logging=info"),
+    ],
+)
+def test_two_names_of_one_address_are_one_lock(make_station, tmp_path, one, other):
+    stations = make_station("one", one), make_station("other", other, "/dev/c2", "socketcan", "can7")
+    with (
+        held_elsewhere(stations[0], tmp_path / "run"),
+        pytest.raises(BenchInUseError, match="rate table's port"),
+        BenchLock(stations[1], tmp_path, WallClock()),
+    ):
+        pass
+
+
 def test_a_refused_run_holds_nothing(make_station, tmp_path):
     one = make_station("one")
     other = make_station(

@@ -6,7 +6,7 @@ from gyrobench.bench.foundations.clock import VirtualClock, WallClock
 from gyrobench.bench.foundations.errors import NoReplyError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.instruments import Emulation, Instruments, Outputs
-from gyrobench.bench.station.safe_state import SafeAction, make_safe
+from gyrobench.bench.station.safe_state import SafeAction, SafePart, make_safe
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
 from gyrobench.drivers.serial_line import SerialLine
@@ -105,7 +105,7 @@ def test_before_the_first_step_the_table_is_stopped_and_its_servos_stay(opened):
 def test_what_failed_can_be_tried_alone(opened):
     station, instruments, _ = opened
     (action,) = make_safe(station, instruments, only=["rate table stopped"])
-    assert action == SafeAction("rate table stopped")
+    assert action == SafeAction("rate table stopped", SafePart.TABLE_AT_REST)
 
 
 def test_a_table_that_hangs_does_not_keep_the_chamber_waiting_for_ever(changed, monkeypatch):
@@ -138,9 +138,12 @@ def test_a_station_may_switch_chamber_and_unit_off(opened):
 @pytest.mark.parametrize(
     ("action", "text"),
     [
-        (SafeAction("rate table stopped"), "rate table stopped"),
-        (SafeAction("rate table stopped", "", "says nothing"), "rate table stopped"),
-        (SafeAction("rate table stopped", "says nothing"), "FAILED: rate table stopped: says nothing"),
+        (SafeAction("rate table stopped", SafePart.TABLE_AT_REST), "rate table stopped"),
+        (SafeAction("rate table stopped", SafePart.TABLE_AT_REST, "", "says nothing"), "rate table stopped"),
+        (
+            SafeAction("rate table stopped", SafePart.TABLE_AT_REST, "says nothing"),
+            "FAILED: rate table stopped: says nothing",
+        ),
     ],
 )
 def test_an_action_is_reported_in_one_line_with_why_it_failed(action, text):

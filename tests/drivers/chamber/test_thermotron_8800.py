@@ -35,7 +35,7 @@ def bench(request, make_bench):
 def test_a_temperature_and_its_ramp_are_commanded_and_read_back(bench):
     chamber = bench.driver()
     sent = bench.requests_of(lambda: chamber.set_temperature(22.0, 5.0))
-    assert sent == [b"MRMP1,5.000\r", b"MRMP1?\r", b"SETP1,22.000\r", b"SETP1?\r"]
+    assert sent == [b"MODE?\r", b"MRMP1,5.000\r", b"MRMP1?\r", b"SETP1,22.000\r", b"SETP1?\r"]
     assert (bench.air.set_point_c, bench.air.ramp_rate_c_per_min) == (22.0, 5.0)
     assert chamber.set_point_c() == 22.0
 
@@ -43,7 +43,7 @@ def test_a_temperature_and_its_ramp_are_commanded_and_read_back(bench):
 def test_without_a_rate_the_ramp_is_zero(bench):
     chamber = bench.driver()
     chamber.set_temperature(60.0, 5.0)
-    assert bench.requests_of(lambda: chamber.set_temperature(-40.0, None))[0] == b"MRMP1,0.000\r"
+    assert bench.requests_of(lambda: chamber.set_temperature(-40.0, None))[1] == b"MRMP1,0.000\r"
     assert (bench.air.set_point_c, bench.air.ramp_rate_c_per_min) == (-40.0, None)
 
 
@@ -204,7 +204,7 @@ def test_another_device_is_an_error(rig, replies, error, message):
 
 def test_a_set_point_that_is_not_kept_is_refused(rig):
     kept = [b"20.000\r"] * 30
-    line, _ = rig.line("chamber", Scripted(b"0\r", b"0\r", b"0.000\r", b"0\r", *kept))
+    line, _ = rig.line("chamber", Scripted(b"0\r", b"0\r", b"0\r", b"0.000\r", b"0\r", *kept))
     with pytest.raises(RefusedError, match="holds 20 as SETP1 although 60 was written"):
         Thermotron8800(line).set_temperature(60.0, None)
 
@@ -266,3 +266,30 @@ class Tenths:
             return f"{self._held.get(name.rstrip('?'), '0')}\r\n".encode()
         self._held[name] = f"{float(value) + 1e-9:.1f}"
         return b"0\r\n"
+
+
+@pytest.mark.parametrize("end", [False, True])
+def test_a_program_is_refused_or_ended(make_bench, end):
+    bench = make_bench()
+    chamber = bench.driver()
+    chamber.end_profiles = end
+    bench.chamber.start_profile(85.0)
+    assert (chamber.set_point_c(), chamber.read().is_on) == (23.0, True)
+    if not end:
+        for command in (lambda: chamber.set_temperature(40.0, None), lambda: chamber.switch(True)):
+            with pytest.raises(RefusedError, match=r"runs a program .MODE. 1., which overrides"):
+                command()
+        return
+    chamber.set_temperature(40.0, None)
+    assert (bench.air.set_point_c, chamber.running_profile()) == (40.0, "")
+    assert chamber.read().is_on
+
+
+def test_an_error_code_is_not_a_temperature(make_bench):
+    with pytest.raises(RefusedError, match=r"PVAR2. was refused with code 2"):
+        make_bench().driver(channel=2).read()
+
+
+def test_replies_may_end_otherwise(make_bench):
+    for line_ending in ("crlf", "lf"):
+        assert make_bench(line_ending=line_ending).driver().set_point_c() == 23.0

@@ -219,7 +219,7 @@ def test_an_echo_of_another_value_is_an_error(bench):
     chamber = bench.driver()
     bench.respond = lambda _: framed(bytes.fromhex("01 06 07 D0 00 00"))
     with pytest.raises(ReplyError, match="another device"):
-        chamber.switch(True)
+        chamber.switch_event(1, True)
 
 
 def test_after_a_missing_reply_the_line_must_be_silent(bench):
@@ -305,3 +305,65 @@ def test_no_reply_raises_anything_but_an_instrument_error(bench, reply):
         with contextlib.suppress(InstrumentError):
             action()
     bench.respond = replying
+
+
+def change_decimals(bench):
+    bench.chamber.decimals = 2
+
+
+def change_unit(bench):
+    bench.chamber.use_fahrenheit(True)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (change_decimals, r"decimals .register 606. were changed from 1 to 2"),
+        (change_unit, r"unit .register 901. was changed from °C to °F"),
+    ],
+)
+def test_after_a_change_of_its_numbers_at_the_panel_nothing_is_commanded_and_the_chamber_is_off(
+    bench, change, message
+):
+    chamber = bench.driver()
+    chamber.set_temperature(60.0, 1.0)
+    chamber.switch(True)
+    change(bench)
+    with pytest.raises(RefusedError, match=message):
+        chamber.set_temperature(23.0, 1.0)
+    assert bench.air.set_point_c == 60.0
+    assert not bench.air.running
+
+
+def test_a_profile_is_refused_although_the_set_point_reads_back_right(bench):
+    chamber = bench.driver()
+    chamber.set_temperature(23.0, None)
+    assert chamber.running_profile() == ""
+    bench.chamber.start_profile(85.0)
+    assert (chamber.set_point_c(), bench.air.set_point_c) == (23.0, 85.0)
+    assert chamber.running_profile() == "a profile (register 200 reads 2)"
+    for command in (lambda: chamber.set_temperature(23.0, None), lambda: chamber.switch(True)):
+        with pytest.raises(RefusedError, match=r"runs a profile .register 200 reads 2., which overrides"):
+            command()
+    with pytest.raises(RefusedError, match=r"runs a profile"):
+        chamber.switch(False)
+    assert not bench.air.running
+
+
+def test_a_profile_is_ended_where_the_station_file_says_so(bench):
+    chamber = bench.driver(end_profiles=True)
+    bench.chamber.start_profile(85.0)
+    chamber.set_temperature(40.0, 2.0)
+    assert chamber.running_profile() == ""
+    assert bench.air.set_point_c == 40.0
+
+
+def test_a_controller_that_is_busy_when_it_is_opened_is_not_taken_for_one_without_ramps(bench):
+    answer = bench.respond
+
+    def busy(request: bytes) -> bytes:
+        return framed(bytes((1, 0x83, 6))) if request[2:4] == b"\x04\x4c" else answer(request)
+
+    bench.respond = busy
+    with pytest.raises(RefusedError, match="exception 06"):
+        bench.driver()

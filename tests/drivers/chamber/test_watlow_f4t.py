@@ -52,6 +52,7 @@ def test_a_temperature_and_its_ramp_are_commanded_and_read_back(bench):
     chamber = bench.driver()
     sent = bench.requests_of(lambda: chamber.set_temperature(25.0, 5.0))
     assert sent == [
+        b":UNIT:TEMPERATURE?\n", b":PROGRAM:SELECTED:STATE?\n",
         LOOP + b"RRATE 5\n", LOOP + b"RRATE?\n",
         LOOP + b"RSCALE MINUTES\n", LOOP + b"RSCALE?\n",
         LOOP + b"RACTION SETPOINT\n", LOOP + b"RACTION?\n",
@@ -65,7 +66,7 @@ def test_without_a_rate_the_ramp_is_switched_off(bench):
     chamber = bench.driver()
     chamber.set_temperature(60.0, 0.5)
     assert bench.air.ramp_rate_c_per_min == 0.5
-    assert bench.requests_of(lambda: chamber.set_temperature(-12.5, None))[0] == LOOP + b"RACTION OFF\n"
+    assert bench.requests_of(lambda: chamber.set_temperature(-12.5, None))[2] == LOOP + b"RACTION OFF\n"
     assert (bench.air.set_point_c, bench.air.ramp_rate_c_per_min) == (-12.5, None)
 
 
@@ -90,7 +91,7 @@ def test_a_reading_has_air_set_point_and_running_state(make_bench):
         LOOP + b"ERROR?\n", LOOP + b"PVALUE?\n", LOOP + b"SPOINT?\n", b":OUTPUT1:STATE?\n",
     ]  # fmt: skip
     chamber.set_temperature(60.0, 1.0)
-    assert bench.requests_of(lambda: chamber.switch(True))[0] == b":OUTPUT1:STATE ON\n"
+    assert bench.requests_of(lambda: chamber.switch(True))[1] == b":OUTPUT1:STATE ON\n"
     reading = chamber.read()
     assert (reading.set_point_c, reading.is_on) == (60.0, True)
     assert bench.air.running
@@ -166,10 +167,13 @@ def test_a_state_is_a_word_or_a_number(rig, state, is_on):
 
 
 def test_a_word_may_come_back_short(rig):
-    line, _ = rig.line("chamber", Scripted(b"F4T\n", b"", b"", b"OFF\n", b"", b"25.0\n"))
+    line, _ = rig.line("chamber", Scripted(b"F4T\n", b"", b"C\n", b"IDLE\n", b"", b"OFF\n", b"", b"25.0\n"))
     WatlowF4T(line).set_temperature(25.0, None)
     line, _ = rig.line(
-        "chamber", Scripted(b"F4T\n", b"", b"", b"5.0\n", b"", b"MIN\n", b"", b"SETP\n", b"", b"25.0\n")
+        "chamber",
+        Scripted(
+            b"F4T\n", b"", b"C\n", b"IDLE\n", b"", b"5.0\n", b"", b"MIN\n", b"", b"SETP\n", b"", b"25.0\n"
+        ),
     )
     WatlowF4T(line).set_temperature(25.0, 5.0)
 
@@ -202,3 +206,39 @@ def test_any_reply_gives_a_value_or_an_instrument_error(replies):
             result = action()
             if isinstance(result, ChamberReading):
                 assert math.isfinite(result.temperature_c)
+
+
+def test_after_a_change_of_its_unit_at_the_panel_nothing_is_commanded_and_the_chamber_is_off(make_bench):
+    bench = make_bench()
+    chamber = bench.driver()
+    chamber.set_temperature(60.0, 1.0)
+    chamber.switch(True)
+    bench.chamber.use_fahrenheit(True)
+    with pytest.raises(RefusedError, match="its unit was changed from °C to °F"):
+        chamber.set_temperature(23.0, 1.0)
+    assert bench.air.set_point_c == 60.0
+    assert not bench.air.running
+
+
+@pytest.mark.parametrize("end", [False, True])
+def test_a_profile_is_refused_or_ended(make_bench, end):
+    bench = make_bench()
+    chamber = bench.driver()
+    chamber.end_profiles = end
+    bench.chamber.start_profile(85.0)
+    assert chamber.set_point_c() == 23.0
+    if not end:
+        with pytest.raises(RefusedError, match=r"runs a profile .its state is RUNNING., which overrides"):
+            chamber.set_temperature(40.0, None)
+        return
+    chamber.set_temperature(40.0, None)
+    assert (bench.air.set_point_c, chamber.running_profile()) == (40.0, "")
+
+
+def test_a_controller_without_queries_for_unit_and_profile_is_used_without_them(rig):
+    replies = [b"F4T\n", b"", b"", b"F4T\n", b"", b"F4T\n", b"", b"OFF\n", b"", b"25.0\n"]
+    line, heard = rig.line("chamber", Scripted(*replies))
+    chamber = WatlowF4T(line)
+    chamber.set_temperature(25.0, None)
+    assert chamber.running_profile() == ""
+    assert heard.requests[-1] == LOOP + b"SPOINT?\n"

@@ -106,6 +106,17 @@ def test_pymodbus_reads_the_chamber(urls):
         assert client.read_holding_registers(3000).exception_code == 2
 
 
+def test_a_public_client_of_the_chamber_ends_profiles_sets_the_clock_and_reads_digital_inputs(urls):
+    with modbus_client(urls["chamber"]) as client:
+        assert not client.write_register(1217, 1).isError()
+        assert not client.write_registers(1916, [12, 30, 0, 6, 15, 2026]).isError()
+        assert client.read_holding_registers(1919, count=3).registers == [6, 15, 2026]
+        for place in range(4):
+            status = client.read_holding_registers(201 + 12 * place).registers
+            condition = client.read_holding_registers(1061 + 2 * place).registers
+            assert status != condition  # no digital input is active
+
+
 def test_a_terminal_sends_acl_to_the_table(urls):
     reply = exchanged(urls["table"], b":Read:Position? 1\r\n", 8)
     error, length = struct.unpack("<II", reply)
@@ -152,3 +163,24 @@ def test_the_logger_of_python_can_writes_what_the_ins_sends(urls, tmp_path):
         logger.terminate()
     with can.LogReader(log) as reader:
         assert 0x007 in {frame.arbitration_id for frame in reader}
+
+
+def test_two_clients_of_the_daemon_get_the_same_frames_and_a_second_one_of_the_table_is_refused(urls):
+    where = urlsplit(urls["ins"])
+    if where.scheme != "socketcand":
+        pytest.skip("a pseudo-terminal has no clients to count")
+    with (
+        can.Bus(**can_options(urls["ins"]), ignore_config=True) as first,
+        can.Bus(**can_options(urls["ins"]), ignore_config=True) as second,
+    ):
+        counted = [sum(bus.recv(1.0) is not None for _ in range(50)) for bus in (first, second)]
+    assert counted == [50, 50]
+    table = urlsplit(urls["table"])
+    address = (table.hostname, table.port)
+    with socket.create_connection(address, timeout=LIMIT_S) as first:
+        first.sendall(b":Read:Position? 1\r\n")
+        assert first.recv(8)
+        with socket.create_connection(address, timeout=LIMIT_S) as second:
+            assert second.recv(8) == b""
+        first.sendall(b":Read:Position? 1\r\n")
+        assert first.recv(8)

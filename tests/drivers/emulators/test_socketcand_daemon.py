@@ -11,9 +11,9 @@ class Client:
     def __init__(self, world):
         self.world = world
         self.connection = Connection()
-        self.daemon = SocketcandDaemon(CanInsEmulator(world), self.connection)
+        self.bus = CanInsEmulator(world)
+        self.daemon = SocketcandDaemon(self.bus, self.connection)
         self.world.power_unit(True)
-        assert self.daemon.greet() == b"< hi >"
 
     def say(self, *commands):
         return self.daemon.feed(b"".join(f"< {each} >".encode() for each in commands), 0.0).decode()
@@ -62,10 +62,16 @@ def test_a_command_may_come_in_pieces_and_garbage_is_forgotten(client):
     assert client.daemon.feed(b"en can0 >", 0.0) == b"< ok >"
 
 
-def test_a_new_client_has_to_open_the_bus_itself(client):
+def test_each_client_opens_the_bus_itself_and_gets_all_frames(client, make_world):
+    other = SocketcandDaemon(client.bus, client.connection)
     client.say("open can0", "rawmode")
-    client.daemon.greet()
-    assert client.frames(3.0) == ""
+    client.frames(2.0)
+    assert other.from_bus() == b""
+    other.feed(b"< open can0 >< rawmode >", 2.0)
+    assert client.frames(3.0) == other.from_bus().decode() != ""
+    other.leave_bus()
+    assert client.frames(4.0) != ""
+    assert other.from_bus() == b""
 
 
 def test_after_bus_off_the_bus_must_be_reopened(client):

@@ -97,12 +97,12 @@ def test_what_it_is_and_has_can_be_asked_for(panel):
         (b"AUXE1,256\r", b"2\r"),
         (b"RUNM1\r", b"2\r"),
         (b"SETP1,nan\r", b"2\r"),
-        (b"PVAR2?\r", b""),
-        (b"FLYY?\r", b""),
+        (b"PVAR2?\r", b"2\r"),
+        (b"FLYY?\r", b"1\r"),
         (b"\r\r\n", b""),
     ],
 )
-def test_what_can_not_be_done_is_refused_or_not_answered(panel, request_, reply):
+def test_what_can_not_be_done_is_answered_by_a_code(panel, request_, reply):
     assert panel.ask(request_) == reply
 
 

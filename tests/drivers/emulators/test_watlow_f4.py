@@ -198,7 +198,9 @@ def test_identity_units_and_save(line):
     assert line.read(608) == [0]
     assert line.read(901) == [1]
     assert line.read(200) == [0]
-    assert line.write(901, 0) == 3
+    assert line.write(901, 2) == 3
+    assert line.write(901, 0) == 0
+    assert (line.read(901), line.read(100)) == ([0], [734])
     assert line.write(25, 0) == 0
 
 
@@ -272,3 +274,28 @@ def test_the_ramp_is_what_the_air_does(line):
     for _ in range(20 * 60):
         line.air.step(1.0)
     assert line.read(100)[0] == pytest.approx(10 * (23.0 + 1.5 * (20.0 - 1.5)), abs=1)
+
+
+def test_a_profile_overrides_the_set_point_until_it_is_ended(line):
+    assert line.write(300, 300) == 0
+    line.chamber.start_profile(-40.0)
+    assert (line.read(200), line.read(300), line.air.set_point_c) == ([2], [300], -40.0)
+    assert line.write(1210, 1) == 0
+    assert line.read(200) == [3]
+    assert line.write(1209, 1) == 0
+    assert line.read(200) == [2]
+    assert line.write(1217, 1) == 0
+    assert (line.read(200), line.air.set_point_c) == ([0], 30.0)
+
+
+def test_the_clock_is_set_and_runs(line):
+    fields = b"".join(value.to_bytes(2, "big") for value in (23, 59, 59, 2, 28, 2028))
+    assert line.exchange(frame(bytes.fromhex("01 10 07 7C 00 06 0C") + fields)).startswith(
+        "01 10 07 7C 00 06"
+    )
+    assert line.read(1916, 6) == [0, 0, 0, 2, 29, 2028]
+
+
+def test_no_digital_input_is_active(line):
+    for place in range(4):
+        assert line.read(201 + 12 * place) != line.read(1061 + 2 * place)

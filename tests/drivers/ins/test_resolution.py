@@ -101,7 +101,7 @@ def test_the_step_of_a_floating_point_signal_is_that_at_its_largest_value(signal
 def test_a_coarse_quaternion_is_found_by_its_coarsest_component(make_signal_map, codec_with):
     codec = codec_with({'(1E-006,0) [-180|180] "deg"': '(3.05e-05,0) [0|0] ""'})
     quaternion = (
-        "quaternion: {w: ROLL_PITCH.ROLL, x: ROLL_PITCH.ROLL, y: HEIGHT_VELOCITY_D.HEIGHT, "
+        "quaternion: {w: HEADING.HEADING, x: ROLL_PITCH.ROLL, y: HEIGHT_VELOCITY_D.HEIGHT, "
         "z: ROLL_PITCH.PITCH, frames: frd_to_ned}"
     )
     signal_map = make_signal_map(

@@ -1,12 +1,18 @@
 """The map of signals, and its binding to a DBC file."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
+import yaml
 
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.drivers import ins
 from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
 from gyrobench.drivers.ins.readout import BlockReader
-from gyrobench.drivers.ins.signal_map import Dimension, bind_signals, check_signals
+from gyrobench.drivers.ins.signal_map import Dimension, SignalMap, bind_signals, check_signals
 
 
 def test_every_mapped_quantity_has_its_path_and_dimension(signal_map):
@@ -180,3 +186,47 @@ def test_a_signal_in_two_roles_is_refused(codec, make_signal_map, old, new, firs
 def test_one_temperature_sensor_stands_for_all_gyros(codec, make_signal_map):
     names = {f"GYRO_OPTICS_TEMPERATURE.{axis}": "GYRO_OPTICS_TEMPERATURE.X" for axis in "YZ"}
     assert check_signals(make_signal_map(names), codec) == []
+
+
+SBG_STATUS = """BO_ 258 SBG_STATUS_03: 6 INS
+ SG_ SOLUTION_STATUS : 0|32@1+ (1,0) [0|4294967295] "" BENCH
+ SG_ HEAVE_STATUS : 32|16@1+ (1,0) [0|65535] "" BENCH
+"""
+
+
+def test_a_signal_is_split_into_bit_fields_as_the_maker_s_own_dbc_needs(tmp_path):
+    """SBG's file has one signal for all of the solution's status."""
+    station = find_document("stations", "emulated_sbg").read_text()
+    section = yaml.safe_load(station)["ins"]["signals"]
+    status = "SBG_STATUS_03.SOLUTION_STATUS"
+    section["attitude"]["valid"] = {"signal": status, "bits": 5}
+    section["mode"] |= {"signal": status, "bits": [0, 3]}
+    section["alignment"] |= {"signal": status, "bits": 27}
+    text = (Path(ins.__file__).parent / "sbg.dbc").read_text()
+    whole = text[text.index("BO_ 258") : text.index("BO_ 288")]
+    (tmp_path / "own.dbc").write_text(re.sub(r"CM_ .*;\n", "", text.replace(whole, SBG_STATUS)))
+    own = DbcCodec(load_dbc(tmp_path / "own.dbc"))
+    shipped = DbcCodec(load_dbc(Path(ins.__file__).parent / "sbg.dbc"))
+    signal_map, as_shipped = map(
+        SignalMap.model_validate, (section, yaml.safe_load(station)["ins"]["signals"])
+    )
+    assert check_signals(signal_map, own) == []
+    split, named = bind_signals(signal_map, own), bind_signals(as_shipped, shipped)
+    payload = (1 << 27 | 1 << 5 | 1 << 4 | 3).to_bytes(4, "little") + b"\xff\xff"
+    for path in ("mode", "alignment", "attitude.valid"):
+        one, other = (
+            bound[path].si(codec.decode_one(payload, bound[path].message, bound[path].signal.name))
+            for bound, codec in ((split, own), (named, shipped))
+        )
+        assert one == other != 0.0
+    values = split["mode"].to_si(np.array([3.0, 2.0**27 + 4.0, np.nan]))
+    np.testing.assert_array_equal(values, [3.0, 4.0, np.nan])
+
+
+@pytest.mark.parametrize("bits", ["40", "[3, 1]", "[0, 32]"])
+def test_bits_that_the_signal_lacks_are_refused(codec, make_signal_map, bits):
+    changed = {"mode: {signal": f"mode: {{bits: {bits}, signal"}
+    signal_map = make_signal_map(changed)
+    (problem,) = check_signals(signal_map, codec)
+    assert "are no part of them" in problem.message
+    assert problem.location == ("mode",)

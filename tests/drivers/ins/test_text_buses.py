@@ -175,6 +175,29 @@ def test_lines_that_come_in_pieces_are_whole_frames_in_order(adapter):
     close_bus(bus)
 
 
+@pytest.mark.parametrize(
+    ("make", "good", "garbage"),
+    [
+        (lambda: Slcan("pty"), b"t0040\r", b"t00" + 3000 * b"z" + b"\r"),
+        (lambda: Slcan("socket"), b"t0040\r", b"t0048001122334455667g\r"),
+        (Socketcand, b"< frame 004 17.5  >", b"< frame 004 1a.5  >"),
+        (Socketcand, b"< frame 004 17.5 00 >", b"< frame 004 17.5 0g >"),
+        (Socketcand, b"< frame 004 17.5 00 >", b"< error wrong frame >"),
+    ],
+)
+def test_garbage_between_frames_is_reported_once_and_loses_none(make, good, garbage):
+    adapter = make()
+    bus = adapter.open()
+    adapter.send(good + good + garbage + good)
+    assert received(bus, 3).arbitration_id.tolist() == 3 * [4]
+    with pytest.raises(ReplyError, match=r"no CAN frame: '[t<]"):
+        received(bus, 1)
+    adapter.send(good)
+    assert len(received(bus, 1)) == 1
+    close_bus(bus)
+    adapter.close()
+
+
 def test_filters_apply_to_blocks(adapter):
     filters = [{"can_id": 0x004, "can_mask": 0x7FF, "extended": False}]
     bus = adapter.open(can_filters=filters)

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.errors import (
     FaultError,
     InstrumentError,
@@ -18,9 +19,11 @@ from gyrobench.bench.foundations.errors import (
 )
 from gyrobench.drivers.emulators.acl_axis import SoftwareFault
 from gyrobench.drivers.emulators.acutrol3000 import Acutrol3000Emulator
+from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
 from gyrobench.drivers.emulators.world.table_axis import AxisParameters, TableAxis
 from gyrobench.drivers.rate_table import RateTable, TableReading
 from gyrobench.drivers.rate_table.acutrol3000 import SOFTWARE_FAULTS, Acutrol3000, ReplyFraming, set_bits
+from gyrobench.drivers.serial_line import SerialLine
 
 FAST = AxisParameters(
     rate_limit_dps=2000.0, acceleration_limit_dps2=2e4, jerk_limit_dps3=2e6, settling_time_constant_s=0.001
@@ -323,6 +326,8 @@ def test_a_late_reply_is_not_taken_for_the_next_one(serve):
             self.count += 1
             if self.count == 2:
                 assert self.timed_out.wait(120.0)
+            if data.startswith(b":Status:"):
+                return reply(";".join(["16"] * data.count(b"CSR?")))
             return reply(f"answer {self.count}")
 
     with serve(Late()) as line:
@@ -330,13 +335,32 @@ def test_a_late_reply_is_not_taken_for_the_next_one(serve):
         with pytest.raises(NoReplyError):
             table.identify()
         Late.timed_out.set()
-        # The third reply is to the line that ends an incomplete message in the controller.
-        assert table.identify() == "answer 4"
+        # The third is to the line that ends an incomplete message in the controller, the fourth the mark.
+        assert table.identify() == "answer 5"
+
+
+def test_replies_that_come_far_too_late_end_in_no_reply_and_never_in_wrong_readings():
+    clock = VirtualClock()
+    bench = emulated_bench(BenchAddress(clock.name, "ideal"))
+    line = SerialLine("rate table", f"emulator://table?clock={clock.name}&world=ideal", clock)
+    table, emulator = Acutrol3000(line), bench.table
+    table.prepare()
+    for late_s in (1.0, 2.5, 4.5, 6.5, 9.0):
+        for late in (1, 2, 3, 5):
+            emulator.latency_s = late_s
+            for number in range(late + 6):
+                emulator.latency_s = late_s if number < late else 0.005
+                for ask in (table.faults, table.in_position, table.read):
+                    with suppress(NoReplyError):
+                        answer = ask()
+                        assert answer in ([], True, False) or answer.is_servoed
+            assert table.read().is_servoed
 
 
 def test_a_change_of_byte_order_is_noticed_and_then_accepted(serve, scripted):
     of_no_message = reply("Syntax", code=100, order=">")
-    replies = scripted(reply("OK"), reply("OK", order=">"), of_no_message, reply("OK", order=">"))
+    mark = reply(";".join(["16"] * 31), order=">")
+    replies = scripted(reply("OK"), reply("OK", order=">"), of_no_message, mark, reply("OK", order=">"))
     with serve(replies) as line:
         table = Acutrol3000(line, reply_timeout_s=1.0)
         table.stop()

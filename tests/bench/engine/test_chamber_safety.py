@@ -1,0 +1,126 @@
+"""Chambers that do not do what a run expects: no ramp, a profile, other units, lost acknowledgements."""
+
+import numpy as np
+import pytest
+
+from gyrobench.bench.engine.job import prepare_job
+from gyrobench.bench.engine.preflight.bench_check import check_bench
+from gyrobench.bench.engine.run import run_job
+from gyrobench.bench.foundations.errors import RefusedError
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.runs.telemetry import read_telemetry
+from gyrobench.bench.station.instruments import Emulation
+from gyrobench.bench.station.preflight_check import Verdict
+from tests.bench.engine.intervention import RefusingOperator
+from tests.bench.engine.test_resumption import Watcher
+
+HEAT = """procedure: heat
+steps:
+  - chamber: {temperature_c: 33, ramp_c_per_min: 2, within_c: 0.5}
+  - soak: {for_s: 60}
+"""
+END_PROFILES = {"chamber:\n": "chamber:\n  running_profile: end\n"}
+
+
+@pytest.fixture
+def prepared(tmp_path):
+    """A job of heating on the quick bench with faults, and the path of its station file."""
+
+    def make(*faults, procedure=HEAT, replaced=()):
+        station = tmp_path / "station.yaml"
+        text = find_document("stations", "quick").read_text()
+        for old, new in dict(replaced).items():
+            assert old in text
+            text = text.replace(old, new)
+        station.write_text(text)
+        (tmp_path / "heat.yaml").write_text(procedure)
+        listed = tmp_path / "faults.yaml"
+        listed.write_text("faults:\n" + "".join(f"  - {{{fault}}}\n" for fault in faults))
+        emulation = Emulation("quick", 0, str(listed))
+        return prepare_job(str(tmp_path / "heat.yaml"), str(station), emulation)
+
+    return make
+
+
+def run(job, tmp_path, operator=None):
+    watcher = Watcher()
+    folder, outcome = run_job(job, tmp_path / "run", watcher, operator or RefusingOperator())
+    return folder, outcome, list(read_journal(folder.journal))
+
+
+def of(entries, event):
+    return [entry for entry in entries if entry["event"] == event]
+
+
+def test_the_set_point_is_walked_where_the_controller_does_not_ramp(prepared, tmp_path):
+    folder, outcome, entries = run(prepared("fault: no_set_point_ramp, at_s: 0"), tmp_path)
+    assert outcome.ended == "finished", outcome.reason
+    assert outcome.is_safe
+    (heated,) = (each for each in of(entries, "step_finished") if each["kind"] == "chamber")
+    assert 280.0 < heated["took_s"] < 480.0  # 10 K at 2 K/min and the lag of the air, 90 s
+    assert outcome.safe_state[-1].what == "chamber's set point moved to its safe value"
+    telemetry = read_telemetry(folder.telemetry)
+    rises_c_per_min = np.diff(telemetry["chamber_c"]) / np.diff(telemetry["time_s"]) * 60.0
+    assert np.nanmax(rises_c_per_min) < 2.5  # the chamber alone manages 5
+    assert outcome.duration_s == pytest.approx(heated["took_s"] + 60.0, abs=30.0)
+
+
+def checked(tmp_path, prepared, fault, **options):
+    job = prepared(fault, **options)
+    checks = check_bench(str(job.station.path), None, job.emulation, tmp_path)
+    return {check.what: check for check in checks if check.subject == "chamber"}
+
+
+def test_the_preflight_check_tries_a_set_point_and_names_who_ramps(tmp_path, prepared):
+    found = checked(tmp_path, prepared, "fault: no_set_point_ramp, at_s: 0")["set point"]
+    assert found.verdict is Verdict.PASS
+    assert found.found.endswith("the controller does not ramp, so the bench moves it in steps")
+    refused = checked(tmp_path, prepared, "fault: exception_code, at_s: 0, for_s: 100000")["answers"]
+    assert refused.verdict is Verdict.FAIL
+
+
+def test_the_preflight_check_sees_a_profile_and_leaves_it(tmp_path, prepared):
+    fault = "fault: profile_started_at_panel, at_s: 0, to_c: 60"
+    found = checked(tmp_path, prepared, fault)
+    assert found["no profile"].verdict is Verdict.FAIL
+    assert "register 200 reads 2" in found["no profile"].found
+    assert found["set point"].verdict is Verdict.SKIPPED
+    found = checked(tmp_path, prepared, fault, replaced=END_PROFILES)
+    assert found["no profile"].verdict is Verdict.PASS
+    assert found["no profile"].found.endswith("a run ends it")
+
+
+def test_a_run_is_refused_while_a_profile_runs(tmp_path, prepared):
+    job = prepared("fault: profile_started_at_panel, at_s: 0, to_c: 60")
+    with pytest.raises(RefusedError, match=r"runs a profile .register 200 reads 2. by itself"):
+        run(job, tmp_path)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("dialect", ["watlow_f4", "watlow_f4t", "thermotron_8800"])
+def test_a_profile_is_ended_where_the_station_file_says_so(tmp_path, prepared, dialect):
+    replaced = END_PROFILES | {"dialect: watlow_f4\n": f"dialect: {dialect}\n", "  address: 1\n": ""}
+    job = prepared("fault: profile_started_at_panel, at_s: 0, to_c: 60", replaced=replaced)
+    _, outcome, _ = run(job, tmp_path)
+    assert outcome.ended == "finished", outcome.reason
+    assert outcome.is_safe
+
+
+@pytest.mark.parametrize(
+    ("fault", "problem"),
+    [
+        ("fault: decimals_changed_at_panel, decimals: 2", "decimals (register 606) were changed from 1 to 2"),
+        ("fault: decimals_changed_at_panel, decimals: 0", "decimals (register 606) were changed from 1 to 0"),
+        ("fault: unit_changed_at_panel", "unit (register 901) was changed from °C to °F"),
+    ],
+)
+def test_after_a_change_of_its_numbers_the_chamber_is_off_and_the_bench_not_reported_safe(
+    tmp_path, prepared, fault, problem
+):
+    _, outcome, entries = run(prepared(f"{fault}, at_s: 30"), tmp_path)
+    assert of(entries, "tripped")
+    assert not outcome.is_safe
+    (failed,) = (action for action in outcome.safe_state if action.problem)
+    assert problem in failed.problem
+    assert "the chamber was switched off" in failed.problem

@@ -1,0 +1,111 @@
+"""Commands that fail: the safe state is repeated in the hold, and nothing counts as done before it is."""
+
+import pytest
+
+from gyrobench.bench.engine.job import prepare_job
+from gyrobench.bench.engine.operator import ConsentingOperator
+from gyrobench.bench.engine.run import run_job
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.station.instruments import Emulation
+from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
+from tests.bench.engine.test_resumption import Watcher
+
+MOVE = """procedure: move
+steps:
+  - chamber: {temperature_c: 30, ramp_c_per_min: 10, within_c: 1}
+  - go_to: {position: z_up, rate_dps: 10}
+  - go_to: {position: z_down, rate_dps: 0.5}
+"""
+
+
+class Observer(Watcher):
+    """Adds up for how long the true table moves while the run holds."""
+
+    def __init__(self, faults):
+        super().__init__()
+        self.faults, self.is_held, self.moved_s, self.last_s = faults, False, 0.0, 0.0
+        self.act = lambda bench, now_s: None
+
+    def held(self, why, needs_person, command):
+        self.is_held = True
+
+    def continued(self):
+        self.is_held = False
+
+    def beat(self, bench):
+        now_s = bench.clock.now()
+        world = str(find_document("worlds", "quick"))
+        emulated = emulated_bench(BenchAddress(bench.clock.name, world, 0, self.faults))
+        moves = any(abs(axis.encoder(now_s).rate_dps) > 0.01 for axis in emulated.world.axes.values())
+        self.moved_s += (now_s - self.last_s) * (self.is_held and moves)
+        self.last_s = now_s
+        self.act(emulated, now_s)
+
+
+def run(tmp_path, fault, act=None):
+    (tmp_path / "move.yaml").write_text(MOVE)
+    faults = tmp_path / "faults.yaml"
+    faults.write_text(f"faults:\n  - {{{fault}}}\n")
+    observer = Observer(str(faults))
+    observer.act = act or observer.act
+    job = prepare_job(str(tmp_path / "move.yaml"), "quick", Emulation("quick", 0, str(faults)))
+    folder, outcome = run_job(job, tmp_path / "run", observer, ConsentingOperator())
+    return outcome, list(read_journal(folder.journal)), observer
+
+
+def trips(entries):
+    return [entry["interlocks"] for entry in entries if entry["event"] == "tripped"]
+
+
+def test_a_table_whose_port_was_gone_in_a_move_is_stopped_as_soon_as_it_answers(tmp_path):
+    gone = "fault: port_gone, target: table, during: turn, after_s: 30, for_s: 14"
+    outcome, entries, observer = run(tmp_path, gone)
+    assert outcome.ended == "finished", outcome.reason
+    assert trips(entries) == [["table_silence"]]
+    assert observer.moved_s < 14.0
+    _, failed, repeated = (
+        [(action["what"], not action["problem"]) for action in entry["actions"]]
+        for entry in entries
+        if entry["event"] == "made_safe"
+    )
+    assert ("rate table stopped", False) in failed
+    assert repeated == [("rate table stopped", True), ("rate table's interlocks opened", True)]
+
+
+def test_a_table_that_moves_although_it_was_stopped_trips(tmp_path):
+    def turn(emulated, now_s):
+        if 260.0 <= now_s <= 262.0:  # in the hold: another program commands the table
+            emulated.table.feed(b":Interlock:Close 1;Close 2\r\n", now_s)
+            emulated.table.feed(b":Demand:Rate 2,0.3;:Mode:Rate 2\r\n", now_s)
+
+    gone = "fault: port_gone, target: table, during: turn, after_s: 30, for_s: 14"
+    outcome, entries, _ = run(tmp_path, gone, turn)
+    assert outcome.ended == "finished", outcome.reason
+    assert trips(entries)[1] == ["table_silence", "table_fault"]
+    (why,) = (entry["why"] for entry in entries if entry["event"] == "tripped" and "although" in entry["why"])
+    assert "axis turns at 0.30 deg/s although the table was stopped" in why
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        "fault: port_gone, target: chamber, at_s: 200, for_s: 200",
+        "fault: lost_reply, target: chamber, at_s: 200, for_s: 200",
+        "fault: lost_request, target: chamber, at_s: 200, for_s: 200",
+        "fault: late_reply, target: chamber, at_s: 200, for_s: 100, delay_s: 2.5",
+    ],
+)
+def test_a_chamber_that_did_not_acknowledge_is_not_taken_for_one_that_an_operator_changed(tmp_path, fault):
+    outcome, entries, _ = run(tmp_path, fault)
+    assert outcome.ended == "finished", outcome.reason
+    assert trips(entries) == [["chamber_silence"]]
+    assert [entry["by"] for entry in entries if entry["event"] == "continued"] == ["itself"]
+
+
+@pytest.mark.parametrize("delay_s", [2.5, 3.3, 8])
+def test_late_replies_of_the_table_do_not_end_in_a_table_fault(tmp_path, delay_s):
+    late = f"fault: late_reply, target: table, at_s: 200, for_s: 40, delay_s: {delay_s}"
+    outcome, entries, _ = run(tmp_path, late)
+    assert outcome.ended == "finished", outcome.reason
+    assert all(names == ["table_silence"] for names in trips(entries))
