@@ -111,7 +111,7 @@ def format_table(cases):
     """Markdown rows; speed-up over one process."""
     cores = len(os.sched_getaffinity(0))
     lines = [
-        "| job | workers | time s | speed-up | cores busy | runs/s | CPU s a run | peak MB a worker | start s |",
+        "| job | workers | time s | speed-up | cores busy | runs/s | CPU s a run | peak MB | start s |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for case in cases:
