@@ -14,23 +14,58 @@ white sum stays at one standard deviation, a slow one grows with the number of e
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
-from scipy.special import erfc
+from scipy.special import chdtrc, erfc
 
 from gyrobench.bench.bias import parameters, window_filter
+from gyrobench.bench.bias.bias_steps import BiasStep, Passage, find_bias_step
 from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, TurnPath
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.bias.statistics import chi2_test, solve
 from gyrobench.bench.bias.window_filter import WindowFilter
-from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.arrays import FloatArray, IntArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.earth import earth_rate_enu
 from gyrobench.bench.navigation.error_model import STATES, Site, integrate
+
+#: A rate of damping of which nothing is known beforehand, 1/s.
+_WIDE_DAMPING = 1.0
+#: The same of an acceleration, m/s^2; and the p-value above which accelerometers count as settled.
+_WIDE_ACCELERATION, _MAX_TRANSIENT_P_VALUE = 0.1, 0.01
+
+
+@dataclass(frozen=True)
+class Damping:
+    """Rate at which an INS damps its velocity, with its standard uncertainty, 1/s."""
+
+    rate: float
+    sigma: float
+
+    @property
+    def p_value(self) -> float:
+        """Probability of at least this rate in an INS that is free inertial."""
+        return float(erfc(abs(self.rate / self.sigma) / math.sqrt(2.0)))
+
+    @property
+    def text(self) -> str:
+        """A message."""
+        return (
+            f"the INS damps its velocity with a time constant of {1.0 / self.rate:.0f} s, so that the biases "
+            "of the level gyros are wrong. Switch it to free inertial navigation"
+        )
+
+    @classmethod
+    def mean(cls, several: Sequence[Damping]) -> Damping:
+        """That of several dwells of one INS."""
+        weights = np.array([each.sigma**-2.0 for each in several])
+        rate = weights @ [each.rate for each in several] / weights.sum()
+        return cls(float(rate), float(weights.sum() ** -0.5))
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +97,9 @@ class StateSpaceEstimate(BiasEstimate):
     fit: GoodnessOfFit  #: Whether the model explains the data.
     #: Probability that the biases of the windows differ at least as much, if each gyro has one bias.
     steady_p_value: float
+    #: Most significant step of the biases in the dwell; None in very short windows, or if not searched for.
+    step: BiasStep | None
+    damping: Damping  #: None in an INS that is free inertial, as the biases presume.
     information: DwellInformation  #: For the joint solution of several dwells.
 
 
@@ -83,6 +121,7 @@ class BiasFilter:
         self._earth_rate = earth_rate_enu(site.latitude)
         self._windows: list[WindowFilter] = []
         self._expansions: list[FloatArray] = []
+        self._passages: list[Passage] = []
         self._reference_c: FloatArray | None = None
         self._last_k = np.zeros(3)
 
@@ -113,7 +152,13 @@ class BiasFilter:
                     f"a window begins at {time_s:.3f} s, but the previous one has epochs until "
                     f"{self._windows[-1].last_s:.3f} s. Add windows in order, none of them empty"
                 )
-            state[:, : -parameters.PER_WINDOW], known, covariance = self._through_turn(time_s, turn)
+            last = self._windows[-1]
+            passage, driven, noise = self._through_turn(time_s, turn, count - parameters.PER_WINDOW)
+            self._passages.append(passage)
+            before = last.columns[:, : window_filter.DATA] @ self._expansions[-1]
+            state[:, : -parameters.PER_WINDOW] = passage.transition @ before + driven
+            known = passage.transition @ last.columns[:, window_filter.DATA]
+            covariance = passage.transition @ last.covariance @ passage.transition.T + noise
         state[3:5, count - parameters.PER_WINDOW :][:, parameters.VELOCITY] = np.eye(2)
         state[:3, count - parameters.PER_WINDOW :][:, parameters.ATTITUDE] = np.eye(3)
         self._windows.append(WindowFilter(self._site, self._noise, time_s, C_nb, known, covariance))
@@ -154,8 +199,11 @@ class BiasFilter:
             self._last_k = temperatures[-1]
             self._windows[-1].add(time_s[chosen], velocity_en_mps[chosen], C_nb[chosen], temperatures)
 
-    def estimate(self) -> StateSpaceEstimate:
+    def estimate(self, complete: bool = False) -> StateSpaceEstimate:
         """Estimate the biases from what has been added so far.
+
+        Of a ``complete`` dwell it is also tested whether accelerometers settle after a turn and whether a
+        bias steps; otherwise neither is presumed.
 
         Raises MeasurementError if there was no turn yet, or nothing has been added after it.
         """
@@ -164,22 +212,29 @@ class BiasFilter:
                 "no navigation after a turn: the biases are not observable beside the initial errors. "
                 "Turn the unit and navigate again"
             )
-        information = self.information()
+        information, shown = self._information(test=complete)
         unknowns, covariance = self._solved(information)
+        expansions = [each * shown[: each.shape[1]] for each in self._expansions]
         at_mean, acceleration = information.bias_at_mean, parameters.ACCELEROMETER_BIAS
         return StateSpaceEstimate(
             bias_radps=at_mean @ unknowns,
             covariance=at_mean @ covariance @ at_mean.T,
             accelerometer_bias=unknowns[acceleration],
             accelerometer_sigma=np.sqrt(np.diag(covariance)[acceleration]),
-            fit=self._goodness_of_fit(unknowns, covariance),
+            fit=self._goodness_of_fit(expansions, unknowns, covariance),
             steady_p_value=self._steady_p_value(information),
+            step=find_bias_step(self._windows, self._passages, expansions, unknowns, covariance)
+            if complete
+            else None,
+            damping=self._damping(information),
             information=information,
         )
 
     def goodness_of_fit(self) -> GoodnessOfFit:
         """Test whether the model explains what has been added, even a single window."""
-        return self._goodness_of_fit(*self._solved(self.information()))
+        information, shown = self._information(test=True)
+        expansions = [each * shown[: each.shape[1]] for each in self._expansions]
+        return self._goodness_of_fit(expansions, *self._solved(information))
 
     def _solved(self, information: DwellInformation) -> tuple[FloatArray, FloatArray]:
         prior_root = parameters.prior_root(self._prior, len(self._windows), self._earth_rate)
@@ -198,16 +253,24 @@ class BiasFilter:
         away = np.abs(unknowns[count:]) / np.sqrt(np.diag(covariance)[count:])
         return min(1.0, len(away) * float(erfc(away.max() / np.sqrt(2.0))))
 
+    def _damping(self, information: DwellInformation) -> Damping:
+        prior_root = parameters.prior_root(self._prior, len(self._windows), self._earth_rate)
+        prior_root[parameters.DAMPING, parameters.DAMPING] = _WIDE_DAMPING
+        unknowns, covariance = solve(information.rows, information.data, prior_root)
+        sigma = math.sqrt(covariance[parameters.DAMPING, parameters.DAMPING])
+        return Damping(float(unknowns[parameters.DAMPING]), sigma)
+
     def _from_first(self, gyro_c: FloatArray) -> FloatArray:
         if self._reference_c is None:
             self._reference_c = gyro_c[0].copy()
         return gyro_c - self._reference_c
 
-    def _through_turn(self, time_s: float, turn: TurnPath) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """What each unknown, the data and the noise made of the state when a turn ends at ``time_s``."""
+    def _through_turn(
+        self, time_s: float, turn: TurnPath, count: int
+    ) -> tuple[Passage, FloatArray, FloatArray]:
+        """What the state before a turn, each parameter (6, count) and the noise make of that after it."""
         last = self._windows[-1]
-        state = last.columns[:, : window_filter.DATA] @ self._expansions[-1]
-        known, covariance = last.columns[:, window_filter.DATA], last.covariance
+        through, state, covariance = np.eye(STATES), np.zeros((STATES, count)), np.zeros((STATES, STATES))
         # At rest until the turn begins, and again when it is over; the INS's own attitude before the
         # turn, carried on by the table.
         edges = np.clip(np.concatenate([[last.last_s], turn.time_s, [time_s]]), last.last_s, time_s)
@@ -218,13 +281,36 @@ class BiasFilter:
         steps = integrate(self._site, durations, noise.angle_random_walk, noise.velocity_random_walk)
         for k in np.flatnonzero(durations > 0.0):
             rate_body = middle[k].T @ self._earth_rate + turned[k] / durations[k]
-            driven = parameters.inputs(middle[k], rate_body, state.shape[1])
+            driven = parameters.inputs(middle[k], rate_body, count)
             driven[:3, parameters.GYRO_SLOPE] = middle[k] * self._last_k
             transition = steps.transition[k]
-            state = transition @ state + steps.response[k] @ driven
-            known = transition @ known
+            through, state = transition @ through, transition @ state + steps.response[k] @ driven
             covariance = transition @ covariance @ transition.T + steps.covariance[k]
-        return state, known, covariance
+        return Passage(through, state[:, parameters.GYRO_BIAS]), state, covariance
+
+    def _information(self, test: bool) -> tuple[DwellInformation, FloatArray]:
+        """What has been added so far says of the parameters, and which of them it shows (p,), 0 or 1.
+
+        To estimate how accelerometers settle after a turn costs a sixth of the level gyros' uncertainty: they
+        count as settled unless the data contradict it.
+        """
+        information = self.information()
+        count = len(self._windows)
+        settling = parameters.transients(count)
+        shown = np.ones(information.rows.shape[1])
+        if not len(settling) or self._prior.accelerometer_transient == 0.0:
+            return information, shown
+        if not (test and self._transient_p_value(information, settling) < _MAX_TRANSIENT_P_VALUE):
+            shown[settling] = 0.0
+        return replace(information, rows=information.rows * shown), shown
+
+    def _transient_p_value(self, information: DwellInformation, settling: IntArray) -> float:
+        prior_root = parameters.prior_root(self._prior, len(self._windows), self._earth_rate)
+        prior_root[settling, settling] = _WIDE_ACCELERATION
+        unknowns, covariance = solve(information.rows, information.data, prior_root)
+        size = unknowns[settling]
+        chi2 = float(size @ np.linalg.solve(covariance[np.ix_(settling, settling)], size))
+        return float(chdtrc(len(settling), chi2))
 
     def information(self) -> DwellInformation:
         """What has been added so far says of the unknowns, without prior knowledge."""
@@ -243,10 +329,12 @@ class BiasFilter:
             earth_rate=self._earth_rate,
         )
 
-    def _goodness_of_fit(self, unknowns: FloatArray, covariance: FloatArray) -> GoodnessOfFit:
+    def _goodness_of_fit(
+        self, expansions: list[FloatArray], unknowns: FloatArray, covariance: FloatArray
+    ) -> GoodnessOfFit:
         blocks = [
             (time_s, total[:, window_filter.DATA], _expanded(total, expansion, len(unknowns)))
-            for window, expansion in zip(self._windows, self._expansions, strict=True)
+            for window, expansion in zip(self._windows, expansions, strict=True)
             for time_s, total in window.blocks()
         ]
         time_s, sums, responses = (np.array(each) for each in zip(*blocks, strict=True))
@@ -265,7 +353,7 @@ def estimate_state_space(
         turn = dwell.turns[number - 1] if number else None
         bias_filter.begin_window(window.time_s[0], window.C_nb[0], turn)
         bias_filter.add(window.time_s, window.velocity_enu_mps[:, :2], window.C_nb, window.gyro_c)
-    return bias_filter.estimate()
+    return bias_filter.estimate(complete=True)
 
 
 def navigation_fit(
@@ -282,7 +370,7 @@ def navigation_fit(
 
 
 def _expansion(state: FloatArray, C_nb: FloatArray, earth_rate: FloatArray) -> FloatArray:
-    """What each column of a window (15) is of the unknowns (p), given its first state (6, p)."""
+    """What each column of a window is of the unknowns (p), given its first state (6, p)."""
     count = state.shape[1]
     expansion = np.zeros((window_filter.DATA, count))
     expansion[: window_filter.INPUT] = state
@@ -290,12 +378,16 @@ def _expansion(state: FloatArray, C_nb: FloatArray, earth_rate: FloatArray) -> F
         C_nb, C_nb.T @ earth_rate, count
     )
     expansion[window_filter.HEADING, count - parameters.PER_WINDOW + parameters.HEADING] = 1.0
-    expansion[window_filter.SLOPE : window_filter.DATA, parameters.GYRO_SLOPE] = np.eye(3)
+    expansion[window_filter.SLOPE : window_filter.TRANSIENT, parameters.GYRO_SLOPE] = np.eye(3)
+    expansion[window_filter.TRANSIENT : window_filter.DAMPING, count - parameters.PER_WINDOW :][
+        :, parameters.TRANSIENT
+    ] = np.eye(2)
+    expansion[window_filter.DAMPING, parameters.DAMPING] = 1.0
     return expansion
 
 
 def _expanded(rows: FloatArray, expansion: FloatArray, count: int) -> FloatArray:
-    """Rows of a window (n, 16) for all unknowns of the dwell (n, count)."""
+    """Rows of a window (n, c) for all unknowns of the dwell (n, count)."""
     result = np.zeros((len(rows), count))
     result[:, : expansion.shape[1]] = rows[:, : window_filter.DATA] @ expansion
     return result

@@ -54,6 +54,8 @@ _LIMIT_SIGMAS = 1.645
 _FOUND_SIGMAS = 2.0
 #: A declared value further away than this is not consistent.
 _CONSISTENT_SIGMAS = 3.0
+#: One that the data exceed by so much is replaced: dwells are many.
+_EXCEEDING_SIGMAS = 4.0
 #: Intervals between epochs that count as equal, relative.
 _SAME_INTERVAL = 0.01
 #: Share of the changes that may be smaller than the resolution: wraps, corrections.
@@ -182,6 +184,27 @@ class NoiseEstimate:
     def heading_white(self) -> NoiseParameter:
         """Noise of each heading output, rad; that of level angles may differ, and matters to no estimate."""
         return self.heading.parameter(WHITE_ANGLE)
+
+    def exceeding(self, declared: NoiseModel) -> NoiseModel:
+        """The declared noise, with what is significantly larger here in the place of what it declares."""
+
+        def larger(value: float, *measured: NoiseParameter) -> float:
+            found = [
+                each.value
+                for each in measured
+                if each.square is not None
+                and each.value is not None
+                and each.square - value**2 > _EXCEEDING_SIGMAS * each.square_sigma
+            ]
+            return max([value, *found])
+
+        return NoiseModel(
+            larger(declared.angle_random_walk, self.angle_random_walk, *self.angle_random_walks),
+            larger(declared.velocity_random_walk, self.velocity_random_walk),
+            larger(declared.velocity_white, self.velocity_white),
+            # Pulses that hide the noise are worth at least as much.
+            larger(declared.heading_white, self.heading_white) if self.heading.fit else self.heading.step,
+        )
 
     def noise_model(self) -> NoiseModel:
         """Make the model that this amounts to.

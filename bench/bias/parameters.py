@@ -9,7 +9,13 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, STANDARD_GRAVITY, UG_TO_MPS2, FloatArray
+from gyrobench.bench.foundations.arrays import (
+    DPH_TO_RADPS,
+    STANDARD_GRAVITY,
+    UG_TO_MPS2,
+    FloatArray,
+    IntArray,
+)
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.navigation.error_model import INPUTS
 
@@ -19,12 +25,15 @@ GYRO_BIAS, GYRO_SLOPE, ACCELEROMETER_BIAS = slice(0, 3), slice(3, 6), slice(6, 9
 NAVIGATION_RATE, GYRO_MATRIX = slice(9, 11), slice(11, 20)
 #: Drift of the accelerometer biases, m/s^3, body axes.
 ACCELEROMETER_DRIFT = slice(20, 23)
-COMMON = 23
+#: Rate at which the INS damps its velocity, 1/s: zero where it is free inertial.
+DAMPING = 23
+COMMON = 24
 
 #: Of each window: constant of the heading, jumps of velocity East and North and of the attitude
-#: error East, North and Up at its start.
-HEADING, VELOCITY, ATTITUDE = 0, slice(1, 3), slice(3, 6)
-PER_WINDOW = 6
+#: error East, North and Up at its start, and what the turn before it changes of the acceleration East and
+#: North until that has decayed.
+HEADING, VELOCITY, ATTITUDE, TRANSIENT = 0, slice(1, 3), slice(3, 6), slice(6, 8)
+PER_WINDOW = 8
 
 #: So wide a prior of a gyro's bias, rad/s, that it only keeps the problem regular.
 WIDE_GYRO_BIAS = 0.01
@@ -54,6 +63,12 @@ def inputs(C_nb: FloatArray, rate_body: FloatArray, count: int) -> FloatArray:
     return result
 
 
+def transients(windows: int) -> IntArray:
+    """Places of the transients of all windows after the first."""
+    first = COMMON + PER_WINDOW * np.arange(1, windows)
+    return np.add.outer(first, np.arange(PER_WINDOW)[TRANSIENT]).ravel()
+
+
 def prior_root(prior: PriorKnowledge, windows: int, earth_rate: FloatArray) -> FloatArray:
     """Root ``L`` (p, p) of the parameters' prior covariance ``L @ L.T``.
 
@@ -79,6 +94,7 @@ def prior_root(prior: PriorKnowledge, windows: int, earth_rate: FloatArray) -> F
         own = sigmas[COMMON + PER_WINDOW * window :][:PER_WINDOW]
         own[HEADING], own[VELOCITY] = _HEADING, _VELOCITY
         own[ATTITUDE] = prior.tilt_step if window else _FIRST_ATTITUDE
+        own[TRANSIENT] = prior.accelerometer_transient if window else 0.0
     np.fill_diagonal(root, sigmas)
     root[NAVIGATION_RATE, NAVIGATION_RATE.start] = prior.latitude * np.array([earth_rate[2], -earth_rate[1]])
     return root
@@ -112,8 +128,12 @@ class PriorKnowledge:
     #: rad; lets gravity in, so accelerometer biases seem to differ between positions. Observable only in a
     #: solution of several dwells.
     accelerometer_misalignment: float = 5.0 * _ARCSEC
-    #: Change of an accelerometer's bias in a dwell, m/s^3.
-    accelerometer_drift: float = 2.0 * UG_TO_MPS2 / 3600.0
+    #: Change of an accelerometer's bias in a dwell, m/s^3. No fit of one dwell finds it. Data sheets of
+    #: quartz accelerometers state 15 to 30 ug/K; a tenth is left of it if modelled, and ramps of 10 K/h are
+    #: usual.
+    accelerometer_drift: float = 20.0 * UG_TO_MPS2 / 3600.0
+    #: How far a turn changes an accelerometer's bias until that has decayed, m/s^2; estimated where it shows.
+    accelerometer_transient: float = 20.0 * UG_TO_MPS2
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -131,7 +151,8 @@ class PriorKnowledge:
         latitude_arcmin: float = 0.02,
         bias_slope_dph_per_c: float = 0.001,
         accelerometer_misalignment_arcsec: float = 5.0,
-        accelerometer_drift_ug_per_h: float = 2.0,
+        accelerometer_drift_ug_per_h: float = 20.0,
+        accelerometer_transient_ug: float = 20.0,
     ) -> PriorKnowledge:
         """The same in the units of data sheets."""
         return cls(
@@ -143,4 +164,5 @@ class PriorKnowledge:
             bias_slope_dph_per_c * DPH_TO_RADPS,
             accelerometer_misalignment_arcsec * _ARCSEC,
             accelerometer_drift_ug_per_h * UG_TO_MPS2 / 3600.0,
+            accelerometer_transient_ug * UG_TO_MPS2,
         )

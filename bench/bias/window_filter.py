@@ -20,13 +20,15 @@ from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.statistics import compress
 from gyrobench.bench.foundations.arrays import FloatArray, IntArray
 from gyrobench.bench.navigation.attitude import rotation_vector_enu
-from gyrobench.bench.navigation.error_model import STATES, Site, integrate
+from gyrobench.bench.navigation.error_model import INPUTS, STATES, Site, integrate
 
 #: Velocity and heading hold all that happened before, so epochs closer than this, s, would only
 #: average noise of the output.
 EPOCH_S = 1.0
 #: Time, s, over which innovations are summed for the test of fit.
 BLOCK_S = 60.0
+#: Time constant, s, with which accelerometers settle after a turn.
+TRANSIENT_S = 120.0
 
 # Noise of an output without any, m/s and rad: far below what an INS resolves.
 _MIN_WHITE = np.array([1e-7, 1e-7, 1e-10])
@@ -36,6 +38,20 @@ _MIN_WHITE = np.array([1e-7, 1e-7, 1e-10])
 class _Block:
     total: FloatArray = field(default_factory=lambda: np.zeros((3, COLUMNS)))
     times_s: list[float] = field(default_factory=list)
+
+
+@dataclass(frozen=True, eq=False)
+class EpochsFiltered:
+    """What the filter did at each of the n epochs of a window."""
+
+    time_s: FloatArray  #: Shape (n,).
+    #: rows, gains, scales: Shapes (n, 3, c), (n, 3, 6), (n, 3). See :func:`whiten`.
+    rows: FloatArray
+    gains: FloatArray
+    scales: FloatArray
+    #: transition, response: Shapes (n, 6, 6), (n, 6, 5). The interval that leads to each epoch.
+    transition: FloatArray
+    response: FloatArray
 
 
 class WindowFilter:
@@ -56,10 +72,10 @@ class WindowFilter:
 
     Attributes
     ----------
-    columns : ndarray, shape (6, 16)
+    columns : ndarray, shape (6, c)
         What the filter does not know of the state at the last epoch, for the columns of
         :mod:`gyrobench.bench.bias.window_filter`.
-    root : ndarray, shape (k, 16)
+    root : ndarray, shape (k, c)
         Rows with the same normal equations as the white ones of all epochs.
     last_s : float
         Time of the last epoch used; NaN before the first one.
@@ -90,6 +106,8 @@ class WindowFilter:
         self.last_s = math.nan
         self.temperature_sum = np.zeros(3)
         self.epochs = 0
+        self._last_velocity = np.zeros(2)
+        self._filtered: list[tuple[FloatArray, ...]] = []
 
     def choose(self, time_s: FloatArray) -> IntArray:
         """Choose the first epoch of each second that has none yet; indices."""
@@ -108,7 +126,12 @@ class WindowFilter:
             self._noise.velocity_random_walk,
         )
         heading = -rotation_vector_enu(C_nb, self.C_nb)[:, 2]
-        rows = whiten(
+        driven = np.zeros((len(time_s), INPUTS, DATA - SLOPE))
+        driven[:, :3, :3] = self.C_nb * temperatures[:, np.newaxis]
+        driven[:, 3:, 3:5] = np.multiply.outer(np.exp((self._first_s - time_s) / TRANSIENT_S), np.eye(2))
+        # Of the epoch before, whose noise the innovation does not hold.
+        driven[:, 3:, 5] = -np.vstack([self._last_velocity, velocity_en_mps[:-1]])
+        rows, gains, scales = whiten(
             self.columns,
             self.covariance,
             np.column_stack([velocity_en_mps, heading]),
@@ -116,17 +139,22 @@ class WindowFilter:
             steps.transition,
             steps.response,
             steps.covariance,
-            self.C_nb,
-            temperatures,
+            driven,
         )
         self.root = compress(np.vstack([self.root, rows.reshape(-1, COLUMNS)]))
+        self._filtered.append((time_s, rows, gains, scales, steps.transition, steps.response))
         self._sum_up(time_s, rows)
-        self.last_s = float(time_s[-1])
+        self.last_s, self._last_velocity = float(time_s[-1]), velocity_en_mps[-1]
         self.temperature_sum += temperatures.sum(axis=0)
         self.epochs += len(time_s)
 
+    @property
+    def epochs_filtered(self) -> EpochsFiltered:
+        """What the filter did at each epoch."""
+        return EpochsFiltered(*(np.concatenate(each) for each in zip(*self._filtered, strict=True)))
+
     def blocks(self) -> Iterator[tuple[float, FloatArray]]:
-        """Middle of each minute, and the sum of its rows (3, 16) with unit variance."""
+        """Middle of each minute, and the sum of its rows (3, c) with unit variance."""
         for block in self._blocks.values():
             times_s = block.times_s
             yield 0.5 * (times_s[0] + times_s[-1]), block.total / math.sqrt(len(times_s))
@@ -140,9 +168,14 @@ class WindowFilter:
 
 
 #: Columns of a window: state at its start, constant inputs, a constant of the heading, inputs that
-#: follow the temperature of each gyro, the data.
-STATE, INPUT, HEADING, SLOPE, DATA = 0, 6, 11, 12, 15
-COLUMNS = 16
+#: follow the temperature of each gyro, accelerations East and North that decay, damping of the velocity,
+#: the data.
+STATE, INPUT, HEADING, SLOPE, TRANSIENT, DAMPING, DATA = 0, 6, 11, 12, 15, 17, 18
+COLUMNS = 19
+
+
+#: Components of the state that the data of an epoch measure: velocity East and North, attitude about Up.
+MEASURED_STATES = (3, 4, 2)
 
 
 @numba.njit(cache=True)
@@ -154,14 +187,13 @@ def whiten(
     transitions: FloatArray,
     responses: FloatArray,
     covariances: FloatArray,
-    C_nb: FloatArray,
-    temperatures: FloatArray,
-) -> FloatArray:
+    driven: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Filter the next epochs of one window; ``columns`` and ``covariance`` are changed in place.
 
     Parameters
     ----------
-    columns : ndarray, shape (6, 16)
+    columns : ndarray, shape (6, c)
         The part of the state that the filter does not know, for each column.
     covariance : ndarray, shape (6, 6)
         Of the filter's estimate, from the noise alone.
@@ -171,17 +203,18 @@ def whiten(
         Of the noise of each of them.
     transitions, responses, covariances : ndarray, shape (n, 6, 6), (n, 6, 5), (n, 6, 6)
         The interval that leads to each epoch; :class:`gyrobench.bench.navigation.error_model.Intervals`.
-    C_nb : ndarray, shape (3, 3)
-        Attitude in the window.
-    temperatures : ndarray, shape (n, 3)
-        Of the gyros in the interval that leads to each epoch, K from where the slopes count.
+    driven : ndarray, shape (n, 5, 6)
+        Input in the interval that leads to each epoch, for each column from the slopes on.
 
     Returns
     -------
-    ndarray, shape (n, 3, 16)
+    rows : ndarray, shape (n, 3, c)
         White rows with unit variance.
+    gains, scales : ndarray, shape (n, 3, 6), (n, 3)
+        Gain of the filter at each datum, and what makes its innovation one of unit variance.
     """
     rows = np.empty((measured.shape[0], 3, COLUMNS))
+    gains, scales = np.empty((measured.shape[0], 3, 6)), np.empty((measured.shape[0], 3))
     moved = np.empty((6, COLUMNS))
     for k in range(measured.shape[0]):
         transition, response = transitions[k], responses[k]
@@ -192,15 +225,14 @@ def whiten(
                 factor = transition[i, j]
                 for c in range(COLUMNS):
                     moved[i, c] += factor * columns[j, c]
-            for j in range(5):
+            for j in range(INPUTS):
                 moved[i, INPUT + j] += response[i, j]
-            for axis in range(3):
-                for j in range(3):
-                    moved[i, SLOPE + axis] += response[i, j] * C_nb[j, axis] * temperatures[k, axis]
+                for c in range(DATA - SLOPE):
+                    moved[i, SLOPE + c] += response[i, j] * driven[k, j, c]
         columns[:] = moved
         covariance[:] = transition @ covariance @ transition.T + covariances[k]
         for m in range(3):
-            h = 3 + m if m < 2 else 2
+            h = MEASURED_STATES[m]
             variance = covariance[h, h] + variances[m]
             gain = covariance[h] / variance
             row = rows[k, m]
@@ -215,6 +247,7 @@ def whiten(
                 for j in range(6):
                     covariance[i, j] -= gain[i] * gain[j] * variance
             scale = 1.0 / np.sqrt(variance)
+            gains[k, m], scales[k, m] = gain, scale
             for c in range(COLUMNS):
                 row[c] *= scale
-    return rows
+    return rows, gains, scales

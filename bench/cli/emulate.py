@@ -36,6 +36,14 @@ def emulate(
     table_port: Annotated[str, typer.Option(help=_PORT_HELP.format("rate table"))] = "",
     chamber_port: Annotated[str, typer.Option(help=_PORT_HELP.format("chamber"))] = "",
     ins_port: Annotated[str, typer.Option(help=_PORT_HELP.format("INS"))] = "",
+    chamber_option: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KEY=VALUE",
+            help="Option of the emulated chamber: model=F4S, decimals=2, address=2 (F4), echo=before, "
+            "line_ending=crlf (Thermotron). Repeatable.",
+        ),
+    ] = None,
     can: Annotated[
         CanServer | None, typer.Option(help="CAN interface of the INS; default: that of the station.")
     ] = None,
@@ -68,6 +76,7 @@ def emulate(
     ports = {"table": table_port, "chamber": chamber_port, "ins": ins_port}
     settings = EmulationSettings(world, seed, speed, faults or None, faults_log, for_s)
     options = serve_options(bench, ports, tcp=tcp, can=can, settings=settings)
+    options += [f"--chamber-option={each}" for each in chamber_option or []]
     end_at_sigterm()
     with EmulatorProcess(options) as emulators:
         if emulators.urls:

@@ -19,7 +19,7 @@ from gyrobench.bench.bias.paper import estimate_paper
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.bias.window_filter import EPOCH_S
 from gyrobench.bench.dwells.marks import DwellMarks, WindowMark
-from gyrobench.bench.dwells.output_checks import OutputFault, output_faults
+from gyrobench.bench.dwells.output_checks import OutputFault, exceeds_noise, output_faults
 from gyrobench.bench.dwells.sign_check import SignCheck
 from gyrobench.bench.dwells.temperatures import (
     DwellTemperatures,
@@ -31,6 +31,7 @@ from gyrobench.bench.dwells.temperatures import (
 from gyrobench.bench.foundations.arrays import UG_TO_MPS2, BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError, SignalMapError
 from gyrobench.bench.navigation.error_model import Site
+from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.navigation.table_axes import TwoAxisTable
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.frames import FrameBlock
@@ -43,6 +44,10 @@ from gyrobench.drivers.ins.resolution import ResolutionLimit, resolution_report
 MIN_FIT_P_VALUE = 1e-5
 #: The same for biases that differ between the windows: one in ten thousand.
 _MIN_STEADY_P_VALUE = 1e-4
+#: Attitude that is noisier than declared by this factor comes in steps of its sensors.
+_COARSER = 5.0
+#: The same for a bias that steps.
+_MIN_STEP_P_VALUE = 4e-3
 
 
 @dataclass(frozen=True)
@@ -73,17 +78,21 @@ class MeasurementSetup:
 
     def output_faults(self, dwell: Dwell, noise: NoiseModel) -> list[OutputFault]:
         """Find output that is impossible at rest."""
-        return output_faults(
-            dwell.windows, noise, self.site.gravity, self.velocity_lsb_mps, self.heading_lsb_rad
-        )
+        return output_faults(dwell.windows, noise, self.site.gravity, *self._steps)
+
+    @property
+    def _steps(self) -> tuple[float, float]:
+        return self.velocity_lsb_mps, self.heading_lsb_rad
 
     def noise_in(self, windows: tuple[NavigationWindow, ...]) -> NoiseModel:
-        """Noise of the INS in these windows: declared, or estimated from them.
+        """Noise of the INS in these windows: estimated from them, or declared and not exceeded by them.
 
         Raises MeasurementError if it is to be estimated, and is not observable in these windows.
         """
         if self.noise is not None:
-            return self.noise
+            if not exceeds_noise(windows, self.noise, self.site.gravity, *self._steps):
+                return self.noise
+            return estimate_noise(windows, self.site.gravity).exceeding(self.noise)
         noise = estimate_noise(windows, self.site.gravity).noise_model()
         return replace(
             noise,
@@ -137,19 +146,51 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
         )
         dwell = dwell_at_rest(marks, navigation, setup)
         noise = setup.noise_in(dwell.windows)
-        estimate = estimate_state_space(dwell, setup.site, noise, setup.prior)
         paper = _paper(dwell, setup.site, noise)
-        faults = setup.output_faults(dwell, noise)
-        flags += [fault.text for fault in faults if not fault.may_be_noise]
+        estimate, found, doubts = estimate_dwell(dwell, setup, noise)
+        flags += found
         if not flags:
             windows = tuple(window.thinned(EPOCH_S) for window in dwell.windows)
-        doubts = (*(fault.text for fault in faults if fault.may_be_noise), *_doubts(estimate))
         flags += doubts
     except MeasurementError as error:
         flags.append(str(error))
         signal_fault = str(error) if isinstance(error, SignalMapError) else ""
     row = _row(marks, temperatures, estimate, paper, flags)
     return MeasuredDwell(row, estimate, paper, windows, counts, doubts, signal_fault)
+
+
+def estimate_dwell(
+    dwell: Dwell, setup: MeasurementSetup, noise: NoiseModel
+) -> tuple[StateSpaceEstimate, list[str], tuple[str, ...]]:
+    """Estimate the biases of a dwell.
+
+    Returns
+    -------
+    estimate : StateSpaceEstimate
+        The biases.
+    flags : list of str
+        What disturbed the dwell.
+    doubts : tuple of str
+        What another dwell would show as well: larger noise would explain it, or the INS is at fault.
+    """
+    estimate = estimate_state_space(dwell, setup.site, noise, setup.prior)
+    faults = setup.output_faults(dwell, noise)
+    flags, doubts = [fault.text for fault in faults if not fault.may_be_noise], _doubts(estimate)
+    pulse_rad = math.sqrt(12.0) * noise.heading_white
+    if (flags or doubts) and setup.noise and noise.heading_white > _COARSER * setup.noise.heading_white:
+        doubts.insert(
+            0,
+            f"the resolution of the gyros limits this dwell: the attitude moves in steps of about "
+            f"{math.degrees(pulse_rad) * 3600.0:.2g} arcsec. Measure with dithered gyros or finer pulses",
+        )
+    step, others = estimate.step, (estimate.fit.p_value, estimate.steady_p_value, estimate.damping.p_value)
+    if step is not None and step.p_value < min(_MIN_STEP_P_VALUE, *others):
+        flags.append(
+            f"a bias is not constant: that of the {AXES[step.gyro]} gyro seems to step by "
+            f"{step.size_dph:.2g} deg/h at {step.time_s:.0f} s on the clock of the INS (p = "
+            f"{step.p_value:.1g}, corrected for the search). Measure the dwell again"
+        )
+    return estimate, flags, (*(fault.text for fault in faults if fault.may_be_noise), *doubts)
 
 
 def checked_navigation(
@@ -198,6 +239,8 @@ def dwell_at_rest(marks: DwellMarks, navigation: NavigationData, setup: Measurem
 def _doubts(estimate: StateSpaceEstimate) -> list[str]:
     """What contradicts the estimate; noise larger than declared would explain it too."""
     doubts = []
+    if estimate.damping.p_value < _MIN_STEADY_P_VALUE:
+        doubts.append(estimate.damping.text)
     if estimate.fit.p_value < MIN_FIT_P_VALUE:
         doubts.append(lack_of_fit_text(estimate.fit))
     if estimate.steady_p_value < _MIN_STEADY_P_VALUE:
@@ -220,7 +263,7 @@ def lack_of_fit_text(fit: GoodnessOfFit) -> str:
     """Message where error model and noise do not explain the data."""
     return (
         f"the residuals are {fit.ratio:.2f} times as large as the noise explains "
-        f"(p = {fit.p_value:.1g}): the noise is larger than declared, or the unit was disturbed"
+        f"(p = {fit.p_value:.1g}): the unit was disturbed, or its noise is not as declared"
     )
 
 

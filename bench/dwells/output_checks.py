@@ -15,15 +15,23 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell import NavigationWindow
 from gyrobench.bench.bias.noise_model import NoiseModel
+from gyrobench.bench.bias.window_filter import EPOCH_S
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.navigation.attitude import rotation_vector_enu
+from gyrobench.bench.navigation.earth import EARTH_RATE, MEAN_RADIUS
 
 #: A value this many robust standard deviations and steps of the output away from its neighbours jumps.
 _JUMP_SIGMAS, _JUMP_STEPS = 10.0, 4.0
 _MAD_TO_SIGMA = 1.4826
+#: Neither does one within so much white noise: pulses without dither are still most of the time.
+_WHITE_SIGMAS = 5.5
+#: More jumps than this in a window are steps of the output.
+_MANY_JUMPS = 30
 #: Times, s, within which a slope may not change by so many standard deviations, and how often a window
 #: holds them.
 _BEND_LAGS_S, _BEND_SIGMAS, _MIN_LAGS = (10.0, 30.0), 6.5, 3.0
+#: What the error model may do to a channel is fitted down to this share of it.
+_MIN_SHARE = 1e-6
 #: A random walk stays within a step of the output for so many times the time in which it goes that far
 #: once in ten thousand million times.
 _STILL_TIMES = 6.0
@@ -32,6 +40,8 @@ _STILL_EPOCHS, _STILL_S = 30, 10.0
 #: An INS is as noisy as declared if its attitude moves by this share of what that leads to expect, over
 #: this time, s. A better one may well keep a velocity for minutes.
 _NOISY_SHARE, _NOISY_OVER_S = 0.5, 10.0
+#: It is noisier than declared if it moves by so much more, mean square.
+_NOISIER = 1.25
 _VELOCITIES = ("velocity East", "velocity North")
 _ATTITUDE = ("attitude about East", "attitude about North", "heading")
 #: Rounding of the arithmetic: m/s and rad.
@@ -75,8 +85,8 @@ def output_faults(
     faults = []
     for number, (window, each) in enumerate(zip(windows, channels, strict=True), start=1):
         found = [
-            _jump(window.time_s, each, steps),
-            _bend(window.time_s, each, steps, noise, gravity),
+            _jump(window.time_s, each, steps, noise),
+            _bend(window, steps, noise, gravity),
             _hanging(window.time_s, each, steps, noise) if is_noisy else None,
         ]
         faults += [replace(fault, text=f"window {number}: {fault.text}") for fault in found if fault]
@@ -90,60 +100,115 @@ def _channels(window: NavigationWindow) -> dict[str, FloatArray]:
 
 
 def _jump(
-    time_s: FloatArray, channels: Mapping[str, FloatArray], steps: Mapping[str, float]
+    time_s: FloatArray, channels: Mapping[str, FloatArray], steps: Mapping[str, float], noise: NoiseModel
 ) -> OutputFault | None:
     """The first jump of any channel."""
-    jumps = {name: _first_jump(time_s, values, steps[name]) for name, values in channels.items()}
-    first = min(jumps, key=jumps.__getitem__)
-    if not math.isfinite(jumps[first]):
+    white = dict.fromkeys(_VELOCITIES, noise.velocity_white) | dict.fromkeys(_ATTITUDE, noise.heading_white)
+    jumps = {
+        name: _first_jump(time_s, values, steps[name], _WHITE_SIGMAS * white[name])
+        for name, values in channels.items()
+    }
+    first = min(jumps, key=lambda name: jumps[name][0])
+    time_of_first_s, count, size = jumps[first]
+    if not math.isfinite(time_of_first_s):
         return None
+    if count > _MANY_JUMPS:
+        unit = "m/s" if first in _VELOCITIES else "rad"
+        return OutputFault(
+            f"the {first} moves in steps of about {size:.1g} {unit}, {count} of them: the resolution of the "
+            "sensors limits the dwell, or frames are damaged. Dither the gyros; check the raw CAN log"
+        )
     return OutputFault(
-        f"the {first} jumps at {jumps[first]:.1f} s on the clock of the INS: a damaged frame, an INS that "
+        f"the {first} jumps at {time_of_first_s:.1f} s on the clock of the INS: a damaged frame, an INS that "
         "restarted, or a unit that was knocked. Check the raw CAN log"
     )
 
 
 def _bend(
-    time_s: FloatArray,
-    channels: Mapping[str, FloatArray],
-    steps: Mapping[str, float],
-    noise: NoiseModel,
-    gravity: float,
+    window: NavigationWindow, steps: Mapping[str, float], noise: NoiseModel, gravity: float
 ) -> OutputFault | None:
-    """A slope that changes by more than noise lets it."""
+    """A slope that changes by more than error model and noise let it."""
     for lag_s in _BEND_LAGS_S:
-        middle = time_s[(time_s >= time_s[0] + lag_s) & (time_s <= time_s[-1] - lag_s)]
-        if time_s[-1] - time_s[0] < _MIN_LAGS * lag_s:
-            continue
-        for name, values in channels.items():
-            before, at, after = (
-                np.interp(middle + away_s, time_s, values) for away_s in (-lag_s, 0.0, lag_s)
-            )
-            bends = before - 2.0 * at + after
-            # A steady bend is that of the error model.
-            away = np.abs(bends - np.median(bends))
-            if name in _VELOCITIES:
-                walk, white = noise.velocity_random_walk, noise.velocity_white
-                tilted = (gravity * noise.angle_random_walk) ** 2 * lag_s**3 * 2.0 / 3.0
-            else:
-                walk, white, tilted = noise.angle_random_walk, noise.heading_white, 0.0
-            white = max(white, steps[name] / math.sqrt(12.0))
-            sigma = math.sqrt(2.0 * walk**2 * lag_s + 6.0 * white**2 + tilted)
+        for name, (middle_s, bends, sigma) in _bends(window, steps, noise, gravity, lag_s).items():
+            away = np.abs(bends)
             if away.max() > _BEND_SIGMAS * sigma:
                 own_sigma = _MAD_TO_SIGMA * float(np.median(away))
                 may_be_noise = bool(away.max() <= _BEND_SIGMAS * own_sigma)
                 return OutputFault(
-                    f"the {name} bends within {lag_s:g} s of {middle[np.argmax(away)]:.1f} s on the clock of "
-                    "the INS by more than its noise explains: was the unit moved?",
+                    f"the {name} bends within {lag_s:g} s of {middle_s[np.argmax(away)]:.1f} s on the clock "
+                    "of the INS by more than its noise explains: was the unit moved?",
                     may_be_noise,
                 )
     return None
+
+
+def _bends(
+    window: NavigationWindow, steps: Mapping[str, float], noise: NoiseModel, gravity: float, lag_s: float
+) -> dict[str, tuple[FloatArray, FloatArray, float]]:
+    """Change of the slope of what the error model leaves of each channel; empty for short windows.
+
+    For each: times (n,), the change within a lag around them (n,), and its standard deviation.
+    """
+    thinned = window.thinned(EPOCH_S)
+    time_s = thinned.time_s
+    if time_s[-1] - time_s[0] < _MIN_LAGS * lag_s:
+        return {}
+    channels = _channels(thinned)
+    explained = _error_model(time_s - time_s[0], gravity)
+    values = np.array([*channels.values()]).T
+    # An offset as large as the Earth's rotation must not limit how exactly the rest is taken away.
+    values = values - values.mean(axis=0)
+    values = values - explained @ np.linalg.lstsq(explained, values, rcond=_MIN_SHARE)[0]
+    middle_s = time_s[(time_s >= time_s[0] + lag_s) & (time_s <= time_s[-1] - lag_s)]
+    result = {}
+    for name, rest in zip(channels, values.T, strict=True):
+        before, at, after = (np.interp(middle_s + away_s, time_s, rest) for away_s in (-lag_s, 0.0, lag_s))
+        if name in _VELOCITIES:
+            walk, white = noise.velocity_random_walk, noise.velocity_white
+            tilted = (gravity * noise.angle_random_walk) ** 2 * lag_s**3 * 2.0 / 3.0
+        else:
+            walk, white, tilted = noise.angle_random_walk, noise.heading_white, 0.0
+        white = max(white, steps[name] / math.sqrt(12.0))
+        sigma = math.sqrt(2.0 * walk**2 * lag_s + 6.0 * white**2 + tilted)
+        result[name] = middle_s, before - 2.0 * at + after, sigma
+    return result
+
+
+def _error_model(time_s: FloatArray, gravity: float) -> FloatArray:
+    """All that the error model lets a channel do at rest, (n, 9): Schuler loop, rotation of the Earth."""
+    schuler = math.sqrt(gravity / MEAN_RADIUS) * time_s
+    swing = np.array([np.sin(schuler), np.cos(schuler)])
+    # The Earth's rotation splits the Schuler frequency a little.
+    earth = [np.sin(EARTH_RATE * time_s), np.cos(EARTH_RATE * time_s)]
+    share = time_s / time_s[-1]
+    return np.array([np.ones(len(time_s)), share, share**2, *swing, *(share * swing), *earth]).T
+
+
+def exceeds_noise(
+    windows: Sequence[NavigationWindow],
+    noise: NoiseModel,
+    gravity: float,
+    velocity_step_mps: float,
+    heading_step_rad: float,
+) -> bool:
+    """Whether velocities or attitude move more than this noise explains; see :func:`output_faults`."""
+    steps = dict.fromkeys(_VELOCITIES, velocity_step_mps) | dict.fromkeys(_ATTITUDE, heading_step_rad)
+    bends = [_bends(window, steps, noise, gravity, _NOISY_OVER_S) for window in windows]
+    for names in (_VELOCITIES, _ATTITUDE):
+        squares = [
+            float(np.mean((each[name][1] / each[name][2]) ** 2)) for each in bends for name in names if each
+        ]
+        if squares and float(np.mean(squares)) > _NOISIER:
+            return True
+    return False
 
 
 def _hanging(
     time_s: FloatArray, channels: Mapping[str, FloatArray], steps: Mapping[str, float], noise: NoiseModel
 ) -> OutputFault | None:
     """What stays the same for longer than noise lets it."""
+    pulse = math.sqrt(12.0) * noise.heading_white
+    steps = {name: max(step, pulse) if name in _ATTITUDE else step for name, step in steps.items()}
     moves = {
         name: np.abs(np.diff(values)) > 0.5 * max(steps[name], _ARITHMETIC)
         for name, values in channels.items()
@@ -173,16 +238,23 @@ def _is_noisy(time_s: FloatArray, channels: Mapping[str, FloatArray], walk: floa
     return any(len(each) > 0 and float(np.std(each)) > _NOISY_SHARE * expected for each in bends)
 
 
-def _first_jump(time_s: FloatArray, values: FloatArray, step: float) -> float:
-    """Time of the first value that its neighbours do not lead to expect; infinite where all do."""
+def _first_jump(
+    time_s: FloatArray, values: FloatArray, step: float, white: float
+) -> tuple[float, int, float]:
+    """Time of the first value that its neighbours, and white noise, do not lead to expect; or infinite.
+
+    And how many there are, and how far off the typical one of them is.
+    """
     before_s, after_s = time_s[1:-1] - time_s[:-2], time_s[2:] - time_s[1:-1]
     expected = (values[:-2] * after_s + values[2:] * before_s) / (before_s + after_s)
     away = values[1:-1] - expected
     # Across lost epochs a random walk goes as far as the root of the time.
     wide = np.sqrt((before_s + after_s) / (2.0 * np.median(after_s)))
     sigma = _MAD_TO_SIGMA * float(np.median(np.abs(away)))
-    jumps = np.abs(away) > (_JUMP_SIGMAS * sigma + _JUMP_STEPS * step) * np.maximum(wide, 1.0)
-    return float(time_s[1:-1][jumps][0]) if jumps.any() else math.inf
+    jumps = np.abs(away) > (max(_JUMP_SIGMAS * sigma, white) + _JUMP_STEPS * step) * np.maximum(wide, 1.0)
+    if not jumps.any():
+        return math.inf, 0, 0.0
+    return float(time_s[1:-1][jumps][0]), int(jumps.sum()), float(np.median(np.abs(away[jumps])))
 
 
 def _longest_still(time_s: FloatArray, moves: BoolArray) -> tuple[float, float]:

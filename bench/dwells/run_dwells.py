@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from gyrobench.bench.bias.acceptance import judge
+from gyrobench.bench.bias.bias_filter import Damping
 from gyrobench.bench.bias.bins import BiasBin, bin_biases, write_bins
 from gyrobench.bench.bias.joint_solution import JointDwell, JointSolution, pooled_up_rate, solve_jointly
 from gyrobench.bench.bias.noise_estimate import NoiseEstimate, estimate_noise
@@ -140,7 +141,27 @@ def add_dwell(dwells: list[MeasuredDwell], measured: MeasuredDwell) -> None:
         if flag not in row.flags:
             flags = "; ".join(text for text in (row.flags, flag) if text)
             dwells[index] = replace(dwells[index], row=replace(row, flags=flags))
+    _flag_damping(dwells)
     _keep_navigation_of_some(dwells)
+
+
+#: The velocity of an INS is damped where all dwells together give this rate, 1/s, or more, and chance gives
+#: it so rarely.
+_MIN_DAMPING, _MIN_DAMPING_P_VALUE = 0.5 / 3600.0, 1e-5
+
+
+def _flag_damping(dwells: list[MeasuredDwell]) -> None:
+    """Flag all dwells of an INS that damps its velocity: few dwells show it by themselves."""
+    known = [each.estimate.damping for each in dwells if each.estimate and not each.is_disturbed]
+    damping = Damping.mean(known) if known else None
+    if damping is None or damping.rate < _MIN_DAMPING or damping.p_value > _MIN_DAMPING_P_VALUE:
+        return
+    for index, dwell in enumerate(dwells):
+        if dwell.estimate and "damps its velocity" not in dwell.row.flags:
+            flags = "; ".join(text for text in (dwell.row.flags, damping.text) if text)
+            dwells[index] = replace(
+                dwell, row=replace(dwell.row, flags=flags), doubts=(*dwell.doubts, damping.text)
+            )
 
 
 def _keep_navigation_of_some(dwells: list[MeasuredDwell]) -> None:

@@ -25,10 +25,9 @@ from gyrobench.bench.jog.terminal import (
     StoppedByOperatorError,
     TypedLines,
 )
-from gyrobench.bench.station.instruments import CHAMBER, Emulation, Instruments
+from gyrobench.bench.station.instruments import Emulation, Instruments
 from gyrobench.bench.station.locks import JOG_COMMAND, BenchLock
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.ins.can_bus import INSTRUMENT as INS
 
 _PROMPT = "jog> "
 _TICKS_TO_FIRST_FRAME = 2
@@ -151,8 +150,8 @@ class _Session:
             self._display.print("Chamber, INS power and servos are left as they are.")
             return True
         actions = self._control.make_safe()
-        absent = tuple(self._control.bench.instruments.absent)
-        actions = [action for action in actions if not action.what.startswith(_outputs_of(absent))]
+        absent = self._control.bench.instruments.absent
+        actions = [action for action in actions if action.instrument not in absent]
         if self._control.bench.instruments.is_ramping:
             self._display.print("The chamber's set point is moved to its safe value; Ctrl-C ends that.")
             actions += self._control.finish_ramp()
@@ -176,11 +175,6 @@ class _Session:
 
         # Unlike a generator, this iterator continues after an exception raised while it waits for a line.
         return iter(typed, None)
-
-
-def _outputs_of(absent: Sequence[str]) -> tuple[str, ...]:
-    """First words of the safe actions that these instruments perform: the chamber powers the INS."""
-    return tuple(output for name in absent for output in ((name, INS) if name == CHAMBER else (name,)))
 
 
 def _error_text(error: GyrobenchError) -> str:

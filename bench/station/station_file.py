@@ -134,7 +134,10 @@ class InsUncertainty(StrictModel):
         1000.0, description="bias of each accelerometer, ug; a large value leaves it to the data"
     )
     accelerometer_drift_ug_per_h: NotNegative = Field(
-        2.0, description="change of each accelerometer's bias in a dwell, ug/h"
+        20.0, description="change of each accelerometer's bias in a dwell, ug/h"
+    )
+    accelerometer_transient_ug: NotNegative = Field(
+        20.0, description="what a turn changes of each accelerometer's bias until that has decayed, ug"
     )
     accelerometer_misalignment_arcsec: NotNegative = Field(
         5.0, description="misalignment of each accelerometer, arcsec; for dwells solved together"

@@ -15,9 +15,13 @@ import functools
 import logging
 import math
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from inspect import signature
 from pathlib import Path
 from urllib.parse import parse_qsl, urlsplit
+
+from pydantic import TypeAdapter, ValidationError
 
 from gyrobench.bench.foundations.clock import Clock, VirtualClock, WallClock, clock_named
 from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError
@@ -61,8 +65,9 @@ class EmulatedBench:
 
     It starts at the clock's present time, everything switched off and at room temperature. ``faults`` are
     injected, and logged in ``faults_log`` in place of the list's own ``log``; ``table`` and ``chamber`` are
-    the dialects of these two. Raises DocumentError if the world file or the list of faults is wrong, the seed
-    is negative, or no emulator of a dialect is installed.
+    the dialects of these two; ``chamber_options`` are keyword arguments of the chamber's emulator. Raises
+    DocumentError if the world file, the list of faults or an option is wrong, the seed is negative, or no
+    emulator of a dialect is installed.
     """
 
     def __init__(
@@ -74,6 +79,7 @@ class EmulatedBench:
         faults_log: Path | None = None,
         table: str = _DEFAULT_TABLE,
         chamber: str = _DEFAULT_CHAMBER,
+        chamber_options: Mapping[str, str] | None = None,
     ) -> None:
         if seed < 0:
             raise DocumentError(f"emulated bench: the seed must not be negative; found {seed}")
@@ -83,7 +89,7 @@ class EmulatedBench:
         self.dialects = {"table": table, "chamber": chamber}
         #: table, chamber, ins: The emulated instruments.
         self.table = load(EMULATORS, table, TableEmulation).make(self.world.axes)
-        self.chamber = load(EMULATORS, chamber, ChamberEmulation).make(self.world.air, self._chamber_event)
+        self.chamber = self._chamber(chamber, chamber_options or {})
         self.ins = CanInsEmulator(self.world, clock.epoch.timestamp())
         #: serial, bus: ``table`` and ``chamber`` at their ports, and the INS at the bus, with faults.
         self.serial: dict[str, SerialInstrument] = {"table": self.table, "chamber": self.chamber}
@@ -114,6 +120,18 @@ class EmulatedBench:
         check_faults(path, faults, parts)
         self.injected = InjectionLog(log)
         self._injector = Injector(faults.faults, parts, seed, start_s, self.injected)
+
+    def _chamber(self, dialect: str, options: Mapping[str, str]) -> SerialInstrument:
+        make = load(EMULATORS, dialect, ChamberEmulation).make
+        parameters = signature(make, eval_str=True).parameters
+        given = {}
+        for key, text in options.items():
+            try:
+                given[key] = TypeAdapter(parameters[key].annotation).validate_python(text)
+            except (KeyError, ValidationError) as error:
+                why = error.errors()[0]["msg"] if isinstance(error, ValidationError) else "no such option"
+                raise DocumentError(f"emulated chamber {dialect}: {key}={text}: {why}") from error
+        return make(self.world.air, self._chamber_event, **given)
 
     def _chamber_event(self, number: int, on: bool) -> None:
         if number == UNIT_POWER_EVENT:

@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
-from gyrobench.drivers.emulators.world.chamber_air import ChamberAir
 from gyrobench.drivers.emulators.world.table_axis import TableAxis
 
 #: Called for every event output that changes: its number, counted from 1, and its state.
@@ -61,8 +60,9 @@ class TableEmulation:
 class ChamberEmulation:
     """A dialect of emulated chambers; offered as an entry point of the group ``gyrobench.emulators``."""
 
-    #: Makes the controller from the air that it controls and a function to call when an event output changes.
-    make: Callable[[ChamberAir, OnEvent], SerialInstrument]
+    #: Makes the controller from the air that it controls, a function to call when an event output changes,
+    #: and options by keyword.
+    make: Callable[..., SerialInstrument]
 
 
 @runtime_checkable

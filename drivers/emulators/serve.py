@@ -209,6 +209,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 options.faults_log,
                 table=options.table_dialect,
                 chamber=options.chamber_dialect,
+                chamber_options=dict(each.split("=", 1) for each in options.chamber_option),
             )
             bench.ins.use_format(options.frames)
         except DocumentError as error:
@@ -242,6 +243,9 @@ def _parser() -> argparse.ArgumentParser:
         )
     parser.add_argument("--table-dialect", default="acutrol3000", help="dialect of the table")
     parser.add_argument("--chamber-dialect", default="watlow_f4", help="dialect of the chamber")
+    parser.add_argument(
+        "--chamber-option", type=_key_and_value, action="append", default=[], help="KEY=VALUE of its emulator"
+    )
     parser.add_argument("--frames", default="gyrobench_ins", help="set of frames that the INS sends")
     parser.add_argument(
         "--can",
@@ -255,6 +259,12 @@ def _parser() -> argparse.ArgumentParser:
         "--until-stdin-closes", action="store_true", help="end when the standard input closes"
     )
     return parser
+
+
+def _key_and_value(text: str) -> str:
+    if "=" not in text:
+        raise argparse.ArgumentTypeError(f"expected KEY=VALUE; found {text}")
+    return text
 
 
 def _speed(text: str) -> float:

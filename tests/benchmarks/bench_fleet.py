@@ -109,15 +109,17 @@ def measure_beside_one(kind, runs, count, workers, are_threads, folder):
 
 def format_table(cases):
     """Markdown rows; speed-up over one process."""
+    cores = len(os.sched_getaffinity(0))
     lines = [
-        "| job | workers | time s | speed-up | runs/s | CPU s a run | peak MB a worker | start s |",
-        "|---|---|---|---|---|---|---|---|",
+        "| job | workers | time s | speed-up | cores busy | runs/s | CPU s a run | peak MB | start s |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     for case in cases:
         who = f"{case.workers} {'thread' if case.are_threads else 'process'}"
         who += "" if case.workers == 1 else "s" if case.are_threads else "es"
         lines.append(
             f"| {case.kind} | {who} | {case.wall_s:.1f} | {case.speed_up:.2f} "
+            f"| {case.cpu_s / case.wall_s / min(case.workers, cores):.0%} of {min(case.workers, cores)} "
             f"| {case.runs / case.wall_s:.1f} "
             f"| {case.cpu_s / case.runs:.3f} | {case.peak_mb:.0f} | {case.start_s:.1f} |"
         )

@@ -26,7 +26,9 @@ LATITUDE_DEG = 36.4
 EAST, UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
 
 #: Nothing acts but biases and noise.
-CLEAN = PriorKnowledge.from_datasheet(1000.0, 0.0, 0.0, 0.0, 0.0, 0.0, accelerometer_drift_ug_per_h=0.0)
+CLEAN = PriorKnowledge.from_datasheet(
+    1000.0, 0.0, 0.0, 0.0, 0.0, 0.0, accelerometer_drift_ug_per_h=0.0, accelerometer_transient_ug=0.0
+)
 _TURN_ATTITUDES = 19
 
 

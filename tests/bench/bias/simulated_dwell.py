@@ -26,7 +26,7 @@ from gyrobench.drivers.emulators.world.strapdown import (
 
 _REST_STEP_S = 0.1
 _TURN_STEP_S = 0.01
-_NO_PULSE, _NO_REMAINDER = 0.0, np.zeros(3)
+_DAMPING_STEP_S = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +43,12 @@ class Sensors:
         rad/sqrt(s) and m/s/sqrt(s).
     gyro_bias_change : callable or None
         Time since the first navigation began (n,) to what is added to the gyro bias then (n, 3).
+    accelerometer_bias_change : callable or None
+        The same of the accelerometers.
+    gyro_pulse, accelerometer_pulse : float
+        Size of one output pulse without dither, rad and m/s; 0 for none.
+    velocity_damping_s : float
+        Time constant with which the INS damps its velocity; infinite where it is free inertial.
     """
 
     gyro_bias: FloatArray = field(default_factory=lambda: np.zeros(3))
@@ -52,6 +58,10 @@ class Sensors:
     angle_random_walk: float = 0.0
     velocity_random_walk: float = 0.0
     gyro_bias_change: Callable[[FloatArray], FloatArray] | None = None
+    accelerometer_bias_change: Callable[[FloatArray], FloatArray] | None = None
+    gyro_pulse: float = 0.0
+    accelerometer_pulse: float = 0.0
+    velocity_damping_s: float = math.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,6 +150,7 @@ class _Ins:
         self._time_s = 0.0
         self._state = np.zeros(STATE_SIZE)
         self._state[6] = scenario.latitude + scenario.latitude_error
+        self._remainders = np.zeros((2, 3))
 
     def align(self, angles: tuple[float, float]) -> None:
         count = round(self._scenario.align_s / _REST_STEP_S)
@@ -166,9 +177,17 @@ class _Ins:
 
     def _navigated(self, outer: FloatArray, inner: FloatArray, step_s: float, every: int) -> FloatArray:
         rotation, velocity = self._sensed(outer, inner, step_s)
-        return np.asarray(
-            navigate(self._state, rotation, velocity, step_s, self._scenario.height, every - 1, every)
-        )
+        height, damping_s = self._scenario.height, self._sensors.velocity_damping_s
+        if math.isinf(damping_s):
+            return np.asarray(navigate(self._state, rotation, velocity, step_s, height, every - 1, every))
+        states, part = [], min(every, round(_DAMPING_STEP_S / step_s))
+        for first in range(0, len(rotation), part):
+            some = slice(first, first + part)
+            navigate(self._state, rotation[some], velocity[some], step_s, height, part, part)
+            self._state[4:6] *= math.exp(-len(rotation[some]) * step_s / damping_s)
+            if (first + part) % every == 0:
+                states.append(self._state.copy())
+        return np.array(states)
 
     def _sensed(self, outer: FloatArray, inner: FloatArray, step_s: float) -> tuple[FloatArray, FloatArray]:
         table, sensors, count = self._scenario.table, self._sensors, len(outer) - 1
@@ -180,15 +199,21 @@ class _Ins:
         if self._random is not None:
             walks = np.array([sensors.angle_random_walk, sensors.velocity_random_walk])
             noise = self._random.standard_normal((2, count, 3)) * walks[:, None, None] * math.sqrt(step_s)
-        if sensors.gyro_bias_change is not None:
-            middle_s = self._time_s + step_s * (np.arange(count, dtype=np.float64) + 0.5)
-            noise[0] += sensors.gyro_bias_change(middle_s) * step_s
+        middle_s = self._time_s + step_s * (np.arange(count, dtype=np.float64) + 0.5)
+        for number, change in enumerate((sensors.gyro_bias_change, sensors.accelerometer_bias_change)):
+            if change is not None:
+                noise[number] += change(middle_s) * step_s
         self._time_s += count * step_s
-        pulses = (step_s, _NO_PULSE, _NO_REMAINDER)
         return (
-            sense(rotation, sensors.gyro_matrix, sensors.gyro_bias, noise[0], *pulses),
-            sense(velocity, sensors.accelerometer_matrix, sensors.accelerometer_bias, noise[1], *pulses),
-        )
+            sense(
+                rotation, sensors.gyro_matrix, sensors.gyro_bias, noise[0], step_s, sensors.gyro_pulse,
+                self._remainders[0],
+            ),
+            sense(
+                velocity, sensors.accelerometer_matrix, sensors.accelerometer_bias, noise[1], step_s,
+                sensors.accelerometer_pulse, self._remainders[1],
+            ),
+        )  # fmt: skip
 
 
 def _resting(angles: tuple[float, float], count: int) -> tuple[FloatArray, FloatArray]:

@@ -77,7 +77,9 @@ def test_a_latitude_that_may_be_wrong_costs_the_vertical_gyro_its_certainty():
     trusting = estimate(dwell, CLEAN)
     assert abs(trusting.bias_dph[0]) == pytest.approx(0.0035, rel=0.02)
     assert_declared(dwell, latitude_arcmin=1.0)
-    known = estimate(dwell, PriorKnowledge.from_datasheet(latitude_arcmin=1.0))
+    known = estimate(
+        dwell, PriorKnowledge.from_datasheet(latitude_arcmin=1.0, accelerometer_drift_ug_per_h=0.0)
+    )
     assert np.abs(known.bias_dph).max() < 1e-3
     np.testing.assert_allclose(known.sigma_dph[1:], trusting.sigma_dph[1:], rtol=0.02)
 

@@ -26,8 +26,8 @@ from tests.bench.bias.emulated_groups import (
     measure,
 )
 
-# As the units of emulated_groups are: their mounts do not tilt.
-PRIOR = PriorKnowledge.from_datasheet(tilt_step_arcsec=0.0)
+# As the units of emulated_groups are: their mounts do not tilt and their accelerometers do not drift.
+PRIOR = PriorKnowledge.from_datasheet(tilt_step_arcsec=0.0, accelerometer_drift_ug_per_h=0.0)
 ANY_LATITUDE = dataclasses.replace(PRIOR, latitude=1.0 * ARCMIN)
 GROUPS = 8
 VERTICAL = is_vertical()
@@ -148,7 +148,9 @@ def test_gain_is_large_for_vertical_gyros_where_the_latitude_is_not_known(right_
 def test_gain_is_large_for_level_gyros_where_their_axes_are_not_known(right_latitude):
     _, dwells = right_latitude
     prior = PriorKnowledge.from_datasheet(
-        gyro_misalignment_arcsec=30.0, accelerometer_misalignment_arcsec=30.0
+        gyro_misalignment_arcsec=30.0,
+        accelerometer_misalignment_arcsec=30.0,
+        accelerometer_drift_ug_per_h=0.0,
     )
     gain = solve_jointly(dwells, prior).gain
     assert gain[~VERTICAL].max() > 1.8

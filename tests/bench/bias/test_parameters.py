@@ -73,12 +73,16 @@ def test_every_unknown_has_its_own_place():
             parameters.NAVIGATION_RATE,
             parameters.GYRO_MATRIX,
             parameters.ACCELEROMETER_DRIFT,
+            slice(parameters.DAMPING, parameters.DAMPING + 1),
         )
     ]
     assert np.concatenate(places).tolist() == list(range(parameters.COMMON))
     own = [
         [parameters.HEADING],
-        *(np.arange(parameters.PER_WINDOW)[p] for p in (parameters.VELOCITY, parameters.ATTITUDE)),
+        *(
+            np.arange(parameters.PER_WINDOW)[p]
+            for p in (parameters.VELOCITY, parameters.ATTITUDE, parameters.TRANSIENT)
+        ),
     ]
     assert np.concatenate(own).tolist() == list(range(parameters.PER_WINDOW))
 
@@ -98,6 +102,13 @@ def test_the_sensors_may_tilt_in_a_turn_but_the_first_attitude_is_free():
     own = sigmas[parameters.COMMON :].reshape(3, parameters.PER_WINDOW)
     np.testing.assert_allclose(own[1:, parameters.ATTITUDE], 5e-6)
     assert own[0, parameters.ATTITUDE].min() > np.radians(5.0)
+
+
+def test_accelerometers_settle_after_turns_alone():
+    sigmas = np.sqrt(np.diag(covariance(nothing(accelerometer_transient=2e-4), windows=3)))
+    np.testing.assert_allclose(sigmas[parameters.transients(3)], 2e-4)
+    first = sigmas[parameters.COMMON :][: parameters.PER_WINDOW]
+    assert not first[parameters.TRANSIENT].any()
 
 
 def test_what_the_data_decide_is_free():

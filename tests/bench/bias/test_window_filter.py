@@ -3,9 +3,7 @@ import pytest
 
 from gyrobench.bench.bias.window_filter import COLUMNS, DATA, HEADING, INPUT, SLOPE, STATE, whiten
 from gyrobench.bench.navigation.error_model import Site, integrate
-from gyrobench.bench.navigation.positions import POSITIONS
 
-C_NB = np.ascontiguousarray(POSITIONS["y_down"].C_nb(0.3))
 VARIANCES = np.array([1e-3, 1e-3, 2e-6]) ** 2
 WALKS = 3e-7, 5e-5
 #: Rows of the state that are measured: velocity East and North, attitude about Up.
@@ -13,26 +11,27 @@ MEASURED = [3, 4, 2]
 
 
 class Case:
-    """Epochs at uneven times with measurements and temperatures out of nowhere."""
+    """Epochs at uneven times with measurements and inputs out of nowhere."""
 
     def __init__(self, epochs=40, seed=1):
         random = np.random.default_rng(seed)
         self.intervals = np.append(0.0, random.uniform(0.5, 20.0, epochs - 1))
         self.steps = integrate(Site(0.6), self.intervals, *WALKS)
         self.measured = random.standard_normal((epochs, 3)) * [0.1, 0.1, 1e-5]
-        self.temperatures = random.standard_normal((epochs, 3))
+        self.driven = random.standard_normal((epochs, 5, DATA - SLOPE))
         self.columns, self.covariance = np.zeros((6, COLUMNS)), np.zeros((6, 6))
         self.columns[:, :INPUT] = np.eye(6)
 
     def whiten(self, part=slice(None)):
         steps = self.steps
-        return whiten(
+        rows, _, _ = whiten(
             self.columns, self.covariance, self.measured[part], VARIANCES, steps.transition[part],
-            steps.response[part], steps.covariance[part], C_NB, self.temperatures[part],
+            steps.response[part], steps.covariance[part], self.driven[part],
         )  # fmt: skip
+        return rows
 
     def dense(self):
-        """Responses (3 n, 16) and covariance (3 n, 3 n) of all epochs at once, epoch by epoch."""
+        """Responses (3 n, c) and covariance (3 n, 3 n) of all epochs at once, epoch by epoch."""
         count = len(self.measured)
         responses, covariance = np.zeros((count, 3, COLUMNS)), np.zeros((count, 3, count, 3))
         state, spread = self.columns.copy(), self.covariance.copy()
@@ -40,7 +39,7 @@ class Case:
             F, response = self.steps.transition[k], self.steps.response[k]
             state = F @ state
             state[:, INPUT:HEADING] += response
-            state[:, SLOPE:DATA] += response[:, :3] @ C_NB * self.temperatures[k]
+            state[:, SLOPE:DATA] += response @ self.driven[k]
             spread = F @ spread @ F.T + self.steps.covariance[k]
             responses[k] = state[MEASURED]
             responses[k, 2, HEADING], responses[k, :, DATA] = 1.0, self.measured[k]

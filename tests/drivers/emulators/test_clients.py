@@ -106,6 +106,17 @@ def test_pymodbus_reads_the_chamber(urls):
         assert client.read_holding_registers(3000).exception_code == 2
 
 
+def test_a_public_client_of_the_chamber_ends_profiles_sets_the_clock_and_reads_digital_inputs(urls):
+    with modbus_client(urls["chamber"]) as client:
+        assert not client.write_register(1217, 1).isError()
+        assert not client.write_registers(1916, [12, 30, 0, 6, 15, 2026]).isError()
+        assert client.read_holding_registers(1919, count=3).registers == [6, 15, 2026]
+        for place in range(4):
+            status = client.read_holding_registers(201 + 12 * place).registers
+            condition = client.read_holding_registers(1061 + 2 * place).registers
+            assert status != condition  # no digital input is active
+
+
 def test_a_terminal_sends_acl_to_the_table(urls):
     reply = exchanged(urls["table"], b":Read:Position? 1\r\n", 8)
     error, length = struct.unpack("<II", reply)

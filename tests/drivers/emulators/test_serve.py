@@ -90,6 +90,17 @@ def test_all_three_instruments_answer(serve, options, start):
     assert server.poll() is None
 
 
+def test_options_select_a_model_of_the_chamber_and_wrong_ones_end_it(serve, capsys):
+    _, urls = serve("--chamber-option", "model=F4S", "--chamber-option", "decimals=2")
+    with contextlib.closing(WatlowF4(SerialLine("chamber", urls["chamber"], WallClock()))) as chamber:
+        assert not chamber.can_ramp
+        assert chamber.read().temperature_c == pytest.approx(23.0, abs=0.005)
+    for option, why in (("wheels=3", "no such option"), ("decimals=x", "valid integer")):
+        with pytest.raises(SystemExit):
+            main(["--chamber-option", option])
+        assert why in capsys.readouterr().err
+
+
 def test_a_client_that_left_makes_room_for_the_next_one(serve):
     _, urls = serve("--tcp")
     address = urlsplit(urls["chamber"])
