@@ -193,8 +193,8 @@ def main():
         f"with {len(os.sched_getaffinity(0))} cores. Each run has 12 dwells of two minutes. Time is that of "
         "all runs with workers that have started and done two runs each before; start is how long that "
         "takes. Speed-up is over one process, measured right after. "
-        "Cores busy: processor time of all processes over that of the cores they may use. Peak memory is that "
-        "of one worker's process.\n\n"
+        "Cores busy: processor time of all processes over that of the cores they may use. Peak memory is "
+        "that of one worker's process.\n\n"
         f"{format_table(cases)}\n\n{conclusion(cases)}\n"
     )
 
