@@ -175,23 +175,22 @@ class _Window:
     def __init__(self, planned_s: float, begun_s: float) -> None:
         self._planned_s = planned_s
         self._begun_s = begun_s
-        self._first: FloatArray | None = None
-        self._rows: Thinned[tuple[float, float, float, float]] = Thinned(MAX_WINDOW_SAMPLES)
+        self._rows: Thinned[tuple[float, float, float, InsStatus]] = Thinned(MAX_WINDOW_SAMPLES)
 
     def add(self, time_s: float, ins: InsStatus) -> None:
-        if self._first is None and not np.isnan(ins.attitude).any():
-            self._first = ins.attitude
-        heading_deg = float("nan") if self._first is None else _heading_deg(ins.attitude @ self._first.T)
+        ins.keep_attitude()  # to compute it takes longer, and on virtual time few snapshots show it
         east, north, _ = ins.velocity_enu_mps.tolist()
-        self._rows.add((time_s - self._begun_s, east, north, heading_deg))
+        self._rows.add((time_s - self._begun_s, east, north, ins))
 
     def trace(self) -> WindowTrace:
         rows = self._rows.rows()
-        return (
-            WindowTrace(self._planned_s, *map(tuple, zip(*rows, strict=True)))
-            if rows
-            else WindowTrace(self._planned_s)
-        )
+        if not rows:
+            return WindowTrace(self._planned_s)
+        time_s, east, north, statuses = zip(*rows, strict=True)
+        known = (each.attitude for each in statuses if not np.isnan(each.attitude).any())
+        first = next(known, np.full((3, 3), np.nan))
+        heading_deg = tuple(_heading_deg(each.attitude @ first.T) for each in statuses)
+        return WindowTrace(self._planned_s, time_s, east, north, heading_deg)
 
 
 class DwellTrace:

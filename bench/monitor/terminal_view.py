@@ -86,6 +86,8 @@ class VirtualTimeOperator(TerminalOperator):
     def __init__(self, console: Console, keyboard: Keyboard) -> None:
         super().__init__(console, keyboard)
         self._consent = ConsentingOperator()
+        self._real = WallClock()
+        self._next_look_s = 0.0
 
     def ask(self, question: str, answers: Sequence[str]) -> None:
         """Choose an answer."""
@@ -94,6 +96,14 @@ class VirtualTimeOperator(TerminalOperator):
     def answer(self) -> str | None:
         """The chosen answer."""
         return self._consent.answer()
+
+    def command(self) -> RunCommand | None:
+        """A command that has been typed; looked for some times a second, since ticks take microseconds."""
+        now_s = self._real.now()
+        if now_s < self._next_look_s:
+            return None
+        self._next_look_s = now_s + _KEYS_EVERY_S
+        return super().command()
 
 
 _UNITS = "Biases in 0.001 deg/h with their standard uncertainty, temperatures in degC."

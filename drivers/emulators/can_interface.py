@@ -7,13 +7,10 @@ from collections import deque
 from typing import Any
 
 import can
-import can.typechecking
-import numpy as np
 
-from gyrobench.bench.foundations.arrays import BoolArray
 from gyrobench.bench.foundations.errors import GyrobenchError
 from gyrobench.drivers.emulators.bench import ADDRESS_KEYS, BenchAddress, emulated_bench
-from gyrobench.drivers.frames import EXTENDED_ID, FrameBlock, concatenate
+from gyrobench.drivers.frames import FrameBlock, concatenate
 
 
 class EmulatorBus(can.BusABC):
@@ -82,7 +79,7 @@ class EmulatorBus(can.BusABC):
         if self._messages:
             frames = concatenate([FrameBlock.from_messages(self._messages), frames])
             self._messages.clear()
-        return frames if self.filters is None else frames.take(_passing(frames, self.filters))
+        return frames if self.filters is None else frames.matching(self.filters)
 
     def _check_bus(self) -> None:
         if self._connection.generation != self._generation:
@@ -94,16 +91,3 @@ class EmulatorBus(can.BusABC):
         if self._blocks.append in listeners:
             listeners.remove(self._blocks.append)
         super().shutdown()
-
-
-def _passing(frames: FrameBlock, filters: can.typechecking.CanFilters) -> BoolArray:
-    """Whether each frame passes one of the filters, as python-can defines them."""
-    passes = np.zeros(len(frames), np.bool_)
-    extended = frames.arbitration_id & EXTENDED_ID != 0
-    identifiers = (frames.arbitration_id & (EXTENDED_ID - 1)).astype(np.int64)
-    for each in filters:
-        same = (identifiers ^ each["can_id"]) & each["can_mask"] == 0
-        if "extended" in each:
-            same &= extended == each["extended"]
-        passes |= same
-    return passes

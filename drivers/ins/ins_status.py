@@ -35,15 +35,20 @@ class _Arrival:
         #: Newest row up to here by identifier, as a tuple of the fields; None for no such frame.
         self.found: dict[int, tuple[Any, ...] | None] = {}
 
+    @cached_property
+    def last_rows(self) -> dict[int, int]:
+        """Last row of each identifier."""
+        return {each: index for index, each in enumerate(self.block.arbitration_id.tolist())}
+
     def newest(self, arbitration_id: int) -> tuple[Any, ...] | None:
         passed: list[_Arrival] = []
         arrival: _Arrival | None = self
         row = None
         while arrival is not None and arbitration_id not in arrival.found:
             passed.append(arrival)
-            same = np.flatnonzero(arrival.block.arbitration_id == arbitration_id)
-            if len(same):
-                row = arrival.block.rows[same[-1]].item()
+            index = arrival.last_rows.get(arbitration_id)
+            if index is not None:
+                row = arrival.block.rows[index].item()
                 break
             arrival = arrival.before
         else:
@@ -98,13 +103,17 @@ class Snapshot:
         self._arrival = arrival
         self._oldest_s = oldest_s
         self._codec = codec
+        self._values: dict[tuple[str, str], float] = {}
 
     def value(self, bound: BoundSignal) -> float:
         """Value of a signal; NaN without its frame."""
-        row = self._arrival.newest(self._codec.arbitration_id(bound.message))
-        if row is None or row[0] < self._oldest_s:
-            return math.nan
-        return bound.si(self._codec.decode_one(bytes(row[4][: row[2]]), bound.message, bound.signal.name))
+        key = bound.message, bound.signal.name
+        if key not in self._values:
+            row = self._arrival.newest(self._codec.arbitration_id(bound.message))
+            is_known = row is not None and row[0] >= self._oldest_s
+            value = self._codec.decode_one(bytes(row[4][: row[2]]), *key) if row and is_known else math.nan
+            self._values[key] = bound.si(value)
+        return self._values[key]
 
     def held(self, bound: BoundSignal, rows: IntArray) -> FloatArray:  # noqa: ARG002 - only now
         """Value of a signal, shape (1,)."""
@@ -183,6 +192,12 @@ class InsStatus:
     def attitude(self) -> FloatArray:
         """``C_nb``, shape (3, 3)."""
         return np.asarray(self._readout.attitude(_NOW)[0])
+
+    def keep_attitude(self) -> None:
+        """Read what the attitude is computed from, so that it can be asked for at any later time."""
+        for path in self._signals:
+            if path.startswith("attitude."):
+                self._number(path)
 
     @cached_property
     def optics_c(self) -> FloatArray:

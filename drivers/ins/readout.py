@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from enum import IntEnum
 from typing import Protocol
@@ -146,6 +147,10 @@ class Readout:
 
 
 def _coded(values: FloatArray, meanings: Mapping[int, Sequence[int]], other: int) -> NDArray[np.int8]:
+    if len(values) == 1:  # the present state, for which array operations are slow
+        (value,) = values.tolist()
+        found = [code for code, raw in meanings.items() if value in raw] or [other]
+        return np.array([-1 if math.isnan(value) else found[-1]], np.int8)
     codes = np.full(len(values), other, np.int8)
     for code, raw in meanings.items():
         for each in raw:

@@ -29,7 +29,8 @@ class ReplayBus(can.BusABC):
             self._clock: Clock = clock_named(clock) if clock else WallClock()
             self._log = can.LogReader(channel)
         except (OSError, ValueError, KeyError) as error:
-            raise can.CanInitializationError(f"can't replay {channel}: {error}") from error
+            reason = getattr(error, "strerror", None) or error
+            raise can.CanInitializationError(f"can't replay {channel}: {reason}") from error
         self._frames: Iterator[can.Message] = (frame for frame in self._log if frame.is_rx)
         self._ahead = concatenate([])
         first_s = self._ahead.timestamp_s[0] if self._is_ahead() else 0.0

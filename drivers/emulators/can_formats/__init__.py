@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.drivers.emulators.world.inertial_unit import Epochs, InertialUnit
 from gyrobench.drivers.emulators.world.world import World
-from gyrobench.drivers.frames import FRAME_DTYPE, FrameBlock
+from gyrobench.drivers.frames import FRAME_DTYPE, FrameBlock, concatenate
 
 #: Time that a frame takes on the bus.
 FRAME_S = 0.00025
@@ -31,7 +31,10 @@ class CanFormat(ABC):
 
     @abstractmethod
     def frames(self, epochs: Epochs) -> FrameBlock:
-        """Encode the output of the INS at these epochs, in order of sending; slow frames at whole seconds."""
+        """Encode the output of the INS at these epochs, in order of sending; slow frames at a whole second.
+
+        There is at most one whole second among the epochs.
+        """
 
     @abstractmethod
     def receive(self, message: can.Message) -> None:
@@ -73,5 +76,5 @@ def empty_frames(
 
 def in_order(*groups: NDArray[np.void]) -> FrameBlock:
     """All frames in order of sending."""
-    rows = np.concatenate([group.ravel() for group in groups])
-    return FrameBlock(rows[np.argsort(rows["time_s"], kind="stable")])
+    frames = concatenate([FrameBlock(group.ravel()) for group in groups])
+    return frames.take(np.argsort(frames.timestamp_s, kind="stable"))

@@ -38,12 +38,15 @@ _SLOW_DATA = struct.Struct("<II ii BBHBBH IHH II hhhH hhhh")
 _FAST_IDS = VELOCITY_NE, ROLL_PITCH, HEADING
 _SLOW_FRAMES, _FAST_FRAMES = len(_SLOW_IDS), len(_FAST_IDS)
 _VELOCITY_LSB_PER_MPS, _ANGLE_LSB_PER_RAD = 1e4, math.degrees(1e6)
+_NO_TEMPERATURES = np.empty(0)
 _FULL_TURN = 360_000_000
 _INT32_MIN, _INT32_MAX = -(2**31), 2**31 - 1
 
 
 class GyrobenchFormat(CanFormat):
     """The frames described above."""
+
+    _table, _checksum = b"", 0
 
     @override
     def reset_counters(self) -> None:
@@ -65,18 +68,15 @@ class GyrobenchFormat(CanFormat):
 
     @override
     def frames(self, epochs: Epochs) -> FrameBlock:
-        first, last = int(epochs.sample[0]), int(epochs.sample[-1])
-        seconds = range(-(-first // SAMPLE_RATE_HZ), last // SAMPLE_RATE_HZ + 1)
-        slow = b"".join([self._slow_data(second, epochs) for second in seconds])
-        temperatures_c = np.empty((len(seconds), 7))
-        for row in temperatures_c:
-            row[:] = self._world.temperatures_c()
+        slow, temperatures_c = b"", _NO_TEMPERATURES
+        second = int(epochs.sample[-1]) // SAMPLE_RATE_HZ
+        if second * SAMPLE_RATE_HZ >= epochs.sample[0]:
+            slow, temperatures_c = self._slow_data(second, epochs), self._world.temperatures_c()
         count = len(epochs.sample)
-        frames = FrameBlock(np.zeros(len(seconds) * _SLOW_FRAMES + count * _FAST_FRAMES, FRAME_DTYPE))
+        frames = FrameBlock(np.zeros(len(slow) // 8 + count * _FAST_FRAMES, FRAME_DTYPE))
         valid = epochs.mode is Mode.NAVIGATE or epochs.alignment > 0
         _encode(
-            frames.timestamp_s, frames.arbitration_id, frames.length, frames.data,
-            np.frombuffer(slow, np.uint8).reshape(-1, _SLOW_FRAMES, 8), temperatures_c,
+            frames.timestamp_s, frames.arbitration_id, frames.length, frames.data, slow, temperatures_c,
             epochs.sample, euler_output(epochs.states, self._world.unit.pitch_first),
             self._epoch_unix_s, self._epoch_counter, int(epochs.alignment), valid,
         )  # fmt: skip
@@ -88,13 +88,16 @@ class GyrobenchFormat(CanFormat):
         counter = self._status_counter
         self._status_counter = (counter + 1) & 0xFFFF
         applied = unit.compensation
+        table = unit.loaded_table.tobytes()
+        if table != self._table:
+            self._table, self._checksum = table, checksum(unit.loaded_table)
         return _SLOW_DATA.pack(
             second & 0xFFFFFFFF, 0,
             max(_INT32_MIN, min(_INT32_MAX, round(file.height_m * 1e4))), 0,
             epochs.mode, unit.pitch_first, min(int(unit.align_time_s), 0xFFFF),
             applied is not None, 0, counter,
             file.ins.serial_number, _FIRMWARE, _HARDWARE,
-            0 if applied is None else applied.checksum, checksum(unit.loaded_table),
+            0 if applied is None else applied.checksum, self._checksum,
             0, 0, 0, counter,
             0, 0, 0, 0,
         )  # fmt: skip
@@ -103,15 +106,15 @@ class GyrobenchFormat(CanFormat):
 @numba.njit(cache=True)
 def _encode(
     frame_s: FloatArray, identifier: NDArray[np.uint32], length: NDArray[np.uint8], data: NDArray[np.uint8],
-    slow: NDArray[np.uint8], temperatures_c: FloatArray, sample: IntArray, output: FloatArray,
+    slow: bytes, temperatures_c: FloatArray, sample: IntArray, output: FloatArray,
     epoch_unix_s: float, counter: int, alignment: int, valid: bool,
 ) -> None:  # fmt: skip
-    """Fill the columns of the frames of some epochs, with m whole seconds among them.
+    """Fill the columns of the frames of some epochs, with at most one whole second among them.
 
-    ``slow``, shape (m, 7, 8): data of the slow frames, in which ``temperatures_c``, (m, 7), are missing.
+    ``slow``: data of its slow frames, in which ``temperatures_c``, shape (7,), are missing.
     """
     length[:] = 8
-    row = second = 0
+    row = 0
     for k in range(sample.size):
         time_s = epoch_unix_s + sample[k] / SAMPLE_RATE_HZ
         if sample[k] % SAMPLE_RATE_HZ == 0:
@@ -119,14 +122,13 @@ def _encode(
                 frame_s[row + place] = time_s + place * FRAME_S
                 identifier[row + place] = _SLOW_IDS[place]
                 for byte in range(8):
-                    data[row + place, byte] = slow[second, place, byte]
+                    data[row + place, byte] = slow[8 * place + byte]
             row += _SLOW_FRAMES
             for i in range(3):
-                _put(data[row - 2], 2 * i, 2, 100.0 * temperatures_c[second, 1 + i])
-                _put(data[row - 1], 2 * i, 2, 100.0 * temperatures_c[second, 4 + i])
-            _put(data[row - 1], 6, 2, 100.0 * temperatures_c[second, 0])
+                _put(data[row - 2], 2 * i, 2, 100.0 * temperatures_c[1 + i])
+                _put(data[row - 1], 2 * i, 2, 100.0 * temperatures_c[4 + i])
+            _put(data[row - 1], 6, 2, 100.0 * temperatures_c[0])
             time_s += _SLOW_FRAMES * FRAME_S
-            second += 1
         for place in range(_FAST_FRAMES):
             frame_s[row + place] = time_s + place * FRAME_S
             identifier[row + place] = _FAST_IDS[place]

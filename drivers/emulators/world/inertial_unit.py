@@ -93,7 +93,7 @@ class InertialUnit:
     @property
     def uses_sensors(self) -> bool:
         """Whether the inertial sensors' output is used at present."""
-        return self.mode in (Mode.ALIGN, Mode.NAVIGATE)
+        return self.mode is Mode.NAVIGATE or self.mode is Mode.ALIGN
 
     @property
     def align_time_s(self) -> float:

@@ -22,6 +22,7 @@ class ThermalNetwork:
         self._case = np.array([thermal.case_j_per_k, thermal.case_to_air_w_per_k])
         self._gyro = np.array([_row(gyro) for gyro in gyros])
         paths = np.array([gyro.heat_path for gyro in gyros])
+        self._sensor_noise_c = thermal.sensor_noise_c
         self._paths = paths / np.linalg.norm(paths, axis=1, keepdims=True)
         #: Shape (7,). All temperatures: case, then optics and electronics of the x, y and z gyro.
         self.nodes_c = np.full(7, float(start_c))
@@ -35,6 +36,10 @@ class ThermalNetwork:
         """Advance by ``dt_s`` (about a second) in air of that temperature; ``up_body`` (3,) is Up."""
         _step(self.nodes_c, self.optics_rate_c_per_h, self.convected_w, self._case, self._gyro, self._paths,
               up_body, air_c, 1.0 if self.powered else 0.0, dt_s)  # fmt: skip
+
+    def read_c(self, normal: FloatArray) -> FloatArray:
+        """Readings of all nodes, shape (7,), with noise; of six normal numbers, none is for the case."""
+        return np.asarray(_read(self.nodes_c, self._sensor_noise_c, normal))
 
 
 def _row(gyro: GyroThermal) -> list[float]:
@@ -65,3 +70,12 @@ def _step(
         rate[i] = (nodes[1 + i] - optics) * 3600.0 / dt
         into_case += optics_loss + electronics_loss
     nodes[0] += dt / case[0] * into_case
+
+
+@numba.njit(cache=True)
+def _read(nodes: FloatArray, noise_c: float, normal: FloatArray) -> FloatArray:
+    read_c = nodes.copy()
+    first = nodes.size - normal.size
+    for k in range(normal.size):
+        read_c[first + k] += noise_c * normal[k]
+    return read_c

@@ -295,7 +295,4 @@ class UndeclaredBias:
 
     def added_dph(self, now: Conditions) -> FloatArray:
         """Sum of all effects, deg/h, shape (3,); to be called once a second in order of time."""
-        total_dph = np.zeros(3)
-        for effect in self._effects:
-            total_dph += effect(now)
-        return total_dph
+        return functools.reduce(np.add, [effect(now) for effect in self._effects] or [np.zeros(3)])

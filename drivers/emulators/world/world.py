@@ -50,7 +50,6 @@ class World:
         self._outer, self._inner = self.axes[OUTER], self.axes[INNER]
         self.air = ChamberAir(ChamberParameters(**file.chamber.model_dump()))  #: The chamber.
         self.thermal = ThermalNetwork(file.thermal, file.chamber.ambient_c)
-        self._sensor_noise_c = file.thermal.sensor_noise_c
         self.unit = InertialUnit(file.ins, self._latitude, file.height_m)  #: The INS.
         #: Called with the navigation epochs in order of time.
         self.on_epochs: Callable[[Epochs], None] | None = None
@@ -82,8 +81,7 @@ class World:
 
     def temperatures_c(self) -> FloatArray:
         """Read the unit's temperature sensors: case, three optics, three electronics; shape (7,)."""
-        noise = self._random.standard_normal(7)
-        return self._as_read(self.thermal.nodes_c + self._sensor_noise_c * noise)
+        return self._with_faults(self.thermal.read_c(self._random.standard_normal(7)))
 
     def true_gyro_bias(self) -> FloatArray:
         """The true gyro biases at this moment, rad/s, shape (3,)."""
@@ -118,15 +116,13 @@ class World:
         self.thermal.step(1.0, self.air.air_c, up_body)
         self._update_undeclared(up_body)
         if self.unit.powered:
-            read_c = self.thermal.nodes_c.copy()
-            read_c[1:] += self._sensor_noise_c * self._unit_random.standard_normal(6)
-            self._as_read(read_c)
+            read_c = self._with_faults(self.thermal.read_c(self._unit_random.standard_normal(6)))
             self.unit.sense_temperatures(read_c[1:4], read_c[4:])
 
-    def _as_read(self, nodes_c: FloatArray) -> FloatArray:
+    def _with_faults(self, read_c: FloatArray) -> FloatArray:
         for place, reading_c in self.broken_sensors.items():
-            nodes_c[place] = reading_c
-        return nodes_c
+            read_c[place] = reading_c
+        return read_c
 
     def _update_undeclared(self, up_body: FloatArray) -> None:
         """Evaluate the undeclared effects for the next second."""

@@ -11,6 +11,7 @@ from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.emulators.can_ins import CAN_FORMATS, CanInsEmulator
 from gyrobench.drivers.emulators.world.inertial_unit import Alignment, Epochs, Mode
+from gyrobench.drivers.frames import FRAME_DTYPE
 from gyrobench.drivers.ins.attitude import EulerSequence
 from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
 from gyrobench.drivers.ins.navigation_data import decode_navigation
@@ -55,6 +56,16 @@ def test_velocities_and_attitudes_come_back_to_the_resolution_of_the_frames(make
     assert np.abs(data.velocity_enu_mps[:, :2] - result[:, 4:6]).max() < of_velocity
     turned = Rotation.from_matrix(data.attitude @ matrices.transpose(0, 2, 1))
     assert turned.magnitude().max() < 2.0 * of_attitude
+
+
+@pytest.mark.parametrize("name", CAN_FORMATS)
+def test_blocks_have_the_layout_of_every_block(make_world, name):
+    emulator, blocks = CanInsEmulator(make_world()), []
+    emulator.use_format(name)
+    emulator.listeners.append(blocks.append)
+    emulator._send_epochs(Epochs(np.arange(10, 101, 10), states()[0][:10], Mode.NAVIGATE, Alignment.FINE))
+    assert blocks[0].rows.dtype == FRAME_DTYPE
+    assert blocks[0].rows.flags.c_contiguous
 
 
 @pytest.mark.parametrize("name", RESOLUTION)
