@@ -29,7 +29,7 @@ from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.bias.statistics import chi2_test, solve
 from gyrobench.bench.bias.window_filter import WindowFilter
-from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.arrays import FloatArray, IntArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.earth import earth_rate_enu
 from gyrobench.bench.navigation.error_model import STATES, Site, integrate
@@ -199,8 +199,11 @@ class BiasFilter:
             self._last_k = temperatures[-1]
             self._windows[-1].add(time_s[chosen], velocity_en_mps[chosen], C_nb[chosen], temperatures)
 
-    def estimate(self, search_step: bool = False) -> StateSpaceEstimate:
-        """Estimate the biases from what has been added so far, and look for a step of them if asked to.
+    def estimate(self, complete: bool = False) -> StateSpaceEstimate:
+        """Estimate the biases from what has been added so far.
+
+        Of a ``complete`` dwell it is also tested whether accelerometers settle after a turn and whether a
+        bias steps; otherwise neither is presumed.
 
         Raises MeasurementError if there was no turn yet, or nothing has been added after it.
         """
@@ -209,7 +212,7 @@ class BiasFilter:
                 "no navigation after a turn: the biases are not observable beside the initial errors. "
                 "Turn the unit and navigate again"
             )
-        information, shown = self._information()
+        information, shown = self._information(test=complete)
         unknowns, covariance = self._solved(information)
         expansions = [each * shown[: each.shape[1]] for each in self._expansions]
         at_mean, acceleration = information.bias_at_mean, parameters.ACCELEROMETER_BIAS
@@ -221,7 +224,7 @@ class BiasFilter:
             fit=self._goodness_of_fit(expansions, unknowns, covariance),
             steady_p_value=self._steady_p_value(information),
             step=find_bias_step(self._windows, self._passages, expansions, unknowns, covariance)
-            if search_step
+            if complete
             else None,
             damping=self._damping(information),
             information=information,
@@ -229,7 +232,7 @@ class BiasFilter:
 
     def goodness_of_fit(self) -> GoodnessOfFit:
         """Test whether the model explains what has been added, even a single window."""
-        information, shown = self._information()
+        information, shown = self._information(test=True)
         expansions = [each * shown[: each.shape[1]] for each in self._expansions]
         return self._goodness_of_fit(expansions, *self._solved(information))
 
@@ -285,7 +288,7 @@ class BiasFilter:
             covariance = transition @ covariance @ transition.T + steps.covariance[k]
         return Passage(through, state[:, parameters.GYRO_BIAS]), state, covariance
 
-    def _information(self) -> tuple[DwellInformation, FloatArray]:
+    def _information(self, test: bool) -> tuple[DwellInformation, FloatArray]:
         """What has been added so far says of the parameters, and which of them it shows (p,), 0 or 1.
 
         To estimate how accelerometers settle after a turn costs a sixth of the level gyros' uncertainty: they
@@ -297,14 +300,17 @@ class BiasFilter:
         shown = np.ones(information.rows.shape[1])
         if not len(settling) or self._prior.accelerometer_transient == 0.0:
             return information, shown
-        prior_root = parameters.prior_root(self._prior, count, self._earth_rate)
+        if not (test and self._transient_p_value(information, settling) < _MAX_TRANSIENT_P_VALUE):
+            shown[settling] = 0.0
+        return replace(information, rows=information.rows * shown), shown
+
+    def _transient_p_value(self, information: DwellInformation, settling: IntArray) -> float:
+        prior_root = parameters.prior_root(self._prior, len(self._windows), self._earth_rate)
         prior_root[settling, settling] = _WIDE_ACCELERATION
         unknowns, covariance = solve(information.rows, information.data, prior_root)
         size = unknowns[settling]
         chi2 = float(size @ np.linalg.solve(covariance[np.ix_(settling, settling)], size))
-        if chdtrc(len(settling), chi2) > _MAX_TRANSIENT_P_VALUE:
-            shown[settling] = 0.0
-        return replace(information, rows=information.rows * shown), shown
+        return float(chdtrc(len(settling), chi2))
 
     def information(self) -> DwellInformation:
         """What has been added so far says of the unknowns, without prior knowledge."""
@@ -347,7 +353,7 @@ def estimate_state_space(
         turn = dwell.turns[number - 1] if number else None
         bias_filter.begin_window(window.time_s[0], window.C_nb[0], turn)
         bias_filter.add(window.time_s, window.velocity_enu_mps[:, :2], window.C_nb, window.gyro_c)
-    return bias_filter.estimate(search_step=True)
+    return bias_filter.estimate(complete=True)
 
 
 def navigation_fit(

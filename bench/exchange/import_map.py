@@ -10,12 +10,17 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from gyrobench.bench.foundations.csv_tables import COLDEST_C, HOTTEST_C
 from gyrobench.bench.foundations.documents import StrictModel, read_document, validate
+from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.navigation.positions import AXES
+from gyrobench.drivers import ins
+
+_SHIPPED_DBC = Path(ins.__file__).parent
 
 #: Name of a column, or its number from 1.
 Column = Annotated[str, Field(min_length=1)] | Annotated[int, Field(ge=1)]
 #: Up to what a dwell table can hold and no log reaches.
 Positive = Annotated[float, Field(gt=0.0, le=1e12)]
+Factor = Annotated[float, Field(ge=-1e12, le=1e12)]
 NotNegative = Annotated[float, Field(ge=0.0, le=1e12)]
 #: A spreadsheet that opens the table must not take it for a formula.
 Name = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^=+@\t\r\n-]")]
@@ -71,11 +76,30 @@ class RecordFormat(StrictModel):
         return self
 
 
+class SignalFormat(StrictModel):
+    """A log of named signals; its columns are MESSAGE.SIGNAL, or as the log names them, and time_s."""
+
+    format: Literal["parquet", "blf", "mf4", "ardupilot", "px4"] = Field(
+        description="parquet, blf (needs dbc), mf4 (with dbc: its CAN frames), ardupilot (.bin), px4 (.ulg)"
+    )
+    dbc: str | None = Field(
+        default=None, min_length=1, description="DBC file beside the import map, or a shipped one"
+    )
+
+    @model_validator(mode="after")
+    def _frames_are_decoded(self) -> Self:
+        if (self.format == "blf" and self.dbc is None) or (self.dbc and self.format not in ("blf", "mf4")):
+            raise ValueError("'dbc' decodes CAN frames: give it for blf, not for other formats than mf4")
+        return self
+
+
 class TimeRule(StrictModel):
     """When a sample was taken."""
 
     column: Column | None = Field(default=None, description="column with the time")
-    unit: Literal["s", "ms", "us", "ns"] = Field(default="s", description="unit of that column")
+    unit: Literal["s", "ms", "us", "ns", "min", "h", "iso8601"] = Field(
+        default="s", description="unit of that column; iso8601: 2026-03-01T12:00:00.5Z"
+    )
     sample_rate_hz: Positive | None = Field(default=None, description="instead of a column: evenly sampled")
 
     @model_validator(mode="after")
@@ -84,11 +108,22 @@ class TimeRule(StrictModel):
         return self
 
 
+class TemperatureColumn(StrictModel):
+    """A column of temperatures with a conversion of its own."""
+
+    column: Column = Field(description="name of the column, or its number from 1")
+    scale: Factor | None = Field(default=None, description="degC per unit; default: that of the section")
+    offset_c: float | None = Field(
+        default=None, description="added after scale; default: that of the section, degC"
+    )
+
+
 class SignedColumn(StrictModel):
     """A column, and which way it counts."""
 
     column: Column = Field(description="name of the column, or its number from 1")
     sign: Literal[1, -1] = Field(default=1, description="-1 where it counts against the body axis")
+    scale: Factor = Field(default=1.0, description="factor on the column")
 
 
 #: A column alone counts with the axis.
@@ -98,7 +133,9 @@ AxisColumn = Annotated[SignedColumn, _plain("column", Column, SignedColumn)]
 class GyroColumns(StrictModel):
     """Which column measures the rate about which body axis."""
 
-    unit: Literal["rad/s", "deg/s", "deg/h"] = Field(description="unit of the rates")
+    unit: Literal[
+        "rad/s", "mrad/s", "urad/s", "deg/s", "mdeg/s", "dps", "mdps", "deg/h", "mdeg/h", "arcsec/s"
+    ] = Field(description="unit of the rates")
     x: AxisColumn = Field(description="column of the x gyro, with its sign")
     y: AxisColumn = Field(description="column of the y gyro, with its sign")
     z: AxisColumn = Field(description="column of the z gyro, with its sign")
@@ -107,28 +144,32 @@ class GyroColumns(StrictModel):
     )
 
 
+#: A column alone is converted as its section says.
+HeatColumn = Annotated[Column | TemperatureColumn, Field()]
+
+
 class TemperatureColumns(StrictModel):
     """Columns of temperatures; each value times ``scale`` plus ``offset_c`` is degC."""
 
     renamed_keys = MappingProxyType({"least_swing_c": "min_swing_c"})
 
-    gyros: Column | None = Field(default=None, description="one temperature for all three gyros")
-    gyro_x: Column | None = Field(default=None, description="temperature of the x gyro")
-    gyro_y: Column | None = Field(default=None, description="temperature of the y gyro")
-    gyro_z: Column | None = Field(default=None, description="temperature of the z gyro")
+    gyros: HeatColumn | None = Field(default=None, description="one temperature for all three gyros")
+    gyro_x: HeatColumn | None = Field(default=None, description="temperature of the x gyro")
+    gyro_y: HeatColumn | None = Field(default=None, description="temperature of the y gyro")
+    gyro_z: HeatColumn | None = Field(default=None, description="temperature of the z gyro")
     constant_c: float | None = Field(
         default=None,
         ge=COLDEST_C,
         le=HOTTEST_C,
         description="for a log without temperatures: the noted temperature, degC",
     )
-    boards: Column | None = Field(default=None, description="one temperature for all gyros' electronics")
-    board_x: Column | None = Field(default=None, description="temperature of the x gyro's electronics")
-    board_y: Column | None = Field(default=None, description="temperature of the y gyro's electronics")
-    board_z: Column | None = Field(default=None, description="temperature of the z gyro's electronics")
-    chamber_set: Column | None = Field(default=None, description="set point of the chamber")
-    chamber: Column | None = Field(default=None, description="air of the chamber")
-    case: Column | None = Field(default=None, description="case of the unit")
+    boards: HeatColumn | None = Field(default=None, description="one temperature for all gyros' electronics")
+    board_x: HeatColumn | None = Field(default=None, description="temperature of the x gyro's electronics")
+    board_y: HeatColumn | None = Field(default=None, description="temperature of the y gyro's electronics")
+    board_z: HeatColumn | None = Field(default=None, description="temperature of the z gyro's electronics")
+    chamber_set: HeatColumn | None = Field(default=None, description="set point of the chamber")
+    chamber: HeatColumn | None = Field(default=None, description="air of the chamber")
+    case: HeatColumn | None = Field(default=None, description="case of the unit")
     scale: float = Field(default=1.0, description="degC per unit of the columns")
     offset_c: float = Field(default=0.0, description="added after scale, degC")
     min_swing_c: NotNegative = Field(
@@ -146,14 +187,20 @@ class TemperatureColumns(StrictModel):
             raise ValueError("give either 'boards' or all of 'board_x', 'board_y', 'board_z', or none")
         return self
 
-    def by_quantity(self) -> dict[str, Column]:
-        """Columns by the name of what they hold: ``gyro_x_c``, ``board_x_c``, ``chamber_c``, ..."""
+    def by_quantity(self) -> dict[str, tuple[Column, float, float]]:
+        """Column, scale and offset by the name of what it holds: ``gyro_x_c``, ``chamber_c``, ..."""
         columns = {f"{name}_c": getattr(self, name) for name in ("chamber_set", "chamber", "case")}
         for axis in AXES:
             for what, common in (("gyro", self.gyros), ("board", self.boards)):
                 own = getattr(self, f"{what}_{axis}")
                 columns[f"{what}_{axis}_c"] = own if own is not None else common
-        return {name: column for name, column in columns.items() if column is not None}
+        return {name: self._converted(column) for name, column in columns.items() if column is not None}
+
+    def _converted(self, source: Column | TemperatureColumn) -> tuple[Column, float, float]:
+        if not isinstance(source, TemperatureColumn):
+            return source, self.scale, self.offset_c
+        scale = self.scale if source.scale is None else source.scale
+        return source.column, scale, self.offset_c if source.offset_c is None else source.offset_c
 
 
 class StatusRule(StrictModel):
@@ -240,6 +287,7 @@ class LogMap(StrictModel):
     since_power_on_s: NotNegative = Field(default=0.0, description="from power-on to the log's first sample")
     text: TextFormat | None = Field(default=None, description="the log is text")
     records: RecordFormat | None = Field(default=None, description="the log is binary records")
+    signals: SignalFormat | None = Field(default=None, description="the log holds named signals")
     time: TimeRule = Field(description="how the samples are timed")
     gyro: GyroColumns = Field(description="which columns are the rates")
     temperatures: TemperatureColumns = Field(description="which columns are temperatures")
@@ -262,7 +310,7 @@ class LogMap(StrictModel):
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
-        _require_one(self, "text", "records")
+        _require_one(self, "text", "records", "signals")
         if self.cycle.block_s is not None and self.cycle.block_s < self.window_s:
             raise ValueError(f"'cycle.block_s' is shorter than 'window_s' ({self.window_s:g} s)")
         return self
@@ -273,4 +321,11 @@ def load_log_map(path: Path) -> LogMap:
 
     Raises DocumentError, which lists everything that is wrong with it, each with its place.
     """
-    return validate(read_document(path), LogMap)
+    log_map = validate(read_document(path), LogMap)
+    if log_map.signals is None or log_map.signals.dbc is None:
+        return log_map
+    name = log_map.signals.dbc
+    found = next((folder / name for folder in (path.parent, _SHIPPED_DBC) if (folder / name).is_file()), None)
+    if found is None:
+        raise DocumentError(f"{path}: DBC file {name!r}: neither beside the import map nor shipped")
+    return log_map.model_copy(update={"signals": log_map.signals.model_copy(update={"dbc": str(found)})})

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import gzip
 import io
 import itertools
 import re
+import zlib
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +25,7 @@ if TYPE_CHECKING:
 
 _SEPARATORS = {"comma": ",", "semicolon": ";", "tab": "\t", "whitespace": " "}
 _BLOCK_BYTES = 1 << 22
-_SHOWN_PROBLEMS = 20
+_GZIP = b"\x1f\x8b"
 _NOT_MEASURED = (
     "",
     "nan",
@@ -63,8 +66,8 @@ class TextLog:
         self.truncated = False
         try:
             head = self._head()
-        except OSError as error:
-            raise DocumentError(f"{path}: can't be read: {error.strerror}") from error
+        except _READ_ERRORS as error:
+            raise DocumentError(f"{path}: can't be read: {_why(error)}") from error
         if any("\0" in line for line in head):
             raise DocumentError(f"{path}: is not text. For binary records give 'records' in the import map")
         if len(head) < (2 if layout.header else 1):
@@ -96,7 +99,7 @@ class TextLog:
             short.append(row.actual_columns)
             return "skip"
 
-        with self._path.open("rb") as stream:
+        with _opened(self._path) as stream:
             source = _SampleLines(stream, self._layout, self._separator)
             try:
                 reader = self._reader(source, names, types, skip)
@@ -105,6 +108,8 @@ class TextLog:
                         column: batch[names[index]].to_numpy(zero_copy_only=False)
                         for column, index in indices.items()
                     }
+            except _READ_ERRORS as error:
+                raise DocumentError(f"{self._path}: can't be read: {_why(error)}") from error
             except pa.ArrowInvalid as error:
                 raise self._mistakes(indices, numbers, str(error)) from error
         if len(short) > 1 or (short and short[0] > len(self.columns)):
@@ -136,7 +141,7 @@ class TextLog:
 
     def _head(self) -> list[str]:
         """First lines that are header or samples."""
-        with self._path.open("rb") as stream:
+        with _opened(self._path) as stream:
             lines = (line.decode("utf-8-sig", "replace").rstrip("\r\n") for line in stream)
             wanted = (line for line in itertools.islice(lines, self._layout.skip_lines, None))
             return list(itertools.islice((line for line in wanted if self._is_sample(line)), 20))
@@ -164,7 +169,7 @@ class TextLog:
 
     def _numbered_lines(self) -> Iterator[tuple[int, list[str]]]:
         """Cells of each sample, with the number of its line from 1."""
-        with self._path.open("rb") as stream:
+        with _opened(self._path) as stream:
             seen_header = not self._layout.header
             for number, raw in enumerate(stream, 1):
                 line = raw.decode("utf-8-sig", "replace").rstrip("\r\n")
@@ -182,27 +187,56 @@ class TextLog:
 
     def _mistakes(self, indices: dict[Column, int], numbers: Sequence[Column], why: str) -> DocumentError:
         """Find what the fast reader stumbled over, line by line."""
-        problems: list[str] = []
+        problems: dict[str, str] = {}
+        more: Counter[str] = Counter()
+
+        def add(kind: str, line: int, text: str) -> None:
+            more[kind] += kind in problems
+            problems.setdefault(kind, f"{self._path}:{line}: {text}")
+
         for line, cells in self._numbered_lines():
             if len(cells) != len(self.columns):
-                problems.append(f"{self._path}:{line}: {len(cells)} cells instead of {len(self.columns)}")
-            else:
-                problems += [
-                    f"{self._path}:{line}: column {self.columns[indices[column]]}: expected a number; "
-                    f"found '{cells[indices[column]][:60]}'"
-                    for column in numbers
-                    if not _is_number(cells[indices[column]], self._layout.decimal)
-                ]
-            if len(problems) > _SHOWN_PROBLEMS:
-                problems[_SHOWN_PROBLEMS:] = ["... and maybe more"]
-                break
-        return DocumentError("\n".join(problems) or f"{self._path}: can't be read: {why}")
+                add("", line, f"{len(cells)} cells instead of {len(self.columns)}")
+                continue
+            for column in numbers:
+                name, cell = self.columns[indices[column]], cells[indices[column]]
+                if not _is_number(cell, self._layout.decimal):
+                    add(name, line, f"column {name}: expected a number; found '{cell[:60]}'")
+        found = [
+            f"{text} (and in {more[kind]} more lines)" if more[kind] else text
+            for kind, text in problems.items()
+        ]
+        return DocumentError("\n".join(found) or f"{self._path}: can't be read: {why}")
+
+
+def _opened(path: Path) -> IO[bytes]:
+    """A file, decompressed if it is packed by gzip."""
+    with path.open("rb") as stream:
+        is_packed = stream.read(2) == _GZIP
+    return cast("IO[bytes]", gzip.open(path)) if is_packed else path.open("rb")
+
+
+#: What reading a file raises, packed or not.
+_READ_ERRORS = (OSError, EOFError, zlib.error)
+
+
+def _why(error: Exception) -> str:
+    return (error.strerror if isinstance(error, OSError) else None) or str(error)
+
+
+def _size_bytes(path: Path) -> int:
+    """Size of the decompressed file."""
+    size = 0
+    with _opened(path) as stream:
+        while block := stream.read(_BLOCK_BYTES):
+            size += len(block)
+    return size
 
 
 class _SampleLines(io.RawIOBase):
     """The lines of a log that are samples, as bytes; runs of blanks become one tab where they separate."""
 
-    def __init__(self, stream: io.BufferedReader, layout: TextFormat, separator: str) -> None:
+    def __init__(self, stream: IO[bytes], layout: TextFormat, separator: str) -> None:
         self._stream = stream
         self._collapse = separator == " "
         comment = layout.comment
@@ -271,9 +305,9 @@ class RecordLog:
         self._type = np.dtype(layout.type)
         self._bytes = self._type.itemsize * len(self.columns)
         try:
-            size = path.stat().st_size - layout.header_bytes
-        except OSError as error:
-            raise DocumentError(f"{path}: can't be read: {error.strerror}") from error
+            size = _size_bytes(path) - layout.header_bytes
+        except _READ_ERRORS as error:
+            raise DocumentError(f"{path}: can't be read: {_why(error)}") from error
         if size < self._bytes:
             raise DocumentError(f"{path}: holds no record of {self._bytes} bytes. Was the logger running?")
         self.truncated = size % self._bytes > 0
@@ -285,7 +319,7 @@ class RecordLog:
         """
         indices = {column: self._index(column) for column in (*numbers, *texts)}
         try:
-            with self._path.open("rb") as stream:
+            with _opened(self._path) as stream:
                 stream.seek(self._layout.header_bytes)
                 while data := stream.read(_BATCH_RECORDS * self._bytes):
                     whole = len(data) // self._bytes
@@ -295,8 +329,8 @@ class RecordLog:
                         column: np.array([f"{value:g}" for value in records[:, indices[column]]])
                         for column in texts
                     }
-        except OSError as error:
-            raise DocumentError(f"{self._path}: can't be read: {error.strerror}") from error
+        except _READ_ERRORS as error:
+            raise DocumentError(f"{self._path}: can't be read: {_why(error)}") from error
 
     def _index(self, column: Column) -> int:
         if isinstance(column, int) and column <= len(self.columns):

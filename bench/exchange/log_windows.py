@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from gyrobench.bench.bias.raw_rate import RateRecording
 from gyrobench.bench.exchange.import_map import Column, LogMap, TextFormat
 from gyrobench.bench.exchange.log_files import Batch, RecordLog, TextLog
+from gyrobench.bench.exchange.signal_logs import SignalLog
 from gyrobench.bench.foundations.arrays import (
     DPH_TO_RADPS,
     RADPS_TO_DPH,
@@ -37,8 +39,9 @@ FORCES = tuple(f"force_{axis}" for axis in AXES)
 #: Larger values and times count as NaN: no sensor measures them, no log is as long.
 _MAX_VALUE, _MAX_TIME_S = 1e15, 1e12
 
-_TO_DPH = {"rad/s": RADPS_TO_DPH, "deg/s": 3600.0, "deg/h": 1.0}
-_TO_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_TO_DPH = {"rad/s": RADPS_TO_DPH, "deg/s": 3600.0, "dps": 3600.0, "deg/h": 1.0, "arcsec/s": 1.0}
+_PREFIXES = {"m": 1e-3, "u": 1e-6}
+_TO_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "iso8601": 1.0}
 
 
 class SampleReader:
@@ -56,11 +59,13 @@ class SampleReader:
     def __init__(self, path: Path, log_map: LogMap) -> None:
         self._path = path
         self._map = log_map
-        self._log = (
-            RecordLog(path, log_map.records)
-            if log_map.records
-            else TextLog(path, log_map.text or TextFormat())
-        )
+        self._log: RecordLog | SignalLog | TextLog
+        if log_map.records:
+            self._log = RecordLog(path, log_map.records)
+        elif log_map.signals:
+            self._log = SignalLog(path, log_map.signals)
+        else:
+            self._log = TextLog(path, log_map.text or TextFormat())
         self._quantities = _quantities(log_map)
         self.first_s = 0.0
         self.bad_status = 0
@@ -87,13 +92,16 @@ class SampleReader:
             if rule is not None and rule.column is not None
         ]
         origin, last_s = None, -np.inf
-        for batch in self._log.batches(numbers if time is None else [*numbers, time], texts):
+        is_calendar = self._map.time.unit == "iso8601"
+        if time is not None:
+            (texts if is_calendar else numbers).append(time)
+        for batch in self._log.batches(numbers, texts):
             samples = self._samples(batch)
             count = len(samples[RATES[0]])
             if time is None:
                 time_s = (self._read + np.arange(count)) / (self._map.time.sample_rate_hz or 1.0)
             else:
-                raw = batch[time]
+                raw = self._calendar_s(batch[time]) if is_calendar else batch[time]
                 if origin is None and np.isfinite(raw).any():
                     origin = float(raw[np.isfinite(raw)][0])
                     self.first_s = origin * _TO_SECONDS[self._map.time.unit]
@@ -108,6 +116,22 @@ class SampleReader:
             if known.any():
                 last_s = float(samples["time_s"][-1])
             yield samples
+
+    def _calendar_s(self, texts: NDArray[Any]) -> FloatArray:
+        """Times of ISO 8601 texts, s; NaN for an empty one. Those without an offset are in UTC."""
+        times_s = np.full(len(texts), np.nan)
+        for index, text in enumerate(texts.tolist()):
+            if not text:
+                continue
+            try:
+                moment = datetime.fromisoformat(text.strip())
+            except ValueError as error:
+                raise DocumentError(
+                    f"{self._path}: column {self._map.time.column} holds '{text[:60]}', which is no time by "
+                    "ISO 8601. Correct 'time.unit' in the import map"
+                ) from error
+            times_s[index] = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+        return times_s
 
     def _samples(self, batch: Batch) -> Samples:
         samples = {
@@ -169,15 +193,14 @@ def read_recording(path: Path, log_map: LogMap) -> RateRecording:
 def _quantities(log_map: LogMap) -> dict[str, tuple[Column, float, float]]:
     """Column, scale and offset of each number that is read."""
     gyro, temperatures = log_map.gyro, log_map.temperatures
-    to_dph = _TO_DPH[gyro.unit]
+    to_dph = _rate_dph(gyro.unit)
     quantities: dict[str, tuple[Column, float, float]] = {}
     for name, axis in zip(RATES, (gyro.x, gyro.y, gyro.z), strict=True):
-        quantities[name] = (axis.column, axis.sign * to_dph, 0.0)
-    for name, column in temperatures.by_quantity().items():
-        quantities[name] = (column, temperatures.scale, temperatures.offset_c)
+        quantities[name] = (axis.column, axis.sign * axis.scale * to_dph, 0.0)
+    quantities |= temperatures.by_quantity()
     if (force := log_map.position.accelerometers) is not None:
         for name, axis in zip(FORCES, (force.x, force.y, force.z), strict=True):
-            quantities[name] = (axis.column, float(axis.sign), 0.0)
+            quantities[name] = (axis.column, axis.sign * axis.scale, 0.0)
     if log_map.cycle.column is not None:
         quantities["cycle"] = (log_map.cycle.column, 1.0, 0.0)
     return quantities
@@ -193,7 +216,13 @@ def _measured(name: str, raw: FloatArray, scale: float, offset: float) -> FloatA
 
 def full_scale_dph(log_map: LogMap) -> float:
     """Measuring range of the gyros; infinite if unknown."""
-    return np.inf if log_map.gyro.full_scale is None else log_map.gyro.full_scale * _TO_DPH[log_map.gyro.unit]
+    gyro = log_map.gyro
+    return np.inf if gyro.full_scale is None else gyro.full_scale * _rate_dph(gyro.unit)
+
+
+def _rate_dph(unit: str) -> float:
+    """Deg/h in a unit of rate, with or without prefix."""
+    return _TO_DPH[unit] if unit in _TO_DPH else _PREFIXES[unit[0]] * _TO_DPH[unit[1:]]
 
 
 def _words(texts: NDArray[Any]) -> NDArray[np.str_]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
@@ -20,7 +21,7 @@ from gyrobench.bench.foundations.errors import (
     MeasurementError,
     RunFolderError,
 )
-from gyrobench.bench.foundations.files import make_folder, read_limited, write_whole
+from gyrobench.bench.foundations.files import make_folder, read_limited, synced_later, write_whole
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
 from gyrobench.bench.station.locks import RunLock
 
@@ -55,15 +56,22 @@ class JobResult:
     took_s: float = 0.0  #: Duration.
 
 
-def do_job(kind: JobKind, path: str) -> JobResult:
-    """Process one run under its lock; errors of the run go into the result, bugs are raised."""
+def do_job(kind: JobKind, path: str, *, is_synced: bool = True) -> JobResult:
+    """Process one run under its lock; errors of the run go into the result, bugs are raised.
+
+    ``is_synced``: whether each file is on the disk once it is written; otherwise it is after the next
+    :func:`gyrobench.bench.foundations.files.sync_all`.
+    """
     clock = WallClock()
     run = Path(path)
     try:
         folder = open_run_folder(run)
         if not os.access(run, os.W_OK):
             return JobResult(path, JobState.SKIPPED, "no write permission for its folder")
-        with RunLock(run, clock, command=f"gyrobench fleet {kind}"):
+        with (
+            RunLock(run, clock, command=f"gyrobench fleet {kind}"),
+            nullcontext() if is_synced else synced_later(),
+        ):
             text = _DOERS[kind](folder)
     except BenchInUseError as error:
         return JobResult(path, JobState.SKIPPED, str(error), clock.now())

@@ -21,6 +21,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from gyrobench.bench.fleet.jobs import FleetRecord, JobKind, JobResult, JobState, do_job
 from gyrobench.bench.foundations.clock import Deadline, WallClock
 from gyrobench.bench.foundations.errors import GyrobenchError
+from gyrobench.bench.foundations.files import sync_all
 from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.foundations.text import counted
 
@@ -105,7 +106,7 @@ class _Local:
 
     def _do(self, kind: JobKind, path: str) -> JobResult:
         if self.opened is None:
-            return do_job(kind, path)
+            return do_job(kind, path, is_synced=False)
         for deaths_left in range(_ALLOWED_DEATHS, -1, -1):
             process = getattr(self.own, "process", None)
             if process is None:
@@ -113,7 +114,7 @@ class _Local:
                 self.opened.callback(process.shutdown)
                 self.own.process = process
             try:
-                return process.submit(do_job, kind, path).result()
+                return process.submit(do_job, kind, path, is_synced=False).result()
             except BrokenProcessPool:
                 self.own.process = None
                 if not deaths_left:
@@ -183,7 +184,8 @@ _calls = count(1)
 def work_through(pool: Pool, record: FleetRecord, paths: Sequence[Path]) -> Iterator[JobResult]:
     """Process runs; yields each result as it arrives and adds it to the record.
 
-    The record on disk is complete however this ends. Raises RunFolderError if the record can't be written.
+    The record on disk is complete however this ends, and what it states to be done is on the disk before it.
+    Raises RunFolderError if the record can't be written.
     """
     clock = WallClock()
     deadline = Deadline(clock, _WRITE_EVERY_S)
@@ -192,10 +194,12 @@ def work_through(pool: Pool, record: FleetRecord, paths: Sequence[Path]) -> Iter
         for result in pool.results(record.kind, paths):
             record.add(result)
             if deadline.expired():
+                sync_all()
                 record.write()
                 deadline = Deadline(clock, _WRITE_EVERY_S)
             yield result
     finally:
+        sync_all()
         record.write()
 
 

@@ -12,6 +12,8 @@ import json
 import os
 import re
 import stat
+from collections.abc import Iterator
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
@@ -63,6 +65,7 @@ def write_whole(path: Path, data: bytes, *, is_synced: bool = True) -> None:
     ``is_synced``: false for a file that need not survive a power cut; faster. Raises RunFolderError if it
     can't be written.
     """
+    is_synced = is_synced and not _is_synced_later.get()
     temporary = temporary_path(path)
     try:
         with temporary.open("wb") as stream:
@@ -77,6 +80,26 @@ def write_whole(path: Path, data: bytes, *, is_synced: bool = True) -> None:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
         raise cant_be_written(path, error) from error
+
+
+#: Whether files are written within :func:`synced_later`.
+_is_synced_later = ContextVar("_is_synced_later", default=False)
+
+
+@contextlib.contextmanager
+def synced_later() -> Iterator[None]:
+    """Files written within are whole, but not on the disk until :func:`sync_all`: nothing waits for it."""
+    token = _is_synced_later.set(True)
+    try:
+        yield
+    finally:
+        _is_synced_later.reset(token)
+
+
+def sync_all() -> None:
+    """Put all that was written on the disk, where the system can."""
+    if hasattr(os, "sync"):
+        os.sync()
 
 
 def temporary_path(path: Path) -> Path:

@@ -28,6 +28,8 @@ _EXTRAS = {
     "weasyprint": "pdf",
     "asammdf": "mf4",
     "pandas": "pandas",
+    "pymavlink": "logs",
+    "pyulog": "logs",
 }
 
 ObjectT = TypeVar("ObjectT")

@@ -6,6 +6,7 @@ Pages of findings (search, verification, batch) and the report of a run are all 
 from __future__ import annotations
 
 import base64
+import gc
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -192,6 +193,7 @@ def _as_file(folder: Path, drawn: SectionFigure, key: str) -> SectionFigure:
     path = folder / f"{drawn.name}.png"
     if not is_drawn(path, key):
         save_figure(drawn.figure(), path, key)
+        gc.collect(1)  # figures are cycles of some megabytes
     return replace(drawn, figure=path)
 
 

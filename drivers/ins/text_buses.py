@@ -33,7 +33,7 @@ from gyrobench.drivers.frames import (
 )
 
 _READ_PERIOD_S = 0.005
-_MAX_READ = 1 << 20
+_MAX_READ = 1 << 16
 #: Text that waits to be converted: a minute of a full bus of 1 Mbit/s.
 _MAX_QUEUED = 16 << 20
 _MAX_LINE = 1000

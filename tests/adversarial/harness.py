@@ -167,7 +167,7 @@ def measure_run(case: Case, random: np.random.Generator) -> MeasuredRun:
     dwells = results.dwells
     bias_dph = np.array([dwell.row.bias_dph for dwell in dwells])
     sigma_dph = np.array([dwell.row.sigma_dph for dwell in dwells])
-    error_dph = bias_dph - np.array(case.unit.gyro_bias_dph)
+    error_dph = bias_dph - true_bias_dph(case)
     vertical = [POSITIONS[dwell.row.position].up_axis for dwell in dwells]
     return MeasuredRun(
         error_dph / sigma_dph,
@@ -187,6 +187,15 @@ def measured_dwells(case: Case, random: np.random.Generator) -> list[MeasuredDwe
         output = simulate(case.unit, case.place, case.schedule, angles, random)
         add_dwell(dwells, measure_dwell(*dwell_frames(output, position, angles, number, random), setup))
     return dwells
+
+
+def true_bias_dph(case: Case) -> Floats:
+    """Bias of each gyro, mean over the two windows."""
+    unit, schedule = case.unit, case.schedule
+    starts_s = np.array([0.0, schedule.window_s + schedule.turn_s + schedule.settle_s])
+    after_s = np.clip(starts_s + schedule.window_s - unit.bias_step_s, 0.0, schedule.window_s)
+    share = float(np.mean(after_s)) / schedule.window_s
+    return np.array(unit.gyro_bias_dph) + share * np.array(unit.bias_step_dph)
 
 
 def dwell_angles(setup: MeasurementSetup, position: str) -> list[Angles]:

@@ -71,6 +71,16 @@ ROWS = (
         "accelerometer",
     ),
     Row(
+        "accelerometer transient of 10 ug after the turn, 120 s",
+        _unit(accelerometer_transient_ug=(10.0, 10.0, -10.0)),
+        "accelerometer",
+    ),
+    Row(
+        "accelerometer drift of 10 ug/h, undeclared",
+        _unit(accelerometer_drift_ug_per_h=(10.0, -10.0, -10.0)),
+        "accelerometer",
+    ),
+    Row(
         "accelerometer drift of 30 ug/h, undeclared",
         _unit(accelerometer_drift_ug_per_h=(30.0, -30.0, 30.0)),
         "accelerometer",
@@ -78,7 +88,13 @@ ROWS = (
     Row("velocity damped with 600 s", _unit(velocity_damping_s=600.0), "damp"),
     Row("noise 2 times what is declared", _unit(angle_random_walk=0.0012), "noise"),
     Row("noise 1.3 times what is declared", _unit(angle_random_walk=0.00078), "noise"),
+    Row(
+        "noise 1.3 times what the data sheet says, `noise: estimated`",
+        lambda case: _station({"ins.noise": "estimated"})(_unit(angle_random_walk=0.00078)(case)),
+        "noise",
+    ),
     Row("bias step of 0.01 deg/h in mid-window", _unit(bias_step_dph=(0.01, 0.01, 0.01)), "bias"),
+    Row("bias step of 0.02 deg/h of one gyro", _unit(bias_step_dph=(0.0, 0.02, 0.0)), "bias"),
     Row("accelerometer biases of 300 ug", _unit(accelerometer_bias_ug=(300.0, -300.0, 300.0))),
     Row("accelerometer biases of 500 ug", _unit(accelerometer_bias_ug=(500.0, 500.0, -500.0))),
     Row("accelerometer biases of 1000 ug", _unit(accelerometer_bias_ug=(-1000.0, 1000.0, 1000.0))),
@@ -87,4 +103,5 @@ ROWS = (
         _unit(accelerometer_misalignment_arcsec=(20.0, -20.0, 20.0, -20.0, 20.0, -20.0)),
     ),
     Row("undithered gyro pulses of 0.5 arcsec", _unit(gyro_pulse_arcsec=0.5), "resol"),
+    Row("undithered gyro pulses of 5 arcsec", _unit(gyro_pulse_arcsec=5.0), "resol"),
 )

@@ -109,15 +109,17 @@ def measure_beside_one(kind, runs, count, workers, are_threads, folder):
 
 def format_table(cases):
     """Markdown rows; speed-up over one process."""
+    cores = len(os.sched_getaffinity(0))
     lines = [
-        "| job | workers | time s | speed-up | runs/s | CPU s a run | peak MB a worker | start s |",
-        "|---|---|---|---|---|---|---|---|",
+        "| job | workers | time s | speed-up | cores busy | runs/s | CPU s a run | peak MB | start s |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     for case in cases:
         who = f"{case.workers} {'thread' if case.are_threads else 'process'}"
         who += "" if case.workers == 1 else "s" if case.are_threads else "es"
         lines.append(
             f"| {case.kind} | {who} | {case.wall_s:.1f} | {case.speed_up:.2f} "
+            f"| {case.cpu_s / case.wall_s / min(case.workers, cores):.0%} of {min(case.workers, cores)} "
             f"| {case.runs / case.wall_s:.1f} "
             f"| {case.cpu_s / case.runs:.3f} | {case.peak_mb:.0f} | {case.start_s:.1f} |"
         )
@@ -191,8 +193,8 @@ def main():
         f"with {len(os.sched_getaffinity(0))} cores. Each run has 12 dwells of two minutes. Time is that of "
         "all runs with workers that have started and done two runs each before; start is how long that "
         "takes. Speed-up is over one process, measured right after. "
-        "Peak memory is that of one worker's process. The null task does nothing: what handing a run out "
-        "costs.\n\n"
+        "Cores busy: processor time of all processes over that of the cores they may use. Peak memory is "
+        "that of one worker's process.\n\n"
         f"{format_table(cases)}\n\n{conclusion(cases)}\n"
     )
 

@@ -1,7 +1,9 @@
 """A log becomes the dwell table that its unit deserves, or a message that says what to do."""
 
+import gzip
 import json
 import re
+from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
@@ -335,3 +337,47 @@ def test_the_summary_reports_what_was_left_out(log):
     assert "38 dwells of 60 s, gyros at 10.7 to 39.3 degC" in text
     assert "Left out: rate of gyro x stuck: 2 of 40 windows" in text
     assert "Warning: all rows belong to one cycle" in text
+
+
+def test_a_packed_log_is_the_same(log):
+    plain = log.write()
+    packed = log.folder / "log.csv.gz"
+    packed.write_bytes(gzip.compress(plain.read_bytes()))
+    mapping = log.mapping()
+    assert import_logs([packed], mapping).rows == import_logs([plain], mapping).rows
+    packed.write_bytes(packed.read_bytes()[:1000])
+    with pytest.raises(DocumentError, match="can't be read"):
+        import_logs([packed], mapping)
+
+
+def test_units_with_prefixes_factors_and_calendar_times_mean_the_same(log):
+    expected = import_logs([log.write()], log.mapping()).rows
+    begin = datetime(2026, 3, 1, 12, tzinfo=UTC)
+    time, x, y, z, heat = log.columns.values()
+    log.columns = {
+        "when": [(begin + timedelta(seconds=each)).isoformat() for each in time],
+        "gx": 1e3 * np.deg2rad(x),
+        "gy": 2e3 * np.deg2rad(y),
+        "gz": 1e3 * np.deg2rad(z),
+        "temp": heat + 273.15,
+    }
+    rows = zip(*([str(each) for each in column] for column in log.columns.values()), strict=True)
+    path = log.write([",".join(log.columns), *(",".join(row) for row in rows)])
+    mapping = log.mapping(
+        time="{column: when, unit: iso8601}",
+        gyro="{unit: mrad/s, x: gx, y: {column: gy, scale: 0.5}, z: gz}",
+        temperatures="{gyros: {column: temp, offset_c: -273.15}}",
+    )
+    for row, other in zip(import_logs([path], mapping).rows, expected, strict=True):
+        assert row.bias_dph == pytest.approx(other.bias_dph, abs=1e-3)
+        assert row.gyro_c == pytest.approx(other.gyro_c, abs=1e-6)
+        assert (row.start_s, row.end_s) == pytest.approx((other.start_s, other.end_s), abs=1e-3)
+
+
+def test_one_problem_of_a_column_is_reported_once(log):
+    lines = log.lines()
+    path = log.write([lines[0], *(line.replace(",", ",x", 1) for line in lines[1:])])
+    with pytest.raises(DocumentError, match=r"log\.csv:2: column gx: expected a number; found 'x") as error:
+        import_logs([path], log.mapping())
+    assert str(error.value).count("column gx") == 1
+    assert f"(and in {len(lines) - 2} more lines)" in str(error.value)

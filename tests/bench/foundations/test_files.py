@@ -12,6 +12,8 @@ from gyrobench.bench.foundations.files import (
     parse_json,
     read_limited,
     remove,
+    sync_all,
+    synced_later,
     write_whole,
 )
 
@@ -91,6 +93,18 @@ def test_what_need_not_outlive_a_power_cut_is_written_whole_without_a_wait(tmp_p
         write_whole(path, b"newer", is_synced=False)
     assert path.read_bytes() == b"new"
     assert [entry.name for entry in tmp_path.iterdir()] == ["live.json"]
+
+
+def test_files_synced_later_are_whole_and_wait_for_no_disk(tmp_path, monkeypatch):
+    synced = []
+    monkeypatch.setattr(os, "fsync", synced.append)
+    with synced_later():
+        write_whole(tmp_path / "bias_bins.csv", b"bins")
+    assert (tmp_path / "bias_bins.csv").read_bytes() == b"bins"
+    assert not synced
+    write_whole(tmp_path / "dwells.csv", b"dwells")
+    assert synced
+    sync_all()
 
 
 def test_the_hash_of_a_file_is_that_of_its_content(tmp_path):

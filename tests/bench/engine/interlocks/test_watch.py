@@ -276,3 +276,30 @@ def test_what_is_wrong_in_many_places_is_advised_once(station_of):
     assert text.count("Check the sensor and the signal map; let the unit return") == 1
     assert text.count("above the limit") == 7
     assert ".;" not in text
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_ticks_between_readings_find_what_a_whole_evaluation_finds(watched, seed):
+    random = np.random.default_rng(seed)
+    bench, evaluated = watched(), watched()
+    seen = set()
+    for _ in range(300):
+        answering = [name for name in ("table", "chamber") if random.random() < 0.7]
+        ins_on, age_s = bool(random.random() < 0.9), float(random.choice([0.5, 0.5, 4.0, 7.0]))
+        air_c = float(random.choice([20.0, 20.0, 20.0, 30.0]))
+        reads, ticks = random.random() < 0.8, int(random.integers(1, 60))
+        for each in (bench, evaluated):
+            each.ins.age_s, each.chamber = age_s, ChamberReading(air_c, 20.0, True)
+            each.expected = replace(ALL_WELL, ins_on=ins_on)
+            if reads:
+                each.poll(1.0, answering)
+        for _ in range(ticks):
+            for each in (bench, evaluated):
+                each.clock.sleep(1.0)
+            evaluated.expected = replace(
+                evaluated.expected
+            )  # an unknown command: nothing is known to be good
+            found = bench.trips()
+            assert found == evaluated.trips()
+            seen |= found.keys()
+    assert {"table_silence", "chamber_silence", "ins_silence", "chamber_air_rate"} <= seen

@@ -10,7 +10,10 @@ from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.drivers.emulators.world.world_file import WorldFile, load_world
 
-SHIPPED = {name: find_document("worlds", name).read_text() for name in ("gyro_a", "gyro_b", "ideal", "quick")}
+SHIPPED = {
+    name: find_document("worlds", name).read_text()
+    for name in ("gyro_a", "gyro_b", "ideal", "quick", "large_accelerometer_biases")
+}
 WORLDS_PAGE = (Path(__file__).parents[4] / "docs" / "worlds.md").read_text()
 WORLD = """\
 world: small

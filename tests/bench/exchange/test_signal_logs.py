@@ -1,0 +1,151 @@
+"""Logs of named signals: what gyrobench writes itself, and what autopilots write."""
+
+import struct
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from gyrobench.bench.exchange.log_import import import_logs
+from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
+from gyrobench.bench.runs.can_log import CanLog
+from gyrobench.drivers.frames import FrameBlock
+from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
+
+DBC = """VERSION ""
+BU_: IMU
+BO_ 16 RATES: 6 IMU
+ SG_ X : 0|16@1- (0.00002,0) [0|0] "deg/s" IMU
+ SG_ Y : 16|16@1- (0.00002,0) [0|0] "deg/s" IMU
+ SG_ Z : 32|16@1- (0.00002,0) [0|0] "deg/s" IMU
+BO_ 17 HEAT: 2 IMU
+ SG_ T : 0|16@1- (0.01,0) [0|0] "degC" IMU
+"""
+
+
+@pytest.fixture
+def expected(log):
+    return import_logs([log.write()], log.mapping()).rows
+
+
+def assert_same(rows, expected, tolerance_dph=0.2):
+    assert len(rows) == len(expected)
+    for row, other in zip(rows, expected, strict=True):
+        assert row.bias_dph == pytest.approx(other.bias_dph, abs=tolerance_dph)
+        assert row.gyro_c == pytest.approx(other.gyro_c, abs=0.05)
+        assert row.start_s == pytest.approx(other.start_s, abs=0.3)
+
+
+def write_parquet(log):
+    pq.write_table(pa.table(log.columns), log.folder / "log.parquet")
+    return {"signals": "{format: parquet}"}, "log.parquet"
+
+
+def write_blf(log):
+    (log.folder / "imu.dbc").write_text(DBC)
+    codec = DbcCodec(load_dbc(log.folder / "imu.dbc"))
+    _, x, y, z, heat = log.columns.values()
+    n = len(x)
+    rates = np.zeros((n, 8), np.uint8)
+    heats = np.zeros((n, 8), np.uint8)
+    rates[:, :6] = codec.encode("RATES", {"X": x, "Y": y, "Z": z})
+    heats[:, :2] = codec.encode("HEAT", {"T": heat})
+    times_s = np.repeat(1.7e9 + log.time_s, 2)
+    ids, lengths = np.tile([17, 16], n), np.tile([2, 6], n)
+    data = np.stack([heats, rates], axis=1).reshape(-1, 8)
+    can_log = CanLog(log.folder / "can")
+    can_log.write(FrameBlock.from_columns(times_s, ids, lengths, data))
+    can_log.cut()
+    return {
+        "signals": "{format: blf, dbc: imu.dbc}",
+        "time": "{column: time_s}",
+        "gyro": "{unit: deg/s, x: RATES.X, y: RATES.Y, z: RATES.Z}",
+        "temperatures": "{gyros: HEAT.T}",
+    }, "can/part-00001.blf"
+
+
+def write_ardupilot(log):
+    """A DataFlash log as ArduPilot writes it: FMT messages describe the others."""
+
+    def fmt(number, length, name, letters, columns):
+        body = struct.pack("<BB4s16s64s", number, length, name, letters, columns)
+        return b"\xa3\x95\x80" + body
+
+    out = [
+        fmt(128, 89, b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns"),
+        fmt(129, 3 + 8 + 12 + 4, b"IMU", b"Qffff", b"TimeUS,GyrX,GyrY,GyrZ,T"),
+    ]
+    _, x, y, z, heat = log.columns.values()
+    for t, *values in zip(log.time_s, np.deg2rad(x), np.deg2rad(y), np.deg2rad(z), heat, strict=True):
+        out.append(b"\xa3\x95\x81" + struct.pack("<Qffff", round(1e6 * t), *values))
+    (log.folder / "log.bin").write_bytes(b"".join(out))
+    return {
+        "signals": "{format: ardupilot}",
+        "time": "{column: IMU.TimeUS, unit: us}",
+        "gyro": "{unit: rad/s, x: IMU.GyrX, y: IMU.GyrY, z: IMU.GyrZ}",
+        "temperatures": "{gyros: IMU.T}",
+    }, "log.bin"
+
+
+def write_px4(log):
+    """A ULog file as PX4 writes it, with the temperature in a slower topic."""
+
+    def message(kind, body):
+        return struct.pack("<HB", len(body), ord(kind)) + body
+
+    out = [b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0)]
+    out.append(message("F", b"sensor_combined:uint64_t timestamp;float[3] gyro_rad;"))
+    out.append(message("F", b"vehicle_air_data:uint64_t timestamp;float baro_temp_celcius;"))
+    out.append(message("A", struct.pack("<BH", 0, 0) + b"sensor_combined"))
+    out.append(message("A", struct.pack("<BH", 0, 1) + b"vehicle_air_data"))
+    _, x, y, z, heat = log.columns.values()
+    for index, (t, heat_c) in enumerate(zip(log.time_s, heat, strict=True)):
+        stamp = round(1e6 * t) + 1000
+        if index % 5 == 0:
+            out.append(message("D", struct.pack("<HQf", 1, stamp - 10, heat_c)))
+        rates = np.deg2rad([x[index], y[index], z[index]])
+        out.append(message("D", struct.pack("<HQfff", 0, stamp, *rates)))
+    (log.folder / "log.ulg").write_bytes(b"".join(out))
+    return {
+        "signals": "{format: px4}",
+        "time": "{column: time_s}",
+        "gyro": "{unit: rad/s, x: 'sensor_combined.gyro_rad[0]', y: 'sensor_combined.gyro_rad[1]', "
+        "z: 'sensor_combined.gyro_rad[2]'}",
+        "temperatures": "{gyros: vehicle_air_data.baro_temp_celcius}",
+    }, "log.ulg"
+
+
+def write_mf4(log):
+    asammdf = pytest.importorskip("asammdf", reason="MDF4 needs: pip install 'gyrobench[mf4]'")
+    _, x, y, z, heat = log.columns.values()
+    with asammdf.MDF() as file:
+        for name, values in {"gx": x, "gy": y, "gz": z, "temp": heat}.items():
+            file.append(asammdf.Signal(values, log.time_s, name=name))
+        file.save(log.folder / "log.mf4")
+    return {"signals": "{format: mf4}", "time": "{column: time_s}"}, "log.mf4"
+
+
+@pytest.mark.parametrize("write", [write_parquet, write_blf, write_ardupilot, write_px4, write_mf4])
+def test_every_format_gives_the_rows_of_the_text_log(log, expected, write):
+    changes, name = write(log)
+    rows = import_logs([log.folder / name], log.mapping(text="absent", **changes)).rows
+    assert_same(rows, expected)
+
+
+@pytest.mark.parametrize(
+    ("write", "message"), [(write_parquet, "parquet"), (write_ardupilot, "signal"), (write_px4, "px4")]
+)
+def test_a_damaged_log_is_reported_once(log, write, message):
+    changes, name = write(log)
+    (log.folder / name).write_bytes(b"\x00\x01" * 500)
+    with pytest.raises(DocumentError, match=message) as error:
+        import_logs([log.folder / name], log.mapping(text="absent", **changes))
+    assert len(str(error.value).splitlines()) == 1
+
+
+def test_a_missing_signal_is_reported_with_those_that_there_are(log):
+    changes, name = write_parquet(log)
+    mapping = log.mapping(text="absent", gyro="{unit: deg/s, x: gxx, y: gy, z: gz}", **changes)
+    with pytest.raises((DocumentError, MeasurementError), match=r"no signal 'gxx' \(did you mean 'gx'\?\)"):
+        import_logs([log.folder / name], mapping)
