@@ -287,11 +287,11 @@ def solve_jointly(dwells: Sequence[JointDwell], prior: PriorKnowledge) -> JointS
         fit=fit,
         north_free_fit=north_free_fit,
         pairs=pairs,
-        up_rate=up_rate([pairs], earth_rate),
+        up_rate=up_rate([pairs], earth_rate, prior.latitude),
     )
 
 
-def pooled_up_rate(solutions: Sequence[JointSolution]) -> UpRate | None:
+def pooled_up_rate(solutions: Sequence[JointSolution], prior: PriorKnowledge) -> UpRate | None:
     """Rate Up from several temperatures together; the latitude is the same at all of them.
 
     Plateaus whose dwells disagree at any latitude are left out; None if there are no others.
@@ -299,7 +299,8 @@ def pooled_up_rate(solutions: Sequence[JointSolution]) -> UpRate | None:
     agreeing = [each for each in solutions if each.agrees]
     if not agreeing:
         return None
-    return up_rate([each.pairs for each in agreeing], agreeing[0].dwells[0].information.earth_rate)
+    earth_rate = agreeing[0].dwells[0].information.earth_rate
+    return up_rate([each.pairs for each in agreeing], earth_rate, prior.latitude)
 
 
 def _biases(fit: JointFit) -> JointBiases:

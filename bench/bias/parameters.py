@@ -122,7 +122,8 @@ class PriorKnowledge:
     gyro_scale_factor: float = 5e-6
     gyro_misalignment: float = 2.0 * _ARCSEC
     tilt_step: float = 1.0 * _ARCSEC  #: How far the sensors may tilt on their mount in a turn, rad.
-    latitude: float = 0.02 * _ARCMIN  #: Error of the latitude that the INS uses, rad.
+    #: Error of the latitude that the INS uses, rad: 20 arcsec of deflection of the vertical, not surveyed.
+    latitude: float = 0.33 * _ARCMIN
     #: Change of a gyro's bias with its temperature within a dwell, rad/s/K.
     bias_slope: float = 0.001 * DPH_TO_RADPS
     #: rad; lets gravity in, so accelerometer biases seem to differ between positions. Observable only in a
@@ -148,7 +149,7 @@ class PriorKnowledge:
         gyro_scale_factor_ppm: float = 5.0,
         gyro_misalignment_arcsec: float = 2.0,
         tilt_step_arcsec: float = 1.0,
-        latitude_arcmin: float = 0.02,
+        latitude_arcmin: float = 0.33,
         bias_slope_dph_per_c: float = 0.001,
         accelerometer_misalignment_arcsec: float = 5.0,
         accelerometer_drift_ug_per_h: float = 20.0,

@@ -33,6 +33,8 @@ MIN_P_VALUE = 0.01
 
 # How many sigmas from nothing a rate North must lie, if there is one, to confirm a latitude error.
 _MIN_SIGNIFICANCE = 3.0
+# A latitude is off if its error is so many sigmas from nothing, and so many times what is declared.
+_MIN_ERROR_SIGMAS, _MAX_DECLARED = 4.0, 2.0
 
 
 class Finding(Enum):
@@ -57,6 +59,11 @@ class Finding(Enum):
     )
     LATITUDE = (
         "the half-differences of up and down agree, and the rate North confirms an error of the latitude"
+    )
+    LATITUDE_OFF = (
+        "the half-differences of up and down agree, and the rate North confirms that the latitude is off by "
+        "more than its declared uncertainty. The biases of vertical gyros are corrected for it; correct the "
+        "latitude in station file and INS"
     )
 
 
@@ -106,10 +113,17 @@ class UpRate:
     @property
     def applies(self) -> bool:
         """Whether the vertical biases are better off with the rate taken away."""
-        return self.finding in (Finding.LATITUDE, Finding.NOT_CONTRADICTED)
+        return self.finding in (Finding.LATITUDE, Finding.LATITUDE_OFF, Finding.NOT_CONTRADICTED)
 
 
-def up_rate(groups: Sequence[VerticalPairs], earth_rate: FloatArray) -> UpRate:
+def exceeds_declared(error: float, sigma: float, declared: float) -> bool:
+    """Whether a latitude error is significant, and larger than its declared uncertainty lets it be."""
+    return abs(error) > max(_MIN_ERROR_SIGMAS * sigma, _MAX_DECLARED * declared)
+
+
+def up_rate(
+    groups: Sequence[VerticalPairs], earth_rate: FloatArray, declared_latitude: float = math.inf
+) -> UpRate:
     """Rate Up from the half-differences of one or several temperatures.
 
     Temperatures count as independent; what gyro scale factors have in common is far below the noise.
@@ -120,6 +134,8 @@ def up_rate(groups: Sequence[VerticalPairs], earth_rate: FloatArray) -> UpRate:
         One for each temperature.
     earth_rate : ndarray, shape (3,)
         Rotation of the Earth in ENU, rad/s.
+    declared_latitude : float
+        Standard uncertainty of the latitude, rad.
     """
     groups = [group for group in groups if group.gyros]
     if not groups:
@@ -152,7 +168,7 @@ def up_rate(groups: Sequence[VerticalPairs], earth_rate: FloatArray) -> UpRate:
         latitude_error=latitude.error,
         latitude_sigma=latitude.sigma,
         latitude_p_value=latitude.p_value,
-        finding=_finding(len(np.unique(gyros)), p_value, latitude),
+        finding=_finding(len(np.unique(gyros)), p_value, latitude, declared_latitude),
     )
 
 
@@ -225,14 +241,17 @@ def _dwell_weights(groups: Sequence[VerticalPairs], parts: Sequence[FloatArray])
     }
 
 
-def _finding(gyros: int, p_value: float, latitude: _LatitudeError) -> Finding:
+def _finding(gyros: int, p_value: float, latitude: _LatitudeError, declared: float) -> Finding:
     if gyros == 1:
         return Finding.ONE_GYRO
     if p_value < MIN_P_VALUE:
         return Finding.DIFFERENT
     if latitude.p_value < MIN_P_VALUE:
         return Finding.NOT_LATITUDE
-    return Finding.LATITUDE if latitude.significance > _MIN_SIGNIFICANCE else Finding.NOT_CONTRADICTED
+    if latitude.significance <= _MIN_SIGNIFICANCE:
+        return Finding.NOT_CONTRADICTED
+    is_off = exceeds_declared(latitude.error, latitude.sigma, declared)
+    return Finding.LATITUDE_OFF if is_off else Finding.LATITUDE
 
 
 _NO_RATE = UpRate(

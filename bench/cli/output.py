@@ -121,7 +121,9 @@ def print_biases(
 
 def print_end(console: Console, folder: RunFolder, outcome: RunOutcome, as_json: bool = False) -> None:
     """Report the end of a run, with ``as_json`` also as JSON; exits with an error if it did not finish."""
+    from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN
     from gyrobench.bench.report.run_report import write_report
+    from gyrobench.bench.report.statements import latitude_sentence
     from gyrobench.bench.report.terminal.tables import durations_table
 
     safe_state = "\n".join(each.text for each in outcome.safe_state)
@@ -132,6 +134,13 @@ def print_end(console: Console, folder: RunFolder, outcome: RunOutcome, as_json:
     report = write_report(folder)
     results = outcome.results
     print_biases(console, results.bins, results.calibration_check, results.acceptance)
+    rate = results.up_rate
+    if rate is not None and (
+        text := latitude_sentence(
+            rate.finding, RAD_TO_ARCMIN * rate.latitude_error, RAD_TO_ARCMIN * rate.latitude_sigma
+        )
+    ):
+        console.print(text, soft_wrap=True, style="bold red")
     console.print(durations_table(outcome.took_s))
     if is_finished:
         console.print(safe_state, soft_wrap=True)

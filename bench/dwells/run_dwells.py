@@ -21,6 +21,7 @@ from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits, write_ac
 from gyrobench.bench.bias.vertical_pairs import UpRate
 from gyrobench.bench.dwells.check_dwell import CheckDwell, measure_check_dwell
 from gyrobench.bench.dwells.dwell import MeasuredDwell, MeasurementSetup, measure_dwell
+from gyrobench.bench.dwells.latitude import with_latitude
 from gyrobench.bench.dwells.marks import DwellMarks
 from gyrobench.bench.dwells.temperatures import stuck_sensors
 from gyrobench.bench.foundations.errors import MeasurementError, RunFolderError
@@ -179,8 +180,10 @@ def _spacing(count: int) -> int:
 
 @dataclass(frozen=True, eq=False)
 class RunResults:
-    """Results of a run beyond its dwells."""
+    """Results of a run."""
 
+    #: As given; biases of vertical gyros without the effect of a wrong latitude, or flagged with it.
+    dwells: list[MeasuredDwell] = field(default_factory=list)
     bins: list[BiasBin] = field(default_factory=list)  #: Bias per gyro, position and temperature.
     joint: list[JointSolution] = field(default_factory=list)  #: One for each plateau.
     #: Rate Up fixed in the navigation frame, from all plateaus whose dwells agree; None without any.
@@ -219,15 +222,17 @@ def evaluate(
     """
     good = [dwell for dwell in dwells if dwell.estimate and not dwell.row.flags]
     joint = [solve_jointly(plateau, setup.prior) for plateau in group_plateaus(_joint_dwells(good))]
-    rows = [dwell.row for dwell in good]
-    bins = bin_biases(rows, bin_width_c)
+    rate = pooled_up_rate(joint, setup.prior)
+    evaluated = with_latitude(dwells, joint, rate, setup.prior)
+    rows = [dwell.row for dwell in evaluated if dwell.estimate and not dwell.row.flags]
     return RunResults(
-        bins=bins,
+        dwells=evaluated,
+        bins=bin_biases(rows, bin_width_c),
         joint=joint,
-        up_rate=pooled_up_rate(joint),
+        up_rate=rate,
         noise=_noise([dwell for dwell in dwells if not dwell.is_disturbed], setup),
         calibration_check=list(calibration_check),
-        acceptance=judge([dwell.row for dwell in dwells], limits, planned, bin_width_c),
+        acceptance=judge([dwell.row for dwell in evaluated], limits, planned, bin_width_c),
     )
 
 

@@ -34,6 +34,8 @@ def evaluate_run(
     results = evaluate(
         dwells, setup, procedure.bin_width_c, procedure.acceptance, planned_dwells(plan), check
     )
+    if results.dwells:
+        write_dwells(folder.dwells, [dwell.row for dwell in results.dwells])
     write_results(folder, results)
     return results
 
@@ -49,7 +51,6 @@ def recompute_run(path: Path) -> RunFolder:
     station = Station(folder.station)
     setup = measurement_setup(station)
     dwells, check_dwells = replay(folder, setup)
-    write_dwells(folder.dwells, [dwell.row for dwell in dwells])
     calibration = read_dwells(folder.calibration) if folder.calibration.exists() else []
     evaluate_run(folder, station.plan(document, procedure), setup, dwells, check_dwells, calibration)
     return folder

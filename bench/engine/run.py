@@ -90,7 +90,7 @@ def _finish(resumption: Resumption) -> RunOutcome:
         dwells, check_dwells = replay(folder, setup)
         write_dwells(folder.dwells, [dwell.row for dwell in dwells])
         results = evaluate_run(folder, job.plan, setup, dwells, check_dwells, job.calibration)
-    return RunOutcome(dwells=dwells, check_dwells=check_dwells, results=results)
+    return RunOutcome(dwells=results.dwells, check_dwells=check_dwells, results=results)
 
 
 @dataclass(frozen=True)
@@ -211,6 +211,7 @@ def _evaluate(run: RunContext) -> None:
         outcome.results = evaluate_run(
             run.folder, run.plan, run.setup, outcome.dwells, outcome.check_dwells, run.job.calibration
         )
+        outcome.dwells = outcome.results.dwells
     except GyrobenchError as error:
         outcome.fail(str(error))
         run.observers.ended(outcome)

@@ -180,7 +180,7 @@ def _finding_sentence(plateaus: Sequence[JointPlateauRow]) -> str:
     latitude = f"{last.latitude_error_arcmin:+.2f} ± {last.latitude_error_sigma_arcmin:.2f} arcmin"
     p_value = _p_in_brackets(last.up_rate_p_value)
     text = f"{where} the half-difference is {rate}{p_value}: {finding.value}."
-    if finding in (Finding.LATITUDE, Finding.NOT_CONTRADICTED):
+    if finding in (Finding.LATITUDE, Finding.LATITUDE_OFF, Finding.NOT_CONTRADICTED):
         text += f" Equivalent latitude error: {latitude}; joint_biases.csv also has the biases without it."
     return text
 

@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from gyrobench.bench.bias.bins import BiasBin, compare_positions
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.verdicts import Acceptance
+from gyrobench.bench.bias.vertical_pairs import Finding
 from gyrobench.bench.foundations.clock import parsed_utc
 from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
 from gyrobench.bench.foundations.files import file_sha256, make_folder, write_whole
@@ -43,7 +44,7 @@ from gyrobench.bench.report.figures.bias import bias_figure, bias_span_dph, posi
 from gyrobench.bench.report.figures.temperatures import Readings, temperature_figure
 from gyrobench.bench.report.journal_sections import durations_section, events_section
 from gyrobench.bench.report.page import Box, Section, SectionFigure, render_page, with_figure_files
-from gyrobench.bench.report.statements import VERDICT_COLOURS, verdict_sentence
+from gyrobench.bench.report.statements import VERDICT_COLOURS, latitude_sentence, verdict_sentence
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.provenance import DataHash, data_hashes, note_preparer
 
@@ -193,6 +194,10 @@ def verdict_boxes(content: RunContent) -> list[Box]:
     if acceptance:
         verdict = acceptance.verdict
         boxes.append(Box(VERDICT_COLOURS[verdict], f"Unit {verdict}.", verdict_sentence(acceptance)))
+    for last in content.joint_plateaus[-1:]:
+        finding, error = Finding[last.finding.upper()], last.latitude_error_arcmin
+        if text := latitude_sentence(finding, error, last.latitude_error_sigma_arcmin):
+            boxes.append(Box("failed", "Wrong latitude.", text))
     return boxes
 
 

@@ -11,6 +11,7 @@ from gyrobench.bench.bias.bins import BiasBin, PositionComparison
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.statistics import uniformity_p_value
 from gyrobench.bench.bias.verdicts import Acceptance, Judgement, RunVerdict
+from gyrobench.bench.bias.vertical_pairs import Finding
 from gyrobench.bench.foundations.text import counted, listed
 from gyrobench.bench.navigation.positions import AXES, gyro_label, position_label
 from gyrobench.bench.report.number_format import dph_with_sigma, p_text, temperature_ranges
@@ -68,6 +69,17 @@ def scatter_sentence(bins: Iterable[BiasBin]) -> str:
     return (
         "Dwells of the same position and bin scatter more than their uncertainties explain; the "
         f"uncertainty of the mean and the p-value are too small at {places}."
+    )
+
+
+def latitude_sentence(finding: Finding, error_arcmin: float, sigma_arcmin: float) -> str:
+    """The latitude error that the joint solution found, and what follows; empty if it is as declared."""
+    if finding is not Finding.LATITUDE_OFF:
+        return ""
+    return (
+        f"The latitude of the INS is {error_arcmin:+.2f} ± {sigma_arcmin:.2f} arcmin off, more than "
+        "declared. The biases of vertical gyros are corrected for it; correct the latitude in station file "
+        "and INS."
     )
 
 

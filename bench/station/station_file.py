@@ -70,7 +70,11 @@ class Location(StrictModel):
     )
     height_m: float = Field(0.0, ge=-500.0, le=9000.0, description="height above the ellipsoid, m")
     latitude_uncertainty_arcmin: float = Field(
-        0.02, ge=0.0, le=60.0, description="standard uncertainty of the latitude, arcmin"
+        0.33,
+        ge=0.0,
+        le=60.0,
+        description="standard uncertainty of the latitude that the INS uses, arcmin; the default holds the "
+        "deflection of the vertical to the north, 20 arcsec without an astronomical survey",
     )
 
     @field_validator("latitude_deg")

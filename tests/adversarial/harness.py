@@ -24,8 +24,11 @@ from typing import Any
 import numpy as np
 import yaml
 
+from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.bias.vertical_pairs import Finding
 from gyrobench.bench.dwells.dwell import MeasuredDwell, MeasurementSetup, measure_dwell, measurement_setup
-from gyrobench.bench.dwells.run_dwells import add_dwell
+from gyrobench.bench.dwells.run_dwells import add_dwell, evaluate
+from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.station.station import Station
 from tests.adversarial.frames import dwell_frames
@@ -69,6 +72,7 @@ class MeasuredRun:
     flags: list[str]  #: Of each dwell; empty where nothing was found.
     is_level: Floats  #: Shape (m, 3). Which gyros are level.
     error_dph: Floats  #: Shape (m, 3).
+    noted: str = ""  #: What terminal and report say of the whole run.
 
     @property
     def is_silent(self) -> Floats:
@@ -109,8 +113,9 @@ class RowResult:
 
     @property
     def named(self) -> int:
-        """Number of flagged dwells whose flags name the cause."""
-        return sum(bool(flags and re.search(self.row.cause, flags)) for flags in self.flags)
+        """Number of dwells whose flags, or the finding of their run, name the cause."""
+        texts = [f"{flags} {run.noted}".strip() for run in self.runs for flags in run.flags]
+        return sum(bool(text and re.search(self.row.cause, text)) for text in texts)
 
     def rms(self, level: bool) -> float:
         """Error over stated sigma, rms over the dwells without a flag; NaN without any."""
@@ -155,12 +160,11 @@ def measure_row(row: Row, seed: int = 0, runs: int | None = None) -> RowResult:
 
 def measure_run(case: Case, random: np.random.Generator) -> MeasuredRun:
     """Simulate one dwell in each position, and measure them as a run does."""
-    setup = setup_of(case)
-    dwells: list[MeasuredDwell] = []
-    for number, position in enumerate(case.positions, 1):
-        angles = dwell_angles(setup, position)
-        output = simulate(case.unit, case.place, case.schedule, angles, random)
-        add_dwell(dwells, measure_dwell(*dwell_frames(output, position, angles, number, random), setup))
+    dwells, setup = measured_dwells(case, random), setup_of(case)
+    results = evaluate(dwells, setup, bin_width_c=5.0)
+    finding = results.up_rate.finding if results.up_rate else None
+    noted = finding.value if finding is Finding.LATITUDE_OFF else ""
+    dwells = results.dwells
     bias_dph = np.array([dwell.row.bias_dph for dwell in dwells])
     sigma_dph = np.array([dwell.row.sigma_dph for dwell in dwells])
     error_dph = bias_dph - true_bias_dph(case)
@@ -170,7 +174,19 @@ def measure_run(case: Case, random: np.random.Generator) -> MeasuredRun:
         [dwell.row.flags for dwell in dwells],
         np.arange(3) != np.array(vertical)[:, np.newaxis],
         error_dph,
+        noted,
     )
+
+
+def measured_dwells(case: Case, random: np.random.Generator) -> list[MeasuredDwell]:
+    """One dwell in each position, before they are evaluated together."""
+    setup = setup_of(case)
+    dwells: list[MeasuredDwell] = []
+    for number, position in enumerate(case.positions, 1):
+        angles = dwell_angles(setup, position)
+        output = simulate(case.unit, case.place, case.schedule, angles, random)
+        add_dwell(dwells, measure_dwell(*dwell_frames(output, position, angles, number, random), setup))
+    return dwells
 
 
 def true_bias_dph(case: Case) -> Floats:
@@ -191,7 +207,11 @@ def dwell_angles(setup: MeasurementSetup, position: str) -> list[Angles]:
 def setup_of(case: Case) -> MeasurementSetup:
     """Measurement by the station file, for the latitude that was entered, with the changes of the case."""
     latitude_deg = case.place.latitude_deg + case.place.latitude_error_arcmin / 60.0
-    changes = {"location.latitude_deg": latitude_deg, "location.height_m": case.place.height_m}
+    changes = {
+        "location.latitude_deg": latitude_deg,
+        "location.height_m": case.place.height_m,
+        "location.latitude_uncertainty_arcmin": float(PriorKnowledge().latitude * RAD_TO_ARCMIN),
+    }
     return _setup(yaml.safe_dump(changes | dict(case.station)))
 
 

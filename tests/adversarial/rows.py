@@ -63,8 +63,8 @@ ROWS = (
     Row("roll and pitch exchanged", _station(_EXCHANGED_ANGLES), "exchange"),
     Row("latitude 1 arcmin off", _latitude(1.0), "latitude"),
     Row("latitude -1 arcmin off", _latitude(-1.0), "latitude"),
-    Row("deflection of the vertical by 8 arcsec", _latitude(8.0 / 60.0), "latitude"),
-    Row("deflection of the vertical by 20 arcsec", _latitude(20.0 / 60.0), "latitude"),
+    Row("deflection of the vertical by 8 arcsec", _latitude(8.0 / 60.0)),
+    Row("deflection of the vertical by 20 arcsec", _latitude(20.0 / 60.0)),
     Row(
         "accelerometer transient of 20 ug after the turn, 120 s",
         _unit(accelerometer_transient_ug=(20.0, -20.0, 20.0)),

@@ -31,7 +31,8 @@ from tests.bench.bias.cramer_rao import CramerRao
 from tests.bench.bias.emulated_dwells import CLEAN, DPH, LATITUDE_DEG, UG, emulate, noise_model, sensors, site
 from tests.bench.bias.pyins_dwells import RestingIns, simulate
 
-DEFAULT = PriorKnowledge()
+#: With a surveyed latitude.
+DEFAULT = PriorKnowledge.from_datasheet(latitude_arcmin=0.02)
 NOISE = noise_model(0.0006)
 LATITUDES_DEG = (-60.0, -36.4, -1.0, 0.0, 15.0, 36.4, 60.0)
 WINDOWS_S = (300.0, 600.0, 1200.0)

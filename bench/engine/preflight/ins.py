@@ -39,6 +39,8 @@ _RATE_TOLERANCE = 0.02
 #: An INS whose clock is beyond this date sends the calendar time, in seconds since 1970.
 _CALENDAR_S = datetime(2020, 1, 1, tzinfo=UTC).timestamp()
 _OFFSET_LIMIT_S = 60.0
+#: Share of epochs that may arrive late.
+_MAX_LATE_SHARE = 0.05
 #: Epochs that the begin and the end of the observation may cut off.
 _CUT_OFF_EPOCHS = 2
 
@@ -212,9 +214,12 @@ def _stream(
         "surplus frames": _surplus(station, ins, block, len(data.ins_time_s) + counts.lost),
     }  # fmt: skip
     found = ", ".join(f"{count} {name}" for name, count in wrong.items() if count)
+    # This computer's own load delays an epoch now and then, which no result depends on.
+    is_late = counts.late > _MAX_LATE_SHARE * len(data.ins_time_s)
+    faults = [name for name, count in wrong.items() if count and (name != "late" or is_late)]
     yield _check(
         "frames without gaps",
-        len(data.ins_time_s) > 1 and not found,
+        len(data.ins_time_s) > 1 and not faults,
         f"{len(data.ins_time_s)} epochs in {traffic.duration_s:.0f} s, {found or 'none lost'}; "
         f"{traffic.frames_per_s:.0f} frames per second",
         "Check bit rate, termination and bus load, the signal map's epoch_messages, and for a second node.",

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from gyrobench.bench.bias.vertical_pairs import Finding, UpRate
-from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, UG_TO_MPS2
+from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN, RADPS_TO_DPH, UG_TO_MPS2
 from gyrobench.bench.foundations.csv_tables import CsvTable, format_rows, read_text, write_text
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
@@ -183,12 +183,11 @@ def _all_plateaus(dwells: int, rate: UpRate) -> JointPlateauRow:
 
 
 def _up(rate: UpRate) -> dict[str, Any]:
-    arcmin = 60.0 * 180.0 / math.pi
     return {
         "up_rate_dph": rate.rate * RADPS_TO_DPH,
         "up_rate_sigma_dph": rate.sigma * RADPS_TO_DPH,
-        "latitude_error_arcmin": rate.latitude_error * arcmin,
-        "latitude_error_sigma_arcmin": rate.latitude_sigma * arcmin,
+        "latitude_error_arcmin": rate.latitude_error * RAD_TO_ARCMIN,
+        "latitude_error_sigma_arcmin": rate.latitude_sigma * RAD_TO_ARCMIN,
         "up_rate_p_value": rate.p_value,
         "finding": rate.finding.name.lower(),
     }

@@ -14,7 +14,8 @@ from tests.bench.bias import disturbances
 from tests.bench.bias.emulated_dwells import CLEAN, LATITUDE_DEG, UG, emulate, noise_model, sensors, site
 
 NOISE = noise_model(0.0006)
-DEFAULT = PriorKnowledge()
+#: With a surveyed latitude.
+DEFAULT = PriorKnowledge.from_datasheet(latitude_arcmin=0.02)
 BIAS_DPH, ACCELEROMETER_UG = np.array([0.05, -0.05, 0.05]), np.array([100.0, -100.0, -100.0])
 #: A fifth of what a rotational INS of 1 nmi in 24 h bears.
 EXACT_DPH = 2e-4

@@ -12,7 +12,8 @@ from tests.bench.bias.emulated_dwells import CLEAN, emulate, noise_model, sensor
 from tests.bench.bias.pyins_dwells import RestingIns, simulate
 
 NOISE = noise_model(0.0006)
-DEFAULT = PriorKnowledge()
+#: With a surveyed latitude.
+DEFAULT = PriorKnowledge.from_datasheet(latitude_arcmin=0.02)
 BIAS_DPH = np.array([0.05, -0.05, 0.05])
 EXACT_DPH = 2e-4
 

@@ -26,8 +26,9 @@ from tests.bench.bias.emulated_groups import (
     measure,
 )
 
+SURVEYED = PriorKnowledge.from_datasheet(latitude_arcmin=0.02)
 # As the units of emulated_groups are: their mounts do not tilt and their accelerometers do not drift.
-PRIOR = PriorKnowledge.from_datasheet(tilt_step_arcsec=0.0, accelerometer_drift_ug_per_h=0.0)
+PRIOR = dataclasses.replace(SURVEYED, tilt_step=0.0, accelerometer_drift=0.0)
 ANY_LATITUDE = dataclasses.replace(PRIOR, latitude=1.0 * ARCMIN)
 GROUPS = 8
 VERTICAL = is_vertical()
@@ -78,7 +79,7 @@ def test_dwell_by_itself_is_its_own_estimate():
         "y_down", sensors((0.02, -0.01, 0.03), (90.0, 50.0, -70.0), NOISE), noise=NOISE, random=random,
         outer_level=True, gyro_c=lambda time_s: 20.0 + np.outer(time_s, [1e-3, 2e-3, -1e-3]),
     )  # fmt: skip
-    prior = PriorKnowledge()
+    prior = SURVEYED
     estimate = estimate_state_space(dwell, site(), NOISE, prior)
     single = solve_jointly([JointDwell(1, "y_down", estimate.information)], prior).single
     np.testing.assert_allclose(
@@ -120,7 +121,7 @@ def test_accelerometer_biases_and_misalignments_are_found_with_their_uncertainty
 @pytest.mark.parametrize(
     "prior",
     [
-        PriorKnowledge(),
+        SURVEYED,
         ANY_LATITUDE,
         PriorKnowledge.from_datasheet(gyro_misalignment_arcsec=30.0, gyro_scale_factor_ppm=30.0),
         PriorKnowledge.from_datasheet(tilt_step_arcsec=20.0, accelerometer_misalignment_arcsec=0.0),
@@ -134,7 +135,7 @@ def test_joint_solution_is_nowhere_worse_than_dwell_by_dwell(right_latitude, pri
 
 def test_gain_is_small_where_noise_alone_limits(right_latitude):
     _, dwells = right_latitude
-    gain = solve_jointly(dwells, PriorKnowledge()).gain
+    gain = solve_jointly(dwells, SURVEYED).gain
     assert gain.max() < 1.02
 
 
@@ -148,6 +149,7 @@ def test_gain_is_large_for_vertical_gyros_where_the_latitude_is_not_known(right_
 def test_gain_is_large_for_level_gyros_where_their_axes_are_not_known(right_latitude):
     _, dwells = right_latitude
     prior = PriorKnowledge.from_datasheet(
+        latitude_arcmin=0.02,
         gyro_misalignment_arcsec=30.0,
         accelerometer_misalignment_arcsec=30.0,
         accelerometer_drift_ug_per_h=0.0,
@@ -186,17 +188,17 @@ def test_latitude_that_is_wrong_by_more_than_declared_is_noticed_and_distinguish
 
 
 def test_latitude_error_is_found_from_up_and_down(solutions):
-    rate = pooled_up_rate(solutions)
+    rate = pooled_up_rate(solutions, PRIOR)
     expected = -EARTH_RATE * math.cos(math.radians(LATITUDE_DEG)) * ARCMIN
     assert rate.rate == pytest.approx(expected, abs=3.0 * rate.sigma)
     assert rate.latitude_error == pytest.approx(1.0 * ARCMIN, abs=3.0 * rate.latitude_sigma)
     assert rate.latitude_sigma < 0.05 * ARCMIN
-    assert rate.finding is Finding.LATITUDE
+    assert rate.finding is Finding.LATITUDE_OFF
     assert rate.applies
 
 
 def test_correction_removes_the_latitude_error_from_vertical_gyros_alone(wrong_latitude, solutions):
-    rate = pooled_up_rate(solutions)
+    rate = pooled_up_rate(solutions, PRIOR)
     corrected = [each.corrected(rate) for each in solutions]
     before, after = (
         rms_dph(
@@ -218,7 +220,7 @@ def test_errors_of_corrected_biases_are_those_of_their_covariance(wrong_latitude
 
 
 def test_pooled_correction_covers_what_other_temperatures_add(solutions):
-    own, corrected = solutions[0], solutions[0].corrected(pooled_up_rate(solutions))
+    own, corrected = solutions[0], solutions[0].corrected(pooled_up_rate(solutions, PRIOR))
     half_sums = VERTICAL.ravel() / 6.0
     half_differences = half_sums * np.repeat([1.0, -1.0] * 3, 3)
     # What is left of the half-differences is their noise about a rate that seven others helped to find.
@@ -347,13 +349,13 @@ def test_dwells_that_do_not_agree_in_any_way_show_no_rate_up(solutions):
         )
         for each in solutions
     ]
-    rate = pooled_up_rate([wrong_in_both[0], *solutions[1:]])
-    assert rate.rate == pooled_up_rate(solutions[1:]).rate
+    rate = pooled_up_rate([wrong_in_both[0], *solutions[1:]], PRIOR)
+    assert rate.rate == pooled_up_rate(solutions[1:], PRIOR).rate
     assert not {dwell.number for dwell in solutions[0].dwells} & set(rate.weights)
-    assert pooled_up_rate(wrong_in_both) is None
-    assert pooled_up_rate([]) is None
+    assert pooled_up_rate(wrong_in_both, PRIOR) is None
+    assert pooled_up_rate([], PRIOR) is None
 
 
 def test_dwells_that_only_a_wrong_latitude_parts_show_the_rate_up(solutions):
     parted = dataclasses.replace(solutions[0], fit=dataclasses.replace(solutions[0].fit, p_value=0.0))
-    assert {dwell.number for dwell in parted.dwells} <= set(pooled_up_rate([parted]).weights)
+    assert {dwell.number for dwell in parted.dwells} <= set(pooled_up_rate([parted], PRIOR).weights)

@@ -98,6 +98,15 @@ def test_rates_north_and_up_of_a_latitude_error_bear_each_other_out():
     assert rate.latitude_error == pytest.approx(error)
 
 
+@pytest.mark.parametrize(("declared_arcmin", "finding"), [(0.33, "LATITUDE_OFF"), (0.6, "LATITUDE")])
+def test_a_latitude_error_is_off_where_it_exceeds_twice_what_is_declared(declared_arcmin, finding):
+    arcmin = np.pi / 180.0 / 60.0
+    of_one = pairs([-EARTH_RATE[1] * arcmin] * 3, EARTH_RATE[2] * arcmin)
+    rate = up_rate([of_one], EARTH_RATE, declared_arcmin * arcmin)
+    assert rate.finding is Finding[finding]
+    assert rate.applies
+
+
 def test_rate_up_without_rate_north_is_no_latitude_error():
     rate = up_rate([pairs([8.0 * SIGMA] * 3)], EARTH_RATE)
     assert rate.finding is Finding.NOT_LATITUDE

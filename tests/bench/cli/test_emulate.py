@@ -1,15 +1,22 @@
 """`gyrobench emulate`, in a separate process."""
 
 import json
+import os
+import select
 import signal
+import socket
 import subprocess
+import threading
 import time
 
+import numpy as np
 import pytest
 
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.station.instruments import Emulation, Outputs, open_ins
 from gyrobench.bench.station.station import Station
+from gyrobench.drivers.frames import concatenate
+from gyrobench.drivers.ins.navigation_data import decode_navigation
 from tests.bench.command_line import PROCESS, gyrobench, gyrobench_process
 
 
@@ -86,3 +93,66 @@ def test_a_station_that_is_wrong_is_printed_before_anything_starts(tmp_path):
     result = gyrobench("emulate", "--station", "atlantis", cwd=tmp_path)
     assert result.returncode == 2
     assert "atlantis: no such file or shipped name" in result.stderr
+
+
+class SerialServer:
+    """A serial server, as ser2net: what arrives on its TCP port goes to a terminal, and the other way."""
+
+    def __init__(self, device):
+        self._device = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.url = f"socket://127.0.0.1:{self._listener.getsockname()[1]}"
+        self._thread = threading.Thread(target=self._relay, daemon=True)
+        self._thread.start()
+
+    def _relay(self):
+        client, _ = self._listener.accept()
+        with client:
+            while True:
+                for each in select.select([client, self._device], [], [])[0]:
+                    if each is client:
+                        if not (data := client.recv(4096)):
+                            return
+                        os.write(self._device, data)
+                    else:
+                        client.sendall(os.read(self._device, 4096))
+
+    def close(self):
+        self._thread.join(30)
+        self._listener.close()
+        os.close(self._device)
+
+
+@pytest.mark.parametrize("way", ["tcp", "serial server"])
+def test_slcan_on_a_socket_comes_at_full_rate_and_nothing_is_imported_from_the_current_folder(
+    emulate, tmp_path, way
+):
+    for name in ("struct", "pickle", "bisect"):
+        (tmp_path / f"{name}.py").write_text(f"open({str(tmp_path / 'trapped')!r}, 'w')\n")
+    path = tmp_path / "served.yaml"
+    tcp = ["--tcp"] if way == "tcp" else []
+    _, line = emulate("--world", "ideal", "--can", "slcan", "--write-station", path, "--json", *tcp)
+    urls = json.loads(line)
+    server = None
+    if way == "serial server":
+        server = SerialServer(urls["ins"])
+        path.write_text(path.read_text().replace(urls["ins"], server.url))
+    station = Station(path)
+    clock = WallClock()
+    with Outputs(station, clock) as outputs:
+        outputs.power_unit(True)
+        ins = open_ins(station, clock, Emulation())
+        assert ins.identify(60.0).startswith("serial number")
+        blocks, end_s = [], time.monotonic() + 60.0
+        while sum(map(len, blocks)) < 150:
+            assert time.monotonic() < end_s
+            blocks.append(ins.poll())
+            time.sleep(0.05)
+        ins.close()
+    if server:
+        server.close()
+    received = concatenate(blocks)
+    counts = decode_navigation(received, station.file.ins.signals, ins.codec).counts
+    assert (counts.lost, counts.repeated, counts.contradicted) == (0, 0, 0)
+    assert len(received) / np.ptp(received.timestamp_s) > 30.0
+    assert not (tmp_path / "trapped").exists()

@@ -111,7 +111,7 @@ def test_what_is_known_beforehand_comes_from_location_and_ins(changed):
         "gyro_misalignment_arcsec: 3, tilt_step_arcsec: 0, bias_slope_dph_per_c: 0.002}"
     )
     path = changed(
-        ("height_m: 60", "height_m: 60, latitude_uncertainty_arcmin: 1.5"),
+        ("latitude_uncertainty_arcmin: 0.02", "latitude_uncertainty_arcmin: 1.5"),
         (NOISE, f"{NOISE}  uncertainty: {uncertainty}\n"),
     )
     assert Station(path).prior() == PriorKnowledge.from_datasheet(
@@ -125,8 +125,11 @@ def test_what_is_known_beforehand_comes_from_location_and_ins(changed):
     )
 
 
-def test_without_a_word_on_uncertainty_the_usual_sizes_hold():
-    assert Station(SHIPPED).prior() == PriorKnowledge.from_datasheet()
+def test_without_a_word_on_uncertainty_the_usual_sizes_hold(changed):
+    assert (
+        Station(changed((", latitude_uncertainty_arcmin: 0.02", ""))).prior()
+        == PriorKnowledge.from_datasheet()
+    )
 
 
 def test_instruments_are_opened_on_the_runs_clock_and_name_themselves():

@@ -1,0 +1,63 @@
+"""Runs whose INS uses a wrong latitude, on a strapdown that shares no code with the bench."""
+
+import numpy as np
+import pytest
+
+from gyrobench.bench.bias.vertical_pairs import Finding
+from gyrobench.bench.dwells.run_dwells import evaluate
+from gyrobench.bench.navigation.positions import POSITIONS
+from tests.adversarial.harness import ALL, Case, any_unit, measured_dwells, setup_of
+from tests.adversarial.strapdown import Place
+
+UNIT = any_unit(np.random.default_rng(3))
+
+
+def evaluated(error_arcmin, positions=ALL, declared_arcmin=0.33):
+    case = Case(
+        UNIT,
+        Place(latitude_deg=52.0, latitude_error_arcmin=error_arcmin),
+        station={"location.latitude_uncertainty_arcmin": declared_arcmin},
+        positions=positions,
+    )
+    dwells = measured_dwells(case, np.random.default_rng(4))
+    return dwells, evaluate(dwells, setup_of(case), 5.0)
+
+
+def vertical(dwells, values="bias_dph"):
+    rows = [dwell.row for dwell in dwells]
+    return np.array([getattr(row, values)[POSITIONS[row.position].up_axis] for row in rows])
+
+
+def test_a_wrong_latitude_is_corrected_in_the_vertical_biases_and_in_the_bins():
+    dwells, results = evaluated(1.0)
+    truth = np.array([UNIT.gyro_bias_dph[POSITIONS[name].up_axis] for name in ALL])
+    signs = np.array([POSITIONS[name].up_sign for name in ALL])
+    assert abs(np.mean(signs * (vertical(dwells) - truth))) > 0.001
+    assert results.up_rate.finding is Finding.LATITUDE_OFF
+    error = vertical(results.dwells) - truth
+    assert abs(np.mean(signs * error)) < 0.0005
+    assert np.abs(error / vertical(results.dwells, "sigma_dph")).max() < 3.0
+    binned = {(each.position, each.gyro): each.bias_dph for each in results.bins}
+    assert binned["z_up", "z"] == pytest.approx(vertical(results.dwells)[ALL.index("z_up")])
+    assert [dwell.row.flags for dwell in results.dwells] == [""] * len(ALL)
+
+
+def test_level_biases_stay_as_measured():
+    dwells, results = evaluated(1.0)
+    for before, after in zip(dwells, results.dwells, strict=True):
+        level = np.arange(3) != POSITIONS[before.row.position].up_axis
+        assert np.array_equal(np.array(before.row.bias_dph)[level], np.array(after.row.bias_dph)[level])
+
+
+def test_without_a_gyro_up_and_down_a_wrong_latitude_flags_the_dwells():
+    _, results = evaluated(1.6, positions=("z_up",) * 6, declared_arcmin=0.6)
+    assert results.up_rate.finding is Finding.NO_PAIR
+    for dwell in results.dwells:
+        assert dwell.row.flags.startswith("a rate North fixed in the navigation frame, as of a latitude")
+    assert results.bins == []
+
+
+@pytest.mark.parametrize(("error_arcmin", "declared_arcmin"), [(0.0, 0.33), (0.33, 0.33), (1.0, 0.6)])
+def test_an_error_within_the_declared_uncertainty_changes_nothing(error_arcmin, declared_arcmin):
+    dwells, results = evaluated(error_arcmin, declared_arcmin=declared_arcmin)
+    assert [each.row for each in results.dwells] == [each.row for each in dwells]
