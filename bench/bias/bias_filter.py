@@ -308,8 +308,11 @@ class BiasFilter:
         prior_root = parameters.prior_root(self._prior, len(self._windows), self._earth_rate)
         prior_root[settling, settling] = _WIDE_ACCELERATION
         unknowns, covariance = solve(information.rows, information.data, prior_root)
-        size = unknowns[settling]
-        chi2 = float(size @ np.linalg.solve(covariance[np.ix_(settling, settling)], size))
+        size, covariance = unknowns[settling], covariance[np.ix_(settling, settling)]
+        # Short windows can't distinguish it from a bias: nothing that they show speaks for it.
+        if np.sqrt(np.diag(covariance)).max() > self._prior.accelerometer_transient:
+            return 1.0
+        chi2 = float(size @ np.linalg.solve(covariance, size))
         return float(chdtrc(len(settling), chi2))
 
     def information(self) -> DwellInformation:

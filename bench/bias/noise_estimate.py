@@ -131,6 +131,12 @@ class ChannelNoise:
         """Averaging times (k,) at which the output moves at all."""
         return np.asarray(self.allan.deviation * self.allan.tau_s > _ARITHMETIC)
 
+    @property
+    def hiding_step(self) -> float:
+        """The resolution where it hides the noise at all averaging times, otherwise 0."""
+        longest = float(np.sqrt(2.0 * self.allan.variance[-1]) * self.allan.tau_s[-1])
+        return self.step if self.fit is None and longest < self.step else 0.0
+
     def parameter(self, term: int) -> NoiseParameter:
         """One of the terms of :mod:`gyrobench.bench.bias.allan`."""
         if self.fit is not None:
@@ -202,8 +208,8 @@ class NoiseEstimate:
             larger(declared.angle_random_walk, self.angle_random_walk, *self.angle_random_walks),
             larger(declared.velocity_random_walk, self.velocity_random_walk),
             larger(declared.velocity_white, self.velocity_white),
-            # Pulses that hide the noise are worth at least as much.
-            larger(declared.heading_white, self.heading_white) if self.heading.fit else self.heading.step,
+            # Pulses that hide the noise at all averaging times are worth at least as much.
+            max(larger(declared.heading_white, self.heading_white), self.heading.hiding_step),
         )
 
     def noise_model(self) -> NoiseModel:

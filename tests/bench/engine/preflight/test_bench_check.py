@@ -5,11 +5,12 @@ from pathlib import Path
 import pytest
 
 from gyrobench.bench.engine.preflight.bench_check import check_bench, disk_check, no_instrument_answers
+from gyrobench.bench.engine.preflight.ins import CanTraffic, _observe, _stream
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.procedure.procedure_file import load_procedure
-from gyrobench.bench.station.instruments import Emulation
+from gyrobench.bench.station.instruments import Emulation, Outputs, open_ins
 from gyrobench.bench.station.preflight_check import Verdict
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers import ins
@@ -207,3 +208,29 @@ def test_a_wrong_station_file_is_refused_before_anything_is_opened(tmp_path):
     (tmp_path / "station.yaml").write_text("station: x\n")
     with pytest.raises(DocumentError):
         check_bench(str(tmp_path / "station.yaml"), None, Emulation(), tmp_path)
+
+
+@pytest.mark.parametrize(("stalls", "verdict"), [(1, Verdict.PASS), (20, Verdict.FAIL)])
+def test_one_late_epoch_is_no_fault_and_many_are(stalls, verdict):
+    """A stall of this computer for 0.25 s delivers the frames of that time together at its end."""
+    clock = VirtualClock()
+    station = Station(find_document("stations", "emulated"))
+    with Outputs(station, clock, Emulation("ideal")) as outputs:
+        outputs.power_unit(True)
+        ins = open_ins(station, clock, Emulation("ideal"))
+        clock.sleep(60.0)
+        ins.poll()
+        traffic = CanTraffic()
+        _observe(ins, clock, 0.1, traffic)
+        begin_s = traffic.blocks[0].timestamp_s[0] + 1.0
+        for index, block in enumerate(traffic.blocks):
+            time_s = block.timestamp_s.copy()
+            for stall in range(stalls):
+                stalled_s = begin_s + 0.4 * stall
+                time_s[(time_s >= stalled_s) & (time_s < stalled_s + 0.25)] = stalled_s + 0.25
+            traffic.blocks[index] = block.with_fields(time_s=time_s)
+        checks = {each.what: each for each in _stream(station, outputs, ins, clock, traffic)}
+        ins.close()
+    found = checks["frames without gaps"]
+    assert found.verdict is verdict
+    assert " late" in found.found
