@@ -221,7 +221,7 @@ def test_frames_in_more_layouts_than_a_bus_has_count_as_lost(monkeypatch):
     bus = adapter.open()
     adapter.send(b"t00z\rt0040\rt004111\rt00421122\rt0043112233\rt0043112234\rt0040\r")
     assert len(received(bus, 4)) == 4
-    with pytest.raises(ReplyError, match="no CAN frame: 't00z'.*2 frames are lost"):
+    with pytest.raises(ReplyError, match=r"no CAN frame: 't00z'.*2 frames are lost"):
         received(bus, 1)
     assert bus.lost == 2
     close_bus(bus)
