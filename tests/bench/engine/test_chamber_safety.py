@@ -73,9 +73,7 @@ steps:
   - chamber_off: {}
   - soak: {for_s: 60}
 """
-    _, outcome, entries = run(
-        prepared("fault: no_set_point_ramp, at_s: 0", procedure=procedure), tmp_path
-    )
+    _, outcome, entries = run(prepared("fault: no_set_point_ramp, at_s: 0", procedure=procedure), tmp_path)
     assert of(entries, "tripped") == []
     assert outcome.ended == "finished", outcome.reason
 
