@@ -92,6 +92,7 @@ def finish_ramp(
         taken = [_taken(step, instruments, meanwhile)]
         if by := stopped():
             taken = [replace(action, problem=by)]
+        meanwhile()  # quick exchanges leave no wait in which it would be called
         instruments.clock.sleep(_RAMP_PERIOD_S)
     return taken
 
