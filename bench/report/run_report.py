@@ -120,7 +120,7 @@ def _figures_key(content: RunContent, before: RunContent | None, marked_c: Seque
         inputs = repr((tables, content.station, marked_c, code, programs, list(content.telemetry)))
     shown = hashlib.sha256(inputs.encode())
     for values in content.telemetry.values():
-        shown.update(np.ascontiguousarray(values))
+        shown.update(values.tobytes())
     return shown.hexdigest()
 
 
