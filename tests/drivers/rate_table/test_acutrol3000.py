@@ -361,7 +361,7 @@ def test_replies_that_come_far_too_late_end_in_no_reply_and_never_in_wrong_readi
 
 @pytest.fixture
 def flooded(rig):
-    """A driver out of step, whose controller answers without end once it is asked for a mark; what it heard."""
+    """A driver out of step, and what its controller heard, which answers a mark without end."""
     line, heard = rig.line("table", Scripted(reply("A table")))
     table, read, flood = Acutrol3000(line), line.read, cycle(reply("16"))
 
@@ -382,7 +382,7 @@ def flooded(rig):
 
 def test_replies_without_end_to_earlier_requests_end_in_no_reply(flooded, rig):
     began_s = rig.clock.now()
-    with pytest.raises(NoReplyError, match="was sent, .*: other replies arrive for more than 12 s"):
+    with pytest.raises(NoReplyError, match=r"was sent, .*: other replies arrive for more than 12 s"):
         flooded[0].read()
     assert rig.clock.now() - began_s < 15.0  # beyond 20 s the bench takes the port for dead
 
