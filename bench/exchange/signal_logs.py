@@ -70,7 +70,7 @@ class SignalLog:
     def batches(self, numbers: Sequence[Column], texts: Sequence[Column]) -> Iterator[Batch]:
         """Read columns, all in one batch; :data:`TIME_COLUMN` stands for the times of the first one.
 
-        Raises DocumentError if there is no such signal.
+        Raises DocumentError if there is no such signal, or one among ``numbers`` holds text.
         """
         base_s = next(self._signal(column)[0] for column in numbers if column != TIME_COLUMN)
         batch: Batch = {}
@@ -83,8 +83,16 @@ class SignalLog:
             if column in texts:
                 batch[column] = np.where(places >= 0, values.astype(str)[places], "")
             else:
-                batch[column] = np.where(places >= 0, values.astype(np.float64)[places], np.nan)
+                batch[column] = np.where(places >= 0, self._numbers(column, values)[places], np.nan)
         yield batch
+
+    def _numbers(self, column: Column, values: NDArray[Any]) -> FloatArray:
+        try:
+            return np.asarray(values.astype(np.float64))
+        except (TypeError, ValueError) as error:
+            raise DocumentError(
+                f"{self._path}: signal '{column}' is no number throughout ({error}). Correct the import map"
+            ) from error
 
     def _blf_frames(self, path: Path) -> FrameBlock:
         frames, is_whole = read_blf(path.read_bytes())
