@@ -177,9 +177,7 @@ def test_a_word_may_come_back_short(rig):
     WatlowF4T(line).set_temperature(25.0, None)
     line, _ = rig.line(
         "chamber",
-        Scripted(
-            *OPENED, b"C\n", b"IDLE\n", b"", b"5.0\n", b"", b"MIN\n", b"", b"SETP\n", b"", b"25.0\n"
-        ),
+        Scripted(*OPENED, b"C\n", b"IDLE\n", b"", b"5.0\n", b"", b"MIN\n", b"", b"SETP\n", b"", b"25.0\n"),
     )
     WatlowF4T(line).set_temperature(25.0, 5.0)
 
