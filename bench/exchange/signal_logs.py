@@ -33,19 +33,18 @@ Group = tuple[FloatArray, Mapping[str, NDArray[Any]]]
 
 
 class SignalLog:
-    """A log of named signals; ``columns`` lists them.
+    """A log of named signals; ``columns`` lists them, and ``truncated`` states whether its end was left out.
 
     Raises DocumentError if the file can't be read or has no signal, and MissingPackageError if the package
     that reads it is not installed.
     """
 
-    truncated = False
-
     def __init__(self, path: Path, layout: SignalFormat) -> None:
         self._path = path
+        self.truncated = False
         readers: dict[str, Callable[[Path], Iterable[Group]]] = {
             "parquet": _parquet,
-            "blf": partial(_can_signals, _blf_frames, Path(layout.dbc or "")),
+            "blf": partial(_can_signals, self._blf_frames, Path(layout.dbc or "")),
             "mf4": partial(_can_signals, _mf4_frames, Path(layout.dbc)) if layout.dbc else _mf4_channels,
             "ardupilot": _ardupilot,
             "px4": _px4,
@@ -84,6 +83,11 @@ class SignalLog:
                 batch[column] = np.where(places >= 0, values.astype(np.float64)[places], np.nan)
         yield batch
 
+    def _blf_frames(self, path: Path) -> FrameBlock:
+        frames, is_whole = read_blf(path.read_bytes())
+        self.truncated = not is_whole
+        return frames
+
     def _signal(self, column: Column) -> tuple[FloatArray, NDArray[Any]]:
         name = self.columns[column - 1] if isinstance(column, int) and column <= len(self.columns) else column
         if name not in self._signals:
@@ -112,10 +116,6 @@ def _can_signals(read_frames: Callable[[Path], FrameBlock], dbc: Path, path: Pat
         if len(frames):
             decoded = codec.decode(frames, message)
             yield frames.timestamp_s, {f"{message}.{name}": values for name, values in decoded.items()}
-
-
-def _blf_frames(path: Path) -> FrameBlock:
-    return read_blf(path.read_bytes())
 
 
 def _mf4_frames(path: Path) -> FrameBlock:

@@ -1,12 +1,13 @@
 import threading
 
+import numpy as np
 import pytest
 
 from gyrobench.bench.foundations.clock import VirtualClock, WallClock
 from gyrobench.bench.foundations.errors import NoReplyError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.instruments import Emulation, Instruments, Outputs
-from gyrobench.bench.station.safe_state import SafeAction, SafePart, make_safe
+from gyrobench.bench.station.safe_state import SafeAction, SafePart, finish_ramp, make_safe
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
 from gyrobench.drivers.serial_line import SerialLine
@@ -162,3 +163,37 @@ def test_a_table_that_does_not_come_to_rest_is_reported_and_its_servos_are_open(
         "FAILED: rate table's interlocks opened: rate table: still turns at 2 deg/s"
     )
     assert bench.serial["table"].feed(b":Interlock? 2\r\n", bench.clock.now()).endswith(b"Open")
+
+
+@pytest.fixture
+def ramping(tmp_path):
+    """A station, its outputs at 33 degC, and the chamber's controller, which does not ramp its set point."""
+    faults = tmp_path / "faults.yaml"
+    faults.write_text("faults:\n  - {fault: no_set_point_ramp, at_s: 0}\n")
+    station, clock = Station(find_document("stations", "emulated")), VirtualClock()
+    with Outputs(station, clock, Emulation("ideal", 0, str(faults))) as outputs:
+        outputs.chamber.set_temperature(33.0, None)
+        outputs.chamber.switch(True)
+        clock.sleep(3600.0)
+        make_safe(station, outputs)
+        assert outputs.is_ramping
+        yield station, outputs
+
+
+def test_signs_of_life_are_sent_all_through_a_ramp(ramping):
+    _, outputs = ramping
+    clock, beats_s = outputs.clock, []
+    begin_s = clock.now()
+    (action,) = finish_ramp(outputs, lambda: beats_s.append(clock.now()))
+    assert (action.problem, outputs.chamber.set_point_c()) == ("", 23.0)
+    assert clock.now() - begin_s > 120.0
+    assert max(np.diff([begin_s, *beats_s, clock.now()])) < 3.0
+
+
+def test_a_chamber_that_refuses_its_safe_set_point_is_switched_off_and_not_reported_safe(opened):
+    station, instruments, bench = opened
+    instruments.chamber.switch(True)
+    bench.serial["chamber"].start_profile(85.0)
+    (action,) = make_safe(station, instruments, only=["chamber's set point at 23 degC"])
+    assert "it was commanded off, as it refuses its set point: runs a profile" in action.problem
+    assert not bench.world.air.running
