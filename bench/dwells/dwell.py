@@ -68,7 +68,7 @@ class MeasurementSetup:
     def turn(
         self, before: WindowMark, after: WindowMark, navigation: NavigationData, first_frame: int = 0
     ) -> TurnPath:
-        """Attitude of the table from one window to the next; ``navigation`` begins with frame ``first_frame``."""
+        """Attitude of the table between two windows; ``navigation`` begins with frame ``first_frame``."""
         angles = [(mark.outer_deg, mark.inner_deg) for mark in (before, after)]
         begin = before.end_frame if after.turn_first_frame is None else after.turn_first_frame
         end = after.first_frame if after.turn_end_frame is None else after.turn_end_frame
