@@ -154,6 +154,14 @@ def test_a_blf_log_that_is_cut_off_gives_what_there_is_and_a_warning(log, expect
     assert any("cut off" in warning for warning in imported.warnings) == bool(cut)
 
 
+def test_text_in_place_of_numbers_is_reported_with_its_column(log):
+    changes, name = write_parquet(log)
+    columns = {**log.columns, "gy": np.full(len(log.time_s), "fast")}
+    pq.write_table(pa.table(columns), log.folder / name)
+    with pytest.raises((DocumentError, MeasurementError), match=r"signal 'gy' is no number.*'fast'"):
+        import_logs([log.folder / name], log.mapping(text="absent", **changes))
+
+
 def test_a_missing_signal_is_reported_with_those_that_there_are(log):
     changes, name = write_parquet(log)
     mapping = log.mapping(text="absent", gyro="{unit: deg/s, x: gxx, y: gy, z: gz}", **changes)
