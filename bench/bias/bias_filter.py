@@ -331,7 +331,7 @@ class BiasFilter:
         """Information in all epochs added, without prior knowledge.
 
         A gyro bias East turns the heading that an INS finds by gyrocompassing: 2 deg for 0.5 deg/h. The
-        Earth's rate North in its axes is then less by half the square of that angle: no linear model has that.
+        Earth's rate North in its axes is then less by half the square of that angle; a linear model lacks it.
         """
         count = self._expansions[-1].shape[1]
         pairs = list(zip(self._windows, self._expansions, strict=True))
