@@ -67,4 +67,10 @@ def test_a_safe_command_that_failed_leaves_the_state_unknown(state):
     state.chamber_commanded(60.0)
     state.table_prepared()
     state.made_safe(SafeAction(part.value, part, "no reply") for part in SafePart)
-    assert state.expected == ExpectedState(chamber_set_c=None, chamber_on=True)
+    assert state.expected == ExpectedState(chamber_set_c=None, chamber_on=None)
+
+
+def test_a_chamber_that_refused_its_safe_set_point_at_first_may_be_off(state):
+    state.chamber_commanded(60.0)
+    state.made_safe([SafeAction("set point", SafePart.CHAMBER, first_problem="refused")])
+    assert state.expected == ExpectedState(chamber_set_c=23.0, chamber_on=None)

@@ -188,3 +188,12 @@ def test_signs_of_life_are_sent_all_through_a_ramp(ramping):
     assert (action.problem, outputs.chamber.set_point_c()) == ("", 23.0)
     assert clock.now() - begin_s > 120.0
     assert max(np.diff([begin_s, *beats_s, clock.now()])) < 3.0
+
+
+def test_a_chamber_that_refuses_its_safe_set_point_is_switched_off_and_not_reported_safe(opened):
+    station, instruments, bench = opened
+    instruments.chamber.switch(True)
+    bench.serial["chamber"].start_profile(85.0)
+    (action,) = make_safe(station, instruments, only=["chamber's set point at 23 degC"])
+    assert "it was commanded off, as it refuses its set point: runs a profile" in action.problem
+    assert not bench.world.air.running
