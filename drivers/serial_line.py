@@ -110,7 +110,8 @@ class SerialLine:
         try:
             port = open_port(self.url, self.clock, self._baudrate, self._parity)
         except _port_errors(ValueError) as error:
-            if isinstance(error.__cause__, DocumentError):
+            is_emulated = urlsplit(self.url).scheme == "emulator"
+            if is_emulated and isinstance(error.__cause__, DocumentError):
                 raise error.__cause__ from None
             raise ConnectionFailedError(
                 self.instrument,

@@ -146,16 +146,15 @@ def add_dwell(dwells: list[MeasuredDwell], measured: MeasuredDwell) -> None:
     _keep_navigation_of_some(dwells)
 
 
-#: The velocity of an INS is damped where all dwells together give this rate, 1/s, or more, and chance gives
-#: it so rarely.
-_MIN_DAMPING, _MIN_DAMPING_P_VALUE = 0.5 / 3600.0, 1e-5
+#: The velocity of an INS is damped where chance gives the rate of all dwells together so rarely.
+_MIN_DAMPING_P_VALUE = 1e-5
 
 
 def _flag_damping(dwells: list[MeasuredDwell]) -> None:
     """Flag all dwells of an INS that damps its velocity: few dwells show it by themselves."""
     known = [each.estimate.damping for each in dwells if each.estimate and not each.is_disturbed]
     damping = Damping.mean(known) if known else None
-    if damping is None or damping.rate < _MIN_DAMPING or damping.p_value > _MIN_DAMPING_P_VALUE:
+    if damping is None or not damping.shows(_MIN_DAMPING_P_VALUE):
         return
     for index, dwell in enumerate(dwells):
         if dwell.estimate and "damps its velocity" not in dwell.row.flags:

@@ -136,7 +136,7 @@ def _chamber(step: Chamber, context: StepContext) -> Ticks:
 @perform.register
 def _chamber_off(step: ChamberOff, context: StepContext) -> Ticks:  # noqa: ARG001
     bench = context.bench
-    bench.state.chamber_switching()
+    bench.state.chamber_switching(False)
     yield from tried(context, lambda: bench.instruments.chamber.switch(False))
     bench.state.chamber_switched(False)
     yield

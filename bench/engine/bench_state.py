@@ -109,11 +109,15 @@ class BenchState:
 
     def chamber_switched(self, on: bool) -> None:
         """The chamber was switched on or off."""
+        self.chamber_switching(on)
         self._expect(chamber_on=on, chamber_reached=False)
 
-    def chamber_switching(self) -> None:
-        """The chamber gets a command to switch that it has not acknowledged yet."""
-        self._expect(chamber_on=None)
+    def chamber_switching(self, on: bool) -> None:
+        """The chamber gets a command to switch that it has not acknowledged yet.
+
+        Off ends a ramp of its set point, so that it may hold any value of it.
+        """
+        self._expect(chamber_set_c=self._expected.chamber_set_c if on else None, chamber_on=None)
 
     def chamber_set_point_reached(self) -> None:
         """The air has reached the set point."""
@@ -182,10 +186,13 @@ class BenchState:
         for action in actions:
             match action.part:
                 case SafePart.CHAMBER if safe.chamber_c is None:
-                    self._expect(chamber_on=None if action.problem else False, chamber_reached=False)
+                    is_on = None if action.problem else False
+                    self._expect(chamber_set_c=None, chamber_on=is_on, chamber_reached=False)
                 case SafePart.CHAMBER:
+                    # One that refuses its set point, though only at first, was switched off.
+                    is_on = None if action.problem or action.first_problem else self._expected.chamber_on
                     set_c = None if action.problem else safe.chamber_c
-                    self._expect(chamber_set_c=set_c, chamber_reached=False)
+                    self._expect(chamber_set_c=set_c, chamber_on=is_on, chamber_reached=False)
                 case SafePart.TABLE_AT_REST:
                     self._expect(table_prepared=False, table_stopped=not action.problem)
                 case SafePart.TABLE_RELEASED:

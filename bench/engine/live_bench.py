@@ -18,6 +18,7 @@ from gyrobench.bench.foundations.errors import (
     FaultError,
     InstrumentError,
     NoReplyError,
+    ReplyError,
 )
 from gyrobench.bench.navigation.table_axes import Angles
 from gyrobench.bench.station.instruments import Instruments
@@ -36,6 +37,8 @@ _FIRST_TRIES, _FIRST_PAUSE_S = 5, 2.0
 _EPOCH_COUNT_TOLERANCE_S = 3.0
 #: A CAN bus that is silent for this long may have been disconnected without an error.
 _BUS_SILENCE_S = 4.0
+#: Least time between reports of frames that were lost or invalid.
+_LOSS_PERIOD_S = 10.0
 #: Period at which a disconnected port is reopened.
 _REOPEN_PERIOD_S = 5.0
 #: Period at which a safe action that failed is repeated.
@@ -144,6 +147,7 @@ class LiveBench:
         self._watch = InterlockWatch(station, clock)
         self._failing: list[str] = []
         self._next_reopen_s = 0.0
+        self._next_loss_s = 0.0
         self._next_reading_s = 0.0
         #: Safe actions that failed and have not succeeded since, by what they do.
         self.failed_safe_actions: dict[str, SafeAction] = {}
@@ -227,9 +231,21 @@ class LiveBench:
         return answer
 
     def _failed(self, error: InstrumentError) -> None:
+        if isinstance(error, ReplyError) and error.instrument == "INS" and not self._is_bus_silent():
+            self._report_loss(error)  # to reopen a bus that gives frames would lose more of them
+            return
         if error.instrument not in self._failing:
             self._failing.append(error.instrument)
             self._report_failure(error.instrument, error)
+
+    def _is_bus_silent(self) -> bool:
+        return self.instruments.ins.status().age_s > _BUS_SILENCE_S
+
+    def _report_loss(self, error: ReplyError) -> None:
+        if self.clock.now() >= self._next_loss_s:
+            self._next_loss_s = self.clock.now() + _LOSS_PERIOD_S
+            self._report_failure(error.instrument, error)
+            self._report_failure(error.instrument, None)
 
     def _reopen(self) -> None:
         """Reopen an instrument that does not answer: an adapter that was unplugged needs it."""

@@ -113,7 +113,7 @@ def _log_warnings(logs: Sequence[ReadLog]) -> list[str]:
     warnings = []
     for log in logs:
         if log.reader.truncated:
-            warnings.append(f"{log.path}: the last sample is cut off and left out")
+            warnings.append(f"{log.path}: its end is cut off or damaged, and left out")
         if log.reader.bad_status:
             warnings.append(f"{log.path}: {log.reader.bad_status} samples left out for their status")
         if log.reader.no_time:

@@ -20,12 +20,15 @@ from gyrobench.bench.foundations.errors import DocumentError, MissingPackageErro
 from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.foundations.text import did_you_mean
 from gyrobench.bench.runs.blf import read_blf
-from gyrobench.drivers.frames import FrameBlock
+from gyrobench.drivers.frames import EXTENDED_ID, MAX_LENGTH, FrameBlock, concatenate
 from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
 
 #: In place of a column: the times of the samples, s.
 TIME_COLUMN = "time_s"
 _S_PER_US = 1e-6
+#: Name that the standard of ASAM gives data frames of a CAN bus.
+_FRAMES = "CAN_DataFrame"
+_MAX_STANDARD_ID = 0x7FF
 _MAX_BYTES = 4_000_000_000
 
 #: Times and values of a group of signals that are sampled together.
@@ -33,19 +36,18 @@ Group = tuple[FloatArray, Mapping[str, NDArray[Any]]]
 
 
 class SignalLog:
-    """A log of named signals; ``columns`` lists them.
+    """A log of named signals; ``columns`` lists them, and ``truncated`` states whether its end was left out.
 
     Raises DocumentError if the file can't be read or has no signal, and MissingPackageError if the package
     that reads it is not installed.
     """
 
-    truncated = False
-
     def __init__(self, path: Path, layout: SignalFormat) -> None:
         self._path = path
+        self.truncated = False
         readers: dict[str, Callable[[Path], Iterable[Group]]] = {
             "parquet": _parquet,
-            "blf": partial(_can_signals, _blf_frames, Path(layout.dbc or "")),
+            "blf": partial(_can_signals, self._blf_frames, Path(layout.dbc or "")),
             "mf4": partial(_can_signals, _mf4_frames, Path(layout.dbc)) if layout.dbc else _mf4_channels,
             "ardupilot": _ardupilot,
             "px4": _px4,
@@ -68,7 +70,7 @@ class SignalLog:
     def batches(self, numbers: Sequence[Column], texts: Sequence[Column]) -> Iterator[Batch]:
         """Read columns, all in one batch; :data:`TIME_COLUMN` stands for the times of the first one.
 
-        Raises DocumentError if there is no such signal.
+        Raises DocumentError if there is no such signal, or one among ``numbers`` holds text.
         """
         base_s = next(self._signal(column)[0] for column in numbers if column != TIME_COLUMN)
         batch: Batch = {}
@@ -81,8 +83,21 @@ class SignalLog:
             if column in texts:
                 batch[column] = np.where(places >= 0, values.astype(str)[places], "")
             else:
-                batch[column] = np.where(places >= 0, values.astype(np.float64)[places], np.nan)
+                batch[column] = np.where(places >= 0, self._numbers(column, values)[places], np.nan)
         yield batch
+
+    def _numbers(self, column: Column, values: NDArray[Any]) -> FloatArray:
+        try:
+            return np.asarray(values.astype(np.float64))
+        except (TypeError, ValueError) as error:
+            raise DocumentError(
+                f"{self._path}: signal '{column}' is no number throughout ({error}). Correct the import map"
+            ) from error
+
+    def _blf_frames(self, path: Path) -> FrameBlock:
+        frames, is_whole = read_blf(path.read_bytes())
+        self.truncated = not is_whole
+        return frames
 
     def _signal(self, column: Column) -> tuple[FloatArray, NDArray[Any]]:
         name = self.columns[column - 1] if isinstance(column, int) and column <= len(self.columns) else column
@@ -114,16 +129,25 @@ def _can_signals(read_frames: Callable[[Path], FrameBlock], dbc: Path, path: Pat
             yield frames.timestamp_s, {f"{message}.{name}": values for name, values in decoded.items()}
 
 
-def _blf_frames(path: Path) -> FrameBlock:
-    return read_blf(path.read_bytes())
-
-
 def _mf4_frames(path: Path) -> FrameBlock:
+    """Data frames of all groups, as of several buses, in the order of time; those of FD are left out."""
     with require("asammdf").MDF(path) as log:
-        frames = log.get("CAN_DataFrame")
-        names = {name.rpartition(".")[2]: name for name in frames.samples.dtype.names}
-        samples = {name: frames.samples[full] for name, full in names.items()}
-    return FrameBlock.from_columns(frames.timestamps, samples["ID"], samples["DLC"], samples["DataBytes"])
+        blocks = [_mf4_block(log.get(group=group, index=index)) for group, index in log.whereis(_FRAMES)]
+    frames = concatenate(blocks)
+    return frames.take(np.argsort(frames.timestamp_s, kind="stable"))
+
+
+def _mf4_block(frames: Any) -> FrameBlock:
+    columns = {name.rpartition(".")[2]: frames.samples[name] for name in frames.samples.dtype.names}
+    identifiers = columns["ID"].astype(np.uint32)
+    is_extended = columns.get("IDE", identifiers > _MAX_STANDARD_ID).astype(np.bool_)
+    length = columns.get("DataLength", columns["DLC"])
+    size = min(columns["DataBytes"].shape[1], MAX_LENGTH)
+    data = np.zeros((len(length), MAX_LENGTH), np.uint8)
+    data[:, :size] = columns["DataBytes"][:, :size]
+    identifiers |= np.where(is_extended, np.uint32(EXTENDED_ID), np.uint32(0))
+    is_short = length <= MAX_LENGTH
+    return FrameBlock.from_columns(frames.timestamps, identifiers, length, data).take(is_short)
 
 
 def _mf4_channels(path: Path) -> Iterable[Group]:

@@ -179,7 +179,7 @@ class ManualControl:
         """Switch the chamber's temperature control."""
         if on:
             self._refuse_while(_CHAMBER_TRIPS)
-        self.bench.state.chamber_switching()
+        self.bench.state.chamber_switching(on)
         self._retry(lambda: self.bench.instruments.chamber.switch(on))
         self.bench.state.chamber_switched(on)
         self._display.print(f"chamber {'on' if on else 'off'}")

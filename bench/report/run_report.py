@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
-import pickle
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta, timezone
@@ -12,8 +12,10 @@ from functools import partial
 from pathlib import Path
 
 import matplotlib
+import numpy as np
 from matplotlib.figure import Figure
 
+from gyrobench.bench import __version__
 from gyrobench.bench.bias.bins import BiasBin, compare_positions
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.verdicts import Acceptance
@@ -111,11 +113,15 @@ def write_report(
 
 def _figures_key(content: RunContent, before: RunContent | None, marked_c: Sequence[float]) -> str:
     """Hash of what the figures show and of the code that draws them."""
-    # A model pickles the set of its given fields, whose order differs from process to process.
-    shown = (content.telemetry, content.dwells, content.bins, repr(content.acceptance), content.noise)
-    code = sorted(file_sha256(each) for each in Path(__file__).parent.glob("figures/*.py"))
-    inputs = shown, content.station, before.bins if before else None, marked_c, code, matplotlib.__version__
-    return hashlib.sha256(pickle.dumps(inputs)).hexdigest()
+    code = sorted(file_sha256(each) for each in Path(__file__).parent.rglob("*.py"))
+    tables = content.dwells, content.bins, content.acceptance, content.noise, before.bins if before else None
+    programs = __version__, matplotlib.__version__
+    with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
+        inputs = repr((tables, content.station, marked_c, code, programs, list(content.telemetry)))
+    shown = hashlib.sha256(inputs.encode())
+    for values in content.telemetry.values():
+        shown.update(values.tobytes())
+    return shown.hexdigest()
 
 
 def render(

@@ -19,6 +19,7 @@ from can.io.blf import (
     FILE_HEADER_STRUCT,
     LOG_CONTAINER,
     LOG_CONTAINER_STRUCT,
+    NO_COMPRESSION,
     OBJ_HEADER_BASE_STRUCT,
     REMOTE_FLAG,
     TIME_ONE_NANS,
@@ -37,7 +38,7 @@ _LEVEL = 1
 #: Size of a container before compression; Vector's tools write 128 kB.
 _MAX_UNPACKED = 128 * 1024
 #: No program packs as much into one container; damaged bytes could request gigabytes.
-_MAX_UNPACKED_READ = 16 * 1024 * 1024
+_MAX_UNPACKED_READ = 256 * 1024 * 1024
 _NS = 1e9
 _WRITER = (b"LOGG", FILE_HEADER_SIZE, 5, 0, 0, 0, 2, 6, 8, 1)
 
@@ -142,36 +143,44 @@ def _filled(template: NDArray[np.void], rows: NDArray[np.void], start_s: float) 
     return objects
 
 
-def read_blf(content: bytes) -> FrameBlock:
-    """Frames of a BLF file up to its first container that is not whole; FD frames are left out.
+def read_blf(content: bytes) -> tuple[FrameBlock, bool]:
+    """Frames of a BLF file, those of FD left out, and whether all of the file was read.
 
-    Other objects than :class:`BlfWriter` writes are read by python-can, frame by frame.
+    A file is read up to its first container that is cut off, damaged or of an unknown form. Other objects
+    than :class:`BlfWriter` writes are read by python-can, frame by frame.
     """
     try:
         header = FILE_HEADER_STRUCT.unpack_from(content)
-        objects, end = _unpacked(content)
-        block = _block(objects, systemtime_to_timestamp(header[14:22])) if header[0] == b"LOGG" else None
+        if header[0] != b"LOGG":
+            return FrameBlock.from_messages([]), False
+        objects, end = _unpacked(content, max(header[1], FILE_HEADER_STRUCT.size))
+        block, is_whole = _block(objects, systemtime_to_timestamp(header[14:22])), True
     except struct.error:
-        return FrameBlock.from_messages([])
-    return block if block is not None else _by_python_can(content[:end])
+        return FrameBlock.from_messages([]), False
+    if block is None:
+        block, is_whole = _by_python_can(content[:end])
+    return block, is_whole and not content[end:].strip(b"\0")
 
 
-def _unpacked(content: bytes) -> tuple[bytes, int]:
-    """Objects of the containers before the first that is not whole, and where that begins."""
+def _unpacked(content: bytes, end: int) -> tuple[bytes, int]:
+    """Objects of the containers from ``end`` to the first that can't be read, and where that begins."""
     unpacked: list[bytes] = []
-    end = FILE_HEADER_SIZE
     try:
         while content[end : end + 4] == b"LOBJ":
             _, _, _, size, kind = OBJ_HEADER_BASE_STRUCT.unpack_from(content, end)
             packed = content[end + OBJ_HEADER_BASE_STRUCT.size : end + size]
             method, unpacked_size = LOG_CONTAINER_STRUCT.unpack_from(packed)
-            if kind != LOG_CONTAINER or method != ZLIB_DEFLATE or end + size > len(content):
+            objects = packed[LOG_CONTAINER_STRUCT.size :]
+            if kind != LOG_CONTAINER or end + size > len(content) or unpacked_size > _MAX_UNPACKED_READ:
                 break
-            if unpacked_size > _MAX_UNPACKED_READ:
+            if method == ZLIB_DEFLATE:
+                unpacking = isal_zlib.decompressobj()
+                objects = unpacking.decompress(objects, unpacked_size + 1)
+                if not unpacking.eof:
+                    break
+            elif method != NO_COMPRESSION:
                 break
-            unpacking = isal_zlib.decompressobj()
-            objects = unpacking.decompress(packed[LOG_CONTAINER_STRUCT.size :], unpacked_size + 1)
-            if not unpacking.eof or len(objects) != unpacked_size:
+            if len(objects) != unpacked_size:
                 break
             unpacked.append(objects)
             end += size + size % 4
@@ -220,11 +229,13 @@ def _read(objects: NDArray[np.void], start_s: float) -> FrameBlock:
     return FrameBlock.from_columns(time_s, objects["id"], objects["dlc"], objects["data"], flags)
 
 
-def _by_python_can(content: bytes) -> FrameBlock:
+def _by_python_can(content: bytes) -> tuple[FrameBlock, bool]:
     messages: list[can.Message] = []
+    is_whole = False
     try:
         with can.BLFReader(io.BytesIO(content)) as reader:
             messages.extend(reader)
+        is_whole = True
     except (ValueError, OverflowError, struct.error, can.CanError, BLFParseError):
         pass  # damaged in a way that the containers do not show
-    return FrameBlock.from_messages(messages)
+    return FrameBlock.from_messages(messages), is_whole

@@ -131,4 +131,4 @@ def read_can_log(folder: Path, numbers: Container[int] | None = None) -> Iterato
         if numbers is not None and number not in numbers:
             continue
         content = read_limited(path, MAX_PART_BYTES, RunFolderError)
-        yield number, read_blf(content)
+        yield number, read_blf(content)[0]

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from gyrobench.bench.foundations.errors import ConnectionFailedError, InstrumentError, RefusedError
 from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE, Outputs, within
 from gyrobench.bench.station.station import Station
+from gyrobench.drivers.chamber import Chamber
 
 #: Time limits, far beyond what healthy instruments need. A release waits for rest.
 _EXCHANGE_TIME_S = 20.0
@@ -139,7 +141,7 @@ def _steps(station: Station, instruments: Outputs, release_table: bool) -> list[
         add(
             SafePart.CHAMBER,
             f"chamber's set point at {safe_c:g} degC",
-            lambda: instruments.chamber.set_temperature(safe_c, ramp),
+            lambda: _set_or_off(instruments.chamber, safe_c, ramp),
         )
     if safe.unit == "off":
         add(SafePart.UNIT, "INS switched off", lambda: instruments.power_unit(False))
@@ -149,6 +151,17 @@ def _steps(station: Station, instruments: Outputs, release_table: bool) -> list[
         what = "rate table's interlocks opened"
         add(SafePart.TABLE_RELEASED, what, lambda: instruments.table.release(), _RELEASE_TIME_S)
     return steps
+
+
+def _set_or_off(chamber: Chamber, temperature_c: float, ramp_c_per_min: float) -> None:
+    """Command a set point; a chamber that refuses it is switched off and not reported safe."""
+    try:
+        chamber.set_temperature(temperature_c, ramp_c_per_min)
+    except RefusedError as error:
+        with suppress(RefusedError):  # off, but a profile that runs may switch it on again
+            chamber.switch(False)
+        reason = str(error).removeprefix(f"{CHAMBER}: ")
+        raise RefusedError(CHAMBER, f"it was commanded off, as it refuses its set point: {reason}") from error
 
 
 def _taken(step: _Step, instruments: Outputs, meanwhile: Callable[[], object]) -> SafeAction:

@@ -38,8 +38,9 @@ _MAX_READ = 1 << 16
 _MAX_QUEUED = 16 << 20
 _MAX_LINE = 1000
 _CONNECT_S = 5.0
-#: Lines that differ in length, kind or number of data bytes, in one block; a bus has some 40.
+#: Frames that differ in length, kind or number of data bytes, in one block; a bus has some 40.
 _MAX_LAYOUTS = 200
+_BLANKS = b" \t\r\n"
 
 _NIBBLE = np.full(256, 255, np.uint8)
 _NIBBLE[list(b"0123456789abcdef")] = np.arange(16)
@@ -60,37 +61,60 @@ class _Format:
     letters: bytes
     frame: re.Pattern[bytes]
 
-    def frames(self, data: bytes) -> tuple[FrameBlock, IntArray, bytes]:
-        """Convert whole lines: frames, places in the data where they end, and the first invalid line."""
+    def frames(self, data: bytes) -> tuple[FrameBlock, IntArray, bytes, int]:
+        """Convert whole lines: frames, places where they end, the first invalid line, lines left out.
+
+        Lines are left out where more than :data:`_MAX_LAYOUTS` layouts are found.
+        """
         text = np.frombuffer(data, np.uint8)
         end = np.flatnonzero(np.isin(text, list(self.ends)) if len(self.ends) > 1 else text == self.ends[0])
-        begin = np.concatenate([[0], end[:-1] + 1])
+        begin = self._without_blanks(text, np.concatenate([[0], end[:-1] + 1]))
         letters = text[np.minimum(begin + self.place, end)]
         left = np.flatnonzero(np.isin(letters, list(self.letters)))
         rows, is_frame = np.zeros(len(end), FRAME_DTYPE), np.zeros(len(end), np.bool_)
         for _ in range(_MAX_LAYOUTS):
-            if not len(left):
+            matches = ((index, self._found(data, begin[line], end[line])) for index, line in enumerate(left))
+            first, found = next((match for match in matches if match[1]), (len(left), None))
+            left = left[first:]
+            if found is None:
                 break
-            like = self._rows_like_first(data, begin[left], end[left], rows, left)
+            like = self._rows_like_first(found, text, begin[left], end[left], rows, left)
             is_frame[left[like]] = True
-            like[0] = True
             left = left[~like]
         invalid = np.zeros(len(end), np.bool_)
         invalid[np.searchsorted(end, np.flatnonzero(text > 127))] = True
         invalid[np.isin(letters, list(self.letters))] = True
+        invalid[left] = False
         wrong = np.flatnonzero(invalid & ~is_frame)
         line = data[begin[wrong[0]] : end[wrong[0]]] if len(wrong) else b""
-        return FrameBlock(rows).take(is_frame), end[is_frame], line
+        return FrameBlock(rows).take(is_frame), end[is_frame], line, len(left)
+
+    def _without_blanks(self, text: NDArray[np.uint8], begin: IntArray) -> IntArray:
+        """Places of the first characters of lines, also where the adapter sends blanks before them."""
+        blanks = [each for each in _BLANKS if each not in self.ends]
+        if not np.any(np.isin(text[begin], blanks)):
+            return begin
+        others = np.flatnonzero(np.isin(text, blanks, invert=True))
+        return np.asarray(others[np.searchsorted(others, begin)])
+
+    def _found(self, data: bytes, begin: np.intp, end: np.intp) -> re.Match[bytes] | None:
+        """Match a line; None if it is no frame, or has less data than its length."""
+        found = self.frame.fullmatch(data, int(begin), int(end))
+        if found is None or found["kind"] in (b"r", b"R") or "length" not in found.re.groupindex:
+            return found
+        return found if len(found["data"]) >= 2 * int(found["length"]) else None
 
     def _rows_like_first(
-        self, data: bytes, begin: IntArray, end: IntArray, rows: NDArray[np.void], numbers: IntArray
+        self,
+        found: re.Match[bytes],
+        text: NDArray[np.uint8],
+        begin: IntArray,
+        end: IntArray,
+        rows: NDArray[np.void],
+        numbers: IntArray,
     ) -> BoolArray:
         """Fill the rows of those lines that are laid out as the first; returns which these are."""
-        text = np.frombuffer(data, np.uint8)
-        found = self.frame.fullmatch(data, int(begin[0]), int(end[0]))
         like = np.zeros(len(begin), np.bool_)
-        if found is None:
-            return like
         length = end[0] - begin[0]
         same = np.flatnonzero(end - begin == length)
         lines = text[begin[same, np.newaxis] + np.arange(length)]
@@ -105,8 +129,6 @@ class _Format:
         kind = found["kind"]
         remote = kind in (b"r", b"R")
         payload = place["data"][: 0 if remote else 2 * size]
-        if len(payload) < (0 if remote else 2 * size):
-            return like
         fixed = np.setdiff1d(np.arange(length), np.concatenate([place["id"], time, place["data"]]))
         nibbles = _NIBBLE[lines]
         good = (
@@ -221,20 +243,20 @@ class _TextBus(can.BusABC):
         gone = self._failure
         with self._lock:
             chunks, self._chunks, self._queued = self._chunks, deque(), 0
-            lost, self._reported = self.lost - self._reported, self.lost
         block, self._ahead = self._ahead, self._ahead.take(slice(0, 0))
+        problems = []
         if chunks:
             arrived, line = self._converted(chunks)
             block = concatenate([block, arrived]) if len(block) else arrived
             if line:
                 text = line[:40].decode("ascii", "backslashreplace")
-                self._error = ReplyError("INS", f"{self}: received bytes are no CAN frame: '{text}'")
+                problems.append(f"received bytes are no CAN frame: '{text}'")
+        lost, self._reported = self.lost - self._reported, self.lost
         if lost:
-            self._error = ReplyError(
-                "INS",
-                f"{self}: {lost} frames are lost, since the bench did not read them in time. "
-                "Reduce the load of this computer.",
-            )
+            problems.append(f"{lost} frames are lost, since they came too fast or in too many layouts")
+        if problems:
+            advice = "Check the adapter and the load of this computer."
+            self._error = ReplyError("INS", f"{self}: {'; '.join(problems)}. {advice}")
         if len(block) == 0:
             if self._error is not None:
                 return self.recv_block()
@@ -244,7 +266,9 @@ class _TextBus(can.BusABC):
 
     def _converted(self, chunks: deque[tuple[bytes, float]]) -> tuple[FrameBlock, bytes]:
         texts, stamps_s = zip(*chunks, strict=True)
-        block, ends, line = self._format.frames(b"".join(texts))
+        block, ends, line, left_out = self._format.frames(b"".join(texts))
+        with self._lock:
+            self.lost += left_out
         if "length" in self._format.frame.groupindex:  # it has no time stamps
             chunk = np.searchsorted(np.cumsum([len(text) for text in texts]), ends, side="right")
             block.rows["time_s"] = np.array(stamps_s)[chunk]

@@ -42,6 +42,8 @@ _STANDSTILL_DPS = 0.01
 _POLL_S = 0.1
 #: Ends an incomplete message in the controller's buffer in a way that can't be executed.
 _INVALID_MESSAGE = b"~\r\n"
+#: Late replies are skipped for at most this many reply time-outs: a stop may wait for it.
+_MAX_SKIP = 6
 #: Numbers of values in the replies that mark the end of late ones; more than in any other reply.
 _MARKS = range(31, 64)
 
@@ -178,7 +180,10 @@ class Acutrol3000:
 
     def stop(self) -> None:
         """Begin a controlled stop of all axes; the servos stay closed."""
-        self._command(self._each_axis(":Mode:", "Off"))
+        message = self._each_axis(":Mode:", "Off")
+        if self._out_of_step:  # skipping late replies takes seconds, so it is sent before that too
+            self._line.write(_INVALID_MESSAGE + message.encode("ascii") + b"\r\n")
+        self._command(message)
 
     def release(self) -> None:
         """Stop, wait for rest, open the servos in any case, unlock the front panel.
@@ -284,17 +289,18 @@ class Acutrol3000:
 
     def _skip_late_replies(self) -> str:
         """Discard the replies to earlier requests; returns why that did not succeed, empty if it did."""
-        line = self._line
+        line, deadline = self._line, Deadline(self._line.clock, _MAX_SKIP * self._reply_timeout_s)
         line.write(_INVALID_MESSAGE)
         try:
             line.await_silence(self._reply_timeout_s)
             count = next(self._marks)
             mark = ":Status:" + ";".join([f"CSR? A{self._axes[0]}STATE"] * count)
             line.write(mark.encode("ascii") + b"\r\n")
-            while True:
+            while not deadline.expired():
                 code, text = self._reply(mark)
                 if not code and len(text.split(";")) == count:
                     return ""
+            return f"other replies arrive for more than {deadline.duration_s:g} s"
         except (NoReplyError, ReplyError) as error:
             return str(error).removeprefix(f"{line.instrument}: ")
 

@@ -10,6 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import gyrobench
+from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError, RunFolderError
 
 
@@ -48,6 +49,7 @@ def test_a_bias_from_the_arrays_of_a_dwell_is_that_of_the_table(run):
         arw_deg_per_sqrt_h=0.0006,
         vrw_ug_per_sqrt_hz=5.0,
         velocity_lsb_mps=1e-4,
+        prior=PriorKnowledge.from_datasheet(latitude_arcmin=0.02),
     )
     sigma = run.dwells.filter(regex="^sigma_._dph$").to_numpy()[0]
     bias = run.dwells.filter(regex="^bias_._dph$").to_numpy()[0]

@@ -30,8 +30,15 @@ def test_a_set_point_is_expected_once_it_is_reached_and_until_another_is_command
 
 def test_a_chamber_that_is_off_has_no_commanded_temperature(state):
     state.chamber_commanded(40.0)
+    state.chamber_switching(False)
+    assert state.expected == ExpectedState(), "a ramp of its set point may have ended anywhere"
     state.chamber_switched(False)
     assert state.commanded_c is None
+    state.chamber_switched(True)
+    assert state.expected == ExpectedState(chamber_on=True)
+    state.chamber_commanded(40.0)
+    state.chamber_switched(True)
+    assert state.commanded_c == 40.0
 
 
 def test_each_power_on_is_counted_and_ends_a_restart(state):
@@ -60,4 +67,10 @@ def test_a_safe_command_that_failed_leaves_the_state_unknown(state):
     state.chamber_commanded(60.0)
     state.table_prepared()
     state.made_safe(SafeAction(part.value, part, "no reply") for part in SafePart)
-    assert state.expected == ExpectedState(chamber_set_c=None, chamber_on=True)
+    assert state.expected == ExpectedState(chamber_set_c=None, chamber_on=None)
+
+
+def test_a_chamber_that_refused_its_safe_set_point_at_first_may_be_off(state):
+    state.chamber_commanded(60.0)
+    state.made_safe([SafeAction("set point", SafePart.CHAMBER, first_problem="refused")])
+    assert state.expected == ExpectedState(chamber_set_c=23.0, chamber_on=None)

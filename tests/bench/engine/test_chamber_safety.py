@@ -97,6 +97,18 @@ def test_interlocks_are_watched_in_the_ramp_of_the_safe_state(prepared, tmp_path
     assert trip["time_s"] + 10.0 < ended["time_s"]  # the ramp began again
 
 
+def test_switching_the_chamber_off_in_a_ramp_trips_nothing(prepared, tmp_path):
+    procedure = """procedure: off
+steps:
+  - chamber: {temperature_c: 26, ramp_c_per_min: 2, within_c: 2}
+  - chamber_off: {}
+  - soak: {for_s: 60}
+"""
+    _, outcome, entries = run(prepared("fault: no_set_point_ramp, at_s: 0", procedure=procedure), tmp_path)
+    assert of(entries, "tripped") == []
+    assert outcome.ended == "finished", outcome.reason
+
+
 def checked(tmp_path, prepared, fault, **options):
     job = prepared(fault, **options)
     checks = check_bench(str(job.station.path), None, job.emulation, tmp_path)

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.exchange.can_export import TimedLog
-from gyrobench.drivers.frames import FrameBlock
+from gyrobench.bench.exchange.signal_logs import _mf4_frames
+from gyrobench.drivers.frames import EXTENDED_ID, FrameBlock, concatenate
 from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
 from tests.bench.exchange.frames import assert_same, frames_of, strange_parts
 
@@ -15,7 +16,7 @@ asammdf = pytest.importorskip("asammdf", reason="MDF4 needs: pip install 'gyrobe
 
 from asammdf import MDF  # noqa: E402
 
-from gyrobench.bench.exchange.mf4 import write_mf4  # noqa: E402
+from gyrobench.bench.exchange.mf4 import _samples, write_mf4  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -34,6 +35,33 @@ def test_frames_of_all_kinds_survive(dbc, tmp_path):
     path, parts = tmp_path / "can.mf4", strange_parts()
     write_mf4(path, parts, dbc, {})
     assert_same(frames_of(path), [message for part in parts for message in part.frames.messages()])
+
+
+def test_an_import_reads_the_data_frames_as_they_were(dbc, tmp_path):
+    path, parts = tmp_path / "can.mf4", strange_parts()
+    write_mf4(path, parts, dbc, {})
+    written = concatenate([part.frames.data_frames() for part in parts])
+    assert_same_rows(_mf4_frames(path), written)
+
+
+def test_an_import_reads_the_frames_of_all_buses_of_a_file_in_the_order_of_time(dbc, tmp_path):
+    written = concatenate([part.frames.data_frames() for part in strange_parts()])
+    with MDF(version="4.10") as log:
+        for bus in (0, 1):
+            block = written.take(np.arange(len(written)) % 2 == bus)
+            samples = _samples("CAN_DataFrame", block)
+            times_s = block.timestamp_s - written.timestamp_s[0]
+            log.append(asammdf.Signal(samples, times_s, name="CAN_DataFrame"))
+        log.save(tmp_path / "two.mf4")
+    assert_same_rows(_mf4_frames(tmp_path / "two.mf4"), written)
+
+
+def assert_same_rows(read, written):
+    assert len(read) == len(written) > 2
+    assert np.any(read.arbitration_id & EXTENDED_ID)
+    assert read.timestamp_s == pytest.approx(written.timestamp_s - written.timestamp_s[0], abs=2e-6)
+    for name in ("id", "length", "data", "flags"):
+        assert np.array_equal(read.rows[name], written.rows[name]), name
 
 
 def test_asammdf_decodes_to_the_numbers_of_our_own_decoder(mf4, messages, dbc):

@@ -144,6 +144,24 @@ def test_a_damaged_log_is_reported_once(log, write, message):
     assert len(str(error.value).splitlines()) == 1
 
 
+@pytest.mark.parametrize("cut", [0, 30])
+def test_a_blf_log_that_is_cut_off_gives_what_there_is_and_a_warning(log, expected, cut):
+    changes, name = write_blf(log)
+    path = log.folder / name
+    path.write_bytes(path.read_bytes()[: path.stat().st_size - cut])
+    imported = import_logs([path], log.mapping(text="absent", **changes))
+    assert 0 < len(imported.rows) <= len(expected)
+    assert any("cut off" in warning for warning in imported.warnings) == bool(cut)
+
+
+def test_text_in_place_of_numbers_is_reported_with_its_column(log):
+    changes, name = write_parquet(log)
+    columns = {**log.columns, "gy": np.full(len(log.time_s), "fast")}
+    pq.write_table(pa.table(columns), log.folder / name)
+    with pytest.raises((DocumentError, MeasurementError), match=r"signal 'gy' is no number.*'fast'"):
+        import_logs([log.folder / name], log.mapping(text="absent", **changes))
+
+
 def test_a_missing_signal_is_reported_with_those_that_there_are(log):
     changes, name = write_parquet(log)
     mapping = log.mapping(text="absent", gyro="{unit: deg/s, x: gxx, y: gy, z: gz}", **changes)

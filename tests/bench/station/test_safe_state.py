@@ -240,3 +240,12 @@ def test_a_stop_that_failed_is_repeated_within_seconds_of_a_ramp(ramping, monkey
     actions, took_s, _ = finished(station, outputs, actions)
     assert set(problems(actions).values()) == {""}
     assert stops[-1] - stops[0] < 20.0 < took_s
+
+
+def test_a_chamber_that_refuses_its_safe_set_point_is_switched_off_and_not_reported_safe(opened):
+    station, instruments, bench = opened
+    instruments.chamber.switch(True)
+    bench.serial["chamber"].start_profile(85.0)
+    (action,) = make_safe(station, instruments, only=["chamber's set point at 23 degC"])
+    assert "it was commanded off, as it refuses its set point: runs a profile" in action.problem
+    assert not bench.world.air.running

@@ -28,7 +28,7 @@ SETUP = MeasurementSetup(
     table=TwoAxisTable(EAST, UP, np.eye(3)),
     site=site(),
     noise=NOISE,
-    prior=PriorKnowledge.from_datasheet(accelerometer_drift_ug_per_h=2.0),
+    prior=PriorKnowledge.from_datasheet(latitude_arcmin=0.02, accelerometer_drift_ug_per_h=2.0),
     velocity_lsb_mps=1e-4,
     heading_lsb_rad=1e-7,
     resolution=(),

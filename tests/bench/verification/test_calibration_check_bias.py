@@ -20,7 +20,7 @@ from tests.bench.bias.emulated_dwells import DPH, UG, emulate, noise_model, sens
 
 NOISE = noise_model(0.0006)
 # As the simulated accelerometers are, which do not drift.
-PRIOR = PriorKnowledge.from_datasheet(accelerometer_drift_ug_per_h=2.0)
+PRIOR = PriorKnowledge.from_datasheet(latitude_arcmin=0.02, accelerometer_drift_ug_per_h=2.0)
 BIAS_DPH, ACCELEROMETER_UG = np.array([0.012, -0.02, 0.016]), np.array([60.0, -40.0, 50.0])
 KNOWN = KnownAccelerometers(ACCELEROMETER_UG * UG, np.full(3, 2.0 * UG))
 UNKNOWN = KnownAccelerometers.unknown(PRIOR)

@@ -198,6 +198,52 @@ def test_garbage_between_frames_is_reported_once_and_loses_none(make, good, garb
     adapter.close()
 
 
+@pytest.mark.parametrize(
+    ("make", "line", "wrong"),
+    [
+        (lambda: Slcan("socket"), b"t0040\r", b"t0048%04x\r"),
+        (Socketcand, b"< frame 004 17.5 00 >", b"< frame 004 x%d 00 >"),
+    ],
+)
+def test_frames_behind_many_different_invalid_lines_are_received(make, line, wrong):
+    adapter = make()
+    bus = adapter.open()
+    adapter.send(b"".join(wrong % index for index in range(1000)) + 100 * line)
+    assert len(received(bus, 100)) == 100
+    assert bus.lost == 0
+    close_bus(bus)
+    adapter.close()
+
+
+def test_frames_in_more_layouts_than_a_bus_has_count_as_lost(monkeypatch):
+    monkeypatch.setattr(text_buses, "_MAX_LAYOUTS", 3)
+    adapter = Slcan("socket")
+    bus = adapter.open()
+    adapter.send(b"t00z\rt0040\rt004111\rt00421122\rt0043112233\rt0043112234\rt0040\r")
+    assert len(received(bus, 4)) == 4
+    with pytest.raises(ReplyError, match=r"no CAN frame: 't00z'.*2 frames are lost"):
+        received(bus, 1)
+    assert bus.lost == 2
+    close_bus(bus)
+    adapter.close()
+
+
+@pytest.mark.parametrize(
+    ("make", "text"),
+    [
+        (lambda: Slcan("socket"), b"t0040\r\nt0040\r\n \tt0040\r"),
+        (Socketcand, b"< frame 004 17.5 00 >\n< frame 004 17.5 00 >\r\n  < frame 004 17.5 00 >"),
+    ],
+)
+def test_blanks_between_frames_are_passed_over(make, text):
+    adapter = make()
+    bus = adapter.open()
+    adapter.send(text)
+    assert len(received(bus, 3)) == 3
+    close_bus(bus)
+    adapter.close()
+
+
 def test_filters_apply_to_blocks(adapter):
     filters = [{"can_id": 0x004, "can_mask": 0x7FF, "extended": False}]
     bus = adapter.open(can_filters=filters)

@@ -4,6 +4,7 @@ import struct
 import threading
 import time
 from contextlib import suppress
+from itertools import cycle, islice
 
 import pytest
 from hypothesis import given, settings
@@ -24,6 +25,7 @@ from gyrobench.drivers.emulators.world.table_axis import AxisParameters, TableAx
 from gyrobench.drivers.rate_table import RateTable, TableReading
 from gyrobench.drivers.rate_table.acutrol3000 import SOFTWARE_FAULTS, Acutrol3000, ReplyFraming, set_bits
 from gyrobench.drivers.serial_line import SerialLine
+from tests.drivers.conftest import Scripted
 
 FAST = AxisParameters(
     rate_limit_dps=2000.0, acceleration_limit_dps2=2e4, jerk_limit_dps3=2e6, settling_time_constant_s=0.001
@@ -357,6 +359,42 @@ def test_replies_that_come_far_too_late_end_in_no_reply_and_never_in_wrong_readi
             assert table.read().is_servoed
 
 
+@pytest.fixture
+def flooded(rig):
+    """A driver out of step, and what its controller heard, which answers a mark without end."""
+    line, heard = rig.line("table", Scripted(reply("A table")))
+    table, read, flood = Acutrol3000(line), line.read, cycle(reply("16"))
+
+    def read_flood(count, deadline):
+        if not heard.requests[-1].startswith(b":Status:"):
+            return read(count, deadline)
+        rig.clock.sleep(0.1)
+        assert rig.clock.now() < 1000.0, "reads without end"
+        return bytes(islice(flood, count))
+
+    table.identify()
+    with pytest.raises(NoReplyError):
+        table.identify()
+    heard.requests.clear()
+    line.read = read_flood
+    return table, heard.requests
+
+
+def test_replies_without_end_to_earlier_requests_end_in_no_reply(flooded, rig):
+    began_s = rig.clock.now()
+    with pytest.raises(NoReplyError, match=r"was sent, .*: other replies arrive for more than 12 s"):
+        flooded[0].read()
+    assert rig.clock.now() - began_s < 15.0  # beyond 20 s the bench takes the port for dead
+
+
+def test_a_stop_is_sent_before_late_replies_are_skipped(flooded):
+    table, heard = flooded
+    with pytest.raises(NoReplyError):
+        table.stop()
+    stops = [number for number, data in enumerate(heard) if b":Mode:Off 1;Off 2\r\n" in data]
+    assert stops == [0, len(heard) - 1]
+
+
 def test_a_change_of_byte_order_is_noticed_and_then_accepted(serve, scripted):
     of_no_message = reply("Syntax", code=100, order=">")
     mark = reply(";".join(["16"] * 31), order=">")
@@ -366,7 +404,7 @@ def test_a_change_of_byte_order_is_noticed_and_then_accepted(serve, scripted):
         table.stop()
         with pytest.raises(ReplyError):
             table.stop()
-        table.stop()
+        assert table.identify() == "OK"
 
 
 def test_closing_closes_the_line(serve, scripted):

@@ -110,7 +110,7 @@ FAULTS = {
         "INS: temperatures",
         "outside the interlock limits",
     ),
-    "fault: unplugged, at_s: 0, for_s: 900, instrument: table": ("rate table: answers", ""),
+    "fault: port_gone, at_s: 0, for_s: 900, target: table": ("rate table: answers", ""),
 }
 
 

@@ -22,7 +22,9 @@ from gyrobench.bench.runs.tables.joint_table import (
 from tests.bench.bias.emulated_groups import any_unit, follow_gravity, is_vertical, measure
 
 # As the units of emulated_groups are: their mounts do not tilt.
-PRIOR = PriorKnowledge.from_datasheet(tilt_step_arcsec=0.0)
+PRIOR = PriorKnowledge.from_datasheet(
+    latitude_arcmin=0.02, tilt_step_arcsec=0.0, accelerometer_drift_ug_per_h=2.0
+)
 LATITUDE_ERROR_ARCMIN = 2.0
 SET_POINTS_C = (20.0, 50.0)
 
@@ -33,7 +35,7 @@ def solved(unit, random):
         solve_jointly(measure(unit, random, first=1 + 6 * plateau, chamber_set_c=set_c), PRIOR)
         for plateau, set_c in enumerate(SET_POINTS_C)
     ]
-    return solutions, pooled_up_rate(solutions)
+    return solutions, pooled_up_rate(solutions, PRIOR)
 
 
 @pytest.fixture(scope="module")
@@ -118,7 +120,7 @@ def test_plateaus_show_what_their_dwells_share(wrong_latitude, plateaus):
             found, sigma = (getattr(row, f"accelerometer_{axis}_{what}ug") for what in ("", "sigma_"))
             assert found == pytest.approx(true_ug, abs=4.0 * sigma)
     for row in plateaus:
-        assert row.finding == "latitude"
+        assert row.finding == "latitude_off"
         assert row.latitude_error_arcmin == pytest.approx(
             LATITUDE_ERROR_ARCMIN, abs=4.0 * row.latitude_error_sigma_arcmin
         )
@@ -170,7 +172,7 @@ def test_what_is_not_known_is_an_empty_cell(plateaus, tmp_path):
     header, *lines = (tmp_path / "joint.csv").read_text().splitlines()
     cells = dict(zip(header.split(","), lines[-1].split(","), strict=True))
     assert cells["accelerometer_x_ug"] == cells["fit_p_value"] == ""
-    assert cells["finding"] == "latitude"
+    assert cells["finding"] == "latitude_off"
 
 
 def test_tables_without_rows_have_their_header(tmp_path):
@@ -199,7 +201,7 @@ def test_every_mistake_is_reported_with_line_and_column(biases, tmp_path):
 def test_a_finding_that_is_none_is_reported(plateaus, tmp_path):
     path = tmp_path / "joint.csv"
     write_joint(path, plateaus, JointPlateauRow)
-    path.write_text(path.read_text().replace(",latitude,", ",longitude,"))
+    path.write_text(path.read_text().replace(",latitude_off,", ",longitude,"))
     with pytest.raises(DocumentError, match=r"joint\.csv:2: column finding: expected one of no_pair, "):
         read_joint_plateaus(path)
 

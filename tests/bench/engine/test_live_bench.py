@@ -1,0 +1,70 @@
+"""The bench between ticks: frames that are lost, frames that stop."""
+
+from contextlib import contextmanager
+
+from gyrobench.bench.engine.live_bench import LiveBench
+from gyrobench.bench.foundations.clock import VirtualClock
+from gyrobench.bench.foundations.errors import ReplyError
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.station.instruments import Emulation, Instruments
+from gyrobench.bench.station.station import Station
+
+
+@contextmanager
+def live_bench(can_log=None):
+    """A started bench whose INS sends, and what was reported of it."""
+    clock, reported = VirtualClock(), []
+    station = Station(find_document("stations", "quick"))
+    with Instruments(station, clock, Emulation("quick", 0)) as instruments:
+        bench = LiveBench(station, instruments, clock, can_log, None, lambda *each: reported.append(each))
+        instruments.power_unit(True)
+        bench.start()
+        while bench.readings.ins.age_s > 1.0:
+            bench.tick()
+        reported.clear()
+        yield bench, reported
+
+
+def test_lost_frames_are_reported_and_do_not_reopen_a_bus_that_gives_others(monkeypatch):
+    with live_bench() as (bench, reported):
+        ins, clock = bench.instruments.ins, bench.clock
+        poll, opened = ins.poll, []
+
+        def lossy():
+            poll()
+            raise ReplyError("INS", "7 frames are lost")
+
+        monkeypatch.setattr(ins, "poll", lossy)
+        monkeypatch.setattr(ins, "replace_bus", opened.append)
+        begin_s = clock.now()
+        while clock.now() < begin_s + 60.0:
+            bench.tick()
+            assert bench.silent == ()
+        errors = [str(error) for instrument, error in reported if instrument == "INS" and error]
+        assert 5 <= len(errors) <= 7
+        assert set(errors) == {"INS: 7 frames are lost"}
+        assert not opened
+
+
+def test_a_bus_that_gives_nothing_but_invalid_bytes_is_reopened(monkeypatch):
+    with live_bench() as (bench, reported):
+        ins, clock = bench.instruments.ins, bench.clock
+        replace, opened = ins.replace_bus, []
+
+        def garbled():
+            raise ReplyError("INS", "received bytes are no CAN frame")
+
+        def replaced(bus):
+            opened.append(bus)
+            replace(bus)
+            monkeypatch.undo()
+
+        monkeypatch.setattr(ins, "poll", garbled)
+        monkeypatch.setattr(ins, "replace_bus", replaced)
+        begin_s = clock.now()
+        while not opened:
+            bench.tick()
+            assert clock.now() < begin_s + 60.0
+        bench.tick()
+        assert bench.silent == ()
+        assert reported[-1] == ("INS", None)
