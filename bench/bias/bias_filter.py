@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import chdtrc, erfc
 
 from gyrobench.bench.bias import parameters, window_filter
-from gyrobench.bench.bias.bias_steps import BiasStep, Passage, find_bias_step
+from gyrobench.bench.bias.bias_steps import BiasStep, WindowChange, find_bias_step
 from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, TurnPath
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.parameters import PriorKnowledge
@@ -34,8 +34,9 @@ from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.earth import earth_rate_enu
 from gyrobench.bench.navigation.error_model import STATES, Site, integrate
 
-#: A rate of damping of which nothing is known beforehand, 1/s.
-_WIDE_DAMPING = 1.0
+#: A rate of damping of which nothing is known beforehand, 1/s; and the least one that is reported: what a
+#: slower one does to the biases is small.
+_WIDE_DAMPING, _MIN_DAMPING = 1.0, 0.5 / 3600.0
 #: The same of an acceleration, m/s^2; and the p-value above which accelerometers count as settled.
 _WIDE_ACCELERATION, _MAX_TRANSIENT_P_VALUE = 0.1, 0.01
 
@@ -49,12 +50,16 @@ class Damping:
 
     @property
     def p_value(self) -> float:
-        """Probability of at least this rate in an INS that is free inertial."""
-        return float(erfc(abs(self.rate / self.sigma) / math.sqrt(2.0)))
+        """Probability of at least this rate in an INS that is free inertial; damping is never negative."""
+        return 0.5 * float(erfc(self.rate / self.sigma / math.sqrt(2.0)))
+
+    def shows(self, p_value: float) -> bool:
+        """Whether the INS damps its velocity: at a rate that matters, rarer by chance than this."""
+        return self.rate >= _MIN_DAMPING and self.p_value < p_value
 
     @property
     def text(self) -> str:
-        """A message."""
+        """Message for an INS that damps its velocity."""
         return (
             f"the INS damps its velocity with a time constant of {1.0 / self.rate:.0f} s, so that the biases "
             "of the level gyros are wrong. Switch it to free inertial navigation"
@@ -62,7 +67,10 @@ class Damping:
 
     @classmethod
     def mean(cls, several: Sequence[Damping]) -> Damping:
-        """That of several dwells of one INS."""
+        """Mean of several dwells of one INS, weighted by the inverse squares of their uncertainties.
+
+        ``several``: one or more, 1/s.
+        """
         weights = np.array([each.sigma**-2.0 for each in several])
         rate = weights @ [each.rate for each in several] / weights.sum()
         return cls(float(rate), float(weights.sum() ** -0.5))
@@ -76,9 +84,11 @@ class DwellInformation:
     #: :mod:`gyrobench.bench.bias.parameters`.
     rows: FloatArray
     data: FloatArray  #: Shape (n,). What they are to give.
-    #: Shape (3, p). What the gyros' biases at their mean temperatures are of the unknowns.
+    #: Shape (3, p). The gyros' biases at their mean temperatures for a unit of each unknown.
     bias_at_mean: FloatArray
     earth_rate: FloatArray  #: Shape (3,). ENU, rad/s.
+    #: Rate North, rad/s, by an error of the heading beyond the linear model; taken from the data.
+    north_rate: float = 0.0
 
     @property
     def windows(self) -> int:
@@ -121,7 +131,7 @@ class BiasFilter:
         self._earth_rate = earth_rate_enu(site.latitude)
         self._windows: list[WindowFilter] = []
         self._expansions: list[FloatArray] = []
-        self._passages: list[Passage] = []
+        self._changes: list[WindowChange] = []
         self._reference_c: FloatArray | None = None
         self._last_k = np.zeros(3)
 
@@ -135,7 +145,7 @@ class BiasFilter:
         C_nb : ndarray, shape (3, 3)
             Attitude that the INS computes then.
         turn : TurnPath, optional
-            The way from the last window to this one.
+            Attitude of the table from the last window to this one.
 
         Raises
         ------
@@ -153,12 +163,12 @@ class BiasFilter:
                     f"{self._windows[-1].last_s:.3f} s. Add windows in order, none of them empty"
                 )
             last = self._windows[-1]
-            passage, driven, noise = self._through_turn(time_s, turn, count - parameters.PER_WINDOW)
-            self._passages.append(passage)
+            change, driven, noise = self._through_turn(time_s, turn, count - parameters.PER_WINDOW)
+            self._changes.append(change)
             before = last.columns[:, : window_filter.DATA] @ self._expansions[-1]
-            state[:, : -parameters.PER_WINDOW] = passage.transition @ before + driven
-            known = passage.transition @ last.columns[:, window_filter.DATA]
-            covariance = passage.transition @ last.covariance @ passage.transition.T + noise
+            state[:, : -parameters.PER_WINDOW] = change.transition @ before + driven
+            known = change.transition @ last.columns[:, window_filter.DATA]
+            covariance = change.transition @ last.covariance @ change.transition.T + noise
         state[3:5, count - parameters.PER_WINDOW :][:, parameters.VELOCITY] = np.eye(2)
         state[:3, count - parameters.PER_WINDOW :][:, parameters.ATTITUDE] = np.eye(3)
         self._windows.append(WindowFilter(self._site, self._noise, time_s, C_nb, known, covariance))
@@ -214,6 +224,7 @@ class BiasFilter:
             )
         information, shown = self._information(test=complete)
         unknowns, covariance = self._solved(information)
+        taken = _with_north_rate(unknowns, information)
         expansions = [each * shown[: each.shape[1]] for each in self._expansions]
         at_mean, acceleration = information.bias_at_mean, parameters.ACCELEROMETER_BIAS
         return StateSpaceEstimate(
@@ -221,9 +232,9 @@ class BiasFilter:
             covariance=at_mean @ covariance @ at_mean.T,
             accelerometer_bias=unknowns[acceleration],
             accelerometer_sigma=np.sqrt(np.diag(covariance)[acceleration]),
-            fit=self._goodness_of_fit(expansions, unknowns, covariance),
+            fit=self._goodness_of_fit(expansions, taken, covariance),
             steady_p_value=self._steady_p_value(information),
-            step=find_bias_step(self._windows, self._passages, expansions, unknowns, covariance)
+            step=find_bias_step(self._windows, self._changes, expansions, taken, covariance)
             if complete
             else None,
             damping=self._damping(information),
@@ -234,7 +245,8 @@ class BiasFilter:
         """Test whether the model explains what has been added, even a single window."""
         information, shown = self._information(test=True)
         expansions = [each * shown[: each.shape[1]] for each in self._expansions]
-        return self._goodness_of_fit(expansions, *self._solved(information))
+        unknowns, covariance = self._solved(information)
+        return self._goodness_of_fit(expansions, _with_north_rate(unknowns, information), covariance)
 
     def _solved(self, information: DwellInformation) -> tuple[FloatArray, FloatArray]:
         prior_root = parameters.prior_root(self._prior, len(self._windows), self._earth_rate)
@@ -267,7 +279,7 @@ class BiasFilter:
 
     def _through_turn(
         self, time_s: float, turn: TurnPath, count: int
-    ) -> tuple[Passage, FloatArray, FloatArray]:
+    ) -> tuple[WindowChange, FloatArray, FloatArray]:
         """What the state before a turn, each parameter (6, count) and the noise make of that after it."""
         last = self._windows[-1]
         through, state, covariance = np.eye(STATES), np.zeros((STATES, count)), np.zeros((STATES, STATES))
@@ -286,10 +298,10 @@ class BiasFilter:
             transition = steps.transition[k]
             through, state = transition @ through, transition @ state + steps.response[k] @ driven
             covariance = transition @ covariance @ transition.T + steps.covariance[k]
-        return Passage(through, state[:, parameters.GYRO_BIAS]), state, covariance
+        return WindowChange(through, state[:, parameters.GYRO_BIAS]), state, covariance
 
     def _information(self, test: bool) -> tuple[DwellInformation, FloatArray]:
-        """What has been added so far says of the parameters, and which of them it shows (p,), 0 or 1.
+        """Information in all epochs added, and which parameters it holds (p,), 0 or 1.
 
         To estimate how accelerometers settle after a turn costs a sixth of the level gyros' uncertainty: they
         count as settled unless the data contradict it.
@@ -316,7 +328,11 @@ class BiasFilter:
         return float(chdtrc(len(settling), chi2))
 
     def information(self) -> DwellInformation:
-        """What has been added so far says of the unknowns, without prior knowledge."""
+        """Information in all epochs added, without prior knowledge.
+
+        A gyro bias East turns the heading that an INS finds by gyrocompassing: 2 deg for 0.5 deg/h. The
+        Earth's rate North in its axes is then less by half the square of that angle; a linear model lacks it.
+        """
         count = self._expansions[-1].shape[1]
         pairs = list(zip(self._windows, self._expansions, strict=True))
         mean_k = sum(each.temperature_sum for each in self._windows) / sum(
@@ -325,12 +341,16 @@ class BiasFilter:
         at_mean = np.zeros((3, count))
         at_mean[:, parameters.GYRO_BIAS] = np.eye(3)
         at_mean[:, parameters.GYRO_SLOPE] = np.diag(mean_k)
-        return DwellInformation(
+        linear = DwellInformation(
             rows=np.vstack([_expanded(window.root, expansion, count) for window, expansion in pairs]),
             data=np.concatenate([window.root[:, window_filter.DATA] for window in self._windows]),
             bias_at_mean=at_mean,
             earth_rate=self._earth_rate,
         )
+        heading = float(self._solved(linear)[0][parameters.FIRST_HEADING_ERROR])
+        north_rate = (math.cos(heading) - 1.0) * float(self._earth_rate[1])
+        data = linear.data - north_rate * linear.rows[:, parameters.NAVIGATION_RATE.start]
+        return replace(linear, data=data, north_rate=north_rate)
 
     def _goodness_of_fit(
         self, expansions: list[FloatArray], unknowns: FloatArray, covariance: FloatArray
@@ -342,6 +362,13 @@ class BiasFilter:
         ]
         time_s, sums, responses = (np.array(each) for each in zip(*blocks, strict=True))
         return goodness_of_fit(time_s, sums, responses, unknowns, covariance)
+
+
+def _with_north_rate(unknowns: FloatArray, information: DwellInformation) -> FloatArray:
+    """The unknowns (p,) that explain the innovations, from which the rate North is not taken."""
+    result = unknowns.copy()
+    result[parameters.NAVIGATION_RATE.start] += information.north_rate
+    return result
 
 
 def estimate_state_space(

@@ -37,7 +37,7 @@ class BiasStep:
 
 
 @dataclass(frozen=True, eq=False)
-class Passage:
+class WindowChange:
     """From the end of one window to the start of the next: the state, and what biases add to it."""
 
     transition: FloatArray  #: Shape (6, 6).
@@ -46,7 +46,7 @@ class Passage:
 
 def find_bias_step(
     windows: list[WindowFilter],
-    passages: list[Passage],
+    changes: list[WindowChange],
     expansions: list[FloatArray],
     parameters: FloatArray,
     covariance: FloatArray,
@@ -57,10 +57,10 @@ def find_bias_step(
     ----------
     windows : list of WindowFilter
         All windows of the dwell.
-    passages : list of Passage
+    changes : list of WindowChange
         From each window to the next.
     expansions : list of ndarray, shape (c, p)
-        What each column of a window is of the parameters.
+        Each column of a window for a unit of each parameter.
     parameters, covariance : ndarray, shape (p,), (p, p)
         The estimate without a step.
 
@@ -76,14 +76,18 @@ def find_bias_step(
         window, expansion = windows[number], expansions[number]
         epochs = window.epochs_filtered
         tried = _tried(len(epochs.time_s))
-        information, seen = _backward(
+        information, responses = _backward(
             epochs.rows, epochs.gains, epochs.scales, epochs.transition,
             np.ascontiguousarray(epochs.response[:, :, :_GYROS] @ window.C_nb), np.append(tried, -1),
         )  # fmt: skip
-        # What the columns of a window, and the state and biases at its end, say of the parameters and data.
-        into = np.zeros((COLUMNS + size, count + 1))
-        into[:DATA, : expansion.shape[1]], into[DATA, -1], into[COLUMNS:] = expansion, 1.0, later
-        response, to_end = seen[:-1, STATES:] @ into, seen[:-1, STATES:, COLUMNS:]
+        # The columns of a window, and the state and biases at its end, for the parameters and the data.
+        for_parameters = np.zeros((COLUMNS + size, count + 1))
+        for_parameters[:DATA, : expansion.shape[1]], for_parameters[DATA, -1], for_parameters[COLUMNS:] = (
+            expansion,
+            1.0,
+            later,
+        )
+        response, to_end = responses[:-1, STATES:] @ for_parameters, responses[:-1, STATES:, COLUMNS:]
         times.append(epochs.time_s[tried])
         scores.append(response[:, :, -1] - response[:, :, :-1] @ parameters)
         response = response[:, :, :-1]
@@ -94,9 +98,9 @@ def find_bias_step(
         )
         if number:
             back = np.eye(size)
-            back[:STATES] = np.hstack([passages[number - 1].transition, passages[number - 1].by_bias])
-            to_end = seen[-1, :, COLUMNS:]
-            later = back.T @ seen[-1] @ into
+            back[:STATES] = np.hstack([changes[number - 1].transition, changes[number - 1].by_bias])
+            to_end = responses[-1, :, COLUMNS:]
+            later = back.T @ responses[-1] @ for_parameters
             later_information = back.T @ (information[-1] + to_end @ later_information @ to_end.T) @ back
     time_s, score, variance = (np.concatenate(each) for each in (times, scores, variances))
     if not len(time_s):
@@ -128,7 +132,7 @@ def _backward(
     Parameters
     ----------
     rows, gains, scales, transitions : ndarray, shape (n, 3, c), (n, 3, 6), (n, 3), (n, 6, 6)
-        Of the filter.
+        See :class:`gyrobench.bench.bias.window_filter.EpochsFiltered`.
     by_bias : ndarray, shape (n, 6, 3)
         State after each interval for a unit of each gyro's bias.
     saved : ndarray, shape (m,)
@@ -138,19 +142,19 @@ def _backward(
     -------
     information : ndarray, shape (m, 9, 9)
         Fisher information on the state and the biases.
-    seen : ndarray, shape (m, 9, c + 9)
-        Its counterpart for the columns of the window, and the transposed way to the window's end.
+    responses : ndarray, shape (m, 9, c + 9)
+        Information shared with the columns of the window, and the transposed transition to its end.
     """
     size, width = STATES + _GYROS, COLUMNS + STATES + _GYROS
-    info, seen = np.zeros((size, size)), np.zeros((size, width))
+    info, responses = np.zeros((size, size)), np.zeros((size, width))
     for i in range(size):
-        seen[i, COLUMNS + i] = 1.0
-    infos, seens = np.empty((len(saved), size, size)), np.empty((len(saved), size, width))
+        responses[i, COLUMNS + i] = 1.0
+    infos, all_responses = np.empty((len(saved), size, size)), np.empty((len(saved), size, width))
     carried, taken, number = np.empty(size), np.empty(width), 0
     moved, turned = np.empty((STATES, width)), np.empty((STATES, size))
     for k in range(len(rows) - 1, -2, -1):
         if number < len(saved) and saved[number] == k:
-            infos[number], seens[number] = info, seen
+            infos[number], all_responses[number] = info, responses
             number += 1
         if k < 0:
             break
@@ -160,11 +164,11 @@ def _backward(
             taken[:] = 0.0
             for i in range(STATES):
                 for c in range(width):
-                    taken[c] += gain[i] * seen[i, c]
+                    taken[c] += gain[i] * responses[i, c]
             for c in range(width):
-                seen[h, c] -= taken[c]
+                responses[h, c] -= taken[c]
             for c in range(COLUMNS):
-                seen[h, c] += scale * row[c]
+                responses[h, c] += scale * row[c]
             for i in range(size):
                 carried[i] = 0.0
                 for j in range(STATES):
@@ -182,7 +186,7 @@ def _backward(
             for j in range(STATES):
                 factor = response[j, i - STATES]
                 for c in range(width):
-                    seen[i, c] += factor * seen[j, c]
+                    responses[i, c] += factor * responses[j, c]
                 for c in range(size):
                     info[i, c] += factor * info[j, c]
         for i in range(STATES):
@@ -191,10 +195,10 @@ def _backward(
             for j in range(STATES):
                 factor = transition[j, i]
                 for c in range(width):
-                    moved[i, c] += factor * seen[j, c]
+                    moved[i, c] += factor * responses[j, c]
                 for c in range(size):
                     turned[i, c] += factor * info[j, c]
-        seen[:STATES] = moved
+        responses[:STATES] = moved
         info[:STATES] = turned
         for i in range(size):
             for j in range(STATES):
@@ -206,4 +210,4 @@ def _backward(
                     info[i, c] += carried[j] * transition[j, c]
                 for c in range(_GYROS):
                     info[i, STATES + c] += carried[j] * response[j, c]
-    return infos, seens
+    return infos, all_responses

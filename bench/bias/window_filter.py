@@ -45,11 +45,13 @@ class EpochsFiltered:
     """What the filter did at each of the n epochs of a window."""
 
     time_s: FloatArray  #: Shape (n,).
-    #: rows, gains, scales: Shapes (n, 3, c), (n, 3, 6), (n, 3). See :func:`whiten`.
+    #: rows, gains, scales: Shapes (n, 3, c), (n, 3, 6), (n, 3). White rows with unit variance for columns in
+    #: SI; gain of each component of the state for a datum in m/s or rad; inverse standard deviation of each
+    #: innovation, s/m or 1/rad. See :func:`whiten`.
     rows: FloatArray
     gains: FloatArray
     scales: FloatArray
-    #: transition, response: Shapes (n, 6, 6), (n, 6, 5). The interval that leads to each epoch.
+    #: transition, response: Shapes (n, 6, 6), (n, 6, 5). The interval that leads to each epoch, SI.
     transition: FloatArray
     response: FloatArray
 

@@ -68,7 +68,7 @@ class MeasurementSetup:
     def turn(
         self, before: WindowMark, after: WindowMark, navigation: NavigationData, first_frame: int = 0
     ) -> TurnPath:
-        """The way from one window to the next; ``navigation`` begins with frame ``first_frame``."""
+        """Attitude of the table between two windows; ``navigation`` begins with frame ``first_frame``."""
         angles = [(mark.outer_deg, mark.inner_deg) for mark in (before, after)]
         begin = before.end_frame if after.turn_first_frame is None else after.turn_first_frame
         end = after.first_frame if after.turn_end_frame is None else after.turn_end_frame
@@ -218,7 +218,7 @@ def checked_navigation(
 
 
 def dwell_at_rest(marks: DwellMarks, navigation: NavigationData, setup: MeasurementSetup) -> Dwell:
-    """Navigation in the windows of a dwell, with what the table says of them.
+    """Navigation in the windows of a dwell, with the attitude of the table.
 
     Raises MeasurementError if the INS was not navigating all the time, restarted, or what it sent can't be
     used.
@@ -239,7 +239,7 @@ def dwell_at_rest(marks: DwellMarks, navigation: NavigationData, setup: Measurem
 def _doubts(estimate: StateSpaceEstimate) -> list[str]:
     """What contradicts the estimate; noise larger than declared would explain it too."""
     doubts = []
-    if estimate.damping.p_value < _MIN_STEADY_P_VALUE:
+    if estimate.damping.shows(_MIN_STEADY_P_VALUE):
         doubts.append(estimate.damping.text)
     if estimate.fit.p_value < MIN_FIT_P_VALUE:
         doubts.append(lack_of_fit_text(estimate.fit))

@@ -82,7 +82,10 @@ def marks_in(entries: Iterable[Mapping[str, Any]], folder: RunFolder) -> list[Dw
     found: dict[int, DwellMarks] = {}
     for entry in entries:
         if entry.get("event") == "data_given_up":
-            found = {dwell: marks for dwell, marks in found.items() if dwell not in entry["dwells"]}
+            given_up = entry.get("dwells")
+            if not isinstance(given_up, list):
+                raise RunFolderError(f"{folder.journal}: damaged: data_given_up lacks its list of dwells")
+            found = {dwell: marks for dwell, marks in found.items() if dwell not in given_up}
         elif entry.get("event") == "dwell_finished":
             try:
                 marks = DwellMarks.from_json(entry.get("marks", {}))
@@ -146,16 +149,15 @@ def add_dwell(dwells: list[MeasuredDwell], measured: MeasuredDwell) -> None:
     _keep_navigation_of_some(dwells)
 
 
-#: The velocity of an INS is damped where all dwells together give this rate, 1/s, or more, and chance gives
-#: it so rarely.
-_MIN_DAMPING, _MIN_DAMPING_P_VALUE = 0.5 / 3600.0, 1e-5
+#: The velocity of an INS is damped where chance gives the rate of all dwells together so rarely.
+_MIN_DAMPING_P_VALUE = 1e-5
 
 
 def _flag_damping(dwells: list[MeasuredDwell]) -> None:
     """Flag all dwells of an INS that damps its velocity: few dwells show it by themselves."""
     known = [each.estimate.damping for each in dwells if each.estimate and not each.is_disturbed]
     damping = Damping.mean(known) if known else None
-    if damping is None or damping.rate < _MIN_DAMPING or damping.p_value > _MIN_DAMPING_P_VALUE:
+    if damping is None or not damping.shows(_MIN_DAMPING_P_VALUE):
         return
     for index, dwell in enumerate(dwells):
         if dwell.estimate and "damps its velocity" not in dwell.row.flags:

@@ -144,7 +144,7 @@ class LiveBench:
         self._can_log = can_log
         self._telemetry = telemetry
         self._report_failure = report_failure
-        self._watch = InterlockWatch(station, clock)
+        self._watch = InterlockWatch(station, clock, instruments.absent)
         self._failing: list[str] = []
         self._next_reopen_s = 0.0
         self._next_loss_s = 0.0

@@ -3,8 +3,8 @@
 Source: the command list of the F4T's SCPI interface in a chamber maker's manual. Commands have no
 reply, so every setting is read back by the same words with a question mark; it is assumed that this
 works for the ramp settings, the unit and the state of a profile too; an F4T that does not answer those two
-queries is used without them. There are no queries for set point limits and alarms, and none to
-clear them; the error of the control loop can be read.
+queries, each asked up to twice when it is opened, is used without them. There are no queries for set point
+limits and alarms, and none to clear them; the error of the control loop can be read.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class WatlowF4T(TextChamber):
         self._chamber_output = chamber_output
         self._identity = self._word("*IDN?")
         self._command(f"{_UNIT} C")
-        self._unanswered: set[str] = set()
+        self._answered = {name for name in (_UNIT, _PROGRAM) if self._is_answered(name)}
 
     def identify(self) -> str:
         """Reply to ``*IDN?``, and the control loop."""
@@ -110,16 +110,20 @@ class WatlowF4T(TextChamber):
             )
         super()._require_ready()
 
+    def _is_answered(self, name: str) -> bool:
+        """Whether the controller answers a query that not every model answers."""
+        for _ in range(2):  # one reply may be lost
+            try:
+                self._word(f"{name}?")
+            except NoReplyError:
+                self._word("*IDN?")  # raises where nothing at all is answered
+            else:
+                return True
+        return False
+
     def _optional_word(self, name: str) -> str:
-        """Answer to a query that not every model answers; empty without one."""
-        if name in self._unanswered:
-            return ""
-        try:
-            return self._word(f"{name}?")
-        except NoReplyError:
-            self._word("*IDN?")  # raises where nothing at all is answered
-            self._unanswered.add(name)
-            return ""
+        """Answer to such a query; empty where the controller has none."""
+        return self._word(f"{name}?") if name in self._answered else ""
 
     def _has_error(self) -> bool:
         return self._choice(self.prefix + "ERROR?", _ERRORS)

@@ -69,6 +69,15 @@ def test_finds_the_level_accelerometers_and_leaves_the_vertical_one_to_the_prior
     assert found.accelerometer_sigma[1] == pytest.approx(DEFAULT.accelerometer_bias, rel=1e-4)
 
 
+@pytest.mark.parametrize("position", POSITIONS)
+def test_a_bias_that_turns_the_heading_by_degrees_leaves_the_others_alone(position):
+    """0.5 deg/h East turns a gyrocompass by 2 deg, and takes 0.01 deg/h from the Earth's rate in its axes."""
+    bias_dph = np.array([0.5, -0.5, 0.5])
+    found = estimate(emulate(position, sensors(bias_dph, ACCELEROMETER_UG), noise=NOISE, outer_level=True))
+    assert np.abs((found.bias_dph - bias_dph) / found.sigma_dph).max() < 0.9
+    assert found.fit.ratio < 0.25
+
+
 @pytest.mark.parametrize("heading_deg", [0.05, 0.5, -1.0])
 def test_an_ins_that_started_with_a_wrong_heading_does_not_matter(heading_deg):
     change = disturbances.heading_error("z_up", heading_deg)

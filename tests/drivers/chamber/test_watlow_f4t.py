@@ -20,6 +20,10 @@ from tests.drivers.conftest import ChamberBench, Scripted, any_rig
 LOOP = b":SOURCE:CLOOP1:"
 
 
+#: Replies to what the driver sends when it is opened.
+OPENED = (b"F4T\n", b"", b"C\n", b"IDLE\n")
+
+
 class Bench(ChamberBench):
     emulator, driver_of = WatlowF4TEmulator, WatlowF4T
 
@@ -35,7 +39,9 @@ def bench(request, make_bench):
 
 
 def test_it_is_identified_and_set_to_degrees_celsius(bench):
-    assert bench.requests_of(bench.driver) == [b"*IDN?\n", b":UNIT:TEMPERATURE C\n"]
+    assert bench.requests_of(bench.driver) == [
+        b"*IDN?\n", b":UNIT:TEMPERATURE C\n", b":UNIT:TEMPERATURE?\n", b":PROGRAM:SELECTED:STATE?\n",
+    ]  # fmt: skip
     assert "F4T" in bench.driver().identify()
     assert bench.driver().identify().endswith("control loop 1")
 
@@ -155,25 +161,23 @@ def test_numbers_that_can_not_be_commanded_are_not_sent(bench, temperature_c, ra
 
 
 def test_another_loop_has_separate_commands(rig):
-    line, heard = rig.line("chamber", Scripted(b"WATLOW,F4T\n", b"", b"25.0\n"))
+    line, heard = rig.line("chamber", Scripted(*OPENED, b"25.0\n"))
     assert WatlowF4T(line, loop=2).set_point_c() == 25.0
     assert heard.requests[-1] == b":SOURCE:CLOOP2:SPOINT?\n"
 
 
 @pytest.mark.parametrize(("state", "is_on"), [(b"ON", True), (b"off", False), (b"1", True), (b"0", False)])
 def test_a_state_is_a_word_or_a_number(rig, state, is_on):
-    line, _ = rig.line("chamber", Scripted(b"F4T\n", b"", state + b"\r\n"))
+    line, _ = rig.line("chamber", Scripted(*OPENED, state + b"\r\n"))
     assert WatlowF4T(line).is_event_on(1) is is_on
 
 
 def test_a_word_may_come_back_short(rig):
-    line, _ = rig.line("chamber", Scripted(b"F4T\n", b"", b"C\n", b"IDLE\n", b"", b"OFF\n", b"", b"25.0\n"))
+    line, _ = rig.line("chamber", Scripted(*OPENED, b"C\n", b"IDLE\n", b"", b"OFF\n", b"", b"25.0\n"))
     WatlowF4T(line).set_temperature(25.0, None)
     line, _ = rig.line(
         "chamber",
-        Scripted(
-            b"F4T\n", b"", b"C\n", b"IDLE\n", b"", b"5.0\n", b"", b"MIN\n", b"", b"SETP\n", b"", b"25.0\n"
-        ),
+        Scripted(*OPENED, b"C\n", b"IDLE\n", b"", b"5.0\n", b"", b"MIN\n", b"", b"SETP\n", b"", b"25.0\n"),
     )
     WatlowF4T(line).set_temperature(25.0, 5.0)
 
@@ -187,14 +191,14 @@ def test_a_word_may_come_back_short(rig):
     ],
 )
 def test_an_unexpected_reply_is_an_error(rig, reply, error, message):
-    line, _ = rig.line("chamber", Scripted(b"F4T\n", b"", reply))
+    line, _ = rig.line("chamber", Scripted(*OPENED, reply))
     with pytest.raises(error, match=message):
         WatlowF4T(line).read()
 
 
 @given(replies=st.lists(st.binary(max_size=12) | st.sampled_from([b"NONE\n", b"22.0\n", b"ON\n", b"nan\n"])))
 def test_any_reply_gives_a_value_or_an_instrument_error(replies):
-    line, _ = any_rig().line("chamber", Scripted(b"F4T\n", b"", *replies))
+    line, _ = any_rig().line("chamber", Scripted(*OPENED, *replies))
     chamber = WatlowF4T(line)
     for action in (
         chamber.read,
@@ -236,9 +240,23 @@ def test_a_profile_is_refused_or_ended(make_bench, end):
 
 
 def test_a_controller_without_queries_for_unit_and_profile_is_used_without_them(rig):
-    replies = [b"F4T\n", b"", b"", b"F4T\n", b"", b"F4T\n", b"", b"OFF\n", b"", b"25.0\n"]
-    line, heard = rig.line("chamber", Scripted(*replies))
+    without = [b"", b"F4T\n"] * 4
+    line, heard = rig.line("chamber", Scripted(b"F4T\n", b"", *without, b"", b"OFF\n", b"", b"25.0\n"))
     chamber = WatlowF4T(line)
     chamber.set_temperature(25.0, None)
     assert chamber.running_profile() == ""
     assert heard.requests[-1] == LOOP + b"SPOINT?\n"
+
+
+def test_one_lost_reply_disables_neither_check_of_unit_nor_of_profile(rig):
+    lost = [b"", b"F4T\n"]
+    opened = [b"F4T\n", b"", *lost, b"C\n", *lost, b"IDLE\n"]
+    line, _ = rig.line("chamber", Scripted(*opened, b"", b"F\n", b"", b"OFF\n", b"", b"RUN\n"))
+    chamber = WatlowF4T(line)
+    with pytest.raises(NoReplyError):
+        chamber.set_temperature(25.0, None)
+    with pytest.raises(RefusedError, match="its unit was changed"):
+        chamber.set_temperature(25.0, None)
+    with pytest.raises(NoReplyError):
+        chamber.running_profile()
+    assert chamber.running_profile() == "a profile (its state is RUN)"
