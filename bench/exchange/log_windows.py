@@ -309,7 +309,8 @@ def max_consecutive(same: BoolArray) -> int:
 
 
 def _window_index(time_s: FloatArray, window_s: float, skip_s: float) -> NDArray[np.intp]:
-    return np.asarray((time_s - skip_s) // window_s, dtype=np.intp)
+    # A sample at the edge belongs to the later window, also where its time was rounded to microseconds.
+    return np.asarray((time_s - skip_s + 1e-6) // window_s, dtype=np.intp)
 
 
 def _parts(samples: Samples, index: NDArray[np.intp], begin: int, end: int) -> Iterator[Samples]:
