@@ -82,7 +82,10 @@ def marks_in(entries: Iterable[Mapping[str, Any]], folder: RunFolder) -> list[Dw
     found: dict[int, DwellMarks] = {}
     for entry in entries:
         if entry.get("event") == "data_given_up":
-            found = {dwell: marks for dwell, marks in found.items() if dwell not in entry["dwells"]}
+            given_up = entry.get("dwells")
+            if not isinstance(given_up, list):
+                raise RunFolderError(f"{folder.journal}: damaged: data_given_up lacks its list of dwells")
+            found = {dwell: marks for dwell, marks in found.items() if dwell not in given_up}
         elif entry.get("event") == "dwell_finished":
             try:
                 marks = DwellMarks.from_json(entry.get("marks", {}))

@@ -7,15 +7,16 @@ they held is measured again. The damaged files stay in the run folder under othe
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from gyrobench.bench.dwells.marks import DwellMarks
 from gyrobench.bench.dwells.run_dwells import marks_in, read_frames
+from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.foundations.files import cant_be_written, read_limited, write_whole
+from gyrobench.bench.foundations.files import cant_be_written, read_limited, sync_folder, write_whole
 from gyrobench.bench.foundations.text import counted, listed
 from gyrobench.bench.runs.folder import RunFolder, part_path
 from gyrobench.bench.runs.journal import MAX_JOURNAL_BYTES, Journal, intact_lines
@@ -48,14 +49,16 @@ class Damage:
             f"Restore the files from a copy, or resume with --give-up-damaged{again}.",
         ]
 
-    def put_aside(self, folder: RunFolder) -> None:
-        """Rename the damaged files; the journal keeps its intact lines, provenance is written again.
+    def give_up(self, folder: RunFolder, clock: Callable[[], Clock]) -> None:
+        """Rename the damaged files and record what was given up; provenance is written again.
 
-        Raises RunFolderError if a file can't be written.
+        The journal keeps its intact lines. Each damage is found again until it is recorded. ``clock`` gives
+        the run's clock, which is read from its intact files. Raises RunFolderError if a file can't be
+        written.
         """
         lines, _ = intact_lines(_content(folder))
         for path in self.files:
-            aside = path.with_name(path.name + _SUFFIX)
+            aside = _free_name(path)
             try:
                 if path == folder.journal:
                     write_whole(aside, path.read_bytes())
@@ -63,19 +66,28 @@ class Damage:
                     path.replace(aside)
             except OSError as error:
                 raise cant_be_written(path, error) from error
-        if folder.journal in self.files:
-            write_whole(folder.journal, b"".join(line + b"\n" for line in lines if _has_sound_marks(line)))
         if self.is_provenance_lost:
             entries = [json.loads(line) for line in lines]
             started, options = start_of(folder, entries)
             write_provenance(folder, started, {}, options)
+        if folder.journal not in self.files:
+            self._record(folder.journal, clock())
+            return
+        whole = folder.journal.with_name(folder.journal.name + ".whole")
+        write_whole(whole, b"".join(line + b"\n" for line in lines if _is_sound(line)))
+        self._record(whole, clock())
+        try:
+            whole.replace(folder.journal)
+            sync_folder(folder.path)
+        except OSError as error:
+            raise cant_be_written(folder.journal, error) from error
 
-    def record(self, journal: Journal) -> None:
-        """Record what was given up."""
-        names = [path.name for path in self.files]
-        journal.record("data_given_up", files=names, lines=self.lines, dwells=list(self.dwells))
+    def _record(self, path: Path, clock: Clock) -> None:
+        names = [each.name for each in self.files]
         again = f"; measured again: dwell {listed(list(map(str, self.dwells)))}" if self.dwells else ""
-        journal.record("note", text=f"damaged files were given up: {listed(names)}{again}")
+        with Journal(path, clock) as journal:
+            journal.record("data_given_up", files=names, lines=self.lines, dwells=list(self.dwells))
+            journal.record("note", text=f"damaged files were given up: {listed(names)}{again}")
 
 
 def find_damage(folder: RunFolder, is_log_read: bool = True) -> tuple[Damage, list[dict[str, Any]]]:
@@ -86,7 +98,7 @@ def find_damage(folder: RunFolder, is_log_read: bool = True) -> tuple[Damage, li
     """
     files: dict[Path, str] = {}
     lines, damaged_lines = intact_lines(_content(folder))
-    sound = [line for line in lines if _has_sound_marks(line)]
+    sound = [line for line in lines if _is_sound(line)]
     damaged_lines += len(lines) - len(sound)
     entries = [json.loads(line) for line in sound]
     if damaged_lines:
@@ -115,9 +127,20 @@ def _content(folder: RunFolder) -> bytes:
     return read_limited(folder.journal, MAX_JOURNAL_BYTES, RunFolderError)
 
 
-def _has_sound_marks(line: bytes) -> bool:
-    """Whether a line of the journal is not the end of a dwell with damaged marks."""
+def _free_name(path: Path) -> Path:
+    """Name for a copy of a damaged file, which no earlier copy has."""
+    aside, number = path.with_name(path.name + _SUFFIX), 1
+    while aside.exists():
+        number += 1
+        aside = path.with_name(f"{path.name}{_SUFFIX}-{number}")
+    return aside
+
+
+def _is_sound(line: bytes) -> bool:
+    """Whether a line of the journal has what finished dwells and dwells that were given up need."""
     entry = json.loads(line)
+    if entry.get("event") == "data_given_up":
+        return isinstance(entry.get("dwells"), list) and isinstance(entry.get("lines"), int)
     if entry.get("event") != "dwell_finished":
         return True
     try:

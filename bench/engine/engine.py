@@ -28,12 +28,13 @@ from gyrobench.bench.procedure.plan import PlannedStep, turns_after
 from gyrobench.bench.procedure.steps import Align, GoTo, PowerOn
 from gyrobench.bench.runs.provenance import add_identity
 from gyrobench.bench.station.interlocks import PassingRule
-from gyrobench.bench.station.safe_state import SafeAction, finish_ramp
+from gyrobench.bench.station.safe_state import RAMP_PERIOD_S, SafeAction, SafePart, finish_ramp
 
 #: A dwell that was repeated so often is tried with the INS switched off and on.
 _REPEATS_UNTIL_POWER_CYCLE = 2
 #: After these trips the INS may have been off, regardless of what it reports.
 _INS_TRIPS = {"ins_silence", "ins_fault"}
+_RAMP_NOTE = "The chamber's set point is moved to its safe value; abort ends that."
 
 
 class Engine:
@@ -354,20 +355,9 @@ class Engine:
             if action.problem:
                 self._run.observers.noted(action.text)
 
-    def _aborted_by(self) -> str:
-        try:
-            self._heartbeat.command()
-        except RunStoppedError as error:
-            return str(error)
-        return ""
-
     def _end(self) -> None:
         outcome, journal = self._run.outcome, self._run.journal
-        beat = self._heartbeat.signal_guard
-        outcome.safe_state = self._bench.make_safe(meanwhile=beat)
-        if self._bench.instruments.is_ramping:
-            self._run.observers.noted("The chamber's set point is moved to its safe value; abort ends that.")
-            outcome.safe_state += finish_ramp(self._bench.instruments, beat, self._aborted_by)
+        self._leave_safe({trip.name for trip in self._bench.trips()})
         if not outcome.is_safe:
             outcome.fail("the bench could not be brought to its safe state")
         try:
@@ -381,3 +371,40 @@ class Engine:
         except RunFolderError as error:
             outcome.fail(str(error))
         self._run.observers.ended(outcome)
+
+    def _leave_safe(self, known: set[str]) -> None:
+        """Make the bench safe, again for each trip that is not ``known``; ticks continue in a ramp."""
+        bench, outcome, beat = self._bench, self._run.outcome, self._heartbeat.signal_guard
+        outcome.safe_state = bench.make_safe(meanwhile=beat)
+        ramp = finish_ramp(bench.station, bench.instruments, outcome.safe_state, beat)
+        for first, actions in enumerate(ramp):
+            if not first:
+                self._report_safe(outcome.safe_state)
+                self._run.observers.noted(_RAMP_NOTE)
+                bench.capture = None
+            taken = {action.what: action for action in (*outcome.safe_state, *actions)}
+            outcome.safe_state = list(taken.values())
+            bench.state.made_safe(each for each in actions if each.part is not SafePart.CHAMBER)
+            if by := self._tick_in_ramp():
+                self._run.observers.noted(by)
+                return
+            new = [trip for trip in bench.trips() if trip.name not in known]
+            if new:
+                names, why = [trip.name for trip in new], text_of_trips(new)
+                self._run.journal.record("tripped", interlocks=names, why=why)
+                self._run.observers.noted(why)
+                self._leave_safe({*known, *names})
+                return
+
+    def _tick_in_ramp(self) -> str:
+        """Let a tick pass, and return who ends the ramp; nothing that fails in the tick does."""
+        try:
+            self._heartbeat.beat()
+            self._heartbeat.command()
+        except RunStoppedError as error:
+            return str(error)
+        except Exception as error:  # noqa: BLE001 - as a full disk
+            self._run.outcome.fail(f"in the safe state's ramp: {error}")
+            self._heartbeat.signal_guard()
+            self._bench.clock.sleep(RAMP_PERIOD_S)
+        return ""

@@ -144,7 +144,7 @@ class LiveBench:
         self._can_log = can_log
         self._telemetry = telemetry
         self._report_failure = report_failure
-        self._watch = InterlockWatch(station, clock)
+        self._watch = InterlockWatch(station, clock, instruments.absent)
         self._failing: list[str] = []
         self._next_reopen_s = 0.0
         self._next_loss_s = 0.0
@@ -191,6 +191,8 @@ class LiveBench:
         while (now_s := self.clock.now()) < next_tick_s:
             self.clock.sleep_until(min(next_tick_s, now_s + self.station.file.poll_period_s))
             self.poll_ins()
+        if self._can_log:
+            self._can_log.write_waiting(now_s)
         if self.instruments.is_ramping and "chamber" not in self._failing:
             self._asked("chamber", self.instruments.advance_ramp)
         self.lateness.add(next_tick_s, now_s, tick_s)

@@ -16,7 +16,7 @@ from gyrobench.bench.foundations.text import hours_minutes, listed
 from gyrobench.bench.procedure.approach import end_of_dwell
 from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
-from gyrobench.bench.runs.journal import MAX_RUN_S, Journal
+from gyrobench.bench.runs.journal import MAX_RUN_S
 from gyrobench.bench.runs.provenance import start_of, started_utc
 from gyrobench.bench.runs.telemetry import last_reading_s
 from gyrobench.bench.station.instruments import Outputs
@@ -309,9 +309,7 @@ def give_up_damage(resumption: Resumption) -> None:
     folder = resumption.folder
     with RunLock(folder.path, VirtualClock()):
         resumption.check_unchanged()
-        resumption.damage.put_aside(folder)
-        with Journal(folder.journal, resumption.clock()) as journal:
-            resumption.damage.record(journal)
+        resumption.damage.give_up(folder, resumption.clock)
 
 
 def _known_lost(entries: Sequence[Mapping[str, Any]]) -> set[int]:

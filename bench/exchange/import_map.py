@@ -327,5 +327,8 @@ def load_log_map(path: Path) -> LogMap:
     name = log_map.signals.dbc
     found = next((folder / name for folder in (path.parent, _SHIPPED_DBC) if (folder / name).is_file()), None)
     if found is None:
-        raise DocumentError(f"{path}: DBC file {name!r}: neither beside the import map nor shipped")
+        raise DocumentError(
+            f"{path}: DBC file {name!r}: neither beside the import map nor shipped. Copy it there, or "
+            "correct its name."
+        )
     return log_map.model_copy(update={"signals": log_map.signals.model_copy(update={"dbc": str(found)})})

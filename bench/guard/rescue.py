@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import asdict
 from pathlib import Path
@@ -18,7 +19,7 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal, facts_of, read_journal
 from gyrobench.bench.station.instruments import Outputs
 from gyrobench.bench.station.locks import GUARD_COMMAND, BenchLock, Holder, bench_holders
-from gyrobench.bench.station.safe_state import SafeAction, finish_ramp, make_safe
+from gyrobench.bench.station.safe_state import RAMP_PERIOD_S, SafeAction, finish_ramp, make_safe
 from gyrobench.bench.station.station import Station
 
 #: Pauses between attempts, s: a quarter of an hour in all.
@@ -62,24 +63,27 @@ class Rescue:
         for pause_s in PAUSES_S:
             self._clock.sleep(pause_s)
             try:
-                with self._lock():
-                    actions = self._make_safe(left)
-                    if left is None or not all(action.problem for action in actions):
-                        self._record(end, actions)
+                with self._lock(), Outputs(self._station, self._clock) as outputs:
+                    taken: dict[str, SafeAction] = {}
+                    for actions in self._made_safe(outputs, left):
+                        is_first = left is None
+                        if is_first or not all(action.problem for action in actions):
+                            self._record(end, actions)
+                        taken |= {action.what: action for action in actions}
+                        left = [action.what for action in taken.values() if action.problem]
+                        if is_first and left:
+                            problems = "; ".join(
+                                f"{action.what}: {action.problem}" for action in actions if action.problem
+                            )
+                            bench = f"The bench is NOT in its safe state yet: {problems}"
+                            self._send_alarm(messenger, end, bench)
             except BenchInUseError as error:
                 self._log.add(f"ends without acting: {error}")
                 return
-            is_first = left is None
-            left = [action.what for action in actions if action.problem]
             if not left:
                 self._log.add("the bench is in its safe state")
                 self._send_alarm(messenger, end, "The bench is in its safe state.")
                 return
-            if is_first:
-                problems = "; ".join(
-                    f"{action.what}: {action.problem}" for action in actions if action.problem
-                )
-                self._send_alarm(messenger, end, f"The bench is NOT in its safe state yet: {problems}")
         gives_up = "gives up: the bench is NOT in its safe state. Check table and chamber."
         self._log.add(gives_up)
         self._send_alarm(messenger, end, f"The guard {gives_up}")
@@ -119,10 +123,21 @@ class Rescue:
         holders: list[Holder] = bench_holders(self._station)
         return not holders or any(holder in self._engine_holders for holder in holders)
 
-    def _make_safe(self, only: list[str] | None) -> list[SafeAction]:
-        with Outputs(self._station, self._clock) as outputs:
-            actions = make_safe(self._station, outputs, only=only)
-            actions += finish_ramp(outputs)
+    def _made_safe(self, outputs: Outputs, only: list[str] | None) -> Iterator[list[SafeAction]]:
+        """Make the bench safe, and yield what was done or failed; what a ramp adds, once that is known."""
+        actions = make_safe(self._station, outputs, only=only)
+        known = {action.what: action for action in actions}
+        ramp = finish_ramp(self._station, outputs, actions)
+        known |= {action.what: action for action in next(ramp, [])}
+        yield self._logged(list(known.values()))
+        for taken in ramp:
+            new = [action for action in taken if known.get(action.what) != action]
+            known |= {action.what: action for action in new}
+            if new:
+                yield self._logged(new)
+            self._clock.sleep(RAMP_PERIOD_S)
+
+    def _logged(self, actions: list[SafeAction]) -> list[SafeAction]:
         for action in actions:
             self._log.add(f"{action.what}: {action.problem or 'done'}")
         return actions

@@ -154,7 +154,7 @@ class _Session:
         actions = [action for action in actions if action.instrument not in absent]
         if self._control.bench.instruments.is_ramping:
             self._display.print("The chamber's set point is moved to its safe value; Ctrl-C ends that.")
-            actions += self._control.finish_ramp()
+            actions = self._control.finish_ramp(actions)
         for action in actions:
             self._display.print(action.text)
         return not any(action.problem for action in actions)

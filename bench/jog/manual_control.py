@@ -12,7 +12,7 @@ from gyrobench.bench.foundations.errors import FaultError, GyrobenchError, Instr
 from gyrobench.bench.jog.manual_limits import AXES, ManualLimits
 from gyrobench.bench.jog.readings import mode_words, watch_line
 from gyrobench.bench.jog.terminal import CommandError, Display, Interruptions
-from gyrobench.bench.station.safe_state import SafeAction, finish_ramp
+from gyrobench.bench.station.safe_state import RAMP_PERIOD_S, SafeAction, finish_ramp
 from gyrobench.drivers.ins.readout import InsMode
 
 #: Rate of a move without a given rate, deg/s, where the limits allow it.
@@ -252,17 +252,18 @@ class ManualControl:
         self._turning.clear()
         return self.bench.make_safe(meanwhile=self._beat_guard)
 
-    def finish_ramp(self) -> list[SafeAction]:
-        """Wait until the chamber's set point has its safe value or a signal comes."""
-
-        def stopped() -> str:
+    def finish_ramp(self, actions: list[SafeAction]) -> list[SafeAction]:
+        """Wait until the set point has its safe value, or a signal; returns what came of the actions."""
+        taken = {action.what: action for action in actions}
+        for since in finish_ramp(self.bench.station, self.bench.instruments, actions, self._beat_guard):
+            taken |= {action.what: action for action in since}
+            self._beat()
             try:
                 self._interruptions.check()
-            except GyrobenchError as error:
-                return str(error)
-            return ""
-
-        return finish_ramp(self.bench.instruments, self._beat_guard, stopped)
+            except GyrobenchError:
+                break
+            self.bench.clock.sleep(RAMP_PERIOD_S)
+        return list(taken.values())
 
     def _await_position(self, angles_deg: Mapping[str, float], rate_dps: float) -> None:
         self.bench.read_instruments()

@@ -59,6 +59,14 @@ class CanLog:
         except OSError as error:
             raise self._abandon(self._part, error) from error
 
+    def write_waiting(self, now_s: float) -> None:
+        """Write frames that no others have followed for some seconds by the clock of the run."""
+        if self._part is not None:
+            try:
+                self._part.write_waiting(now_s)
+            except OSError as error:
+                raise self._abandon(self._part, error) from error
+
     def sync(self) -> None:
         """Bring all frames so far to the disk; the part continues."""
         if self._part is not None:
@@ -91,6 +99,7 @@ class _OpenPart:
         self._pending: list[FrameBlock] = []
         self._count = 0
         self._since_s = 0.0
+        self._noticed_s: float | None = None  # when the pending frames were first found, by the run's clock
 
     def write(self, block: FrameBlock) -> None:
         if not len(block):
@@ -105,7 +114,13 @@ class _OpenPart:
 
     def _flush(self) -> None:
         self._writer.write(concatenate(self._pending))
-        self._pending, self._count = [], 0
+        self._pending, self._count, self._noticed_s = [], 0, None
+
+    def write_waiting(self, now_s: float) -> None:
+        if self._noticed_s is None:
+            self._noticed_s = now_s if self._pending else None
+        elif now_s - self._noticed_s >= _SECONDS_AT_ONCE:
+            self._flush()
 
     def sync(self) -> None:
         self._flush()

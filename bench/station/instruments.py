@@ -286,7 +286,9 @@ class _Absent:
 
     def __getattr__(self, name: str) -> Callable[..., Any]:
         def refuse(*_: object, **__: object) -> None:
-            raise RefusedError(self._instrument, "did not answer when the bench was opened")
+            raise RefusedError(
+                self._instrument, "did not answer when the bench was opened. Start jog again once it answers."
+            )
 
         return refuse
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -16,9 +16,14 @@ from gyrobench.drivers.chamber import Chamber
 _EXCHANGE_TIME_S = 20.0
 _RELEASE_TIME_S = 60.0
 
-
-#: Period of readings while the chamber's set point is moved to its safe value.
-_RAMP_PERIOD_S = 1.0
+#: Period at which the chamber's set point is moved to its safe value, s.
+RAMP_PERIOD_S = 1.0
+#: Meanwhile, period at which an action that failed is repeated.
+_REPEAT_PERIOD_S = 5.0
+#: A chamber that does not answer for longer has failed.
+_SILENCE_S = 60.0
+#: A set point so close is the safe value: controllers may have whole degrees.
+_RESOLUTION_C = 0.6
 
 
 class SafePart(StrEnum):
@@ -78,25 +83,46 @@ def make_safe(
 
 
 def finish_ramp(
+    station: Station,
     instruments: Outputs,
+    actions: Iterable[SafeAction],
     meanwhile: Callable[[], object] = lambda: None,
-    stopped: Callable[[], str] = lambda: "",
-) -> list[SafeAction]:
+) -> Iterator[list[SafeAction]]:
     """Move the chamber's set point to its safe value where its controller does not ramp; may take an hour.
 
-    One action, or none where nothing is left to do. ``meanwhile`` is called repeatedly; ``stopped`` returns
-    who ends it before that, empty for no one.
+    Yields the actions that were taken since, with ``RAMP_PERIOD_S`` to be waited at each yield: that of the
+    set point, which counts as failed until the ramp has ended well, and ``actions`` that had failed, which
+    are repeated. Yields nothing where there is no ramp. ``meanwhile`` is called during an exchange that takes
+    long.
     """
-    action = SafeAction("chamber's set point moved to its safe value", SafePart.CHAMBER)
-    step = _Step(action, _EXCHANGE_TIME_S, instruments.advance_ramp)
-    taken: list[SafeAction] = []
-    while instruments.is_ramping and not any(each.problem for each in taken):
-        taken = [_taken(step, instruments, meanwhile)]
-        if by := stopped():
-            taken = [replace(action, problem=by)]
-        meanwhile()  # quick exchanges leave no wait in which it would be called
-        instruments.clock.sleep(_RAMP_PERIOD_S)
-    return taken
+    if not instruments.is_ramping:
+        return
+    clock, safe_c = instruments.clock, station.file.safe_state.chamber_c
+    failed = [action.what for action in actions if action.problem and action.part is not SafePart.CHAMBER]
+    steps = _steps(station, instruments, release_table=False)
+    (chamber,) = (step for step in steps if step.action.part is SafePart.CHAMBER)
+
+    def check_end() -> None:
+        held_c = instruments.chamber.set_point_c()
+        if safe_c is None or abs(held_c - safe_c) > _RESOLUTION_C:
+            raise RefusedError(CHAMBER, f"its set point is {held_c:g} degC instead. Check its panel.")
+
+    moved, repeated = chamber.action, list[SafeAction]()
+    answered_s = repeated_s = clock.now()
+    while instruments.is_ramping and clock.now() - answered_s < _SILENCE_S:
+        yield [replace(moved, problem=moved.problem or "is still on its way there"), *repeated]
+        moved, repeated = _taken(replace(chamber, apply=instruments.advance_ramp), instruments, meanwhile), []
+        if not moved.problem:
+            answered_s = clock.now()
+        if failed and clock.now() - repeated_s >= _REPEAT_PERIOD_S:
+            repeated = make_safe(station, instruments, only=failed, meanwhile=meanwhile)
+            failed = [action.what for action in repeated if action.problem]
+            repeated_s = clock.now()
+    if not moved.problem:
+        ended = _taken(replace(chamber, apply=check_end), instruments, meanwhile)
+        # A ramp that was refused has no second attempt, and its reason says more.
+        moved = replace(ended, problem=ended.problem and (moved.first_problem or ended.problem))
+    yield [moved, *repeated]
 
 
 def _steps(station: Station, instruments: Outputs, release_table: bool) -> list[_Step]:

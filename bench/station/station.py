@@ -74,7 +74,10 @@ class Station:
         for folder in (self.path.parent, Path(ins.__file__).parent):
             if (folder / name).is_file():
                 return folder / name
-        raise DocumentError(f"DBC file {name!r}: neither beside the station file nor shipped")
+        raise DocumentError(
+            f"DBC file {name!r}: neither beside the station file nor shipped. "
+            "Copy it there, or correct its name."
+        )
 
     def check_dbc(self) -> None:
         """Check signals and commands of the INS against the DBC file; a DocumentError lists all problems."""

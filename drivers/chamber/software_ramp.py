@@ -95,7 +95,10 @@ class SoftwareRamp:
             return
         try:
             if ramp.held_c not in (None, held_c := self._chamber.set_point_c()):
-                raise self._refused(f"its set point was changed from {ramp.held_c} to {held_c} °C in a ramp")
+                raise self._refused(
+                    f"its set point was changed from {ramp.held_c} to {held_c} °C in a ramp, which "
+                    "ends there. Leave its panel alone, and command the temperature again"
+                )
             # Unknown until it is read back: a reply may be lost although the command was executed.
             ramp.held_c, ramp.moved_s = None, now_s
             ramp.at_c = ramp.target_c if is_last else ramp.at_c + math.copysign(step_c, way_c)

@@ -17,7 +17,7 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from inspect import signature
+from inspect import Parameter, signature
 from pathlib import Path
 from urllib.parse import parse_qsl, urlsplit
 
@@ -124,12 +124,14 @@ class EmulatedBench:
     def _chamber(self, dialect: str, options: Mapping[str, str]) -> SerialInstrument:
         make = load(EMULATORS, dialect, ChamberEmulation).make
         parameters = signature(make, eval_str=True).parameters
+        known = [name for name, each in parameters.items() if each.kind is Parameter.KEYWORD_ONLY]
         given = {}
         for key, text in options.items():
             try:
                 given[key] = TypeAdapter(parameters[key].annotation).validate_python(text)
             except (KeyError, ValidationError) as error:
-                why = error.errors()[0]["msg"] if isinstance(error, ValidationError) else "no such option"
+                unknown = f"no such option; there are {', '.join(known)}"
+                why = error.errors()[0]["msg"] if isinstance(error, ValidationError) else unknown
                 raise DocumentError(f"emulated chamber {dialect}: {key}={text}: {why}") from error
         return make(self.world.air, self._chamber_event, **given)
 

@@ -21,6 +21,8 @@ from gyrobench.drivers.ins.signal_map import BoundSignal, SignalMap
 STALE_S = 5.0
 #: Time for which frames are kept: a status may be asked for its values that much later.
 _KEPT_S = 30.0
+#: Frames of a block in which all identifiers are looked up at once; in the others, one by one.
+_LAST_FRAMES = 64
 
 _NOW = np.zeros(1, np.int64)
 
@@ -36,9 +38,19 @@ class _Arrival:
         self.found: dict[int, tuple[Any, ...] | None] = {}
 
     @cached_property
-    def last_rows(self) -> dict[int, int]:
-        """Last row of each identifier."""
-        return {each: index for index, each in enumerate(self.block.arbitration_id.tolist())}
+    def _last_rows(self) -> dict[int, int]:
+        """Last row of each identifier among the last frames, which have most messages."""
+        first = max(len(self.block) - _LAST_FRAMES, 0)
+        last = self.block.arbitration_id[first:].tolist()
+        return {each: index for index, each in enumerate(last, start=first)}
+
+    def last_row(self, arbitration_id: int) -> int | None:
+        """Last row of an identifier; None if it is not in the block."""
+        row = self._last_rows.get(arbitration_id)
+        if row is None and len(self.block) > _LAST_FRAMES:
+            rows = np.flatnonzero(self.block.arbitration_id == arbitration_id)
+            row = rows.item(-1) if len(rows) else None
+        return row
 
     def newest(self, arbitration_id: int) -> tuple[Any, ...] | None:
         passed: list[_Arrival] = []
@@ -46,7 +58,7 @@ class _Arrival:
         row = None
         while arrival is not None and arbitration_id not in arrival.found:
             passed.append(arrival)
-            index = arrival.last_rows.get(arbitration_id)
+            index = arrival.last_row(arbitration_id)
             if index is not None:
                 row = arrival.block.rows[index].item()
                 break

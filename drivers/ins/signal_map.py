@@ -422,19 +422,29 @@ def _bind(signal_map: SignalMap, codec: DbcCodec) -> tuple[dict[str, BoundSignal
     return bound, problems
 
 
-#: One sensor may stand for all gyros, and one status signal for several states; nothing else is shared.
-_SHARED = ("gyro_optics_temperature", "gyro_electronics_temperature", "mode", "alignment", "identity")
+#: One status signal may stand for several states.
+_SHARED = ("mode", "alignment", "identity")
 
 
 def _two_roles(signal_map: SignalMap) -> list[Problem]:
-    """Measured quantities that name a signal which has another role already."""
-    roles: dict[str, str] = {}
+    """Measured quantities that name a signal, or bits of one, which have another role already."""
+    quantities = signal_map.quantities()
+    sensors: dict[str, set[str]] = {}
+    for path, quantity in quantities.items():
+        if quantity.dimension is Dimension.TEMPERATURE:
+            sensors.setdefault(path.partition(".")[0], set()).add(quantity.source.signal)
+    taken: dict[str, list[tuple[int, float, str]]] = {}
     problems = []
-    for path, quantity in signal_map.quantities().items():
+    for path, quantity in quantities.items():
         role = path.partition(".")[0]
-        role = role if role in _SHARED else path
-        signal = f"{quantity.source.signal}{quantity.source.bits or ''}"
-        first = roles.setdefault(signal, role)
+        if role in sensors:  # one sensor of a whole group may stand for other temperatures too
+            role = "temperature" if len(sensors[role]) == 1 else role
+        elif role not in _SHARED:
+            role = path
+        low, high = quantity.source.bits or (0, math.inf)
+        before = taken.setdefault(quantity.source.signal, [])
+        first = next((each for a, b, each in before if each != role and a <= high and low <= b), role)
+        before.append((low, high, role))
         is_measured = quantity.dimension is not Dimension.NUMBER or path.startswith("attitude.quaternion.")
         if first != role and is_measured:
             problems.append(

@@ -130,10 +130,11 @@ def test_jog_works_with_the_instruments_that_answer(tmp_path):
     moved = gyrobench("jog", "mine.yaml", "servo on", "table inner 5 at 1", "show", cwd=tmp_path)
     assert moved.returncode == 0, moved.stdout
     assert "Left out: chamber" in moved.stdout
+    assert "Interlock chamber" not in moved.stdout
     assert "inner 5.0" in moved.stdout
     assert "rate table stopped" in moved.stdout
     refused = gyrobench("jog", "mine.yaml", "chamber 25 at 1", cwd=tmp_path)
-    assert (refused.returncode, "did not answer" in refused.stdout) == (1, True)
+    assert (refused.returncode, "Start jog again" in refused.stdout) == (1, True)
     checked = gyrobench("check", "mine.yaml", cwd=tmp_path)
     assert checked.returncode == 1
     assert "Acutrol3000" in checked.stdout

@@ -55,7 +55,7 @@ def test_mistakes_are_reported(place):
     ):
         assert gyrobench("fleet", *wrong, cwd=place).returncode == EXIT_WRONG_INPUT
     nothing = gyrobench("fleet", "bins", "nowhere", cwd=place)
-    assert nothing.returncode == EXIT_NOT_FINISHED
+    assert nothing.returncode == EXIT_WRONG_INPUT
     assert "no run folder found" in nothing.stderr
 
 

@@ -3,6 +3,7 @@
 import pytest
 
 from gyrobench.bench.bias.verdicts import Acceptance, write_acceptance
+from gyrobench.bench.cli.output import EXIT_WRONG_INPUT
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal
@@ -52,5 +53,5 @@ def test_a_run_before_a_change_is_set_beside_it(run, tmp_path):
 
 def test_what_is_no_run_is_refused(tmp_path):
     done = gyrobench("report", tmp_path, cwd=tmp_path)
-    assert done.returncode == 1
+    assert done.returncode == EXIT_WRONG_INPUT
     assert "is not a run folder" in done.stderr

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
+from gyrobench.bench.cli.output import EXIT_WRONG_INPUT
 from tests.bench.command_line import gyrobench
 from tests.bench.runs.index.sample_runs import copy_run, emulated_run
 
@@ -85,4 +85,4 @@ def test_a_run_that_cannot_be_read_is_reported_below_the_others(place):
 def test_mistakes_have_their_exit_codes(place):
     for wrong in (["--trend", "--by", "unit"], ["--figure", "a.png"], ["--since", "soon"]):
         assert gyrobench("runs", *wrong, cwd=place).returncode == EXIT_WRONG_INPUT
-    assert gyrobench("runs", "nowhere", cwd=place).returncode == EXIT_NOT_FINISHED
+    assert gyrobench("runs", "nowhere", cwd=place).returncode == EXIT_WRONG_INPUT

@@ -6,6 +6,7 @@ import subprocess
 
 import pytest
 
+from gyrobench.bench.cli.output import EXIT_WRONG_INPUT
 from gyrobench.bench.foundations import packages
 from gyrobench.bench.foundations.shipped import find_document
 from tests.bench.command_line import PROCESS, WIDTH, gyrobench
@@ -210,6 +211,6 @@ def test_a_dialect_without_an_emulator_says_so(acme_station, installed, tmp_path
         done = gyrobench("check", acme_station(), "--world", "ideal", cwd=tmp_path)
     finally:
         entry_points.write_text(before)
-    assert done.returncode == 3
+    assert done.returncode == EXIT_WRONG_INPUT
     said = " ".join((done.stdout + done.stderr).split())
     assert "no dialect 'acme_frost' is installed; installed: acutrol3000, ideal_aerosmith" in said

@@ -59,11 +59,42 @@ def test_the_set_point_is_walked_where_the_controller_does_not_ramp(prepared, tm
     assert outcome.is_safe
     (heated,) = (each for each in of(entries, "step_finished") if each["kind"] == "chamber")
     assert 280.0 < heated["took_s"] < 480.0  # 10 K at 2 K/min and the lag of the air, 90 s
-    assert outcome.safe_state[-1].what == "chamber's set point moved to its safe value"
     telemetry = read_telemetry(folder.telemetry)
-    rises_c_per_min = np.diff(telemetry["chamber_c"]) / np.diff(telemetry["time_s"]) * 60.0
+    assert telemetry["time_s"][-1] > outcome.duration_s + 50.0  # the safe state's ramp of 60 s
+    before = telemetry["time_s"] < outcome.duration_s
+    times_s, chamber_c = telemetry["time_s"][before], telemetry["chamber_c"][before]
+    rises_c_per_min = np.diff(chamber_c) / np.diff(times_s) * 60.0
     assert np.nanmax(rises_c_per_min) < 2.5  # the chamber alone manages 5
     assert outcome.duration_s == pytest.approx(heated["took_s"] + 60.0, abs=30.0)
+
+
+class TurnsTheTable(Watcher):
+    """Another program sets the table turning in the safe state's ramp."""
+
+    def noted(self, text):
+        if self.ramp_s is None and text.startswith("The chamber's set point is moved"):
+            self.ramp_s = self.clock.now()
+
+    def begun(self, folder, bench, outcome):
+        self.clock, self.ramp_s = bench.clock, None
+
+    def beat(self, bench):
+        now_s = bench.clock.now()
+        if self.ramp_s is not None and self.ramp_s + 10.0 < now_s < self.ramp_s + 15.0:
+            bench.instruments.table.prepare()
+            bench.instruments.table.turn_at(2, 0.3)
+
+
+def test_interlocks_are_watched_in_the_ramp_of_the_safe_state(prepared, tmp_path):
+    job = prepared("fault: no_set_point_ramp, at_s: 0")
+    folder, outcome = run_job(job, tmp_path / "run", TurnsTheTable(), RefusingOperator())
+    entries = list(read_journal(folder.journal))
+    assert outcome.ended == "finished", outcome.reason
+    assert outcome.is_safe
+    (trip,) = of(entries, "tripped")
+    assert "although the table was stopped" in trip["why"]
+    (ended,) = of(entries, "run_ended")
+    assert trip["time_s"] + 10.0 < ended["time_s"]  # the ramp began again
 
 
 def test_switching_the_chamber_off_in_a_ramp_trips_nothing(prepared, tmp_path):

@@ -6,6 +6,9 @@ import pytest
 
 from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.dwells.run_dwells import finished_marks
+from gyrobench.bench.engine.damage import find_damage
+from gyrobench.bench.foundations.clock import VirtualClock
+from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.runs.telemetry import read_telemetry
@@ -94,6 +97,36 @@ def test_damage_is_named_and_given_up_only_on_command(run, tmp_path, damages, lo
     assert len(read_telemetry(run / "telemetry")["time_s"])
     numbers = [entry["run"] for entry in entries if entry["event"] == "powered_on"]
     assert len(set(numbers)) == len(numbers)
+
+
+def test_each_damaged_copy_is_kept(run):
+    folder = RunFolder(run)
+    for _ in range(2):
+        damage_journal(run)
+        find_damage(folder)[0].give_up(folder, VirtualClock)
+    copies = sorted(run.glob("journal.jsonl.damaged*"))
+    assert [path.name for path in copies] == ["journal.jsonl.damaged", "journal.jsonl.damaged-2"]
+    given_up = [each for each in read_journal(folder.journal) if each["event"] == "data_given_up"]
+    assert [each["lines"] for each in given_up] == [1, 1]
+
+
+def test_damage_is_found_again_until_it_is_recorded(run):
+    folder = RunFolder(run)
+    damage_journal(run)
+    (run / "journal.jsonl.whole").mkdir()
+    damage, _ = find_damage(folder)
+    with pytest.raises(RunFolderError):
+        damage.give_up(folder, VirtualClock)
+    assert find_damage(folder)[0] == damage
+
+
+def test_an_entry_without_its_dwells_is_damage(run):
+    folder = RunFolder(run)
+    with folder.journal.open("a") as stream:
+        stream.write('{"event": "data_given_up"}\n')
+    with pytest.raises(RunFolderError, match="lacks its list of dwells"):
+        finished_marks(folder)
+    assert find_damage(folder)[0].lines == 1
 
 
 def test_lost_dwells_at_two_temperatures_are_each_approached(run, tmp_path):

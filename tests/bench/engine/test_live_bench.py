@@ -6,6 +6,7 @@ from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.errors import ReplyError
 from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.runs.can_log import CanLog, read_can_log
 from gyrobench.bench.station.instruments import Emulation, Instruments
 from gyrobench.bench.station.station import Station
 
@@ -44,6 +45,19 @@ def test_lost_frames_are_reported_and_do_not_reopen_a_bus_that_gives_others(monk
         assert 5 <= len(errors) <= 7
         assert set(errors) == {"INS: 7 frames are lost"}
         assert not opened
+
+
+def test_the_last_frames_before_an_ins_falls_silent_are_in_the_log_seconds_later(tmp_path):
+    log = CanLog(tmp_path)
+    with live_bench(log) as (bench, _):
+        bench.instruments.power_unit(False)
+        end_s = bench.clock.now() + 12.0
+        while bench.clock.now() < end_s:
+            bench.tick()
+        health = bench.instruments.ins.health()
+        logged = sum(len(block) for _, block in read_can_log(tmp_path))
+        assert logged == health.frames + health.error_frames > 0
+    log.cut()
 
 
 def test_a_bus_that_gives_nothing_but_invalid_bytes_is_reopened(monkeypatch):

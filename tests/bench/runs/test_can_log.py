@@ -101,6 +101,23 @@ def test_frames_that_come_seldom_are_readable_after_some_seconds(tmp_path):
     log.cut()
 
 
+def test_frames_that_no_others_follow_are_readable_after_some_seconds_of_the_clock(tmp_path):
+    log = CanLog(tmp_path)
+    log.write_waiting(0.0)
+    for now_s in (100.0, 105.0, 109.0):
+        log.write(frames(0, 1))
+        log.write_waiting(now_s)
+    assert contents(tmp_path)[1] == []
+    log.write_waiting(110.0)
+    assert contents(tmp_path)[1] == [0, 0, 0]
+    log.write(frames(1, 1))
+    log.write_waiting(115.0)
+    assert contents(tmp_path)[1] == [0, 0, 0]
+    log.write_waiting(125.0)
+    assert contents(tmp_path)[1] == [0, 0, 0, 1]
+    log.cut()
+
+
 def test_what_was_synchronized_is_complete_for_other_programs_while_the_part_continues(tmp_path):
     log = CanLog(tmp_path)
     for begin in (0, 50):

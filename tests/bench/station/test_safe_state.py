@@ -1,13 +1,14 @@
 import threading
+from contextlib import suppress
 
 import numpy as np
 import pytest
 
 from gyrobench.bench.foundations.clock import VirtualClock, WallClock
-from gyrobench.bench.foundations.errors import NoReplyError
+from gyrobench.bench.foundations.errors import NoReplyError, RefusedError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.instruments import Emulation, Instruments, Outputs
-from gyrobench.bench.station.safe_state import SafeAction, SafePart, finish_ramp, make_safe
+from gyrobench.bench.station.safe_state import RAMP_PERIOD_S, SafeAction, SafePart, finish_ramp, make_safe
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
 from gyrobench.drivers.serial_line import SerialLine
@@ -175,19 +176,70 @@ def ramping(tmp_path):
         outputs.chamber.set_temperature(33.0, None)
         outputs.chamber.switch(True)
         clock.sleep(3600.0)
-        make_safe(station, outputs)
-        assert outputs.is_ramping
         yield station, outputs
 
 
-def test_signs_of_life_are_sent_all_through_a_ramp(ramping):
-    _, outputs = ramping
-    clock, beats_s = outputs.clock, []
+def finished(station, outputs, actions, during=lambda: None):
+    """The actions at the end of a ramp, how long it took, and the longest time between its yields."""
+    clock, taken, yields_s = outputs.clock, {action.what: action for action in actions}, []
     begin_s = clock.now()
-    (action,) = finish_ramp(outputs, lambda: beats_s.append(clock.now()))
-    assert (action.problem, outputs.chamber.set_point_c()) == ("", 23.0)
-    assert clock.now() - begin_s > 120.0
-    assert max(np.diff([begin_s, *beats_s, clock.now()])) < 3.0
+    for since in finish_ramp(station, outputs, actions):
+        taken |= {action.what: action for action in since}
+        yields_s.append(clock.now())
+        during()
+        clock.sleep(RAMP_PERIOD_S)
+    return list(taken.values()), clock.now() - begin_s, max(np.diff([begin_s, *yields_s]))
+
+
+def test_a_ramp_leaves_time_for_signs_of_life_and_counts_as_failed_until_its_end(ramping):
+    station, outputs = ramping
+    actions = make_safe(station, outputs)
+    first = next(finish_ramp(station, outputs, actions))
+    assert problems(first) == {"chamber's set point at 23 degC": "is still on its way there"}
+    actions, took_s, longest_s = finished(station, outputs, actions)
+    assert set(problems(actions).values()) == {""}
+    assert outputs.chamber.set_point_c() == 23.0
+    assert took_s > 120.0
+    assert longest_s < 3.0
+
+
+@pytest.mark.parametrize("ticks", [False, True], ids=["alone", "with ticks that move it too"])
+def test_a_ramp_that_ends_elsewhere_is_a_set_point_that_failed(ramping, ticks):
+    station, outputs = ramping
+    actions, changes = make_safe(station, outputs), iter([False] * 10 + [True])
+
+    def during():
+        if next(changes, False):
+            outputs.chamber._chamber.set_temperature(60.0, None)  # at the panel
+        if ticks:
+            outputs.clock.sleep(RAMP_PERIOD_S)
+            with suppress(RefusedError):
+                outputs.advance_ramp()
+
+    actions, _, _ = finished(station, outputs, actions, during)
+    failed = {what: problem for what, problem in problems(actions).items() if problem}
+    assert list(failed) == ["chamber's set point at 23 degC"]
+    assert "60" in failed["chamber's set point at 23 degC"]
+    repeated = make_safe(station, outputs, only=failed)
+    assert set(problems(finished(station, outputs, repeated)[0]).values()) == {""}
+    assert outputs.chamber.set_point_c() == 23.0
+
+
+def test_a_stop_that_failed_is_repeated_within_seconds_of_a_ramp(ramping, monkeypatch):
+    station, outputs = ramping
+    stops, clock = [], outputs.clock
+
+    def stop(table):
+        stops.append(clock.now())
+        if clock.now() < stops[0] + 8.0:
+            raise NoReplyError("rate table", "says nothing")
+
+    monkeypatch.setattr(type(outputs.table), "stop", stop)
+    actions = make_safe(station, outputs)
+    assert problems(actions)["rate table stopped"]
+    actions, took_s, _ = finished(station, outputs, actions)
+    assert set(problems(actions).values()) == {""}
+    assert stops[-1] - stops[0] < 20.0 < took_s
 
 
 def test_a_chamber_that_refuses_its_safe_set_point_is_switched_off_and_not_reported_safe(opened):

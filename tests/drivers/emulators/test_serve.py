@@ -95,7 +95,10 @@ def test_options_select_a_model_of_the_chamber_and_wrong_ones_end_it(serve, caps
     with contextlib.closing(WatlowF4(SerialLine("chamber", urls["chamber"], WallClock()))) as chamber:
         assert not chamber.can_ramp
         assert chamber.read().temperature_c == pytest.approx(23.0, abs=0.005)
-    for option, why in (("wheels=3", "no such option"), ("decimals=x", "valid integer")):
+    for option, why in (
+        ("wheels=3", "no such option; there are address, model, decimals"),
+        ("decimals=x", "valid integer"),
+    ):
         with pytest.raises(SystemExit):
             main(["--chamber-option", option])
         assert why in capsys.readouterr().err

@@ -13,12 +13,12 @@ from gyrobench.bench.foundations.errors import (
     RefusedError,
     ReplyError,
 )
-from gyrobench.drivers.frames import concatenate
+from gyrobench.drivers.frames import FrameBlock, concatenate
 from gyrobench.drivers.ins.attitude import EulerSequence
 from gyrobench.drivers.ins.can_bus import open_bus
 from gyrobench.drivers.ins.can_ins import CanIns
 from gyrobench.drivers.ins.command_map import TERMS, CommandMap, Compensation, TermIndices
-from gyrobench.drivers.ins.ins_status import STALE_S
+from gyrobench.drivers.ins.ins_status import STALE_S, NewestFrames
 from gyrobench.drivers.ins.navigation_data import decode_navigation
 from gyrobench.drivers.ins.readout import InsMode
 
@@ -181,6 +181,21 @@ def test_the_status_holds_the_newest_values(driver, buses, recording, to_message
     assert status.electronics_c == pytest.approx([30, 31, 32])
     assert status.case_c == 18
     assert status.identity == {}
+
+
+@pytest.mark.parametrize("others", [0, 1, 62, 63, 64, 65, 500])
+def test_the_newest_frame_of_a_message_counts_wherever_in_its_block_it_is(codec, others):
+    times_s = np.arange(3.0 + others)
+    identifiers = np.r_[5, 6, 5, np.full(others, 7)]
+    data = np.zeros((3 + others, 8), np.uint8)
+    data[:, 0] = np.arange(3 + others) % 256
+    newest = NewestFrames(codec)
+    newest.take(FrameBlock.from_columns(times_s, identifiers, 8, data), 0.0)
+    newest.take(FrameBlock.from_columns([1000.0], [8], 8, np.zeros((1, 8))), 1.0)
+    arrival = newest._arrivals[-1]
+    assert [arrival.newest(each)[0] for each in (5, 6, 8)] == [2.0, 1.0, 1000.0]
+    assert (arrival.newest(7) or [None])[0] == (2.0 + others if others else None)
+    assert arrival.newest(9) is None
 
 
 def test_nothing_is_known_before_the_first_frame_and_after_a_silence(

@@ -188,6 +188,24 @@ def test_one_temperature_sensor_stands_for_all_gyros(codec, make_signal_map):
     assert check_signals(make_signal_map(names), codec) == []
 
 
+def test_one_temperature_sensor_of_the_unit_stands_for_case_and_gyros(codec, make_signal_map):
+    names = {
+        f"GYRO_{where}_TEMPERATURE.{axis}": "GYRO_ELECTRONICS_TEMPERATURE.CASE"
+        for where in ("OPTICS", "ELECTRONICS")
+        for axis in "XYZ"
+    }
+    assert check_signals(make_signal_map(names), codec) == []
+
+
+@pytest.mark.parametrize(("bits", "is_refused"), [("", True), ("7", True), ("[8, 15]", False)])
+def test_roles_that_share_bits_of_a_signal_are_refused(codec, make_signal_map, bits, is_refused):
+    of_the_first = "{signal: VELOCITY_NE.VELOCITY_EAST, unit: m/s, bits: [0, 7]}"
+    of_the_second = "{signal: VELOCITY_NE.VELOCITY_EAST, unit: m/s" + (f", bits: {bits}}}" if bits else "}")
+    names = {"VELOCITY_NE.VELOCITY_EAST": of_the_first, "VELOCITY_NE.VELOCITY_NORTH": of_the_second}
+    problems = check_signals(make_signal_map(names), codec)
+    assert ["already mapped" in each.message for each in problems] == [True] * is_refused
+
+
 SBG_STATUS = """BO_ 258 SBG_STATUS_03: 6 INS
  SG_ SOLUTION_STATUS : 0|32@1+ (1,0) [0|4294967295] "" BENCH
  SG_ HEAVE_STATUS : 32|16@1+ (1,0) [0|65535] "" BENCH

@@ -220,6 +220,30 @@ def test_a_table_that_is_torn_from_its_rate_trips(watched):
     assert "-60.0 deg/s2, below the limit of -45 deg/s2" in trips["table_acceleration"].text
 
 
+def test_a_stopped_table_trips_as_soon_as_it_moves_after_its_rest(watched):
+    bench = watched()
+    at_rest, turning = bench.table, replace(bench.table, rate_dps=(0.0, 0.3))
+    bench.expected = replace(bench.expected, table_prepared=False, table_stopped=True)
+    assert bench.poll() == {}
+    bench.table = turning
+    assert bench.poll(2.0) == {}, "it may still come to rest"
+    bench.table = at_rest
+    assert bench.poll(2.0) == {}
+    bench.table = turning
+    trips = bench.poll(2.0)
+    assert list(trips) == ["table_fault"]
+    assert "turns at 0.30 deg/s although the table was stopped" in trips["table_fault"].text
+
+
+def test_a_stopped_table_that_does_not_come_to_rest_in_its_time_trips(watched):
+    bench = watched()
+    bench.expected = replace(bench.expected, table_prepared=False, table_stopped=True)
+    assert bench.poll() == {}
+    bench.table = replace(bench.table, rate_dps=(0.0, 0.3))
+    assert bench.poll_for(30.0) == {}
+    assert list(bench.poll(2.0)) == ["table_fault"]
+
+
 def test_the_axes_are_distinguished_by_the_controllers_numbers(station_of, tmp_path):
     straight = station_of()
     text = straight.path.read_text()

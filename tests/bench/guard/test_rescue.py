@@ -1,0 +1,81 @@
+"""What a rescue does where the chamber's controller does not ramp, on an emulated bench in virtual time."""
+
+from functools import partial
+
+import pytest
+
+from gyrobench.bench.foundations.clock import VirtualClock
+from gyrobench.bench.foundations.errors import NoReplyError
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.guard.protocol import GuardConfig
+from gyrobench.bench.guard.rescue import Rescue
+from gyrobench.bench.guard.watching import EngineEnd, EngineProcess, GuardLog
+from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.station.instruments import Emulation, Outputs
+from gyrobench.bench.station.station import Station
+from gyrobench.drivers.rate_table.acutrol3000 import Acutrol3000
+
+NO_RAMP = "  - {fault: no_set_point_ramp, at_s: 0}\n"
+CHANGED = "  - {fault: set_point_changed_at_panel, at_s: 3660, to_c: 60}\n"
+TABLE, CHAMBER = "rate table stopped", "chamber's set point at 23 degC"
+
+
+@pytest.fixture
+def rescued(tmp_path, monkeypatch):
+    """Let a guard act on a chamber at 33 degC; returns the bench's outputs, the log and the journal."""
+    clock, path = VirtualClock(), find_document("stations", "emulated")
+
+    def rescue(faults):
+        listed = tmp_path / "faults.yaml"
+        listed.write_text(f"faults:\n{faults}")
+        opened = partial(Outputs, emulation=Emulation("ideal", 0, str(listed)))
+        monkeypatch.setattr("gyrobench.bench.guard.rescue.Outputs", opened)
+        with opened(Station(path), clock) as outputs:
+            outputs.chamber.set_temperature(33.0, None)
+            outputs.chamber.switch(True)
+            clock.sleep(3600.0)
+        log = tmp_path / "guard.log"
+        config = GuardConfig(str(path), str(tmp_path), 5.0, 0, clock.epoch.isoformat(), 0.0)
+        Rescue(config, EngineProcess(0), clock, GuardLog(log, clock)).act(EngineEnd.CLOSED)
+        return opened(Station(path), clock), log.read_text(), list(read_journal(tmp_path / "journal.jsonl"))
+
+    return rescue
+
+
+def last_problems(entries):
+    return {each["what"]: each["problem"] for entry in entries for each in entry["safe_state"]}
+
+
+def test_a_ramp_that_failed_is_repeated_until_the_set_point_has_its_safe_value(rescued):
+    outputs, log, entries = rescued(NO_RAMP + CHANGED)
+    with outputs:
+        assert outputs.chamber.set_point_c() == 23.0
+    assert f"{CHAMBER}: chamber: its set point was changed" in log
+    assert log.splitlines()[-1].endswith("the bench is in its safe state")
+    assert set(last_problems(entries).values()) == {""}
+    assert entries[-1]["time_s"] > 3660.0 + 120.0
+
+
+def test_what_failed_is_in_the_journal_at_once_and_repeated_before_the_ramp_ends(rescued, monkeypatch):
+    begun_s, stop = [], Acutrol3000.stop
+
+    def fails_at_first(table):
+        now_s = table._line.clock.now()
+        begun_s.append(now_s)
+        if now_s < begun_s[0] + 8.0:
+            raise NoReplyError("rate table", "says nothing")
+        stop(table)
+
+    monkeypatch.setattr(Acutrol3000, "stop", fails_at_first)
+    outputs, log, entries = rescued(NO_RAMP)
+    with outputs:
+        assert outputs.chamber.set_point_c() == 23.0
+    first, repeated, last = entries
+    assert last_problems([first])[TABLE] == "rate table: says nothing"
+    assert last_problems([first])[CHAMBER] == "is still on its way there"
+    assert first["time_s"] - begun_s[0] < 10.0
+    assert last_problems([repeated])[TABLE] == ""
+    assert repeated["time_s"] - begun_s[0] < 20.0
+    assert last_problems([last]) == {CHAMBER: ""}
+    assert last["time_s"] - begun_s[0] > 120.0
+    assert log.splitlines()[-1].endswith("the bench is in its safe state")
