@@ -218,8 +218,8 @@ def checked_navigation(
         except SignalMapError:
             # A jump of the output parts tilt and velocity as a wrong sign does.
             windows = tuple(NavigationWindow(*rest_output(navigation, mark)) for mark in marks.windows)
-            faults = setup.output_faults(windows, setup.noise_in(windows))
-            if jumps := [fault.text for fault in faults if not fault.may_be_noise]:
+            found = setup.output_faults(windows, setup.noise_in(windows))
+            if jumps := [fault.text for fault in found if not fault.may_be_noise]:
                 raise MeasurementError("; ".join(jumps)) from None
             raise
     return navigation
