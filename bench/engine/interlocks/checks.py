@@ -131,6 +131,7 @@ class TableChecks:
         self._accelerations_dps2 = (0.0, 0.0)
         self._prepared = self._stopped = False
         self._prepared_s = self._stopped_s = -math.inf
+        self._has_rested = False  #: Since it was stopped.
 
     def observe(self, readings: Readings, now_s: float) -> None:  # noqa: ARG002 - as the others
         """Take a reading; an old one changes nothing."""
@@ -151,15 +152,19 @@ class TableChecks:
             self._prepared_s = now_s
         self._prepared = expected.table_prepared
         if expected.table_stopped and not self._stopped:
-            self._stopped_s = now_s
+            self._stopped_s, self._has_rested = now_s, False
         self._stopped = expected.table_stopped
         if problem := _silent("rate table", now_s - readings.table_s, self._silence_s):
             yield Finding("table_silence", problem, _CHECK_LINE)
         yield from self._motion(readings)
         if self._prepared and readings.table_s > self._prepared_s:
             yield from self._faults(readings)
-        if self._stopped and readings.table.is_servoed and readings.table_s > self._stopped_s + MAX_STOP_S:
-            yield from self._motion_although_stopped(readings)
+        if self._stopped and readings.table_s > self._stopped_s:
+            problems = list(self._motion_although_stopped(readings))
+            self._has_rested |= not problems
+            is_rest_due = self._has_rested or readings.table_s > self._stopped_s + MAX_STOP_S
+            if readings.table.is_servoed and is_rest_due:
+                yield from problems
 
     def good_until_s(self, readings: Readings) -> float:
         """Return until when nothing goes wrong by the passage of time alone."""

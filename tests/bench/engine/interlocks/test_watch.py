@@ -224,7 +224,7 @@ def test_a_stopped_table_trips_as_soon_as_it_moves_after_its_rest(watched):
     bench = watched()
     at_rest, turning = bench.table, replace(bench.table, rate_dps=(0.0, 0.3))
     bench.expected = replace(bench.expected, table_prepared=False, table_stopped=True)
-    bench.trips()
+    assert bench.poll() == {}
     bench.table = turning
     assert bench.poll(2.0) == {}, "it may still come to rest"
     bench.table = at_rest
@@ -238,7 +238,7 @@ def test_a_stopped_table_trips_as_soon_as_it_moves_after_its_rest(watched):
 def test_a_stopped_table_that_does_not_come_to_rest_in_its_time_trips(watched):
     bench = watched()
     bench.expected = replace(bench.expected, table_prepared=False, table_stopped=True)
-    bench.trips()
+    assert bench.poll() == {}
     bench.table = replace(bench.table, rate_dps=(0.0, 0.3))
     assert bench.poll_for(30.0) == {}
     assert list(bench.poll(2.0)) == ["table_fault"]
