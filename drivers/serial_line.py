@@ -68,7 +68,7 @@ def _port_errors(*others: type[Exception]) -> tuple[type[Exception], ...]:
 
 
 def system_reason(error: Exception) -> str:
-    """What the system says about a port that can't be opened, without the name of the port again."""
+    """Reason of the operating system why a port can't be opened, without the name of the port."""
     found = re.findall(r"\[Errno \d+\] ([^\[:']+)", str(error))
     return found[-1].strip() if found else str(error)
 

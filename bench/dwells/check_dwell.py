@@ -91,7 +91,7 @@ def measure_check_dwell(marks: DwellMarks, frames: FrameBlock, setup: Measuremen
         aligning_c = _aligning_c(data, first_frame, temperatures)
         dwell = dwell_at_rest(marks, data, setup)
         navigation = _navigation(dwell, setup)
-        flags += [fault.text for fault in setup.output_faults(dwell, navigation.noise)]
+        flags += [fault.text for fault in setup.output_faults(dwell.windows, navigation.noise)]
         (window,) = navigation.dwell.windows
         fit = navigation_fit(window, setup.site, navigation.noise, setup.prior)
         if fit.p_value < MIN_FIT_P_VALUE:

@@ -76,9 +76,9 @@ class MeasurementSetup:
         begin_s, end_s = navigation.ins_time_s[np.minimum(rows, len(navigation.row) - 1)]
         return TurnPath.steady(begin_s, end_s, self.table.path(*angles))
 
-    def output_faults(self, dwell: Dwell, noise: NoiseModel) -> list[OutputFault]:
+    def output_faults(self, windows: tuple[NavigationWindow, ...], noise: NoiseModel) -> list[OutputFault]:
         """Find output that is impossible at rest."""
-        return output_faults(dwell.windows, noise, self.site.gravity, *self._steps)
+        return output_faults(windows, noise, self.site.gravity, *self._steps)
 
     @property
     def _steps(self) -> tuple[float, float]:
@@ -174,7 +174,7 @@ def estimate_dwell(
         What another dwell would show as well: larger noise would explain it, or the INS is at fault.
     """
     estimate = estimate_state_space(dwell, setup.site, noise, setup.prior)
-    faults = setup.output_faults(dwell, noise)
+    faults = setup.output_faults(dwell.windows, noise)
     flags, doubts = [fault.text for fault in faults if not fault.may_be_noise], _doubts(estimate)
     pulse_rad = math.sqrt(12.0) * noise.heading_white
     if (flags or doubts) and setup.noise and noise.heading_white > _COARSER * setup.noise.heading_white:
@@ -213,7 +213,15 @@ def checked_navigation(
             "second node send with its identifiers? Check the bus"
         )
     if setup.signs is not None:
-        setup.signs.check(marks, frames, navigation)
+        try:
+            setup.signs.check(marks, frames, navigation)
+        except SignalMapError:
+            # A jump of the output parts tilt and velocity as a wrong sign does.
+            windows = tuple(NavigationWindow(*rest_output(navigation, mark)) for mark in marks.windows)
+            found = setup.output_faults(windows, setup.noise_in(windows))
+            if jumps := [fault.text for fault in found if not fault.may_be_noise]:
+                raise MeasurementError("; ".join(jumps)) from None
+            raise
     return navigation
 
 

@@ -188,20 +188,25 @@ class SignCheck:
             for each in (self.site.gravity * np.stack([rotation[:, 1], -rotation[:, 0]], axis=-1), velocity)
         ]
         line = np.stack([np.ones(len(time_s)), time_s - time_s.mean()], axis=-1)
-        own, tilt, way = (
+        velocity_left, tilt, displacement = (
             each - line @ np.linalg.lstsq(line, each, rcond=None)[0] for each in (velocity, *integrals)
         )
         _, _, rate_up = earth_rate_enu(self.site.latitude)
         coriolis = 2.0 * rate_up * np.array([[0.0, -1.0], [1.0, 0.0]])
         changes = [each.matrix for each in _VELOCITY_CHANGES]
-        return np.stack([*(own @ each - tilt - way @ each @ coriolis for each in changes), way])
+        return np.stack(
+            [
+                *(velocity_left @ each - tilt - displacement @ each @ coriolis for each in changes),
+                displacement,
+            ]
+        )
 
 
 def _rms(unexplained: FloatArray) -> FloatArray:
     """Sizes (8, 2) of what is unexplained of the velocities; declared ones may be damped by the INS."""
-    *left, way = unexplained
-    damping = (way * left[0]).sum() / max(float((way**2).sum()), _TINY)
-    left[0] = left[0] - way * np.clip(damping, -_MAX_DAMPING, 0.0)
+    *left, displacement = unexplained
+    damping = (displacement * left[0]).sum() / max(float((displacement**2).sum()), _TINY)
+    left[0] = left[0] - displacement * np.clip(damping, -_MAX_DAMPING, 0.0)
     return np.asarray(np.sqrt(np.mean(np.square(left), axis=1)))
 
 

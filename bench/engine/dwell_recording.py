@@ -149,18 +149,22 @@ class DwellLedger:
         self._run = run
         self._bench = run.bench
         self._recorder = recorder
+        self._contradicted = False
 
     def finish(self) -> bool:
         """Measure the dwell that is over; returns False where it has to be repeated.
 
-        Raises SignalMapError if it contradicts the signal map: each further dwell would be invalid too.
+        Raises SignalMapError if it contradicts the signal map, and the dwell before did too or none of the
+        run agreed: each further dwell would be invalid too. One alone after that is a disturbance.
         """
         run = self._run
         marks = self._recorder.marks()
         frames = self._bench.end_capture()
         measure = measure_check_dwell if marks.is_calibration_check else measure_dwell
         measured = measure(marks, frames, run.setup)
-        if measured.is_disturbed and not measured.signal_fault and self.may_repeat(marks.dwell):
+        is_map_wrong = bool(measured.signal_fault) and (self._contradicted or not self._has_agreed())
+        self._contradicted = bool(measured.signal_fault)
+        if measured.is_disturbed and not is_map_wrong and self.may_repeat(marks.dwell):
             self._repeat(marks.dwell, measured.flags, counts=True)
             return False
         run.journal.record(
@@ -176,9 +180,16 @@ class DwellLedger:
             run.outcome.check_dwells.append(measured)
             text = measured.flags or "measured for the calibration check"
             run.observers.noted(f"{marks.position} at {marks.azimuth_deg:g} deg: {text}")
-        if measured.signal_fault:
+        if is_map_wrong:
             raise SignalMapError(measured.signal_fault)
         return True
+
+    def _has_agreed(self) -> bool:
+        """Whether a dwell of this run, also before a resume, agreed with the signal map."""
+        outcome = self._run.outcome
+        return any(each.estimate for each in outcome.dwells) or any(
+            each.navigation for each in outcome.check_dwells
+        )
 
     def may_repeat(self, dwell: int) -> bool:
         """Whether the procedure allows that a dwell with invalid data is repeated."""

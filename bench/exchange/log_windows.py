@@ -42,6 +42,8 @@ _MAX_VALUE, _MAX_TIME_S = 1e15, 1e12
 _TO_DPH = {"rad/s": RADPS_TO_DPH, "deg/s": 3600.0, "dps": 3600.0, "deg/h": 1.0, "arcsec/s": 1.0}
 _PREFIXES = {"m": 1e-3, "u": 1e-6}
 _TO_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "iso8601": 1.0}
+#: A calendar time in float64 is rounded to less; a sample this close before a window belongs to it.
+_TIME_RESOLUTION_S = 1e-6
 
 
 class SampleReader:
@@ -287,7 +289,7 @@ def cut_windows(batches: Iterable[Samples], window_s: float, skip_s: float) -> I
     rest: Samples = {}
     before_s = np.nan
     for batch in batches:
-        late = batch["time_s"] >= skip_s
+        late = batch["time_s"] >= skip_s - _TIME_RESOLUTION_S
         kept = {name: values[late] for name, values in batch.items()}
         rest = {name: np.concatenate([rest[name], kept[name]]) for name in kept} if rest else kept
         index = _window_index(rest["time_s"], window_s, skip_s)
@@ -309,7 +311,7 @@ def max_consecutive(same: BoolArray) -> int:
 
 
 def _window_index(time_s: FloatArray, window_s: float, skip_s: float) -> NDArray[np.intp]:
-    return np.asarray((time_s - skip_s) // window_s, dtype=np.intp)
+    return np.asarray((time_s - skip_s + _TIME_RESOLUTION_S) // window_s, dtype=np.intp)
 
 
 def _parts(samples: Samples, index: NDArray[np.intp], begin: int, end: int) -> Iterator[Samples]:

@@ -173,7 +173,7 @@ def cant_be_written(path: Path, error: OSError) -> RunFolderError:
 
 
 def _reason(error: OSError) -> str:
-    """What the system says, and what to do about it."""
+    """Reason given by the operating system, and what to do about it."""
     advice = _ADVICE.get(error.errno or 0, "")
     return f"{error.strerror or error}.{advice}"
 

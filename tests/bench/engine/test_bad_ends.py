@@ -7,11 +7,12 @@ from pathlib import Path
 
 import pytest
 
+from gyrobench.bench.dwells.sign_check import SignCheck
 from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.observers import RunObserver
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.run import run_job
-from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.errors import DocumentError, SignalMapError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
@@ -155,3 +156,24 @@ def test_a_velocity_mapped_with_the_wrong_sign_ends_the_run_after_its_first_dwel
     assert dwell.flags == outcome.reason
     assert [action.problem for action in outcome.safe_state] == [""] * len(outcome.safe_state)
     assert "dwell_given_up" not in [entry["event"] for entry in read_journal(folder.journal)]
+
+
+@pytest.mark.parametrize(("contradicting", "ended"), [({2}, "finished"), ({2, 3}, "failed")])
+def test_only_two_dwells_in_a_row_contradict_a_signal_map_that_agreed_before(
+    tmp_path, monkeypatch, contradicting, ended
+):
+    check, checked = SignCheck.check, []
+
+    def contradicted(self, marks, frames, navigation):
+        checked.append(marks.dwell)
+        if len(checked) in contradicting:
+            raise SignalMapError("velocity_north has the wrong sign")
+        check(self, marks, frames, navigation)
+
+    monkeypatch.setattr(SignCheck, "check", contradicted)
+    job = prepare_job("calibration_check", "emulated", Emulation("gyro_a", 1))
+    folder, outcome = run_job(job, tmp_path / "run", RunObserver(), ConsentingOperator())
+    assert outcome.ended == ended
+    assert checked[:3] == [1, 2, 2]
+    given_up = [entry for entry in read_journal(folder.journal) if entry["event"] == "dwell_given_up"]
+    assert [entry["why"] for entry in given_up] == ["velocity_north has the wrong sign"]
