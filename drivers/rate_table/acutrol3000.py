@@ -321,8 +321,6 @@ def _acknowledgement(text: str) -> None:
 
 
 def _finite_numbers(text: str, count: int) -> tuple[float, ...]:
-    if "." not in text:  # a reply with registers alone
-        raise ValueError
     values = tuple(map(float, re.split("[;,]", text)))
     if len(values) != count or not all(map(math.isfinite, values)):
         raise ValueError

@@ -292,6 +292,11 @@ def test_a_reading_that_is_not_two_numbers_an_axis_is_a_wrong_reply(serve, scrip
         met(line).read()
 
 
+def test_numbers_without_a_decimal_point_are_a_reading(serve, scripted):
+    with serve(scripted(reply("A table"), reply("0;1E-05;90;0;16;16"))) as line:
+        assert met(line).read() == TableReading((0.0, 90.0), (1e-5, 0.0), True)
+
+
 @pytest.mark.parametrize("text", ["", "OK", "16", "16;x", "16;256;16;-1", "16;256;16;" + "9" * 5000])
 def test_registers_that_are_no_registers_are_a_wrong_reply(serve, scripted, text):
     with serve(scripted(reply("A table"), reply(text))) as line, pytest.raises(ReplyError, match=":Status:"):
