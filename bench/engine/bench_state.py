@@ -189,8 +189,7 @@ class BenchState:
                     is_on = None if action.problem else False
                     self._expect(chamber_set_c=None, chamber_on=is_on, chamber_reached=False)
                 case SafePart.CHAMBER:
-                    # One that refuses its set point, though only at first, was switched off.
-                    is_on = None if action.problem or action.first_problem else self._expected.chamber_on
+                    is_on = None if action.has_switched_off else self._expected.chamber_on
                     set_c = None if action.problem else safe.chamber_c
                     self._expect(chamber_set_c=set_c, chamber_on=is_on, chamber_reached=False)
                 case SafePart.TABLE_AT_REST:

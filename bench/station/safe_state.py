@@ -22,6 +22,8 @@ RAMP_PERIOD_S = 1.0
 _REPEAT_PERIOD_S = 5.0
 #: A chamber that does not answer for longer has failed.
 _SILENCE_S = 60.0
+#: Begin of why the action of a chamber failed that was switched off instead.
+_REFUSED = "it was commanded off, as it refuses its set point"
 #: A set point so close is the safe value: controllers may have whole degrees.
 _RESOLUTION_C = 0.6
 
@@ -48,6 +50,11 @@ class SafeAction:
     def instrument(self) -> str:
         """Instrument that it commands."""
         return RATE_TABLE if self.part in (SafePart.TABLE_AT_REST, SafePart.TABLE_RELEASED) else CHAMBER
+
+    @property
+    def has_switched_off(self) -> bool:
+        """Whether the chamber was switched off in an attempt, as it refused its set point."""
+        return any(_REFUSED in problem for problem in (self.problem, self.first_problem))
 
     @property
     def text(self) -> str:
@@ -161,7 +168,7 @@ def _set_or_off(chamber: Chamber, temperature_c: float, ramp_c_per_min: float) -
         with suppress(RefusedError):  # off, but a profile that runs may switch it on again
             chamber.switch(False)
         reason = str(error).removeprefix(f"{CHAMBER}: ")
-        raise RefusedError(CHAMBER, f"it was commanded off, as it refuses its set point: {reason}") from error
+        raise RefusedError(CHAMBER, f"{_REFUSED}: {reason}") from error
 
 
 def _taken(step: _Step, instruments: Outputs, meanwhile: Callable[[], object]) -> SafeAction:

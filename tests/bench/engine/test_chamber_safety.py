@@ -1,10 +1,13 @@
 """Chambers that do not do what a run expects: no ramp, a profile, other units, lost acknowledgements."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.preflight.bench_check import check_bench
+from gyrobench.bench.engine.preflight.instruments import chamber_checks
 from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.foundations.errors import RefusedError
 from gyrobench.bench.foundations.shipped import find_document
@@ -12,8 +15,11 @@ from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.runs.telemetry import read_telemetry
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.bench.station.preflight_check import Verdict
+from gyrobench.drivers.chamber.watlow_f4 import WatlowF4
+from gyrobench.drivers.emulators.watlow_f4 import WatlowF4Emulator
 from tests.bench.engine.intervention import RefusingOperator
 from tests.bench.engine.test_resumption import Watcher
+from tests.drivers.conftest import Rig
 
 HEAT = """procedure: heat
 steps:
@@ -121,6 +127,42 @@ def test_the_preflight_check_tries_a_set_point_and_names_who_ramps(tmp_path, pre
     assert found.found.endswith("the controller does not ramp, so the bench moves it in steps")
     refused = checked(tmp_path, prepared, "fault: exception_code, at_s: 0, for_s: 100000")["answers"]
     assert refused.verdict is Verdict.FAIL
+
+
+class UnreadableSwitch:
+    """A chamber that does not report whether it is on."""
+
+    def __init__(self, chamber):
+        self._chamber = chamber
+
+    def __getattr__(self, name):
+        return getattr(self._chamber, name)
+
+    def read(self):
+        return replace(self._chamber.read(), is_on=None)
+
+
+@pytest.mark.parametrize(
+    ("air_c", "verdict", "found"),
+    [
+        (60.0, Verdict.SKIPPED, "is not tried while the chamber changes its temperature"),
+        (23.0, Verdict.PASS, "the controller ramps and keeps 10 degC/min as its ramp"),
+    ],
+)
+def test_the_preflight_check_writes_nothing_to_a_chamber_that_may_change_its_temperature(
+    prepared, air_c, verdict, found
+):
+    rig = Rig()
+    line, heard = rig.line("chamber", WatlowF4Emulator(rig.air))
+    chamber = WatlowF4(line)
+    rig.air.air_c = air_c
+    heard.requests.clear()
+    checks = {
+        each.what: each for each in chamber_checks(prepared().station, lambda: UnreadableSwitch(chamber))
+    }
+    assert (checks["set point"].verdict, found in checks["set point"].found) == (verdict, True)
+    writes = [request for request in heard.requests if request[1] == 6]  # Modbus function
+    assert bool(writes) == (verdict is Verdict.PASS)
 
 
 def test_the_preflight_check_sees_a_profile_and_leaves_it(tmp_path, prepared):
