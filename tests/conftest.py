@@ -57,3 +57,11 @@ def lock_folder_of_this_worker(tmp_path_factory):
     with pytest.MonkeyPatch.context() as environment:
         environment.setenv(LOCK_DIR_VARIABLE, str(tmp_path_factory.mktemp("locks")))
         yield
+
+
+@pytest.fixture(autouse=True)
+def environment_of_this_process():
+    """A variable that a command sets in this process, for those that it starts, ends with the test."""
+    with pytest.MonkeyPatch.context() as environment:
+        environment.delenv("PYTHONSAFEPATH", raising=False)
+        yield

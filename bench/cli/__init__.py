@@ -27,8 +27,6 @@ from gyrobench.bench.foundations.errors import (
 
 # The matrices of this project are small: threads of the linear algebra slow each other down.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# Processes that a command starts import nothing from the current folder, which another user may write.
-os.environ["PYTHONSAFEPATH"] = "1"
 
 #: Modules leave half a million objects that stay: to search them for cycles as often as Python does takes a
 #: fifth of the time to start.
@@ -64,6 +62,8 @@ def options(
 def main() -> None:
     """Run the command line; known errors become a message and an exit code."""
     gc.set_threshold(*_GC_THRESHOLD)
+    # Processes that a command starts import nothing from the current folder, which another user may write.
+    os.environ["PYTHONSAFEPATH"] = "1"
     try:
         Path.cwd()
     except FileNotFoundError:

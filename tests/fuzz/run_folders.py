@@ -79,8 +79,8 @@ def use_journal(run: Path) -> Callable[[Path, bytes], None]:
     return use
 
 
-#: A part of frames between two dwells, as a kill leaves one of a dwell that was under way.
-_PART_OF_NO_DWELL = "can/part-00003.blf"
+#: A part after the last dwell, as a kill leaves one of a dwell that was under way.
+_PART_OF_NO_DWELL = "can/part-00009.blf"
 
 
 def use_can_log(run: Path) -> Callable[[Path, bytes], None]:
@@ -100,7 +100,7 @@ def use_can_log(run: Path) -> Callable[[Path, bytes], None]:
             raise WrongResultError("the damaged part gives frames that were not in it")
         if recompute_run(copy).dwells.read_bytes() != measured:
             raise WrongResultError("a part of no dwell changed the dwells")
-        shutil.copy(run / _PART_OF_NO_DWELL, copy / _PART_OF_NO_DWELL)
+        (copy / _PART_OF_NO_DWELL).unlink()
         (copy / PART).write_bytes(data)
         recompute_run(copy)
         for row, sound in zip(read_dwells(copy / "dwells.csv"), expected, strict=True):

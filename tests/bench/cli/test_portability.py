@@ -102,7 +102,7 @@ def test_commands_of_a_run_need_no_posix_module(finished, log):
 @pytest.mark.parametrize(
     ("command", "extra"),
     [
-        (("fleet", "bins", RUN), "fleet"),
+        (("fleet", "bins", RUN, "--scheduler", "tcp://127.0.0.1:9"), "fleet"),
         (("runs", "runs"), "index"),
         (("report", RUN, "--pdf"), "pdf"),
         (("export", RUN, "--what", "can", "--format", "mf4"), "mf4"),

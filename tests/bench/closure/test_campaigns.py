@@ -157,6 +157,7 @@ def test_the_station_is_the_emulated_one_except_for_its_unit():
         "ins.signals.epoch_period_s",
         "ins.noise.angle_random_walk_deg_per_sqrt_h",
         "ins.noise.velocity_random_walk_ug_per_sqrt_hz",
+        "ins.uncertainty",
         "unit.thermal.time_constant_s",
         "unit.thermal.self_heating_c",
     }

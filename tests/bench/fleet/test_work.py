@@ -16,11 +16,11 @@ from tests.bench.runs.index.sample_runs import copy_run
 pytestmark = pytest.mark.long
 
 
-def do_or_die(kind, path):
+def do_or_die(kind, path, **options):
     """End a worker as the kernel ends one that takes all memory, when it opens a run of that name."""
     if path.endswith("deadly"):
         os.kill(os.getpid(), signal.SIGKILL)
-    return do_job(kind, path)
+    return do_job(kind, path, **options)
 
 
 @pytest.fixture
