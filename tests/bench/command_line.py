@@ -12,7 +12,8 @@ import pytest
 from gyrobench.bench.cli import main
 
 WIDTH = {"COLUMNS": "80"}
-PROCESS = (sys.executable, "-c", "from gyrobench.bench.cli import main; main()")
+# As the installed script, which does not import from the current folder.
+PROCESS = (sys.executable, "-P", "-c", "from gyrobench.bench.cli import main; main()")
 
 
 def gyrobench_process(*arguments, cwd):
