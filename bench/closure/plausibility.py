@@ -15,7 +15,7 @@ from gyrobench.bench.foundations.arrays import FloatArray
 _COLDEST_C, _HOTTEST_C = -150.0, 200.0
 #: From this on, a temperature that is too high is probably in kelvin.
 _KELVIN_FROM = 213.15
-#: Sigmas this many times the spread of all biases of a gyro are wrong. With honest ones that has a
+#: Sigmas this many times the spread of all biases of a gyro are wrong. With right ones that has a
 #: probability below 1e-7 in the least number of dwells.
 _MAX_SIGMA_TO_SPREAD, _MIN_DWELLS = 10.0, 8
 _TEMPERATURES = {

@@ -48,10 +48,11 @@ def with_latitude(
         corrected = {
             dwell.number: biases
             for solution in solutions
+            for right in [solution.corrected(rate)]
             for dwell, *biases in zip(
                 solution.dwells,
-                RADPS_TO_DPH * solution.corrected(rate).bias_radps,
-                RADPS_TO_DPH * solution.corrected(rate).sigma_radps,
+                RADPS_TO_DPH * right.bias_radps,
+                RADPS_TO_DPH * right.sigma_radps,
                 strict=True,
             )
         }

@@ -109,7 +109,7 @@ class TimeRule(StrictModel):
 
 
 class TemperatureColumn(StrictModel):
-    """A column of temperatures with a conversion of its own."""
+    """A column of temperatures with a separate conversion."""
 
     column: Column = Field(description="name of the column, or its number from 1")
     scale: Factor | None = Field(default=None, description="degC per unit; default: that of the section")
@@ -145,7 +145,7 @@ class GyroColumns(StrictModel):
 
 
 #: A column alone is converted as its section says.
-HeatColumn = Annotated[Column | TemperatureColumn, Field()]
+Temperature = Annotated[Column | TemperatureColumn, Field()]
 
 
 class TemperatureColumns(StrictModel):
@@ -153,23 +153,23 @@ class TemperatureColumns(StrictModel):
 
     renamed_keys = MappingProxyType({"least_swing_c": "min_swing_c"})
 
-    gyros: HeatColumn | None = Field(default=None, description="one temperature for all three gyros")
-    gyro_x: HeatColumn | None = Field(default=None, description="temperature of the x gyro")
-    gyro_y: HeatColumn | None = Field(default=None, description="temperature of the y gyro")
-    gyro_z: HeatColumn | None = Field(default=None, description="temperature of the z gyro")
+    gyros: Temperature | None = Field(default=None, description="one temperature for all three gyros")
+    gyro_x: Temperature | None = Field(default=None, description="temperature of the x gyro")
+    gyro_y: Temperature | None = Field(default=None, description="temperature of the y gyro")
+    gyro_z: Temperature | None = Field(default=None, description="temperature of the z gyro")
     constant_c: float | None = Field(
         default=None,
         ge=COLDEST_C,
         le=HOTTEST_C,
         description="for a log without temperatures: the noted temperature, degC",
     )
-    boards: HeatColumn | None = Field(default=None, description="one temperature for all gyros' electronics")
-    board_x: HeatColumn | None = Field(default=None, description="temperature of the x gyro's electronics")
-    board_y: HeatColumn | None = Field(default=None, description="temperature of the y gyro's electronics")
-    board_z: HeatColumn | None = Field(default=None, description="temperature of the z gyro's electronics")
-    chamber_set: HeatColumn | None = Field(default=None, description="set point of the chamber")
-    chamber: HeatColumn | None = Field(default=None, description="air of the chamber")
-    case: HeatColumn | None = Field(default=None, description="case of the unit")
+    boards: Temperature | None = Field(default=None, description="one temperature for all gyros' electronics")
+    board_x: Temperature | None = Field(default=None, description="temperature of the x gyro's electronics")
+    board_y: Temperature | None = Field(default=None, description="temperature of the y gyro's electronics")
+    board_z: Temperature | None = Field(default=None, description="temperature of the z gyro's electronics")
+    chamber_set: Temperature | None = Field(default=None, description="set point of the chamber")
+    chamber: Temperature | None = Field(default=None, description="air of the chamber")
+    case: Temperature | None = Field(default=None, description="case of the unit")
     scale: float = Field(default=1.0, description="degC per unit of the columns")
     offset_c: float = Field(default=0.0, description="added after scale, degC")
     min_swing_c: NotNegative = Field(

@@ -37,7 +37,7 @@ class RunsProfiles(Protocol):
 class Chamber(RunsProfiles, Protocol):
     """A thermal chamber; every method may raise an InstrumentError of the bench."""
 
-    can_ramp: bool  #: Whether the controller ramps its set point; without it the bench takes it that it does.
+    can_ramp: bool  #: Whether the controller ramps its set point; assumed where a driver lacks it.
 
     def identify(self) -> str:
         """Name of the controller, for the run's provenance."""
@@ -110,6 +110,18 @@ def require_no_profile(chamber: RunsProfiles, instrument: str, end: bool) -> Non
             f"runs {profile}, which overrides its set point. End it at the panel, or set "
             "chamber.running_profile: end.",
         )
+
+
+def switch_output(chamber: Chamber, output: int, on: bool, end_profiles: bool, instrument: str) -> None:
+    """Switch the event output of a chamber's machinery, which a running profile may switch too.
+
+    Raises RefusedError while a profile runs that is not to be ended; off it is switched before.
+    """
+    if not on:
+        chamber.switch_event(output, on)
+    require_no_profile(chamber, instrument, end_profiles)
+    if on:
+        chamber.switch_event(output, on)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,13 @@ from enum import IntEnum
 from pydantic import Field
 
 from gyrobench.bench.foundations.errors import FaultError, RefusedError, ReplyError
-from gyrobench.drivers.chamber import ChamberDialect, ChamberOptions, ChamberReading, require_no_profile
+from gyrobench.drivers.chamber import (
+    ChamberDialect,
+    ChamberOptions,
+    ChamberReading,
+    require_no_profile,
+    switch_output,
+)
 from gyrobench.drivers.modbus_rtu import ModbusRtu, UnknownRegisterError
 from gyrobench.drivers.serial_line import SerialLine
 
@@ -178,11 +184,7 @@ class WatlowF4:
 
         Raises RefusedError while a profile runs, which may switch it too; off it is switched before.
         """
-        if not on:
-            self.switch_event(self._chamber_event, on)
-        require_no_profile(self, self._line.instrument, self._end_profiles)
-        if on:
-            self.switch_event(self._chamber_event, on)
+        switch_output(self, self._chamber_event, on, self._end_profiles, self._line.instrument)
 
     def switch_event(self, number: int, on: bool) -> None:
         """Switch an event output, 1 to 8 (registers 2000, 2010, ...).

@@ -12,7 +12,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from gyrobench.bench.foundations.errors import FaultError, NoReplyError
-from gyrobench.drivers.chamber import ChamberDialect, ChamberOptions, ChamberReading, require_no_profile
+from gyrobench.drivers.chamber import ChamberDialect, ChamberOptions, ChamberReading, switch_output
 from gyrobench.drivers.chamber.text_chamber import TextChamber
 from gyrobench.drivers.serial_line import LineDefaults, SerialLine
 from gyrobench.drivers.text_line import LINE_ENDINGS, TextLine
@@ -85,11 +85,7 @@ class WatlowF4T(TextChamber):
 
         Raises RefusedError while a profile runs, which may switch it too; off it is switched before.
         """
-        if not on:
-            self.switch_event(self._chamber_output, on)
-        require_no_profile(self, self._line.instrument, self.end_profiles)
-        if on:
-            self.switch_event(self._chamber_output, on)
+        switch_output(self, self._chamber_output, on, self.end_profiles, self._line.instrument)
 
     def switch_event(self, number: int, on: bool) -> None:
         """Switch an output (``OUTPUTn:STATE``); raises RefusedError if it does not keep its state."""
