@@ -167,8 +167,11 @@ class TcpPort(TcpListener):
         return data
 
     def write(self, data: bytes) -> int:
-        """Send what fits in the buffer; without a client the bytes are lost."""
-        return self._client.write(data) if self._client else len(data)
+        """Send what fits in the buffer; without a client, or to one that is found gone, bytes are lost."""
+        sent = self._client.write(data) if self._client else len(data)
+        if self._client and not self._client.is_connected:
+            self._client = None
+        return sent
 
 
 Port = PseudoTerminal | TcpPort

@@ -1,5 +1,6 @@
 import os
 import socket
+import struct
 
 import pytest
 
@@ -71,4 +72,19 @@ def test_a_second_client_is_disconnected_and_the_first_stays():
     with socket.create_connection(("127.0.0.1", port.number), timeout=120) as after:
         after.sendall(b"c")
         assert b"c" in (port.read(), port.read())
+    port.unplug()
+
+
+def test_a_client_found_gone_while_it_is_written_to_leaves_the_port_to_the_next():
+    port = TcpPort()
+    gone = socket.create_connection(("127.0.0.1", port.number), timeout=120)
+    port.read()
+    # A linger of zero makes the kernel reset the connection.
+    gone.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    gone.close()
+    assert port.write(b"frame") == 5
+    assert port.fileno() >= 0
+    with socket.create_connection(("127.0.0.1", port.number), timeout=120) as client:
+        client.sendall(b"V\r")
+        assert b"V\r" in (port.read(), port.read())
     port.unplug()

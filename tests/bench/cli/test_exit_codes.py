@@ -66,7 +66,7 @@ def test_a_wrong_world_or_list_of_faults_is_wrong_input_and_no_cable(command, op
 def test_a_current_folder_that_was_deleted_is_reported(tmp_path):
     (tmp_path / "gone").mkdir()
     script = f"import os; os.chdir({str(tmp_path / 'gone')!r}); os.rmdir({str(tmp_path / 'gone')!r}); "
-    command = [PROCESS[0], "-c", script + PROCESS[2], "validate", "mine.yaml"]
+    command = [*PROCESS[:-1], script + PROCESS[-1], "validate", "mine.yaml"]
     answer = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert (answer.returncode, "Traceback" in answer.stderr) == (2, False)
     assert "the current folder was deleted" in answer.stderr
