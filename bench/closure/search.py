@@ -205,7 +205,7 @@ class Search:
         return not any(self.objection(of, index) for index in range(len(of.candidates)))
 
     def _without_largest_dwell(self, of: Hypothesis, index: int) -> tuple[int, float]:
-        """The dwell with most of an effect's reduction of chi2 and the p-value without it, 0 if it has little.
+        """The dwell with most of an effect's reduction of chi2; the p-value without it, 0 if it has little.
 
         One dwell may be an outlier.
         """
