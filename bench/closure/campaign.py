@@ -22,6 +22,17 @@ _MAX_MISSING = 0.1
 
 
 @dataclass(frozen=True)
+class Table:
+    """A dwell table or run that a campaign was read from."""
+
+    name: str  #: Its path.
+    cycles: tuple[int, ...]  #: Its cycles, numbered as in the campaign.
+    added: int = 0  #: What was added to the numbers of its dwells.
+    start_s: float = 0.0  #: Start of its first dwell on the campaign's clock.
+    placed: str = ""  #: How its place on that clock was found; empty for the first.
+
+
+@dataclass(frozen=True)
 class Campaign:
     """n dwells in the order of time, gyros in the order x, y, z."""
 
@@ -56,6 +67,7 @@ class Campaign:
     held_out: BoolArray
     #: Dwells of the table that are left out because a gyro's temperature is missing.
     without_temperatures: tuple[int, ...] = ()
+    tables: tuple[Table, ...] = ()  #: What it was read from, in the order of time; empty without files.
     #: The campaign including the dwells without a result, and which of its dwells these are.
     part_of: tuple[Campaign, BoolArray] | None = None
 
@@ -72,9 +84,15 @@ class Campaign:
         """Same campaign with the temperatures of some cycles excluded from all fits."""
         whole = self.whole
         held_out: BoolArray = np.isin(whole.cycle, cycles)
-        record = whole.record
-        if record.is_of_dwells:
-            record = record_of_dwells(whole.start_s, whole.end_s, whole.gyro_c, whole.rate_c_per_h, held_out)
+        parts = list(whole.record.parts or (whole.record,))
+        starts_s = [table.start_s for table in whole.tables[1:]] if len(parts) > 1 else []
+        table = np.searchsorted(starts_s, whole.start_s, side="right")
+        for index, part in enumerate(parts):
+            if part.is_of_dwells:
+                mine = table == index
+                dwells = (whole.start_s, whole.end_s, whole.gyro_c, whole.rate_c_per_h, held_out)
+                parts[index] = record_of_dwells(*(each[mine] for each in dwells))
+        record = TemperatureRecord.joined(parts)
         whole = replace(whole, held_out=held_out, record=record)
         return whole if self.part_of is None else whole.part(self.part_of[1])
 
