@@ -117,6 +117,28 @@ def test_an_effect_in_one_dwell_is_not_found(problem):
     assert "dwells" not in searching.best().names
 
 
+def test_an_effect_with_most_of_its_gain_in_one_dwell_is_found_if_the_others_show_it_too(problem):
+    """One dwell has 51 % of the gain or more; without it the effect is still significant."""
+    one = problem()
+    shape = np.zeros((len(one.campaign), 1, 1))
+    shape[[20, *range(25, 61, 3)], 0, 0] = [1.0] + [0.25] * 12
+    loads = Effect("loads", "", "", (Form(("load",), lambda campaign, _: shape * np.ones((1, 3, 1))),))
+    bias_dph = one.campaign.bias_dph + 12.0 * SIGMA_DPH * shape[:, :, 0]
+    searching = Search(declared_problem(replace(one.campaign, bias_dph=bias_dph), one.searched), [loads])
+    assert searching.best().names == {"loads"}
+
+
+def test_an_effect_that_is_not_accepted_has_an_objection(problem):
+    one = problem()
+    bias_dph = one.campaign.bias_dph.copy()
+    bias_dph[20] += 10.0 * SIGMA_DPH
+    searched = declared_problem(replace(one.campaign, bias_dph=bias_dph), one.searched)
+    searching = Search(searched, [following_dwell(20)])
+    assert searching.objection(searching.alone["dwells"], 0) == (
+        "it rests on dwell 21 alone (p = 1 without it)"
+    )
+
+
 def test_an_effect_in_several_dwells_is_found(problem):
     one = problem()
     bias_dph = one.campaign.bias_dph.copy()
