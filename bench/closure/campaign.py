@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from gyrobench.bench.closure.temperatures import TemperatureRecord, record_of_dw
 from gyrobench.bench.closure.thermal_network import electronics_above_optics
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.navigation.positions import POSITIONS
 
 #: Largest share of dwells without a reading of a sensor, other than a gyro's, that is interpolated.
@@ -79,6 +81,31 @@ class Campaign:
     def whole(self) -> Campaign:
         """The campaign including the dwells without a result; their biases may be NaN."""
         return self if self.part_of is None else self.part_of[0]
+
+    @property
+    def cycles(self) -> list[int]:
+        """Numbers of the cycles, in order."""
+        return list(map(int, np.unique(self.cycle)))
+
+    @property
+    def last_cycle(self) -> int:
+        """The last cycle; of several tables, that of the first one with several cycles.
+
+        It is what a search of that table alone holds out: tables measured later add to what is searched.
+        """
+        for table in self.tables if len(self.tables) > 1 else ():
+            cycles = [cycle for cycle in self.cycles if cycle in table.cycles]
+            if len(cycles) > 1:
+                return cycles[-1]
+        return self.cycles[-1]
+
+    def cycles_of(self, name: str) -> list[int]:
+        """Cycles of one of the tables. Raises MeasurementError if it is none of them."""
+        for table in self.tables:
+            if Path(table.name) == Path(name):
+                return [cycle for cycle in self.cycles if cycle in table.cycles]
+        names = listed([table.name for table in self.tables])
+        raise MeasurementError(f"{name} can't be held out: it is not searched. Name one of {names}")
 
     def holding_out(self, cycles: Sequence[int]) -> Campaign:
         """Same campaign with the temperatures of some cycles excluded from all fits."""

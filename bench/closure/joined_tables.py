@@ -11,11 +11,13 @@ import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign, Table
 from gyrobench.bench.closure.temperatures import TemperatureRecord
+from gyrobench.bench.foundations.arrays import IntArray
 from gyrobench.bench.foundations.errors import MeasurementError
 
 #: Time from the end of a table to the power-on of the next one where no common clock is known.
 ASSUMED_PAUSE_S = 3600.0
 _SAME_S = 1.0
+_ON_CLOCK = "on the clock of "
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,7 @@ def joined(sources: Sequence[Source]) -> Campaign:
     shifts_s: list[float] = []
     for index, each in enumerate(sources):
         shift_s, placed = _placed(each, sources[:index], shifts_s)
-        part = _shifted(each, shift_s, parts)
+        part = _shifted(each, shift_s, parts, is_on_clock=placed.startswith(_ON_CLOCK))
         shifts_s.append(shift_s)
         parts.append(part)
         whole = part.whole
@@ -122,11 +124,11 @@ def _placed(source: Source, before: Sequence[Source], shifts_s: Sequence[float])
                 )
             return shift_s, "by its calendar time"
     if source.is_after(last):
-        return last_shift_s, f"on the clock of {last.name}"
+        return last_shift_s, f"{_ON_CLOCK}{last.name}"
     return end_s + ASSUMED_PAUSE_S - source.power_on_s, f"after {last.name}: it has no common clock with it"
 
 
-def _shifted(source: Source, shift_s: float, before: Sequence[Campaign]) -> Campaign:
+def _shifted(source: Source, shift_s: float, before: Sequence[Campaign], *, is_on_clock: bool) -> Campaign:
     """Campaign on the common clock, with numbers of dwells and cycles and runs that those before lack."""
     campaign = source.campaign
     whole = campaign.whole
@@ -140,22 +142,29 @@ def _shifted(source: Source, shift_s: float, before: Sequence[Campaign]) -> Camp
         names += [] if name in names else [name]
         runs.append(names.index(name))
 
-    def free(mine: Any, used: Any) -> int:
-        """What to add to numbers so that they are above all used ones; 0 if they are."""
-        highest = max((int(each.max()) for each in used), default=-1)
-        return max(0, highest + 1 - int(mine.min())) if used else 0
-
+    last_cycle = _highest([each.whole.cycle for each in before])
+    continues_cycle = is_on_clock and whole.cycle.min() == last_cycle
     moved = replace(
         whole,
         run_names=tuple(names),
         run=np.array(runs)[whole.run],
-        dwell=whole.dwell + free(whole.dwell, [each.whole.dwell for each in before]),
-        cycle=whole.cycle + free(whole.cycle, [each.whole.cycle for each in before]),
+        dwell=_above(_highest([each.whole.dwell for each in before]), whole.dwell),
+        cycle=whole.cycle if continues_cycle else _above(last_cycle, whole.cycle),
         start_s=whole.start_s + shift_s,
         end_s=whole.end_s + shift_s,
         record=replace(whole.record, time_s=whole.record.time_s + shift_s),
     )
     return moved if campaign.part_of is None else moved.part(campaign.part_of[1])
+
+
+def _highest(used: Sequence[IntArray]) -> float:
+    return max((float(each.max()) for each in used), default=-np.inf)
+
+
+def _above(highest: float, numbers: IntArray) -> IntArray:
+    """Numbers, shifted if the first is not above the highest used one."""
+    first = int(numbers.min())
+    return numbers if first > highest else numbers + int(highest) + 1 - first
 
 
 def _together(parts: Sequence[Campaign], tables: Sequence[Table]) -> Campaign:
