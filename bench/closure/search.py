@@ -110,7 +110,7 @@ class Search:
             labels = [each.effect.display_name for each in of.without(one)]
             beside = f" beside {listed(labels)}" if labels else ""
             return f"not significant{beside} (p = {p_value:.2g}, required below {SIGNIFICANCE:g})"
-        if one.is_at_open_end:
+        if one.is_at_open_end(self.problem.campaign):
             return "a parameter is at its upper bound, where the effect becomes another one"
         dwell, p_without = self._without_largest_dwell(of, index)
         if p_without >= SIGNIFICANCE:

@@ -152,7 +152,7 @@ def alternative_fits(problem: Problem, effect: Effect) -> list[Fit]:
 
 
 def _grid(parameter: Parameter, campaign: Campaign, count: int) -> list[float]:
-    low, high = parameter.low, parameter.high
+    low, high = parameter.bounds(campaign)
     begun: list[float] = parameter.starts(campaign).tolist()
     if not np.isfinite([low, high]).all():
         return begun

@@ -12,20 +12,26 @@ from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.text import plain_name
 
+_S_PER_H = 3600.0
+
 
 @dataclass(frozen=True)
 class Parameter:
     """A nonlinear parameter of a form, common to the three gyros."""
 
     name: str  #: With its unit: "tau_s", "onset_c".
-    #: low, high: Bounds of the fit.
+    #: low, high: Bounds of the fit; the upper one may depend on the campaign.
     low: float
-    high: float
+    high: float | Callable[[Campaign], float]
     #: Starting values of the fit for a campaign; all of them are fitted.
     starts: Callable[[Campaign], FloatArray]
     #: Whether a value at the upper bound means that the effect is another one: a time constant as long as the
     #: campaign is a drift.
     is_open_end: bool = False
+
+    def bounds(self, campaign: Campaign) -> tuple[float, float]:
+        """Lower and upper bound in a campaign."""
+        return self.low, self.high(campaign) if callable(self.high) else self.high
 
 
 @dataclass(frozen=True)
@@ -120,6 +126,22 @@ def checked(form: Form, effect: str) -> Form:
 def fixed(*values: float) -> Callable[[Campaign], FloatArray]:
     """Starting values that do not depend on the campaign."""
     return lambda campaign: np.array(values)  # noqa: ARG005
+
+
+def searched_length_s(campaign: Campaign) -> float:
+    """Time from the first to the last dwell that is not held out, at least an hour: bounds time constants."""
+    seen = ~campaign.held_out if not campaign.held_out.all() else slice(None)
+    return max(float(campaign.end_s[seen].max() - campaign.start_s[seen].min()), _S_PER_H)
+
+
+def time_constant(low_s: float, *starts_s: float) -> Parameter:
+    """Time constant ``tau_s`` of at most the campaign's length, where the effect becomes another one."""
+
+    def starts(campaign: Campaign) -> FloatArray:
+        longest_s = searched_length_s(campaign)
+        return np.unique(np.minimum(starts_s, longest_s))
+
+    return Parameter("tau_s", low_s, searched_length_s, starts, is_open_end=True)
 
 
 def same_for_all_gyros(terms: FloatArray) -> FloatArray:

@@ -78,7 +78,8 @@ def test_starts_lie_between_the_bounds(clean, effect, form):
     for parameter in form.parameters:
         values = parameter.starts(clean)
         assert len(values)
-        assert parameter.low <= values.min() <= values.max() <= parameter.high
+        low, high = parameter.bounds(clean)
+        assert low <= values.min() <= values.max() <= high
 
 
 @pytest.mark.parametrize("effect", all_effects(), ids=label)
