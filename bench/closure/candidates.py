@@ -43,10 +43,11 @@ class Candidate:
             campaign.computed_terms[key] = self.form.columns(campaign, self.values)
         return campaign.computed_terms[key]
 
-    def is_at_open_end(self, campaign: Campaign) -> bool:
+    @property
+    def is_at_open_end(self) -> bool:
         """Whether a parameter is at an upper bound beyond which the effect becomes another one."""
         return any(
-            each.is_open_end and value >= 0.999 * each.bounds(campaign)[1]
+            each.is_open_end and value >= 0.999 * each.high
             for each, value in zip(self.form.parameters, self.values, strict=True)
         )
 
@@ -147,13 +148,14 @@ def refine(problem: Problem, candidates: Sequence[Candidate]) -> list[Candidate]
     start = np.array([value for each in candidates for value in each.values])
     if not parameters:
         return list(candidates)
-    bounds = [each.bounds(problem.campaign) for each in parameters]
-    widths = np.array([_width(value, *each, problem) for value, each in zip(start, bounds, strict=True)])
+    widths = np.array(
+        [_width(value, each.low, each.high, problem) for value, each in zip(start, parameters, strict=True)]
+    )
 
     def split(offsets: FloatArray) -> list[Candidate]:
         values = iter(
-            float(np.clip(value, low, high))
-            for value, (low, high) in zip(start + widths * offsets, bounds, strict=True)
+            float(np.clip(value, each.low, each.high))
+            for value, each in zip(start + widths * offsets, parameters, strict=True)
         )
         return [
             replace(each, values=tuple(itertools.islice(values, len(each.values)))) for each in candidates

@@ -334,7 +334,7 @@ def _is_confirmed(problem: Problem, of: Hypothesis, one: Candidate) -> bool:
     """Whether one effect explains most of the chi2 of cycles left out, and lowers it in most of them."""
     cycles = leave_out_cycles(problem, of.without(one), of.candidates).values()
     better = sum(each.gain > 0.0 for each in cycles)
-    share = 0.0 if one.is_at_open_end(problem.campaign) else pooled_gain(cycles)
+    share = 0.0 if one.is_at_open_end else pooled_gain(cycles)
     return share > CONFIRMED_SHARE and better >= CONFIRMED_CYCLES * len(cycles)
 
 

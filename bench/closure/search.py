@@ -52,11 +52,11 @@ class Search:
         self, problem: Problem, effects: Sequence[Effect], alone: Mapping[str, Hypothesis] | None = None
     ) -> None:
         self.problem = problem
-        self.effects = tuple(effects)
+        self.effects = tuple(each.bounded(problem.campaign) for each in effects)
         self.declared = evaluate(problem, ())
         self._known: dict[tuple[object, ...], Hypothesis | None] = {}
         if alone is None:
-            each_alone = {effect.name: self._added(self.declared, effect) for effect in effects}
+            each_alone = {effect.name: self._added(self.declared, effect) for effect in self.effects}
             alone = {name: each for name, each in each_alone.items() if each is not None}
         self.alone = dict(alone)
 
@@ -110,7 +110,7 @@ class Search:
             labels = [each.effect.display_name for each in of.without(one)]
             beside = f" beside {listed(labels)}" if labels else ""
             return f"not significant{beside} (p = {p_value:.2g}, required below {SIGNIFICANCE:g})"
-        if one.is_at_open_end(self.problem.campaign):
+        if one.is_at_open_end:
             return "a parameter is at its upper bound, where the effect becomes another one"
         dwell, p_without = self._without_largest_dwell(of, index)
         if p_without >= SIGNIFICANCE:

@@ -152,7 +152,7 @@ def alternative_fits(problem: Problem, effect: Effect) -> list[Fit]:
 
 
 def _grid(parameter: Parameter, campaign: Campaign, count: int) -> list[float]:
-    low, high = parameter.bounds(campaign)
+    low, high = parameter.low, parameter.high
     begun: list[float] = parameter.starts(campaign).tolist()
     if not np.isfinite([low, high]).all():
         return begun
@@ -242,6 +242,7 @@ def separability(campaign: Campaign, effects: Sequence[Effect]) -> Separability:
     All dwells of the campaign are searched; its biases are not used.
     """
     problem = declared_problem(campaign, np.ones(len(campaign), dtype=bool))
+    effects = [effect.bounded(campaign) for effect in effects]
     assumed = {effect.name: assumed_effects(problem, effect) for effect in effects}
     typical = {name: each[0] for name, each in assumed.items() if each}
     detections = {each.name: _detection(problem, each, assumed[each.name], effects) for each in effects}

@@ -13,6 +13,7 @@ from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.text import plain_name
 
 _S_PER_H = 3600.0
+_MAX_TIME_S = 1e7
 
 
 @dataclass(frozen=True)
@@ -20,18 +21,15 @@ class Parameter:
     """A nonlinear parameter of a form, common to the three gyros."""
 
     name: str  #: With its unit: "tau_s", "onset_c".
-    #: low, high: Bounds of the fit; the upper one may depend on the campaign.
+    #: low, high: Bounds of the fit.
     low: float
-    high: float | Callable[[Campaign], float]
+    high: float
     #: Starting values of the fit for a campaign; all of them are fitted.
     starts: Callable[[Campaign], FloatArray]
     #: Whether a value at the upper bound means that the effect is another one: a time constant as long as the
     #: campaign is a drift.
     is_open_end: bool = False
-
-    def bounds(self, campaign: Campaign) -> tuple[float, float]:
-        """Lower and upper bound in a campaign."""
-        return self.low, self.high(campaign) if callable(self.high) else self.high
+    limit: Callable[[Campaign], float] | None = None  #: A lower upper bound in a campaign, if any.
 
 
 @dataclass(frozen=True)
@@ -97,6 +95,19 @@ class Effect:
         """Name on pages and in the terminal."""
         return self.label or plain_name(self.name)
 
+    def bounded(self, campaign: Campaign) -> Effect:
+        """Same effect with the bounds of its parameters in a campaign."""
+        if not any(parameter.limit for form in self.forms for parameter in form.parameters):
+            return self
+        forms = []
+        for form in self.forms:
+            parameters = [
+                replace(each, high=min(each.high, each.limit(campaign)), limit=None) if each.limit else each
+                for each in form.parameters
+            ]
+            forms.append(replace(form, parameters=tuple(parameters)))
+        return replace(self, forms=tuple(forms))
+
     def missing_input(self, campaign: Campaign) -> str | None:
         """The input without which no form can be fitted; None if one form can."""
         missing = [form.missing_input(campaign) for form in self.forms]
@@ -141,7 +152,7 @@ def time_constant(low_s: float, *starts_s: float) -> Parameter:
         longest_s = searched_length_s(campaign)
         return np.unique(np.minimum(starts_s, longest_s))
 
-    return Parameter("tau_s", low_s, searched_length_s, starts, is_open_end=True)
+    return Parameter("tau_s", low_s, _MAX_TIME_S, starts, is_open_end=True, limit=searched_length_s)
 
 
 def same_for_all_gyros(terms: FloatArray) -> FloatArray:

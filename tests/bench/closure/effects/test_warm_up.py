@@ -38,7 +38,7 @@ def test_a_decay_longer_than_twelve_hours_is_no_drift(closed, cycles, size):
     [found] = closure.effects
     assert found.effect.name == "warm_up"
     assert found.candidate.values[0] == pytest.approx(30.0 * 3600.0, rel=0.15)
-    assert FORM.parameters[0].bounds(closure.campaign)[1] == pytest.approx(
+    assert found.candidate.form.parameters[0].high == pytest.approx(
         np.ptp([closure.campaign.start_s[0], closure.campaign.end_s[closure.searched][-1]])
     )
 
