@@ -24,8 +24,8 @@ KNOWN = ("one", "two", "three")
 
 
 def is_right(one):
-    """Whether exactly the effects of the unit are named."""
-    return set(one["found"]) == set(one["effects"])
+    """Whether exactly the effects of the unit are named; of one without, whether it is called clean."""
+    return set(one["found"]) == set(one["effects"]) and (bool(one["effects"]) or one["verdict"] == "clean")
 
 
 def is_tied(one):
