@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter, fixed, no_ins_term
+from gyrobench.bench.closure.effects.effect import Effect, Form, no_ins_term, time_constant
 from gyrobench.bench.closure.temperatures import lag
 from gyrobench.bench.foundations.arrays import FloatArray
 
@@ -23,11 +23,7 @@ EFFECT = Effect(
     ),
     compensation=no_ins_term("the INS has no term for a temperature that lags behind"),
     forms=(
-        Form(
-            ("lag behind the sensor, K",),
-            _columns,
-            (Parameter("tau_s", 1.0, 14_400.0, fixed(300.0, 900.0, 2700.0, 7200.0), is_open_end=True),),
-        ),
+        Form(("lag behind the sensor, K",), _columns, (time_constant(1.0, 300.0, 900.0, 2700.0, 7200.0),)),
     ),
     imitated_by=("thermal_gradient",),
 )
