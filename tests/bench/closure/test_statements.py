@@ -12,7 +12,7 @@ TRIANGLE = ((-20.0, 0.2, 0.0), (60.0, 0.2, 0.0), (20.0, 0.2, 0.0))
 
 def found(module, *values, axes=("x", "y", "z")):
     candidate = whole(module.EFFECT, *values)
-    return FoundEffect(candidate, np.zeros(candidate.kept.shape), axes, 1e-9, 41, 0.01234, {}, ())
+    return FoundEffect(candidate, np.zeros(candidate.kept.shape), axes, 1e-9, 41, 0.01234, {}, (), 0.999)
 
 
 def test_a_statement_has_size_gyros_and_parameters():
