@@ -26,10 +26,10 @@ from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 #: Prior probability of so many effects; all sets of as many are equally probable.
 EFFECT_COUNT_PRIOR = (0.4, 0.35, 0.15, 0.1)
 #: Prior probability of a remainder beside any set, shared equally by its processes.
-REMAINDER_PRIOR = 0.1
+REMAINDER_PRIOR = 0.05
 #: Orders of magnitude of a size: rms of a term in the dwells searched, in units of the noise; all are equally
 #: probable. An effect has about the same in all gyros, with this probability, or any smaller one in a gyro.
-MAGNITUDES = 0.25 * 4.0 ** np.arange(6)
+MAGNITUDES = 0.5 * 4.0 ** np.arange(6)
 SAME_MAGNITUDE = 0.8
 #: Variance of the noise over the stated one, as inverse gamma distributions: probability, shape and scale.
 #: Stated uncertainties are right to 7 %, or too small by 1 to 1.7.
@@ -147,12 +147,12 @@ class Evidences:
         found = self._log_evidence(products, scales[:, None, None])
         found -= 0.5 * np.sum(np.log1p(variances), axis=3)[..., np.newaxis]
         smooth = [_summed(found[:, index], 1) for index in range(len(self._remainder.names))]
-        # Scatter is larger noise: below the third magnitude it is what the prior of the noise includes.
-        larger = 1.0 + MAGNITUDES[2:, np.newaxis] ** 2
+        # Scatter is larger noise: below the second magnitude it is what the prior of the noise includes.
+        larger = 1.0 + MAGNITUDES[1:, np.newaxis] ** 2
         products = terms.products[:, None] / larger[..., np.newaxis]
         scatter = np.full((3, len(MAGNITUDES), len(NOISE_PRIOR)), -1e9)
-        scatter[:, 2:] = self._log_evidence(products, scales[:, None])
-        scatter[:, 2:] -= 0.5 * self._dof[:, None, None] * np.log(larger)
+        scatter[:, 1:] = self._log_evidence(products, scales[:, None])
+        scatter[:, 1:] -= 0.5 * self._dof[:, None, None] * np.log(larger)
         return np.array([*smooth, _summed(scatter, 1)])
 
     def _log_evidence(self, products: FloatArray, scales: FloatArray) -> FloatArray:
@@ -176,30 +176,27 @@ class Evidences:
             - (shape + half_dof) * np.log(scale + half_chi2)
             for _, shape, scale in NOISE_PRIOR
         ]
-        return np.stack(parts, axis=-1) - log_determinant[..., np.newaxis]
+        return np.asarray(np.stack(parts, axis=-1) - log_determinant[..., np.newaxis])
 
 
 @dataclass(frozen=True)
 class _Terms:
-    """Terms and data of a hypothesis beside the declared model, each term of rms 1 in units of the noise."""
+    """Terms and data of a hypothesis beside the declared model, in units of the noise and each of rms 1."""
 
     columns: FloatArray  #: Shape (3, m, k + 1). The data are last.
     products: FloatArray  #: Shape (3, k + 1, k + 1).
     kept: BoolArray  #: Shape (3, k).
     owner: IntArray  #: Shape (k,). Index of each term's effect.
-    rms: FloatArray  #: Shape (3, k). Of the terms before scaling.
+    rms: FloatArray  #: Shape (3, k). Of the terms before that.
 
     @classmethod
     def of(cls, problem: Problem, candidates: Sequence[Candidate]) -> _Terms:
-        if not candidates:
-            kept, raw = np.ones((3, 0), dtype=bool), np.zeros((3, len(problem.residuals), 0))
+        if candidates:
+            all_columns, kept = stack(candidates, problem.campaign)
         else:
-            columns, kept = stack(candidates, problem.campaign)
-            raw = whitened(problem, columns)
-        rms = np.maximum(np.std(raw, axis=1), 1e-300)
-        columns = np.concatenate(
-            [beside_declared(problem, raw / rms[:, None]), problem.residuals.T[..., None]], 2
-        )
+            all_columns, kept = np.zeros((len(problem.campaign), 3, 0)), np.ones((3, 0), dtype=bool)
+        visible, rms = problem.beside(all_columns[problem.searched])
+        columns = np.concatenate([visible / rms[:, None], problem.residuals.T[..., None]], axis=2)
         owner = np.repeat(np.arange(len(candidates)), [each.kept.shape[1] for each in candidates])
         return cls(columns, np.swapaxes(columns, 1, 2) @ columns, kept, owner.astype(np.int64), rms)
 
@@ -210,18 +207,6 @@ class _Terms:
             len(MAGNITUDES) ** count, count
         )
         return combinations[:, self.owner]
-
-
-def whitened(problem: Problem, columns: FloatArray) -> FloatArray:
-    """Columns (n, 3, k) of all dwells as those of the dwells searched in units of the noise (3, m, k)."""
-    return np.moveaxis(columns[problem.searched] / problem.sigma_dph[..., np.newaxis], 1, 0)
-
-
-def beside_declared(problem: Problem, columns: FloatArray) -> FloatArray:
-    """Columns (3, m, k) without the part that the columns of the problem describe."""
-    return np.stack(
-        [each - basis @ (basis.T @ each) for each, basis in zip(columns, problem.bases, strict=True)]
-    )
 
 
 def _summed(per_gyro: FloatArray, magnitudes: int) -> float:
@@ -261,7 +246,8 @@ def _log_parameter_volume(
             values = (*each.values[:index], value + step, *each.values[index + 1 :])
             change = replace(each, values=values).columns(problem.campaign) - each.columns(problem.campaign)
             mine = terms.owner == place
-            slopes.append((whitened(problem, change / step * width) / terms.rms[:, None, mine], mine))
+            visible, _ = problem.beside(change[problem.searched] * (width / step))
+            slopes.append((visible / terms.rms[:, None, mine], mine))
     if not slopes:
         return 0.0
     count = len(terms.owner)
@@ -273,7 +259,6 @@ def _log_parameter_volume(
         sizes = np.zeros(count)
         sizes[used] = np.linalg.solve(normal, columns.T @ data)
         change = np.stack([each[gyro] @ sizes[mine] for each, mine in slopes], axis=1)
-        change = change - problem.bases[gyro] @ (problem.bases[gyro].T @ change)
         across = columns.T @ change
         information += change.T @ change - across.T @ np.linalg.solve(normal, across)
     return -0.5 * float(np.linalg.slogdet(np.eye(len(slopes)) + information / (2.0 * np.pi))[1])

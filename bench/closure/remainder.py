@@ -37,12 +37,10 @@ def remainder_of(problem: Problem) -> Remainder:
     directions = np.zeros((3, len(processes), len(seen), RANK))
     powers = np.zeros((3, len(processes), RANK))
     for index, columns in enumerate(processes.values()):
+        visible, rms = problem.beside(columns)
+        visible /= np.sqrt(np.sum(rms**2, axis=1))[:, np.newaxis, np.newaxis]
         for gyro in range(3):
-            weighted = columns[:, gyro] / problem.sigma_dph[:, gyro, np.newaxis]
-            weighted = weighted - weighted.mean(axis=0)
-            weighted /= max(np.sqrt(np.mean(np.sum(weighted**2, axis=1))), 1e-300)
-            basis = problem.bases[gyro]
-            left, lengths, _ = np.linalg.svd(weighted - basis @ (basis.T @ weighted), full_matrices=False)
+            left, lengths, _ = np.linalg.svd(visible[gyro], full_matrices=False)
             rank = int(np.sum(lengths[:RANK] ** 2 > _MIN_POWER))
             directions[gyro, index, :, :rank] = left[:, :rank]
             powers[gyro, index, :rank] = lengths[:rank] ** 2
@@ -54,7 +52,7 @@ def _waves(values: FloatArray, count: int, length: float) -> FloatArray:
     low, high = float(np.min(values)), float(np.max(values))
     order = np.arange(1, count + 1)
     place = (values - low) / max(high - low, 1e-9)
-    return np.cos(np.pi * order * place[..., np.newaxis]) / (1.0 + (order * length) ** 2)
+    return np.asarray(np.cos(np.pi * order * place[..., np.newaxis]) / (1.0 + (order * length) ** 2))
 
 
 def _with_constant(waves: FloatArray) -> FloatArray:
@@ -93,7 +91,7 @@ def _temperatures(campaign: Campaign, count: int, length: float) -> FloatArray:
 def _by_attitude(by: Callable[[Campaign], FloatArray]) -> Callable[[Campaign], FloatArray | None]:
     def columns(campaign: Campaign) -> FloatArray | None:
         attitude = _attitude(campaign)
-        return None if attitude is None else _products(attitude, by(campaign))[..., :]
+        return None if attitude is None else _products(attitude, by(campaign))
 
     return columns
 

@@ -130,7 +130,7 @@ class Search:
         return [p_value < SIGNIFICANCE or p_value == min(p_values) for p_value in p_values]
 
     def posterior(self, found: Hypothesis) -> Posterior:
-        """Probabilities of all sets of effects fitted so far, and of those with one effect of a set exchanged.
+        """Probabilities of all sets of effects fitted so far and of the one found with an effect exchanged.
 
         A set that contains the one found as a special case is left out: the simpler one is preferred.
         """
