@@ -35,15 +35,22 @@ def write_closure(folder: Path, closure: Closure) -> None:
     Raises RunFolderError if a file can't be written.
     """
     make_folder(folder)
-    write_text(folder / _DOCUMENT, _document_text(closure))
+    write_text(folder / _DOCUMENT, json.dumps(closure_document(closure), indent=2) + "\n")
     write_text(folder / "predictions.csv", format_predictions(closure))
     write_text(folder / "model.yaml", yaml.safe_dump(model_document(closure), sort_keys=False))
 
 
 def is_written(folder: Path, closure: Closure) -> bool:
-    """Whether a folder holds this search already."""
+    """Whether a folder holds this search already, by any path of its tables, and rotated or not."""
     path = folder / _DOCUMENT
-    return path.exists() and path.read_bytes() == _document_text(closure).encode()
+    if not path.exists():
+        return False
+    try:
+        written = parse_json(read_limited(path, _MAX_BYTES, RunFolderError))
+    except ValueError:
+        return False
+    own = closure_document(closure)
+    return isinstance(written, dict) and written | {key: own[key] for key in ("tables", "rotation")} == own
 
 
 def read_held_out_cycles(folder: Path) -> list[int]:
@@ -62,10 +69,6 @@ def read_held_out_cycles(folder: Path) -> list[int]:
     if not isinstance(cycles, list) or not all(type(cycle) is int for cycle in cycles):
         raise RunFolderError(f"{path}: the file is damaged: it has no list held_out_cycles. {_WHAT_TO_DO}")
     return cycles
-
-
-def _document_text(closure: Closure) -> str:
-    return json.dumps(closure_document(closure), indent=2) + "\n"
 
 
 def closure_document(closure: Closure) -> dict[str, Any]:
@@ -94,18 +97,40 @@ def closure_document(closure: Closure) -> dict[str, Any]:
         "lack_of_fit_p_after": closure.after.p_value,
         "error_before_dph": closure.error_before_dph,
         "error_after_dph": closure.error_after_dph,
+        "tables": [
+            {
+                "path": table.name,
+                "cycles": list(table.cycles),
+                "added_to_dwells": table.added,
+                "placed": table.placed,
+            }
+            for table in closure.campaign.tables
+        ],
         "held_out_cycles": sorted(set(closure.campaign.cycle[~closure.searched].tolist())),
         "dwells_searched": int(closure.searched.sum()),
+        "rotation": [
+            {
+                "held_out_cycle": turn.cycle,
+                "verdict": turn.verdict or None,
+                "effects": list(turn.effects),
+                **{name: _known(getattr(turn, name)) for name in ("error_before_dph", "error_after_dph")},
+            }
+            for turn in closure.rotation
+        ],
         "tried": [
             {
                 "effect": each.effect.name,
                 "lacks": each.missing_input,
-                "share_explained_alone": None if math.isnan(each.share) else each.share,
+                "share_explained_alone": _known(each.share),
                 "p_value_alone": None if each.candidate is None else each.p_value,
             }
             for each in closure.evidence
         ],
     }
+
+
+def _known(value: float) -> float | None:
+    return None if math.isnan(value) else value
 
 
 def format_predictions(closure: Closure) -> str:

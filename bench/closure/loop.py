@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -120,6 +120,20 @@ class Evidence:
 
 
 @dataclass(frozen=True)
+class Turn:
+    """Outcome of a search with one cycle held out."""
+
+    cycle: int  #: The cycle.
+    verdict: str = ""  #: As in :class:`Closure`; empty if the cycle can't be held out.
+    effects: tuple[str, ...] = ()  #: Names of the effects found.
+    #: error_before_dph, error_after_dph, noise_dph: In the cycle, rms; see :class:`Closure`.
+    error_before_dph: float = np.nan
+    error_after_dph: float = np.nan
+    noise_dph: float = np.nan
+    reason: str = ""  #: Why it can't be held out.
+
+
+@dataclass(frozen=True)
 class Closure:
     """Outcome of a search."""
 
@@ -146,6 +160,7 @@ class Closure:
     #: declared_draws, model_draws: Draws of the parameters of both models.
     declared_draws: Draws
     model_draws: Draws
+    rotation: tuple[Turn, ...] = ()  #: Each cycle held out in turn; empty if that was not asked for.
 
     @cached_property
     def prediction_sigma_dph(self) -> FloatArray:
@@ -203,7 +218,7 @@ def close_loop(
     campaign : Campaign
         The measured dwells.
     hold_out_cycles : sequence of int
-        Cycles that the search does not use; by default the last one.
+        Cycles that the search does not use; by default :attr:`Campaign.last_cycle`.
     effects : sequence of Effect, optional
         Candidates; by default all installed ones.
 
@@ -256,13 +271,34 @@ def close_loop(
     )
 
 
+def rotated(closure: Closure) -> Closure:
+    """Same closure with the outcome of a search for each cycle, held out alone."""
+    campaign, effects = closure.campaign, [each.effect for each in closure.evidence]
+    return replace(closure, rotation=tuple(_turn(campaign, cycle, effects) for cycle in campaign.cycles))
+
+
+def _turn(campaign: Campaign, cycle: int, effects: Sequence[Effect]) -> Turn:
+    try:
+        closure = close_loop(campaign, [cycle], effects)
+    except MeasurementError as error:
+        return Turn(cycle, reason=str(error))
+    return Turn(
+        cycle,
+        closure.verdict,
+        tuple(each.effect.name for each in closure.effects),
+        closure.error_before_dph,
+        closure.error_after_dph,
+        closure.noise_scale * _rms(campaign.sigma_dph[campaign.cycle == cycle]),
+    )
+
+
 def _searched(campaign: Campaign, hold_out_cycles: Sequence[int]) -> BoolArray:
-    cycles = np.unique(campaign.cycle)
-    held_out = list(hold_out_cycles) or [int(cycles[-1])]
-    unknown = sorted(set(held_out) - set(cycles.tolist()))
+    cycles = campaign.cycles
+    held_out = list(hold_out_cycles) or [campaign.last_cycle]
+    unknown = sorted(set(held_out) - set(cycles))
     if unknown:
         raise MeasurementError(
-            f"there is no cycle {_numbers(unknown)} to hold out; the table has {_numbers(cycles.tolist())}"
+            f"there is no cycle {_numbers(unknown)} to hold out; the table has {_numbers(cycles)}"
         )
     if len(cycles) == len(set(held_out)):
         raise MeasurementError(

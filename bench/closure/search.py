@@ -53,11 +53,11 @@ class Search:
         self, problem: Problem, effects: Sequence[Effect], alone: Mapping[str, Hypothesis] | None = None
     ) -> None:
         self.problem = problem
-        self.effects = tuple(effects)
+        self.effects = tuple(each.bounded(problem.campaign) for each in effects)
         self.declared = evaluate(problem, ())
         self._known: dict[tuple[object, ...], Hypothesis | None] = {}
         if alone is None:
-            each_alone = {effect.name: self._added(self.declared, effect) for effect in effects}
+            each_alone = {effect.name: self._added(self.declared, effect) for effect in self.effects}
             alone = {name: each for name, each in each_alone.items() if each is not None}
         self.alone = dict(alone)
 

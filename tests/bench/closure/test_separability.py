@@ -76,7 +76,7 @@ def test_the_search_finds_nine_of_ten_effects_of_the_stated_size(campaign, resul
 def test_the_search_ties_effects_below_the_stated_size_and_not_above(
     campaign, result, factor, is_distinguished
 ):
-    true, alternative = "time_drift", "warm_up"
+    true, alternative = "time_drift", "bias_jump"
     size_dph = factor * result.distinguished_dph[true, alternative]
     distinguished = []
     for seed in range(8):
