@@ -21,6 +21,8 @@ from gyrobench.bench.navigation.positions import AXES
 
 _T = TypeVar("_T")
 _DOCUMENT = "closure.json"
+#: Most probable hypotheses in the document.
+_HYPOTHESES = 10
 _MAX_BYTES = 100_000_000
 _WHAT_TO_DO = "Remove it and run gyrobench close again"
 PREDICTION_COLUMNS = (
@@ -79,6 +81,19 @@ def closure_document(closure: Closure) -> dict[str, Any]:
     return {
         "verdict": closure.verdict,
         "effects": [_effect(each) for each in closure.effects],
+        "probabilities": {
+            "nothing": closure.posterior.nothing,
+            "not_on_the_list": closure.posterior.not_on_list,
+            "effects": closure.posterior.of_effect,
+        },
+        "hypotheses": [
+            {
+                "effects": sorted(each.names),
+                "not_on_the_list": each.has_remainder,
+                "probability": each.probability,
+            }
+            for each in closure.posterior.hypotheses[:_HYPOTHESES]
+        ],
         "separating_measurement": closure.separating_measurement,
         "left_over": closure.unexplained_part,
         "noise_dph": closure.noise_dph,
@@ -194,6 +209,7 @@ def _effect(found: FoundEffect) -> dict[str, Any]:
     return {
         "effect": found.effect.name,
         "axes": list(found.axes),
+        "probability": found.probability,
         "p_value": found.p_value,
         "rms_dph": found.rms_dph,
         "rms_sigma_dph": found.rms_sigma_dph,

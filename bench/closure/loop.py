@@ -12,6 +12,7 @@ from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate, Hypothesis, evaluate, hypothesis, solve_with, stack
 from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.effect import Effect, Parameter
+from gyrobench.bench.closure.posterior import EXPLAINED, Posterior
 from gyrobench.bench.closure.problem import Problem, Solution, declared_problem
 from gyrobench.bench.closure.search import MAX_EFFECTS, Search
 from gyrobench.bench.closure.uncertainty import Draws, bound_of, draw
@@ -59,6 +60,7 @@ class FoundEffect:
     #: :func:`gyrobench.bench.closure.validation.leave_out_cycles`.
     gains: dict[int, float]
     tied_with: tuple[str, ...]  #: Names of effects that fit equally well.
+    probability: float  #: Of this effect in any set of effects.
     #: Standard uncertainties: shape (3, k) of the sizes, (p,) of the nonlinear parameters, and of the rms. A
     #: term that is not used has none.
     sizes_sigma_dph: FloatArray
@@ -140,6 +142,7 @@ class Closure:
     verdict: str  #: "clean", "explained", "ambiguous" or "unexplained".
     effects: tuple[FoundEffect, ...]  #: Strongest first.
     evidence: tuple[Evidence, ...]  #: Of each effect alone.
+    posterior: Posterior  #: Probabilities of all hypotheses.
     #: before, after: Tests of the declared model, and with the effects.
     before: LackOfFit
     after: LackOfFit
@@ -239,7 +242,7 @@ def close_loop(
     if _lacks_fit(after):
         found = _confirmed(search, after.noise_ratio)
         after = _test(problem, found)
-    ties = [search.alternatives(found, index) for index in range(len(found.candidates))]
+    weighed = search.posterior(found)
     declared, model = (solve_with(problem, each) for each in ((), found.candidates))
     declared_draws, model_draws = (draw(problem, each) for each in ((), found.candidates))
     errors_dph = [measured_minus(campaign, searched, each)[~searched] for each in (declared, model)]
@@ -249,8 +252,9 @@ def close_loop(
     return Closure(
         campaign=campaign,
         searched=searched,
-        verdict=_verdict(found, after, ties),
-        effects=_found_effects(search, found, model, model_draws, ties),
+        verdict=_verdict(found, after, weighed, is_better=error_after < error_before),
+        posterior=weighed,
+        effects=_found_effects(search, found, model, model_draws, weighed),
         evidence=_evidence(search, found),
         before=lack_of_fit(problem, 0),
         after=after,
@@ -374,16 +378,17 @@ def _is_confirmed(problem: Problem, of: Hypothesis, one: Candidate) -> bool:
     return share > CONFIRMED_SHARE and better >= CONFIRMED_CYCLES * len(cycles)
 
 
-def _verdict(found: Hypothesis, after: LackOfFit, ties: list[tuple[str, ...]]) -> str:
-    if _lacks_fit(after):
+def _verdict(found: Hypothesis, after: LackOfFit, weighed: Posterior, *, is_better: bool) -> str:
+    if _lacks_fit(after) or weighed.not_on_list > 0.5:
         return "unexplained"
     if not found.candidates:
         return "clean"
-    return "ambiguous" if any(ties) else "explained"
+    is_settled = weighed.of_set(found.names, has_remainder=False) >= EXPLAINED
+    return "explained" if is_settled and is_better else "ambiguous"
 
 
 def _found_effects(
-    search: Search, found: Hypothesis, model: Solution, draws: Draws, ties: list[tuple[str, ...]]
+    search: Search, found: Hypothesis, model: Solution, draws: Draws, weighed: Posterior
 ) -> tuple[FoundEffect, ...]:
     problem = search.problem
     result = []
@@ -405,7 +410,8 @@ def _found_effects(
                 candidate_fits=search.candidate_fits(each.effect),
                 rms_dph=_rms(part),
                 gains={cycle: left_out.gain for cycle, left_out in left_out_cycles.items()},
-                tied_with=ties[index],
+                tied_with=weighed.tied_with(found.names, each.effect.name),
+                probability=weighed.of_effect[each.effect.name],
                 sizes_sigma_dph=draws.sigma(sizes_drawn),
                 values_sigma=draws.sigma(values),
                 rms_sigma_dph=float(draws.sigma(np.sqrt(np.mean(parts**2, axis=(1, 2))))),
