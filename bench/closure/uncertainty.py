@@ -291,7 +291,10 @@ def _standard_normal(random: np.random.Generator, count: int) -> FloatArray:
 
 def bound_of(parameter: Parameter, value: float) -> str:
     """The bound of the fit at which a parameter is, "lower" or "upper"; empty within its range."""
-    step = _AT_BOUND * (parameter.high - parameter.low)
-    if not np.isfinite(step):
+    low, high = parameter.low, parameter.high
+    if not np.isfinite([low, high]).all():
         return ""
-    return "lower" if value <= parameter.low + step else "upper" if value >= parameter.high - step else ""
+    if low > 0.0:
+        low, high, value = np.log([low, high, value]).tolist()
+    step = _AT_BOUND * (high - low)
+    return "lower" if value <= low + step else "upper" if value >= high - step else ""

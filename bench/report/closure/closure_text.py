@@ -9,10 +9,10 @@ import numpy as np
 from scipy.special import chdtri
 
 from gyrobench.bench.closure.candidates import start_count
-from gyrobench.bench.closure.loop import LACK_OF_FIT_P, Closure, Evidence, FoundEffect
+from gyrobench.bench.closure.loop import Closure, Evidence, FoundEffect
 from gyrobench.bench.closure.problem import Solution
 from gyrobench.bench.closure.search import SIGNIFICANCE
-from gyrobench.bench.closure.validation import measured_minus
+from gyrobench.bench.closure.validation import LACK_OF_FIT_P, measured_minus
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.text import counted, listed, with_sigma
 from gyrobench.bench.report.number_format import BiasScale, p_text

@@ -1,3 +1,6 @@
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -51,7 +54,9 @@ def test_an_interval_that_is_not_symmetric_is_stated_with_its_ends():
 
 
 def test_a_parameter_at_its_bound_is_named_with_what_is_known_of_it():
-    highest = found(warm_up, 43_200.0, sigma=[3600.0], within=[(36_000.0, 43_200.0)])
+    tau_s = replace(warm_up.EFFECT.forms[0].parameters[0], high=43_200.0)
+    capped = replace(warm_up.EFFECT, forms=(replace(warm_up.EFFECT.forms[0], parameters=(tau_s,)),))
+    highest = found(SimpleNamespace(EFFECT=capped), 43_200.0, sigma=[3600.0], within=[(36_000.0, 43_200.0)])
     assert highest.at_bound == ("tau_s",)
     assert highest.statement.endswith("(tau 12.0 h, its upper bound, above 10.0 h with 95 %).")
     lowest = found(thermal_hysteresis, 0.3, sigma=[0.2], within=[(0.3, 0.9)])
