@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
 from gyrobench.bench.bias.statistics import chi2_p_value
 from gyrobench.bench.bias.window_filter import COLUMNS, DATA, MEASURED_STATES, WindowFilter
 from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, FloatArray, IntArray
+from gyrobench.bench.foundations.kernels import compiled
 from gyrobench.bench.navigation.error_model import STATES
 
 #: Epochs between the times that are tried, and fewest epochs of a window before and after a step: the
@@ -122,7 +122,7 @@ def _tried(epochs: int) -> IntArray:
     return np.arange(epochs - 1 - _MARGIN, _MARGIN - 1, -_EVERY)
 
 
-@numba.njit(cache=True, fastmath=True)
+@compiled(fastmath=True)
 def _backward(
     rows: FloatArray, gains: FloatArray, scales: FloatArray, transitions: FloatArray, by_bias: FloatArray,
     saved: IntArray,

@@ -12,13 +12,13 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-import numba
 import numpy as np
 
 from gyrobench.bench.bias.dwell import slots
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.statistics import compress
 from gyrobench.bench.foundations.arrays import FloatArray, IntArray
+from gyrobench.bench.foundations.kernels import compiled
 from gyrobench.bench.navigation.attitude import rotation_vector_enu
 from gyrobench.bench.navigation.error_model import INPUTS, STATES, Site, integrate
 
@@ -180,7 +180,7 @@ COLUMNS = 19
 MEASURED_STATES = (3, 4, 2)
 
 
-@numba.njit(cache=True)
+@compiled
 def whiten(
     columns: FloatArray,
     covariance: FloatArray,

@@ -13,10 +13,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.kernels import compiled
 
 #: Settling follows x^3 exp(-x), x in time constants: smooth at its start, greatest at x = 3.
 _SETTLING_PEAK = 27.0 * math.exp(-3.0)
@@ -209,7 +209,7 @@ def _end(start: AxisState, pieces: Sequence[Piece]) -> AxisState:
     return start
 
 
-@numba.njit(cache=True)
+@compiled
 def _positions_deg(
     time_s: FloatArray, pieces: FloatArray, end_s: float, settling_deg: float, time_constant_s: float,
     settling_s: float,

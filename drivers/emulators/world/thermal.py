@@ -6,10 +6,10 @@ where ``u`` is the upward part of the direction from electronics to optics.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
 from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.kernels import compiled
 from gyrobench.drivers.emulators.world.world_file import GyroThermal, Thermal
 
 
@@ -50,7 +50,7 @@ def _row(gyro: GyroThermal) -> list[float]:
     ]  # fmt: skip
 
 
-@numba.njit(cache=True)
+@compiled
 def _step(
     nodes: FloatArray, rate: FloatArray, convected: FloatArray, case: FloatArray, gyro: FloatArray,
     paths: FloatArray, up: FloatArray, air_c: float, power: float, dt: float,
@@ -72,7 +72,7 @@ def _step(
     nodes[0] += dt / case[0] * into_case
 
 
-@numba.njit(cache=True)
+@compiled
 def _read(nodes: FloatArray, noise_c: float, normal: FloatArray) -> FloatArray:
     read_c = nodes.copy()
     first = nodes.size - normal.size

@@ -12,13 +12,13 @@ import operator
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
-import numba
 import numpy as np
 from pydantic import AfterValidator, Discriminator, Field, Tag
 from typing_extensions import override
 
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.documents import StrictModel
+from gyrobench.bench.foundations.kernels import compiled
 
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
@@ -110,7 +110,7 @@ class AttitudeThermal(Effect):
         return added_dph
 
 
-@numba.njit(cache=True)
+@compiled
 def _follow_convection(
     added_dph: FloatArray, convected_w: FloatArray, optics_c: FloatArray, onset_c: float, width_c: float
 ) -> None:
