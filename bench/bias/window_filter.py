@@ -217,7 +217,7 @@ def whiten(
     """
     rows = np.empty((measured.shape[0], 3, COLUMNS))
     gains, scales = np.empty((measured.shape[0], 3, 6)), np.empty((measured.shape[0], 3))
-    moved = np.empty((6, COLUMNS))
+    moved, before = np.empty((6, COLUMNS)), np.empty((6, 6))
     for k in range(measured.shape[0]):
         transition, response = transitions[k], responses[k]
         for i in range(6):
@@ -232,7 +232,17 @@ def whiten(
                 for c in range(DATA - SLOPE):
                     moved[i, SLOPE + c] += response[i, j] * driven[k, j, c]
         columns[:] = moved
-        covariance[:] = transition @ covariance @ transition.T + covariances[k]
+        # Numba's matrix product would import scipy.linalg.
+        for i in range(6):
+            for j in range(6):
+                before[i, j] = 0.0
+                for m in range(6):
+                    before[i, j] += transition[i, m] * covariance[m, j]
+        for i in range(6):
+            for j in range(6):
+                covariance[i, j] = covariances[k, i, j]
+                for m in range(6):
+                    covariance[i, j] += before[i, m] * transition[j, m]
         for m in range(3):
             h = MEASURED_STATES[m]
             variance = covariance[h, h] + variances[m]

@@ -49,6 +49,15 @@ def principal_radii(latitude: float) -> tuple[float, float]:
 
 
 @compiled
+def _length(vector: FloatArray) -> float:
+    """Length of a vector; sums of numpy would load a large part of numba and scipy.linalg."""
+    total = 0.0
+    for each in vector:
+        total += each * each
+    return math.sqrt(total)
+
+
+@compiled
 def _set_rotation(C: FloatArray, axis: FloatArray, angle: float) -> None:
     """Set ``C`` (3, 3) to the rotation about a unit vector by an angle in rad."""
     c, s = math.cos(angle), math.sin(angle)
@@ -183,7 +192,7 @@ def gyrocompass(rotation: FloatArray, velocity: FloatArray) -> FloatArray:
 
     The directions of the sums are those of the Earth's rotation and Up, body axes.
     """
-    up = velocity / math.sqrt((velocity**2).sum())
+    up = velocity / _length(velocity)
     east = np.array(
         (
             rotation[1] * up[2] - rotation[2] * up[1],
@@ -191,7 +200,7 @@ def gyrocompass(rotation: FloatArray, velocity: FloatArray) -> FloatArray:
             rotation[0] * up[1] - rotation[1] * up[0],
         )
     )
-    east /= math.sqrt((east**2).sum())
+    east /= _length(east)
     C = np.empty((3, 3))
     C[0], C[2] = east, up
     for i in range(3):
@@ -211,7 +220,10 @@ def _quaternion_of_matrix(C: FloatArray) -> FloatArray:
         )
     )
     q = np.empty(4)
-    largest = int(np.argmax(squares))  # the numerically best conditioned component
+    largest = 0  # the numerically best conditioned component
+    for i in range(1, 4):
+        if squares[i] > squares[largest]:
+            largest = i
     if largest == 0:
         q[:] = squares[0], C[2, 1] - C[1, 2], C[0, 2] - C[2, 0], C[1, 0] - C[0, 1]
     else:
@@ -219,7 +231,7 @@ def _quaternion_of_matrix(C: FloatArray) -> FloatArray:
         j, k = (i + 1) % 3, (i + 2) % 3
         q[0], q[1 + i] = C[k, j] - C[j, k], squares[largest]
         q[1 + j], q[1 + k] = C[j, i] + C[i, j], C[k, i] + C[i, k]
-    return q / math.sqrt((q**2).sum())
+    return q / _length(q)
 
 
 @compiled
