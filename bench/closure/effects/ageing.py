@@ -1,0 +1,45 @@
+"""Bias that settles over days or weeks, through all power cycles."""
+
+from __future__ import annotations
+
+from gyrobench.bench.closure.campaign import Campaign
+from gyrobench.bench.closure.effects.effect import Parameter, fixed
+from gyrobench.bench.closure.effects.grammar import Law, effect_of
+
+_S_PER_DAY = 86_400.0
+
+
+class _Ageing(Law):
+    """A decay through all power cycles; in a single one it can't be distinguished from a slow warm-up."""
+
+    def missing_input(self, campaign: Campaign) -> str | None:
+        """Two power cycles."""
+        return (
+            "two power cycles: in one, ageing and a slow warm-up are alike"
+            if len(campaign.power_on_s) < 2
+            else None
+        )
+
+
+EFFECT = effect_of(
+    _Ageing(
+        "start",
+        memory="decay",
+        parameters=(
+            Parameter(
+                "tau_s",
+                _S_PER_DAY,
+                90 * _S_PER_DAY,
+                fixed(_S_PER_DAY, 3 * _S_PER_DAY, 10 * _S_PER_DAY),
+                is_open_end=True,
+            ),
+        ),
+    ),
+    name="ageing",
+    statement="the bias settles exponentially over days, through power-off and power-on",
+    experiment=(
+        "return to one position and temperature every day for twice the time constant, with a power-off in "
+        "between: ageing continues where it was, a warm-up begins again"
+    ),
+    terms=("decay since the first dwell",),
+)
