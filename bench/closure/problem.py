@@ -164,13 +164,18 @@ def predict(
     columns : sequence of ndarray, shape (n, 3, k)
         Terms of the effects.
     """
-    constants = declared[:, DEGREE:]
-    known = np.where(np.isnan(constants), np.nanmean(constants, axis=1, keepdims=True), constants)
-    whole = np.concatenate([declared[:, :DEGREE], known], axis=1)
+    whole = with_mean_constants(declared)
     bias_dph = np.stack([declared_columns(campaign, gyro) @ whole[gyro] for gyro in range(3)], axis=1)
     for size, terms in zip(sizes, columns, strict=True):
         bias_dph += np.einsum("ngk,gk->ng", terms, size)
     return bias_dph
+
+
+def with_mean_constants(declared: FloatArray) -> FloatArray:
+    """Coefficients (..., DEGREE + runs) with the mean constant for the runs that were not fitted."""
+    constants = declared[..., DEGREE:]
+    known = np.where(np.isnan(constants), np.nanmean(constants, axis=-1, keepdims=True), constants)
+    return np.concatenate([declared[..., :DEGREE], known], axis=-1)
 
 
 def _basis(columns: FloatArray) -> FloatArray:
