@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,6 +12,7 @@ from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate, Hypothesis, evaluate, hypothesis, solve_with, stack
 from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.effect import Effect, Parameter
+from gyrobench.bench.closure.posterior import EXPLAINED, Posterior
 from gyrobench.bench.closure.problem import Problem, Solution, declared_problem
 from gyrobench.bench.closure.search import MAX_EFFECTS, Search
 from gyrobench.bench.closure.uncertainty import Draws, bound_of, draw
@@ -59,6 +60,7 @@ class FoundEffect:
     #: :func:`gyrobench.bench.closure.validation.leave_out_cycles`.
     gains: dict[int, float]
     tied_with: tuple[str, ...]  #: Names of effects that fit equally well.
+    probability: float  #: Of this effect in any set of effects.
     #: Standard uncertainties: shape (3, k) of the sizes, (p,) of the nonlinear parameters, and of the rms. A
     #: term that is not used has none.
     sizes_sigma_dph: FloatArray
@@ -118,6 +120,20 @@ class Evidence:
 
 
 @dataclass(frozen=True)
+class Turn:
+    """Outcome of a search with one cycle held out."""
+
+    cycle: int  #: The cycle.
+    verdict: str = ""  #: As in :class:`Closure`; empty if the cycle can't be held out.
+    effects: tuple[str, ...] = ()  #: Names of the effects found.
+    #: error_before_dph, error_after_dph, noise_dph: In the cycle, rms; see :class:`Closure`.
+    error_before_dph: float = np.nan
+    error_after_dph: float = np.nan
+    noise_dph: float = np.nan
+    reason: str = ""  #: Why it can't be held out.
+
+
+@dataclass(frozen=True)
 class Closure:
     """Outcome of a search."""
 
@@ -126,6 +142,7 @@ class Closure:
     verdict: str  #: "clean", "explained", "ambiguous" or "unexplained".
     effects: tuple[FoundEffect, ...]  #: Strongest first.
     evidence: tuple[Evidence, ...]  #: Of each effect alone.
+    posterior: Posterior  #: Probabilities of all hypotheses.
     #: before, after: Tests of the declared model, and with the effects.
     before: LackOfFit
     after: LackOfFit
@@ -143,6 +160,7 @@ class Closure:
     #: declared_draws, model_draws: Draws of the parameters of both models.
     declared_draws: Draws
     model_draws: Draws
+    rotation: tuple[Turn, ...] = ()  #: Each cycle held out in turn; empty if that was not asked for.
 
     @cached_property
     def prediction_sigma_dph(self) -> FloatArray:
@@ -200,7 +218,7 @@ def close_loop(
     campaign : Campaign
         The measured dwells.
     hold_out_cycles : sequence of int
-        Cycles that the search does not use; by default the last one.
+        Cycles that the search does not use; by default :attr:`Campaign.last_cycle`.
     effects : sequence of Effect, optional
         Candidates; by default all installed ones.
 
@@ -224,7 +242,7 @@ def close_loop(
     if _lacks_fit(after):
         found = _confirmed(search, after.noise_ratio)
         after = _test(problem, found)
-    ties = [search.alternatives(found, index) for index in range(len(found.candidates))]
+    weighed = search.posterior(found)
     declared, model = (solve_with(problem, each) for each in ((), found.candidates))
     declared_draws, model_draws = (draw(problem, each) for each in ((), found.candidates))
     errors_dph = [measured_minus(campaign, searched, each)[~searched] for each in (declared, model)]
@@ -234,8 +252,9 @@ def close_loop(
     return Closure(
         campaign=campaign,
         searched=searched,
-        verdict=_verdict(found, after, ties),
-        effects=_found_effects(search, found, model, model_draws, ties),
+        verdict=_verdict(found, after, weighed, is_better=error_after < error_before),
+        posterior=weighed,
+        effects=_found_effects(search, found, model, model_draws, weighed),
         evidence=_evidence(search, found),
         before=lack_of_fit(problem, 0),
         after=after,
@@ -252,13 +271,34 @@ def close_loop(
     )
 
 
+def rotated(closure: Closure) -> Closure:
+    """Same closure with the outcome of a search for each cycle, held out alone."""
+    campaign, effects = closure.campaign, [each.effect for each in closure.evidence]
+    return replace(closure, rotation=tuple(_turn(campaign, cycle, effects) for cycle in campaign.cycles))
+
+
+def _turn(campaign: Campaign, cycle: int, effects: Sequence[Effect]) -> Turn:
+    try:
+        closure = close_loop(campaign, [cycle], effects)
+    except MeasurementError as error:
+        return Turn(cycle, reason=str(error))
+    return Turn(
+        cycle,
+        closure.verdict,
+        tuple(each.effect.name for each in closure.effects),
+        closure.error_before_dph,
+        closure.error_after_dph,
+        closure.noise_scale * _rms(campaign.sigma_dph[campaign.cycle == cycle]),
+    )
+
+
 def _searched(campaign: Campaign, hold_out_cycles: Sequence[int]) -> BoolArray:
-    cycles = np.unique(campaign.cycle)
-    held_out = list(hold_out_cycles) or [int(cycles[-1])]
-    unknown = sorted(set(held_out) - set(cycles.tolist()))
+    cycles = campaign.cycles
+    held_out = list(hold_out_cycles) or [campaign.last_cycle]
+    unknown = sorted(set(held_out) - set(cycles))
     if unknown:
         raise MeasurementError(
-            f"there is no cycle {_numbers(unknown)} to hold out; the table has {_numbers(cycles.tolist())}"
+            f"there is no cycle {_numbers(unknown)} to hold out; the table has {_numbers(cycles)}"
         )
     if len(cycles) == len(set(held_out)):
         raise MeasurementError(
@@ -338,16 +378,17 @@ def _is_confirmed(problem: Problem, of: Hypothesis, one: Candidate) -> bool:
     return share > CONFIRMED_SHARE and better >= CONFIRMED_CYCLES * len(cycles)
 
 
-def _verdict(found: Hypothesis, after: LackOfFit, ties: list[tuple[str, ...]]) -> str:
-    if _lacks_fit(after):
+def _verdict(found: Hypothesis, after: LackOfFit, weighed: Posterior, *, is_better: bool) -> str:
+    if _lacks_fit(after) or weighed.not_on_list > 0.5:
         return "unexplained"
     if not found.candidates:
         return "clean"
-    return "ambiguous" if any(ties) else "explained"
+    is_settled = weighed.of_set(found.names, has_remainder=False) >= EXPLAINED
+    return "explained" if is_settled and is_better else "ambiguous"
 
 
 def _found_effects(
-    search: Search, found: Hypothesis, model: Solution, draws: Draws, ties: list[tuple[str, ...]]
+    search: Search, found: Hypothesis, model: Solution, draws: Draws, weighed: Posterior
 ) -> tuple[FoundEffect, ...]:
     problem = search.problem
     result = []
@@ -369,7 +410,8 @@ def _found_effects(
                 candidate_fits=search.candidate_fits(each.effect),
                 rms_dph=_rms(part),
                 gains={cycle: left_out.gain for cycle, left_out in left_out_cycles.items()},
-                tied_with=ties[index],
+                tied_with=weighed.tied_with(found.names, each.effect.name),
+                probability=weighed.of_effect[each.effect.name],
                 sizes_sigma_dph=draws.sigma(sizes_drawn),
                 values_sigma=draws.sigma(values),
                 rms_sigma_dph=float(draws.sigma(np.sqrt(np.mean(parts**2, axis=(1, 2))))),

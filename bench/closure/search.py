@@ -19,6 +19,7 @@ from gyrobench.bench.closure.candidates import (
     start_count,
 )
 from gyrobench.bench.closure.effects.effect import Effect
+from gyrobench.bench.closure.posterior import Posterior, posterior
 from gyrobench.bench.closure.problem import Problem, declared_problem
 from gyrobench.bench.foundations.text import listed
 
@@ -52,11 +53,11 @@ class Search:
         self, problem: Problem, effects: Sequence[Effect], alone: Mapping[str, Hypothesis] | None = None
     ) -> None:
         self.problem = problem
-        self.effects = tuple(effects)
+        self.effects = tuple(each.bounded(problem.campaign) for each in effects)
         self.declared = evaluate(problem, ())
         self._known: dict[tuple[object, ...], Hypothesis | None] = {}
         if alone is None:
-            each_alone = {effect.name: self._added(self.declared, effect) for effect in effects}
+            each_alone = {effect.name: self._added(self.declared, effect) for effect in self.effects}
             alone = {name: each for name, each in each_alone.items() if each is not None}
         self.alone = dict(alone)
 
@@ -128,31 +129,31 @@ class Search:
         p_values = [_p_value(reduction, max(rank, 1)) for reduction, rank in gyros]
         return [p_value < SIGNIFICANCE or p_value == min(p_values) for p_value in p_values]
 
-    def alternatives(self, of: Hypothesis, index: int) -> tuple[str, ...]:
-        """Names of the effects that fit about as well in place of one, best first.
+    def posterior(self, found: Hypothesis) -> Posterior:
+        """Probabilities of all sets of effects fitted so far and of the one found with an effect exchanged.
 
-        An effect that contains the one as a special case is no alternative: the simpler one is preferred.
-        An effect known to be imitated by it that can't be fitted because an input is missing is one.
+        A set that contains the one found as a special case is left out: the simpler one is preferred.
         """
-        others = evaluate(self.problem, of.without(of.candidates[index]))
-        tied = []
-        for effect in self.effects:
-            instead = None if effect.name in of.names else self.add(others, effect)
-            if (
-                instead is not None
-                and instead.is_no_worse_than(of)
-                and not self._is_special_case(of, instead)
-            ):
-                tied.append((instead.log_odds_against(of), effect.name))
-        one = of.candidates[index].effect
-        not_fitted = [
-            effect.name
-            for effect in self.effects
-            if effect.name in one.imitated_by
-            and effect.may_imitate(self.problem.campaign)
-            and effect.missing_input(self.problem.campaign)
-        ]
-        return (*(name for _, name in sorted(tied)), *not_fitted)
+        for each in found.candidates:
+            others = evaluate(self.problem, found.without(each))
+            for effect in self.effects:
+                self.add(others, effect)
+        best: dict[frozenset[str], Hypothesis] = {frozenset(): self.declared}
+        for fitted in (*self.alone.values(), *self._known.values()):
+            if fitted and (fitted.names not in best or fitted.is_better_than(best[fitted.names])):
+                best[fitted.names] = fitted
+        best[found.names] = found
+        hypotheses = [each for each in best.values() if not self._contains(each, found)]
+        return posterior(self.problem, self.effects, hypotheses)
+
+    def _contains(self, each: Hypothesis, found: Hypothesis) -> bool:
+        """Whether a hypothesis with one effect exchanged contains the one found as a special case."""
+        return (
+            len(each.candidates) == len(found.candidates)
+            and len(each.names - found.names) == 1
+            and each.is_no_worse_than(found)
+            and self._is_special_case(found, each)
+        )
 
     def _added(self, to: Hypothesis, effect: Effect) -> Hypothesis | None:
         problem, campaign = self.problem, self.problem.campaign

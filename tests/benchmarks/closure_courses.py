@@ -1,10 +1,12 @@
 """Course of a simulated campaign: schedule, chamber with its controller, and the temperatures of a unit."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numba
 import numpy as np
+
+from gyrobench.bench.navigation.positions import POSITIONS
 
 STEP_S, STEP_H = 60.0, 1.0 / 60.0
 #: Up in body axes.
@@ -25,8 +27,8 @@ class Course:
     room_c: np.ndarray
     up: np.ndarray
     azimuth_deg: np.ndarray
+    north: np.ndarray  #: North in body axes.
     power: np.ndarray  #: Of the electronics, over its usual value.
-    is_on: np.ndarray
     air_c: np.ndarray = field(default_factory=lambda: np.empty(0))
     case_c: np.ndarray = field(default_factory=lambda: np.empty(0))
     optics_c: np.ndarray = field(default_factory=lambda: np.empty(0))
@@ -120,10 +122,20 @@ class Schedule:
                 power[at:] = draw.uniform(0.55, 1.3)
         is_on = np.array(self.is_on)
         room_c = 22.0 + draw.uniform(0.5, 2.0) * np.sin(2.0 * np.pi * (time_h / 24.0 + draw.random()))
+        turns = {(name, azimuth) for name in UP for azimuth in self._headings}
+        north_of = {each: POSITIONS[each[0]].C_nb(math.radians(each[1]))[1] for each in turns}
         return Course(
-            time_h, since_h, np.array(self.set_c), room_c,
-            np.array([UP[name] for name in names.tolist()], dtype=float), azimuth_deg, power * is_on, is_on,
-        )  # fmt: skip
+            time_h=time_h,
+            since_h=since_h,
+            set_c=np.array(self.set_c),
+            room_c=room_c,
+            up=np.array([UP[name] for name in names.tolist()], dtype=float),
+            azimuth_deg=azimuth_deg,
+            north=np.array(
+                [north_of[each] for each in zip(names.tolist(), azimuth_deg.tolist(), strict=True)]
+            ),
+            power=power * is_on,
+        )
 
 
 def temperatures(draw, course: Course, attitude_convection: bool) -> Course:
@@ -135,9 +147,8 @@ def temperatures(draw, course: Course, attitude_convection: bool) -> Course:
         course.set_c, course.room_c, course.power, course.up, unit, gyros, along,
         draw.uniform(0.0, 0.3), draw.uniform(30.0, 55.0), draw.uniform(4.0, 12.0),
     )  # fmt: skip
-    return Course(
-        **{name: getattr(course, name) for name in ("time_h", "since_h", "set_c", "room_c", "up")},
-        **{name: getattr(course, name) for name in ("azimuth_deg", "power", "is_on")},
+    return replace(
+        course,
         air_c=states[:, 0],
         case_c=states[:, 1],
         optics_c=states[:, 2:5],

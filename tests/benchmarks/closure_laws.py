@@ -120,23 +120,20 @@ def _chamber_state(c, draw, own):
 def _bias_jump(c, draw, own):
     at_h = draw.uniform(0.12, 0.55) * c.time_h[-1]
     settle_h = 1e-3 if own else draw.uniform(0.02, 0.4)
-    after = np.where(c.time_h >= at_h, -np.expm1(-(c.time_h - at_h) / settle_h), 0.0)
+    after = np.where(c.time_h >= at_h, -np.expm1(-np.maximum(c.time_h - at_h, 0.0) / settle_h), 0.0)
     return _law(draw, after[:, None], own, (at_h * 3600.0,))
 
 
-def _g_sensitivity_temperature(c, draw, own):
+def _thermal_g_sensitivity(c, draw, own):
     warm = (c.optics_c / 50.0) * (1.0 + draw.uniform(-0.1, 0.1) * c.optics_c / 50.0)
     return Law(warm[:, :, None] * c.up[:, None, :], draw.normal(0.0, 1.0, (3, 3)))
 
 
-def _magnetic(c, draw, own):
-    """Induced and permanent: the Earth's field (dip 66 deg) in the body, each gyro along two axes."""
-    up, heading = c.up, np.radians(c.azimuth_deg)
-    across = np.stack([up[:, 1], up[:, 2], up[:, 0]], axis=1)
-    third = np.cross(up, across)
-    north = np.cos(heading)[:, None] * across + np.sin(heading)[:, None] * third
-    body = 0.41 * north - 0.91 * up
-    terms = np.concatenate([body, 0.2 * body**2 * np.sign(body)], axis=1)
+def _magnetic_sensitivity(c, draw, own):
+    """Permanent and induced; a pair of headings half a turn apart cancels a part of the horizontal field."""
+    dip, left = np.radians(draw.uniform(55.0, 75.0)), draw.uniform(0.3, 1.0)
+    body = left * np.cos(dip) * c.north - np.sin(dip) * c.up
+    terms = np.concatenate([body, 0.0 * body if own else 0.1 * body**2 * np.sign(body)], axis=1)
     return Law(np.repeat(terms[:, None, :], 3, axis=1), draw.normal(0.0, 1.0, (3, 6)))
 
 
@@ -202,7 +199,7 @@ ON_THE_LIST = {
     "attitude_thermal": _attitude_thermal, "thermal_hysteresis": _thermal_hysteresis,
     "thermal_lag": _thermal_lag, "warm_up": _warm_up, "time_drift": _time_drift,
     "g_sensitivity": _g_sensitivity, "chamber_state": _chamber_state, "bias_jump": _bias_jump,
-    "g_sensitivity_temperature": _g_sensitivity_temperature, "magnetic": _magnetic,
+    "thermal_g_sensitivity": _thermal_g_sensitivity, "magnetic_sensitivity": _magnetic_sensitivity,
     "supply_power": _supply_power, "ageing": _ageing, "daily_course": _daily_course,
 }  # fmt: skip
 ON_NO_LIST = {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.effects.effect import Parameter, fixed
+from gyrobench.bench.closure.effects.effect import searched_length_s, time_constant
 from gyrobench.bench.closure.effects.grammar import Law, effect_of
 
 _S_PER_DAY = 86_400.0
@@ -13,28 +13,14 @@ class _Ageing(Law):
     """A decay through all power cycles; in a single one it can't be distinguished from a slow warm-up."""
 
     def missing_input(self, campaign: Campaign) -> str | None:
-        """Two power cycles."""
-        return (
-            "two power cycles: in one, ageing and a slow warm-up are alike"
-            if len(campaign.power_on_s) < 2
-            else None
-        )
+        """Two power cycles and two days."""
+        if len(campaign.power_on_s) > 1 and searched_length_s(campaign) > 2.0 * _S_PER_DAY:
+            return None
+        return "two power cycles and two days: in one, ageing looks like a slow warm-up"
 
 
 EFFECT = effect_of(
-    _Ageing(
-        "start",
-        memory="decay",
-        parameters=(
-            Parameter(
-                "tau_s",
-                _S_PER_DAY,
-                90 * _S_PER_DAY,
-                fixed(_S_PER_DAY, 3 * _S_PER_DAY, 10 * _S_PER_DAY),
-                is_open_end=True,
-            ),
-        ),
-    ),
+    _Ageing("start", memory="decay", parameters=(time_constant(_S_PER_DAY, _S_PER_DAY, 3.0 * _S_PER_DAY),)),
     name="ageing",
     statement="the bias settles exponentially over days, through power-off and power-on",
     experiment=(

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from itertools import accumulate
 from types import MappingProxyType
 
 import numpy as np
@@ -30,6 +29,7 @@ from gyrobench.bench.closure.effects.effect import (
     needs_electronics,
     needs_positions,
 )
+from gyrobench.bench.closure.temperatures import lag
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.positions import AXES
 
@@ -60,7 +60,7 @@ class Law:
             terms = shaped(np.repeat(mean[:, np.newaxis], 3, axis=1))
         else:
             record = campaign.record
-            state = MEMORIES[self.memory](_course(self.driver, campaign), record.step_s, *values[count:])
+            state = MEMORIES[self.memory](_course(self.driver, campaign), record.time_s, *values[count:])
             terms = [record.mean_over(each, campaign.start_s, campaign.end_s) for each in shaped(state)]
         stacked = np.stack(terms, axis=2)
         axes = FACTORS[self.factor]
@@ -141,25 +141,17 @@ SHAPES: Mapping[str, Shape] = MappingProxyType(
 )
 
 
-def _lag(state: FloatArray, step_s: float, tau_s: float) -> FloatArray:
-    """First-order lag of a quantity (m, 3), at rest before the first instant.
-
-    Exact for a quantity that is a straight line from each instant to the next.
-    """
-    return state - _decay(state, step_s, tau_s)
+def _lag(state: FloatArray, time_s: FloatArray, tau_s: float) -> FloatArray:
+    """First-order lag of a quantity (m, 3), at rest before the first of the times (m,)."""
+    return state + lag(state, time_s, tau_s)
 
 
-def _decay(state: FloatArray, step_s: float, tau_s: float) -> FloatArray:
+def _decay(state: FloatArray, time_s: FloatArray, tau_s: float) -> FloatArray:
     """What remains of the changes of a quantity, which decay: the quantity minus its lag."""
-    keep = np.exp(-step_s / tau_s)
-    slopes = np.diff(state, axis=0, prepend=state[:1]) / step_s
-    steps = (1.0 - keep) * tau_s * slopes.T
-    return np.array(
-        [list(accumulate(each, lambda sofar, step: step + keep * sofar)) for each in steps.tolist()]
-    ).T
+    return -lag(state, time_s, tau_s)
 
 
-def _play(state: FloatArray, _: float, half_width: float) -> FloatArray:
+def _play(state: FloatArray, _: FloatArray, half_width: float) -> FloatArray:
     """How far a follower with play stands from the quantity (m, 3): at most the half width.
 
     Each instant limits the follower of the one before; limits of limits are limits, so that those of 2, 4,
@@ -175,7 +167,7 @@ def _play(state: FloatArray, _: float, half_width: float) -> FloatArray:
     return np.asarray(np.clip(state[0], low, high) - state)
 
 
-#: State over time (m, 3) of a quantity over time, the step and the parameter.
+#: State (m, 3) of a quantity over time, from that, the times (m,) and the parameter.
 MEMORIES: Mapping[str, Callable[..., FloatArray]] = MappingProxyType(
     {"lag": _lag, "play": _play, "decay": _decay}
 )

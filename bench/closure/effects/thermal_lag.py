@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from gyrobench.bench.closure.effects.effect import Parameter, fixed
+from gyrobench.bench.closure.effects.effect import time_constant
 from gyrobench.bench.closure.effects.grammar import Law, effect_of
 
-_TAU = Parameter("tau_s", 1.0, 14_400.0, fixed(300.0, 900.0, 2700.0, 7200.0), is_open_end=True)
+_TAU = time_constant(1.0, 300.0, 900.0, 2700.0, 7200.0)
 
 EFFECT = effect_of(
     Law("gyro_c", memory="decay", parameters=(_TAU,)),

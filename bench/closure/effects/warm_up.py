@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from gyrobench.bench.closure.effects.effect import Parameter, fixed
+from gyrobench.bench.closure.effects.effect import time_constant
 from gyrobench.bench.closure.effects.grammar import Law, effect_of
 
-_TAU = Parameter("tau_s", 300.0, 43_200.0, fixed(900.0, 2700.0, 7200.0, 14_400.0, 28_800.0), is_open_end=True)
+_TAU = time_constant(300.0, 900.0, 2700.0, 7200.0, 21_600.0, 64_800.0)
 
 EFFECT = effect_of(
     Law("power_on", memory="decay", parameters=(_TAU,)),

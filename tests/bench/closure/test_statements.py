@@ -22,6 +22,7 @@ def found(module, *values, axes=("x", "y", "z"), sigma=(), within=()):
         0.01234,
         {},
         (),
+        0.999,
         np.zeros(shape),
         np.array(sigma),
         0.0004,
