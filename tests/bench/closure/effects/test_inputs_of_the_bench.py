@@ -25,7 +25,7 @@ def closed(effect, options, size=6.0):
         ("thermal_g_sensitivity", {"headings_deg": HEADINGS}),
         ("supply_power", {"sensors": ("set", "air", "board", "supply")}),
         ("daily_course", {"sensors": ("set", "air", "board", "room")}),
-        ("ageing", {"power_on_each_cycle": True}),
+        ("ageing", {"power_on_each_cycle": True, "cycles": 4}),
     ],
 )
 def test_an_effect_is_found_where_the_bench_shows_it(effect, options):
