@@ -112,9 +112,10 @@ class EmulatedBench:
             self._injector.advance(self.clock.now())
 
     def advance_instruments(self) -> None:
-        """Advance what table and chamber depend on: only whole seconds, if there are no faults."""
+        """Advance what table and chamber depend on: the air and whole seconds, if there are no faults."""
         if self._injector is None:
             self.world.advance(math.floor(self.clock.now()))
+            self.world.advance_air(self.clock.now())
         else:
             self.advance()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
 from itertools import groupby
 
@@ -66,6 +67,8 @@ class World:
         self._power_on_bias = np.zeros(3)
         self._sample = start_s * SAMPLE_RATE_HZ
         self._powered_on_sample = self._sample
+        self._air_seconds = start_s
+        self._air_course: deque[tuple[float, float]] = deque()  # in seconds that are not yet simulated
         self._remainders = np.zeros((2, 3))
         self._resting: tuple[FloatArray, FloatArray, FloatArray] | None = None
         self._resting_from_s: tuple[float, float] | None = None
@@ -104,7 +107,7 @@ class World:
 
     def advance(self, time_s: float) -> None:
         """Advance to ``time_s``; an earlier time changes nothing."""
-        end = math.floor(time_s * SAMPLE_RATE_HZ + 1e-6)
+        end = _samples(time_s)
         while self._sample < end:
             left, into_second = end - self._sample, self._sample % SAMPLE_RATE_HZ
             seconds, count = 1, min(left, SAMPLE_RATE_HZ - into_second)
@@ -115,14 +118,22 @@ class World:
                 self._begin_seconds(seconds, self.attitude()[2] if resting is None else resting[2])
             self._step_samples(seconds, count, resting)
 
+    def advance_air(self, time_s: float) -> None:
+        """Advance the chamber's air alone to ``time_s``."""
+        self._step_air(math.ceil(_samples(time_s) / SAMPLE_RATE_HZ))
+
+    def _step_air(self, seconds: int) -> None:
+        while self._air_seconds < seconds:
+            self._air_seconds += 1
+            self.air.step(1.0)
+            self._air_course.append((self.air.air_c, self.air.compressor_duty))
+
     def _begin_seconds(self, seconds: int, up_body: FloatArray) -> None:
         """Step chamber, temperatures and undeclared effects to the beginning of each of the next seconds."""
-        air_c, duty = np.empty(seconds), np.empty((seconds, 1))
-        for second in range(seconds):
-            self.air.step(1.0)
-            air_c[second], duty[second] = self.air.air_c, self.air.compressor_duty
+        self._step_air(self._sample // SAMPLE_RATE_HZ + seconds)
+        air_c, duty = np.array([self._air_course.popleft() for _ in range(seconds)]).T
         self.thermal.step(1.0, air_c, up_body)
-        self._update_undeclared(up_body, duty)
+        self._update_undeclared(up_body, duty[:, np.newaxis])
         if self.unit.powered:
             normal = self._unit_random.standard_normal((seconds, 6))
             read_c = self._with_faults(self.thermal.read_c(self.thermal.course.nodes_c, normal))
@@ -225,6 +236,11 @@ class World:
             *self._geometry, outer, inner, self._latitude, self.file.height_m, _DT_S
         )
         return rotation, velocity
+
+
+def _samples(time_s: float) -> int:
+    """Samples that end up to a time."""
+    return math.floor(time_s * SAMPLE_RATE_HZ + 1e-6)
 
 
 def _geometry(table: TableGeometry) -> tuple[FloatArray, FloatArray, FloatArray]:
