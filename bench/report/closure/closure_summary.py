@@ -14,6 +14,7 @@ from gyrobench.bench.report.closure.closure_text import (
     held_out_cycles,
     noise_dph,
     rms,
+    rotation_table,
     scale_of_errors,
     verdict_sentence,
 )
@@ -39,11 +40,17 @@ def closure_summary(closure: Closure) -> RenderableType:
     title = f"Error in {held_out_cycles(closure)} (held out), rms in {scale_of_errors(closure).unit}"
     errors = _errors(closure)
     table = plain_table(list(errors), 0, [list(errors.values())])
-    return Group(*parts, Text(title, style="bold"), table, Text())
+    parts += [Text(title, style="bold"), table, Text()]
+    if closure.rotation:
+        title = f"Each cycle held out in turn, rms in {scale_of_errors(closure).unit}"
+        headers, rows = rotation_table(closure)
+        parts += [Text(title, style="bold"), plain_table(headers, 3, rows), Text()]
+    return Group(*parts)
 
 
 def _errors(closure: Closure) -> dict[str, str]:
     scale = scale_of_errors(closure)
-    before, after = scale.text(closure.error_before_dph), scale.text(closure.error_after_dph)
+    before = scale.with_sigma(closure.error_before_dph, closure.error_before_sigma_dph)
+    after = scale.with_sigma(closure.error_after_dph, closure.error_after_sigma_dph)
     errors = {"before": before, "after": after} if closure.effects else {"error": before}
     return errors | {"noise": scale.text(rms(noise_dph(closure)[~closure.searched]))}

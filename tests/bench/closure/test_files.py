@@ -18,7 +18,7 @@ from gyrobench.bench.closure.files import (
     read_held_out_cycles,
     write_closure,
 )
-from gyrobench.bench.closure.loop import close_loop
+from gyrobench.bench.closure.loop import close_loop, rotated
 from gyrobench.bench.foundations.errors import RunFolderError
 from tests.bench.closure.thermal_bench import SIGMA_DPH, measure
 
@@ -102,8 +102,8 @@ def test_dwells_without_a_result_are_predicted_too_and_those_without_temperature
     closure = close_loop(campaign_of(rows), effects=[g_sensitivity.EFFECT])
     predicted = {int(row.pop("dwell")): [*row.values()] for row in predictions(closure)}
     assert [*predicted] == [row.dwell for row in rows]
-    assert predicted[9] == [""] * 6
-    after_dph = np.array([float(value) for value in predicted[5][3:]])
+    assert predicted[9] == [""] * 12
+    after_dph = np.array([float(value) for value in predicted[5][3:6]])
     undisturbed = measure({"g_sensitivity": 4.0}, cycles=2)
     np.testing.assert_allclose(after_dph, undisturbed.bias_dph[4], atol=4.0 * SIGMA_DPH)
     before_dph = np.array([float(value) for value in predicted[5][:3]])
@@ -121,10 +121,16 @@ def test_predictions_give_the_stated_errors(explained):
         assert np.sqrt(np.mean(errors**2)) == pytest.approx(predicted, rel=1e-5)
 
 
+def test_predictions_have_the_stated_uncertainties(explained):
+    sigma_dph = [[float(row[f"sigma_{axis}_after_dph"]) for axis in "xyz"] for row in predictions(explained)]
+    np.testing.assert_allclose(sigma_dph, explained.prediction_sigma_dph, rtol=1e-5)
+
+
 def test_in_clean_data_nothing_is_predicted_otherwise_after(closed):
     for row in predictions(closed()):
         for axis in "xyz":
             assert row[f"bias_{axis}_after_dph"] == row[f"bias_{axis}_before_dph"]
+            assert row[f"sigma_{axis}_after_dph"] == row[f"sigma_{axis}_before_dph"]
 
 
 def test_the_model_gives_the_predictions(explained):
@@ -156,6 +162,10 @@ def test_a_search_that_is_written_is_known_again_with_its_cycles_held_out(closed
     assert read_held_out_cycles(tmp_path) == closure_document(explained)["held_out_cycles"]
     assert is_written(tmp_path, explained)
     assert not is_written(tmp_path, closed({"sinusoid": 1.5}))
+    write_closure(tmp_path, rotated(explained))
+    assert is_written(tmp_path, explained)
+    (tmp_path / "closure.json").write_text("{")
+    assert not is_written(tmp_path, explained)
 
 
 @pytest.mark.parametrize("text", ["", "{}", '{"held_out_cycles": ["last"]}'])
