@@ -52,11 +52,6 @@ class ThermalNetwork:
         #: The last steps.
         self.course = ThermalCourse(self.nodes_c[np.newaxis].copy(), np.zeros((1, 3)), np.zeros((1, 3)))
 
-    @property
-    def convected_w(self) -> FloatArray:
-        """See :class:`ThermalCourse`; in the last step, shape (3,)."""
-        return self.course.convected_w[-1]
-
     def step(self, dt_s: float, air_c: float | FloatArray, up_body: FloatArray) -> None:
         """Advance by ``dt_s`` (about a second) in air of each temperature in turn; ``up_body`` (3,) is Up."""
         self.course = ThermalCourse(

@@ -88,7 +88,7 @@ class World:
     def temperatures_c(self) -> FloatArray:
         """Read the unit's temperature sensors: case, three optics, three electronics; shape (7,)."""
         normal = self._random.standard_normal((1, 7))
-        return self._with_faults(self.thermal.read_c(self.thermal.nodes_c[np.newaxis], normal))[0]
+        return self._with_faults(self.thermal.read_c(self.thermal.nodes_c[np.newaxis], normal)).ravel()
 
     def true_gyro_bias(self) -> FloatArray:
         """The true gyro biases at this moment, rad/s, shape (3,)."""
@@ -97,7 +97,7 @@ class World:
 
     def undeclared_bias(self) -> FloatArray:
         """The undeclared effects' part of :meth:`true_gyro_bias`, rad/s, shape (3,)."""
-        return self._undeclared_dph[-1] * DPH_TO_RADPS
+        return np.asarray(self._undeclared_dph[-1] * DPH_TO_RADPS)
 
     def attitude(self) -> FloatArray:
         """True ``C_nb`` (3, 3) at this moment."""
@@ -153,7 +153,7 @@ class World:
         if not self.file.undeclared_effects:
             self._undeclared_dph = np.zeros((len(duty), 3))
             return
-        sample = (self._sample + SAMPLE_RATE_HZ * np.arange(len(duty)))[:, np.newaxis]
+        sample = self._sample + SAMPLE_RATE_HZ * np.arange(float(len(duty)))[:, np.newaxis]
         on_s = (sample - self._powered_on_sample) * _DT_S
         self._undeclared_dph = self._undeclared.added_dph(
             Conditions(

@@ -161,7 +161,7 @@ def position_spread(make_world_file, conditions):
                     net.step(1.0, air_c, np.array(up, dtype=float))
                 air_c += optics_c - net.optics_c.mean()
             assert net.optics_c.mean() == pytest.approx(optics_c, abs=0.5)
-            now = conditions(optics_c=net.optics_c, convected_w=net.convected_w, up_body=up)
+            now = conditions(optics_c=net.optics_c, convected_w=net.course.convected_w[-1], up_body=up)
             biases_dph.append(undeclared.added_dph(now))
         return np.ptp(biases_dph, axis=0)
 
