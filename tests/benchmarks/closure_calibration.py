@@ -128,7 +128,7 @@ def _inside(closure, truth):
         held = [
             low <= value <= high for value, (low, high) in zip(part.values, one.values_range, strict=True)
         ]
-        inside["parameters"][0] += sum(held)
+        inside["parameters"][0] += int(sum(held))
         inside["parameters"][1] += len(held)
     if is_right or closure.verdict in ("clean", "explained"):
         campaign, searched = closure.campaign, closure.searched
