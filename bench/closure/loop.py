@@ -11,6 +11,7 @@ import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate, Hypothesis, solve_with
+from gyrobench.bench.closure.confounding import confounding
 from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.effect import Effect, Parameter
 from gyrobench.bench.closure.noise import Noise
@@ -136,6 +137,7 @@ class Closure:
     declared: Solution
     model: Solution
     noise_dph: float  #: Noise of a measured bias, rms.
+    confounding: tuple[str, ...]  #: What the dwells searched can't distinguish, one sentence each.
     noise: Noise  #: Its ratio to the stated uncertainties, and the outliers.
     #: error_before_dph, error_after_dph: Rms of measured minus predicted bias in the held-out dwells.
     error_before_dph: float
@@ -246,6 +248,7 @@ def close_loop(
         declared=declared,
         model=model,
         noise_dph=_rms(problem.sigma_dph),
+        confounding=confounding(campaign, searched),
         noise=selected.noise,
         error_before_dph=error_before,
         error_after_dph=error_after,
