@@ -46,8 +46,8 @@ def confounding(campaign: Campaign, searched: BoolArray) -> tuple[str, ...]:
             )
     if seen.azimuth_deg is not None and np.ptp(seen.azimuth_deg) < _SAME_HEADING_DEG:
         sentences.append(
-            "All dwells have one heading: an effect of the Earth's magnetic field cannot be distinguished from "
-            "g-sensitivity."
+            "All dwells have one heading: an effect of the Earth's magnetic field cannot be distinguished "
+            "from g-sensitivity."
         )
     if len(np.unique(seen.cycle)) == 1:
         sentences.append(
