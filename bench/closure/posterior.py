@@ -67,6 +67,14 @@ class Posterior:
         }
 
     @property
+    def sets(self) -> list[frozenset[str]]:
+        """Sets of effects, with or without a remainder, most probable first."""
+        total: dict[frozenset[str], float] = {}
+        for each in self.hypotheses:
+            total[each.names] = total.get(each.names, 0.0) + each.probability
+        return sorted(total, key=lambda names: -total[names])
+
+    @property
     def nothing(self) -> float:
         """Probability of the declared model alone."""
         return self.of_set((), has_remainder=False)
@@ -81,18 +89,20 @@ class Posterior:
         wanted = frozenset(names), has_remainder
         return sum(each.probability for each in self.hypotheses if (each.names, each.has_remainder) == wanted)
 
-    def tied_with(self, names: Collection[str], one: str) -> tuple[str, ...]:
-        """Effects that explain the data about as well in place of one of a set, most probable first."""
-        found, others = self.of_set(names, has_remainder=False), frozenset(names) - {one}
-        return tuple(
-            next(iter(each.names - others))
+    def similar(self, names: frozenset[str]) -> list[frozenset[str]]:
+        """Sets with one effect exchanged that are not excluded by odds of TIE_ODDS, most probable first."""
+        least = self.of_set(names, has_remainder=False) / TIE_ODDS
+        return [
+            each.names
             for each in self.hypotheses
             if not each.has_remainder
-            and one not in each.names
-            and len(each.names) == len(names)
-            and others < each.names
-            and each.probability * TIE_ODDS > found
-        )
+            and len(each.names) == len(names) == len(each.names & names) + 1
+            and each.probability > least
+        ]
+
+    def tied_with(self, names: frozenset[str], one: str) -> tuple[str, ...]:
+        """Effects that may take the place of one of a set, most probable first."""
+        return tuple(next(iter(each - names)) for each in self.similar(names) if one not in each)
 
 
 class Evidences:
@@ -105,7 +115,8 @@ class Evidences:
         self._form_counts = {
             each.name: sum(not form.missing_input(campaign) for form in each.forms) for each in fitted
         }
-        self._problem = problem
+        self._problem, self._effects = problem, effects
+        self._weights: dict[object, tuple[float, FloatArray]] = {}
         self._dof = np.array([basis.shape[0] - basis.shape[1] for basis in problem.bases], dtype=np.float64)
         self._remainder = remainder_of(problem)
 
@@ -114,8 +125,35 @@ class Evidences:
         """What a remainder may follow."""
         return (*self._remainder.names, "nothing else measured")
 
+    def posterior(self, hypotheses: Iterable[Hypothesis]) -> Posterior:
+        """Probabilities of hypotheses, which include the declared model alone.
+
+        An effect that can't be fitted because an input is missing is as probable as the one that it imitates.
+        """
+        found = []
+        for each in hypotheses:
+            weights = self.weights(each)
+            sets = (each.names, *_imitating(each, self._effects, self._problem.campaign))
+            found += [(names, *weights) for names in sets]
+        whole = logsumexp(np.concatenate([[alone, *processes] for _, alone, processes in found]))
+        follows = np.exp(logsumexp(np.array([processes for _, _, processes in found]), axis=0) - whole)
+        weighed = []
+        for names, alone, processes in found:
+            weighed.append(Weighed(names, False, math.exp(alone - whole)))
+            weighed.append(Weighed(names, True, math.exp(logsumexp(processes) - whole)))
+        return Posterior(
+            tuple(sorted(weighed, key=lambda each: -each.probability)),
+            dict(zip(self.processes, (follows / follows.sum()).tolist(), strict=True)),
+        )
+
     def weights(self, of: Hypothesis) -> tuple[float, FloatArray]:
         """Logarithm of prior times evidence, without a remainder and with each of the processes."""
+        key = tuple((each.effect.name, each.form.name, each.values) for each in of.candidates)
+        if key not in self._weights:
+            self._weights[key] = self._weighed(of)
+        return self._weights[key]
+
+    def _weighed(self, of: Hypothesis) -> tuple[float, FloatArray]:
         terms = _Terms.of(self._problem, of.candidates)
         scales = terms.scales()
         per_gyro = self._log_evidence(terms.products[:, None], scales * terms.kept[:, None])
@@ -280,28 +318,6 @@ def prior_width(problem: Problem, parameter: Parameter, value: float) -> float:
     if parameter.low > 0.0:
         return value * math.log(parameter.high / parameter.low)
     return parameter.high - parameter.low
-
-
-def posterior(problem: Problem, effects: Sequence[Effect], hypotheses: Iterable[Hypothesis]) -> Posterior:
-    """Probabilities of hypotheses, which include the declared model alone.
-
-    An effect that can't be fitted because an input is missing is as probable as the one that it imitates.
-    """
-    evidences = Evidences(problem, effects)
-    found = []
-    for each in hypotheses:
-        weights = evidences.weights(each)
-        found += [(names, *weights) for names in (each.names, *_imitating(each, effects, problem.campaign))]
-    whole = logsumexp(np.concatenate([[alone, *processes] for _, alone, processes in found]))
-    follows = np.exp(logsumexp(np.array([processes for _, _, processes in found]), axis=0) - whole)
-    weighed = []
-    for names, alone, processes in found:
-        weighed.append(Weighed(names, False, math.exp(alone - whole)))
-        weighed.append(Weighed(names, True, math.exp(logsumexp(processes) - whole)))
-    return Posterior(
-        tuple(sorted(weighed, key=lambda each: -each.probability)),
-        dict(zip(evidences.processes, (follows / follows.sum()).tolist(), strict=True)),
-    )
 
 
 def _imitating(of: Hypothesis, effects: Sequence[Effect], campaign: Campaign) -> list[frozenset[str]]:
