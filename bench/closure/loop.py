@@ -12,7 +12,7 @@ from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate, Hypothesis, solve_with, stack
 from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.effect import Effect, Parameter
-from gyrobench.bench.closure.posterior import EXPLAINED, Posterior
+from gyrobench.bench.closure.posterior import EXPLAINED, Posterior, detectable_dph
 from gyrobench.bench.closure.problem import Problem, Solution, declared_problem
 from gyrobench.bench.closure.search import Search
 from gyrobench.bench.closure.uncertainty import Draws, bound_of, draw
@@ -102,7 +102,7 @@ class Evidence:
     #: excess.
     share: float = 0.0
     p_value: float = 1.0  #: Corrected for all candidate fits.
-    #: Twice the logarithm of the odds by which the data prefer the effects found to this one alone.
+    #: Twice the logarithm of the odds of the effects found to this one alone.
     log_odds_against: float = np.nan
 
 
@@ -130,6 +130,7 @@ class Closure:
     effects: tuple[FoundEffect, ...]  #: Strongest first.
     evidence: tuple[Evidence, ...]  #: Of each effect alone.
     posterior: Posterior  #: Probabilities of all hypotheses.
+    detectable_dph: dict[str, float]  #: See :func:`gyrobench.bench.closure.posterior.detectable_dph`.
     #: before, after: Tests of the declared model, and with the effects.
     before: LackOfFit
     after: LackOfFit
@@ -162,6 +163,11 @@ class Closure:
         return next(
             (each.effect.display_name for each in self.evidence if each.effect.name == name), plain_name(name)
         )
+
+    @property
+    def probability(self) -> float:
+        """Probability of exactly the effects found, without a remainder."""
+        return self.posterior.of_set([each.effect.name for each in self.effects], has_remainder=False)
 
     @property
     def separating_measurement(self) -> str | None:
@@ -239,6 +245,7 @@ def close_loop(
         searched=searched,
         verdict=_verdict(found, after, weighed, is_better=error_after < error_before),
         posterior=weighed,
+        detectable_dph=detectable_dph(_with_effects(problem, found)),
         effects=_found_effects(search, found, model, model_draws, weighed),
         evidence=_evidence(search, found),
         before=lack_of_fit(problem, 0),
@@ -301,10 +308,12 @@ def _searched(campaign: Campaign, hold_out_cycles: Sequence[int]) -> BoolArray:
 
 
 def _test(problem: Problem, found: Hypothesis) -> LackOfFit:
-    if not found.candidates:
-        return lack_of_fit(problem, 0)
-    after = problem.with_columns(*stack(found.candidates, problem.campaign))
-    return lack_of_fit(after, sum(len(each.values) for each in found.candidates))
+    parameters = sum(len(each.values) for each in found.candidates)
+    return lack_of_fit(_with_effects(problem, found), parameters)
+
+
+def _with_effects(problem: Problem, found: Hypothesis) -> Problem:
+    return problem.with_columns(*stack(found.candidates, problem.campaign)) if found.candidates else problem
 
 
 def _lacks_fit(after: LackOfFit) -> bool:
@@ -366,6 +375,10 @@ def _found_effects(
 def _evidence(search: Search, found: Hypothesis) -> tuple[Evidence, ...]:
     problem = search.problem
     excess = problem.chi2 - problem.dof
+
+    def odds(alone: Hypothesis) -> float:
+        return search.evidences.log_odds(found, alone)
+
     result = []
     for effect in search.effects:
         alone = search.alone.get(effect.name)
@@ -373,11 +386,11 @@ def _evidence(search: Search, found: Hypothesis) -> tuple[Evidence, ...]:
         if missing:
             result.append(Evidence(effect, missing))
         elif alone is None:
-            result.append(Evidence(effect, log_odds_against=search.declared.log_odds_against(found)))
+            result.append(Evidence(effect, log_odds_against=odds(search.declared)))
         else:
             share = (problem.chi2 - alone.chi2) / excess if excess > 0.0 else np.nan
-            p_value, odds = search.p_value(alone, 0), alone.log_odds_against(found)
-            result.append(Evidence(effect, None, alone.candidates[0], share, p_value, odds))
+            p_value = search.p_value(alone, 0)
+            result.append(Evidence(effect, None, alone.candidates[0], share, p_value, odds(alone)))
     return tuple(sorted(result, key=lambda each: (each.missing_input is not None, each.log_odds_against)))
 
 

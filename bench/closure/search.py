@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from scipy.special import chdtrc
@@ -34,6 +35,8 @@ SAME_SHARE = 0.05
 MAX_SHARE_OF_ONE_DWELL = 0.5
 #: Fitted parameters reduce chi2 by at most this factor more than the best starting values.
 _MAX_REFINEMENT = 3.0
+#: Sets are about equally probable below these odds.
+_EVEN_ODDS = 3.0
 #: Limit of exchanges of effects in the best hypothesis.
 _MAX_EXCHANGES = 6
 
@@ -129,14 +132,19 @@ class Search:
         p_values = [_p_value(reduction, max(rank, 1)) for reduction, rank in gyros]
         return [p_value < SIGNIFICANCE or p_value == min(p_values) for p_value in p_values]
 
+    @cached_property
+    def evidences(self) -> Evidences:
+        """Evidence of the hypotheses of this search."""
+        return Evidences(self.problem, self.effects)
+
     def most_probable(self) -> tuple[Hypothesis, Posterior]:
         """The most probable set of effects to which there is no objection, and the probabilities of all sets.
 
         The sets are those of the search by BIC and all with one effect more than the most probable or with
         one exchanged. A set that contains the most probable one as a special case is left out: the simpler
-        one is preferred.
+        one is preferred, as it is of sets that are about equally probable.
         """
-        best, evidences = self.best(), Evidences(self.problem, self.effects)
+        best, evidences = self.best(), self.evidences
         for _ in range(_MAX_EXCHANGES):
             self._fit_similar(best)
             fitted = self._fitted(best)
@@ -148,7 +156,9 @@ class Search:
             best = found
         similar = [fitted[names] for names in weighed.similar(found.names) if names in fitted]
         for each in similar:
-            if self._is_special_case(each, found) and not self._objections(each):
+            is_as_probable = weighed.odds(found.names, each.names) < _EVEN_ODDS
+            is_simpler = each.parameter_count < found.parameter_count and is_as_probable
+            if (is_simpler or self._is_special_case(each, found)) and not self._objections(each):
                 found = each
         general = [each for each in similar if self._is_special_case(found, each)]
         return found, evidences.posterior([each for each in fitted.values() if each not in general])
