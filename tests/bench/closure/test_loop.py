@@ -134,10 +134,9 @@ def test_an_effect_beside_a_remainder_is_found_with_its_probability(closed):
     closure = closed({"g_sensitivity": 4.0, "sinusoid": 1.5}, cycles=2, seed=1)
     [found] = closure.effects
     assert closure.verdict == "unexplained"
-    assert closure.posterior.not_on_list > 0.99
+    assert closure.posterior.not_on_list > 0.95
     assert found.effect.name == "g_sensitivity"
-    assert found.tied_with == ("magnetic_sensitivity",)
-    assert found.probability + closure.posterior.of_effect["magnetic_sensitivity"] > 0.99
+    assert found.probability > 0.95
 
 
 def test_where_nothing_is_beyond_the_noise_there_is_no_share_of_it():
