@@ -210,8 +210,9 @@ def power_sentence(closure: Closure) -> str:
         return ""
     low, high = min(sizes, key=lambda name: sizes[name]), max(sizes, key=lambda name: sizes[name])
     return (
-        f"Something else would have been shown with {100.0 * POWER:.0f} % probability from {size_text(sizes[low])} deg/h rms if it "
-        f"follows {low}, to {size_text(sizes[high])} deg/h if it follows {high}; less is not excluded."
+        f"Something else would have been shown with {100.0 * POWER:.0f} % probability from "
+        f"{size_text(sizes[low])} deg/h rms if it follows {low}, to {size_text(sizes[high])} deg/h if it "
+        f"follows {high}; less is not excluded."
     )
 
 
