@@ -13,27 +13,24 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.special import chdtri, ndtri
+from scipy.special import chdtri, gammaln, ndtri
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.candidates import Candidate
+from gyrobench.bench.closure.candidates import Candidate, stack
 from gyrobench.bench.closure.effects.effect import Parameter
-from gyrobench.bench.closure.problem import DEGREE, Problem, declared_columns, with_mean_constants
+from gyrobench.bench.closure.problem import DEGREE, MIN_SHARE, Problem, declared_columns, with_mean_constants
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 
-#: Draws, and values of the nonlinear parameters among them: so many for each parameter, at most all.
-DRAWS, _NODES = 256, 64
+#: Draws, places of the nonlinear parameters among them, and how many of those are sought within all bounds.
+DRAWS, _NODES, _IN_BOX = 256, 128, 16
 #: Prior standard deviation of the ratio of the noise to the stated uncertainties.
 _PRIOR_SCALE = 0.1
-#: Parameters whose bounds differ by this factor are drawn on a logarithmic scale.
-_DECADE = 10.0
 #: Degrees of freedom of the t distribution that proposes values.
 _TAILS = 4.0
 #: Rise of chi2 that measures the width of a parameter's distribution.
 _RISE = 4.0
-_MAX_HALVINGS, _ROUNDS = 14, 3
-#: Directions that keep less than this share of a column's length are not determined.
-_MIN_SHARE = 1e-5
+_MAX_HALVINGS, _ROUNDS = 40, 3
+_PRIOR_STEPS = 6
 #: A parameter within this share of its range from a bound is at the bound.
 _AT_BOUND = 1e-3
 
@@ -115,9 +112,10 @@ def draw(problem: Problem, candidates: Sequence[Candidate]) -> Draws:
 
     ``problem`` has the declared model alone.
     """
-    sampler = _Sampler(problem, candidates)
-    nodes, weights = sampler.nodes()
-    fits = [sampler.linear(each) for each in nodes]
+    problem = _with_noise_of_residuals(problem, candidates)
+    sizes_prior = _sizes_prior(problem, candidates)
+    nodes, weights = _nodes(problem, candidates, sizes_prior)
+    fits = [[_LinearFit.of(problem, each, gyro, sizes_prior) for gyro in range(3)] for each in nodes]
     node = np.arange(DRAWS) % len(nodes)
     random = np.random.default_rng(0)
     declared = np.full((DRAWS, 3, DEGREE + len(problem.campaign.run_names)), np.nan)
@@ -126,16 +124,21 @@ def draw(problem: Problem, candidates: Sequence[Candidate]) -> Draws:
         mine = [each[gyro] for each in fits]
         normal = _standard_normal(random, max(each.root.shape[1] for each in mine))
         drawn = np.array([mine[index].drawn(each) for index, each in zip(node, normal, strict=True)])
-        parts = np.split(
-            drawn,
-            np.cumsum([mine[0].known.sum(), *(each.kept[gyro].sum() for each in candidates)])[:-1],
-            axis=1,
-        )
-        declared[:, gyro, mine[0].known] = parts[0]
-        for size, part, each in zip(sizes, parts[1:], candidates, strict=True):
+        known = mine[0].known
+        counts = [known.sum(), *(each.kept[gyro].sum() for each in candidates)]
+        declared[:, gyro, known], *parts = np.split(drawn, np.cumsum(counts)[:-1], axis=1)
+        for size, part, each in zip(sizes, parts, candidates, strict=True):
             size[:, gyro, each.kept[gyro]] = part
     named = {each.effect.name: size for each, size in zip(candidates, sizes, strict=True)}
     return Draws(weights[node] / weights[node].sum(), declared, named, nodes, node)
+
+
+def _with_noise_of_residuals(problem: Problem, candidates: Sequence[Candidate]) -> Problem:
+    """Same problem with the noise that its residuals show, as far as they know it better than is stated."""
+    after = problem.with_columns(*stack(candidates, problem.campaign)) if candidates else problem
+    dof = max(after.dof - sum(len(each.values) for each in candidates), 1)
+    ratio = max(after.chi2 / dof, 1e-12) ** (0.5 / (1.0 + 0.5 / dof / _PRIOR_SCALE**2))
+    return replace(problem, noise_scale=problem.noise_scale * ratio, residuals=problem.residuals / ratio)
 
 
 @dataclass(frozen=True)
@@ -145,139 +148,150 @@ class _LinearFit:
     known: BoolArray  #: Columns of the declared model that are not zero.
     mean: FloatArray  #: Shape (q,).
     root: FloatArray  #: Shape (q, r). Its product with its transpose is the covariance.
-    chi2: float
-    log_determinant: float  #: Of the covariance in units of the columns' lengths.
+
+    @classmethod
+    def of(
+        cls, problem: Problem, candidates: Sequence[Candidate], gyro: int, sizes_prior: FloatArray
+    ) -> _LinearFit:
+        campaign, searched = problem.campaign, problem.searched
+        base = declared_columns(campaign, gyro)[searched]
+        known = np.any(base != 0.0, axis=0)
+        terms = [each.columns(campaign)[searched, gyro][:, each.kept[gyro]] for each in candidates]
+        sigma_dph = problem.sigma_dph[:, gyro]
+        columns = np.concatenate([base[:, known], *terms], axis=1) / sigma_dph[:, np.newaxis]
+        lengths = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+        counts = [known.sum(), *(each.shape[1] for each in terms)]
+        prior = np.diag(np.repeat([0.0, *sizes_prior], counts))
+        left, shares, right = np.linalg.svd(np.concatenate([columns / lengths, prior]), full_matrices=False)
+        good = shares > MIN_SHARE
+        root = right[good].T / shares[good] / lengths[:, np.newaxis]
+        data = campaign.bias_dph[searched, gyro] / sigma_dph
+        return cls(known, root @ (left[: len(data), good].T @ data), root)
 
     def drawn(self, normal: FloatArray) -> FloatArray:
         return self.mean + self.root @ normal[: self.root.shape[1]]
 
 
-class _Sampler:
-    """Distribution of the nonlinear parameters of some effects, in coordinates without units."""
+def _sizes_prior(problem: Problem, candidates: Sequence[Candidate]) -> FloatArray:
+    """Inverse standard deviations of a normal prior of the terms' lengths, one for each effect.
 
-    def __init__(self, problem: Problem, candidates: Sequence[Candidate]) -> None:
-        self.problem, self.candidates = problem, tuple(candidates)
+    Those with which the data are most probable (empirical Bayes): sizes of an effect that was selected because
+    noise made it larger are drawn to zero, and those that the data do not determine stay finite.
+    """
+    prior = np.zeros(len(candidates))
+    columns = [each.columns(problem.campaign)[problem.searched] for each in candidates]
+    for _ in range(_PRIOR_STEPS if candidates else 0):
+        squares = np.zeros(len(candidates))
+        for gyro in range(3):
+            fit = _LinearFit.of(problem, candidates, gyro, prior)
+            start = int(fit.known.sum())
+            for index, (each, terms) in enumerate(zip(candidates, columns, strict=True)):
+                mine = terms[:, gyro, each.kept[gyro]] / problem.sigma_dph[:, gyro, np.newaxis]
+                part = slice(start, start + mine.shape[1])
+                expected = fit.mean[part] ** 2 + np.sum(fit.root[part] ** 2, axis=1)
+                squares[index] += np.sum(expected * np.sum(mine**2, axis=0))
+                start = part.stop
+        prior = np.sqrt([each.kept.sum() for each in candidates] / squares)
+    return prior
+
+
+def _nodes(
+    problem: Problem, candidates: Sequence[Candidate], sizes_prior: FloatArray
+) -> tuple[tuple[tuple[Candidate, ...], ...], FloatArray]:
+    """Values of the nonlinear parameters, and their weights."""
+    place = _Place(problem, candidates, sizes_prior)
+    if not len(place.best):
+        return (tuple(candidates),), np.ones(1)
+    centre, root = place.best, np.diag(place.widths())
+    for _ in range(_ROUNDS):
+        places, log_proposed = _proposed(centre, root, place.low, place.high)
+        log_weights = np.array(list(map(place.log_density, places))) - log_proposed
+        weights = np.exp(log_weights - log_weights.max())
+        weights /= weights.sum()
+        centre = weights @ places
+        spread = (places - centre).T @ ((places - centre) * weights[:, np.newaxis])
+        root = np.linalg.cholesky(spread + 1e-9 * np.diag(place.widths() ** 2))
+    return tuple(map(place.candidates_at, places)), weights
+
+
+class _Place:
+    """The nonlinear parameters of some effects as a place in a box with a uniform prior."""
+
+    def __init__(self, problem: Problem, candidates: Sequence[Candidate], sizes_prior: FloatArray) -> None:
+        self._problem, self._candidates = problem, candidates
+        self._prior = np.repeat(sizes_prior**2, [each.kept.shape[1] for each in candidates])
         campaign = problem.campaign
         parameters = [parameter for each in candidates for parameter in each.form.parameters]
-        self.is_log = np.array(
-            [each.low > 0.0 and each.high > _DECADE * each.low for each in parameters], dtype=bool
-        )
+        self._is_log = np.array([each.low > 0.0 for each in parameters], dtype=bool)
         span_s = float(campaign.start_s.min()), float(campaign.end_s.max())
         bounds = [(each.low, each.high) if np.isfinite(each.low) else span_s for each in parameters]
-        self.low, self.high = self._coordinates(np.array(bounds, dtype=np.float64).reshape(-1, 2).T)
-        self.best = self._coordinates(np.array([value for each in candidates for value in each.values]))
-        self.scale = 1.0
-        self.prior_size = np.full(len(candidates), np.inf)
-        self._bases = [
-            declared_columns(campaign, gyro)[problem.searched] / problem.sigma_dph[:, gyro, np.newaxis]
-            for gyro in range(3)
-        ]
-        self._set_scale()
+        self.low, self.high = _even(np.array(bounds, dtype=np.float64).reshape(-1, 2).T, self._is_log)
+        self.best = _even(np.array([value for each in candidates for value in each.values]), self._is_log)
 
-    def _coordinates(self, values: FloatArray) -> FloatArray:
-        return np.where(self.is_log, np.log(np.maximum(values, 1e-300)), values)
-
-    def at(self, place: FloatArray) -> tuple[Candidate, ...]:
+    def candidates_at(self, place: FloatArray) -> tuple[Candidate, ...]:
         """The effects with their parameters at a place."""
-        values = iter(np.where(self.is_log, np.exp(np.where(self.is_log, place, 0.0)), place).tolist())
+        values = iter(np.where(self._is_log, np.exp(np.where(self._is_log, place, 0.0)), place).tolist())
         return tuple(
             replace(each, values=tuple(itertools.islice(values, len(each.values))))
-            for each in self.candidates
+            for each in self._candidates
         )
 
-    def linear(self, candidates: Sequence[Candidate]) -> list[_LinearFit]:
-        """Fit of each gyro."""
-        return [self._fit(gyro, candidates) for gyro in range(3)]
-
-    def _fit(self, gyro: int, candidates: Sequence[Candidate]) -> _LinearFit:
-        problem, base = self.problem, self._bases[gyro]
-        known = np.any(base != 0.0, axis=0)
-        terms = [
-            each.columns(problem.campaign)[problem.searched, gyro][:, each.kept[gyro]]
-            / problem.sigma_dph[:, gyro, np.newaxis]
-            for each in candidates
-        ]
-        columns = np.concatenate([base[:, known], *terms], axis=1)
-        lengths = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-        priors = np.repeat(
-            [0.0, *self.scale / self.prior_size], [known.sum(), *(each.shape[1] for each in terms)]
-        )
-        priors = priors / np.sqrt(len(columns))
-        left, shares, right = np.linalg.svd(
-            np.concatenate([columns / lengths, np.diag(priors)[priors > 0.0]]), full_matrices=False
-        )
-        good = shares > _MIN_SHARE
-        data = problem.campaign.bias_dph[problem.searched, gyro] / problem.sigma_dph[:, gyro]
-        parts = left[: len(data), good].T @ data
-        root = right[good].T / shares[good] / lengths[:, np.newaxis]
-        return _LinearFit(
-            known,
-            root @ parts,
-            self.scale * root,
-            float(data @ data - parts @ parts),
-            -float(np.sum(np.log(shares[good]))),
-        )
-
-    def _log_density(self, place: FloatArray) -> float:
+    def log_density(self, place: FloatArray) -> float:
+        """Logarithm of the probability density, with the coefficients of the terms integrated out."""
         if np.any(place < self.low) or np.any(place > self.high):
             return -np.inf
-        fits = self.linear(self.at(place))
-        return float(sum(each.log_determinant - 0.5 * each.chi2 / self.scale**2 for each in fits))
+        columns, kept = stack(self.candidates_at(place), self._problem.campaign)
+        density = 0.0
+        for gyro in range(3):
+            terms = self._problem.independent_part(columns, gyro, kept)
+            used = kept[gyro] & np.any(columns[self._problem.searched, gyro] != 0.0, axis=0)
+            root = np.linalg.cholesky(terms.T @ terms + np.diag(self._prior[used]))
+            parts = np.linalg.solve(root, terms.T @ self._problem.residuals[:, gyro])
+            density += float(0.5 * parts @ parts - np.sum(np.log(np.diag(root))))
+        return density
 
-    def _set_scale(self) -> None:
-        """Set the noise: that of the residuals, and the stated one with what is known of it, combined."""
-        fits = self.linear(self.candidates)
-        dof = max(self.problem.residuals.size - sum(each.root.shape[1] for each in fits) - len(self.best), 1)
-        found = 0.5 * np.log(max(sum(each.chi2 for each in fits) / dof, 1e-12))
-        self.scale = float(np.exp(found / (1.0 + 0.5 / dof / _PRIOR_SCALE**2)))
-
-    def nodes(self) -> tuple[tuple[tuple[Candidate, ...], ...], FloatArray]:
-        """Values of the parameters and their weights."""
-        if not len(self.best):
-            return (self.candidates,), np.ones(1)
-        count = len(self.best)
-        centre, root = self.best, np.diag(self._widths())
-        for _ in range(_ROUNDS):
-            steps = _proposed(_NODES, count)
-            places = centre + steps @ root.T
-            log_weights = np.array([self._log_density(each) for each in places]) + 0.5 * (
-                _TAILS + count
-            ) * np.log1p(np.sum(steps**2, axis=1) / _TAILS)
-            weights = np.exp(log_weights - log_weights.max())
-            weights /= weights.sum()
-            centre = weights @ places
-            spread = (places - centre).T @ ((places - centre) * weights[:, np.newaxis])
-            root = np.linalg.cholesky(spread + 1e-12 * np.eye(count) * np.trace(spread))
-        return tuple(map(self.at, places)), weights
-
-    def _widths(self) -> FloatArray:
+    def widths(self) -> FloatArray:
         """Standard deviation of each parameter, the others at their best values."""
         return np.array(
             [max(self._width(index, side) for side in (-1.0, 1.0)) for index in range(len(self.best))]
         )
 
     def _width(self, index: int, side: float) -> float:
-        """Where chi2 has risen on one side by more than noise makes it rise."""
-        at_best = self._log_density(self.best)
-        step = (self.high - self.best if side > 0.0 else self.best - self.low)[index]
-        unit = side * np.eye(len(self.best))[index]
+        """By the rise of chi2 on one side."""
+        at_best, step = self.log_density(self.best), side * np.eye(len(self.best))[index]
+        step *= (self.high - self.best if side > 0.0 else self.best - self.low)[index]
         for _ in range(_MAX_HALVINGS):
-            rise = 2.0 * (at_best - self._log_density(self.best + step * unit))
+            rise = 2.0 * (at_best - self.log_density(self.best + step))
             if rise < _RISE:
                 break
-            step *= 0.5 if rise > 4.0 * _RISE else max(np.sqrt(_RISE / rise) * 0.95, 0.5)
-        return float(step / np.sqrt(max(rise, 0.5)))
+            step *= 0.5
+        return float(np.abs(step[index]) / np.sqrt(max(rise, 0.5)))
 
 
-def _proposed(number: int, count: int) -> FloatArray:
-    """Points (number, count) that fill a t distribution evenly."""
-    # Additive recurrence by the generalized golden ratio, the last coordinate for the scale.
-    root = 2.0
+def _proposed(
+    centre: FloatArray, root: FloatArray, low: FloatArray, high: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Places that fill a t distribution evenly, and some that fill the box, with their log density."""
+    count = len(centre)
+    # Additive recurrence by the generalized golden ratio; the last coordinate is the scale of the t.
+    golden = 2.0
     for _ in range(30):
-        root = (1.0 + root) ** (1.0 / (count + 2.0))
-    even = (0.5 + np.outer(np.arange(1, number + 1), root ** -np.arange(1.0, count + 2.0))) % 1.0
+        golden = (1.0 + golden) ** (1.0 / (count + 2.0))
+    even = (0.5 + np.outer(np.arange(1, _NODES + 1), golden ** -np.arange(1.0, count + 2.0))) % 1.0
     scale = np.sqrt(_TAILS / np.maximum(chdtri(_TAILS, even[:, -1:]), 1e-12))
-    return np.asarray(ndtri(even[:, :-1]) * scale)
+    places = centre + ndtri(even[:, :-1]) * scale @ root.T
+    places[:: _NODES // _IN_BOX] = low + even[:_IN_BOX, :-1] * (high - low)
+    squares = np.sum(np.linalg.solve(root, (places - centre).T) ** 2, axis=0)
+    log_t = (
+        gammaln(0.5 * (_TAILS + count))
+        - gammaln(0.5 * _TAILS)
+        - 0.5 * count * np.log(np.pi * _TAILS)
+        - np.log(np.diag(root)).sum()
+        - 0.5 * (_TAILS + count) * np.log1p(squares / _TAILS)
+    )
+    share = _IN_BOX / _NODES
+    log_box = -np.log(high - low).sum()
+    return places, np.logaddexp(np.log1p(-share) + log_t, np.log(share) + log_box)
 
 
 def _standard_normal(random: np.random.Generator, count: int) -> FloatArray:
@@ -291,7 +305,13 @@ def _standard_normal(random: np.random.Generator, count: int) -> FloatArray:
 
 def bound_of(parameter: Parameter, value: float) -> str:
     """The bound of the fit at which a parameter is, "lower" or "upper"; empty within its range."""
-    step = _AT_BOUND * (parameter.high - parameter.low)
-    if not np.isfinite(step):
+    if not np.isfinite(parameter.low):
         return ""
-    return "lower" if value <= parameter.low + step else "upper" if value >= parameter.high - step else ""
+    low, value, high = _even(np.array([parameter.low, value, parameter.high]), parameter.low > 0.0)
+    step = _AT_BOUND * (high - low)
+    return "lower" if value <= low + step else "upper" if value >= high - step else ""
+
+
+def _even(values: FloatArray, is_log: BoolArray | bool) -> FloatArray:
+    """Values on the scale on which they are equally probable: a positive scale by its logarithm."""
+    return np.where(is_log, np.log(np.where(is_log, values, 1.0)), values)
