@@ -168,7 +168,7 @@ class Closure:
 
         Without the scatter of the constants in a run that was not searched.
         """
-        return self.model_draws.sigma(self.model_draws.bias_dph(self.campaign))
+        return self.model_draws.sigma(self.model_draws.bias_dph(self.campaign), self.model.bias_dph)
 
     def label(self, name: str) -> str:
         """Label of a candidate effect."""
@@ -412,9 +412,9 @@ def _found_effects(
                 gains={cycle: left_out.gain for cycle, left_out in left_out_cycles.items()},
                 tied_with=weighed.tied_with(found.names, each.effect.name),
                 probability=weighed.of_effect[each.effect.name],
-                sizes_sigma_dph=draws.sigma(sizes_drawn),
-                values_sigma=draws.sigma(values),
-                rms_sigma_dph=float(draws.sigma(np.sqrt(np.mean(parts**2, axis=(1, 2))))),
+                sizes_sigma_dph=draws.sigma(sizes_drawn, sizes),
+                values_sigma=draws.sigma(values, np.array(each.values)),
+                rms_sigma_dph=float(draws.sigma(np.sqrt(np.mean(parts**2, axis=(1, 2))), _rms(part))),
                 values_range=tuple(map(draws.interval, each.form.parameters, each.values, values.T)),
             )
         )

@@ -31,6 +31,8 @@ _TAILS = 4.0
 _RISE = 4.0
 _MAX_HALVINGS, _ROUNDS = 40, 3
 _PRIOR_STEPS = 6
+#: An effect of more terms has those that the search kept.
+_MAX_TERMS = 6
 #: A parameter within this share of its range from a bound is at the bound.
 _AT_BOUND = 1e-3
 
@@ -60,10 +62,9 @@ class Draws:
         """Mean of a quantity, from its value in each draw (N, ...)."""
         return np.asarray(np.tensordot(self.weights, drawn, axes=1))
 
-    def sigma(self, drawn: FloatArray) -> FloatArray:
-        """Standard uncertainty of a quantity, from its value in each draw (N, ...)."""
-        variance = np.tensordot(self.weights, (drawn - self.mean(drawn)) ** 2, axes=1)
-        return np.asarray(np.sqrt(variance))
+    def sigma(self, drawn: FloatArray, stated: FloatArray | float) -> FloatArray:
+        """Standard uncertainty of a quantity as stated, from its value in each draw (N, ...)."""
+        return np.asarray(np.sqrt(self.mean((drawn - stated) ** 2)))
 
     def quantile(self, drawn: FloatArray, probability: float) -> float:
         """Value (one number in each draw, shape (N,)) below which a quantity is with a probability."""
@@ -113,24 +114,29 @@ def draw(problem: Problem, candidates: Sequence[Candidate]) -> Draws:
     ``problem`` has the declared model alone.
     """
     problem = _with_noise_of_residuals(problem, candidates)
-    sizes_prior = _sizes_prior(problem, candidates)
-    nodes, weights = _nodes(problem, candidates, sizes_prior)
-    fits = [[_LinearFit.of(problem, each, gyro, sizes_prior) for gyro in range(3)] for each in nodes]
+    at_best = _equations(problem, candidates)
+    priors = _priors(at_best, candidates)
+    nodes, weights = _nodes(problem, candidates, priors)
+    equations = [_equations(problem, each) for each in nodes] if len(nodes) > 1 else [at_best]
     node = np.arange(DRAWS) % len(nodes)
     random = np.random.default_rng(0)
     declared = np.full((DRAWS, 3, DEGREE + len(problem.campaign.run_names)), np.nan)
-    sizes = [np.zeros((DRAWS, *each.kept.shape)) for each in candidates]
+    sizes = {each.effect.name: np.zeros((DRAWS, *each.kept.shape)) for each in candidates}
+    ends = np.cumsum([each.kept.shape[1] for each in candidates])
     for gyro in range(3):
-        mine = [each[gyro] for each in fits]
-        normal = _standard_normal(random, max(each.root.shape[1] for each in mine))
-        drawn = np.array([mine[index].drawn(each) for index, each in zip(node, normal, strict=True)])
-        known = mine[0].known
-        counts = [known.sum(), *(each.kept[gyro].sum() for each in candidates)]
-        declared[:, gyro, known], *parts = np.split(drawn, np.cumsum(counts)[:-1], axis=1)
-        for size, part, each in zip(sizes, parts, candidates, strict=True):
-            size[:, gyro, each.kept[gyro]] = part
-    named = {each.effect.name: size for each, size in zip(candidates, sizes, strict=True)}
-    return Draws(weights[node] / weights[node].sum(), declared, named, nodes, node)
+        known = at_best[gyro].known
+        used = _used_terms(at_best[gyro], candidates, gyro, priors, random)
+        normal = _standard_normal(random, known.sum() + used.shape[1])
+        drawn = np.array(
+            [
+                equations[index][gyro].drawn(mine, priors, each)
+                for index, mine, each in zip(node, used, normal, strict=True)
+            ]
+        )
+        declared[:, gyro, known], terms = np.split(drawn, [known.sum()], axis=1)
+        for size, part in zip(sizes.values(), np.split(terms, ends[:-1], axis=1), strict=False):
+            size[:, gyro] = part
+    return Draws(weights[node] / weights[node].sum(), declared, sizes, nodes, node)
 
 
 def _with_noise_of_residuals(problem: Problem, candidates: Sequence[Candidate]) -> Problem:
@@ -141,65 +147,111 @@ def _with_noise_of_residuals(problem: Problem, candidates: Sequence[Candidate]) 
     return replace(problem, noise_scale=problem.noise_scale * ratio, residuals=problem.residuals / ratio)
 
 
-@dataclass(frozen=True)
-class _LinearFit:
-    """Normal distribution of one gyro's coefficients, given the nonlinear parameters."""
+class _NormalEquations:
+    """Of one gyro's coefficients, given the nonlinear parameters, for columns of length one."""
 
-    known: BoolArray  #: Columns of the declared model that are not zero.
-    mean: FloatArray  #: Shape (q,).
-    root: FloatArray  #: Shape (q, r). Its product with its transpose is the covariance.
-
-    @classmethod
-    def of(
-        cls, problem: Problem, candidates: Sequence[Candidate], gyro: int, sizes_prior: FloatArray
-    ) -> _LinearFit:
+    def __init__(self, problem: Problem, candidates: Sequence[Candidate], gyro: int) -> None:
         campaign, searched = problem.campaign, problem.searched
         base = declared_columns(campaign, gyro)[searched]
-        known = np.any(base != 0.0, axis=0)
-        terms = [each.columns(campaign)[searched, gyro][:, each.kept[gyro]] for each in candidates]
+        self.known: BoolArray = np.any(base != 0.0, axis=0)  #: Columns of the declared model in use.
+        terms = [each.columns(campaign)[searched, gyro] for each in candidates]
         sigma_dph = problem.sigma_dph[:, gyro]
-        columns = np.concatenate([base[:, known], *terms], axis=1) / sigma_dph[:, np.newaxis]
-        lengths = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-        counts = [known.sum(), *(each.shape[1] for each in terms)]
-        prior = np.diag(np.repeat([0.0, *sizes_prior], counts))
-        left, shares, right = np.linalg.svd(np.concatenate([columns / lengths, prior]), full_matrices=False)
-        good = shares > MIN_SHARE
-        root = right[good].T / shares[good] / lengths[:, np.newaxis]
-        data = campaign.bias_dph[searched, gyro] / sigma_dph
-        return cls(known, root @ (left[: len(data), good].T @ data), root)
+        columns = np.concatenate([base[:, self.known], *terms], axis=1) / sigma_dph[:, np.newaxis]
+        self._lengths = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+        columns /= self._lengths
+        self._matrix = columns.T @ columns
+        self._vector = columns.T @ (campaign.bias_dph[searched, gyro] / sigma_dph)
+        self._roots: dict[bytes, tuple[FloatArray, float]] = {}
 
-    def drawn(self, normal: FloatArray) -> FloatArray:
-        return self.mean + self.root @ normal[: self.root.shape[1]]
+    def root(self, used: BoolArray, priors: FloatArray) -> tuple[FloatArray, float]:
+        """Symmetric root of the covariance (q, q), zero for terms not used, and the log of its determinant."""
+        key = used.tobytes() + priors.tobytes()
+        if key not in self._roots:
+            chosen = np.flatnonzero(np.concatenate([np.ones(self.known.sum(), dtype=bool), used]))
+            diagonal = np.concatenate([np.zeros(self.known.sum()), priors**2])
+            lengths, directions = np.linalg.eigh((self._matrix + np.diag(diagonal))[np.ix_(chosen, chosen)])
+            good = lengths > MIN_SHARE**2
+            root = np.zeros_like(self._matrix)
+            root[np.ix_(chosen, chosen)] = (
+                directions[:, good] / np.sqrt(lengths[good]) @ directions[:, good].T
+            )
+            self._roots[key] = root, -float(np.sum(np.log(lengths[good])))
+        return self._roots[key]
+
+    def drawn(self, used: BoolArray, priors: FloatArray, normal: FloatArray) -> FloatArray:
+        """Coefficients from standard normal numbers (q,)."""
+        root, _ = self.root(used, priors)
+        return np.asarray(root @ (root @ self._vector + normal) / self._lengths)
+
+    def squares(self, used: BoolArray, priors: FloatArray) -> FloatArray:
+        """Expected squares of the terms' lengths, in standard deviations."""
+        root, _ = self.root(used, priors)
+        return np.asarray((root @ (root @ self._vector)) ** 2 + np.sum(root**2, axis=1))[self.known.sum() :]
+
+    def log_evidence(self, used: BoolArray, priors: FloatArray) -> float:
+        """Logarithm of the probability of the data with the terms used, but for a constant."""
+        root, log_determinant = self.root(used, priors)
+        return 0.5 * (float(np.sum((root @ self._vector) ** 2)) + log_determinant) + float(
+            np.sum(np.log(priors[used]))
+        )
 
 
-def _sizes_prior(problem: Problem, candidates: Sequence[Candidate]) -> FloatArray:
-    """Inverse standard deviations of a normal prior of the terms' lengths, one for each effect.
+def _equations(problem: Problem, candidates: Sequence[Candidate]) -> list[_NormalEquations]:
+    return [_NormalEquations(problem, candidates, gyro) for gyro in range(3)]
 
-    Those with which the data are most probable (empirical Bayes): sizes of an effect that was selected because
-    noise made it larger are drawn to zero, and those that the data do not determine stay finite.
+
+def _priors(equations: Sequence[_NormalEquations], candidates: Sequence[Candidate]) -> FloatArray:
+    """Inverse standard deviations of a normal prior of the terms' lengths, the same for those of an effect.
+
+    The ones with which the data are most probable (empirical Bayes): the sizes of an effect that was selected
+    as noise made it larger are drawn to zero, and those that the data do not determine stay finite.
     """
-    prior = np.zeros(len(candidates))
-    columns = [each.columns(problem.campaign)[problem.searched] for each in candidates]
+    kept = np.concatenate([np.zeros((3, 0), dtype=bool), *(each.kept for each in candidates)], axis=1)
+    owner = np.repeat(np.arange(len(candidates)), [each.kept.shape[1] for each in candidates])
+    priors = np.zeros(kept.shape[1])
     for _ in range(_PRIOR_STEPS if candidates else 0):
-        squares = np.zeros(len(candidates))
-        for gyro in range(3):
-            fit = _LinearFit.of(problem, candidates, gyro, prior)
-            start = int(fit.known.sum())
-            for index, (each, terms) in enumerate(zip(candidates, columns, strict=True)):
-                mine = terms[:, gyro, each.kept[gyro]] / problem.sigma_dph[:, gyro, np.newaxis]
-                part = slice(start, start + mine.shape[1])
-                expected = fit.mean[part] ** 2 + np.sum(fit.root[part] ** 2, axis=1)
-                squares[index] += np.sum(expected * np.sum(mine**2, axis=0))
-                start = part.stop
-        prior = np.sqrt([each.kept.sum() for each in candidates] / squares)
-    return prior
+        squares = np.stack([each.squares(kept[gyro], priors) for gyro, each in enumerate(equations)])
+        means = [squares[:, owner == index][each.kept].mean() for index, each in enumerate(candidates)]
+        priors = np.array(means)[owner] ** -0.5
+    return priors
+
+
+def _used_terms(
+    equations: _NormalEquations,
+    candidates: Sequence[Candidate],
+    gyro: int,
+    priors: FloatArray,
+    random: np.random.Generator,
+) -> BoolArray:
+    """Terms of one gyro in each draw (DRAWS, k): by the probability that an effect has them.
+
+    That a term was dropped by the search does not mean that it is zero.
+    """
+    kept = [each.kept[gyro] for each in candidates]
+    drawn = []
+    for place, mine in enumerate(kept):
+        subsets = [mine]
+        if 1 < len(mine) <= _MAX_TERMS:
+            subsets = [
+                np.array(each) for each in itertools.product([False, True], repeat=len(mine)) if any(each)
+            ]
+        log_evidence = np.array(
+            [
+                equations.log_evidence(np.concatenate([*kept[:place], each, *kept[place + 1 :]]), priors)
+                for each in subsets
+            ]
+        )
+        probability = np.exp(log_evidence - log_evidence.max())
+        chosen = random.choice(len(subsets), DRAWS, p=probability / probability.sum())
+        drawn.append(np.array(subsets)[chosen])
+    return np.concatenate([np.zeros((DRAWS, 0), dtype=bool), *drawn], axis=1)
 
 
 def _nodes(
-    problem: Problem, candidates: Sequence[Candidate], sizes_prior: FloatArray
+    problem: Problem, candidates: Sequence[Candidate], priors: FloatArray
 ) -> tuple[tuple[tuple[Candidate, ...], ...], FloatArray]:
     """Values of the nonlinear parameters, and their weights."""
-    place = _Place(problem, candidates, sizes_prior)
+    place = _Place(problem, candidates, priors)
     if not len(place.best):
         return (tuple(candidates),), np.ones(1)
     centre, root = place.best, np.diag(place.widths())
@@ -217,9 +269,9 @@ def _nodes(
 class _Place:
     """The nonlinear parameters of some effects as a place in a box with a uniform prior."""
 
-    def __init__(self, problem: Problem, candidates: Sequence[Candidate], sizes_prior: FloatArray) -> None:
+    def __init__(self, problem: Problem, candidates: Sequence[Candidate], priors: FloatArray) -> None:
         self._problem, self._candidates = problem, candidates
-        self._prior = np.repeat(sizes_prior**2, [each.kept.shape[1] for each in candidates])
+        self._priors = priors
         campaign = problem.campaign
         parameters = [parameter for each in candidates for parameter in each.form.parameters]
         self._is_log = np.array([each.low > 0.0 for each in parameters], dtype=bool)
@@ -245,7 +297,7 @@ class _Place:
         for gyro in range(3):
             terms = self._problem.independent_part(columns, gyro, kept)
             used = kept[gyro] & np.any(columns[self._problem.searched, gyro] != 0.0, axis=0)
-            root = np.linalg.cholesky(terms.T @ terms + np.diag(self._prior[used]))
+            root = np.linalg.cholesky(terms.T @ terms + np.diag(self._priors[used] ** 2))
             parts = np.linalg.solve(root, terms.T @ self._problem.residuals[:, gyro])
             density += float(0.5 * parts @ parts - np.sum(np.log(np.diag(root))))
         return density
