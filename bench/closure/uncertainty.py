@@ -164,7 +164,7 @@ class _NormalEquations:
         self._roots: dict[bytes, tuple[FloatArray, float]] = {}
 
     def root(self, used: BoolArray, priors: FloatArray) -> tuple[FloatArray, float]:
-        """Symmetric root of the covariance (q, q), zero for terms not used, and the log of its determinant."""
+        """Symmetric root of the covariance (q, q), zero for terms not used, and its log determinant."""
         key = used.tobytes() + priors.tobytes()
         if key not in self._roots:
             chosen = np.flatnonzero(np.concatenate([np.ones(self.known.sum(), dtype=bool), used]))
