@@ -16,7 +16,7 @@ from gyrobench.bench.closure.effects.effect import Effect, Parameter
 from gyrobench.bench.closure.posterior import EXPLAINED, Posterior
 from gyrobench.bench.closure.problem import Problem, Solution, declared_problem
 from gyrobench.bench.closure.search import MAX_EFFECTS, Search
-from gyrobench.bench.closure.uncertainty import Draws, bound_of, draw
+from gyrobench.bench.closure.uncertainty import Draws, bound_of, draw, interval
 from gyrobench.bench.closure.validation import (
     LackOfFit,
     lack_of_fit,
@@ -417,7 +417,7 @@ def _found_effects(
                 sizes_sigma_dph=draws.sigma(sizes_drawn, sizes),
                 values_sigma=draws.sigma(values, np.array(each.values)),
                 rms_sigma_dph=float(draws.sigma(np.sqrt(np.mean(parts**2, axis=(1, 2))), _rms(part))),
-                values_range=tuple(map(draws.interval, each.form.parameters, each.values, values.T)),
+                values_range=tuple(map(interval, each.form.parameters, each.values, values.T)),
             )
         )
     return tuple(sorted(result, key=lambda each: -each.rms_dph))

@@ -39,9 +39,8 @@ _AT_BOUND = 1e-3
 
 @dataclass(frozen=True)
 class Draws:
-    """N draws of the parameters of a model, with weights."""
+    """N equally probable sets of the parameters of a model."""
 
-    weights: FloatArray  #: Shape (N,). Sum 1.
     declared: FloatArray  #: Shape (N, 3, DEGREE + runs). As in :class:`~.problem.Solution`.
     sizes_dph: dict[str, FloatArray]  #: By name of the effect, shape (N, 3, k) each.
     #: The effects with the parameters drawn, and which of them each draw has.
@@ -58,28 +57,9 @@ class Draws:
             for each in zip(*self.nodes, strict=True)
         }
 
-    def mean(self, drawn: FloatArray) -> FloatArray:
-        """Mean of a quantity, from its value in each draw (N, ...)."""
-        return np.asarray(np.tensordot(self.weights, drawn, axes=1))
-
     def sigma(self, drawn: FloatArray, stated: FloatArray | float) -> FloatArray:
         """Standard uncertainty of a quantity as stated, from its value in each draw (N, ...)."""
-        return np.asarray(np.sqrt(self.mean((drawn - stated) ** 2)))
-
-    def quantile(self, drawn: FloatArray, probability: float) -> float:
-        """Value (one number in each draw, shape (N,)) below which a quantity is with a probability."""
-        order = np.argsort(drawn, kind="stable")
-        below = np.cumsum(self.weights[order]) - 0.5 * self.weights[order]
-        return float(np.interp(probability, below, drawn[order]))
-
-    def interval(self, parameter: Parameter, value: float, drawn: FloatArray) -> tuple[float, float]:
-        """Interval that holds a nonlinear parameter with 95 %; it ends at the bound if the value is there."""
-        match bound_of(parameter, value):
-            case "lower":
-                return parameter.low, self.quantile(drawn, 0.95)
-            case "upper":
-                return self.quantile(drawn, 0.05), parameter.high
-        return self.quantile(drawn, 0.025), self.quantile(drawn, 0.975)
+        return np.asarray(np.sqrt(np.mean((drawn - stated) ** 2, axis=0)))
 
     def bias_dph(self, campaign: Campaign, effects: Collection[str] | None = None) -> FloatArray:
         """Bias by each draw in the dwells of a campaign (N, n, 3).
@@ -116,9 +96,8 @@ def draw(problem: Problem, candidates: Sequence[Candidate]) -> Draws:
     problem = _with_noise_of_residuals(problem, candidates)
     at_best = _equations(problem, candidates)
     priors = _priors(at_best, candidates)
-    nodes, weights = _nodes(problem, candidates, priors)
+    nodes, node = _nodes(problem, candidates, priors)
     equations = [_equations(problem, each) for each in nodes] if len(nodes) > 1 else [at_best]
-    node = np.arange(DRAWS) % len(nodes)
     random = np.random.default_rng(0)
     declared = np.full((DRAWS, 3, DEGREE + len(problem.campaign.run_names)), np.nan)
     sizes = {each.effect.name: np.zeros((DRAWS, *each.kept.shape)) for each in candidates}
@@ -136,7 +115,7 @@ def draw(problem: Problem, candidates: Sequence[Candidate]) -> Draws:
         declared[:, gyro, known], terms = np.split(drawn, [known.sum()], axis=1)
         for size, part in zip(sizes.values(), np.split(terms, ends[:-1], axis=1), strict=False):
             size[:, gyro] = part
-    return Draws(weights[node] / weights[node].sum(), declared, sizes, nodes, node)
+    return Draws(declared, sizes, nodes, node)
 
 
 def _with_noise_of_residuals(problem: Problem, candidates: Sequence[Candidate]) -> Problem:
@@ -249,11 +228,11 @@ def _used_terms(
 
 def _nodes(
     problem: Problem, candidates: Sequence[Candidate], priors: FloatArray
-) -> tuple[tuple[tuple[Candidate, ...], ...], FloatArray]:
-    """Values of the nonlinear parameters, and their weights."""
+) -> tuple[tuple[tuple[Candidate, ...], ...], IntArray]:
+    """Effects with their nonlinear parameters, and which of these each draw has."""
     place = _Place(problem, candidates, priors)
     if not len(place.best):
-        return (tuple(candidates),), np.ones(1)
+        return (tuple(candidates),), np.zeros(DRAWS, dtype=np.intp)
     centre, root = place.best, np.diag(place.widths())
     for _ in range(_ROUNDS):
         places, log_proposed = _proposed(centre, root, place.low, place.high)
@@ -263,7 +242,9 @@ def _nodes(
         centre = weights @ places
         spread = (places - centre).T @ ((places - centre) * weights[:, np.newaxis])
         root = np.linalg.cholesky(spread + 1e-9 * np.diag(place.widths() ** 2))
-    return tuple(map(place.candidates_at, places)), weights
+    chosen = np.searchsorted(np.cumsum(weights), (np.arange(DRAWS) + 0.5) / DRAWS).clip(max=len(places) - 1)
+    used, node = np.unique(chosen, return_inverse=True)
+    return tuple(map(place.candidates_at, places[used])), node
 
 
 class _Place:
@@ -353,6 +334,20 @@ def _standard_normal(random: np.random.Generator, count: int) -> FloatArray:
         normal -= normal.mean(axis=0)
         normal = np.linalg.solve(np.linalg.cholesky(normal.T @ normal / DRAWS), normal.T).T
     return normal
+
+
+def interval(parameter: Parameter, value: float, drawn: FloatArray) -> tuple[float, float]:
+    """Interval that holds a nonlinear parameter with 95 %, from its draws (N,).
+
+    It ends at the bound if the value is there.
+    """
+    match bound_of(parameter, value):
+        case "lower":
+            return parameter.low, float(np.quantile(drawn, 0.95))
+        case "upper":
+            return float(np.quantile(drawn, 0.05)), parameter.high
+    low, high = np.quantile(drawn, [0.025, 0.975]).tolist()
+    return low, high
 
 
 def bound_of(parameter: Parameter, value: float) -> str:

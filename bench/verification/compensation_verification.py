@@ -170,7 +170,7 @@ def _uncertainty(rows: Sequence[DwellRow], model: tuple[Draws, Collection[str]] 
         return np.zeros((0, len(rows), 3))
     order = np.argsort(np.argsort([row.start_s for row in rows], kind="stable"))
     varying = _varying(rows, draws.bias_dph(campaign, effects)[:, order])
-    return np.asarray((varying - draws.mean(varying)) * np.sqrt(draws.weights)[:, np.newaxis, np.newaxis])
+    return np.asarray((varying - varying.mean(axis=0)) / math.sqrt(len(varying)))
 
 
 def _sigma_dph(roots: FloatArray) -> float:
