@@ -15,11 +15,11 @@ from gyrobench.bench.closure.confounding import confounding
 from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.effect import Effect, Parameter
 from gyrobench.bench.closure.noise import Noise
-from gyrobench.bench.closure.posterior import EXPLAINED, Posterior
+from gyrobench.bench.closure.posterior import EXPLAINED, Posterior, detectable_dph
 from gyrobench.bench.closure.problem import Solution, declared_problem
 from gyrobench.bench.closure.search import Search
 from gyrobench.bench.closure.selection import Selected, select
-from gyrobench.bench.closure.uncertainty import Draws, bound_of, draw
+from gyrobench.bench.closure.uncertainty import Draws, bound_of, draw, interval
 from gyrobench.bench.closure.validation import LackOfFit, lack_of_fit, leave_out_cycles, measured_minus
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
@@ -101,7 +101,7 @@ class Evidence:
     #: excess.
     share: float = 0.0
     p_value: float = 1.0  #: Corrected for all candidate fits.
-    #: Twice the logarithm of the odds by which the data prefer the effects found to this one alone.
+    #: Twice the logarithm of the odds of the effects found to this one alone.
     log_odds_against: float = np.nan
     rejected: str = ""  #: Why it is not found though significant alone; empty otherwise.
 
@@ -130,6 +130,7 @@ class Closure:
     effects: tuple[FoundEffect, ...]  #: Strongest first.
     evidence: tuple[Evidence, ...]  #: Of each effect alone.
     posterior: Posterior  #: Probabilities of all hypotheses.
+    detectable_dph: dict[str, float]  #: See :func:`gyrobench.bench.closure.posterior.detectable_dph`.
     #: before, after: Tests of the declared model, and with the effects.
     before: LackOfFit
     after: LackOfFit
@@ -161,13 +162,18 @@ class Closure:
 
         Without the scatter of the constants in a run that was not searched.
         """
-        return self.model_draws.sigma(self.model_draws.bias_dph(self.campaign))
+        return self.model_draws.sigma(self.model_draws.bias_dph(self.campaign), self.model.bias_dph)
 
     def label(self, name: str) -> str:
         """Label of a candidate effect."""
         return next(
             (each.effect.display_name for each in self.evidence if each.effect.name == name), plain_name(name)
         )
+
+    @property
+    def probability(self) -> float:
+        """Probability of exactly the effects found, without a remainder."""
+        return self.posterior.of_set([each.effect.name for each in self.effects], has_remainder=False)
 
     @property
     def separating_measurement(self) -> str | None:
@@ -227,9 +233,8 @@ def close_loop(
     searched = _searched(campaign, hold_out_cycles)
     campaign = campaign.holding_out(np.unique(campaign.cycle[~searched]).tolist())
     selected = select(campaign, searched, candidates)
-    search, found, after = selected.search, selected.found, selected.after
+    search, found, weighed, after = selected.search, selected.found, selected.posterior, selected.after
     problem = search.problem
-    weighed = search.posterior(found)
     declared, model = (solve_with(problem, each) for each in ((), found.candidates))
     declared_draws, model_draws = (draw(problem, each) for each in ((), found.candidates))
     errors_dph = [measured_minus(campaign, searched, each)[~searched] for each in (declared, model)]
@@ -241,6 +246,7 @@ def close_loop(
         searched=searched,
         verdict=_verdict(found, after, weighed, is_better=error_after < error_before),
         posterior=weighed,
+        detectable_dph=detectable_dph(selected.with_effects),
         effects=_found_effects(search, found, model, model_draws, weighed),
         evidence=_evidence(selected),
         before=lack_of_fit(problem, 0),
@@ -337,10 +343,10 @@ def _found_effects(
                 gains={cycle: left_out.gain for cycle, left_out in left_out_cycles.items()},
                 tied_with=weighed.tied_with(found.names, each.effect.name),
                 probability=weighed.of_effect[each.effect.name],
-                sizes_sigma_dph=draws.sigma(sizes_drawn),
-                values_sigma=draws.sigma(values),
-                rms_sigma_dph=float(draws.sigma(np.sqrt(np.mean(parts**2, axis=(1, 2))))),
-                values_range=tuple(map(draws.interval, each.form.parameters, each.values, values.T)),
+                sizes_sigma_dph=draws.sigma(sizes_drawn, sizes),
+                values_sigma=draws.sigma(values, np.array(each.values)),
+                rms_sigma_dph=float(draws.sigma(np.sqrt(np.mean(parts**2, axis=(1, 2))), _rms(part))),
+                values_range=tuple(map(interval, each.form.parameters, each.values, values.T)),
             )
         )
     return tuple(sorted(result, key=lambda each: -each.rms_dph))
@@ -350,6 +356,10 @@ def _evidence(selected: Selected) -> tuple[Evidence, ...]:
     search, found = selected.search, selected.found
     problem = search.problem
     excess = problem.chi2 - problem.dof
+
+    def odds(alone: Hypothesis) -> float:
+        return search.evidences.log_odds(found, alone)
+
     result = []
     for effect in search.effects:
         alone = search.alone.get(effect.name)
@@ -357,12 +367,11 @@ def _evidence(selected: Selected) -> tuple[Evidence, ...]:
         if missing:
             result.append(Evidence(effect, missing))
         elif alone is None:
-            result.append(Evidence(effect, log_odds_against=search.declared.log_odds_against(found)))
+            result.append(Evidence(effect, log_odds_against=odds(search.declared)))
         else:
             share = (problem.chi2 - alone.chi2) / excess if excess > 0.0 else np.nan
-            p_value, odds = search.p_value(alone, 0), alone.log_odds_against(found)
-            rejected = selected.rejection(effect)
-            result.append(Evidence(effect, None, alone.candidates[0], share, p_value, odds, rejected))
+            p_value, rejected = search.p_value(alone, 0), selected.rejection(effect)
+            result.append(Evidence(effect, None, alone.candidates[0], share, p_value, odds(alone), rejected))
     return tuple(sorted(result, key=lambda each: (each.missing_input is not None, each.log_odds_against)))
 
 

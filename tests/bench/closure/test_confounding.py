@@ -16,8 +16,12 @@ def named(searched=None, **options):
     return confounding(campaign, np.ones(len(campaign), dtype=bool) if searched is None else searched)
 
 
-def test_of_mixed_attitudes_in_several_power_cycles_nothing_is_confounded():
-    assert named(power_on_each_cycle=True, dwell_s=1680.0) == ()
+def test_of_mixed_attitudes_in_several_power_cycles_only_the_heading_is_confounded():
+    [heading] = named(power_on_each_cycle=True, dwell_s=1680.0)
+    assert heading.startswith("All dwells have one heading")
+    rows = measure(power_on_each_cycle=True, dwell_s=1680.0).rows
+    turned = campaign_of([replace(row, azimuth_deg=90.0 * (row.dwell % 4)) for row in rows])
+    assert confounding(turned, np.ones(len(turned), dtype=bool)) == ()
 
 
 def test_attitudes_measured_once_each_in_one_stretch_are_confounded_with_drift():
