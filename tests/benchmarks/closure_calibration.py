@@ -27,7 +27,6 @@ LOOKS = 10
 CONTAINED = {"thermal_gradient", "attitude_thermal"}
 _CAMPAIGNS = {
     "ageing": {"design": "power cycles", "cycles": 5},
-    "daily_course": {"cycles": 5},
     "magnetic_sensitivity": {"design": "headings"},
 }
 #: Standard deviations that hold 95 %.

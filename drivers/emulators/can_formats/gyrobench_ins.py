@@ -11,12 +11,12 @@ import math
 import struct
 
 import can
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
 from gyrobench.bench.foundations.arrays import FloatArray, IntArray
+from gyrobench.bench.foundations.kernels import compiled
 from gyrobench.drivers.emulators.can_formats import FRAME_S, CanFormat, execute_command
 from gyrobench.drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs, Mode
 from gyrobench.drivers.emulators.world.ins_compensation import COEFFICIENTS, checksum
@@ -113,7 +113,7 @@ class GyrobenchFormat(CanFormat):
         return slow.view(np.uint8).reshape(-1, _SLOW_DATA.itemsize)
 
 
-@numba.njit(cache=True)
+@compiled
 def _encode(
     frame_s: FloatArray, identifier: NDArray[np.uint32], length: NDArray[np.uint8], data: NDArray[np.uint8],
     slow: NDArray[np.uint8], temperatures_c: FloatArray, sample: IntArray, output: FloatArray,
@@ -154,7 +154,7 @@ def _encode(
         row += _FAST_FRAMES
 
 
-@numba.njit(cache=True)
+@compiled
 def _put(data: NDArray[np.uint8], place: int, size: int, value: float) -> None:
     """Put a signed integer of ``size`` bytes, rounded and within its range, into the data of a frame."""
     limit = 2.0 ** (8 * size - 1)

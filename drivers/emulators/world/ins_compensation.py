@@ -16,10 +16,10 @@ import math
 import zlib
 from enum import IntEnum
 
-import numba
 import numpy as np
 
 from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.kernels import compiled
 
 
 class Coefficient(IntEnum):
@@ -132,7 +132,7 @@ class InsCompensation:
         )  # fmt: skip
 
 
-@numba.njit(cache=True)
+@compiled
 def _filter(filtered_c: FloatArray, optics_c: FloatArray) -> None:
     for k in range(optics_c.shape[0]):
         for i in range(3):
@@ -140,12 +140,12 @@ def _filter(filtered_c: FloatArray, optics_c: FloatArray) -> None:
             filtered_c[0, i] += (optics_c[k, i] - filtered_c[0, i]) / _FILTER_S
 
 
-@numba.njit(cache=True)
+@compiled
 def _clamped(value: float, low: float, high: float) -> float:
     return min(max(value, low), high)
 
 
-@numba.njit(cache=True)
+@compiled
 def _follow(play_c: FloatArray, optics_c: FloatArray, table: FloatArray) -> None:
     for i in range(3):
         row = table[i]
@@ -156,7 +156,7 @@ def _follow(play_c: FloatArray, optics_c: FloatArray, table: FloatArray) -> None
         play_c[i] = _clamped(play_c[i], at_c - slack_c, at_c + slack_c)
 
 
-@numba.njit(cache=True)
+@compiled
 def _bias_dph(
     table: FloatArray, optics_c: FloatArray, electronics_c: FloatArray, rate_c_per_h: FloatArray,
     up_body: FloatArray, on_s: float, play_c: FloatArray,

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, FloatArray
+from gyrobench.bench.foundations.kernels import compiled
 from gyrobench.drivers.emulators.world.world_file import (
     AccelerometerErrors,
     GyroErrors,
@@ -74,7 +74,7 @@ def _fill(column: FloatArray, value: OverTemperature, unit: float) -> None:
     column[: len(coefficients)] = np.array(coefficients) * unit
 
 
-@numba.njit(cache=True)
+@compiled
 def measure(
     rotation: FloatArray, velocity: FloatArray, polynomials: FloatArray, temperature_c: FloatArray,
     reference_c: float, gyro_bias: FloatArray, added_dph: FloatArray, compensated_dph: FloatArray,
@@ -127,7 +127,7 @@ def measure(
     return measured[0], measured[1]
 
 
-@numba.njit(cache=True)
+@compiled
 def sense(
     true: FloatArray, error_matrix: FloatArray, bias: FloatArray, noise: FloatArray, dt: float, pulse: float,
     remainder: FloatArray,
@@ -161,7 +161,7 @@ def sense(
     return out
 
 
-@numba.njit(cache=True)
+@compiled
 def _evaluated(polynomials: FloatArray, temperature_c: FloatArray) -> FloatArray:
     values = np.zeros((4, 3))
     for column in range(12):

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.kernels import compiled
 from gyrobench.drivers.emulators.world.world_file import GyroThermal, Thermal
 
 
@@ -77,7 +77,7 @@ def _row(gyro: GyroThermal) -> list[float]:
     ]  # fmt: skip
 
 
-@numba.njit(cache=True)
+@compiled
 def _steps(
     nodes: FloatArray, case: FloatArray, gyro: FloatArray, paths: FloatArray, up: FloatArray,
     air_c: FloatArray, power: float, dt: float,

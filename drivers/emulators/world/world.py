@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import groupby
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, FloatArray
 from gyrobench.drivers.emulators.world.chamber_air import ChamberAir, ChamberParameters
@@ -245,7 +244,13 @@ def _samples(time_s: float) -> int:
 
 def _geometry(table: TableGeometry) -> tuple[FloatArray, FloatArray, FloatArray]:
     """True outer and inner table axis in ENU and mounting of the unit, with their errors."""
-    tilt = Rotation.from_rotvec(np.array(table.tilt_arcsec) * ARCSEC).as_matrix()
-    error = Rotation.from_rotvec(np.array(table.mounting_error_arcsec) * ARCSEC).as_matrix()
+    tilt, error = _turned(table.tilt_arcsec), _turned(table.mounting_error_arcsec)
     axes = (tilt @ np.array(by_outer[table.outer_axis]) for by_outer in (_OUTER_AXES, _INNER_AXES))
     return *axes, np.ascontiguousarray(tilt @ error)
+
+
+def _turned(vector_arcsec: Sequence[float]) -> FloatArray:
+    vector = np.array(vector_arcsec) * ARCSEC
+    angle = float(np.linalg.norm(vector))
+    axis = vector / (angle or 1.0)
+    return np.asarray(table_attitude(axis, axis, np.eye(3), angle, 0.0))
