@@ -27,7 +27,7 @@ from gyrobench.bench.closure.candidates import (
 )
 from gyrobench.bench.closure.effects.effect_file import EffectFile
 from gyrobench.bench.closure.effects.grammar import DRIVERS, EVENTS, driver_label, driver_values
-from gyrobench.bench.closure.posterior import posterior
+from gyrobench.bench.closure.posterior import Evidences
 from gyrobench.bench.closure.problem import Problem
 from gyrobench.bench.closure.search import MAX_EFFECTS
 from gyrobench.bench.closure.validation import measured_minus
@@ -101,7 +101,7 @@ def compose(problem: Problem, effects_found: Sequence[Candidate]) -> Composed:
     for file, each in fitted:
         if file.effect not in best or each.is_better_than(best[file.effect][1]):
             best[file.effect] = file, each
-    weighed = posterior(problem, effects, [none, *(each for _, each in best.values())])
+    weighed = Evidences(problem, effects).posterior([none, *(each for _, each in best.values())])
     of_driver = dict.fromkeys((file.driver for file, _ in best.values()), 0.0)
     laws = []
     for name, (file, each) in best.items():
