@@ -160,8 +160,8 @@ class Search:
             is_simpler = each.parameter_count < found.parameter_count and is_as_probable
             if (is_simpler or self._is_special_case(each, found)) and not self._objections(each):
                 found = each
-        general = [each for each in similar if self._is_special_case(found, each)]
-        return found, evidences.posterior([each for each in fitted.values() if each not in general])
+        general = {each.names for each in similar if self._is_special_case(found, each)}
+        return found, evidences.posterior([each for names, each in fitted.items() if names not in general])
 
     def _fit_similar(self, to: Hypothesis) -> None:
         """Fit all sets with one effect more, and all with one exchanged."""
