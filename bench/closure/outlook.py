@@ -1,0 +1,147 @@
+"""What a planned campaign would decide of what a closure leaves open.
+
+The unit of a closure has the noise, sensors and temperatures measured. For each tie, the dwells of the
+plan are predicted by each of the two hypotheses as fitted; both are then fitted to the dwells measured
+together with the predicted ones, as a search after the measurement would do.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from gyrobench.bench.closure.campaign import Campaign
+from gyrobench.bench.closure.candidates import Candidate, Hypothesis, evaluate, refine, solve_with
+from gyrobench.bench.closure.effects.effect import Effect
+from gyrobench.bench.closure.joined_tables import Source, joined
+from gyrobench.bench.closure.loop import Closure
+from gyrobench.bench.closure.planned_campaign import PlannedUnit
+from gyrobench.bench.closure.posterior import TIE_ODDS, posterior
+from gyrobench.bench.closure.problem import DEGREE, Problem, declared_problem, predict
+from gyrobench.bench.closure.search import Search
+from gyrobench.bench.closure.separability import searched_dwells
+from gyrobench.bench.closure.thermal_course import UnitThermal
+from gyrobench.bench.foundations.arrays import BoolArray
+from gyrobench.bench.procedure.estimate import ThermalEstimate
+
+_S_PER_H = 3600.0
+_SMALLEST = 1e-150
+
+
+def measured_unit(closure: Closure, estimate: ThermalEstimate) -> PlannedUnit:
+    """The unit of a closure: its noise, sensors, and temperatures fitted to the campaign.
+
+    ``estimate`` is of a typical unit: it stands for what was not measured.
+    """
+    campaign = closure.campaign
+    hours = (campaign.end_s - campaign.start_s)[:, np.newaxis] / _S_PER_H
+    variance = (closure.noise_scale * campaign.sigma_dph) ** 2 * hours
+    return PlannedUnit(
+        np.sqrt(variance[closure.searched].mean(axis=0)),
+        "as measured in the closure",
+        has_boards=bool(np.isfinite(campaign.board_c).all()),
+        has_case=bool(np.isfinite(campaign.case_c).all()),
+        thermal=UnitThermal.typical(estimate).fitted_to(campaign)[0],
+    )
+
+
+@dataclass(frozen=True)
+class TieOutlook:
+    """A tie of a closure, and the odds that a plan is expected to lead to."""
+
+    found: str  #: Name of the effect found.
+    other: str  #: Name of the effect tied with it.
+    now: float  #: Odds by which the dwells searched prefer the effect found.
+    #: Expected odds for the effect found if it is present, from the dwells of the plan that a search uses.
+    alone: float
+    #: if_found, if_other: Expected odds for the one that is present, from the dwells searched and all of the
+    #: plan. These three are NaN if the closure could not fit the other because an input is missing.
+    if_found: float
+    if_other: float
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether it is expected to be settled, whichever is present."""
+        return min(self.if_found, self.if_other) >= TIE_ODDS
+
+
+def tie_outlooks(closure: Closure, planned: Campaign) -> list[TieOutlook]:
+    """The ties of a closure after a planned campaign that begins at its end."""
+    effects = {each.effect.name: each.effect for each in closure.evidence}
+    problem = declared_problem(closure.campaign, closure.searched, closure.noise_scale)
+    found = tuple(each.candidate for each in closure.effects)
+    names = {each.effect.name for each in found}
+    seen = replace(closure.campaign.part(closure.searched), tables=(), part_of=None)
+    seen = replace(seen, sigma_dph=seen.sigma_dph * closure.noise_scale)
+    planned = replace(planned, unit=seen.unit)
+    together = joined([Source("measured", seen), Source("planned", planned, is_run=True)])
+    whole, alone = (
+        partial(
+            _odds, problem=problem, is_predicted=is_predicted, campaign=campaign, effects=[*effects.values()]
+        )
+        for campaign, is_predicted in (
+            (together, np.arange(len(together)) >= len(seen)),
+            (searched_dwells(planned), np.ones(len(searched_dwells(planned)), dtype=bool)),
+        )
+    )
+    outlooks = []
+    for one in closure.effects:
+        others = [each for each in found if each is not one.candidate]
+        for name in one.tied_with:
+            chances = [
+                closure.posterior.of_set(each, has_remainder=False)
+                for each in (names, names - {one.effect.name} | {name})
+            ]
+            odds = [math.nan] * 3
+            instead = _alternative(problem, others, effects[name])
+            if instead is not None:
+                pair = found, instead.candidates
+                odds = [alone(*pair), whole(*pair), whole(*pair[::-1])]
+            outlooks.append(TieOutlook(one.effect.name, name, _ratio(*chances), *odds))
+    return outlooks
+
+
+def _alternative(problem: Problem, others: Sequence[Candidate], effect: Effect) -> Hypothesis | None:
+    """Hypothesis with an effect beside others; None if it can't be fitted."""
+    if effect.missing_input(problem.campaign):
+        return None
+    search = Search(problem, (effect,), {} if others else None)
+    return search.add(evaluate(problem, others), search.effects[0])
+
+
+def _odds(
+    present: Sequence[Candidate],
+    other: Sequence[Candidate],
+    *,
+    problem: Problem,
+    campaign: Campaign,
+    is_predicted: BoolArray,
+    effects: Sequence[Effect],
+) -> float:
+    """Expected odds of the effects that are present against others, both as fitted to a problem.
+
+    ``is_predicted``: the dwells of the campaign of which the biases are predicted by the effects present.
+    """
+    solution = solve_with(problem, present)
+    runs = len(campaign.run_names) + DEGREE - solution.declared.shape[1]
+    declared = np.pad(solution.declared, ((0, 0), (0, max(runs, 0))), constant_values=np.nan)
+    declared = declared[:, : DEGREE + len(campaign.run_names)]
+    columns = [each.columns(campaign) for each in present]
+    predicted_dph = predict(campaign, declared, solution.sizes, columns)
+    bias_dph = np.where(is_predicted[:, np.newaxis], predicted_dph, campaign.bias_dph)
+    after = declared_problem(replace(campaign, bias_dph=bias_dph), np.ones(len(campaign), dtype=bool))
+    own = evaluate(after, refine(after, present))
+    rival = evaluate(after, refine(after, other))
+    [new] = [each for each in other if each.effect.name not in own.names]
+    again = _alternative(after, [each for each in other if each is not new], new.effect)
+    rival = again if again is not None and again.is_better_than(rival) else rival
+    weighed = posterior(after, effects, [evaluate(after, ()), own, rival])
+    return _ratio(*(weighed.of_set(each.names, has_remainder=False) for each in (own, rival)))
+
+
+def _ratio(one: float, other: float) -> float:
+    return max(one, _SMALLEST) / max(other, _SMALLEST)
