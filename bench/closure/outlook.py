@@ -30,6 +30,8 @@ from gyrobench.bench.procedure.estimate import ThermalEstimate
 
 _S_PER_H = 3600.0
 _SMALLEST = 1e-150
+#: Draws of the noise of a plan.
+_DRAWS = 5
 
 
 def measured_unit(closure: Closure, estimate: ThermalEstimate) -> PlannedUnit:
@@ -59,14 +61,16 @@ class TieOutlook:
     #: Expected odds for the effect found if it is present, from the dwells of the plan that a search uses.
     alone: float
     #: if_found, if_other: Expected odds for the one that is present, from the dwells searched and all of the
-    #: plan. These three are NaN if the closure could not fit the other because an input is missing.
+    #: plan. NaN where neither closure nor plan can fit the other because an input is missing; if only the plan
+    #: can, ``if_found`` is of the plan alone.
     if_found: float
     if_other: float
 
     @property
     def is_settled(self) -> bool:
         """Whether it is expected to be settled, whichever is present."""
-        return min(self.if_found, self.if_other) >= TIE_ODDS
+        expected = [each for each in (self.if_found, self.if_other) if not math.isnan(each)]
+        return bool(expected) and min(expected) >= TIE_ODDS
 
 
 def tie_outlooks(closure: Closure, planned: Campaign) -> list[TieOutlook]:
@@ -96,11 +100,14 @@ def tie_outlooks(closure: Closure, planned: Campaign) -> list[TieOutlook]:
                 closure.posterior.of_set(each, has_remainder=False)
                 for each in (names, names - {one.effect.name} | {name})
             ]
-            odds = [math.nan] * 3
             instead = _alternative(problem, others, effects[name])
             if instead is not None:
-                pair = found, instead.candidates
-                odds = [alone(*pair), whole(*pair), whole(*pair[::-1])]
+                odds = [alone(found, instead.candidates), whole(found, instead.candidates)]
+                odds.append(whole(instead.candidates, found))
+            elif effects[name].missing_input(planned):
+                odds = [math.nan] * 3
+            else:
+                odds = [alone(found, (*others, effects[name]))] * 2 + [math.nan]
             outlooks.append(TieOutlook(one.effect.name, name, _ratio(*chances), *odds))
     return outlooks
 
@@ -115,7 +122,7 @@ def _alternative(problem: Problem, others: Sequence[Candidate], effect: Effect) 
 
 def _odds(
     present: Sequence[Candidate],
-    other: Sequence[Candidate],
+    other: Sequence[Candidate | Effect],
     *,
     problem: Problem,
     campaign: Campaign,
@@ -124,7 +131,9 @@ def _odds(
 ) -> float:
     """Expected odds of the effects that are present against others, both as fitted to a problem.
 
-    ``is_predicted``: the dwells of the campaign of which the biases are predicted by the effects present.
+    ``other`` differs by one, an Effect if the problem can't fit it. ``is_predicted``: the dwells of the
+    campaign of which the biases are predicted by the effects present, with noise; the expectation is that of
+    the logarithm.
     """
     solution = solve_with(problem, present)
     runs = len(campaign.run_names) + DEGREE - solution.declared.shape[1]
@@ -132,15 +141,28 @@ def _odds(
     declared = declared[:, : DEGREE + len(campaign.run_names)]
     columns = [each.columns(campaign) for each in present]
     predicted_dph = predict(campaign, declared, solution.sizes, columns)
-    bias_dph = np.where(is_predicted[:, np.newaxis], predicted_dph, campaign.bias_dph)
-    after = declared_problem(replace(campaign, bias_dph=bias_dph), np.ones(len(campaign), dtype=bool))
-    own = evaluate(after, refine(after, present))
-    rival = evaluate(after, refine(after, other))
-    [new] = [each for each in other if each.effect.name not in own.names]
-    again = _alternative(after, [each for each in other if each is not new], new.effect)
-    rival = again if again is not None and again.is_better_than(rival) else rival
-    weighed = posterior(after, effects, [evaluate(after, ()), own, rival])
-    return _ratio(*(weighed.of_set(each.names, has_remainder=False) for each in (own, rival)))
+    known = {each.effect.name for each in present}
+    shared = [each for each in other if isinstance(each, Candidate) and each.effect.name in known]
+    [new] = [each for each in other if each not in shared]
+    draw, logarithms = np.random.default_rng(0), []
+    for _ in range(_DRAWS):
+        drawn_dph = predicted_dph + campaign.sigma_dph * draw.standard_normal(predicted_dph.shape)
+        bias_dph = np.where(is_predicted[:, np.newaxis], drawn_dph, campaign.bias_dph)
+        after = declared_problem(replace(campaign, bias_dph=bias_dph), np.ones(len(campaign), dtype=bool))
+        own = evaluate(after, refine(after, present))
+        rivals = [_alternative(after, shared, new if isinstance(new, Effect) else new.effect)]
+        if isinstance(new, Candidate):
+            rivals.append(evaluate(after, refine(after, [*shared, new])))
+        hypotheses = [evaluate(after, ()), own, *(each for each in rivals if each is not None)]
+        weighed = posterior(after, effects, hypotheses)
+        names = own.names, {*(each.effect.name for each in shared), _name(new)}
+        mine, theirs = (weighed.of_set(each, has_remainder=False) for each in names)
+        logarithms.append(math.log(_ratio(mine, theirs)))
+    return math.exp(float(np.mean(logarithms)))
+
+
+def _name(of: Candidate | Effect) -> str:
+    return of.name if isinstance(of, Effect) else of.effect.name
 
 
 def _ratio(one: float, other: float) -> float:
