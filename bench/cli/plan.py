@@ -9,7 +9,7 @@ import typer
 
 from gyrobench.bench.cli.options import EMULATED, ProcedureArgument, StationOption
 from gyrobench.bench.cli.output import JsonOption, console, print_json
-from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
+from gyrobench.bench.foundations.errors import DocumentError, MeasurementError, RunFolderError
 
 if TYPE_CHECKING:
     from gyrobench.bench.engine.job import Job
@@ -109,7 +109,7 @@ def _print_separability(job: Job, target_dph: float, folder: Path | None) -> Non
     if folder:
         try:
             closure = read_closure(folder)
-        except MeasurementError as error:
+        except (MeasurementError, RunFolderError) as error:
             raise DocumentError(str(error)) from error
         unit = measured_unit(closure, job.plan.steps[0].before.thermal)
     try:

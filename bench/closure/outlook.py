@@ -59,12 +59,13 @@ class TieOutlook:
     other: str  #: Name of the effect tied with it.
     now: float  #: Odds by which the dwells searched prefer the effect found.
     #: Expected odds for the effect found if it is present, from the dwells of the plan that a search uses.
-    alone: float
+    alone: float = math.nan
     #: if_found, if_other: Expected odds for the one that is present, from the dwells searched and all of the
-    #: plan. NaN where neither closure nor plan can fit the other because an input is missing; if only the plan
-    #: can, ``if_found`` is of the plan alone.
-    if_found: float
-    if_other: float
+    #: plan. NaN, like ``alone``, where neither closure nor plan can fit the other; where only the plan can,
+    #: ``if_found`` is of the plan alone.
+    if_found: float = math.nan
+    if_other: float = math.nan
+    missing_input: str | None = None  #: Why the plan can't fit the other.
 
     @property
     def is_settled(self) -> bool:
@@ -95,20 +96,23 @@ def tie_outlooks(closure: Closure, planned: Campaign) -> list[TieOutlook]:
     outlooks = []
     for one in closure.effects:
         others = [each for each in found if each is not one.candidate]
-        for name in one.tied_with:
+        for name in dict.fromkeys(one.tied_with):
             chances = [
                 closure.posterior.of_set(each, has_remainder=False)
                 for each in (names, names - {one.effect.name} | {name})
             ]
+            tie = TieOutlook(one.effect.name, name, _ratio(*chances))
             instead = _alternative(problem, others, effects[name])
+            missing = effects[name].missing_input(planned)
             if instead is not None:
-                odds = [alone(found, instead.candidates), whole(found, instead.candidates)]
-                odds.append(whole(instead.candidates, found))
-            elif effects[name].missing_input(planned):
-                odds = [math.nan] * 3
+                both = found, instead.candidates
+                tie = replace(tie, alone=alone(*both), if_found=whole(*both), if_other=whole(*both[::-1]))
+            elif missing:
+                tie = replace(tie, missing_input=missing)
             else:
-                odds = [alone(found, (*others, effects[name]))] * 2 + [math.nan]
-            outlooks.append(TieOutlook(one.effect.name, name, _ratio(*chances), *odds))
+                odds = alone(found, (*others, effects[name]))
+                tie = replace(tie, alone=odds, if_found=odds)
+            outlooks.append(tie)
     return outlooks
 
 

@@ -34,6 +34,8 @@ _INSTANTS = 21
 #: Bounds of a fitted lag, and dwells that are needed to fit one.
 _LAGS_S = (60.0, 36_000.0)
 _MIN_DWELLS = 12
+#: Lags of a case without a sensor that are tried.
+_CASE_LAGS = 20
 #: Rate of a chamber in a pause longer than this share of the next dwell.
 _RAMP_C_PER_S, _MAX_PAUSE = 2.0 / 60.0, 0.05
 
@@ -124,9 +126,9 @@ class UnitThermal:
     def fitted_to(self, campaign: Campaign) -> tuple[UnitThermal, Course | None]:
         """Lags and rises fitted to the dwells of a campaign, and the course with these over its time.
 
-        What was not measured stays as it is: case, electronics; all without a temperature of the chamber, and
-        then there is no course. The unit is taken as powered from the first dwell to the last, with any
-        temperatures at each power-on.
+        What was not measured stays as it is: rise of the case, electronics; all without a temperature of the
+        chamber, and then there is no course. The unit is taken as powered from the first dwell to the last,
+        with any temperatures at each power-on.
         """
         whole = campaign.whole
         time_s, air_c = whole.record.time_s, whole.record.air_c
@@ -139,7 +141,15 @@ class UnitThermal:
         case_lag_s, case_rise_k = self.case_lag_s, self.case_rise_k
         if np.isfinite(whole.case_c).all():
             case_lag_s, [case_rise_k], case_c = _fit(whole, time_s, whole.case_c, air_c, driven[:, :1])
-        else:
+        else:  # the lag with which one gyro's optics fit best
+
+            def misfit(lag_s: float) -> float:
+                case_c = _followed(air_c + case_rise_k, time_s, lag_s, None)
+                course_c = _fit(whole, time_s, whole.gyro_c[:, 0], case_c, driven)[2]
+                off_k = _means(time_s, course_c, whole.start_s, whole.end_s) - whole.gyro_c[:, 0]
+                return float(np.sum(off_k**2))
+
+            case_lag_s = min(np.geomspace(_LAGS_S[0], _LAGS_S[1], _CASE_LAGS).tolist(), key=misfit)
             case_c = _followed(air_c + case_rise_k, time_s, case_lag_s, None)
         optics, electronics = [], []
         for gyro in range(3):
@@ -162,9 +172,16 @@ class UnitThermal:
 
 
 def _air_between(campaign: Campaign, time_s: FloatArray) -> FloatArray:
-    """Air (m,) from the means of the dwells: a straight line, but in a pause a ramp at its beginning."""
-    air_c = np.where(np.isfinite(campaign.air_c), campaign.air_c, campaign.set_c)
-    nodes = dict(zip(campaign.middle_s.tolist(), air_c.tolist(), strict=True))
+    """Air (m,) from the means of the dwells: a straight line, but in a pause a ramp at its beginning.
+
+    Without a reading of the air, the set point within the dwells stands for it.
+    """
+    air_c, nodes = campaign.air_c, dict(zip(campaign.middle_s.tolist(), campaign.air_c.tolist(), strict=True))
+    if not np.isfinite(air_c).all():
+        air_c, path_c = campaign.set_c, campaign.set_point_path_c
+        places = (np.arange(path_c.shape[1]) + 0.5) / path_c.shape[1]
+        at_s = campaign.start_s[:, np.newaxis] + places * (campaign.end_s - campaign.start_s)[:, np.newaxis]
+        nodes = dict(zip(at_s.ravel().tolist(), path_c.ravel().tolist(), strict=True))
     lengths_s, pauses_s = campaign.end_s - campaign.start_s, campaign.start_s[1:] - campaign.end_s[:-1]
     for index in np.flatnonzero(pauses_s > _MAX_PAUSE * lengths_s[1:]):
         begins_s, ramp_s = campaign.end_s[index], abs(air_c[index + 1] - air_c[index]) / _RAMP_C_PER_S

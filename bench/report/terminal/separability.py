@@ -95,12 +95,22 @@ def closure_outlook(
         "without them, if the effect found is present. if found, if tied: expected with both, for the effect "
         f"that is present; settled from {TIE_ODDS:.0f} to 1 for both."
     )
+    missing = [
+        f"{each.other} is not fitted. Missing input: {each.missing_input}."
+        for each in ties
+        if each.missing_input
+    ]
     open_ties = [(each.found, each.other) for each in ties if not each.is_settled]
     outcome = (
         f"Still tied after the plan: {pairs_text(open_ties)}." if open_ties else "The plan settles all ties."
     )
     return Group(
-        *parts, table, Text(columns), Text(outcome), *(Text(_advice_sentence(each)) for each in advice)
+        *parts,
+        table,
+        Text(columns),
+        *map(Text, missing),
+        Text(outcome),
+        *(Text(_advice_sentence(each)) for each in advice),
     )
 
 

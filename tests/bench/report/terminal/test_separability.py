@@ -16,7 +16,7 @@ from gyrobench.bench.closure.separability import Separability, searched_dwells, 
 from gyrobench.bench.report.terminal.separability import pairs_text, separability_summary
 from tests.bench.closure.plans import shipped
 
-UNIT = PlannedUnit(0.0006, is_noise_declared=True)
+UNIT = PlannedUnit(0.0006, "declared by the station")
 TARGET_DPH = 0.002
 
 
@@ -53,7 +53,7 @@ def test_it_states_dwells_and_uncertainty(result: Separability) -> None:
         "Standard uncertainty of a bias: ±1.04, from an angle random walk of 0.0006 deg/sqrt(h), declared by "
         "the station" in text
     )
-    undeclared = replace(UNIT, is_noise_declared=False)
+    undeclared = replace(UNIT, noise_source=PlannedUnit().noise_source)
     assert "a typical value, none is declared" in printed(
         separability_summary(result, 30, undeclared, TARGET_DPH, [])
     )
