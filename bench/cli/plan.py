@@ -117,7 +117,9 @@ def _print_separability(job: Job, target_dph: float, folder: Path | None) -> Non
     except MeasurementError as error:
         typer.echo(str(error))
         return
-    now = separability(searched_dwells(campaign), all_effects(), closure.effects if closure else ())
+    now = separability(
+        searched_dwells(campaign), all_effects(job.document.path), closure.effects if closure else ()
+    )
     planner = partial(plan_on, job.station)
     if closure:
         advice = advise_ties(job.document, job.plan, planner, unit, closure)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
@@ -220,16 +221,17 @@ def close_loop(
     hold_out_cycles : sequence of int
         Cycles that the search does not use; by default :attr:`Campaign.last_cycle`.
     effects : sequence of Effect, optional
-        Candidates; by default all installed ones.
+        Candidates; by default all installed ones and those of the user's files.
 
     Raises
     ------
     MeasurementError
         There is no such cycle, or too little is left without it.
     DocumentError
-        An effect of another package can't be used.
+        An effect of another package or of a file can't be used.
     """
-    candidates = all_effects() if effects is None else tuple(effects)
+    sources = [Path(each.name) for each in campaign.tables]
+    candidates = all_effects(*sources) if effects is None else tuple(effects)
     searched = _searched(campaign, hold_out_cycles)
     campaign = campaign.holding_out(np.unique(campaign.cycle[~searched]).tolist())
     problem = declared_problem(campaign, searched)

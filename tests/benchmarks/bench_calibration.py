@@ -46,7 +46,7 @@ def stated(one):
     if one["verdict"] == "clean":
         return known["nothing"], not one["effects"]
     if one["verdict"] == "unexplained":
-        return known["not_on_list"], is_unknown(one) or bool(one["effects"] and not one["candidates_own"])
+        return known["not_on_list"], is_unknown(one) or bool(one["effects"] and not one["has_own_laws"])
     return known["found"], is_right(one)
 
 
@@ -167,7 +167,7 @@ def stated_and_true(results):
         known = one["probabilities"]
         series["each effect"] += [(p, name in one["effects"]) for name, p in known["effects"].items()]
         series["nothing"].append((known["nothing"], not one["effects"]))
-        if is_unknown(one) or one["candidates_own"] or max(one["sizes"], default=0.0) < 1.0:
+        if is_unknown(one) or one["has_own_laws"] or max(one["sizes"], default=0.0) < 1.0:
             series["not on the list"].append((known["not_on_list"], is_unknown(one)))
         names, rest, probability = known["hypotheses"][0]
         true = is_unknown(one) if rest else set(names) == set(one["effects"])

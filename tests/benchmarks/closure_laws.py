@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from tests.benchmarks.closure_courses import STEP_H, Course
+from tests.benchmarks.closure_courses import STEP_H, Course, lagged
 
 
 @dataclass(frozen=True)
@@ -147,8 +147,7 @@ def _ageing(c, draw, own):
 
 
 def _daily_course(c, draw, own):
-    angle = 2.0 * np.pi * (c.time_h / 24.0 + draw.random())
-    return _law(draw, (np.sin(angle) + 0.25 * np.sin(2.0 * angle + 1.0))[:, None])
+    return _law(draw, c.room_c[:, None] if own else lagged(c.room_c[:, None], draw.uniform(0.1, 0.7)), own)
 
 
 def _mode_hop(c, draw, own):
@@ -208,18 +207,6 @@ ON_NO_LIST = {
     "flicker": _flicker,
 }  # fmt: skip
 EFFECTS = ON_THE_LIST | ON_NO_LIST
-
-
-@numba.njit(cache=True)
-def lagged(values, tau_h):
-    """First-order lag of (m, k), at rest before; none for a time constant below a tenth of a minute."""
-    out = values.copy()
-    if tau_h * 600.0 < 1.0:
-        return out
-    keep = np.exp(-STEP_H / tau_h)
-    for now in range(1, len(values)):
-        out[now] = keep * out[now - 1] + (1.0 - keep) * values[now]
-    return out
 
 
 @numba.njit(cache=True)

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
-from tests.benchmarks.closure_courses import DESIGNS, STEP_H, STEP_S, Schedule, temperatures
-from tests.benchmarks.closure_laws import EFFECTS, lagged
+from tests.benchmarks.closure_courses import DESIGNS, STEP_H, STEP_S, Schedule, lagged, temperatures
+from tests.benchmarks.closure_laws import EFFECTS
 
 NOISES = ("stated", "understated", "outliers", "understated, outliers")
 #: An effect of which the declared model takes up more than this is scaled as if it took up this much.
@@ -83,9 +83,8 @@ def make_unit(
     drawn_design, draw_noise = str(draw.choice(DESIGNS)), np.random.default_rng([seed, 17, looks])
     design = design or drawn_design
     schedule = Schedule(draw, design, cycles)
-    course = temperatures(
-        draw, schedule.course(draw, "supply_power" in effects), "attitude_thermal" in effects
-    )
+    has_steps = "supply_power" in effects or draw.random() < 0.2
+    course = temperatures(draw, schedule.course(draw, has_steps), "attitude_thermal" in effects)
     firsts, lengths = (np.array([each[place] for each in schedule.dwells]) for place in (0, 1))
     cycle = np.array([each[2] for each in schedule.dwells])
     run = np.searchsorted(schedule.power_on, firsts, side="right") - 1
@@ -135,6 +134,10 @@ def make_unit(
         signs = draw_noise.choice([-1.0, 1.0], which.shape)
         errors_dph[bad] += which * signs * draw_noise.uniform(6.0, 15.0, (len(bad), 1)) * stated_dph[bad]
     truth = Truth(seed, design, noise, tuple(parts), bias_dph, sigma_dph, tuple((bad + 1).tolist()))
+    logged = {"supply_w": 30.0 * over_dwells(course.power)} if has_steps else {}
+    if draw.random() < (0.8 if "daily_course" in effects else 0.2):
+        logged["room_c"] = over_dwells(course.room_c)
+    logged = {name: each + 0.03 * draw_noise.standard_normal(count) for name, each in logged.items()}
     measured = _Sensors(draw, course, over_dwells, firsts, lengths, 0.0 if candidates_own else 1.0)
     return [
         DwellRow(
@@ -149,6 +152,7 @@ def make_unit(
             azimuth_deg=float(course.azimuth_deg[firsts[each]]),
             bias_dph=tuple((bias_dph + errors_dph)[each].tolist()),
             sigma_dph=tuple(stated_dph[each].tolist()),
+            other=tuple((name, float(values[each])) for name, values in logged.items()),
             **measured.of(each),
         )
         for each in range(count)
