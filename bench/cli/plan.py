@@ -117,9 +117,8 @@ def _print_separability(job: Job, target_dph: float, folder: Path | None) -> Non
     except MeasurementError as error:
         typer.echo(str(error))
         return
-    now = separability(
-        searched_dwells(campaign), all_effects(job.document.path), closure.effects if closure else ()
-    )
+    effects = [each.effect for each in closure.evidence] if closure else all_effects(job.document.path)
+    now = separability(searched_dwells(campaign), effects, closure.effects if closure else ())
     planner = partial(plan_on, job.station)
     if closure:
         advice = advise_ties(job.document, job.plan, planner, unit, closure)
