@@ -23,9 +23,9 @@ from gyrobench.bench.report.terminal.tables import titled_table
 
 _MAX_INFLATION = 1000.0
 _COLUMNS = (
-    f"found from: smallest size found with {POWER:.0%} probability, for the middle values of the effect's "
-    "parameters; at worst: for the worst values. variance: variance inflation by the other effects, fitted "
-    "beside it. distinguished: smallest size at which it is distinguished from its nearest alternative."
+    f"found: smallest size found with {POWER:.0%} probability, for the middle values of the effect's "
+    "parameters; worst: for the worst values. VIF: variance inflation by the other effects, fitted beside "
+    "it. distinct: smallest size at which it is distinguished from its nearest alternative."
 )
 
 
@@ -151,7 +151,7 @@ def _basis(separability: Separability, dwells: int, unit: PlannedUnit) -> str:
 
 def _table(separability: Separability, seen: Sequence[Detection]) -> Table:
     table = titled_table()
-    for header in ("effect", "found from", "at worst", "variance", "alternative", "distinguished"):
+    for header in ("effect", "found", "worst", "VIF", "alternative", "distinct"):
         is_word = header in ("effect", "alternative")
         table.add_column(header, justify="left" if is_word else "right", no_wrap=True)
     for each in seen:
