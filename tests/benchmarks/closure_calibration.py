@@ -4,6 +4,7 @@ Results are kept, one JSON line a unit, so that making them can be interrupted.
 """
 
 import json
+import math
 import os
 import subprocess
 import sys
@@ -76,6 +77,10 @@ def examined(seed):
         "found": found,
         "tied": {each.effect.name: list(each.tied_with) for each in closure.effects},
         "noise_scale": closure.noise_scale,
+        # The largest thing that the table may hide, in the units of the sizes.
+        "hidden": max(filter(math.isfinite, closure.detectable_dph.values()), default=0.0)
+        / closure.noise_dph
+        * closure.noise_scale,
         "true_noise_scale": float(np.sqrt(np.mean((truth.sigma_dph / closure.campaign.sigma_dph) ** 2))),
         "probabilities": _probabilities(closure),
         "error_before_dph": _error_dph(closure, closure.declared, truth),
