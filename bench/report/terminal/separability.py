@@ -18,7 +18,7 @@ from gyrobench.bench.closure.posterior import TIE_ODDS
 from gyrobench.bench.closure.procedure_changes import Advice
 from gyrobench.bench.closure.separability import POWER, Detection, Separability
 from gyrobench.bench.foundations.text import counted, listed
-from gyrobench.bench.report.closure.closure_text import odds_text
+from gyrobench.bench.report.number_format import odds_text
 from gyrobench.bench.report.terminal.tables import titled_table
 
 _MAX_INFLATION = 1000.0

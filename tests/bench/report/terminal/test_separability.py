@@ -45,7 +45,8 @@ def test_every_effect_has_its_sizes_and_nearest_alternative(result: Separability
         alternative, size_dph = result.nearest_alternative(name) or ("", 0.0)
         sizes = f"{name} {1e3 * each.typical_dph:.2f} {1e3 * each.largest_dph:.2f} x"
         assert sizes in text
-        assert f" {alternative} {1e3 * size_dph:.2f} " in text
+        size = f"{1e3 * size_dph:.2f}" if np.isfinite(size_dph) else "never"
+        assert f" {alternative} {size} " in text
 
 
 def test_it_states_dwells_and_uncertainty(result: Separability) -> None:
