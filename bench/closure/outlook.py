@@ -20,7 +20,7 @@ from gyrobench.bench.closure.effects.effect import Effect
 from gyrobench.bench.closure.joined_tables import Source, joined
 from gyrobench.bench.closure.loop import Closure
 from gyrobench.bench.closure.planned_campaign import PlannedUnit
-from gyrobench.bench.closure.posterior import TIE_ODDS, posterior
+from gyrobench.bench.closure.posterior import TIE_ODDS, Evidences
 from gyrobench.bench.closure.problem import DEGREE, Problem, declared_problem, predict
 from gyrobench.bench.closure.search import Search
 from gyrobench.bench.closure.separability import searched_dwells
@@ -29,7 +29,7 @@ from gyrobench.bench.foundations.arrays import BoolArray
 from gyrobench.bench.procedure.estimate import ThermalEstimate
 
 _S_PER_H = 3600.0
-_SMALLEST = 1e-150
+_SMALLEST, _MAX_LOG_ODDS = 1e-150, 345.0
 #: Draws of the noise of a plan.
 _DRAWS = 5
 
@@ -157,16 +157,11 @@ def _odds(
         rivals = [_alternative(after, shared, new if isinstance(new, Effect) else new.effect)]
         if isinstance(new, Candidate):
             rivals.append(evaluate(after, refine(after, [*shared, new])))
-        hypotheses = [evaluate(after, ()), own, *(each for each in rivals if each is not None)]
-        weighed = posterior(after, effects, hypotheses)
-        names = own.names, {*(each.effect.name for each in shared), _name(new)}
-        mine, theirs = (weighed.of_set(each, has_remainder=False) for each in names)
-        logarithms.append(math.log(_ratio(mine, theirs)))
-    return math.exp(float(np.mean(logarithms)))
-
-
-def _name(of: Candidate | Effect) -> str:
-    return of.name if isinstance(of, Effect) else of.effect.name
+        evidences = Evidences(after, effects)
+        # What is not significant is as probable as nothing.
+        fitted = [each for each in rivals if each is not None] or [evaluate(after, shared)]
+        logarithms.append(0.5 * min(evidences.log_odds(own, each) for each in fitted))
+    return math.exp(float(np.clip(np.mean(logarithms), -_MAX_LOG_ODDS, _MAX_LOG_ODDS)))
 
 
 def _ratio(one: float, other: float) -> float:
