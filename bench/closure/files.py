@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 import yaml
 
+from gyrobench.bench.closure.compose import Composed, law_text
 from gyrobench.bench.closure.loop import Closure, FoundEffect
 from gyrobench.bench.closure.problem import DEGREE, SCALE_C, predict
 from gyrobench.bench.foundations.arrays import FloatArray
@@ -22,6 +23,8 @@ from gyrobench.bench.navigation.positions import AXES
 _T = TypeVar("_T")
 #: Name of the file with the outcome of a search.
 CLOSURE_FILE = "closure.json"
+#: Effect file of the most probable composed law.
+COMPOSED_LAW = "composed_law.yaml"
 #: Most probable hypotheses in the document.
 _HYPOTHESES = 10
 _MAX_BYTES = 100_000_000
@@ -43,16 +46,18 @@ def write_closure(folder: Path, closure: Closure) -> None:
     write_text(folder / CLOSURE_FILE, json.dumps(closure_document(closure), indent=2) + "\n")
     write_text(folder / "predictions.csv", format_predictions(closure))
     write_text(folder / "model.yaml", yaml.safe_dump(model_document(closure), sort_keys=False))
+    for law in closure.composed.laws[:1] if closure.composed else ():
+        write_text(folder / COMPOSED_LAW, law_text(law))
 
 
 def is_written(folder: Path, closure: Closure) -> bool:
-    """Whether a folder holds this search already, by any path of its tables, and rotated or not."""
+    """Whether a folder holds this search already, by any path of its tables, rotated or composed or not."""
     try:
         written = _read(folder)
     except RunFolderError:
         return False
     own = closure_document(closure)
-    return written | {key: own[key] for key in ("tables", "rotation")} == own
+    return written | {key: own[key] for key in ("tables", "rotation", "composed")} == own
 
 
 def read_held_out_cycles(folder: Path) -> list[int]:
@@ -120,6 +125,7 @@ def closure_document(closure: Closure) -> dict[str, Any]:
             }
             for each in closure.posterior.hypotheses[:_HYPOTHESES]
         ],
+        "composed": None if closure.composed is None else _composed(closure.composed),
         "remainder_shown_from_dph": {
             name: size if math.isfinite(size) else None for name, size in closure.detectable_dph.items()
         },
@@ -167,6 +173,33 @@ def closure_document(closure: Closure) -> dict[str, Any]:
 
 def _known(value: float) -> float | None:
     return None if math.isnan(value) else value
+
+
+def _composed(found: Composed) -> dict[str, Any]:
+    return {
+        "status": "empirical: hypotheses until cycles of other runs confirm them",
+        "laws_tried": found.tried,
+        "drivers": found.of_driver,
+        "other": found.other,
+        "laws": [
+            {
+                "driver": law.file.driver,
+                "shape": law.file.shape,
+                "memory": law.file.memory,
+                "factor": law.file.factor,
+                "parameters": {
+                    parameter.name: value
+                    for parameter, value in zip(
+                        law.candidate.form.parameters, law.candidate.values, strict=True
+                    )
+                },
+                "probability": law.probability,
+                "error_after_dph": law.error_after_dph,
+                "statement": law.file.statement,
+            }
+            for law in found.laws
+        ],
+    }
 
 
 def format_predictions(closure: Closure) -> str:

@@ -464,3 +464,29 @@ def evidence_caption(closure: Closure) -> str:
 
 def _labels(closure: Closure, names: Iterable[str]) -> str:
     return listed([closure.label(name) for name in names])
+
+
+#: What a composed law is.
+COMPOSED = (
+    "Laws composed from the grammar of effects, fitted beside the effects found. They are empirical: "
+    "hypotheses from the data that they explain, until cycles of other runs confirm them."
+)
+
+
+def composed_table(closure: Closure) -> tuple[list[str], list[list[str]]]:
+    """Composed laws, most probable first, and what no law describes: header and rows."""
+    scale, composed = scale_of_errors(closure), closure.composed
+    if composed is None:
+        return [], []
+    rows = [
+        [
+            law.follows,
+            law.file.shape,
+            law.file.memory,
+            f"{law.probability:.2f}",
+            scale.text(law.error_after_dph),
+        ]
+        for law in composed.laws
+    ]
+    rows.append(["no law of the grammar", "", "", f"{composed.other:.2f}", ""])
+    return ["bias follows", "shape", "memory", "P", f"held-out error, {scale.unit}"], rows
