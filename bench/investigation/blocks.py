@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -123,7 +124,7 @@ class Timeline:
         self.steps.append(step)
         self.now_s = step.end_s
 
-    def _span(self, duration_s: float) -> dict[str, float]:
+    def _span(self, duration_s: float) -> dict[str, Any]:
         return {"start_s": self.now_s, "end_s": self.now_s + duration_s}
 
 
@@ -150,6 +151,7 @@ def _kinds(rows: Sequence[DwellRow]) -> list[_Kind]:
         def add(timeline: Timeline) -> None:
             timeline.ramp(start_c)
             timeline.soak(1.0)
+            timeline.dwells(pair[:1])  # the table alone shows how far the temperature went
             timeline.ramp(middle_c)
             timeline.soak()
             timeline.dwells(every)
@@ -175,6 +177,7 @@ def _kinds(rows: Sequence[DwellRow]) -> list[_Kind]:
         timeline.dwells(pair)
         away_c = min(middle_c + _REVERSAL_C, high_c)
         timeline.ramp(away_c)
+        timeline.dwells(pair[:1])
         timeline.ramp(middle_c)
         timeline.soak(1.0)
         timeline.dwells(pair)
@@ -248,7 +251,7 @@ def _kinds(rows: Sequence[DwellRow]) -> list[_Kind]:
 def catalogue(rows: Sequence[DwellRow], pairs: bool = False) -> list[Block]:
     """Blocks that can follow a table, in the order of time; with ``pairs``, each two in sequence."""
     kinds = _kinds(rows)
-    sequences = [(each,) for each in kinds]
+    sequences: list[tuple[_Kind, ...]] = [(each,) for each in kinds]
     if pairs:
         sequences += list(itertools.permutations(kinds, 2))
     blocks = []
