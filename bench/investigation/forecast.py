@@ -63,7 +63,9 @@ class ThermalModel:
         keep = np.exp(-step_h / self.lags_h)
 
         def followed(goal: FloatArray, kept: float, from_c: float) -> FloatArray:
-            return np.asarray(lfilter([1.0 - kept], [1.0, -kept], goal, zi=[kept * from_c])[0])
+            found: FloatArray
+            found, _ = lfilter([1.0 - kept], [1.0, -kept], goal, zi=[kept * from_c])
+            return found
 
         air_c = followed(course.set_c, keep[0], start.air_c)
         case_c = followed(air_c + self.case_heating_k * course.power, keep[1], start.case_c)
@@ -209,10 +211,8 @@ def _electronics_above_optics(rows: Sequence[DwellRow]) -> dict[str, FloatArray]
     """Electronics above optics in each position, mean of the dwells; of a new one, the mean of all."""
     above_k = np.array([row.board_c for row in rows]) - np.array([row.gyro_c for row in rows])
     names = np.array([row.position for row in rows])
-    return {
-        name: above_k[names == name if np.any(names == name) else slice(None)].mean(axis=0)
-        for name in POSITIONS
-    }
+    found = {name: above_k[names == name] for name in POSITIONS}
+    return {name: (mine if len(mine) else above_k).mean(axis=0) for name, mine in found.items()}
 
 
 def _grid(first_s: float, last_s: float) -> FloatArray:

@@ -1,0 +1,164 @@
+"""The next block to measure: the one that is expected to remove most doubt in an hour."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.candidates import Candidate
+from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.investigation.blocks import Block, catalogue
+from gyrobench.bench.investigation.choice import Prediction, entropy, expected_entropy, predict_dwells
+from gyrobench.bench.investigation.forecast import ThermalModel, fit_thermal_model, forecast_dwells
+
+#: Hypotheses less probable than this are not predicted.
+_MIN_PROBABILITY = 1e-3
+_MAX_HYPOTHESES = 6
+#: Blocks of which pairs are tried.
+_PAIRED = 4
+#: Bias from one power-on to the next where the dwells are of a single one, in units of the noise.
+_UNKNOWN_RUN_SPREAD = 5.0
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A hypothesis that may be the cause."""
+
+    names: tuple[str, ...]  #: Its effects; empty for none.
+    candidates: tuple[Candidate, ...]  #: As fitted.
+    probability: float  #: Of all rivals together 1.
+    #: Rms of something that is not on the list beside the effects, deg/h; zero for none.
+    remainder_dph: float = 0.0
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A block with its utility and what each rival predicts."""
+
+    block: Block  #: The block.
+    rows: tuple[DwellRow, ...]  #: Its dwells with forecast temperatures.
+    predictions: tuple[Prediction, ...]  #: Of each rival, for the biases of these dwells.
+    entropy: float  #: Of the rivals' probabilities, nats.
+    expected_entropy: float  #: After the block.
+
+    @property
+    def gain_per_h(self) -> float:
+        """Expected fall of the entropy per hour on the bench, nats/h."""
+        return (self.entropy - self.expected_entropy) / self.block.plan.duration_h
+
+
+def propose(
+    rows: Sequence[DwellRow],
+    rivals: Sequence[Rival],
+    noise_scale: float,
+    refused: Collection[str] = (),
+    max_h: float = np.inf,
+) -> list[Proposal]:
+    """Blocks with their utilities, best first.
+
+    Parameters
+    ----------
+    rows : sequence of DwellRow
+        All dwells measured, in the order of time.
+    rivals : sequence of Rival
+        Hypotheses fitted to them.
+    noise_scale : float
+        Ratio of the noise to the stated uncertainties.
+    refused : collection of str
+        Names of kinds of block that the bench can't do.
+    max_h : float
+        Longest block.
+    """
+    model = fit_thermal_model(rows)
+
+    def usable(blocks: Sequence[Block]) -> list[Block]:
+        return [
+            each
+            for each in blocks
+            if each.plan.duration_h <= max_h and not set(each.name.split(", then ")) & set(refused)
+        ]
+
+    found = [_proposal(rows, each, model, rivals, noise_scale) for each in usable(catalogue(rows))]
+    found.sort(key=lambda each: -each.gain_per_h)
+    best = {each.block.name for each in found[:_PAIRED]}
+    pairs = [
+        each
+        for each in usable(catalogue(rows, pairs=True))
+        if len(parts := each.name.split(", then ")) == 2 and set(parts) <= best
+    ]
+    found += [_proposal(rows, each, model, rivals, noise_scale) for each in pairs]
+    return sorted(found, key=lambda each: -each.gain_per_h)
+
+
+def _proposal(
+    rows: Sequence[DwellRow], block: Block, model: ThermalModel, rivals: Sequence[Rival], noise_scale: float
+) -> Proposal:
+    new = forecast_dwells(rows, block.plan, model)
+    campaign = campaign_of([*rows, *new])
+    measured = ~np.isin(campaign.dwell, [row.dwell for row in new])
+    spread_dph = _run_spread_dph(rows, noise_scale)
+    predictions = []
+    for each in rivals:
+        prediction = predict_dwells(campaign, measured, each.candidates, noise_scale, spread_dph)
+        if each.remainder_dph:
+            more = each.remainder_dph**2 * np.eye(len(prediction.mean_dph))
+            prediction = Prediction(prediction.mean_dph, prediction.covariance + more)
+        predictions.append(prediction)
+    probabilities = np.array([each.probability for each in rivals])
+    return Proposal(
+        block,
+        tuple(new),
+        tuple(predictions),
+        entropy(probabilities),
+        expected_entropy(predictions, probabilities),
+    )
+
+
+def _run_spread_dph(rows: Sequence[DwellRow], noise_scale: float) -> float:
+    """Standard deviation of the bias from one power-on to the next."""
+    sigma_dph = noise_scale * float(np.nanmedian([row.sigma_dph for row in rows]))
+    means = [
+        np.nanmean([row.bias_dph for row in rows if row.run == run], axis=0)
+        for run in dict.fromkeys(row.run for row in rows)
+    ]
+    if len(means) < 3:
+        return _UNKNOWN_RUN_SPREAD * sigma_dph
+    return max(float(np.std(means, axis=0, ddof=1).mean()), sigma_dph)
+
+
+def rivals_of(
+    weighed: Sequence[tuple[tuple[Candidate, ...], bool, float]], remainder_dph: float
+) -> list[Rival]:
+    """The most probable hypotheses: each with effects, whether it has a remainder, and its probability."""
+    best = [each for each in weighed if each[2] > _MIN_PROBABILITY][:_MAX_HYPOTHESES]
+    total = sum(probability for _, _, probability in best)
+    return [
+        Rival(
+            tuple(sorted(one.effect.name for one in candidates)),
+            candidates,
+            probability / total,
+            remainder_dph if has_remainder else 0.0,
+        )
+        for candidates, has_remainder, probability in best
+    ]
+
+
+def outcome_probabilities(
+    proposal: Proposal, rivals: Sequence[Rival], rows: Sequence[DwellRow]
+) -> FloatArray:
+    """Probabilities of the rivals after the block was measured, by their predictions alone."""
+    measured = {row.dwell: row.bias_dph for row in rows}
+    chosen = [index for index, row in enumerate(proposal.rows) if row.dwell in measured]
+    count = len(proposal.rows)
+    places = np.concatenate([np.array(chosen) + gyro * count for gyro in range(3)])
+    outcome = np.array([measured[proposal.rows[index].dwell] for index in chosen]).T.ravel()
+    logs = []
+    for rival, each in zip(rivals, proposal.predictions, strict=True):
+        part = Prediction(each.mean_dph[places], each.covariance[np.ix_(places, places)])
+        logs.append(float(part.log_likelihood(outcome[np.newaxis])[0]) + np.log(rival.probability))
+    shares = np.exp(np.array(logs) - max(logs))
+    return np.asarray(shares / shares.sum())
