@@ -291,29 +291,43 @@ def estimate_bias(
     return estimate_state_space(dwell, site, noise, prior or PriorKnowledge())
 
 
-def close_loop(table: str | Path | pd.DataFrame, hold_out_cycles: Sequence[int] = ()) -> Closure:
+def close_loop(
+    table: str | Path | pd.DataFrame | Sequence[str | Path],
+    hold_out_cycles: Sequence[int] = (),
+    *,
+    rotate: bool = False,
+) -> Closure:
     """Search for the effects that the declared bias model lacks.
 
     Parameters
     ----------
-    table : str, Path or DataFrame
-        A dwell table, or a run folder; a DataFrame has the columns of ``dwells.csv``.
+    table : str, Path, DataFrame or sequence of str or Path
+        A dwell table, or a run folder, or several of one unit; a DataFrame has the columns of ``dwells.csv``.
     hold_out_cycles : sequence of int
-        Cycles that the search does not see; by default the last one.
+        Cycles that the search does not see; by default the last one, of several tables that of the first
+        table with several cycles. Numbers of several tables are those in ``Closure.campaign.tables``.
+    rotate : bool
+        Whether each cycle is held out in turn as well: ``Closure.rotation``.
 
     Raises
     ------
     DocumentError, MeasurementError
-        The table can't be used.
+        The tables can't be used.
     """
     from gyrobench.bench.bias.dwell_table import parse_dwells
     from gyrobench.bench.closure.campaign import campaign_of
     from gyrobench.bench.closure.loop import close_loop as search
+    from gyrobench.bench.closure.loop import rotated
     from gyrobench.bench.dwells.closure_inputs import read_campaign
 
     if isinstance(table, (str, Path)):
-        return search(read_campaign(Path(table)), hold_out_cycles)
-    return search(campaign_of(parse_dwells(table.to_csv(index=False), "the DataFrame")), hold_out_cycles)
+        campaign = read_campaign(Path(table))
+    elif isinstance(table, Sequence):
+        campaign = read_campaign(*map(Path, table))
+    else:
+        campaign = campaign_of(parse_dwells(table.to_csv(index=False), "the DataFrame"))
+    closure = search(campaign, hold_out_cycles)
+    return rotated(closure) if rotate else closure
 
 
 def _numbers(values: ArrayLike, what: str) -> FloatArray:

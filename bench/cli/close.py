@@ -16,40 +16,69 @@ if TYPE_CHECKING:
     from gyrobench.bench.closure.loop import Closure
 
 
-def search(campaign: Path, hold_out_cycles: Sequence[int]) -> Closure:
-    """Search in a dwell table or run folder.
+def search(
+    tables: Sequence[Path],
+    hold_out_cycles: Sequence[int] = (),
+    hold_out: Sequence[Path] = (),
+    *,
+    rotate: bool = False,
+) -> Closure:
+    """Search in dwell tables or run folders.
 
-    Raises
-    ------
-    DocumentError
-        It can't be used for a search.
+    ``hold_out``: the ones of which all cycles are held out. ``rotate``: whether each cycle is held out in
+    turn as well. Raises DocumentError if they can't be used for a search.
     """
-    from gyrobench.bench.closure.loop import close_loop
+    from gyrobench.bench.closure.loop import close_loop, rotated
     from gyrobench.bench.dwells.closure_inputs import read_campaign
 
     try:
-        return close_loop(read_campaign(campaign), hold_out_cycles)
+        campaign = read_campaign(*tables)
+        cycles = [cycle for path in hold_out for cycle in campaign.cycles_of(str(path))]
+        closure = close_loop(campaign, [*hold_out_cycles, *cycles])
     except (MeasurementError, RunFolderError) as error:
         raise DocumentError(str(error)) from error
+    return rotated(closure) if rotate else closure
 
 
 def close(
-    campaign: Annotated[
-        Path,
+    tables: Annotated[
+        list[Path],
         typer.Argument(
-            metavar="DWELLS_OR_RUN", help="Dwell table or run folder.", autocompletion=complete_run
+            metavar="DWELLS_OR_RUN...",
+            help="Dwell tables or run folders of one unit.",
+            autocompletion=complete_run,
         ),
     ],
     out: Annotated[
-        Path | None, typer.Option(help="Output folder; default: closure, beside the table or in the run.")
+        Path | None,
+        typer.Option(
+            help="Output folder; default: closure, beside the table or in the run; of several, closure_A_B "
+            "beside the first."
+        ),
     ] = None,
     hold_out_cycle: Annotated[
         list[int] | None,
-        typer.Option(help="Cycle excluded from the search, may be repeated; default: the last one."),
+        typer.Option(
+            help="Cycle excluded from the search, may be repeated; default: the last one, of several tables "
+            "that of the first table with several cycles."
+        ),
     ] = None,
+    hold_out: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="DWELLS_OR_RUN",
+            help="One of several tables or runs, all cycles of which are excluded; may be repeated.",
+        ),
+    ] = None,
+    rotate: Annotated[
+        bool, typer.Option("--rotate", help="Hold out each cycle in turn too, and compare the outcomes.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Search for effects that explain the residual of the bias model, and test them on a held-out cycle.
+
+    Several tables or runs are joined on one time axis. Their dwells and cycles get numbers that are
+    unique in all of them; the output shows which.
 
     With --json: {"folder", "report", "closure"}, the last with what closure.json holds: "verdict", which
     is clean, explained, ambiguous or unexplained, "effects", "error_before_dph", "error_after_dph", ...
@@ -61,8 +90,8 @@ def close(
     from gyrobench.bench.report.closure.closure_page import write_search
     from gyrobench.bench.report.closure.closure_summary import closure_summary
 
-    closure = search(campaign, hold_out_cycle or ())
-    page, report = write_search(closure, campaign, out)
+    closure = search(tables, hold_out_cycle or (), hold_out or (), rotate=rotate)
+    page, report = write_search(closure, tables, out)
     folder = page.parent
     if as_json:
         found = json.loads((folder / "closure.json").read_text(encoding="utf-8"))
@@ -70,8 +99,8 @@ def close(
         return
     terminal = console()
     terminal.print(closure_summary(closure))
-    tables = "closure.json, predictions.csv, model.yaml"
-    terminal.print(f"Report   {page}\nFigures  {folder / 'figures'}\nTables   {tables}", soft_wrap=True)
+    written = "closure.json, predictions.csv, model.yaml"
+    terminal.print(f"Report   {page}\nFigures  {folder / 'figures'}\nTables   {written}", soft_wrap=True)
     if report:
         terminal.print(f"Also in  {report}", soft_wrap=True)
     terminal.print(f"Folder   {folder}", soft_wrap=True)

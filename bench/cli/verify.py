@@ -100,9 +100,9 @@ def _search(run: RunFolder) -> Closure:
     from gyrobench.bench.closure.files import is_written, read_held_out_cycles
     from gyrobench.bench.report.closure.closure_page import write_search
 
-    closure = search(run.path, read_held_out_cycles(run.closure))
+    closure = search([run.path], read_held_out_cycles(run.closure))
     if not is_written(run.closure, closure):
-        write_search(closure, run.path)
+        write_search(closure, [run.path])
     return closure
 
 

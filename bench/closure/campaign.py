@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,10 +16,22 @@ from gyrobench.bench.closure.temperatures import TemperatureRecord, record_of_dw
 from gyrobench.bench.closure.thermal_network import electronics_above_optics
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.navigation.positions import POSITIONS
 
 #: Largest share of dwells without a reading of a sensor, other than a gyro's, that is interpolated.
 _MAX_MISSING = 0.1
+
+
+@dataclass(frozen=True)
+class Table:
+    """A dwell table or run that a campaign was read from."""
+
+    name: str  #: Its path.
+    cycles: tuple[int, ...]  #: Its cycles, numbered as in the campaign.
+    added: int = 0  #: What was added to the numbers of its dwells.
+    start_s: float = 0.0  #: Start of its first dwell on the campaign's clock.
+    placed: str = ""  #: How its place on that clock was found; empty for the first.
 
 
 @dataclass(frozen=True)
@@ -56,6 +69,7 @@ class Campaign:
     held_out: BoolArray
     #: Dwells of the table that are left out because a gyro's temperature is missing.
     without_temperatures: tuple[int, ...] = ()
+    tables: tuple[Table, ...] = ()  #: What it was read from, in the order of time; empty without files.
     #: The campaign including the dwells without a result, and which of its dwells these are.
     part_of: tuple[Campaign, BoolArray] | None = None
 
@@ -68,13 +82,44 @@ class Campaign:
         """The campaign including the dwells without a result; their biases may be NaN."""
         return self if self.part_of is None else self.part_of[0]
 
+    @property
+    def cycles(self) -> list[int]:
+        """Numbers of the cycles, in order."""
+        return list(map(int, np.unique(self.cycle)))
+
+    @property
+    def last_cycle(self) -> int:
+        """The last cycle; of several tables, that of the first one with several cycles.
+
+        It is what a search of that table alone holds out: tables measured later add to what is searched.
+        """
+        for table in self.tables if len(self.tables) > 1 else ():
+            cycles = [cycle for cycle in self.cycles if cycle in table.cycles]
+            if len(cycles) > 1:
+                return cycles[-1]
+        return self.cycles[-1]
+
+    def cycles_of(self, name: str) -> list[int]:
+        """Cycles of one of the tables. Raises MeasurementError if it is none of them."""
+        for table in self.tables:
+            if Path(table.name) == Path(name):
+                return [cycle for cycle in self.cycles if cycle in table.cycles]
+        names = listed([table.name for table in self.tables])
+        raise MeasurementError(f"{name} can't be held out: it is not searched. Name one of {names}")
+
     def holding_out(self, cycles: Sequence[int]) -> Campaign:
         """Same campaign with the temperatures of some cycles excluded from all fits."""
         whole = self.whole
         held_out: BoolArray = np.isin(whole.cycle, cycles)
-        record = whole.record
-        if record.is_of_dwells:
-            record = record_of_dwells(whole.start_s, whole.end_s, whole.gyro_c, whole.rate_c_per_h, held_out)
+        parts = list(whole.record.parts or (whole.record,))
+        starts_s = [table.start_s for table in whole.tables[1:]] if len(parts) > 1 else []
+        table = np.searchsorted(starts_s, whole.start_s, side="right")
+        for index, part in enumerate(parts):
+            if part.is_of_dwells:
+                mine = table == index
+                dwells = (whole.start_s, whole.end_s, whole.gyro_c, whole.rate_c_per_h, held_out)
+                parts[index] = record_of_dwells(*(each[mine] for each in dwells))
+        record = TemperatureRecord.joined(parts)
         whole = replace(whole, held_out=held_out, record=record)
         return whole if self.part_of is None else whole.part(self.part_of[1])
 

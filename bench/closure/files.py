@@ -18,6 +18,8 @@ from gyrobench.bench.foundations.files import make_folder, parse_json, read_limi
 from gyrobench.bench.navigation.positions import AXES
 
 _DOCUMENT = "closure.json"
+#: Most probable hypotheses in the document.
+_HYPOTHESES = 10
 _MAX_BYTES = 100_000_000
 _WHAT_TO_DO = "Remove it and run gyrobench close again"
 PREDICTION_COLUMNS = (
@@ -33,15 +35,22 @@ def write_closure(folder: Path, closure: Closure) -> None:
     Raises RunFolderError if a file can't be written.
     """
     make_folder(folder)
-    write_text(folder / _DOCUMENT, _document_text(closure))
+    write_text(folder / _DOCUMENT, json.dumps(closure_document(closure), indent=2) + "\n")
     write_text(folder / "predictions.csv", format_predictions(closure))
     write_text(folder / "model.yaml", yaml.safe_dump(model_document(closure), sort_keys=False))
 
 
 def is_written(folder: Path, closure: Closure) -> bool:
-    """Whether a folder holds this search already."""
+    """Whether a folder holds this search already, by any path of its tables, and rotated or not."""
     path = folder / _DOCUMENT
-    return path.exists() and path.read_bytes() == _document_text(closure).encode()
+    if not path.exists():
+        return False
+    try:
+        written = parse_json(read_limited(path, _MAX_BYTES, RunFolderError))
+    except ValueError:
+        return False
+    own = closure_document(closure)
+    return isinstance(written, dict) and written | {key: own[key] for key in ("tables", "rotation")} == own
 
 
 def read_held_out_cycles(folder: Path) -> list[int]:
@@ -62,15 +71,24 @@ def read_held_out_cycles(folder: Path) -> list[int]:
     return cycles
 
 
-def _document_text(closure: Closure) -> str:
-    return json.dumps(closure_document(closure), indent=2) + "\n"
-
-
 def closure_document(closure: Closure) -> dict[str, Any]:
     """Content of ``closure.json``."""
     return {
         "verdict": closure.verdict,
         "effects": [_effect(each) for each in closure.effects],
+        "probabilities": {
+            "nothing": closure.posterior.nothing,
+            "not_on_the_list": closure.posterior.not_on_list,
+            "effects": closure.posterior.of_effect,
+        },
+        "hypotheses": [
+            {
+                "effects": sorted(each.names),
+                "not_on_the_list": each.has_remainder,
+                "probability": each.probability,
+            }
+            for each in closure.posterior.hypotheses[:_HYPOTHESES]
+        ],
         "separating_measurement": closure.separating_measurement,
         "left_over": closure.unexplained_part,
         "noise_dph": closure.noise_dph,
@@ -79,18 +97,40 @@ def closure_document(closure: Closure) -> dict[str, Any]:
         "lack_of_fit_p_after": closure.after.p_value,
         "error_before_dph": closure.error_before_dph,
         "error_after_dph": closure.error_after_dph,
+        "tables": [
+            {
+                "path": table.name,
+                "cycles": list(table.cycles),
+                "added_to_dwells": table.added,
+                "placed": table.placed,
+            }
+            for table in closure.campaign.tables
+        ],
         "held_out_cycles": sorted(set(closure.campaign.cycle[~closure.searched].tolist())),
         "dwells_searched": int(closure.searched.sum()),
+        "rotation": [
+            {
+                "held_out_cycle": turn.cycle,
+                "verdict": turn.verdict or None,
+                "effects": list(turn.effects),
+                **{name: _known(getattr(turn, name)) for name in ("error_before_dph", "error_after_dph")},
+            }
+            for turn in closure.rotation
+        ],
         "tried": [
             {
                 "effect": each.effect.name,
                 "lacks": each.missing_input,
-                "share_explained_alone": None if math.isnan(each.share) else each.share,
+                "share_explained_alone": _known(each.share),
                 "p_value_alone": None if each.candidate is None else each.p_value,
             }
             for each in closure.evidence
         ],
     }
+
+
+def _known(value: float) -> float | None:
+    return None if math.isnan(value) else value
 
 
 def format_predictions(closure: Closure) -> str:
@@ -149,6 +189,7 @@ def _effect(found: FoundEffect) -> dict[str, Any]:
     return {
         "effect": found.effect.name,
         "axes": list(found.axes),
+        "probability": found.probability,
         "p_value": found.p_value,
         "rms_dph": found.rms_dph,
         "tied_with": list(found.tied_with),

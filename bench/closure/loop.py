@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate, Hypothesis, evaluate, hypothesis, solve_with, stack
 from gyrobench.bench.closure.effects import all_effects
-from gyrobench.bench.closure.effects.effect import Effect
+from gyrobench.bench.closure.effects.effect import Effect, Parameter
+from gyrobench.bench.closure.posterior import EXPLAINED, Posterior
 from gyrobench.bench.closure.problem import Problem, Solution, declared_problem
 from gyrobench.bench.closure.search import MAX_EFFECTS, Search
+from gyrobench.bench.closure.uncertainty import Draws, bound_of, draw
 from gyrobench.bench.closure.validation import (
     LackOfFit,
     lack_of_fit,
@@ -22,7 +25,7 @@ from gyrobench.bench.closure.validation import (
 )
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
-from gyrobench.bench.foundations.text import listed, plain_name
+from gyrobench.bench.foundations.text import decimals_of, listed, plain_name, with_sigma
 from gyrobench.bench.navigation.positions import AXES
 
 #: A lack of fit is significant below this p-value.
@@ -39,6 +42,8 @@ _GAIN_STEP = 0.01
 _NO_STRUCTURE_P = 0.05
 _S_PER_H = 3600.0
 _UNITS = {"c": "degC"}
+#: An interval is stated in place of a standard uncertainty if its middle is off by this share of its length.
+_ASYMMETRY = 0.125
 
 
 @dataclass(frozen=True)
@@ -55,6 +60,14 @@ class FoundEffect:
     #: :func:`gyrobench.bench.closure.validation.leave_out_cycles`.
     gains: dict[int, float]
     tied_with: tuple[str, ...]  #: Names of effects that fit equally well.
+    probability: float  #: Of this effect in any set of effects.
+    #: Standard uncertainties: shape (3, k) of the sizes, (p,) of the nonlinear parameters, and of the rms. A
+    #: term that is not used has none.
+    sizes_sigma_dph: FloatArray
+    values_sigma: FloatArray
+    rms_sigma_dph: float
+    #: Interval that holds each nonlinear parameter with 95 %.
+    values_range: tuple[tuple[float, float], ...]
 
     @property
     def effect(self) -> Effect:
@@ -62,14 +75,30 @@ class FoundEffect:
         return self.candidate.effect
 
     @property
-    def statement(self) -> str:
-        """One sentence: what the bias does, its size, the gyros and the parameters."""
-        parameters = ", ".join(
-            _parameter_text(each.name, value)
-            for each, value in zip(self.candidate.form.parameters, self.candidate.values, strict=True)
+    def at_bound(self) -> tuple[str, ...]:
+        """Names of the nonlinear parameters at a bound of the fit."""
+        form, values = self.candidate.form, self.candidate.values
+        return tuple(
+            each.name for each, value in zip(form.parameters, values, strict=True) if bound_of(each, value)
         )
+
+    @property
+    def parameter_texts(self) -> tuple[str, ...]:
+        """Each nonlinear parameter with its uncertainty: "tau 1.50 ± 0.08 h"."""
+        form, values = self.candidate.form, self.candidate.values
+        return tuple(
+            _parameter_text(each, value, sigma, (low, high))
+            for each, value, sigma, (low, high) in zip(
+                form.parameters, values, self.values_sigma.tolist(), self.values_range, strict=True
+            )
+        )
+
+    @property
+    def statement(self) -> str:
+        """One sentence: what the bias does, its size, the gyros and the parameters, with uncertainties."""
+        parameters = "; ".join(self.parameter_texts)
         gyros = f"{listed(self.axes)} gyro{'s' if len(self.axes) > 1 else ''}"
-        size = f"{self.rms_dph:.2g} deg/h rms on the {gyros}"
+        size = f"{with_sigma(self.rms_dph, self.rms_sigma_dph)} deg/h rms on the {gyros}"
         sentence = self.effect.statement
         return f"{sentence[0].upper()}{sentence[1:]}: {size}{f' ({parameters})' if parameters else ''}."
 
@@ -91,6 +120,20 @@ class Evidence:
 
 
 @dataclass(frozen=True)
+class Turn:
+    """Outcome of a search with one cycle held out."""
+
+    cycle: int  #: The cycle.
+    verdict: str = ""  #: As in :class:`Closure`; empty if the cycle can't be held out.
+    effects: tuple[str, ...] = ()  #: Names of the effects found.
+    #: error_before_dph, error_after_dph, noise_dph: In the cycle, rms; see :class:`Closure`.
+    error_before_dph: float = np.nan
+    error_after_dph: float = np.nan
+    noise_dph: float = np.nan
+    reason: str = ""  #: Why it can't be held out.
+
+
+@dataclass(frozen=True)
 class Closure:
     """Outcome of a search."""
 
@@ -99,6 +142,7 @@ class Closure:
     verdict: str  #: "clean", "explained", "ambiguous" or "unexplained".
     effects: tuple[FoundEffect, ...]  #: Strongest first.
     evidence: tuple[Evidence, ...]  #: Of each effect alone.
+    posterior: Posterior  #: Probabilities of all hypotheses.
     #: before, after: Tests of the declared model, and with the effects.
     before: LackOfFit
     after: LackOfFit
@@ -110,6 +154,21 @@ class Closure:
     #: error_before_dph, error_after_dph: Rms of measured minus predicted bias in the held-out dwells.
     error_before_dph: float
     error_after_dph: float
+    #: error_before_sigma_dph, error_after_sigma_dph: Their standard uncertainties by the noise of the dwells.
+    error_before_sigma_dph: float
+    error_after_sigma_dph: float
+    #: declared_draws, model_draws: Draws of the parameters of both models.
+    declared_draws: Draws
+    model_draws: Draws
+    rotation: tuple[Turn, ...] = ()  #: Each cycle held out in turn; empty if that was not asked for.
+
+    @cached_property
+    def prediction_sigma_dph(self) -> FloatArray:
+        """Standard uncertainty of the bias by the model in all dwells (n, 3), deg/h.
+
+        Without the scatter of the constants in a run that was not searched.
+        """
+        return self.model_draws.sigma(self.model_draws.bias_dph(self.campaign))
 
     def label(self, name: str) -> str:
         """Label of a candidate effect."""
@@ -159,7 +218,7 @@ def close_loop(
     campaign : Campaign
         The measured dwells.
     hold_out_cycles : sequence of int
-        Cycles that the search does not use; by default the last one.
+        Cycles that the search does not use; by default :attr:`Campaign.last_cycle`.
     effects : sequence of Effect, optional
         Candidates; by default all installed ones.
 
@@ -183,16 +242,19 @@ def close_loop(
     if _lacks_fit(after):
         found = _confirmed(search, after.noise_ratio)
         after = _test(problem, found)
-    ties = [search.alternatives(found, index) for index in range(len(found.candidates))]
+    weighed = search.posterior(found)
     declared, model = (solve_with(problem, each) for each in ((), found.candidates))
-    error_before, error_after = (
-        _rms(measured_minus(campaign, searched, each)[~searched]) for each in (declared, model)
-    )
+    declared_draws, model_draws = (draw(problem, each) for each in ((), found.candidates))
+    errors_dph = [measured_minus(campaign, searched, each)[~searched] for each in (declared, model)]
+    error_before, error_after = map(_rms, errors_dph)
+    noise_dph = campaign.sigma_dph[~searched] * problem.noise_scale
+    sigma_before, sigma_after = (_rms_sigma(each, noise_dph) for each in errors_dph)
     return Closure(
         campaign=campaign,
         searched=searched,
-        verdict=_verdict(found, after, ties),
-        effects=_found_effects(search, found, model, ties),
+        verdict=_verdict(found, after, weighed, is_better=error_after < error_before),
+        posterior=weighed,
+        effects=_found_effects(search, found, model, model_draws, weighed),
         evidence=_evidence(search, found),
         before=lack_of_fit(problem, 0),
         after=after,
@@ -202,16 +264,41 @@ def close_loop(
         noise_scale=problem.noise_scale,
         error_before_dph=error_before,
         error_after_dph=error_after,
+        error_before_sigma_dph=sigma_before,
+        error_after_sigma_dph=sigma_after,
+        declared_draws=declared_draws,
+        model_draws=model_draws,
+    )
+
+
+def rotated(closure: Closure) -> Closure:
+    """Same closure with the outcome of a search for each cycle, held out alone."""
+    campaign, effects = closure.campaign, [each.effect for each in closure.evidence]
+    return replace(closure, rotation=tuple(_turn(campaign, cycle, effects) for cycle in campaign.cycles))
+
+
+def _turn(campaign: Campaign, cycle: int, effects: Sequence[Effect]) -> Turn:
+    try:
+        closure = close_loop(campaign, [cycle], effects)
+    except MeasurementError as error:
+        return Turn(cycle, reason=str(error))
+    return Turn(
+        cycle,
+        closure.verdict,
+        tuple(each.effect.name for each in closure.effects),
+        closure.error_before_dph,
+        closure.error_after_dph,
+        closure.noise_scale * _rms(campaign.sigma_dph[campaign.cycle == cycle]),
     )
 
 
 def _searched(campaign: Campaign, hold_out_cycles: Sequence[int]) -> BoolArray:
-    cycles = np.unique(campaign.cycle)
-    held_out = list(hold_out_cycles) or [int(cycles[-1])]
-    unknown = sorted(set(held_out) - set(cycles.tolist()))
+    cycles = campaign.cycles
+    held_out = list(hold_out_cycles) or [campaign.last_cycle]
+    unknown = sorted(set(held_out) - set(cycles))
     if unknown:
         raise MeasurementError(
-            f"there is no cycle {_numbers(unknown)} to hold out; the table has {_numbers(cycles.tolist())}"
+            f"there is no cycle {_numbers(unknown)} to hold out; the table has {_numbers(cycles)}"
         )
     if len(cycles) == len(set(held_out)):
         raise MeasurementError(
@@ -291,16 +378,17 @@ def _is_confirmed(problem: Problem, of: Hypothesis, one: Candidate) -> bool:
     return share > CONFIRMED_SHARE and better >= CONFIRMED_CYCLES * len(cycles)
 
 
-def _verdict(found: Hypothesis, after: LackOfFit, ties: list[tuple[str, ...]]) -> str:
-    if _lacks_fit(after):
+def _verdict(found: Hypothesis, after: LackOfFit, weighed: Posterior, *, is_better: bool) -> str:
+    if _lacks_fit(after) or weighed.not_on_list > 0.5:
         return "unexplained"
     if not found.candidates:
         return "clean"
-    return "ambiguous" if any(ties) else "explained"
+    is_settled = weighed.of_set(found.names, has_remainder=False) >= EXPLAINED
+    return "explained" if is_settled and is_better else "ambiguous"
 
 
 def _found_effects(
-    search: Search, found: Hypothesis, model: Solution, ties: list[tuple[str, ...]]
+    search: Search, found: Hypothesis, model: Solution, draws: Draws, weighed: Posterior
 ) -> tuple[FoundEffect, ...]:
     problem = search.problem
     result = []
@@ -309,6 +397,9 @@ def _found_effects(
         left_out_cycles = leave_out_cycles(problem, found.without(each), found.candidates)
         part = np.einsum("ngk,gk->ng", each.columns(problem.campaign), sizes)[problem.searched]
         part = part - part.mean(axis=0)
+        values, sizes_drawn = (drawn[each.effect.name] for drawn in (draws.values, draws.sizes_dph))
+        parts = draws.effect_dph(problem.campaign, each.effect.name)[:, problem.searched]
+        parts -= parts.mean(axis=1, keepdims=True)
         shows = search.shows(found, index)
         result.append(
             FoundEffect(
@@ -319,7 +410,12 @@ def _found_effects(
                 candidate_fits=search.candidate_fits(each.effect),
                 rms_dph=_rms(part),
                 gains={cycle: left_out.gain for cycle, left_out in left_out_cycles.items()},
-                tied_with=ties[index],
+                tied_with=weighed.tied_with(found.names, each.effect.name),
+                probability=weighed.of_effect[each.effect.name],
+                sizes_sigma_dph=draws.sigma(sizes_drawn),
+                values_sigma=draws.sigma(values),
+                rms_sigma_dph=float(draws.sigma(np.sqrt(np.mean(parts**2, axis=(1, 2))))),
+                values_range=tuple(map(draws.interval, each.form.parameters, each.values, values.T)),
             )
         )
     return tuple(sorted(result, key=lambda each: -each.rms_dph))
@@ -343,12 +439,24 @@ def _evidence(search: Search, found: Hypothesis) -> tuple[Evidence, ...]:
     return tuple(sorted(result, key=lambda each: (each.missing_input is not None, each.log_odds_against)))
 
 
-def _parameter_text(name: str, value: float) -> str:
-    """Name and value of a parameter with its unit: "tau 1.5 h", "onset width 4.2 degC"."""
-    words, _, unit = name.replace("_", " ").rpartition(" ")
+def _parameter_text(parameter: Parameter, value: float, sigma: float, interval: tuple[float, float]) -> str:
+    """Name, value and uncertainty with their unit; the interval where it is not symmetric, or at a bound."""
+    words, _, unit = parameter.name.replace("_", " ").rpartition(" ")
+    factor = 1.0
     if unit == "s" and abs(value) >= _S_PER_H:
-        return f"{words} {value / _S_PER_H:.2f} h"
-    return f"{words} {value:.3g} {_UNITS.get(unit, unit)}"
+        factor, unit = _S_PER_H, "h"
+    unit = _UNITS.get(unit, unit)
+    low, high = interval
+    end = bound_of(parameter, value)
+    if not end and abs(0.5 * (low + high) - value) <= _ASYMMETRY * (high - low):
+        return f"{words} {with_sigma(value / factor, sigma / factor)} {unit}"
+    decimals = decimals_of(max(sigma / factor, 1e-9))
+    best, low_text, high_text = (f"{each / factor:.{decimals}f}" for each in (value, low, high))
+    reach = {"upper": f"above {low_text}", "lower": f"below {high_text}"}.get(
+        end, f"{low_text} to {high_text}"
+    )
+    bound = f", its {end} bound" if end else ""
+    return f"{words} {best} {unit}{bound}, {reach} {unit} with 95 %"
 
 
 def _worst_span(values: FloatArray, squares: FloatArray) -> tuple[float, float]:
@@ -362,6 +470,16 @@ def _worst_span(values: FloatArray, squares: FloatArray) -> tuple[float, float]:
 
 def _numbers(cycles: Sequence[int]) -> str:
     return listed(list(map(str, cycles)))
+
+
+def _rms_sigma(errors_dph: FloatArray, noise_dph: FloatArray) -> float:
+    """Standard uncertainty of an rms error by the noise of what was measured.
+
+    The square of an error with the noise s has the variance ``2 s^4 + 4 s^2 d^2`` with its true part d.
+    """
+    true = max(float(np.sum(errors_dph**2) - np.sum(noise_dph**2)), 0.0) / errors_dph.size
+    variance = np.sum(2.0 * noise_dph**4 + 4.0 * noise_dph**2 * true)
+    return float(np.sqrt(variance)) / (2.0 * errors_dph.size * max(_rms(errors_dph), 1e-300))
 
 
 def _rms(values: FloatArray) -> float:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.temperatures import TemperatureRecord
+from gyrobench.bench.closure.temperatures import TemperatureRecord, lag
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.positions import POSITIONS
@@ -158,11 +158,6 @@ class TemperatureForecast:
     optics_c: FloatArray
     electronics_c: FloatArray  #: Shape (m, 3). The electronics of each gyro.
 
-    @property
-    def step_s(self) -> float:
-        """Time step."""
-        return float(self.time_s[1] - self.time_s[0])
-
     def means(self, values: FloatArray, start_s: FloatArray, end_s: FloatArray) -> FloatArray:
         """Means of values at all times (m,) over n intervals, shape (n,)."""
         instants_s = np.linspace(start_s, end_s, _INSTANTS)
@@ -186,7 +181,8 @@ def forecast_temperatures(plan: Plan) -> TemperatureForecast:
     case_lag_s = CASE_LAG_SHARE * thermal.time_constant_s
 
     def followed(goal: FloatArray, lag_s: float) -> FloatArray:
-        return _lagged(goal, float(time_s[1] - time_s[0]), lag_s)
+        columns = goal.reshape(len(goal), -1)
+        return np.asarray(columns + lag(columns, time_s, lag_s)).reshape(goal.shape)
 
     air_c = followed(set_c, thermal.air_lag_s)
     case_c = followed(air_c + CASE_HEATING_SHARE * heating_c, case_lag_s)
@@ -215,12 +211,3 @@ def _inputs(steps: tuple[PlannedStep, ...], time_s: FloatArray) -> tuple[FloatAr
         if bench.position is not None:
             up_body[number] = POSITIONS[bench.position].C_nb()[2]
     return set_c, power, up_body
-
-
-def _lagged(goal: FloatArray, step_s: float, lag_s: float) -> FloatArray:
-    """First-order lag along the first axis, at rest before the first instant."""
-    from scipy.signal import lfilter  # a fifth of a second, which a search does not need
-
-    keep = np.exp(-step_s / lag_s)
-    rise: FloatArray = lfilter([1.0 - keep], [1.0, -keep], goal - goal[0], axis=0)
-    return np.asarray(rise + goal[0])

@@ -13,6 +13,8 @@ from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 #: The declared model: a cubic in each gyro's temperature divided by this, and one constant per run.
 DEGREE = 3
 SCALE_C = 50.0
+#: Least share of a column that counts as visible beside the declared model.
+MIN_VISIBLE = 0.05
 #: A direction that keeps less than this share of a term's length beside the others is not independent.
 _MIN_SHARE = 1e-5
 
@@ -58,6 +60,17 @@ class Problem:
         bases = tuple(np.concatenate(pair, axis=1) for pair in zip(self.bases, added, strict=True))
         residuals = [_residual(basis, self.residuals[:, gyro]) for gyro, basis in enumerate(added)]
         return replace(self, bases=bases, residuals=np.stack(residuals, axis=1))
+
+    def beside(self, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Columns of the dwells searched (3, m, k) in units of the noise, without what is fitted; their rms.
+
+        The rms (3, k) is at least a share of that of the whole column without its mean: of what is nearly all
+        fitted the rest is no measure.
+        """
+        whole = np.moveaxis(columns / self.sigma_dph[..., np.newaxis], 1, 0)
+        rest = np.stack([_residual(basis, each) for basis, each in zip(self.bases, whole, strict=True)])
+        rms = np.sqrt(np.mean(rest**2, axis=1))
+        return rest, np.maximum(np.maximum(rms, MIN_VISIBLE * np.std(whole, axis=1)), 1e-300)
 
     def chi2_reduction(self, columns: FloatArray, kept: BoolArray | None = None) -> tuple[float, int]:
         """Reduction of chi2 by a fit of terms, and the number of independent ones among them."""
@@ -164,13 +177,18 @@ def predict(
     columns : sequence of ndarray, shape (n, 3, k)
         Terms of the effects.
     """
-    constants = declared[:, DEGREE:]
-    known = np.where(np.isnan(constants), np.nanmean(constants, axis=1, keepdims=True), constants)
-    whole = np.concatenate([declared[:, :DEGREE], known], axis=1)
+    whole = with_mean_constants(declared)
     bias_dph = np.stack([declared_columns(campaign, gyro) @ whole[gyro] for gyro in range(3)], axis=1)
     for size, terms in zip(sizes, columns, strict=True):
         bias_dph += np.einsum("ngk,gk->ng", terms, size)
     return bias_dph
+
+
+def with_mean_constants(declared: FloatArray) -> FloatArray:
+    """Coefficients (..., DEGREE + runs) with the mean constant for the runs that were not fitted."""
+    constants = declared[..., DEGREE:]
+    known = np.where(np.isnan(constants), np.nanmean(constants, axis=-1, keepdims=True), constants)
+    return np.concatenate([declared[..., :DEGREE], known], axis=-1)
 
 
 def _basis(columns: FloatArray) -> FloatArray:

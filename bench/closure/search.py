@@ -19,7 +19,9 @@ from gyrobench.bench.closure.candidates import (
     start_count,
 )
 from gyrobench.bench.closure.effects.effect import Effect
-from gyrobench.bench.closure.problem import Problem
+from gyrobench.bench.closure.posterior import Posterior, posterior
+from gyrobench.bench.closure.problem import Problem, declared_problem
+from gyrobench.bench.foundations.text import listed
 
 #: An effect is found if its p-value, corrected for all candidate fits, is below this.
 SIGNIFICANCE = 1e-3
@@ -28,7 +30,7 @@ MAX_EFFECTS = 3
 _BEAM_WIDTH = 3
 #: An effect is a special case of another one that reproduces its terms to this share of their length.
 SAME_SHARE = 0.05
-#: Largest share of an effect's reduction of chi2 in one dwell.
+#: An effect is tested again without the dwell that has more than this share of its reduction of chi2.
 MAX_SHARE_OF_ONE_DWELL = 0.5
 #: Fitted parameters reduce chi2 by at most this factor more than the best starting values.
 _MAX_REFINEMENT = 3.0
@@ -51,11 +53,11 @@ class Search:
         self, problem: Problem, effects: Sequence[Effect], alone: Mapping[str, Hypothesis] | None = None
     ) -> None:
         self.problem = problem
-        self.effects = tuple(effects)
+        self.effects = tuple(each.bounded(problem.campaign) for each in effects)
         self.declared = evaluate(problem, ())
         self._known: dict[tuple[object, ...], Hypothesis | None] = {}
         if alone is None:
-            each_alone = {effect.name: self._added(self.declared, effect) for effect in effects}
+            each_alone = {effect.name: self._added(self.declared, effect) for effect in self.effects}
             alone = {name: each for name, each in each_alone.items() if each is not None}
         self.alone = dict(alone)
 
@@ -100,9 +102,21 @@ class Search:
 
     def p_value(self, of: Hypothesis, index: int) -> float:
         """p-value of one effect of a hypothesis, corrected for all candidate fits."""
-        one = of.candidates[index]
-        reduction, rank = self._beside_others(of, index).chi2_reduction(one.columns(self.problem.campaign))
-        return min(1.0, _p_value(reduction, rank + len(one.values)) * self.candidate_fits(one.effect))
+        return self._p_beside(self._beside_others(of, index), of.candidates[index])
+
+    def objection(self, of: Hypothesis, index: int) -> str:
+        """Why one effect of a hypothesis is not accepted; empty if it is."""
+        one, p_value = of.candidates[index], self.p_value(of, index)
+        if p_value >= SIGNIFICANCE:
+            labels = [each.effect.display_name for each in of.without(one)]
+            beside = f" beside {listed(labels)}" if labels else ""
+            return f"not significant{beside} (p = {p_value:.2g}, required below {SIGNIFICANCE:g})"
+        if one.is_at_open_end:
+            return "a parameter is at its upper bound, where the effect becomes another one"
+        dwell, p_without = self._without_largest_dwell(of, index)
+        if p_without >= SIGNIFICANCE:
+            return f"it rests on dwell {dwell} alone (p = {p_without:.2g} without it)"
+        return ""
 
     def shows(self, of: Hypothesis, index: int) -> list[bool]:
         """Which gyros by themselves show one effect of a hypothesis; at least the most significant."""
@@ -115,29 +129,31 @@ class Search:
         p_values = [_p_value(reduction, max(rank, 1)) for reduction, rank in gyros]
         return [p_value < SIGNIFICANCE or p_value == min(p_values) for p_value in p_values]
 
-    def alternatives(self, of: Hypothesis, index: int) -> tuple[str, ...]:
-        """Names of the effects that fit about as well in place of one, best first.
+    def posterior(self, found: Hypothesis) -> Posterior:
+        """Probabilities of all sets of effects fitted so far and of the one found with an effect exchanged.
 
-        An effect that contains the one as a special case is no alternative: the simpler one is preferred.
-        An effect known to be imitated by it that can't be fitted because an input is missing is one.
+        A set that contains the one found as a special case is left out: the simpler one is preferred.
         """
-        others = evaluate(self.problem, of.without(of.candidates[index]))
-        tied = []
-        for effect in self.effects:
-            instead = None if effect.name in of.names else self.add(others, effect)
-            if (
-                instead is not None
-                and instead.is_no_worse_than(of)
-                and not self._is_special_case(of, instead)
-            ):
-                tied.append((instead.log_odds_against(of), effect.name))
-        one = of.candidates[index].effect
-        not_fitted = [
-            effect.name
-            for effect in self.effects
-            if effect.name in one.imitated_by and effect.missing_input(self.problem.campaign)
-        ]
-        return (*(name for _, name in sorted(tied)), *not_fitted)
+        for each in found.candidates:
+            others = evaluate(self.problem, found.without(each))
+            for effect in self.effects:
+                self.add(others, effect)
+        best: dict[frozenset[str], Hypothesis] = {frozenset(): self.declared}
+        for fitted in (*self.alone.values(), *self._known.values()):
+            if fitted and (fitted.names not in best or fitted.is_better_than(best[fitted.names])):
+                best[fitted.names] = fitted
+        best[found.names] = found
+        hypotheses = [each for each in best.values() if not self._contains(each, found)]
+        return posterior(self.problem, self.effects, hypotheses)
+
+    def _contains(self, each: Hypothesis, found: Hypothesis) -> bool:
+        """Whether a hypothesis with one effect exchanged contains the one found as a special case."""
+        return (
+            len(each.candidates) == len(found.candidates)
+            and len(each.names - found.names) == 1
+            and each.is_no_worse_than(found)
+            and self._is_special_case(found, each)
+        )
 
     def _added(self, to: Hypothesis, effect: Effect) -> Hypothesis | None:
         problem, campaign = self.problem, self.problem.campaign
@@ -189,24 +205,34 @@ class Search:
         return best
 
     def _all_significant(self, of: Hypothesis) -> bool:
-        return all(
-            self.p_value(of, index) < SIGNIFICANCE
-            and not each.is_at_open_end
-            and not self._rests_on_one_dwell(of, index)
-            for index, each in enumerate(of.candidates)
-        )
+        return not any(self.objection(of, index) for index in range(len(of.candidates)))
 
-    def _rests_on_one_dwell(self, of: Hypothesis, index: int) -> bool:
-        """Whether one dwell, possibly an outlier, has most of an effect's reduction of chi2."""
-        beside, one = self._beside_others(of, index), of.candidates[index]
-        after = beside.with_columns(one.columns(self.problem.campaign))
+    def _without_largest_dwell(self, of: Hypothesis, index: int) -> tuple[int, float]:
+        """The dwell with most of an effect's reduction of chi2; the p-value without it, 0 if it has little.
+
+        One dwell may be an outlier.
+        """
+        problem, one = self.problem, of.candidates[index]
+        beside = self._beside_others(of, index)
+        after = beside.with_columns(one.columns(problem.campaign))
         explained = np.sum((beside.residuals - after.residuals) ** 2, axis=1)
-        return bool(explained.max() > MAX_SHARE_OF_ONE_DWELL * explained.sum())
+        place = np.flatnonzero(problem.searched)[int(np.argmax(explained))]
+        dwell = int(problem.campaign.dwell[place])
+        if explained.max() <= MAX_SHARE_OF_ONE_DWELL * explained.sum():
+            return dwell, 0.0
+        rest = problem.searched & (np.arange(len(problem.searched)) != place)
+        without = declared_problem(problem.campaign, rest, problem.noise_scale)
+        return dwell, self._p_beside(self._beside_others(of, index, without), one)
 
-    def _beside_others(self, of: Hypothesis, index: int) -> Problem:
+    def _p_beside(self, beside: Problem, one: Candidate) -> float:
+        """p-value of a candidate beside all terms of a problem, corrected for all candidate fits."""
+        reduction, rank = beside.chi2_reduction(one.columns(self.problem.campaign))
+        return min(1.0, _p_value(reduction, rank + len(one.values)) * self.candidate_fits(one.effect))
+
+    def _beside_others(self, of: Hypothesis, index: int, problem: Problem | None = None) -> Problem:
         """Problem after a fit of all terms of the other effects."""
-        others = of.without(of.candidates[index])
-        return self.problem.with_columns(stack(others, self.problem.campaign)[0]) if others else self.problem
+        problem, others = problem or self.problem, of.without(of.candidates[index])
+        return problem.with_columns(stack(others, problem.campaign)[0]) if others else problem
 
     def _is_special_case(self, special: Hypothesis, general: Hypothesis) -> bool:
         """Whether a hypothesis is contained in another, as fitted or with a parameter at its lower bound."""

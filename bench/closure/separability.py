@@ -242,6 +242,7 @@ def separability(campaign: Campaign, effects: Sequence[Effect]) -> Separability:
     All dwells of the campaign are searched; its biases are not used.
     """
     problem = declared_problem(campaign, np.ones(len(campaign), dtype=bool))
+    effects = [effect.bounded(campaign) for effect in effects]
     assumed = {effect.name: assumed_effects(problem, effect) for effect in effects}
     typical = {name: each[0] for name, each in assumed.items() if each}
     detections = {each.name: _detection(problem, each, assumed[each.name], effects) for each in effects}

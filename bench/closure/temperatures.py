@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,25 +16,38 @@ _MAX_STEPS = 20_000
 _S_PER_H = 3600.0
 #: Iterations that match the means of the smooth course to the measured ones.
 _ITERATIONS = 3
+#: Of a lag, a share of the past below this is neglected.
+_FORGOTTEN = 1e-12
 
 
 @dataclass(frozen=True)
 class TemperatureRecord:
-    """Temperatures at equal steps of time."""
+    """Temperatures over time, a straight line from each instant to the next."""
 
-    time_s: FloatArray  #: Shape (m,). Equally spaced, m at least 2, on the clock of the dwells.
+    time_s: FloatArray  #: Shape (m,). Increasing, m at least 2, on the clock of the dwells.
     gyro_c: FloatArray  #: Shape (m, 3). Temperature of each gyro's optics.
     is_of_dwells: bool = False  #: Whether it was interpolated from the dwells' means and slopes.
+    #: Shape (m,). Temperature of the chamber air; None where it is not recorded between the dwells.
+    air_c: FloatArray | None = None
+    parts: tuple[TemperatureRecord, ...] = ()  #: The records that it was joined of; empty for one.
 
-    @property
-    def step_s(self) -> float:
-        """Time step."""
-        return float(self.time_s[1] - self.time_s[0])
+    @classmethod
+    def joined(cls, parts: Sequence[TemperatureRecord]) -> TemperatureRecord:
+        """One record of several in the order of time; between them a straight line."""
+        if len(parts) == 1:
+            return parts[0]
+        ends_s = [*(after.time_s[0] for after in parts[1:]), np.inf]
+        own = [part.time_s < end_s for part, end_s in zip(parts, ends_s, strict=True)]
+        time_s, gyro_c = (
+            np.concatenate([getattr(part, name)[mine] for part, mine in zip(parts, own, strict=True)])
+            for name in ("time_s", "gyro_c")
+        )
+        return cls(time_s, gyro_c, any(part.is_of_dwells for part in parts), parts=tuple(parts))
 
     def mean_over(self, values: FloatArray, start_s: FloatArray, end_s: FloatArray) -> FloatArray:
         """Mean of values at the record's times (m, 3) from each start to each end, shape (n, 3)."""
         area = np.zeros_like(values)
-        area[1:] = np.cumsum(0.5 * (values[1:] + values[:-1]) * self.step_s, axis=0)
+        area[1:] = np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(self.time_s)[:, np.newaxis], axis=0)
         spans = np.maximum(end_s - start_s, 1e-9)
         return np.stack(
             [
@@ -42,6 +56,23 @@ class TemperatureRecord:
             ],
             axis=1,
         )
+
+
+def lag(values: FloatArray, time_s: FloatArray, tau_s: float) -> FloatArray:
+    """First-order lag of values (m, k) minus these values, at rest before the first of the times (m,).
+
+    Exact for values that are a straight line from each instant to the next.
+    """
+    steps_s = np.diff(time_s, prepend=time_s[0] - 1.0)[:, np.newaxis]
+    keep = np.exp(-steps_s / tau_s)
+    behind = -(1.0 - keep) * tau_s * np.diff(values, axis=0, prepend=values[:1]) / steps_s
+    # Sums over the last 1, 2, 4, ... steps, as far back as something is kept of them.
+    reach = 1
+    while reach < len(behind) and np.any(keep[reach:] > _FORGOTTEN):
+        behind[reach:] += keep[reach:] * behind[:-reach]
+        keep[reach:] *= keep[:-reach]
+        reach *= 2
+    return behind
 
 
 def record_of_dwells(

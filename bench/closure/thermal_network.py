@@ -8,8 +8,9 @@ from the electronics depend on the direction of gravity below an onset temperatu
     dB/dt = p - e q + f (case - B)
 
 It is driven by the temperature of the case. It gives the temperature of the electronics above the
-optics with less noise than the sensors, and also without a sensor at the electronics. The attitude
-between dwells is unknown, so the network is initialized again after each pause.
+optics with less noise than the sensors, and also without a sensor at the electronics. Where there are
+sensors, it must agree with them within their noise. The attitude between dwells is unknown, so the
+network is initialized again after each pause.
 """
 
 from __future__ import annotations
@@ -50,6 +51,9 @@ _START_ABOVE_OPTICS_C = 8.0
 _SENSOR_SIGMAS = np.array([0.02, 0.06, 0.02])
 _MAX_RMS = np.array([0.1, 0.3, 0.1])
 _MAX_EVALUATIONS = 60
+#: Of the smooth course of the differences between network and sensors: dwells for each degree, degree.
+_DWELLS_A_POLYNOMIAL, _MAX_DEGREE = 6, 20
+_SCALE_C = 50.0
 
 
 def electronics_above_optics(
@@ -62,8 +66,9 @@ def electronics_above_optics(
 ) -> FloatArray | None:
     """Mean temperature of each gyro's electronics above its optics in each dwell, (n, 3), by the network.
 
-    None if the network does not describe the temperatures or there are too many pauses: it is
-    initialized again after a pause and in held-out dwells.
+    None if the network does not describe the temperatures, if it differs from the sensors by more than
+    their noise, or if there are too many pauses: it is initialized again after a pause and in held-out
+    dwells.
 
     Parameters
     ----------
@@ -95,7 +100,26 @@ def electronics_above_optics(
         for each in segments:
             mine = readings[each.part, gyro]
             above_c[each.part, gyro] = _above(_with_start(parameters, each, mine), each)
+        off_c = (readings[:, gyro, 2] - readings[:, gyro, 0] - above_c[:, gyro])[fitted]
+        if np.isfinite(off_c).all() and not _is_noise(off_c, readings[fitted, gyro], up_body[fitted]):
+            return None
     return above_c
+
+
+def _is_noise(off_c: FloatArray, readings: FloatArray, up_body: FloatArray) -> bool:
+    """Whether differences (n,) scatter more than they follow time, temperature, its rate and attitude.
+
+    Scatter is what is left beside these, or the second differences of neighbours if that is less.
+    """
+    count = len(off_c)
+    optics, rate = readings[:, :1] / _SCALE_C, readings[:, 1:2] / _SCALE_C
+    time = np.linspace(-1.0, 1.0, count)
+    smooth = np.polynomial.chebyshev.chebvander(time, min(count // _DWELLS_A_POLYNOMIAL, _MAX_DEGREE))
+    columns = np.hstack([smooth, optics ** [1, 2, 3], rate, up_body, optics * up_body])
+    values, _, rank, _ = np.linalg.lstsq(columns, off_c, rcond=None)
+    left = float(np.sum((off_c - columns @ values) ** 2)) / max(count - int(rank), 1)
+    neighbours = float(np.mean(np.diff(off_c, 2) ** 2)) / 6.0
+    return float(np.mean(off_c**2)) <= 2.0 * min(left, neighbours)
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import read_dwells
-from gyrobench.bench.closure.campaign import Campaign, campaign_of
+from gyrobench.bench.closure.campaign import Campaign, Table, campaign_of
+from gyrobench.bench.closure.joined_tables import Source, joined
 from gyrobench.bench.closure.temperatures import TemperatureRecord
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.runs.folder import open_run_folder
+from gyrobench.bench.runs.provenance import read_provenance, started_utc
 from gyrobench.bench.runs.telemetry import read_telemetry
 
 if TYPE_CHECKING:
@@ -29,23 +31,38 @@ _STEP_S = 30.0
 _MAX_STEPS = 20_000
 
 
-def read_campaign(path: Path) -> Campaign:
-    """Read the dwells of a table, or of a run with its temperatures between the dwells too.
+def read_campaign(*paths: Path) -> Campaign:
+    """Read the dwells of tables and runs of one unit, of runs with the temperatures between dwells too.
 
-    ``path``: a dwell table, or a run folder. Raises DocumentError if there is no dwell table, or it is wrong.
-    Raises RunFolderError if the folder is not a run folder, or its telemetry can't be read. Raises
-    MeasurementError if there are no good dwells, or dwells of several units.
+    ``paths``: dwell tables or run folders, at least one; several are joined on one time axis, see
+    :func:`gyrobench.bench.closure.joined_tables.joined`. Raises DocumentError if there is no dwell table, or
+    it is wrong. Raises RunFolderError if a folder is not a run folder, or its telemetry can't be read. Raises
+    MeasurementError if there are no good dwells, dwells of several units, or tables that can't be joined.
     """
-    record = None
-    table = path
-    if path.is_dir():
+    sources = [_source(path) for path in paths]
+    if len(sources) > 1:
+        return joined(sources)
+    [source] = sources
+    cycles = tuple(np.unique(source.campaign.whole.cycle).tolist())
+    table = Table(source.name, cycles)
+    campaign = replace(source.campaign.whole, tables=(table,))
+    return campaign if source.campaign.part_of is None else campaign.part(source.campaign.part_of[1])
+
+
+def _source(path: Path) -> Source:
+    record, began_s = None, None
+    table, is_run = path, path.is_dir()
+    if is_run:
         folder = open_run_folder(path)
         table = folder.dwells
         if not table.exists():
             raise MeasurementError(f"{path}: no dwell was finished in this run: nothing to search")
         record = temperature_record(read_telemetry(folder.telemetry))
+        provenance = read_provenance(folder)
+        if "started_utc" in provenance and provenance.get("options", {}).get("clock") != "virtual":
+            began_s = started_utc(folder).timestamp()
     try:
-        return campaign_of(read_dwells(table), record)
+        return Source(str(path), campaign_of(read_dwells(table), record), is_run, began_s)
     except MeasurementError as error:
         raise MeasurementError(f"{table}: {error}") from error
 

@@ -117,7 +117,7 @@ def _closed(folder: RunFolder) -> str:
     except MeasurementError as error:
         return f"not searched: {error}"  # one cycle only, for instance: not a failure
     with _DRAWING:
-        write_search(closure, folder.path)
+        write_search(closure, [folder.path])
     effects = [each.effect.display_name for each in closure.effects]
     return f"{closure.verdict}: {', '.join(effects)}" if effects else closure.verdict
 

@@ -38,6 +38,19 @@ def format_number(value: float) -> str:
     return "" if math.isnan(value) else f"{value:.9g}"
 
 
+def decimals_of(sigma: float, most: int = 7) -> int:
+    """Decimals that show one digit of a standard uncertainty, or two if it begins with 1 or 2."""
+    return min(max(-math.floor(math.log10(sigma / 3.0)), 0), most)
+
+
+def with_sigma(value: float, sigma: float) -> str:
+    """Write a value with its standard uncertainty: "1.52 ± 0.08"; the value alone if that is not known."""
+    if not 0.0 < sigma < math.inf:
+        return f"{value:.3g}"
+    decimals = decimals_of(sigma)
+    return f"{value:z.{decimals}f} ± {sigma:.{decimals}f}"
+
+
 def format_cell(value: str | float | None) -> str:
     """A number by :func:`format_number`, empty for None, anything else as it is."""
     if value is None:

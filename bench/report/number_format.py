@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from gyrobench.bench.bias.bins import BiasBin, PositionComparison
-from gyrobench.bench.foundations.text import bin_label, listed
+from gyrobench.bench.foundations.text import bin_label, decimals_of, listed, with_sigma
 
 BinT = TypeVar("BinT")
 
@@ -21,7 +21,6 @@ _SMALLEST_P = 1e-9
 _PLAIN_P = 0.001
 _LARGE_BIAS_DPH = 1.0
 _MAX_DECIMALS = 4
-_MAX_DECIMALS_DPH = 7
 
 
 @dataclass(frozen=True)
@@ -39,7 +38,7 @@ class BiasScale:
         largest = max((abs(value) for value in bias_dph if math.isfinite(value)), default=0.0)
         factor, unit = (1.0, "deg/h") if largest >= _LARGE_BIAS_DPH else (1000.0, "0.001 deg/h")
         smallest = min((value for value in sigma_dph if value > 0.0), default=1.0)
-        return cls(factor, unit, _decimals(smallest * factor, _MAX_DECIMALS))
+        return cls(factor, unit, decimals_of(smallest * factor, _MAX_DECIMALS))
 
     def text(self, value_dph: float) -> str:
         """Write a bias, without its unit."""
@@ -58,8 +57,7 @@ def scale_of_bins(bins: Iterable[BiasBin]) -> BiasScale:
 
 def dph_with_sigma(value_dph: float, sigma_dph: float) -> str:
     """Write a bias with its uncertainty and unit, in deg/h."""
-    decimals = _decimals(sigma_dph, _MAX_DECIMALS_DPH)
-    return f"{value_dph:z.{decimals}f} ± {sigma_dph:.{decimals}f} deg/h"
+    return f"{with_sigma(value_dph, sigma_dph)} deg/h"
 
 
 def p_text(p_value: float) -> str:
@@ -119,7 +117,3 @@ def temperature_ranges(bins: Iterable[BiasBin | PositionComparison]) -> str:
 def true_minus(text: str) -> str:
     """Text with minus signs in place of hyphens."""
     return text.replace("-", "−")
-
-
-def _decimals(sigma: float, most: int) -> int:
-    return min(max(-math.floor(math.log10(sigma / 3.0)), 0), most)

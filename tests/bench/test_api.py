@@ -75,6 +75,10 @@ def test_a_search_takes_a_file_or_a_data_frame(tmp_path):
     from_frame, from_folder = gyrobench.close_loop(table), gyrobench.close_loop(tmp_path / "run")
     assert from_frame.verdict == from_folder.verdict
     assert from_frame.error_before_dph == pytest.approx(from_folder.error_before_dph)
+    halves = [tmp_path / "one.csv", tmp_path / "two.csv"]
+    for path, part in zip(halves, (table[table.cycle == 1], table[table.cycle > 1]), strict=True):
+        part.to_csv(path, index=False)
+    assert gyrobench.close_loop(halves).error_before_dph == pytest.approx(from_frame.error_before_dph)
 
 
 def test_what_cannot_be_used_is_refused_with_its_reason(run, tmp_path):

@@ -1,7 +1,7 @@
 """docs/tables.md names everything that a run folder holds, and nothing that no table has."""
 
 import re
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import pytest
@@ -11,7 +11,9 @@ from gyrobench.bench.bias.allan import AllanVariance, RateNoise
 from gyrobench.bench.bias.bins import BiasBin
 from gyrobench.bench.bias.noise_estimate import ChannelNoise, NoiseEstimate
 from gyrobench.bench.bias.vertical_pairs import Finding
+from gyrobench.bench.closure.campaign import Table
 from gyrobench.bench.closure.files import PREDICTION_COLUMNS, closure_document, model_document
+from gyrobench.bench.closure.loop import rotated
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.tables import calibration_check_table
 from gyrobench.bench.runs.tables.joint_table import JointBiasRow, JointPlateauRow, columns
@@ -61,6 +63,10 @@ def test_the_page_names_the_keys_of_what_a_search_for_effects_leaves():
     document, model = closure_document(explained()), model_document(explained())
     effect, tried = document["effects"][0], document["tried"][0]
     assert named_in_tables(section("closure.json")) == {*document, *effect, *tried}
+    campaign = replace(explained().campaign, tables=(Table("dwells.csv", (1, 2, 3)),))
+    several = closure_document(rotated(replace(explained(), campaign=campaign)))
+    text = set(re.findall(r"`([a-z_]+)`", section("closure.json")))
+    assert {*several["tables"][0], *several["rotation"][0]} <= text
     assert named_in_tables(section("model.yaml")) == set(model)
     named = set(re.findall(r"`([a-z_]+)`", section("model.yaml")))
     assert {*model["effects"][0], *model["declared_dph"]["x"]} <= named

@@ -12,6 +12,9 @@ from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.text import plain_name
 
+_S_PER_H = 3600.0
+_MAX_TIME_S = 1e7
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -26,6 +29,7 @@ class Parameter:
     #: Whether a value at the upper bound means that the effect is another one: a time constant as long as the
     #: campaign is a drift.
     is_open_end: bool = False
+    limit: Callable[[Campaign], float] | None = None  #: A lower upper bound in a campaign, if any.
 
 
 @dataclass(frozen=True)
@@ -91,6 +95,19 @@ class Effect:
         """Name on pages and in the terminal."""
         return self.label or plain_name(self.name)
 
+    def bounded(self, campaign: Campaign) -> Effect:
+        """Same effect with the bounds of its parameters in a campaign."""
+        if not any(parameter.limit for form in self.forms for parameter in form.parameters):
+            return self
+        forms = []
+        for form in self.forms:
+            parameters = [
+                replace(each, high=min(each.high, each.limit(campaign)), limit=None) if each.limit else each
+                for each in form.parameters
+            ]
+            forms.append(replace(form, parameters=tuple(parameters)))
+        return replace(self, forms=tuple(forms))
+
     def missing_input(self, campaign: Campaign) -> str | None:
         """The input without which no form can be fitted; None if one form can."""
         missing = [form.missing_input(campaign) for form in self.forms]
@@ -120,6 +137,22 @@ def checked(form: Form, effect: str) -> Form:
 def fixed(*values: float) -> Callable[[Campaign], FloatArray]:
     """Starting values that do not depend on the campaign."""
     return lambda campaign: np.array(values)  # noqa: ARG005
+
+
+def searched_length_s(campaign: Campaign) -> float:
+    """Time from the first to the last dwell that is not held out, at least an hour: bounds time constants."""
+    seen = ~campaign.held_out if not campaign.held_out.all() else slice(None)
+    return max(float(campaign.end_s[seen].max() - campaign.start_s[seen].min()), _S_PER_H)
+
+
+def time_constant(low_s: float, *starts_s: float) -> Parameter:
+    """Time constant ``tau_s`` of at most the campaign's length, where the effect becomes another one."""
+
+    def starts(campaign: Campaign) -> FloatArray:
+        longest_s = searched_length_s(campaign)
+        return np.unique(np.minimum(starts_s, longest_s))
+
+    return Parameter("tau_s", low_s, _MAX_TIME_S, starts, is_open_end=True, limit=searched_length_s)
 
 
 def same_for_all_gyros(terms: FloatArray) -> FloatArray:

@@ -10,9 +10,8 @@ from gyrobench.bench.closure.effects.effect import (
     FittedForm,
     Form,
     InsTerms,
-    Parameter,
-    fixed,
     same_for_all_gyros,
+    time_constant,
 )
 from gyrobench.bench.foundations.arrays import FloatArray
 
@@ -50,15 +49,7 @@ EFFECT = Effect(
         Form(
             ("decay since power-on",),
             _columns,
-            (
-                Parameter(
-                    "tau_s",
-                    300.0,
-                    43_200.0,
-                    fixed(900.0, 2700.0, 7200.0, 14_400.0, 28_800.0),
-                    is_open_end=True,
-                ),
-            ),
+            (time_constant(300.0, 900.0, 2700.0, 7200.0, 21_600.0, 64_800.0),),
         ),
     ),
 )

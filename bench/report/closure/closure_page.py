@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
@@ -29,13 +30,14 @@ from gyrobench.bench.report.closure.closure_text import (
     noise_dph,
     residuals_dph,
     rms,
+    rotation_table,
     scale_of_errors,
     verdict_sentence,
 )
 from gyrobench.bench.report.number_format import p_text
 from gyrobench.bench.report.page import Findings, Section, SectionFigure, SectionTable, write_findings
 from gyrobench.bench.report.run_report import write_report
-from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.folder import CLOSURE, RunFolder
 
 _RESIDUALS = (
     "{}: measured minus predicted bias. Each point is a dwell, hollow points are held out; the grey band is "
@@ -56,13 +58,15 @@ _UNEXPLAINED = (
     "Do not rely on the model below that size: the cause is none of the candidate effects, or follows an "
     "input that was not measured."
 )
+#: Limit of the name of a folder, characters.
+_MAX_NAME = 100
 #: Colours of the template's box, by verdict.
 _COLOURS = {"clean": "finished", "explained": "finished", "ambiguous": "stopped", "unexplained": "failed"}
 
 
 def closure_sections(closure: Closure) -> list[Section]:
-    """All parts: residual, effects, alternatives, held-out error, lack of fit."""
-    parts = (_residual, _effects, _alternatives, _error, _lack_of_fit)
+    """All parts: residual, effects, alternatives, held-out error, rotation, lack of fit."""
+    parts = (_residual, _effects, _alternatives, _error, _rotation, _lack_of_fit)
     return [section for part in parts if (section := part(closure))]
 
 
@@ -156,6 +160,17 @@ def _error(closure: Closure) -> Section:
     )
 
 
+def _rotation(closure: Closure) -> Section | None:
+    if not closure.rotation:
+        return None
+    table = SectionTable(
+        f"Outcome with each cycle held out in turn; rms in that cycle in {scale_of_errors(closure).unit}",
+        *rotation_table(closure),
+        words=3,
+    )
+    return Section("Rotation", [text.rotation_sentence(closure)], tables=[table])
+
+
 def _lack_of_fit(closure: Closure) -> Section:
     before, after = closure.before, closure.after
     names = models_of(closure)
@@ -202,7 +217,8 @@ def _facts(closure: Closure) -> dict[str, str]:
     hours = (campaign.end_s.max() - campaign.start_s.min()) / 3600.0
     gyro_c = campaign.gyro_c
     measured = len(campaign.whole) + len(campaign.without_temperatures)
-    return {
+    several = {"tables": "; ".join(text.table_texts(closure))} if len(campaign.tables) > 1 else {}
+    return several | {
         "dwells": f"{len(campaign)} of {measured} with a result and without flags, over {hours:.0f} h",
         "cycles": f"{len(cycles)}; {held_out_cycles(closure)} held out",
         "searched": f"{counted(int(searched.sum()), 'dwell')}; {int((~searched).sum())} held out",
@@ -211,19 +227,28 @@ def _facts(closure: Closure) -> dict[str, str]:
     }
 
 
-def write_search(closure: Closure, campaign: Path, folder: Path | None = None) -> tuple[Path, Path | None]:
+def write_search(
+    closure: Closure, tables: Sequence[Path], folder: Path | None = None
+) -> tuple[Path, Path | None]:
     """Write the files of a search and update the report of its run.
 
-    ``campaign`` is the run folder or dwell table that was searched, ``folder`` by default ``closure`` in the
-    run folder or beside the table. Returns the page and the updated report, None for files outside a run.
+    ``tables`` are the run folders and dwell tables that were searched, ``folder`` by default ``closure`` in
+    the run folder or beside the table; of several ``closure_A_B`` beside the first. Returns the page and the
+    updated report, None for files outside a run or of several.
 
     Raises
     ------
     RunFolderError
         A file can't be written.
     """
-    run = RunFolder(campaign) if campaign.is_dir() else None
-    folder = folder or (run or RunFolder(campaign.parent)).closure
+    first, source = tables[0], ", ".join(map(str, tables))
+    if len(tables) > 1:
+        names = [path.name if path.is_dir() else path.stem for path in tables]
+        folder = folder or first.parent / f"{CLOSURE}_{'_'.join(names)}"[:_MAX_NAME]
+        write_closure(folder, closure)
+        return write_closure_page(folder, closure, source), None
+    run = RunFolder(first) if first.is_dir() else None
+    folder = folder or (run or RunFolder(first.parent)).closure
     write_closure(folder, closure)
-    page = write_closure_page(folder, closure, str(campaign), run.dwells if run else campaign)
+    page = write_closure_page(folder, closure, source, run.dwells if run else first)
     return page, write_report(run) if run and folder == run.closure else None

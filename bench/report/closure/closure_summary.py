@@ -14,6 +14,7 @@ from gyrobench.bench.report.closure.closure_text import (
     held_out_cycles,
     noise_dph,
     rms,
+    rotation_table,
     scale_of_errors,
     verdict_sentence,
 )
@@ -39,7 +40,12 @@ def closure_summary(closure: Closure) -> RenderableType:
     title = f"Error in {held_out_cycles(closure)} (held out), rms in {scale_of_errors(closure).unit}"
     errors = _errors(closure)
     table = plain_table(list(errors), 0, [list(errors.values())])
-    return Group(*parts, Text(title, style="bold"), table, Text())
+    parts += [Text(title, style="bold"), table, Text()]
+    if closure.rotation:
+        title = f"Each cycle held out in turn, rms in {scale_of_errors(closure).unit}"
+        headers, rows = rotation_table(closure)
+        parts += [Text(title, style="bold"), plain_table(headers, 3, rows), Text()]
+    return Group(*parts)
 
 
 def _errors(closure: Closure) -> dict[str, str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 
 import numpy as np
 from scipy.special import chdtri
@@ -18,6 +18,7 @@ from gyrobench.bench.foundations.text import counted, listed
 from gyrobench.bench.report.number_format import BiasScale, p_text
 
 _VISIBLE_NOISE_SCALE = 1.005
+_S_PER_H = 3600.0
 #: Twice the logarithm of odds of two to one.
 _EVEN = 2.0 * math.log(2.0)
 _NEARLY_ALL, _ALL = 98.5, 100.0
@@ -67,9 +68,30 @@ def scale_of_errors(closure: Closure) -> BiasScale:
 
 
 def held_out_cycles(closure: Closure) -> str:
-    """Name the held-out cycles: "cycle 3", "cycles 2 and 3"."""
-    cycles = np.unique(closure.campaign.cycle[~closure.searched]).tolist()
-    return f"cycle{'s' if len(cycles) > 1 else ''} {listed(list(map(str, cycles)))}"
+    """Name the held-out cycles: "cycle 3", "cycles 2 and 3"; of several tables "cycle 3 of A"."""
+    return _cycles_text(closure, np.unique(closure.campaign.cycle[~closure.searched]).tolist())
+
+
+def _cycles_text(closure: Closure, cycles: Collection[int]) -> str:
+    def text(numbers: Collection[int]) -> str:
+        return f"cycle{'s' if len(numbers) > 1 else ''} {listed(list(map(str, numbers)))}"
+
+    tables = closure.campaign.tables
+    if len(tables) < 2:
+        return text(cycles)
+    mine = [(table.name, [cycle for cycle in cycles if cycle in table.cycles]) for table in tables]
+    return listed([f"{text(numbers)} of {name}" for name, numbers in mine if numbers])
+
+
+def table_texts(closure: Closure) -> list[str]:
+    """Each of several tables with its cycles and how it was placed in time."""
+    campaign = closure.campaign
+    first_s = campaign.tables[0].start_s
+    return [
+        f"{_cycles_text(closure, table.cycles)}, from {(table.start_s - first_s) / _S_PER_H:.1f} h"
+        f"{f' ({table.placed})' if table.placed else ''}"
+        for table in campaign.tables
+    ]
 
 
 def size_text(size_dph: float) -> str:
@@ -259,6 +281,41 @@ def error_sentence(closure: Closure) -> str:
     )
 
 
+def rotation_sentence(closure: Closure) -> str:
+    """Whether verdict and effects depend on which cycle is held out; empty without a rotation."""
+    possible = [turn for turn in closure.rotation if turn.verdict]
+    outcomes: dict[tuple[str, tuple[str, ...]], list[int]] = {}
+    for turn in possible:
+        outcomes.setdefault((turn.verdict, tuple(sorted(turn.effects))), []).append(turn.cycle)
+    if not outcomes:
+        return "No cycle can be held out alone." if closure.rotation else ""
+    texts = [
+        f"{verdict}{f' ({_labels(closure, names)})' if names else ''} with {_cycles_text(closure, cycles)}"
+        for (verdict, names), cycles in outcomes.items()
+    ]
+    if len(texts) == 1:
+        return f"The outcome does not depend on which cycle is held out: {texts[0]}."
+    return f"The outcome depends on which cycle is held out: {'; '.join(texts)}."
+
+
+def rotation_table(closure: Closure) -> tuple[list[str], list[list[str]]]:
+    """Head and rows of a rotation; three columns of words, then errors."""
+    scale = scale_of_errors(closure)
+    rows = [
+        [
+            _cycles_text(closure, [turn.cycle]),
+            turn.verdict or f"not possible: {turn.reason}",
+            _labels(closure, turn.effects) or ("none" if turn.verdict else ""),
+            *(
+                scale.text(value) if turn.verdict else ""
+                for value in (turn.error_before_dph, turn.error_after_dph, turn.noise_dph)
+            ),
+        ]
+        for turn in closure.rotation
+    ]
+    return ["held out", "verdict", "effects", "before", "after", "noise"], rows
+
+
 def constants_sentence(closure: Closure) -> str:
     """Runs whose own mean is removed; empty if there is none."""
     campaign, searched = closure.campaign, closure.searched
@@ -295,11 +352,14 @@ def sensitivity_sentence(closure: Closure) -> str:
 
 def chain(closure: Closure) -> list[tuple[str, str]]:
     """All sentences that apply, in order, each with its topic."""
-    pairs = [("Residual", before_sentence(closure)), ("", noise_scale_sentence(closure))]
+    several = table_texts(closure) if len(closure.campaign.tables) > 1 else []
+    pairs = [("" if index else "Tables", f"{text}.") for index, text in enumerate(several)]
+    pairs += [("Residual", before_sentence(closure)), ("", noise_scale_sentence(closure))]
     pairs += [("Effect", text) for text in effect_sentences(closure)]
     pairs += [("Alternatives", alternative_sentence(closure))]
     pairs += [("", text) for text in (*tie_sentences(closure), *missing_input_sentences(closure))]
     pairs += [("Held-out", error_sentence(closure)), ("", constants_sentence(closure))]
+    pairs += [("Rotation", rotation_sentence(closure))]
     pairs += [("Lack of fit", after_sentence(closure))]
     pairs += [("Sensitivity", sensitivity_sentence(closure))] if closure.verdict == "clean" else []
     return [(topic, text) for topic, text in pairs if text]

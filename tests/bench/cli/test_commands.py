@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from gyrobench.bench.bias.dwell_table import write_dwells
+from gyrobench.bench.bias.dwell_table import read_dwells, write_dwells
 from gyrobench.bench.cli.output import EXIT_INSTRUMENT, EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
 from tests.bench.command_line import PROCESS, gyrobench, gyrobench_process
 from tests.bench.report.made_up_closure import made_up_rows
@@ -73,9 +73,28 @@ def test_close_holds_out_the_cycles_that_it_is_reported(table, tmp_path):
     assert re.search(r"^Report +found/closure\.html$", result.stdout, re.MULTILINE)
 
 
+def test_close_searches_several_tables_and_says_what_is_held_out(table, tmp_path):
+    rows = read_dwells(table)
+    for name, cycles in (("early", {1, 2}), ("late", {3})):
+        write_dwells(tmp_path / f"{name}.csv", [row for row in rows if row.cycle in cycles])
+    result = gyrobench("close", "late.csv", "early.csv", "--hold-out", "late.csv", "--rotate", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert "Error in cycle 3 of late.csv (held out)" in result.stdout
+    assert "on the clock of early.csv" in " ".join(result.stdout.split())
+    assert max(map(len, result.stdout.splitlines()[:-4])) <= 80
+    folder = tmp_path / "closure_late_early"
+    found = json.loads((folder / "closure.json").read_text())
+    assert [each["held_out_cycle"] for each in found["rotation"]] == [1, 2, 3]
+    assert [each["path"] for each in found["tables"]] == ["early.csv", "late.csv"]
+    assert "Rotation" in (folder / "closure.html").read_text()
+    assert len((folder / "predictions.csv").read_text().splitlines()) == 1 + len(rows)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
+        (("TABLE", "TABLE"), "Give each dwell once"),
+        (("TABLE", "--hold-out", "other.csv"), "other.csv can't be held out"),
         (("nowhere.csv",), "nowhere.csv"),
         ((".",), "is not a run folder"),
         (("TABLE", "--hold-out-cycle", 9), "no cycle 9"),

@@ -76,12 +76,13 @@ def test_the_search_finds_nine_of_ten_effects_of_the_stated_size(campaign, resul
 def test_the_search_ties_effects_below_the_stated_size_and_not_above(
     campaign, result, factor, is_distinguished
 ):
-    true, alternative = "time_drift", "warm_up"
+    true, alternative = "time_drift", "bias_jump"
     size_dph = factor * result.distinguished_dph[true, alternative]
     distinguished = []
     for seed in range(8):
         search = searched(campaign, true, size_dph, seed, beside=(alternative,))
-        distinguished.append(alternative not in search.alternatives(search.alone[true], 0))
+        weighed = search.posterior(search.alone[true])
+        distinguished.append(alternative not in weighed.tied_with({true}, true))
     assert np.mean(distinguished) == pytest.approx(float(is_distinguished), abs=0.3)
 
 

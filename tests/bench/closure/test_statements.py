@@ -10,30 +10,66 @@ from tests.bench.closure.thermal_bench import SIGMA_DPH, measure
 TRIANGLE = ((-20.0, 0.2, 0.0), (60.0, 0.2, 0.0), (20.0, 0.2, 0.0))
 
 
-def found(module, *values, axes=("x", "y", "z")):
+def found(module, *values, axes=("x", "y", "z"), sigma=(), within=()):
     candidate = whole(module.EFFECT, *values)
-    return FoundEffect(candidate, np.zeros(candidate.kept.shape), axes, 1e-9, 41, 0.01234, {}, ())
+    shape = candidate.kept.shape
+    return FoundEffect(
+        candidate,
+        np.zeros(shape),
+        axes,
+        1e-9,
+        41,
+        0.01234,
+        {},
+        (),
+        0.999,
+        np.zeros(shape),
+        np.array(sigma),
+        0.0004,
+        within,
+    )
 
 
-def test_a_statement_has_size_gyros_and_parameters():
-    sentence = found(thermal_hysteresis, 5.25).statement
+def test_a_statement_has_size_gyros_and_parameters_with_their_uncertainties():
+    sentence = found(thermal_hysteresis, 5.25, sigma=[0.12], within=[(5.02, 5.5)]).statement
     assert sentence.startswith("The bias depends on whether a temperature was reached from above or below")
-    assert sentence.endswith("0.012 deg/h rms on the x, y and z gyros (half width 5.25 degC).")
+    assert sentence.endswith(
+        "0.0123 ± 0.0004 deg/h rms on the x, y and z gyros (half width 5.25 ± 0.12 degC)."
+    )
 
 
 def test_a_time_constant_of_an_hour_or_more_is_stated_in_hours():
-    assert found(warm_up, 5400.0).statement.endswith("(tau 1.50 h).")
-    assert found(warm_up, 900.0).statement.endswith("(tau 900 s).")
+    hours = found(warm_up, 5400.0, sigma=[720.0], within=[(3960.0, 6840.0)])
+    assert hours.statement.endswith("(tau 1.50 ± 0.20 h).")
+    seconds = found(warm_up, 900.0, sigma=[31.0], within=[(840.0, 960.0)])
+    assert seconds.statement.endswith("(tau 900 ± 31 s).")
+
+
+def test_an_interval_that_is_not_symmetric_is_stated_with_its_ends():
+    sentence = found(warm_up, 5400.0, sigma=[1800.0], within=[(3600.0, 10_800.0)]).statement
+    assert sentence.endswith("(tau 1.5 h, 1.0 to 3.0 h with 95 %).")
+
+
+def test_a_parameter_at_its_bound_is_named_with_what_is_known_of_it():
+    highest = found(warm_up, 43_200.0, sigma=[3600.0], within=[(36_000.0, 43_200.0)])
+    assert highest.at_bound == ("tau_s",)
+    assert highest.statement.endswith("(tau 12.0 h, its upper bound, above 10.0 h with 95 %).")
+    lowest = found(thermal_hysteresis, 0.3, sigma=[0.2], within=[(0.3, 0.9)])
+    assert lowest.at_bound == ("half_width_c",)
+    assert "0.30 degC, its lower bound, below 0.90 degC with 95 %" in lowest.statement
+    assert found(warm_up, 7200.0, sigma=[60.0], within=[(7080.0, 7320.0)]).at_bound == ()
 
 
 def test_several_parameters_are_listed():
-    sentence = found(attitude_thermal, 45.0, 3.25).statement
-    assert sentence.endswith("(onset 45 degC, onset width 3.25 degC).")
+    sentence = found(
+        attitude_thermal, 45.0, 3.25, sigma=[0.4, 0.6], within=[(44.2, 45.8), (2.1, 4.4)]
+    ).statement
+    assert sentence.endswith("(onset 45.0 ± 0.4 degC; onset width 3.2 ± 0.6 degC).")
 
 
 def test_a_statement_about_one_gyro_and_no_parameter():
     sentence = found(g_sensitivity, axes=("y",)).statement
-    assert sentence.endswith("0.012 deg/h rms on the y gyro.")
+    assert sentence.endswith("0.0123 ± 0.0004 deg/h rms on the y gyro.")
 
 
 def test_a_statement_about_two_gyros():

@@ -29,3 +29,19 @@ def test_hours_after_power_on_it_vanishes(clean):
 def test_a_dwell_of_no_length_is_no_division_by_zero(clean):
     still = replace(clean, end_s=clean.start_s)
     assert np.isfinite(FORM.columns(still, (TAU_S,))).all()
+
+
+@pytest.mark.parametrize(("cycles", "size"), [(3, 4.0), (4, 2.0)])
+def test_a_decay_longer_than_twelve_hours_is_no_drift(closed, cycles, size):
+    closure = closed({_slow_decay: size}, cycles=cycles, seed=3)
+    assert closure.verdict == "explained"
+    [found] = closure.effects
+    assert found.effect.name == "warm_up"
+    assert found.candidate.values[0] == pytest.approx(30.0 * 3600.0, rel=0.15)
+    assert found.candidate.form.parameters[0].high == pytest.approx(
+        np.ptp([closure.campaign.start_s[0], closure.campaign.end_s[closure.searched][-1]])
+    )
+
+
+def _slow_decay(course):
+    return np.exp(-course.since_power_on_h / 30.0)[:, None]

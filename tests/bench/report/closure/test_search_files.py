@@ -23,7 +23,7 @@ def names(folder):
 
 
 def test_a_search_in_a_run_stands_in_its_folder_and_in_its_report(run):
-    page, report = write_search(clean(), run.path)
+    page, report = write_search(clean(), [run.path])
     assert (page, report) == (run.closure / "closure.html", run.report)
     assert names(run.closure) == FILES
     assert "Search for effects" in run.report.read_text()
@@ -31,13 +31,13 @@ def test_a_search_in_a_run_stands_in_its_folder_and_in_its_report(run):
 
 def test_a_search_that_is_written_elsewhere_leaves_the_run_as_it_is(run, tmp_path):
     before = {path: path.read_bytes() for path in run.path.rglob("*") if path.is_file()}
-    page, report = write_search(clean(), run.path, tmp_path / "found")
+    page, report = write_search(clean(), [run.path], tmp_path / "found")
     assert (page, report) == (tmp_path / "found" / "closure.html", None)
     assert {path: path.read_bytes() for path in run.path.rglob("*") if path.is_file()} == before
 
 
 def test_a_search_in_a_table_stands_beside_it(tmp_path):
     write_dwells(tmp_path / "dwells.csv", made_up_rows())
-    page, report = write_search(clean(), tmp_path / "dwells.csv")
+    page, report = write_search(clean(), [tmp_path / "dwells.csv"])
     assert (page.parent, report) == (tmp_path / "closure", None)
     assert names(tmp_path / "closure") == FILES

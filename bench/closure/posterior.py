@@ -1,0 +1,315 @@
+"""Probabilities of hypotheses: sets of effects, with or without a remainder that is on no list.
+
+The evidence of a set is the probability of the data with everything that is fitted integrated over its
+prior: the declared model (flat), the sizes of terms (analytic), their order of magnitude and that of the
+remainder (sums), the noise of each gyro (analytic), and nonlinear parameters (Laplace). All priors are in
+this module; docs/decisions/13-posterior.md has the theory.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import gammaln, logsumexp
+
+from gyrobench.bench.closure.campaign import Campaign
+from gyrobench.bench.closure.candidates import Candidate, Hypothesis, stack
+from gyrobench.bench.closure.effects.effect import Effect, Parameter
+from gyrobench.bench.closure.problem import Problem
+from gyrobench.bench.closure.remainder import remainder_of
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
+
+#: Prior probability of so many effects; all sets of as many are equally probable.
+EFFECT_COUNT_PRIOR = (0.4, 0.35, 0.15, 0.1)
+#: Prior probability of a remainder beside any set, shared equally by its processes.
+REMAINDER_PRIOR = 0.05
+#: Orders of magnitude of a size: rms of a term in the dwells searched, in units of the noise; all are equally
+#: probable. An effect has about the same in all gyros, with this probability, or any smaller one in a gyro.
+MAGNITUDES = 0.5 * 4.0 ** np.arange(6)
+SAME_MAGNITUDE = 0.8
+#: Variance of the noise over the stated one, as inverse gamma distributions: probability, shape and scale.
+#: Stated uncertainties are right to 7 %, or too small by 1 to 1.7.
+NOISE_PRIOR = ((0.9, 52.0, 51.0), (0.1, 4.0, 6.0))
+#: Effects are tied if the data and the prior prefer one by odds of less than this to 1.
+TIE_ODDS = 100.0
+#: Probability of a set of effects, without a remainder, that explains a residual.
+EXPLAINED = 0.99
+#: A term of an effect with several terms is absent from a gyro with this probability.
+_ABSENT = 0.5
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """A hypothesis and its probability."""
+
+    names: frozenset[str]  #: Effects.
+    has_remainder: bool  #: Whether something that is not on the list is added.
+    probability: float  #: Posterior.
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Probabilities after a search."""
+
+    hypotheses: tuple[Weighed, ...]  #: Most probable first.
+    follows: dict[str, float]  #: Probability of each process, if there is a remainder.
+
+    @property
+    def of_effect(self) -> dict[str, float]:
+        """Probability of each effect, in any set."""
+        names = sorted(set().union(*(each.names for each in self.hypotheses)))
+        return {
+            name: sum(each.probability for each in self.hypotheses if name in each.names) for name in names
+        }
+
+    @property
+    def nothing(self) -> float:
+        """Probability of the declared model alone."""
+        return self.of_set((), has_remainder=False)
+
+    @property
+    def not_on_list(self) -> float:
+        """Probability of something that is not on the list, beside any effects."""
+        return sum(each.probability for each in self.hypotheses if each.has_remainder)
+
+    def of_set(self, names: Collection[str], *, has_remainder: bool) -> float:
+        """Probability of exactly these effects."""
+        wanted = frozenset(names), has_remainder
+        return sum(each.probability for each in self.hypotheses if (each.names, each.has_remainder) == wanted)
+
+    def tied_with(self, names: Collection[str], one: str) -> tuple[str, ...]:
+        """Effects that explain the data about as well in place of one of a set, most probable first."""
+        found, others = self.of_set(names, has_remainder=False), frozenset(names) - {one}
+        return tuple(
+            next(iter(each.names - others))
+            for each in self.hypotheses
+            if not each.has_remainder
+            and one not in each.names
+            and len(each.names) == len(names)
+            and others < each.names
+            and each.probability * TIE_ODDS > found
+        )
+
+
+class Evidences:
+    """Evidence of hypotheses about one problem, which has the declared model alone."""
+
+    def __init__(self, problem: Problem, effects: Sequence[Effect]) -> None:
+        campaign = problem.campaign
+        fitted = [each for each in effects if not each.missing_input(campaign)]
+        self._effect_count = len(fitted)
+        self._form_counts = {
+            each.name: sum(not form.missing_input(campaign) for form in each.forms) for each in fitted
+        }
+        self._problem = problem
+        self._dof = np.array([basis.shape[0] - basis.shape[1] for basis in problem.bases], dtype=np.float64)
+        self._remainder = remainder_of(problem)
+
+    @property
+    def processes(self) -> tuple[str, ...]:
+        """What a remainder may follow."""
+        return (*self._remainder.names, "nothing else measured")
+
+    def weights(self, of: Hypothesis) -> tuple[float, FloatArray]:
+        """Logarithm of prior times evidence, without a remainder and with each of the processes."""
+        terms = _Terms.of(self._problem, of.candidates)
+        scales = terms.scales()
+        per_gyro = self._log_evidence(terms.products[:, None], scales * terms.kept[:, None])
+        best = scales[np.argmax(per_gyro[..., 0], axis=1)] * terms.kept
+        axes = (len(MAGNITUDES),) * len(of.candidates)
+        alone = _summed(per_gyro.reshape(3, *axes, -1), len(axes))
+        at_best = _summed(self._log_evidence(terms.products, best), 0)
+        prior = self._log_prior(of) + _log_parameter_volume(self._problem, of.candidates, terms, best)
+        with_process = self._with_processes(terms, best) - at_best + alone
+        return (
+            prior + math.log(1.0 - REMAINDER_PRIOR) + alone,
+            prior + math.log(REMAINDER_PRIOR / len(with_process)) + with_process,
+        )
+
+    def _log_prior(self, of: Hypothesis) -> float:
+        count = len(of.candidates)
+        sets = math.comb(max(self._effect_count, count), count)
+        forms = sum(math.log(self._form_counts[each.effect.name]) for each in of.candidates)
+        optional = sum(each.kept.size for each in of.candidates if each.kept.shape[1] > 1)
+        return math.log(EFFECT_COUNT_PRIOR[count] / sets) - forms + optional * math.log(_ABSENT)
+
+    def _with_processes(self, terms: _Terms, scales: FloatArray) -> FloatArray:
+        """Log evidence with each process, the terms having given magnitudes (3, k)."""
+        directions, powers = self._remainder.directions, self._remainder.powers
+        parts = np.swapaxes(directions, 2, 3) @ terms.columns[:, np.newaxis]
+        variances = MAGNITUDES[:, np.newaxis] ** 2 * powers[:, :, np.newaxis]
+        weighted = (variances / (1.0 + variances))[..., np.newaxis] * parts[:, :, np.newaxis]
+        products = terms.products[:, None, None] - np.swapaxes(parts, 2, 3)[:, :, None] @ weighted
+        found = self._log_evidence(products, scales[:, None, None])
+        found -= 0.5 * np.sum(np.log1p(variances), axis=3)[..., np.newaxis]
+        smooth = [_summed(found[:, index], 1) for index in range(len(self._remainder.names))]
+        # Scatter is larger noise: below the second magnitude it is what the prior of the noise includes.
+        larger = 1.0 + MAGNITUDES[1:, np.newaxis] ** 2
+        products = terms.products[:, None] / larger[..., np.newaxis]
+        scatter = np.full((3, len(MAGNITUDES), len(NOISE_PRIOR)), -1e9)
+        scatter[:, 1:] = self._log_evidence(products, scales[:, None])
+        scatter[:, 1:] -= 0.5 * self._dof[:, None, None] * np.log(larger)
+        return np.array([*smooth, _summed(scatter, 1)])
+
+    def _log_evidence(self, products: FloatArray, scales: FloatArray) -> FloatArray:
+        """Log evidence (3, ..., components of the noise prior), sizes and noise integrated.
+
+        ``products`` (3, ..., k + 1, k + 1) are those of terms and data, ``scales`` (3, ..., k) standard
+        deviations of sizes.
+        """
+        padded = np.concatenate([scales, np.ones((*scales.shape[:-1], 1))], axis=-1)
+        matrix = products * padded[..., :, np.newaxis] * padded[..., np.newaxis, :]
+        diagonal = np.arange(scales.shape[-1])
+        matrix[..., diagonal, diagonal] += 1.0
+        roots = np.diagonal(np.linalg.cholesky(matrix), axis1=-2, axis2=-1)
+        half_chi2 = 0.5 * roots[..., -1] ** 2
+        log_determinant = np.sum(np.log(roots[..., :-1]), axis=-1)
+        half_dof = 0.5 * self._dof.reshape(3, *(1,) * (half_chi2.ndim - 1))
+        parts = [
+            shape * math.log(scale)
+            - gammaln(shape)
+            + gammaln(shape + half_dof)
+            - (shape + half_dof) * np.log(scale + half_chi2)
+            for _, shape, scale in NOISE_PRIOR
+        ]
+        return np.asarray(np.stack(parts, axis=-1) - log_determinant[..., np.newaxis])
+
+
+@dataclass(frozen=True)
+class _Terms:
+    """Terms and data of a hypothesis beside the declared model, in units of the noise and each of rms 1."""
+
+    columns: FloatArray  #: Shape (3, m, k + 1). The data are last.
+    products: FloatArray  #: Shape (3, k + 1, k + 1).
+    kept: BoolArray  #: Shape (3, k).
+    owner: IntArray  #: Shape (k,). Index of each term's effect.
+    rms: FloatArray  #: Shape (3, k). Of the terms before that.
+
+    @classmethod
+    def of(cls, problem: Problem, candidates: Sequence[Candidate]) -> _Terms:
+        if candidates:
+            all_columns, kept = stack(candidates, problem.campaign)
+        else:
+            all_columns, kept = np.zeros((len(problem.campaign), 3, 0)), np.ones((3, 0), dtype=bool)
+        visible, rms = problem.beside(all_columns[problem.searched])
+        columns = np.concatenate([visible / rms[:, None], problem.residuals.T[..., None]], axis=2)
+        owner = np.repeat(np.arange(len(candidates)), [each.kept.shape[1] for each in candidates])
+        return cls(columns, np.swapaxes(columns, 1, 2) @ columns, kept, owner.astype(np.int64), rms)
+
+    def scales(self) -> FloatArray:
+        """All combinations of the effects' magnitudes, as those of the terms (combinations, k)."""
+        count = int(self.owner.max(initial=-1)) + 1
+        combinations = np.array(list(itertools.product(MAGNITUDES, repeat=count))).reshape(
+            len(MAGNITUDES) ** count, count
+        )
+        return combinations[:, self.owner]
+
+
+def _summed(per_gyro: FloatArray, magnitudes: int) -> float:
+    """Log evidence of all gyros from that of each (3, magnitudes, ..., components of the noise prior)."""
+    top = per_gyro.reshape(3, -1).max(axis=1).reshape(3, *(1,) * (per_gyro.ndim - 1))
+    shares = np.exp(per_gyro - top)
+    for axis in range(1, 1 + magnitudes):
+        shares = np.moveaxis(np.tensordot(_SMALLER, shares, (1, axis)), 0, axis)
+    together = np.sum(np.log(np.maximum(shares, 1e-300)) + top, axis=0)
+    together += np.log([probability for probability, _, _ in NOISE_PRIOR])
+    return float(logsumexp(together)) - magnitudes * math.log(len(MAGNITUDES))
+
+
+def _smaller() -> FloatArray:
+    """Probability of a magnitude in one gyro (columns), given that of the effect (rows)."""
+    count = len(MAGNITUDES)
+    smaller = np.tril(np.ones((count, count))) / np.arange(1, count + 1)[:, np.newaxis]
+    return np.asarray(SAME_MAGNITUDE * np.eye(count) + (1.0 - SAME_MAGNITUDE) * smaller)
+
+
+_SMALLER = _smaller()
+
+
+def _log_parameter_volume(
+    problem: Problem, candidates: Sequence[Candidate], terms: _Terms, scales: FloatArray
+) -> float:
+    """Logarithm of the share of the prior of nonlinear parameters that the data leave (Laplace).
+
+    The curvature is that of the fit, linearized in the parameters, beside the sizes of all terms.
+    """
+    slopes = []
+    for place, each in enumerate(candidates):
+        for index, parameter in enumerate(each.form.parameters):
+            value = each.values[index]
+            width = prior_width(problem, parameter, value)
+            step = _STEP * width if value + _STEP * width <= parameter.high else -_STEP * width
+            values = (*each.values[:index], value + step, *each.values[index + 1 :])
+            change = replace(each, values=values).columns(problem.campaign) - each.columns(problem.campaign)
+            mine = terms.owner == place
+            visible, _ = problem.beside(change[problem.searched] * (width / step))
+            slopes.append((visible / terms.rms[:, None, mine], mine))
+    if not slopes:
+        return 0.0
+    count = len(terms.owner)
+    information = np.zeros((len(slopes), len(slopes)))
+    for gyro in range(3):
+        used = np.flatnonzero(terms.kept[gyro])
+        columns, data = terms.columns[gyro][:, used], terms.columns[gyro][:, count]
+        normal = columns.T @ columns + np.diag(scales[gyro][used] ** -2)
+        sizes = np.zeros(count)
+        sizes[used] = np.linalg.solve(normal, columns.T @ data)
+        change = np.stack([each[gyro] @ sizes[mine] for each, mine in slopes], axis=1)
+        across = columns.T @ change
+        information += change.T @ change - across.T @ np.linalg.solve(normal, across)
+    return -0.5 * float(np.linalg.slogdet(np.eye(len(slopes)) + information / (2.0 * np.pi))[1])
+
+
+#: Step of a derivative, as a share of the prior's width.
+_STEP = 2e-3
+
+
+def prior_width(problem: Problem, parameter: Parameter, value: float) -> float:
+    """Width of a parameter's uniform prior at a value.
+
+    The prior of a scale, positive by its bounds, is uniform in its logarithm; that of a time without bounds
+    covers the dwells searched.
+    """
+    if not math.isfinite(parameter.low):
+        campaign = problem.campaign
+        return float(np.ptp(campaign.middle_s[problem.searched]))
+    if parameter.low > 0.0:
+        return value * math.log(parameter.high / parameter.low)
+    return parameter.high - parameter.low
+
+
+def posterior(problem: Problem, effects: Sequence[Effect], hypotheses: Iterable[Hypothesis]) -> Posterior:
+    """Probabilities of hypotheses, which include the declared model alone.
+
+    An effect that can't be fitted because an input is missing is as probable as the one that it imitates.
+    """
+    evidences = Evidences(problem, effects)
+    found = []
+    for each in hypotheses:
+        weights = evidences.weights(each)
+        found += [(names, *weights) for names in (each.names, *_imitating(each, effects, problem.campaign))]
+    whole = logsumexp(np.concatenate([[alone, *processes] for _, alone, processes in found]))
+    follows = np.exp(logsumexp(np.array([processes for _, _, processes in found]), axis=0) - whole)
+    weighed = []
+    for names, alone, processes in found:
+        weighed.append(Weighed(names, False, math.exp(alone - whole)))
+        weighed.append(Weighed(names, True, math.exp(logsumexp(processes) - whole)))
+    return Posterior(
+        tuple(sorted(weighed, key=lambda each: -each.probability)),
+        dict(zip(evidences.processes, (follows / follows.sum()).tolist(), strict=True)),
+    )
+
+
+def _imitating(of: Hypothesis, effects: Sequence[Effect], campaign: Campaign) -> list[frozenset[str]]:
+    """Names of the sets in which an effect that can't be fitted takes the place of one that it imitates."""
+    missing = {each.name for each in effects if each.missing_input(campaign)}
+    return [
+        of.names - {one.effect.name} | {other}
+        for one in of.candidates
+        for other in one.effect.imitated_by
+        if other in missing
+    ]
