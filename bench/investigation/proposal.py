@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.campaign import Campaign, campaign_of
 from gyrobench.bench.closure.candidates import Candidate
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.investigation.blocks import Block, catalogue
@@ -73,7 +73,7 @@ def propose(
     max_h : float
         Longest block.
     """
-    model = fit_thermal_model(rows)
+    model, known = fit_thermal_model(rows), campaign_of(rows)
 
     def usable(blocks: Sequence[Block]) -> list[Block]:
         return [
@@ -82,7 +82,7 @@ def propose(
             if each.plan.duration_h <= max_h and not set(each.name.split(", then ")) & set(refused)
         ]
 
-    found = [_proposal(rows, each, model, rivals, noise_scale) for each in usable(catalogue(rows))]
+    found = [_proposal(rows, known, each, model, rivals, noise_scale) for each in usable(catalogue(rows))]
     found.sort(key=lambda each: -each.gain_per_h)
     best = {each.block.name for each in found[:_PAIRED]}
     pairs = [
@@ -90,16 +90,21 @@ def propose(
         for each in usable(catalogue(rows, pairs=True))
         if len(parts := each.name.split(", then ")) == 2 and set(parts) <= best
     ]
-    found += [_proposal(rows, each, model, rivals, noise_scale) for each in pairs]
+    found += [_proposal(rows, known, each, model, rivals, noise_scale) for each in pairs]
     return sorted(found, key=lambda each: -each.gain_per_h)
 
 
 def _proposal(
-    rows: Sequence[DwellRow], block: Block, model: ThermalModel, rivals: Sequence[Rival], noise_scale: float
+    rows: Sequence[DwellRow], known: Campaign, block: Block, model: ThermalModel, rivals: Sequence[Rival], noise_scale: float
 ) -> Proposal:
     new = forecast_dwells(rows, block.plan, model)
     campaign = campaign_of([*rows, *new])
     measured = ~np.isin(campaign.dwell, [row.dwell for row in new])
+    if known.above_optics_c is not None:
+        # A network fitted again to the forecasts would learn nothing and take a second.
+        above_c = campaign.board_c - campaign.gyro_c
+        above_c[measured] = known.above_optics_c
+        campaign = replace(campaign, forecast_above_optics_c=above_c)
     spread_dph = _run_spread_dph(rows, noise_scale)
     predictions = []
     for each in rivals:
