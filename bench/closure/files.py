@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import yaml
 
 from gyrobench.bench.closure.loop import Closure, FoundEffect
 from gyrobench.bench.closure.problem import DEGREE, SCALE_C, predict
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.csv_tables import format_csv, write_text
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import make_folder, parse_json, read_limited
 from gyrobench.bench.navigation.positions import AXES
 
+_T = TypeVar("_T")
 _DOCUMENT = "closure.json"
 #: Most probable hypotheses in the document.
 _HYPOTHESES = 10
@@ -26,6 +29,8 @@ PREDICTION_COLUMNS = (
     "dwell",
     *(f"bias_{axis}_before_dph" for axis in AXES),
     *(f"bias_{axis}_after_dph" for axis in AXES),
+    *(f"sigma_{axis}_before_dph" for axis in AXES),
+    *(f"sigma_{axis}_after_dph" for axis in AXES),
 )
 
 
@@ -97,6 +102,8 @@ def closure_document(closure: Closure) -> dict[str, Any]:
         "lack_of_fit_p_after": closure.after.p_value,
         "error_before_dph": closure.error_before_dph,
         "error_after_dph": closure.error_after_dph,
+        "error_before_sigma_dph": closure.error_before_sigma_dph,
+        "error_after_sigma_dph": closure.error_after_sigma_dph,
         "tables": [
             {
                 "path": table.name,
@@ -134,13 +141,14 @@ def _known(value: float) -> float | None:
 
 
 def format_predictions(closure: Closure) -> str:
-    """CSV text: the bias of every dwell by both models; empty without a temperature."""
+    """CSV text: the bias of every dwell by both models and its uncertainty; empty without a temperature."""
     whole = closure.campaign.whole
     columns = [each.candidate.columns(whole) for each in closure.effects]
     before = predict(whole, closure.declared.declared, [], [])
     after = predict(whole, closure.model.declared, [each.sizes_dph for each in closure.effects], columns)
-    known = dict(zip(whole.dwell.tolist(), np.hstack([before, after]).tolist(), strict=True))
-    missing: list[float] = [math.nan] * 6
+    sigmas = [draws.sigma(draws.bias_dph(whole)) for draws in (closure.declared_draws, closure.model_draws)]
+    known = dict(zip(whole.dwell.tolist(), np.hstack([before, after, *sigmas]).tolist(), strict=True))
+    missing: list[float] = [math.nan] * (len(PREDICTION_COLUMNS) - 1)
     rows = [
         [str(dwell), *("" if math.isnan(value) else f"{value:.9g}" for value in known.get(dwell, missing))]
         for dwell in sorted([*known, *whole.without_temperatures])
@@ -150,7 +158,7 @@ def format_predictions(closure: Closure) -> str:
 
 def model_document(closure: Closure) -> dict[str, Any]:
     """Content of ``model.yaml``: the declared model and the effects, complete for predictions."""
-    runs = closure.campaign.run_names
+    draws = closure.model_draws
     return {
         "degree": DEGREE,
         "scale_c": SCALE_C,
@@ -158,31 +166,43 @@ def model_document(closure: Closure) -> dict[str, Any]:
             axis: [float(column.min()), float(column.max())]
             for axis, column in zip(AXES, closure.campaign.gyro_c[closure.searched].T, strict=True)
         },
-        "declared_dph": {
-            axis: {
-                "powers": row[:DEGREE].tolist(),
-                "constant_of_run": dict(zip(runs, row[DEGREE:].tolist(), strict=True)),
-            }
-            for axis, row in zip(AXES, closure.model.declared, strict=True)
-        },
+        "declared_dph": _declared(closure, closure.model.declared),
+        "declared_sigma_dph": _declared(closure, draws.sigma(draws.declared)),
         "effects": [
             {
                 "effect": each.effect.name,
                 "form": each.candidate.form.name,
-                "parameters": {
-                    parameter.name: value
-                    for parameter, value in zip(
-                        each.candidate.form.parameters, each.candidate.values, strict=True
-                    )
-                },
-                "terms_dph": {
-                    axis: dict(zip(each.candidate.form.terms, row.tolist(), strict=True))
-                    for axis, row in zip(AXES, each.sizes_dph, strict=True)
-                },
+                "parameters": _by_parameter(each, each.candidate.values),
+                "parameters_sigma": _by_parameter(each, each.values_sigma.tolist()),
+                "at_bound": list(each.at_bound),
+                "terms_dph": _by_term(each, each.sizes_dph),
+                "terms_sigma_dph": _by_term(each, each.sizes_sigma_dph),
             }
             for each in closure.effects
         ],
     }
+
+
+def _declared(closure: Closure, coefficients: FloatArray) -> dict[str, Any]:
+    """Coefficients (3, DEGREE + runs) of the declared model by gyro."""
+    runs = closure.campaign.run_names
+    return {
+        axis: {
+            "powers": row[:DEGREE].tolist(),
+            "constant_of_run": dict(zip(runs, row[DEGREE:].tolist(), strict=True)),
+        }
+        for axis, row in zip(AXES, coefficients, strict=True)
+    }
+
+
+def _by_parameter(found: FoundEffect, values: Iterable[_T]) -> dict[str, _T]:
+    names = (each.name for each in found.candidate.form.parameters)
+    return dict(zip(names, values, strict=True))
+
+
+def _by_term(found: FoundEffect, sizes: FloatArray) -> dict[str, dict[str, float]]:
+    terms = found.candidate.form.terms
+    return {axis: dict(zip(terms, row.tolist(), strict=True)) for axis, row in zip(AXES, sizes, strict=True)}
 
 
 def _effect(found: FoundEffect) -> dict[str, Any]:
@@ -192,8 +212,13 @@ def _effect(found: FoundEffect) -> dict[str, Any]:
         "probability": found.probability,
         "p_value": found.p_value,
         "rms_dph": found.rms_dph,
+        "rms_sigma_dph": found.rms_sigma_dph,
         "tied_with": list(found.tied_with),
         "statement": found.statement,
         "form": found.candidate.form.name,
+        "parameters": _by_parameter(found, found.candidate.values),
+        "parameters_sigma": _by_parameter(found, found.values_sigma.tolist()),
+        "parameters_95": _by_parameter(found, map(list, found.values_range)),
+        "at_bound": list(found.at_bound),
         "gain_in_cycles_left_out": {str(cycle): gain for cycle, gain in found.gains.items()},
     }

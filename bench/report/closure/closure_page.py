@@ -11,7 +11,7 @@ import numpy as np
 from gyrobench.bench.closure.files import write_closure
 from gyrobench.bench.closure.loop import Closure
 from gyrobench.bench.foundations.files import file_sha256
-from gyrobench.bench.foundations.text import counted
+from gyrobench.bench.foundations.text import counted, with_sigma
 from gyrobench.bench.navigation.positions import AXES, gyro_label
 from gyrobench.bench.report.closure import closure_text as text
 from gyrobench.bench.report.closure.closure_figures import (
@@ -105,7 +105,9 @@ def _effects(closure: Closure) -> Section | None:
         words=4,
     )
     title = "Effect" if len(closure.effects) == 1 else "Effects"
-    return Section(title, text.effect_sentences(closure), figures, [effects, _sizes(closure)])
+    return Section(
+        title, text.effect_sentences(closure), figures, [effects, _sizes(closure), *_parameters(closure)]
+    )
 
 
 def _sizes(closure: Closure) -> SectionTable:
@@ -114,17 +116,32 @@ def _sizes(closure: Closure) -> SectionTable:
         [
             each.effect.display_name,
             term,
-            *(f"{size:.4g}" if size else "" for size in scale.factor * sizes_dph),
+            *(
+                with_sigma(scale.factor * size, scale.factor * sigma) if size else ""
+                for size, sigma in zip(sizes, sigmas, strict=True)
+            ),
         ]
         for each in closure.effects
-        for term, sizes_dph in zip(each.candidate.form.terms, each.sizes_dph.T, strict=True)
+        for term, sizes, sigmas in zip(
+            each.candidate.form.terms, each.sizes_dph.T, each.sizes_sigma_dph.T, strict=True
+        )
     ]
     return SectionTable(
-        f"Size of each term in {scale.unit} per unit of what it follows; empty: not used for the gyro",
+        f"Size of each term with its standard uncertainty, in {scale.unit} per unit of what it follows; "
+        "empty: not used for the gyro",
         ["effect", "follows", *(gyro_label(gyro) for gyro in AXES)],
         rows,
         words=2,
     )
+
+
+def _parameters(closure: Closure) -> list[SectionTable]:
+    rows = [[each.effect.display_name, text] for each in closure.effects for text in each.parameter_texts]
+    caption = (
+        "Nonlinear parameters with their standard uncertainties, or the interval that holds them with 95 % "
+        "where it is not symmetric or ends at a bound of the fit"
+    )
+    return [SectionTable(caption, ["effect", "parameter"], rows, words=2)] if rows else []
 
 
 def _alternatives(closure: Closure) -> Section:
@@ -141,14 +158,17 @@ def _alternatives(closure: Closure) -> Section:
 
 def _error(closure: Closure) -> Section:
     held_out, scale = ~closure.searched, scale_of_errors(closure)
+    sigma_dph = closure.prediction_sigma_dph[held_out]
     errors = {name: residuals_dph(closure, model) for name, model in models_of(closure).items()}
     errors["noise"] = noise_dph(closure)
     rows = [
         [name, *(scale.text(rms(each)) for each in (*values_dph[held_out].T, values_dph[held_out]))]
         for name, values_dph in errors.items()
     ]
+    rows.append(["prediction", *(scale.text(rms(each)) for each in (*sigma_dph.T, sigma_dph))])
     table = SectionTable(
-        f"Rms of measured minus predicted bias in the held-out cycles, in {scale.unit}",
+        f"Rms of measured minus predicted bias in the held-out cycles, of the noise, and of the standard "
+        f"uncertainty of the predictions, in {scale.unit}",
         ["", *(gyro_label(gyro) for gyro in AXES), "all"],
         rows,
     )

@@ -50,6 +50,7 @@ def closure_summary(closure: Closure) -> RenderableType:
 
 def _errors(closure: Closure) -> dict[str, str]:
     scale = scale_of_errors(closure)
-    before, after = scale.text(closure.error_before_dph), scale.text(closure.error_after_dph)
+    before = scale.with_sigma(closure.error_before_dph, closure.error_before_sigma_dph)
+    after = scale.with_sigma(closure.error_after_dph, closure.error_after_sigma_dph)
     errors = {"before": before, "after": after} if closure.effects else {"error": before}
     return errors | {"noise": scale.text(rms(noise_dph(closure)[~closure.searched]))}

@@ -14,7 +14,7 @@ from gyrobench.bench.closure.problem import Solution
 from gyrobench.bench.closure.search import SIGNIFICANCE
 from gyrobench.bench.closure.validation import measured_minus
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.bench.foundations.text import counted, listed
+from gyrobench.bench.foundations.text import counted, listed, with_sigma
 from gyrobench.bench.report.number_format import BiasScale, p_text
 
 _VISIBLE_NOISE_SCALE = 1.005
@@ -270,14 +270,16 @@ def missing_input_sentences(closure: Closure) -> list[str]:
 def error_sentence(closure: Closure) -> str:
     """Held-out error, before and after, compared with the noise."""
     held_out = ~closure.searched
-    before, after = size_text(closure.error_before_dph), size_text(closure.error_after_dph)
+    before = with_sigma(closure.error_before_dph, closure.error_before_sigma_dph)
     models = f"{before} deg/h rms with the declared model"
     if closure.effects:
+        after = with_sigma(closure.error_after_dph, closure.error_after_sigma_dph)
         models += f" and {after} deg/h with {found_labels(closure)}"
     dwells = counted(int(held_out.sum()), "dwell")
     return (
         f"In {held_out_cycles(closure)} (held out, {dwells}), measured minus predicted bias is {models}; the "
-        f"noise is {size_text(rms(noise_dph(closure)[held_out]))} deg/h."
+        f"noise is {size_text(rms(noise_dph(closure)[held_out]))} deg/h. A predicted bias has a standard "
+        f"uncertainty of {size_text(rms(closure.prediction_sigma_dph[held_out]))} deg/h."
     )
 
 
@@ -374,7 +376,7 @@ def effect_table(closure: Closure) -> tuple[list[str], list[list[str]]]:
             listed(each.axes),
             _labels(closure, each.tied_with) or "none",
             gains_text(each.gains) or "no",
-            scale.text(each.rms_dph),
+            scale.with_sigma(each.rms_dph, each.rms_sigma_dph),
             p_text(each.p_value),
         ]
         for each in closure.effects

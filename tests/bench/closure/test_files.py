@@ -102,8 +102,8 @@ def test_dwells_without_a_result_are_predicted_too_and_those_without_temperature
     closure = close_loop(campaign_of(rows), effects=[g_sensitivity.EFFECT])
     predicted = {int(row.pop("dwell")): [*row.values()] for row in predictions(closure)}
     assert [*predicted] == [row.dwell for row in rows]
-    assert predicted[9] == [""] * 6
-    after_dph = np.array([float(value) for value in predicted[5][3:]])
+    assert predicted[9] == [""] * 12
+    after_dph = np.array([float(value) for value in predicted[5][3:6]])
     undisturbed = measure({"g_sensitivity": 4.0}, cycles=2)
     np.testing.assert_allclose(after_dph, undisturbed.bias_dph[4], atol=4.0 * SIGMA_DPH)
     before_dph = np.array([float(value) for value in predicted[5][:3]])
@@ -121,10 +121,16 @@ def test_predictions_give_the_stated_errors(explained):
         assert np.sqrt(np.mean(errors**2)) == pytest.approx(predicted, rel=1e-5)
 
 
+def test_predictions_have_the_stated_uncertainties(explained):
+    sigma_dph = [[float(row[f"sigma_{axis}_after_dph"]) for axis in "xyz"] for row in predictions(explained)]
+    np.testing.assert_allclose(sigma_dph, explained.prediction_sigma_dph, rtol=1e-5)
+
+
 def test_in_clean_data_nothing_is_predicted_otherwise_after(closed):
     for row in predictions(closed()):
         for axis in "xyz":
             assert row[f"bias_{axis}_after_dph"] == row[f"bias_{axis}_before_dph"]
+            assert row[f"sigma_{axis}_after_dph"] == row[f"sigma_{axis}_before_dph"]
 
 
 def test_the_model_gives_the_predictions(explained):

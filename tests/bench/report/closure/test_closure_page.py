@@ -93,11 +93,18 @@ def test_an_unexplained_residual_has_a_warning():
 def test_errors_are_listed_by_gyro_and_sizes_by_term():
     sections = {section.title: section for section in closure_sections(explained())}
     [table] = sections["Held-out error"].tables
-    assert [row[0] for row in table.rows] == ["declared model", "with the effects found", "noise"]
+    assert [row[0] for row in table.rows] == [
+        "declared model",
+        "with the effects found",
+        "noise",
+        "prediction",
+    ]
     assert float(table.rows[0][-1]) == pytest.approx(1000.0 * explained().error_before_dph, abs=0.005)
     sizes = sections["Effect"].tables[1]
     [row] = sizes.rows
-    assert [float(cell or 0.0) for cell in row[2:]] == pytest.approx([1.0, -0.8, 0.0], abs=0.1)
+    values, sigmas = zip(*(map(float, cell.split(" ± ")) for cell in row[2:]), strict=True)
+    assert values == pytest.approx([1.0, -0.8, 0.0], abs=0.1)
+    assert sigmas == pytest.approx(1000.0 * explained().effects[0].sizes_sigma_dph[:, 0], rel=0.2)
 
 
 def test_the_lack_of_fit_tests_are_listed_before_and_after():

@@ -2,6 +2,7 @@
 
 import io
 
+import numpy as np
 import pytest
 from rich.console import Console
 
@@ -49,7 +50,9 @@ def test_the_error_stands_beside_its_noise():
     text = printed(explained())
     table = text[text.index("Error in cycle 3 (held out), rms in 0.001 deg/h") :].splitlines()
     assert table[1].split() == ["before", "after", "noise"]
-    before, after, noise = map(float, table[3].split())
+    before, sigma_before, after, sigma_after, noise = map(float, table[3].replace("±", "").split())
+    sigmas_dph = explained().error_before_sigma_dph, explained().error_after_sigma_dph
+    assert (sigma_before, sigma_after) == pytest.approx(1000.0 * np.array(sigmas_dph), abs=0.005)
     assert before == pytest.approx(1000.0 * explained().error_before_dph, abs=0.005)
     assert after == pytest.approx(1000.0 * explained().error_after_dph, abs=0.005)
     assert noise == pytest.approx(2.0)

@@ -10,7 +10,8 @@ def test_an_effect_has_its_gyros_size_and_p_value():
     assert row["effect"] == "temperature rate"
     assert row["gyros"] == "x and y"
     assert row["tied with"] == "twin"
-    assert row["size"] == f"{1000.0 * ambiguous().effects[0].rms_dph:.2f}"
+    [effect] = ambiguous().effects
+    assert row["size"] == f"{1000.0 * effect.rms_dph:.2f} ± {1000.0 * effect.rms_sigma_dph:.2f}"
     assert row["p"] == "<1e-9"
 
 
