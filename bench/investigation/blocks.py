@@ -36,11 +36,14 @@ _SAME_C = 0.5
 class Block:
     """A candidate for the next measurement."""
 
-    name: str  #: Short name: "power cycle".
+    kinds: tuple[str, ...]  #: The kinds that it consists of, in order: "power cycle".
     what: str  #: What is done, in the imperative: "switch the unit off for an hour, then measure".
     plan: BlockPlan  #: Its steps, timed.
-    #: Whether the bench must be able to vary what usual benches can't.
-    is_special: bool = False
+
+    @property
+    def name(self) -> str:
+        """Its kinds: "power cycle, then slow ramp"."""
+        return ", then ".join(self.kinds)
 
 
 @dataclass
@@ -135,7 +138,6 @@ class _Kind:
     name: str
     what: str
     add: Callable[[Timeline], None]
-    is_special: bool = False
 
 
 def _kinds(rows: Sequence[DwellRow]) -> list[_Kind]:
@@ -239,7 +241,7 @@ def _kinds(rows: Sequence[DwellRow]) -> list[_Kind]:
             "switch the unit off for an hour, measure from power-on and again 12 h later",
             power_cycle_then_long,
         ),
-        _Kind("power step", "reduce the unit's dissipation and measure after a soak", less_power, True),
+        _Kind("power step", "reduce the unit's dissipation and measure after a soak", less_power),
         _Kind("four headings", "measure one position at four headings", headings),
         _Kind("cold, six positions", "measure all positions at the lowest temperature", inverted(low_c)),
         _Kind("hot, six positions", "measure all positions at the highest temperature", inverted(high_c)),
@@ -261,10 +263,9 @@ def catalogue(rows: Sequence[DwellRow], pairs: bool = False) -> list[Block]:
             kind.add(timeline)
         blocks.append(
             Block(
-                ", then ".join(kind.name for kind in sequence),
+                tuple(kind.name for kind in sequence),
                 "; then ".join(kind.what for kind in sequence),
                 timeline.plan(),
-                any(kind.is_special for kind in sequence),
             )
         )
     return blocks

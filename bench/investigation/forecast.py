@@ -63,9 +63,9 @@ class ThermalModel:
         keep = np.exp(-step_h / self.lags_h)
 
         def followed(goal: FloatArray, kept: float, from_c: float) -> FloatArray:
-            found: FloatArray
-            found, _ = lfilter([1.0 - kept], [1.0, -kept], goal, zi=[kept * from_c])
-            return found
+            return np.asarray(
+                lfilter([1.0 - kept], [1.0, -kept], goal, zi=[kept * from_c])[0], dtype=np.float64
+            )
 
         air_c = followed(course.set_c, keep[0], start.air_c)
         case_c = followed(air_c + self.case_heating_k * course.power, keep[1], start.case_c)
@@ -97,7 +97,7 @@ def fit_thermal_model(rows: Sequence[DwellRow]) -> ThermalModel:
                 for each, seen in zip(optics.T, gyro_c.T, strict=True)
             ),
         ]
-        return np.nan_to_num(np.concatenate(parts), nan=0.0)
+        return np.asarray(np.nan_to_num(np.concatenate(parts), nan=0.0))
 
     bounds = [*(np.log(each) for each in _LAGS_H), _HEATING_K, *([_HEATING_K] * 3)]
     low, first, high = np.array(bounds).T

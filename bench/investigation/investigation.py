@@ -7,7 +7,7 @@ an investigation that was killed decides the same again and continues.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,15 +19,21 @@ from gyrobench.bench.closure.loop import Closure, close_loop
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import make_folder
+from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.investigation.external_bench import BlockRefusedError, ExternalBench, checked_rows
-from gyrobench.bench.investigation.proposal import Proposal, Rival, outcome_probabilities, propose, rivals_of
+from gyrobench.bench.investigation.proposal import Proposal, Rival, outcome_probabilities, propose
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.runs.journal import Journal, read_journal
 
 #: A cause is settled at this probability.
 SETTLED = 0.99
+#: Hypotheses less probable than this, and more than so many, are not predicted.
+_MIN_PROBABILITY = 1e-3
+_MAX_RIVALS = 6
 #: A block that is expected to remove less of the entropy, nats, is not worth its time.
 _MIN_GAIN = 0.02
+#: The dwells of a block, once they were checked.
+_DONE = "dwells.csv"
 _S_PER_H = 3600.0
 
 
@@ -110,15 +116,157 @@ class Investigator:
         earlier = list(read_journal(path)) if path.exists() else []
         stages: list[Stage] = []
         with Journal(path, clock) as journal:
-            journal.record("investigation_resumed" if earlier else "investigation_started", budget_h=self._budget_h)
+            event = "investigation_resumed" if earlier else "investigation_started"
+            journal.record(event, budget_h=self._budget_h)
+            self._refused = {
+                entry["kind"]: entry["reason"] for entry in earlier if entry["event"] == "refused"
+            }
             while True:
-                stage = self._search()
+                stage = self._searched()
                 journal.record("searched", spent_h=stage.spent_h, **probabilities(stage.closure))
-                ended, proposal = self._decide(stage, journal, earlier)
-                if proposal is None:
-                    stages.append(stage)
+                ended = self._end(stage)
+                while not ended:
+                    proposal, ended = self._proposal(stage)
+                    if proposal is None:
+                        break
+                    if not self._is_approved(proposal, stage, journal):
+                        ended = "declined", "The proposed block was declined."
+                        break
+                    measured = self._measured(proposal, journal)
+                    if measured is not None:
+                        stage = self._with_outcome(stage, proposal, measured, journal)
+                        break
+                stages.append(stage)
+                if ended:
                     journal.record("investigation_ended", ended=ended[0], reason=ended[1])
                     write_dwells(self._folder / "dwells.csv", self._rows)
-                    return Investigation(
-                        tuple(stages), *ended, rows=tuple(self._rows), refused=dict(self._refused)
-                    )
+                    return Investigation(tuple(stages), *ended, tuple(self._rows), dict(self._refused))
+
+    def _searched(self) -> Stage:
+        closure = close_loop(campaign_of(self._rows), self._held_out)
+        return Stage(self._spent_h, closure, rivals_of(closure))
+
+    def _end(self, stage: Stage) -> tuple[str, str] | None:
+        best = stage.closure.posterior.hypotheses[0]
+        if best.probability >= SETTLED:
+            what = listed(sorted(map(stage.closure.label, best.names))) or "nothing beside the declared model"
+            more = " and something that is not on the list" if best.has_remainder else ""
+            return "settled", f"{what.capitalize()}{more}: probability {best.probability:.4f}."
+        if self._spent_h >= self._budget_h:
+            return "budget", f"{self._spent_h:.1f} h of {self._budget_h:g} h on the bench are spent."
+        return None
+
+    def _proposal(self, stage: Stage) -> tuple[Proposal | None, tuple[str, str] | None]:
+        left_h = self._budget_h - self._spent_h
+        found = propose(self._rows, stage.rivals, stage.closure.noise_scale, self._refused, left_h)
+        useful = [each for each in found if each.entropy - each.expected_entropy > _MIN_GAIN]
+        if useful:
+            return useful[0], None
+        names = sorted({name for each in stage.rivals for name in each.names})
+        effects = {each.effect.name: each.effect for each in stage.closure.evidence}
+        experiments = [effects[name].experiment for name in names]
+        return None, (
+            "no_block",
+            "No block of this bench is expected to distinguish what is left. What would: "
+            f"{'; '.join(experiments) or 'a measurement of other quantities'}.",
+        )
+
+    @property
+    def _block_folder(self) -> Path:
+        return self._folder / f"block-{self._blocks + 1}"
+
+    def _is_approved(self, proposal: Proposal, stage: Stage, journal: Journal) -> bool:
+        """Whether a block may be measured, or was before the investigation was killed."""
+        if (self._block_folder / _DONE).exists():
+            return True
+        journal.record("proposed", number=self._blocks + 1, **proposed(proposal, stage.rivals))
+        answer = self._approve(proposal, stage.rivals)
+        journal.record("approved" if answer else "declined", number=self._blocks + 1)
+        return answer
+
+    def _measured(self, proposal: Proposal, journal: Journal) -> list[DwellRow] | None:
+        """Dwells of a block; None if the bench refused it."""
+        folder, number = self._block_folder, self._blocks + 1
+        make_folder(folder)
+        done = folder / _DONE
+        if done.exists():
+            return checked_rows(read_dwells(done), proposal.block.plan, done)
+        self._noted(f"Block {number}: {proposal.block.what}; {proposal.block.plan.duration_h:.1f} h.")
+        try:
+            rows = self._bench.measure(proposal.block.plan, folder)
+        except BlockRefusedError as error:
+            kind = proposal.block.kinds[0]
+            self._refused[kind] = str(error)
+            journal.record("refused", number=number, kind=kind, reason=str(error))
+            self._noted(f"The bench can't do it: {error}")
+            return None
+        write_dwells(done, rows)
+        return rows
+
+    def _with_outcome(
+        self, stage: Stage, proposal: Proposal, rows: Sequence[DwellRow], journal: Journal
+    ) -> Stage:
+        """The stage with its block; the dwells are added to the table."""
+        shares = outcome_probabilities(proposal, stage.rivals, rows)
+        named = {each.title: share for each, share in zip(stage.rivals, shares.tolist(), strict=True)}
+        hours = (max(row.end_s for row in rows) - proposal.block.plan.start_s) / _S_PER_H
+        self._rows += rows
+        self._spent_h += hours
+        self._blocks += 1
+        journal.record("measured", number=self._blocks, hours=hours, dwells=len(rows), by_prediction=named)
+        return replace(stage, proposal=proposal, outcome=tuple(shares.tolist()))
+
+
+def rivals_of(closure: Closure) -> tuple[Rival, ...]:
+    """The most probable hypotheses of a search; together they have probability 1."""
+    best = [each for each in closure.posterior.hypotheses if each.probability > _MIN_PROBABILITY]
+    best = best[:_MAX_RIVALS]
+    total = sum(each.probability for each in best)
+    residual_dph = (closure.campaign.bias_dph - closure.model.bias_dph)[closure.searched]
+    variance = float(np.mean(residual_dph**2)) - closure.noise_dph**2
+    remainder_dph = max(np.sqrt(max(variance, 0.0)), 0.5 * closure.noise_dph)
+    return tuple(
+        Rival(
+            tuple(sorted(each.names)),
+            each.candidates,
+            each.probability / total,
+            remainder_dph if each.has_remainder else 0.0,
+        )
+        for each in best
+    )
+
+
+def probabilities(closure: Closure) -> dict[str, Any]:
+    """What a search found, for the journal."""
+    return {
+        "verdict": closure.verdict,
+        "effects": closure.posterior.of_effect,
+        "nothing": closure.posterior.nothing,
+        "not_on_the_list": closure.posterior.not_on_list,
+    }
+
+
+def proposed(proposal: Proposal, rivals: Sequence[Rival]) -> dict[str, Any]:
+    """A proposal with its predictions, for the journal."""
+    return {
+        "block": proposal.block.name,
+        "hours": proposal.block.plan.duration_h,
+        "entropy": proposal.entropy,
+        "expected_entropy": proposal.expected_entropy,
+        "dwells": [row.dwell for row in proposal.rows],
+        "predictions": [
+            {
+                "hypothesis": rival.title,
+                "probability": rival.probability,
+                **{
+                    f"bias_{axis}_dph": prediction.mean_dph.reshape(3, -1)[gyro].tolist()
+                    for gyro, axis in enumerate(AXES)
+                },
+                **{
+                    f"sigma_{axis}_dph": np.sqrt(np.diag(prediction.covariance)).reshape(3, -1)[gyro].tolist()
+                    for gyro, axis in enumerate(AXES)
+                },
+            }
+            for rival, prediction in zip(rivals, proposal.predictions, strict=True)
+        ],
+    }

@@ -15,9 +15,6 @@ from gyrobench.bench.investigation.blocks import Block, catalogue
 from gyrobench.bench.investigation.choice import Prediction, entropy, expected_entropy, predict_dwells
 from gyrobench.bench.investigation.forecast import ThermalModel, fit_thermal_model, forecast_dwells
 
-#: Hypotheses less probable than this are not predicted.
-_MIN_PROBABILITY = 1e-3
-_MAX_HYPOTHESES = 6
 #: Blocks of which pairs are tried.
 _PAIRED = 4
 #: Bias from one power-on to the next where the dwells are of a single one, in units of the noise.
@@ -33,6 +30,12 @@ class Rival:
     probability: float  #: Of all rivals together 1.
     #: Rms of something that is not on the list beside the effects, deg/h; zero for none.
     remainder_dph: float = 0.0
+
+    @property
+    def title(self) -> str:
+        """Its effects by name: "warm_up + time_drift", "nothing", "... + not on the list"."""
+        names = " + ".join(self.names) or "nothing"
+        return f"{names} + not on the list" if self.remainder_dph else names
 
 
 @dataclass(frozen=True)
@@ -77,9 +80,7 @@ def propose(
 
     def usable(blocks: Sequence[Block]) -> list[Block]:
         return [
-            each
-            for each in blocks
-            if each.plan.duration_h <= max_h and not set(each.name.split(", then ")) & set(refused)
+            each for each in blocks if each.plan.duration_h <= max_h and not set(each.kinds) & set(refused)
         ]
 
     found = [_proposal(rows, known, each, model, rivals, noise_scale) for each in usable(catalogue(rows))]
@@ -88,14 +89,19 @@ def propose(
     pairs = [
         each
         for each in usable(catalogue(rows, pairs=True))
-        if len(parts := each.name.split(", then ")) == 2 and set(parts) <= best
+        if len(each.kinds) == 2 and set(each.kinds) <= best
     ]
     found += [_proposal(rows, known, each, model, rivals, noise_scale) for each in pairs]
     return sorted(found, key=lambda each: -each.gain_per_h)
 
 
 def _proposal(
-    rows: Sequence[DwellRow], known: Campaign, block: Block, model: ThermalModel, rivals: Sequence[Rival], noise_scale: float
+    rows: Sequence[DwellRow],
+    known: Campaign,
+    block: Block,
+    model: ThermalModel,
+    rivals: Sequence[Rival],
+    noise_scale: float,
 ) -> Proposal:
     new = forecast_dwells(rows, block.plan, model)
     campaign = campaign_of([*rows, *new])
@@ -133,23 +139,6 @@ def _run_spread_dph(rows: Sequence[DwellRow], noise_scale: float) -> float:
     if len(means) < 3:
         return _UNKNOWN_RUN_SPREAD * sigma_dph
     return max(float(np.std(means, axis=0, ddof=1).mean()), sigma_dph)
-
-
-def rivals_of(
-    weighed: Sequence[tuple[tuple[Candidate, ...], bool, float]], remainder_dph: float
-) -> list[Rival]:
-    """The most probable hypotheses: each with effects, whether it has a remainder, and its probability."""
-    best = [each for each in weighed if each[2] > _MIN_PROBABILITY][:_MAX_HYPOTHESES]
-    total = sum(probability for _, _, probability in best)
-    return [
-        Rival(
-            tuple(sorted(one.effect.name for one in candidates)),
-            candidates,
-            probability / total,
-            remainder_dph if has_remainder else 0.0,
-        )
-        for candidates, has_remainder, probability in best
-    ]
 
 
 def outcome_probabilities(
