@@ -207,7 +207,7 @@ class Investigator:
         self, stage: Stage, proposal: Proposal, rows: Sequence[DwellRow], journal: Journal
     ) -> Stage:
         """The stage with its block; the dwells are added to the table."""
-        shares = outcome_probabilities(proposal, stage.rivals, rows)
+        shares = outcome_probabilities(self._rows, rows, stage.rivals, stage.closure.noise_scale)
         named = {each.title: share for each, share in zip(stage.rivals, shares.tolist(), strict=True)}
         hours = (max(row.end_s for row in rows) - proposal.block.plan.start_s) / _S_PER_H
         self._rows += rows

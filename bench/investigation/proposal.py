@@ -104,21 +104,7 @@ def _proposal(
     noise_scale: float,
 ) -> Proposal:
     new = forecast_dwells(rows, block.plan, model)
-    campaign = campaign_of([*rows, *new])
-    measured = ~np.isin(campaign.dwell, [row.dwell for row in new])
-    if known.above_optics_c is not None:
-        # A network fitted again to the forecasts would learn nothing and take a second.
-        above_c = campaign.board_c - campaign.gyro_c
-        above_c[measured] = known.above_optics_c
-        campaign = replace(campaign, forecast_above_optics_c=above_c)
-    spread_dph = _run_spread_dph(rows, noise_scale)
-    predictions = []
-    for each in rivals:
-        prediction = predict_dwells(campaign, measured, each.candidates, noise_scale, spread_dph)
-        if each.remainder_dph:
-            more = each.remainder_dph**2 * np.eye(len(prediction.mean_dph))
-            prediction = Prediction(prediction.mean_dph, prediction.covariance + more)
-        predictions.append(prediction)
+    predictions = _predictions(rows, known, new, rivals, noise_scale)
     probabilities = np.array([each.probability for each in rivals])
     return Proposal(
         block,
@@ -127,6 +113,30 @@ def _proposal(
         entropy(probabilities),
         expected_entropy(predictions, probabilities),
     )
+
+
+def _predictions(
+    rows: Sequence[DwellRow],
+    known: Campaign,
+    new: Sequence[DwellRow],
+    rivals: Sequence[Rival],
+    noise_scale: float,
+) -> list[Prediction]:
+    """What each rival, fitted to dwells, predicts for new ones at their temperatures."""
+    campaign = campaign_of([*rows, *new])
+    measured = ~np.isin(campaign.dwell, [row.dwell for row in new])
+    if known.above_optics_c is not None:
+        # A network fitted again to the new dwells would take a second.
+        above_c = campaign.board_c - campaign.gyro_c
+        above_c[measured] = known.above_optics_c
+        campaign = replace(campaign, forecast_above_optics_c=above_c)
+    spread_dph = _run_spread_dph(rows, noise_scale)
+    found = []
+    for each in rivals:
+        prediction = predict_dwells(campaign, measured, each.candidates, noise_scale, spread_dph)
+        more = each.remainder_dph**2 * np.eye(len(prediction.mean_dph))
+        found.append(Prediction(prediction.mean_dph, prediction.covariance + more))
+    return found
 
 
 def _run_spread_dph(rows: Sequence[DwellRow], noise_scale: float) -> float:
@@ -142,17 +152,18 @@ def _run_spread_dph(rows: Sequence[DwellRow], noise_scale: float) -> float:
 
 
 def outcome_probabilities(
-    proposal: Proposal, rivals: Sequence[Rival], rows: Sequence[DwellRow]
+    rows: Sequence[DwellRow], new: Sequence[DwellRow], rivals: Sequence[Rival], noise_scale: float
 ) -> FloatArray:
-    """Probabilities of the rivals after the block was measured, by their predictions alone."""
-    measured = {row.dwell: row.bias_dph for row in rows}
-    chosen = [index for index, row in enumerate(proposal.rows) if row.dwell in measured]
-    count = len(proposal.rows)
-    places = np.concatenate([np.array(chosen) + gyro * count for gyro in range(3)])
-    outcome = np.array([measured[proposal.rows[index].dwell] for index in chosen]).T.ravel()
-    logs = []
-    for rival, each in zip(rivals, proposal.predictions, strict=True):
-        part = Prediction(each.mean_dph[places], each.covariance[np.ix_(places, places)])
-        logs.append(float(part.log_likelihood(outcome[np.newaxis])[0]) + np.log(rival.probability))
-    shares = np.exp(np.array(logs) - max(logs))
+    """Probabilities of the rivals by what they predict for new dwells, at the temperatures measured there.
+
+    Dwells with flags do not count.
+    """
+    good = [row for row in new if not row.flags]
+    if not good:
+        return np.array([each.probability for each in rivals])
+    outcome = np.array([row.bias_dph for row in good]).T.ravel()
+    predictions = _predictions(rows, campaign_of(rows), good, rivals, noise_scale)
+    logs = np.array([float(each.log_likelihood(outcome[np.newaxis])[0]) for each in predictions])
+    logs += np.log([each.probability for each in rivals])
+    shares = np.exp(logs - logs.max())
     return np.asarray(shares / shares.sum())
