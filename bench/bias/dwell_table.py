@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -97,6 +97,8 @@ class DwellRow:
     #: known.
     fit_ratio: float = math.nan
     fit_p_value: float = math.nan
+    #: Numbers of other columns by name, such as ``supply_w``: inputs that an effect may follow.
+    other: tuple[tuple[str, float], ...] = ()
     #: What was wrong with the dwell; empty where nothing was. A dwell with flags may be without result: NaN
     #: for its biases, their uncertainties and the gyros' temperatures.
     flags: str = ""
@@ -113,7 +115,13 @@ def paper_rows(rows: Iterable[DwellRow]) -> list[DwellRow]:
 
 def format_dwells(rows: Iterable[DwellRow]) -> str:
     """CSV text with a header; equal rows give equal text."""
-    return format_csv(COLUMNS, (_cells(row) for row in rows))
+    rows = list(rows)
+    other = tuple(dict.fromkeys(name for row in rows for name, _ in row.other))
+    cells = (
+        [*_cells(row), *(format_number(dict(row.other).get(name, math.nan)) for name in other)]
+        for row in rows
+    )
+    return format_csv((*COLUMNS, *other), cells)
 
 
 def write_dwells(path: Path, rows: Iterable[DwellRow]) -> None:
@@ -124,7 +132,7 @@ def write_dwells(path: Path, rows: Iterable[DwellRow]) -> None:
 def parse_dwells(text: str, name: str) -> list[DwellRow]:
     """Read CSV text.
 
-    Columns may come in any order and others may be among them; ``flags``, what the paper's
+    Columns may come in any order; the numbers of others are kept. ``flags``, what the paper's
     method gave, accelerometers, the test of fit and the temperatures that may be empty may also
     be missing.
     Values of the gyros may be empty in a row with flags, which say why.
@@ -133,7 +141,8 @@ def parse_dwells(text: str, name: str) -> list[DwellRow]:
     lists everything that is wrong with the table, each with file, line and column.
     """
     table = CsvTable(text, name, required=_REQUIRED)
-    rows = [_row(table, index) for index in range(len(table))]
+    other = [name for name in table.header if name not in COLUMNS and table.is_numeric(name)]
+    rows = [_row(table, index, other) for index in range(len(table))]
     seen: dict[int, int] = {}
     for index, row in enumerate(rows):
         first = seen.setdefault(row.dwell, index)
@@ -158,7 +167,7 @@ def _cells(row: DwellRow) -> list[str]:
     return [*names, *map(format_number, numbers), row.flags]
 
 
-def _row(table: CsvTable, index: int) -> DwellRow:
+def _row(table: CsvTable, index: int, other: Sequence[str]) -> DwellRow:
     failed = bool(table.text(index, "flags"))
 
     def triple(name: str) -> Triple:
@@ -177,6 +186,7 @@ def _row(table: CsvTable, index: int) -> DwellRow:
         dwell=table.integer(index, "dwell"),
         cycle=table.integer(index, "cycle"),
         position=table.choice(index, "position", POSITIONS),
+        other=tuple((name, table.number(index, name, may_be_empty=True)) for name in other),
         flags=table.text(index, "flags"),
         **values,
     )

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -70,6 +70,10 @@ class Campaign:
     held_out: BoolArray
     #: Dwells of the table that are left out because a gyro's temperature is missing.
     without_temperatures: tuple[int, ...] = ()
+    #: Shape (n,). Azimuth at the start of each dwell, NaN where not known; None as NaN.
+    azimuth_deg: FloatArray | None = None
+    #: Shape (n,) each. Other numbers of the dwells, by column of the table.
+    columns: Mapping[str, FloatArray] = field(default_factory=dict)
     tables: tuple[Table, ...] = ()  #: What it was read from, in the order of time; empty without files.
     #: Shape (n, 3). Temperature of the electronics above the optics, where dwells are forecast.
     forecast_above_optics_c: FloatArray | None = None
@@ -134,7 +138,8 @@ class Campaign:
             if isinstance(value := getattr(self, each.name), np.ndarray)
         }
         position = tuple(name for name, taken in zip(self.position, chosen, strict=True) if taken)
-        return replace(self, **arrays, position=position, part_of=(self, chosen))
+        columns = {name: values[chosen] for name, values in self.columns.items()}
+        return replace(self, **arrays, position=position, columns=columns, part_of=(self, chosen))
 
     @property
     def middle_s(self) -> FloatArray:
@@ -252,8 +257,18 @@ def campaign_of(rows: Sequence[DwellRow], record: TemperatureRecord | None = Non
         without_temperatures=tuple(
             row.dwell for row, known in zip(ordered, is_warm, strict=True) if not known
         ),
+        azimuth_deg=gather("azimuth_deg"),
+        columns=_other_columns(warm, start_s),
     )
     return whole if all(good) else whole.part(np.array(good))
+
+
+def _other_columns(rows: Sequence[DwellRow], start_s: FloatArray) -> dict[str, FloatArray]:
+    known = [dict(row.other) for row in rows]
+    names = dict.fromkeys(name for each in known for name in each)
+    return {
+        name: _interpolated(start_s, np.array([each.get(name, np.nan) for each in known])) for name in names
+    }
 
 
 def _interpolated(time_s: FloatArray, readings: FloatArray) -> FloatArray:

@@ -38,6 +38,7 @@ class _Navigation:
     """The navigation of one dwell, from the start of its first window to the end of its last one."""
 
     position: str
+    azimuth_deg: float
     cycle: int
     run: int
     start_s: float
@@ -96,6 +97,7 @@ def planned_campaign(plan: Plan, unit: PlannedUnit) -> Campaign:
         record=TemperatureRecord(forecast.time_s, _for_gyros(forecast.optics_c)),
         unit="planned",
         held_out=np.zeros(len(navigations), dtype=bool),
+        azimuth_deg=gather("azimuth_deg"),
     )
 
 
@@ -113,6 +115,7 @@ def _navigations(steps: Sequence[PlannedStep]) -> Iterator[_Navigation]:
         if bench.position is not None and not windows[0].is_calibration_check:
             yield _Navigation(
                 position=bench.position,
+                azimuth_deg=bench.azimuth_deg,
                 cycle=windows[0].cycle,
                 run=run,
                 start_s=windows[0].start_s,

@@ -309,7 +309,7 @@ def posterior(problem: Problem, effects: Sequence[Effect], hypotheses: Iterable[
 
 def _imitating(of: Hypothesis, effects: Sequence[Effect], campaign: Campaign) -> list[frozenset[str]]:
     """Names of the sets in which an effect that can't be fitted takes the place of one that it imitates."""
-    missing = {each.name for each in effects if each.missing_input(campaign)}
+    missing = {each.name for each in effects if each.missing_input(campaign) and each.may_imitate(campaign)}
     return [
         of.names - {one.effect.name} | {other}
         for one in of.candidates

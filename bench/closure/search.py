@@ -235,23 +235,24 @@ class Search:
         return problem.with_columns(stack(others, problem.campaign)[0]) if others else problem
 
     def _is_special_case(self, special: Hypothesis, general: Hypothesis) -> bool:
-        """Whether a hypothesis is contained in another, as fitted or with a parameter at its lower bound."""
+        """Whether a hypothesis is contained in another, as fitted or with a parameter at a bound."""
         if general.parameter_count <= special.parameter_count:
             return False
         target = stack(special.candidates, self.problem.campaign)
         return any(
             self.problem.with_columns(*stack(each, self.problem.campaign)).independent_share(*target)
             < SAME_SHARE
-            for each in (general.candidates, *_at_lower_bounds(general.candidates))
+            for each in (general.candidates, *_at_bounds(general.candidates))
         )
 
 
-def _at_lower_bounds(candidates: Sequence[Candidate]) -> Iterator[list[Candidate]]:
-    """Candidates with one parameter at its lower bound, for each that has one."""
+def _at_bounds(candidates: Sequence[Candidate]) -> Iterator[list[Candidate]]:
+    """Candidates with one parameter at its lower bound or open end, for each that has one."""
     for place, each in enumerate(candidates):
         for index, parameter in enumerate(each.form.parameters):
-            if np.isfinite(parameter.low):
-                values = (*each.values[:index], parameter.low, *each.values[index + 1 :])
+            bounds = (parameter.low, parameter.high if parameter.is_open_end else -np.inf)
+            for bound in filter(np.isfinite, bounds):
+                values = (*each.values[:index], bound, *each.values[index + 1 :])
                 yield [*candidates[:place], replace(each, values=values), *candidates[place + 1 :]]
 
 

@@ -57,6 +57,28 @@ class TemperatureRecord:
             axis=1,
         )
 
+    def through_dwells(
+        self, start_s: FloatArray, end_s: FloatArray, means: FloatArray, seen: BoolArray
+    ) -> FloatArray:
+        """Means of dwells (n, k) interpolated to the record's times; within dwells seen, from these alone."""
+        middle_s = 0.5 * (start_s + end_s)
+
+        def through(chosen: BoolArray) -> FloatArray:
+            columns = means[chosen].T
+            return np.stack([np.interp(self.time_s, middle_s[chosen], each) for each in columns], axis=1)
+
+        values = through(np.ones_like(seen))
+        if seen.any() and not seen.all():
+            inside = self._inside(start_s, end_s, seen)[:, np.newaxis]
+            values = np.where(inside, through(seen), values)
+        return values
+
+    def _inside(self, start_s: FloatArray, end_s: FloatArray, seen: BoolArray) -> BoolArray:
+        """Times of the record within dwells seen."""
+        dwell = np.clip(np.searchsorted(start_s, self.time_s, side="right") - 1, 0, len(start_s) - 1)
+        inside: BoolArray = seen[dwell] & (self.time_s <= end_s[dwell])
+        return inside
+
 
 def lag(values: FloatArray, time_s: FloatArray, tau_s: float) -> FloatArray:
     """First-order lag of values (m, k) minus these values, at rest before the first of the times (m,).
@@ -120,8 +142,7 @@ def _without_influence(
     all_dwells = record_of_dwells(start_s, end_s, gyro_c, rate_c_per_h)
     seen = ~held_out
     alone = record_of_dwells(start_s[seen], end_s[seen], gyro_c[seen], rate_c_per_h[seen])
-    dwell = np.clip(np.searchsorted(start_s, all_dwells.time_s, side="right") - 1, 0, len(start_s) - 1)
-    inside = seen[dwell] & (all_dwells.time_s <= end_s[dwell])
+    inside = all_dwells._inside(start_s, end_s, seen)  # noqa: SLF001
     own_c = np.stack([np.interp(all_dwells.time_s, alone.time_s, each) for each in alone.gyro_c.T], axis=1)
     return replace(all_dwells, gyro_c=np.where(inside[:, np.newaxis], own_c, all_dwells.gyro_c))
 

@@ -46,6 +46,8 @@ class CsvTable:
     ----------
     lines : list of int
         Line on which each row ends, from 1.
+    header : list of str
+        Names of the columns.
 
     Raises
     ------
@@ -60,7 +62,7 @@ class CsvTable:
         self.lines: list[int] = []
         reader = csv.reader(io.StringIO(text, newline=""), strict=True)
         try:
-            header = [cell.strip() for cell in next(reader, [])]
+            self.header = header = [cell.strip() for cell in next(reader, [])]
             for cells in reader:
                 if cells:
                     self._rows.append(cells)
@@ -72,6 +74,13 @@ class CsvTable:
 
     def __len__(self) -> int:
         return len(self._rows)
+
+    def is_numeric(self, column: str) -> bool:
+        """Whether a column has numbers and nothing else but empty cells."""
+        texts = {self.text(index, column).lower() for index in range(len(self))} - {"", "nan"}
+        return bool(texts) and all(
+            _NUMBER.fullmatch(text) and abs(float(text)) <= LARGEST_NUMBER for text in texts
+        )
 
     def text(self, index: int, column: str) -> str:
         """Give the cell's text; empty where the table has no such column."""

@@ -21,7 +21,7 @@ from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import make_folder
 from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.investigation.external_bench import BlockRefusedError, ExternalBench, checked_rows
-from gyrobench.bench.investigation.proposal import Proposal, Rival, outcome_probabilities, propose
+from gyrobench.bench.investigation.proposal import Outcome, Proposal, Rival, outcome_of, propose
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.runs.journal import Journal, read_journal
 
@@ -45,8 +45,7 @@ class Stage:
     closure: Closure  #: The search.
     rivals: tuple[Rival, ...]  #: The hypotheses that a block has to distinguish.
     proposal: Proposal | None = None  #: The block measured next; None at the end.
-    #: Probability of each rival by its prediction and the outcome; empty at the end.
-    outcome: tuple[float, ...] = ()
+    outcome: Outcome | None = None  #: What the block says about the rivals; None at the end.
 
 
 @dataclass(frozen=True)
@@ -57,7 +56,9 @@ class Investigation:
     ended: str  #: "settled", "budget", "no_block" or "declined".
     reason: str  #: Why it ended, one sentence.
     rows: tuple[DwellRow, ...]  #: All dwells.
-    refused: Mapping[str, str]  #: Reasons of the bench by kind of block.
+    refused: Mapping[tuple[str, ...], str]  #: Reasons of the bench by the kinds of a block.
+    #: The block that confirms a settled cause; its rivals are the cause and the declared model alone.
+    confirmation: Stage | None = None
 
     @property
     def closure(self) -> Closure:
@@ -99,7 +100,7 @@ class Investigator:
         self._held_out = [max(row.cycle for row in self._rows)]
         self._folder, self._bench, self._budget_h = folder, bench, budget_h
         self._approve, self._noted = approve, noted
-        self._refused: dict[str, str] = {}
+        self._refused: dict[tuple[str, ...], str] = {}
         self._spent_h, self._blocks = 0.0, 0
         table = folder / "start.csv"
         if not table.exists():
@@ -110,37 +111,63 @@ class Investigator:
     def run(self, clock: Clock) -> Investigation:
         """Measure block after block until the cause is settled, or no block can help, or the time is spent.
 
-        Raises GyrobenchError if the bench fails; a later call continues.
+        A settled cause is confirmed by one more block, predicted before it is measured. Raises GyrobenchError
+        if the bench fails; a later call continues.
         """
         path = self._folder / "journal.jsonl"
         earlier = list(read_journal(path)) if path.exists() else []
         stages: list[Stage] = []
+        confirmation = None
         with Journal(path, clock) as journal:
             event = "investigation_resumed" if earlier else "investigation_started"
             journal.record(event, budget_h=self._budget_h)
             self._refused = {
-                entry["kind"]: entry["reason"] for entry in earlier if entry["event"] == "refused"
+                tuple(entry["kinds"]): entry["reason"] for entry in earlier if entry["event"] == "refused"
             }
-            while True:
+            ended = None
+            while ended is None:
                 stage = self._searched()
                 journal.record("searched", spent_h=stage.spent_h, **probabilities(stage.closure))
                 ended = self._end(stage)
-                while not ended:
-                    proposal, ended = self._proposal(stage)
-                    if proposal is None:
-                        break
-                    if not self._is_approved(proposal, stage, journal):
-                        ended = "declined", "The proposed block was declined."
-                        break
-                    measured = self._measured(proposal, journal)
-                    if measured is not None:
-                        stage = self._with_outcome(stage, proposal, measured, journal)
-                        break
+                if ended is None:
+                    stage, ended = self._with_block(stage, journal)
                 stages.append(stage)
-                if ended:
-                    journal.record("investigation_ended", ended=ended[0], reason=ended[1])
-                    write_dwells(self._folder / "dwells.csv", self._rows)
-                    return Investigation(tuple(stages), *ended, tuple(self._rows), dict(self._refused))
+            if ended[0] == "settled" and stages[-1].rivals[0].names:
+                confirmation = self._confirmation(stages[-1], journal)
+            journal.record("investigation_ended", ended=ended[0], reason=ended[1])
+            write_dwells(self._folder / "dwells.csv", self._rows)
+        return Investigation(tuple(stages), *ended, tuple(self._rows), dict(self._refused), confirmation)
+
+    def _with_block(self, stage: Stage, journal: Journal) -> tuple[Stage, tuple[str, str] | None]:
+        """The stage with the best block that the bench can do, or why there is none."""
+        while True:
+            left_h = self._budget_h - self._spent_h
+            scale = stage.closure.noise_scale
+            found = propose(self._rows, stage.rivals, scale, list(self._refused), left_h)
+            useful = [each for each in found if each.entropy - each.expected_entropy > _MIN_GAIN]
+            if not useful:
+                return stage, ("no_block", self._no_block(stage))
+            if not self._is_approved(useful[0], stage, journal):
+                return stage, ("declined", "The proposed block was declined.")
+            rows = self._measured(useful[0], journal)
+            if rows is not None:
+                return self._with_outcome(stage, useful[0], rows, journal), None
+
+    def _no_block(self, stage: Stage) -> str:
+        names = sorted({name for each in stage.rivals for name in each.names})
+        effects = {each.effect.name: each.effect for each in stage.closure.evidence}
+        experiments = "; ".join(effects[name].experiment for name in names if name in effects)
+        return (
+            "No block of this bench is expected to distinguish what is left. What would: "
+            f"{experiments or 'a measurement of other quantities'}."
+        )
+
+    def _confirmation(self, last: Stage, journal: Journal) -> Stage | None:
+        """A block in which the cause and the declared model alone differ most; None if not measured."""
+        cause = replace(last.rivals[0], probability=0.5)
+        stage = replace(last, rivals=(cause, Rival((), (), 0.5)))
+        stage, ended = self._with_block(stage, journal)
+        return None if ended else stage
 
     def _searched(self) -> Stage:
         closure = close_loop(campaign_of(self._rows), self._held_out)
@@ -155,21 +182,6 @@ class Investigator:
         if self._spent_h >= self._budget_h:
             return "budget", f"{self._spent_h:.1f} h of {self._budget_h:g} h on the bench are spent."
         return None
-
-    def _proposal(self, stage: Stage) -> tuple[Proposal | None, tuple[str, str] | None]:
-        left_h = self._budget_h - self._spent_h
-        found = propose(self._rows, stage.rivals, stage.closure.noise_scale, self._refused, left_h)
-        useful = [each for each in found if each.entropy - each.expected_entropy > _MIN_GAIN]
-        if useful:
-            return useful[0], None
-        names = sorted({name for each in stage.rivals for name in each.names})
-        effects = {each.effect.name: each.effect for each in stage.closure.evidence}
-        experiments = [effects[name].experiment for name in names]
-        return None, (
-            "no_block",
-            "No block of this bench is expected to distinguish what is left. What would: "
-            f"{'; '.join(experiments) or 'a measurement of other quantities'}.",
-        )
 
     @property
     def _block_folder(self) -> Path:
@@ -195,9 +207,8 @@ class Investigator:
         try:
             rows = self._bench.measure(proposal.block.plan, folder)
         except BlockRefusedError as error:
-            kind = proposal.block.kinds[0]
-            self._refused[kind] = str(error)
-            journal.record("refused", number=number, kind=kind, reason=str(error))
+            self._refused[proposal.block.kinds] = str(error)
+            journal.record("refused", number=number, kinds=proposal.block.kinds, reason=str(error))
             self._noted(f"The bench can't do it: {error}")
             return None
         write_dwells(done, rows)
@@ -207,14 +218,25 @@ class Investigator:
         self, stage: Stage, proposal: Proposal, rows: Sequence[DwellRow], journal: Journal
     ) -> Stage:
         """The stage with its block; the dwells are added to the table."""
-        shares = outcome_probabilities(self._rows, rows, stage.rivals, stage.closure.noise_scale)
-        named = {each.title: share for each, share in zip(stage.rivals, shares.tolist(), strict=True)}
+        outcome = outcome_of(self._rows, rows, stage.rivals, stage.closure.noise_scale)
         hours = (max(row.end_s for row in rows) - proposal.block.plan.start_s) / _S_PER_H
         self._rows += rows
         self._spent_h += hours
         self._blocks += 1
-        journal.record("measured", number=self._blocks, hours=hours, dwells=len(rows), by_prediction=named)
-        return replace(stage, proposal=proposal, outcome=tuple(shares.tolist()))
+        journal.record(
+            "measured",
+            number=self._blocks,
+            hours=hours,
+            dwells=len(rows),
+            noise_dph=outcome.noise_dph,
+            hypotheses=[
+                {"hypothesis": rival.title, "probability": probability, "error_dph": error_dph}
+                for rival, probability, error_dph in zip(
+                    stage.rivals, outcome.probabilities, outcome.error_dph, strict=True
+                )
+            ],
+        )
+        return replace(stage, proposal=proposal, outcome=outcome)
 
 
 def rivals_of(closure: Closure) -> tuple[Rival, ...]:

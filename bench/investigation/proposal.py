@@ -10,7 +10,7 @@ import numpy as np
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.closure.campaign import Campaign, campaign_of
 from gyrobench.bench.closure.candidates import Candidate
-from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.investigation.blocks import Block, catalogue
 from gyrobench.bench.investigation.choice import Prediction, entropy, expected_entropy, predict_dwells
 from gyrobench.bench.investigation.forecast import ThermalModel, fit_thermal_model, forecast_dwells
@@ -58,7 +58,7 @@ def propose(
     rows: Sequence[DwellRow],
     rivals: Sequence[Rival],
     noise_scale: float,
-    refused: Collection[str] = (),
+    refused: Collection[Sequence[str]] = (),
     max_h: float = np.inf,
 ) -> list[Proposal]:
     """Blocks with their utilities, best first.
@@ -71,8 +71,8 @@ def propose(
         Hypotheses fitted to them.
     noise_scale : float
         Ratio of the noise to the stated uncertainties.
-    refused : collection of str
-        Names of kinds of block that the bench can't do.
+    refused : collection of sequence of str
+        Kinds of the blocks that the bench refused. The kinds of a refused pair are proposed alone.
     max_h : float
         Longest block.
     """
@@ -151,19 +151,39 @@ def _run_spread_dph(rows: Sequence[DwellRow], noise_scale: float) -> float:
     return max(float(np.std(means, axis=0, ddof=1).mean()), sigma_dph)
 
 
-def outcome_probabilities(
-    rows: Sequence[DwellRow], new: Sequence[DwellRow], rivals: Sequence[Rival], noise_scale: float
-) -> FloatArray:
-    """Probabilities of the rivals by what they predict for new dwells, at the temperatures measured there.
+@dataclass(frozen=True)
+class Outcome:
+    """What new dwells say about rivals that were fitted to the earlier ones."""
 
-    Dwells with flags do not count.
+    probabilities: tuple[float, ...]  #: Of each rival, by its prediction and the dwells alone.
+    #: Rms of measured minus predicted bias, deg/h, for each rival; of a new power-on without the mean.
+    error_dph: tuple[float, ...]
+    noise_dph: float  #: Rms of the noise of the new dwells.
+
+
+def outcome_of(
+    rows: Sequence[DwellRow], new: Sequence[DwellRow], rivals: Sequence[Rival], noise_scale: float
+) -> Outcome:
+    """Compare new dwells with what each rival predicts at the temperatures measured there.
+
+    Dwells with flags do not count. Raises MeasurementError if all have flags.
     """
     good = [row for row in new if not row.flags]
     if not good:
-        return np.array([each.probability for each in rivals])
-    outcome = np.array([row.bias_dph for row in good]).T.ravel()
+        raise MeasurementError("all new dwells have flags. Measure the block again")
+    bias_dph = np.array([row.bias_dph for row in good])
     predictions = _predictions(rows, campaign_of(rows), good, rivals, noise_scale)
-    logs = np.array([float(each.log_likelihood(outcome[np.newaxis])[0]) for each in predictions])
+    logs = np.array([float(each.log_likelihood(bias_dph.T.ravel()[np.newaxis])[0]) for each in predictions])
     logs += np.log([each.probability for each in rivals])
     shares = np.exp(logs - logs.max())
-    return np.asarray(shares / shares.sum())
+    known, runs = {row.run for row in rows}, np.array([row.run for row in good])
+    errors = []
+    for each in predictions:
+        error_dph = bias_dph - each.mean_dph.reshape(3, -1).T
+        for run in set(runs.tolist()) - known:
+            error_dph[runs == run] -= error_dph[runs == run].mean(axis=0)
+        errors.append(float(np.sqrt(np.mean(error_dph**2))))
+    sigma_dph = noise_scale * np.array([row.sigma_dph for row in good])
+    return Outcome(
+        tuple((shares / shares.sum()).tolist()), tuple(errors), float(np.sqrt(np.mean(sigma_dph**2)))
+    )

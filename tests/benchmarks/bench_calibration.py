@@ -47,8 +47,7 @@ def stated(one):
         return known["nothing"], not one["effects"]
     if one["verdict"] == "unexplained":
         return known["not_on_list"], is_unknown(one) or bool(one["effects"] and not one["candidates_own"])
-    of_set = (each for names, rest, each in known["hypotheses"] if names == one["found"] and not rest)
-    return next(of_set, 0.0), is_right(one)
+    return known["found"], is_right(one)
 
 
 def statements(results):

@@ -86,15 +86,14 @@ def examined(seed):
 
 
 def _probabilities(closure):
-    posterior = getattr(closure, "posterior", None)
-    if posterior is None:
-        return None
+    posterior = closure.posterior
     return {
         "nothing": posterior.nothing,
         "not_on_list": posterior.not_on_list,
-        "effects": dict(posterior.of_effect),
+        "effects": posterior.of_effect,
+        "found": posterior.of_set([each.effect.name for each in closure.effects], has_remainder=False),
         "hypotheses": [
-            [sorted(each.names), each.has_remainder, each.probability] for each in posterior.hypotheses[:10]
+            [sorted(each.names), each.has_remainder, each.probability] for each in posterior.hypotheses[:8]
         ],
     }
 
@@ -115,29 +114,27 @@ def _inside(closure, truth):
     inside = {"sizes": [0, 0], "parameters": [0, 0], "predictions": [0, 0]}
 
     def count(what, errors, sigmas):
-        inside[what][0] += int(np.sum(np.abs(errors) <= WITHIN_95 * np.asarray(sigmas)))
+        inside[what][0] += int(np.sum(np.abs(errors) <= WITHIN_95 * sigmas))
         inside[what][1] += int(np.size(errors))
 
     found = {each.effect.name: each for each in closure.effects}
     is_right = found.keys() == truth.kinds
     for part in truth.parts if is_right else ():
         one = found[part.kind]
-        sizes_sigma, values_sigma = (getattr(one, name, None) for name in ("sizes_sigma_dph", "values_sigma"))
-        if part.sizes_dph is None or sizes_sigma is None:
+        if part.sizes_dph is None or part.sizes_dph.shape != one.sizes_dph.shape:
             continue
         kept = one.candidate.kept
-        if one.sizes_dph.shape == part.sizes_dph.shape:
-            count("sizes", (one.sizes_dph - part.sizes_dph)[kept], np.asarray(sizes_sigma)[kept])
-        if values_sigma is not None and len(part.values):
-            bound = set(getattr(one, "at_bound", ()))
-            free = [each.name not in bound for each in one.candidate.form.parameters]
-            errors = np.subtract(one.candidate.values, part.values)
-            count("parameters", errors[free], np.asarray(values_sigma)[free])
-    sigma_dph = getattr(closure, "prediction_sigma_dph", None)
-    if sigma_dph is not None and (is_right or closure.verdict in ("clean", "explained")):
+        count("sizes", (one.sizes_dph - part.sizes_dph)[kept], one.sizes_sigma_dph[kept])
+        held = [
+            low <= value <= high for value, (low, high) in zip(part.values, one.values_range, strict=True)
+        ]
+        inside["parameters"][0] += sum(held)
+        inside["parameters"][1] += len(held)
+    if is_right or closure.verdict in ("clean", "explained"):
         campaign, searched = closure.campaign, closure.searched
         seen = ~searched & np.isin(campaign.run, campaign.run[searched])
-        count("predictions", (closure.model.bias_dph - truth.bias_dph)[seen], np.asarray(sigma_dph)[seen])
+        errors_dph, sigma_dph = closure.model.bias_dph - truth.bias_dph, closure.prediction_sigma_dph
+        count("predictions", errors_dph[seen], sigma_dph[seen])
     return inside
 
 

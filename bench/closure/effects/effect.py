@@ -75,6 +75,11 @@ def no_ins_term(reason: str) -> Callable[[FittedForm], InsTerms]:
 NO_INS_TERM = no_ins_term("the INS has no term for it")
 
 
+def always(campaign: Campaign) -> bool:  # noqa: ARG001
+    """Whether an effect may imitate another one: in all campaigns."""
+    return True
+
+
 @dataclass(frozen=True)
 class Effect:
     """A physical effect on gyro bias that the declared model lacks."""
@@ -89,6 +94,7 @@ class Effect:
     imitated_by: tuple[str, ...] = ()
     compensation: Callable[[FittedForm], InsTerms] = NO_INS_TERM  #: How the INS compensates it.
     label: str = ""  #: Displayed in place of the name; by default the name with spaces.
+    may_imitate: Callable[[Campaign], bool] = always  #: In which campaigns it may imitate another effect.
 
     @property
     def display_name(self) -> str:

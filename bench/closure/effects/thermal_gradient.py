@@ -2,22 +2,10 @@
 
 from __future__ import annotations
 
-from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.effects.effect import (
-    Effect,
-    Form,
-    above_optics_c,
-    heat_flow_terms,
-    needs_electronics,
-)
-from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.closure.effects.grammar import Law, effect_of
 
-
-def _columns(campaign: Campaign, _: tuple[float, ...]) -> FloatArray:
-    return above_optics_c(campaign)[:, :, None]
-
-
-EFFECT = Effect(
+EFFECT = effect_of(
+    Law("above_optics_k"),
     name="thermal_gradient",
     statement=(
         "the bias follows the temperature difference between electronics and optics, equally in all positions"
@@ -26,6 +14,5 @@ EFFECT = Effect(
         "soak at one temperature and change the power of the electronics: the temperature difference "
         "changes, while the temperature rate soon returns to zero"
     ),
-    forms=(Form(("electronics above optics, K",), _columns, missing_input=needs_electronics),),
-    compensation=heat_flow_terms,
+    terms=("electronics above optics, K",),
 )

@@ -2,28 +2,19 @@
 
 from __future__ import annotations
 
-from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.effects.effect import Effect, Form, no_ins_term, time_constant
-from gyrobench.bench.closure.temperatures import lag
-from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.closure.effects.effect import time_constant
+from gyrobench.bench.closure.effects.grammar import Law, effect_of
 
+_TAU = time_constant(1.0, 300.0, 900.0, 2700.0, 7200.0)
 
-def _columns(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
-    record = campaign.record
-    behind_c = lag(record.gyro_c, record.time_s, values[0])
-    return record.mean_over(behind_c, campaign.start_s, campaign.end_s)[:, :, None]
-
-
-EFFECT = Effect(
+EFFECT = effect_of(
+    Law("gyro_c", memory="decay", parameters=(_TAU,)),
     name="thermal_lag",
     statement="the bias follows a temperature that lags behind the measured one",
     experiment=(
         "step the temperature once and soak: the bias settles a time constant later than the sensor; a "
         "second sensor closer to the cavity shows the lag directly"
     ),
-    compensation=no_ins_term("the INS has no term for a temperature that lags behind"),
-    forms=(
-        Form(("lag behind the sensor, K",), _columns, (time_constant(1.0, 300.0, 900.0, 2700.0, 7200.0),)),
-    ),
+    terms=("sensor ahead of the lagging temperature, K",),
     imitated_by=("thermal_gradient",),
 )

@@ -7,14 +7,21 @@ from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.closure.problem import declared_problem
 from tests.bench.closure.thermal_bench import measure
 
+#: What lets every effect be fitted: headings, power cycles, and all that can be logged.
+EQUIPPED = {
+    "headings_deg": (0.0, 90.0, 180.0, 270.0, 45.0),
+    "power_on_each_cycle": True,
+    "sensors": ("set", "air", "board", "supply", "room"),
+}
+
 
 @pytest.fixture(scope="session")
 def closed():
-    """``closed(effects, **options of measure)``: the outcome of the search, of two cycles by default."""
+    """``closed(effects, **options of measure)``: the search, of two cycles and two headings by default."""
     done = {}
 
     def close(effects=None, **options):
-        options = {"cycles": 2} | options
+        options = {"cycles": 2, "headings_deg": (0.0, 90.0)} | options
         key = (*(effects or {}).items(), *sorted(options.items()))
         if key not in done:
             done[key] = close_loop(campaign_of(measure(effects, **options).rows))
@@ -27,6 +34,12 @@ def closed():
 def clean():
     """A campaign with nothing undeclared in it."""
     return campaign_of(measure().rows)
+
+
+@pytest.fixture(scope="session")
+def equipped():
+    """As ``clean``, of a bench that varies and measures everything."""
+    return campaign_of(measure(**EQUIPPED).rows)
 
 
 @pytest.fixture(scope="session")

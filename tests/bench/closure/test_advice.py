@@ -54,7 +54,11 @@ def test_a_lost_pair_was_distinguished_before(fig7, advice):
 
 
 def test_no_advice_if_all_effects_are_distinguished(fig7):
-    document, plan, unit, now = fig7
+    document, plan, unit, _ = fig7
+    campaign = searched_dwells(planned_campaign(plan, unit))
+    # The others take a second power cycle, another heading, or something that is logged.
+    possible = [each for each in all_effects() if each.missing_input(campaign) is None]
+    now = separability(campaign, possible)
     assert advise(document, plan, partial(plan_on, station()), unit, now, target_dph=0.1) == []
 
 

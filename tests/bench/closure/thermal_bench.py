@@ -12,6 +12,7 @@ from functools import cache
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.navigation.positions import POSITIONS
 
 STEP_S = 60.0
 SIGMA_DPH = 0.002
@@ -34,6 +35,8 @@ CONSTANT_DPH = np.array([0.01, -0.02, 0.015])
 RUN_SPREAD_DPH = 0.006
 #: Of the electronics, over their heat capacity.
 POWER_C_PER_H = 14.0
+#: Ageing, and the direction of the Earth's magnetic field below the horizon.
+AGEING_H, INCLINATION_DEG = 30.0, 60.0
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,10 @@ class Course:
     case_c: np.ndarray
     optics_c: np.ndarray
     board_c: np.ndarray
+    supply_w: np.ndarray
+    room_c: np.ndarray
+    #: Unit vector of the Earth's magnetic field in body axes, (m, 3).
+    field: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -96,15 +103,24 @@ def temperatures(set_c, up, power_c_per_h, attitude_convection):
 
 @cache
 def course(
-    cycles, profile, positions, steps_of_dwell, power_on_each_cycle, power_steps_h, attitude_convection
-):
-    """Simulate a campaign; ``positions`` has one name a dwell."""
+    cycles, profile, positions, headings_deg, steps_of_dwell, power_on_each_cycle, power_steps_h,
+    attitude_convection,
+):  # fmt: skip
+    """Simulate a campaign; ``positions`` and ``headings_deg`` have one entry a dwell."""
     one = set_points(profile)
     set_c = np.tile(one, cycles)
     index = np.arange(len(set_c))
     hours = index * STEP_S / 3600.0
     up = np.array([UP[each] for each in positions], dtype=float)
     up = up[np.minimum(index // steps_of_dwell, len(positions) - 1)]
+    inclination = np.deg2rad(INCLINATION_DEG)
+    north = np.array(
+        [
+            POSITIONS[name].C_nb(np.deg2rad(heading))[1]
+            for name, heading in zip(positions, headings_deg, strict=True)
+        ]
+    )
+    north = north[np.minimum(index // steps_of_dwell, len(positions) - 1)]
     cycle = index // len(one)
     run = cycle if power_on_each_cycle else np.zeros_like(cycle)
     power = np.full(len(index), POWER_C_PER_H)
@@ -122,6 +138,9 @@ def course(
         case_c=states[:, 1],
         optics_c=states[:, 2:5],
         board_c=states[:, 5:8],
+        supply_w=40.0 + 3.0 * np.sign(np.sin(hours / 1.7)) + np.sin(hours / 0.9),
+        room_c=21.0 + 1.5 * np.sin(2.0 * np.pi * (hours - 9.0) / 24.0) + 0.3 * np.sin(hours / 2.3),
+        field=np.cos(inclination) * north - np.sin(inclination) * up,
     )
 
 
@@ -161,6 +180,13 @@ EFFECTS: Mapping[str, Callable[[Course], np.ndarray]] = {
     "warm_up": lambda c: np.exp(-c.since_power_on_h / WARM_UP_H)[:, None],
     "time_drift": lambda c: c.time_h[:, None],
     "g_sensitivity": lambda c: c.up @ np.array([[1.0, 0.3, 0.1], [0.2, 0.9, 0.3], [0.1, 0.2, 1.1]]),
+    "thermal_g_sensitivity": lambda c: (
+        c.optics_c * (c.up @ np.array([[0.9, 0.2, 0.1], [0.3, 1.1, 0.2], [0.2, 0.1, 1.0]]))
+    ),
+    "magnetic_sensitivity": lambda c: c.field @ np.array([[0.2, 1.0, 0.4], [0.9, 0.1, 0.3], [0.5, 0.6, 0.8]]),
+    "supply_power": lambda c: c.supply_w[:, None],
+    "daily_course": lambda c: c.room_c[:, None],
+    "ageing": lambda c: np.exp(-c.time_h / AGEING_H)[:, None],
     "chamber_state": _cooling,
     "bias_jump": jump(0.4),
     "sinusoid": lambda c: np.sin(2.0 * np.pi * c.time_h / SINUSOID_H)[:, None],
@@ -178,6 +204,7 @@ def measure(
     pause_s: float = 0.0,
     power_on_each_cycle: bool = False,
     positions: Sequence[str] | None = None,
+    headings_deg: Sequence[float] = (0.0,),
     power_steps_h: float | None = None,
     attitude_convection: float = 0.0,
     sigma_dph: float = SIGMA_DPH,
@@ -196,12 +223,14 @@ def measure(
     positions : sequence of str, optional
         Position of each dwell, again from the first after the last; all six in an order that changes if
         not given.
+    headings_deg : sequence of float
+        Azimuth of each dwell, again from the first after the last.
     power_steps_h : float, optional
         Hours after which the electronics' power goes to 60 % and back.
     noise : float
         True noise over the stated ``sigma_dph``.
     sensors : sequence of str
-        What is measured beside the optics: of "set", "air", "case" and "board".
+        What is measured beside the optics: of "set", "air", "case", "board", "supply" and "room".
     """
     draw = np.random.default_rng(seed)
     period, steps = round((dwell_s + pause_s) / STEP_S), round(dwell_s / STEP_S)
@@ -210,7 +239,10 @@ def measure(
         shuffled = np.random.default_rng(6)
         positions = np.concatenate([shuffled.permutation(list(UP)) for _ in range(dwells // 6 + 1)])
     names = tuple(str(positions[each % len(positions)]) for each in range(dwells))
-    c = course(cycles, profile, names, period, power_on_each_cycle, power_steps_h, attitude_convection)
+    headings = tuple(headings_deg[each % len(headings_deg)] for each in range(dwells))
+    c = course(
+        cycles, profile, names, headings, period, power_on_each_cycle, power_steps_h, attitude_convection
+    )
     starts = period * np.arange(dwells)
 
     def over_dwells(values):
@@ -238,6 +270,8 @@ def measure(
     case_c = sensor(c.case_c, 0.005, "case" in sensors)
     gyro_c = sensor(c.optics_c, 0.002)
     board_c = sensor(c.board_c, 0.005, "board" in sensors)
+    other = {"supply_w": ("supply", c.supply_w), "room_c": ("room", c.room_c)}
+    other = {name: over_dwells(values).tolist() for name, (kind, values) in other.items() if kind in sensors}
     rows = [
         DwellRow(
             unit="T1",
@@ -256,6 +290,8 @@ def measure(
             chamber_c=air_c[each],
             case_c=case_c[each],
             board_c=tuple(board_c[each]),
+            azimuth_deg=headings[each],
+            other=tuple((name, values[each]) for name, values in other.items()),
         )
         for each, first in enumerate(starts.tolist())
     ]

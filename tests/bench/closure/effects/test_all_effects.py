@@ -9,7 +9,16 @@ import pytest
 from gyrobench.bench.closure import effects as package
 from gyrobench.bench.closure.candidates import starts
 from gyrobench.bench.closure.effects import all_effects
-from tests.bench.closure.thermal_bench import HALF_WIDTH_C, LAG_H, ONSET_C, ONSET_WIDTH_C, WARM_UP_H
+from tests.bench.closure.conftest import EQUIPPED
+from tests.bench.closure.thermal_bench import (
+    AGEING_H,
+    HALF_WIDTH_C,
+    INCLINATION_DEG,
+    LAG_H,
+    ONSET_C,
+    ONSET_WIDTH_C,
+    WARM_UP_H,
+)
 
 ALL = [(effect, form) for effect in all_effects() for form in effect.forms]
 NAMES = {
@@ -24,7 +33,10 @@ TRUE = {
     "warm_up": (WARM_UP_H * 3600.0,),
     "chamber_state": (5.0,),
     "bias_jump": (0.4 * 3 * 67_200.0,),
+    "ageing": (AGEING_H * 3600.0,),
+    "magnetic_sensitivity": (INCLINATION_DEG,),
 }
+NEED_EQUIPMENT = {"magnetic_sensitivity", "supply_power", "daily_course", "ageing"}
 #: What the columns may miss of a simulated effect: its course between the dwells has to be guessed.
 MISSED = {"thermal_hysteresis": 0.02, "chamber_state": 0.01}
 
@@ -66,30 +78,30 @@ def test_an_effect_has_a_statement_and_an_experiment(effect):
 
 
 @pytest.mark.parametrize(("effect", "form"), ALL, ids=label)
-def test_columns_have_a_term_for_each_gyro_and_no_gap_at_any_start(clean, effect, form):
-    for values in starts(form, clean):
-        columns = form.columns(clean, values)
-        assert columns.shape == (len(clean), 3, len(form.terms))
+def test_columns_have_a_term_for_each_gyro_and_no_gap_at_any_start(equipped, effect, form):
+    for values in starts(form, equipped):
+        columns = form.columns(equipped, values)
+        assert columns.shape == (len(equipped), 3, len(form.terms))
         assert np.isfinite(columns).all()
 
 
 @pytest.mark.parametrize(("effect", "form"), ALL, ids=label)
-def test_starts_lie_between_the_bounds(clean, effect, form):
-    [bounded] = [each for each in effect.bounded(clean).forms if each.name == form.name]
+def test_starts_lie_between_the_bounds(equipped, effect, form):
+    [bounded] = [each for each in effect.bounded(equipped).forms if each.name == form.name]
     for parameter in bounded.parameters:
-        values = parameter.starts(clean)
+        values = parameter.starts(equipped)
         assert len(values)
         assert parameter.low <= values.min() <= values.max() <= parameter.high
 
 
 @pytest.mark.parametrize("effect", all_effects(), ids=label)
-def test_an_effect_has_a_form_for_a_table_with_all_sensors(clean, effect):
-    assert any(form.missing_input(clean) is None for form in effect.forms)
+def test_an_effect_has_a_form_for_a_table_with_all_sensors(equipped, effect):
+    assert any(form.missing_input(equipped) is None for form in effect.forms)
 
 
 @pytest.mark.parametrize("effect", all_effects(), ids=label)
 def test_columns_at_the_true_parameters_make_up_the_simulated_effect(problem, effect):
-    one = problem({effect.name: 10.0}, noise=0.0)
+    one = problem({effect.name: 10.0}, noise=0.0, **(EQUIPPED if effect.name in NEED_EQUIPMENT else {}))
     misses = [
         1.0 - one.chi2_reduction(form.columns(one.campaign, TRUE.get(effect.name, ())))[0] / one.chi2
         for form in effect.forms
@@ -99,7 +111,7 @@ def test_columns_at_the_true_parameters_make_up_the_simulated_effect(problem, ef
 
 
 @pytest.mark.parametrize(("effect", "form"), ALL, ids=label)
-def test_columns_do_not_see_the_biases(clean, effect, form):
-    values = starts(form, clean)[0]
-    without = replace(clean, bias_dph=np.full_like(clean.bias_dph, np.nan))
-    np.testing.assert_array_equal(form.columns(without, values), form.columns(clean, values))
+def test_columns_do_not_see_the_biases(equipped, effect, form):
+    values = starts(form, equipped)[0]
+    without = replace(equipped, bias_dph=np.full_like(equipped.bias_dph, np.nan))
+    np.testing.assert_array_equal(form.columns(without, values), form.columns(equipped, values))

@@ -12,25 +12,25 @@ from tests.bench.closure.thermal_bench import measure
 TAU_S = 1800.0
 
 
-def test_on_a_ramp_it_is_behind_by_the_rate_times_the_time_constant():
+def test_on_a_ramp_the_sensor_is_ahead_by_the_rate_times_the_time_constant():
     rows = measure(profile=((60.0, 0.05, 0.0),), cycles=1).rows
     campaign = campaign_of(rows)
-    behind_c = FORM.columns(campaign, (TAU_S,))[:, :, 0]
-    lag_s = -3600.0 * behind_c / campaign.rate_c_per_h
+    ahead_c = FORM.columns(campaign, (TAU_S,))[:, :, 0]
+    lag_s = 3600.0 * ahead_c / campaign.rate_c_per_h
     # A course is known from step to step of its record.
     np.testing.assert_allclose(lag_s[-6:], TAU_S, atol=0.6 * np.diff(campaign.record.time_s)[0])
 
 
 @pytest.mark.parametrize("tau_s", [FORM.parameters[0].low, 60.0, 5000.0])
 @pytest.mark.parametrize("step_s", [60.0, 3600.0])
-def test_behind_a_straight_line_it_is_exact_however_coarse_the_steps(clean, tau_s, step_s):
+def test_ahead_on_a_straight_line_it_is_exact_however_coarse_the_steps(clean, tau_s, step_s):
     time_s = np.arange(clean.start_s[0], clean.end_s[-1] + step_s, step_s)
     rates_c_per_s = np.array([1.0, -2.0, 0.5]) / 3600.0
     record = TemperatureRecord(time_s, 20.0 + time_s[:, None] * rates_c_per_s)
     columns = FORM.columns(replace(clean, record=record), (tau_s,))[:, :, 0]
     settled = clean.start_s > 20.0 * max(tau_s, step_s)
     np.testing.assert_allclose(
-        columns[settled], np.tile(-rates_c_per_s * tau_s, (settled.sum(), 1)), rtol=1e-6
+        columns[settled], np.tile(rates_c_per_s * tau_s, (settled.sum(), 1)), rtol=1e-6
     )
 
 

@@ -1,0 +1,68 @@
+"""Bias that follows the Earth's magnetic field along the body axes.
+
+The vertical part is exactly a g-sensitivity, since the field's vertical is gravity's. The horizontal part
+turns with the heading; a pair of headings half a turn apart cancels it as far as both weigh the same. What
+is fitted is the direction of the field that acts: its inclination is that of the Earth's field where a dwell
+has one heading, and steeper where the pair cancels a part.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gyrobench.bench.closure.campaign import Campaign
+from gyrobench.bench.closure.effects.effect import (
+    Effect,
+    Form,
+    Parameter,
+    fixed,
+    needs_positions,
+    no_ins_term,
+    same_for_all_gyros,
+)
+from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.navigation.positions import POSITIONS
+
+_INCLINATION = Parameter("inclination_deg", -89.0, 89.0, fixed(-70.0, -30.0, 30.0, 70.0))
+#: Headings of pairs that differ by less are one.
+_SAME_HEADING_DEG = 5.0
+
+
+def _columns(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
+    azimuths_rad = np.deg2rad(np.asarray(campaign.azimuth_deg))
+    north = np.array(
+        [
+            POSITIONS[position].C_nb(azimuth_rad)[1]
+            for position, azimuth_rad in zip(campaign.position, azimuths_rad, strict=True)
+        ]
+    )
+    inclination_rad = np.deg2rad(values[0])
+    return same_for_all_gyros(np.cos(inclination_rad) * north - np.sin(inclination_rad) * campaign.up_body)
+
+
+def _missing_input(campaign: Campaign) -> str | None:
+    azimuth_deg = campaign.azimuth_deg
+    if azimuth_deg is None or not np.isfinite(azimuth_deg).all():
+        return "the headings of the dwells (column azimuth_deg)"
+    # A pair at 0 and 180 deg is the pair at 180 and 360 deg.
+    from_first_deg = (azimuth_deg - azimuth_deg[0] + 90.0) % 180.0 - 90.0
+    if np.abs(from_first_deg).max() < _SAME_HEADING_DEG:
+        return "dwells at headings other than one and its opposite"
+    return needs_positions(campaign)
+
+
+EFFECT = Effect(
+    name="magnetic_sensitivity",
+    label="magnetic sensitivity",
+    statement="the bias follows the Earth's magnetic field along the body axes",
+    experiment=(
+        "measure one position at four headings a quarter turn apart; a coil or a magnetic shield around the "
+        "unit settles the vertical part, which equals a g-sensitivity at every heading"
+    ),
+    forms=(
+        Form(
+            tuple(f"magnetic field along {axis}" for axis in "xyz"), _columns, (_INCLINATION,), _missing_input
+        ),
+    ),
+    compensation=no_ins_term("the INS has no magnetometer"),
+)

@@ -1,0 +1,79 @@
+"""Effects that a bench finds only where it varies or measures what they follow."""
+
+import numpy as np
+import pytest
+
+from gyrobench.bench.bias.dwell_table import format_dwells, parse_dwells
+from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.effects import all_effects
+from gyrobench.bench.closure.loop import close_loop
+from tests.bench.closure.conftest import EQUIPPED
+from tests.bench.closure.thermal_bench import measure
+
+EFFECTS = {each.name: each for each in all_effects()}
+HEADINGS = EQUIPPED["headings_deg"]
+
+
+def closed(effect, options, size=6.0):
+    return close_loop(campaign_of(measure({effect: size}, **({"cycles": 3} | options)).rows))
+
+
+@pytest.mark.parametrize(
+    ("effect", "options"),
+    [
+        ("magnetic_sensitivity", {"headings_deg": HEADINGS}),
+        ("thermal_g_sensitivity", {"headings_deg": HEADINGS}),
+        ("supply_power", {"sensors": ("set", "air", "board", "supply")}),
+        ("daily_course", {"sensors": ("set", "air", "board", "room")}),
+        ("ageing", {"power_on_each_cycle": True, "cycles": 4}),
+    ],
+)
+def test_an_effect_is_found_where_the_bench_shows_it(effect, options):
+    closure = closed(effect, options)
+    assert [each.effect.name for each in closure.effects] == [effect]
+    assert closure.error_after_dph < 1.3 * closure.noise_dph
+
+
+def test_at_one_heading_a_g_sensitivity_may_be_magnetic():
+    closure = closed("g_sensitivity", {})
+    [found] = closure.effects
+    assert found.effect.name == "g_sensitivity"
+    assert found.tied_with == ("magnetic_sensitivity",)
+    assert "coil or a magnetic shield" in closure.separating_measurement
+
+
+def test_at_several_headings_it_is_not():
+    [found] = closed("g_sensitivity", {"headings_deg": HEADINGS}).effects
+    assert found.effect.name == "g_sensitivity"
+    assert "magnetic_sensitivity" not in found.tied_with
+
+
+def test_opposite_headings_are_one_pair():
+    form = EFFECTS["magnetic_sensitivity"].forms[0]
+    for headings, can_be_fitted in (((0.0, 180.0), False), ((0.0, 180.0, 90.0), True)):
+        campaign = campaign_of(measure(cycles=2, headings_deg=headings).rows)
+        assert (form.missing_input(campaign) is None) == can_be_fitted
+
+
+def test_a_drift_in_less_than_two_days_may_be_the_room():
+    short = closed("time_drift", {"cycles": 2}, size=8.0)
+    assert "daily_course" in short.effects[0].tied_with
+    longer = closed("time_drift", {}, size=8.0)
+    assert "daily_course" not in longer.effects[0].tied_with
+
+
+@pytest.mark.parametrize("name", ["supply_power", "daily_course", "magnetic_sensitivity", "ageing"])
+def test_what_the_bench_lacks_is_named(name):
+    campaign = campaign_of(measure(cycles=2).rows)
+    assert len(EFFECTS[name].missing_input(campaign).split()) > 3
+
+
+def test_other_columns_are_read_and_written():
+    rows = measure(**EQUIPPED).rows
+    again = parse_dwells(format_dwells(rows), "table")
+    for before, after in zip(rows, again, strict=True):
+        assert dict(after.other) == pytest.approx(dict(before.other), rel=1e-8)
+    campaign = campaign_of(again)
+    np.testing.assert_allclose(
+        campaign.columns["room_c"][:2], [dict(each.other)["room_c"] for each in again[:2]]
+    )
