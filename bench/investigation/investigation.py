@@ -81,7 +81,7 @@ class Investigator:
     """An investigation of a table on an external bench.
 
     ``folder`` gets the journal and all results; an investigation in it is continued. ``approve`` is asked
-    before a block is measured. ``noted`` takes lines of progress.
+    before a block is measured.
 
     Raises RunFolderError if the folder belongs to another table.
     """
@@ -93,13 +93,12 @@ class Investigator:
         bench: ExternalBench,
         budget_h: float,
         approve: Callable[[Proposal, Sequence[Rival]], bool],
-        noted: Callable[[str], None],
     ) -> None:
         make_folder(folder)
         self._rows = sorted(rows, key=lambda row: (row.start_s, row.dwell))
         self._held_out = [max(row.cycle for row in self._rows)]
         self._folder, self._bench, self._budget_h = folder, bench, budget_h
-        self._approve, self._noted = approve, noted
+        self._approve = approve
         self._refused: dict[tuple[str, ...], str] = {}
         self._spent_h, self._blocks = 0.0, 0
         table = folder / "start.csv"
@@ -138,8 +137,13 @@ class Investigator:
             write_dwells(self._folder / "dwells.csv", self._rows)
         return Investigation(tuple(stages), *ended, tuple(self._rows), dict(self._refused), confirmation)
 
-    def _with_block(self, stage: Stage, journal: Journal) -> tuple[Stage, tuple[str, str] | None]:
-        """The stage with the best block that the bench can do, or why there is none."""
+    def _with_block(
+        self,
+        stage: Stage,
+        journal: Journal,
+        value: Callable[[Proposal], float] = lambda each: each.gain_per_h,
+    ) -> tuple[Stage, tuple[str, str] | None]:
+        """The stage with the block of largest value that the bench can do, or why there is none."""
         while True:
             left_h = self._budget_h - self._spent_h
             scale = stage.closure.noise_scale
@@ -147,11 +151,12 @@ class Investigator:
             useful = [each for each in found if each.entropy - each.expected_entropy > _MIN_GAIN]
             if not useful:
                 return stage, ("no_block", self._no_block(stage))
-            if not self._is_approved(useful[0], stage, journal):
+            best = max(useful, key=value)
+            if not self._is_approved(best, stage, journal):
                 return stage, ("declined", "The proposed block was declined.")
-            rows = self._measured(useful[0], journal)
+            rows = self._measured(best, journal)
             if rows is not None:
-                return self._with_outcome(stage, useful[0], rows, journal), None
+                return self._with_outcome(stage, best, rows, journal), None
 
     def _no_block(self, stage: Stage) -> str:
         names = sorted({name for each in stage.rivals for name in each.names})
@@ -166,7 +171,7 @@ class Investigator:
         """A block in which the cause and the declared model alone differ most; None if not measured."""
         cause = replace(last.rivals[0], probability=0.5)
         stage = replace(last, rivals=(cause, Rival((), (), 0.5)))
-        stage, ended = self._with_block(stage, journal)
+        stage, ended = self._with_block(stage, journal, lambda each: each.difference)
         return None if ended else stage
 
     def _searched(self) -> Stage:
@@ -203,13 +208,11 @@ class Investigator:
         done = folder / _DONE
         if done.exists():
             return checked_rows(read_dwells(done), proposal.block.plan, done)
-        self._noted(f"Block {number}: {proposal.block.what}; {proposal.block.plan.duration_h:.1f} h.")
         try:
             rows = self._bench.measure(proposal.block.plan, folder)
         except BlockRefusedError as error:
             self._refused[proposal.block.kinds] = str(error)
             journal.record("refused", number=number, kinds=proposal.block.kinds, reason=str(error))
-            self._noted(f"The bench can't do it: {error}")
             return None
         write_dwells(done, rows)
         return rows

@@ -53,6 +53,13 @@ class Proposal:
         """Expected fall of the entropy per hour on the bench, nats/h."""
         return (self.entropy - self.expected_entropy) / self.block.plan.duration_h
 
+    @property
+    def difference(self) -> float:
+        """Squared difference of what the first two rivals predict, in units of the second's uncertainty."""
+        first, second = self.predictions[:2]
+        apart_dph = first.mean_dph - second.mean_dph
+        return float(apart_dph @ np.linalg.solve(second.covariance, apart_dph))
+
 
 def propose(
     rows: Sequence[DwellRow],
