@@ -8,7 +8,7 @@ position.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,6 +27,8 @@ _S_PER_H = 3600.0
 #: Lower bound, start and upper bound of the lags of air, case and optics, h, and of the heating, K.
 _LAGS_H = ((0.005, 0.05, 1.0), (0.02, 0.3, 6.0), (0.05, 0.7, 12.0))
 _HEATING_K = (-5.0, 8.0, 60.0)
+#: Rate of the ramps between dwells, degC/h.
+_RAMP_C_PER_H = (3.0, 60.0, 600.0)
 
 
 @dataclass(frozen=True)
@@ -78,7 +80,7 @@ class ThermalModel:
 
 def fit_thermal_model(rows: Sequence[DwellRow]) -> ThermalModel:
     """Fit lags and heating to the temperatures of dwells, in the order of time."""
-    course, start = _measured_course(rows), _first_state(rows)
+    course_with, start = _measured_courses(rows), _first_state(rows)
     start_s, end_s = (np.array([getattr(row, name) for row in rows]) for name in ("start_s", "end_s"))
     case_c = np.array([row.case_c for row in rows])
     air_c = np.array([row.chamber_c for row in rows])
@@ -88,6 +90,7 @@ def fit_thermal_model(rows: Sequence[DwellRow]) -> ThermalModel:
         return ThermalModel(np.exp(values[:3]), float(values[3]), values[4:7], math.nan)
 
     def residuals(values: FloatArray) -> FloatArray:
+        course = course_with(float(np.exp(values[7])))
         air, case, optics = model(values).simulate(course, start)
         parts = [
             _means(course.time_s, air, start_s, end_s) - air_c,
@@ -99,7 +102,7 @@ def fit_thermal_model(rows: Sequence[DwellRow]) -> ThermalModel:
         ]
         return np.asarray(np.nan_to_num(np.concatenate(parts), nan=0.0))
 
-    bounds = [*(np.log(each) for each in _LAGS_H), _HEATING_K, *([_HEATING_K] * 3)]
+    bounds = [*(np.log(each) for each in _LAGS_H), _HEATING_K, *([_HEATING_K] * 3), np.log(_RAMP_C_PER_H)]
     low, first, high = np.array(bounds).T
     fitted = least_squares(residuals, first, bounds=(low, high), loss="soft_l1", max_nfev=60).x
     rms_c = float(np.sqrt(np.mean(residuals(fitted)[-3 * len(rows) :] ** 2)))
@@ -158,8 +161,11 @@ def forecast_dwells(rows: Sequence[DwellRow], plan: BlockPlan, model: ThermalMod
     return found
 
 
-def _measured_course(rows: Sequence[DwellRow]) -> _Course:
-    """Set point and power over the dwells measured; between dwells the set point is a straight line."""
+def _measured_courses(rows: Sequence[DwellRow]) -> Callable[[float], _Course]:
+    """Set point and power over the dwells measured, by the rate of the ramps between them, degC/h.
+
+    Between two dwells the set point is ramped at once and then held, as procedures do.
+    """
     columns = ("start_s", "end_s", "chamber_set_c", "chamber_c", "since_power_on_s")
     start_s, end_s, set_c, air_c, since_s = (
         np.array([getattr(row, each) for row in rows]) for each in columns
@@ -167,15 +173,24 @@ def _measured_course(rows: Sequence[DwellRow]) -> _Course:
     set_c = np.where(np.isfinite(set_c), set_c, air_c)
     known = np.isfinite(set_c)
     path_c = set_point_path(start_s[known], end_s[known], set_c[known], air_c[known])
-    instants_s = start_s[known, np.newaxis] + (end_s - start_s)[known, np.newaxis] * (
-        (np.arange(path_c.shape[1]) + 0.5) / path_c.shape[1]
-    )
+    samples = (np.arange(path_c.shape[1]) + 0.5) / path_c.shape[1]
+    instants_s = start_s[known, np.newaxis] + (end_s - start_s)[known, np.newaxis] * samples
     time_s = _grid(float(start_s[0]), float(end_s[-1]))
     power = np.ones_like(time_s)
     for before_s, after_s, on_s in zip(end_s[:-1], start_s[1:], (start_s - since_s)[1:], strict=True):
         if before_s < on_s <= after_s:
             power[(time_s > before_s) & (time_s < on_s)] = 0.0
-    return _Course(time_s, np.interp(time_s, instants_s.ravel(), path_c.ravel()), power)
+    from_s, to_s = instants_s[:-1, -1], instants_s[1:, 0]
+    from_c, to_c = path_c[:-1, -1], path_c[1:, 0]
+
+    def course(ramp_c_per_h: float) -> _Course:
+        arrived_s = np.minimum(from_s + np.abs(to_c - from_c) / ramp_c_per_h * _S_PER_H, to_s)
+        knots_s = np.concatenate([instants_s.ravel(), arrived_s])
+        knots_c = np.concatenate([path_c.ravel(), to_c])
+        order = np.argsort(knots_s, kind="stable")
+        return _Course(time_s, np.interp(time_s, knots_s[order], knots_c[order]), power)
+
+    return course
 
 
 def _planned_course(rows: Sequence[DwellRow], plan: BlockPlan) -> _Course:

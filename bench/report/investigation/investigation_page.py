@@ -37,19 +37,14 @@ def write_investigation_page(folder: Path, found: Investigation, source: str) ->
             "blocks": f"{len(found.stages) - 1}, {found.spent_h:.1f} h",
             "verdict": f"{found.closure.verdict}: {verdict_sentence(found.closure)}",
         },
-        sections=[_story(found), *_blocks(found), *_search(found)],
+        sections=[_story(found), *_blocks(found), *closure_sections(found.closure)],
     )
     return write_findings(folder / "investigation.html", findings)
 
 
 def _story(found: Investigation) -> Section:
     tables = [
-        SectionTable(
-            "Blocks in the order of time. Ruled out: below 0.01 by what it predicted",
-            text.BLOCK_COLUMNS,
-            text.block_rows(found),
-            words=2,
-        )
+        SectionTable("Blocks in the order of time", text.BLOCK_COLUMNS, text.block_rows(found), words=2)
     ]
     refused = [f"{', then '.join(kinds)}: {reason}" for kinds, reason in found.refused.items()]
     return Section(
@@ -94,15 +89,11 @@ def _blocks(found: Investigation) -> list[Section]:
         sections.append(
             Section(
                 f"{name}: {proposal.block.name}",
-                list(text.proposal_sentences(proposal, stage.rivals)),
+                [*text.proposal_sentences(proposal, stage.rivals), text.ruled_out_sentence(stage)],
                 tables=[table],
             )
         )
     return sections
-
-
-def _search(found: Investigation) -> list[Section]:
-    return [Section("The last search", sections=closure_sections(found.closure))]
 
 
 @house_style

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from gyrobench.bench.foundations.text import counted, listed, plain_name
 from gyrobench.bench.investigation.investigation import Investigation, Stage
 from gyrobench.bench.investigation.proposal import Proposal, Rival
+from gyrobench.bench.navigation.positions import AXES
 
 #: Gist of each end.
 GISTS = {
@@ -16,6 +17,8 @@ GISTS = {
     "declined": "stopped",
 }
 _MIN_SHOWN = 0.001
+#: Hypotheses below this probability are ruled out.
+_RULED_OUT = 0.01
 
 
 def title_of(rival: Rival) -> str:
@@ -42,22 +45,24 @@ def proposal_sentences(proposal: Proposal, rivals: Sequence[Rival], limit: int =
     )
     for rival, prediction in list(zip(rivals, proposal.predictions, strict=True))[:limit]:
         mean_dph = prediction.mean_dph.reshape(3, -1)
-        gyros = ", ".join(f"{1e3 * each.mean():+.1f}" for each in mean_dph)
+        gyros = ", ".join(
+            f"{axis} {1e3 * each.mean():+.1f}" for axis, each in zip(AXES, mean_dph, strict=True)
+        )
         yield (
             f"If it is {title_of(rival)} (probability {probability_text(rival.probability)}), the mean "
             f"biases are {gyros} x 0.001 deg/h."
         )
 
 
-def ruled_out(stage: Stage) -> list[str]:
-    """Hypotheses that the prediction and the outcome of a block made improbable."""
-    if stage.outcome is None:
-        return []
-    return [
+def ruled_out_sentence(stage: Stage) -> str:
+    """Hypotheses that a block made improbable; empty without any."""
+    after = stage.outcome.probabilities if stage.outcome else ()
+    names = [
         title_of(rival)
-        for rival, after in zip(stage.rivals, stage.outcome.probabilities, strict=True)
-        if rival.probability > 0.01 > after
+        for rival, probability in zip(stage.rivals, after, strict=False)
+        if rival.probability > _RULED_OUT > probability
     ]
+    return f"Ruled out by what it predicted: {'; '.join(names)}." if names else ""
 
 
 def end_sentence(found: Investigation) -> str:
@@ -84,7 +89,7 @@ def confirmation_sentence(found: Investigation) -> str:
 
 
 def block_rows(found: Investigation) -> list[list[str]]:
-    """A row for each block: when, what, hours, what was most probable before and after, ruled out."""
+    """A row for each block: what, hours, and what was most probable before and after."""
     rows = []
     for number, stage in enumerate(found.stages[:-1], start=1):
         after = found.stages[number]
@@ -96,13 +101,12 @@ def block_rows(found: Investigation) -> list[list[str]]:
                     f"{after.spent_h - stage.spent_h:.1f}",
                     _leading(stage.rivals),
                     _leading(after.rivals),
-                    "; ".join(ruled_out(stage)) or "none",
                 ]
             )
     return rows
 
 
-BLOCK_COLUMNS = ("block", "what", "hours", "most probable before", "after", "ruled out by its prediction")
+BLOCK_COLUMNS = ("block", "what", "hours", "most probable before", "after")
 
 
 def _leading(rivals: Sequence[Rival]) -> str:

@@ -4,8 +4,8 @@
 
     python simulated_bench.py UNIT.json PLAN.json NEW.csv
 
-UNIT.json holds the seed, the effects with their sizes, the kinds of step that the bench refuses, and all steps
-so far; measured steps are added to it. Everything is simulated again from the beginning, minute by minute, by
+UNIT.json holds the seed, the effects with their sizes, the kinds of step that the bench refuses, and all
+steps so far; measured steps are added to it. Everything is simulated again from the beginning, by the minute, by
 a thermal network with convection and radiation, so that a unit behaves the same however its blocks are cut.
 """
 
@@ -19,6 +19,7 @@ import numpy as np
 from gyrobench.bench.bias.dwell_table import DwellRow, write_dwells
 
 STEP_S = 60.0
+STEP_H = STEP_S / 3600.0
 UP = {
     "z_up": (0, 0, 1), "z_down": (0, 0, -1), "y_up": (0, 1, 0),
     "y_down": (0, -1, 0), "x_up": (1, 0, 0), "x_down": (-1, 0, 0),
@@ -103,7 +104,7 @@ def row_of(unit, step, bias_dph, air_c, set_c, case_c, optics_c, board_c, since_
     of_run = np.random.default_rng([unit["seed"], 4, int(step["run"].rsplit("-", 1)[1])]).normal(
         0.0, 0.003, 3
     )
-    rate = (optics_c[part][-1] - optics_c[part][0]) / (length_h - STEP_S / 3600.0)
+    rate = (optics_c[part][-1] - optics_c[part][0]) / (length_h - STEP_H)
     noise_c = 0.01 * draw.standard_normal((3, 3))
     return DwellRow(
         unit=unit["unit"],
@@ -132,9 +133,8 @@ def temperatures(draw, set_c, power, up):
     unit, along = draw.uniform(0.85, 1.2, 6), draw.normal(0.0, 0.08, (3, 3))
     air, case, optics, board = 22.0, 22.0, np.full(3, 22.0), np.full(3, 22.0)
     spread = draw.uniform(0.9, 1.1, 3)
-    step_h = STEP_S / 3600.0
     for now, goal_c in enumerate(set_c):
-        air += step_h * 18.0 * (goal_c - air)
+        air += STEP_H * 18.0 * (goal_c - air)
         over = board - optics
         flow = (
             over
@@ -142,9 +142,9 @@ def temperatures(draw, set_c, power, up):
             * (1.0 + along @ up[now] / (1.0 + np.exp((optics - 50.0) / 5.0)))
         )
         radiated = ((air + 273.15) ** 4 - (case + 273.15) ** 4) / (4.0 * 295.0**3)
-        case += step_h * (1.5 * unit[0] * (air - case) + 0.3 * radiated + 0.3 * np.sum(board - case) / 3.0)
-        optics = optics + step_h * (0.5 * unit[1] * spread * flow + 2.0 * unit[2] * (case - optics))
-        board = board + step_h * (18.0 * unit[3] * power[now] - 0.8 * flow + 1.4 * unit[4] * (case - board))
+        case += STEP_H * (1.5 * unit[0] * (air - case) + 0.3 * radiated + 0.3 * np.sum(board - case) / 3.0)
+        optics = optics + STEP_H * (0.5 * unit[1] * spread * flow + 2.0 * unit[2] * (case - optics))
+        board = board + STEP_H * (18.0 * unit[3] * power[now] - 0.8 * flow + 1.4 * unit[4] * (case - board))
         out[0][now], out[1][now], out[2][now], out[3][now] = air, case, optics, board
     return out
 
@@ -155,28 +155,39 @@ def declared(draw, optics_c):
 
 
 def slopes(values):
-    return np.gradient(values, axis=0) / (STEP_S / 3600.0)
+    return np.gradient(values, axis=0) / STEP_H
 
 
 def lagged(values, tau_h):
-    found, keep = values.copy(), math.exp(-STEP_S / 3600.0 / tau_h)
+    found, keep = values.copy(), math.exp(-STEP_H / tau_h)
     for now in range(1, len(values)):
         found[now] = keep * found[now - 1] + (1.0 - keep) * values[now]
     return found
 
 
+def of_all(values):
+    return values[:, np.newaxis] * np.ones(3)
+
+
+def attitude_thermal(optics, board, up, since_s):
+    flow = np.array([[0.2, 1.0, 0.3], [1.0, 0.1, 0.4], [0.3, 0.5, 1.0]])
+    return (board - optics) / 10.0 * (up @ flow) / (1.0 + np.exp((optics - 50.0) / 5.0))
+
+
+def g_sensitivity(optics, board, up, since_s):
+    return up @ np.array([[1.0, 0.3, 0.1], [0.2, 0.8, 0.3], [0.1, 0.3, 1.0]])
+
+
 #: Undeclared effects, each of about 1 in a usual campaign.
 EFFECTS = {
-    "temperature_rate": lambda optics, board, up, since: slopes(lagged(optics, 0.05)) / 15.0,
-    "thermal_gradient": lambda optics, board, up, since: (board - optics - 9.0) / 2.0,
-    "attitude_thermal": lambda optics, board, up, since: (board - optics) / 10.0 * up @ np.array(
-        [[0.2, 1.0, 0.3], [1.0, 0.1, 0.4], [0.3, 0.5, 1.0]]
-    ) / (1.0 + np.exp((optics - 50.0) / 5.0)),
-    "g_sensitivity": lambda optics, board, up, since: up @ np.array([[1.0, 0.3, 0.1], [0.2, 0.8, 0.3], [0.1, 0.3, 1.0]]),
-    "warm_up": lambda optics, board, up, since: 2.0 * np.exp(-since / 3600.0 / 9.0)[:, np.newaxis] * np.ones(3),
-    "time_drift": lambda optics, board, up, since: (STEP_S * np.arange(len(since)) / 3600.0 / 40.0)[:, np.newaxis] * np.ones(3),
-    "thermal_lag": lambda optics, board, up, since: (optics - lagged(optics, 0.8)) / 8.0,
-}  # fmt: skip
+    "temperature_rate": lambda optics, board, up, since_s: slopes(optics) / 15.0,
+    "thermal_gradient": lambda optics, board, up, since_s: (board - optics - 9.0) / 2.0,
+    "attitude_thermal": attitude_thermal,
+    "g_sensitivity": g_sensitivity,
+    "warm_up": lambda optics, board, up, since_s: of_all(2.0 * np.exp(-since_s / 3600.0 / 9.0)),
+    "time_drift": lambda optics, board, up, since_s: of_all(STEP_H / 40.0 * np.arange(len(since_s))),
+    "thermal_lag": lambda optics, board, up, since_s: (optics - lagged(optics, 0.8)) / 8.0,
+}
 
 if __name__ == "__main__":
     sys.exit(main(*sys.argv[1:]))
