@@ -118,7 +118,7 @@ class TcpClient:
         except OSError:
             data = b""
         if not data:
-            self.close()
+            self.unplug()
         return data
 
     def write(self, data: bytes) -> int:
@@ -128,10 +128,10 @@ class TcpClient:
         except BlockingIOError:
             return 0
         except OSError:
-            self.close()
+            self.unplug()
             return len(data)
 
-    def close(self) -> None:
+    def unplug(self) -> None:
         """Disconnect the client."""
         self.is_connected = False
         self._client.close()
@@ -145,7 +145,7 @@ class TcpPort(TcpListener):
     def unplug(self) -> None:
         """Disconnect the client and stop listening."""
         if self._client is not None:
-            self._client.close()
+            self._client.unplug()
             self._client = None
         super().unplug()
 
@@ -163,7 +163,7 @@ class TcpPort(TcpListener):
             return self._client.read() if self._client else b""
         # Of a client with unread bytes it is not known yet whether it has disconnected.
         if not data and (other := self.accept()):
-            other.close()
+            other.unplug()
         return data
 
     def write(self, data: bytes) -> int:

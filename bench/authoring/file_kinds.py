@@ -16,6 +16,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from gyrobench.bench.closure.effects.effect_file import EffectFile
 from gyrobench.bench.exchange.import_map import LogMap
 from gyrobench.bench.foundations.documents import Document, Schema, StrictModel, json_schema
 from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError
@@ -56,10 +57,11 @@ WORLD = FileKind(
 )
 FAULTS = FileKind("faults", "gyrobench list of faults", "faults", frozenset({"faults", "log"}))
 IMPORT_MAP = _kind_of_model("import", "gyrobench map of a log", "imports", LogMap)
+EFFECT = _kind_of_model("effect", "gyrobench effect on the bias", "", EffectFile)
 COMPENSATION = _kind_of_model("compensation", "gyrobench compensation of an INS", "", CompensationFile)
 
 KINDS = {
-    kind.name: kind for kind in (PROCEDURE, STATION, WORLD, FAULTS, IMPORT_MAP, COMPENSATION)
+    kind.name: kind for kind in (PROCEDURE, STATION, WORLD, FAULTS, IMPORT_MAP, EFFECT, COMPENSATION)
 }  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""Commented procedure, station and world files to start from, written from the JSON Schemas.
+"""Commented procedure, station, world and effect files to start from, written from the JSON Schemas.
 
 Keys with a value are written as they are. Optional keys without one are commented out with their default:
 ``#`` and no space, or an even number of spaces, before the key.
@@ -16,6 +16,7 @@ import yaml
 
 from gyrobench.bench.authoring.file_kinds import (
     EDITOR_MARK,
+    EFFECT,
     PROCEDURE,
     STATION,
     WORLD,
@@ -23,6 +24,7 @@ from gyrobench.bench.authoring.file_kinds import (
     editor_line,
     schema_of,
 )
+from gyrobench.bench.closure.effects.effect_file import EffectFile
 from gyrobench.bench.foundations.documents import Schema, parse_document, read_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import TEMPLATES, find_document
@@ -266,6 +268,34 @@ def new_world(name: str, like: str, path: Path) -> str:
     lines = find_document("worlds", like).read_text(encoding="utf-8").splitlines(keepends=True)
     kept = [line for line in lines if not line.startswith(EDITOR_MARK)]
     return editor_line(WORLD, path) + _WORLD_NAME.sub(f"world: {name}", "".join(kept), count=1)
+
+
+def new_effect(name: str, path: Path) -> str:
+    """Write the text of an effect file, to be changed: an onset of the electronics temperature.
+
+    Parameters
+    ----------
+    name : str
+        Of the effect.
+    path : Path
+        Of the new file.
+
+    Raises
+    ------
+    DocumentError
+        The name can't be one.
+    """
+    values = {
+        "effect": name,
+        "statement": "the bias follows the electronics temperature above an onset",
+        "experiment": "soak with the electronics below and above the onset, at one optics temperature",
+        "driver": "board_c",
+        "shape": "onset",
+        "bounds": {"onset": [20.0, 70.0], "width": [1.0, 10.0]},
+    }
+    text = _text(EFFECT, path, StartingFile(schema_of(EFFECT)).lines(values))
+    validate(parse_document(text, path), EffectFile)
+    return text
 
 
 def _of_dialect(section: Mapping[str, Any], dialect: str, name: str) -> dict[str, Any]:

@@ -36,8 +36,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-
-from scipy.special import ndtri
+from statistics import NormalDist
 
 from gyrobench.bench.bias.bins import DEFAULT_WIDTH_C
 from gyrobench.bench.bias.dwell_table import DwellRow
@@ -184,7 +183,7 @@ def _biases(known: Iterable[Iterable[_Plateau]]) -> list[_Value]:
 
 def _judgements(values: Sequence[_Value], limits: AcceptanceLimits, width_c: float) -> list[Judgement]:
     risk = 1.0 - limits.confidence
-    factors = _Factors(float(-ndtri(risk)), float(-ndtri(risk / max(len(values), 1))))
+    factors = _Factors(*(-NormalDist().inv_cdf(each) for each in (risk, risk / max(len(values), 1))))
     bins: dict[tuple[int, int, bool], list[_Value]] = {}
     for each in values:
         key = (each.axis, math.floor(each.temperature_c / width_c), each.quantity == "bias")

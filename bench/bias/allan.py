@@ -32,7 +32,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.optimize import nnls
 
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 from gyrobench.bench.foundations.errors import MeasurementError
@@ -206,8 +205,20 @@ def _solve(
     weight = 1.0 / np.sqrt(errors[used])
     weighted = design[used] * weight[:, np.newaxis]
     scale = np.sqrt((weighted**2).sum(axis=0))
-    terms, _ = nnls(weighted / scale, variance[used] * weight)
+    terms = _not_negative(weighted / scale, variance[used] * weight)
     return terms / scale, np.linalg.pinv(weighted / scale) * weight / scale[:, np.newaxis]
+
+
+def _not_negative(design: FloatArray, values: FloatArray) -> FloatArray:
+    """Least squares without negative terms: of the fits of any of the terms, the best that has none."""
+    count = design.shape[1]
+    chosen = np.indices((2,) * count).reshape(count, -1).T == 1
+    normal, right = design.T @ design, design.T @ values
+    both = chosen[:, :, np.newaxis] & chosen[:, np.newaxis, :]
+    systems = np.where(both, normal, np.eye(count))
+    terms = np.linalg.solve(systems, np.where(chosen, right, 0.0)[:, :, np.newaxis])[:, :, 0]
+    explained = np.where((terms >= 0.0).all(axis=1), terms @ right, -1.0)
+    return np.asarray(terms[np.argmax(explained)])
 
 
 def _excess(variance: FloatArray, model: FloatArray, errors: FloatArray, used: BoolArray) -> float:

@@ -18,19 +18,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import block_diag
-from scipy.spatial.transform import Rotation
-from scipy.special import chdtrc, erfc
 
 from gyrobench.bench.bias import parameters, window_filter
 from gyrobench.bench.bias.bias_steps import BiasStep, WindowChange, find_bias_step
 from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, TurnPath
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.parameters import PriorKnowledge
-from gyrobench.bench.bias.statistics import chi2_test, solve
+from gyrobench.bench.bias.statistics import chi2_p_value, chi2_test, solve
 from gyrobench.bench.bias.window_filter import WindowFilter
-from gyrobench.bench.foundations.arrays import FloatArray, IntArray
+from gyrobench.bench.foundations.arrays import FloatArray, IntArray, block_diagonal
 from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vectors
 from gyrobench.bench.navigation.earth import earth_rate_enu
 from gyrobench.bench.navigation.error_model import STATES, Site, integrate
 
@@ -51,7 +49,7 @@ class Damping:
     @property
     def p_value(self) -> float:
         """Probability of at least this rate in an INS that is free inertial; damping is never negative."""
-        return 0.5 * float(erfc(self.rate / self.sigma / math.sqrt(2.0)))
+        return 0.5 * math.erfc(self.rate / self.sigma / math.sqrt(2.0))
 
     def shows(self, p_value: float) -> bool:
         """Whether the INS damps its velocity: at a rate that matters, rarer by chance than this."""
@@ -258,12 +256,12 @@ class BiasFilter:
         The sums of the test of fit are many, and hide a small difference between two windows.
         """
         changes = [window.root[:, window_filter.INPUT :][:, :3] @ window.C_nb for window in self._windows]
-        rows = np.hstack([information.rows, block_diag(*changes)[:, 3:]])
+        rows = np.hstack([information.rows, block_diagonal(*changes)[:, 3:]])
         prior_root = parameters.prior_root(self._prior, len(self._windows), self._earth_rate)
         count, wide = len(prior_root), np.eye(rows.shape[1] - len(prior_root)) * parameters.WIDE_GYRO_BIAS
-        unknowns, covariance = solve(rows, information.data, block_diag(prior_root, wide))
+        unknowns, covariance = solve(rows, information.data, block_diagonal(prior_root, wide))
         away = np.abs(unknowns[count:]) / np.sqrt(np.diag(covariance)[count:])
-        return min(1.0, len(away) * float(erfc(away.max() / np.sqrt(2.0))))
+        return min(1.0, len(away) * math.erfc(away.max() / math.sqrt(2.0)))
 
     def _damping(self, information: DwellInformation) -> Damping:
         prior_root = parameters.prior_root(self._prior, len(self._windows), self._earth_rate)
@@ -287,8 +285,8 @@ class BiasFilter:
         # turn, carried on by the table.
         edges = np.clip(np.concatenate([[last.last_s], turn.time_s, [time_s]]), last.last_s, time_s)
         path = last.C_nb @ turn.C_nb[0].T @ np.concatenate([turn.C_nb[:1], turn.C_nb, turn.C_nb[-1:]])
-        turned = Rotation.from_matrix(path[:-1].transpose(0, 2, 1) @ path[1:]).as_rotvec()
-        middle = path[:-1] @ Rotation.from_rotvec(0.5 * turned).as_matrix()
+        turned = rotation_vectors(path[:-1].transpose(0, 2, 1) @ path[1:])
+        middle = path[:-1] @ rotation_matrices(0.5 * turned)
         durations, noise = np.diff(edges), self._noise
         steps = integrate(self._site, durations, noise.angle_random_walk, noise.velocity_random_walk)
         for k in np.flatnonzero(durations > 0.0):
@@ -325,7 +323,7 @@ class BiasFilter:
         if np.sqrt(np.diag(covariance)).max() > self._prior.accelerometer_transient:
             return 1.0
         chi2 = float(size @ np.linalg.solve(covariance, size))
-        return float(chdtrc(len(settling), chi2))
+        return chi2_p_value(len(settling), chi2)
 
     def information(self) -> DwellInformation:
         """Information in all epochs added, without prior knowledge.

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
-from scipy.special import chdtrc
 
+from gyrobench.bench.bias.statistics import chi2_p_value
 from gyrobench.bench.bias.window_filter import COLUMNS, DATA, MEASURED_STATES, WindowFilter
 from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, FloatArray, IntArray
+from gyrobench.bench.foundations.kernels import compiled
 from gyrobench.bench.navigation.error_model import STATES
 
 #: Epochs between the times that are tried, and fewest epochs of a window before and after a step: the
@@ -108,7 +108,7 @@ def find_bias_step(
     away = score**2 / np.diagonal(variance, axis1=1, axis2=2)
     together = np.einsum("ti,ti->t", score, np.linalg.solve(variance, score[:, :, np.newaxis])[:, :, 0])
     at, gyro = np.unravel_index(int(np.argmax(away)), away.shape)
-    smallest = min(float(chdtrc(1, away[at, gyro])), float(chdtrc(_GYROS, together.max())))
+    smallest = min(chi2_p_value(1, float(away[at, gyro])), chi2_p_value(_GYROS, float(together.max())))
     return BiasStep(
         float(time_s[at]),
         int(gyro),
@@ -122,7 +122,7 @@ def _tried(epochs: int) -> IntArray:
     return np.arange(epochs - 1 - _MARGIN, _MARGIN - 1, -_EVERY)
 
 
-@numba.njit(cache=True, fastmath=True)
+@compiled(fastmath=True)
 def _backward(
     rows: FloatArray, gains: FloatArray, scales: FloatArray, transitions: FloatArray, by_bias: FloatArray,
     saved: IntArray,

@@ -17,14 +17,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from gyrobench.bench.bias import parameters
 from gyrobench.bench.bias.bias_filter import DwellInformation
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.bias.statistics import chi2_test, compress, solve
 from gyrobench.bench.bias.vertical_pairs import UpRate, VerticalPairs, up_rate
-from gyrobench.bench.foundations.arrays import STANDARD_GRAVITY, FloatArray, IntArray
+from gyrobench.bench.foundations.arrays import STANDARD_GRAVITY, FloatArray, IntArray, block_diagonal
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.positions import POSITIONS, Position
 
@@ -112,8 +111,8 @@ def declared_root(prior: PriorKnowledge, earth_rate: FloatArray) -> FloatArray:
     single = parameters.prior_root(prior, 0, earth_rate)
     matrix = prior.accelerometer_misalignment * (1.0 - np.eye(3))
     parts = (parameters.ACCELEROMETER_BIAS, None, parameters.NAVIGATION_RATE, parameters.GYRO_MATRIX)
-    return np.asarray(
-        block_diag(*(np.diag(matrix.ravel()) if part is None else single[part, part] for part in parts))
+    return block_diagonal(
+        *(np.diag(matrix.ravel()) if part is None else single[part, part] for part in parts)
     )
 
 
@@ -144,7 +143,7 @@ def _system(
     """Rows, data and prior root of the joint problem."""
     rows = np.vstack([each.for_joint_unknowns(number, len(dwells)) for number, each in enumerate(dwells)])
     data = np.concatenate([each.data for each in dwells])
-    return rows, data, np.asarray(block_diag(shared_root, _ANY_RATE * np.eye(3 * len(dwells))))
+    return rows, data, block_diagonal(shared_root, _ANY_RATE * np.eye(3 * len(dwells)))
 
 
 def _informative(rows: FloatArray, data: FloatArray, sizes: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -309,7 +308,7 @@ def _biases(fit: JointFit) -> JointBiases:
 
 def _side_by_side(singles: Sequence[tuple[FloatArray, FloatArray]]) -> JointBiases:
     biases, covariances = zip(*singles, strict=True)
-    return JointBiases(np.vstack(biases), np.asarray(block_diag(*covariances)))
+    return JointBiases(np.vstack(biases), block_diagonal(*covariances))
 
 
 def _vertical(dwells: Sequence[JointDwell]) -> IntArray:

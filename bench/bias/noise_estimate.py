@@ -23,7 +23,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
 
 from gyrobench.bench.bias.allan import (
     RANDOM_WALK,
@@ -338,9 +337,14 @@ def _angles_and_velocities(window: NavigationWindow, gravity: float) -> FloatArr
     """Columns (n, 6): turned since the first epoch about x, y, z and Up; velocity E, N without feedback."""
     rotation = rotation_vector_enu(window.C_nb, window.C_nb[0])
     velocity = window.velocity_enu_mps[:, :2]
-    distance = cumulative_trapezoid(velocity, window.time_s, axis=0, initial=0)
-    feedback = cumulative_trapezoid(distance, window.time_s, axis=0, initial=0) * gravity / MEAN_RADIUS
+    feedback = _integral(_integral(velocity, window.time_s), window.time_s) * gravity / MEAN_RADIUS
     return np.hstack([rotation @ window.C_nb[0], rotation[:, 2:], velocity + feedback])
+
+
+def _integral(values: FloatArray, time_s: FloatArray) -> FloatArray:
+    """Integral (n, k) of values (n, k) by the trapezoidal rule, from zero."""
+    steps = 0.5 * (values[1:] + values[:-1]) * np.diff(time_s)[:, np.newaxis]
+    return np.vstack([np.zeros_like(values[:1]), np.cumsum(steps, axis=0)])
 
 
 def _channel(segments: list[FloatArray], interval: float, step: float) -> ChannelNoise:

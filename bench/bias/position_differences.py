@@ -21,10 +21,10 @@ from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
-from scipy.special import chdtrc
 
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.plateaus import mean_c
+from gyrobench.bench.bias.statistics import chi2_p_value
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.positions import POSITIONS
 
@@ -139,7 +139,7 @@ def position_differences(passes: Sequence[_Plateau], axis: int, curve: CubicBias
     return PositionDifferences(
         temperature_c=float(plateau_c.mean()),
         differences=tuple(each for each in differences if (each.high, each.low) in met),
-        p_value=float(chdtrc(dof, chi2)) if len(passes) > 1 and dof else math.nan,
+        p_value=chi2_p_value(dof, chi2) if len(passes) > 1 and dof else math.nan,
     )
 
 

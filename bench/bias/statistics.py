@@ -1,13 +1,15 @@
 """Least squares, weighted means, excess scatter and tests: the statistics that the estimates share.
 
 * :func:`solve` solves white rows with prior knowledge of the parameters; :func:`chi2_test` tests the
-residuals.
+residuals, :func:`chi2_p_value` any sum of squares.
 * :func:`weighted_mean` averages independent values and tests whether their uncertainties explain the scatter.
 * :func:`excess_variance` finds by how much values scatter beyond their uncertainties: values are of
   ``y = X b + c + e``, with noise e of known size in each value and c of one normal distribution for all. Its
   variance is that of restricted maximum likelihood, which allows for the degrees of freedom that b takes.
 * :func:`holm` corrects p-values for multiple comparisons; :func:`uniformity_p_value` tests whether
   p-values are uniform (Kolmogorov-Smirnov).
+
+What every run needs is made without scipy, whose modules take 0.3 s and 50 MB to import.
 """
 
 from __future__ import annotations
@@ -17,8 +19,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq, minimize_scalar
-from scipy.special import chdtrc, smirnov, smirnovi
 
 from gyrobench.bench.foundations.arrays import FloatArray
 
@@ -76,7 +76,18 @@ def chi2_test(residuals: FloatArray, rows: FloatArray, covariance: FloatArray) -
     free = variances > _MIN_VARIANCE
     chi2 = float(((residuals @ directions[:, free]) ** 2 / variances[free]).sum())
     dof = int(free.sum())
-    return Chi2Test(chi2, dof, float(chdtrc(dof, chi2)))
+    return Chi2Test(chi2, dof, chi2_p_value(dof, chi2))
+
+
+def chi2_p_value(dof: int, chi2: float) -> float:
+    """Probability of at least this sum of ``dof`` squares (Abramowitz and Stegun, 26.4.4 and 26.4.5)."""
+    half = float(np.clip(0.5 * chi2, 1e-300, 1e300))
+    odd = dof % 2
+    # Each term is the one before it times half / power.
+    logs = np.log(half / np.arange(1.0 + 0.5 * odd, max(0.5 * dof, 1.0)))
+    first = odd * (0.5 * math.log(half) - math.lgamma(1.5)) - half
+    terms = np.exp(first + np.concatenate([[0.0], np.cumsum(logs)])[: dof // 2])
+    return min(odd * math.erfc(math.sqrt(half)) + float(terms.sum()), 1.0)
 
 
 @dataclass(frozen=True)
@@ -98,7 +109,7 @@ class WeightedMean:
     @property
     def p_value(self) -> float:
         """Probability of at least this scatter from the uncertainties alone; NaN for a single value."""
-        return float(chdtrc(self.dof, self.chi2)) if self.dof else math.nan
+        return chi2_p_value(self.dof, self.chi2) if self.dof else math.nan
 
 
 def weighted_mean(values: Sequence[float], sigmas: Sequence[float]) -> WeightedMean:
@@ -156,6 +167,8 @@ def excess_variance(values: FloatArray, variances: FloatArray, design: FloatArra
     design : ndarray, shape (n, k)
         Columns of what is fitted beside, of full rank.
     """
+    from scipy.optimize import minimize_scalar
+
     if len(values) <= design.shape[1]:
         return 0.0
     criterion = _criterion(values, variances, design)
@@ -176,6 +189,8 @@ def excess_sigma(values: FloatArray, variances: FloatArray, design: FloatArray) 
 
     The interval holds the truth in about 95 % of cases; with few values it reaches far up.
     """
+    from scipy.optimize import brentq
+
     best = excess_variance(values, variances, design)
     if len(values) <= design.shape[1]:
         return ExcessSigma(0.0, 0.0, float("inf"))
@@ -242,9 +257,27 @@ def uniformity_p_value(p_values: Sequence[float]) -> float:
     count, ordered = len(p_values), np.sort(p_values)
     steps = np.arange(count + 1) / count
     distance = max(np.max(steps[1:] - ordered), np.max(ordered - steps[:-1]))
-    return min(1.0, 2.0 * float(smirnov(count, distance)))
+    return min(1.0, 2.0 * _smirnov(count, float(distance)))
 
 
 def uniformity_band(count: int, probability: float = 0.95) -> float:
     """How far the distribution of so many p-values strays from uniform, with this probability at most."""
-    return float(smirnovi(count, 0.5 * (1.0 - probability)))
+    low, high = 0.0, 1.0
+    while (middle := 0.5 * (low + high)) not in (low, high):
+        if _smirnov(count, middle) > 0.5 * (1.0 - probability):
+            low = middle
+        else:
+            high = middle
+    return high
+
+
+def _smirnov(count: int, distance: float) -> float:
+    """Probability that so many uniform values lead by a distance in 0 to 1 (Birnbaum and Tingey, 1951)."""
+    if not 0.0 < distance < 1.0:
+        return float(distance <= 0.0)
+    above = np.arange(math.floor(count * (1.0 - distance)) + 1)
+    share = distance + above / count
+    left = np.maximum(1.0 - share, np.finfo(float).tiny)
+    chosen = np.concatenate([[0.0], np.cumsum(np.log((count - above[:-1]) / above[1:]))])
+    logs = chosen + (above - 1) * np.log(share) + (count - above) * np.log(left)
+    return distance * float(np.exp(logs).sum())

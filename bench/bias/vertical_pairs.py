@@ -21,10 +21,9 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from scipy.linalg import block_diag
-from scipy.special import chdtrc
 
-from gyrobench.bench.foundations.arrays import FloatArray, IntArray
+from gyrobench.bench.bias.statistics import chi2_p_value
+from gyrobench.bench.foundations.arrays import FloatArray, IntArray, block_diagonal
 
 Labels = IntArray
 
@@ -141,7 +140,7 @@ def up_rate(
     if not groups:
         return _NO_RATE
     values = np.concatenate([group.half_difference for group in groups])
-    inverse = block_diag(*(np.linalg.inv(group.covariance) for group in groups))
+    inverse = block_diagonal(*(np.asarray(np.linalg.inv(group.covariance)) for group in groups))
     gyros = np.concatenate([group.gyros for group in groups])
     temperatures = np.repeat(np.arange(len(groups)), [len(group.gyros) for group in groups])
     weights = inverse.sum(axis=0) / inverse.sum()
@@ -191,7 +190,7 @@ def _scatter(values: FloatArray, inverse: FloatArray, labels: Labels) -> tuple[f
 
 
 def _p_value(chi2: float, dof: int) -> float:
-    return float(chdtrc(dof, chi2)) if dof else math.nan
+    return chi2_p_value(dof, chi2) if dof else math.nan
 
 
 def _of_any(*p_values: float) -> float:

@@ -12,13 +12,13 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-import numba
 import numpy as np
 
 from gyrobench.bench.bias.dwell import slots
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.statistics import compress
 from gyrobench.bench.foundations.arrays import FloatArray, IntArray
+from gyrobench.bench.foundations.kernels import compiled
 from gyrobench.bench.navigation.attitude import rotation_vector_enu
 from gyrobench.bench.navigation.error_model import INPUTS, STATES, Site, integrate
 
@@ -180,7 +180,7 @@ COLUMNS = 19
 MEASURED_STATES = (3, 4, 2)
 
 
-@numba.njit(cache=True)
+@compiled
 def whiten(
     columns: FloatArray,
     covariance: FloatArray,
@@ -217,7 +217,7 @@ def whiten(
     """
     rows = np.empty((measured.shape[0], 3, COLUMNS))
     gains, scales = np.empty((measured.shape[0], 3, 6)), np.empty((measured.shape[0], 3))
-    moved = np.empty((6, COLUMNS))
+    moved, before = np.empty((6, COLUMNS)), np.empty((6, 6))
     for k in range(measured.shape[0]):
         transition, response = transitions[k], responses[k]
         for i in range(6):
@@ -232,7 +232,17 @@ def whiten(
                 for c in range(DATA - SLOPE):
                     moved[i, SLOPE + c] += response[i, j] * driven[k, j, c]
         columns[:] = moved
-        covariance[:] = transition @ covariance @ transition.T + covariances[k]
+        # Numba's matrix product would import scipy.linalg.
+        for i in range(6):
+            for j in range(6):
+                before[i, j] = 0.0
+                for m in range(6):
+                    before[i, j] += transition[i, m] * covariance[m, j]
+        for i in range(6):
+            for j in range(6):
+                covariance[i, j] = covariances[k, i, j]
+                for m in range(6):
+                    covariance[i, j] += before[i, m] * transition[j, m]
         for m in range(3):
             h = MEASURED_STATES[m]
             variance = covariance[h, h] + variances[m]

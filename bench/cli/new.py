@@ -1,4 +1,4 @@
-"""`gyrobench new procedure`, `gyrobench new station` and `gyrobench new world`."""
+"""`gyrobench new procedure`, `gyrobench new station`, `gyrobench new world` and `gyrobench new effect`."""
 
 from __future__ import annotations
 
@@ -83,6 +83,17 @@ def world(
     from gyrobench.bench.authoring.new_files import new_world
 
     _write(name, out, lambda path: new_world(name, like, path), "Edit it. Next: gyrobench validate")
+
+
+@new.command()
+def effect(name: _Name, out: _Out = None) -> None:
+    """Write an effect file: a law that `gyrobench close` searches for. Its place is a folder `effects`.
+
+    Example: gyrobench new effect cold_side --out effects/cold_side.yaml
+    """
+    from gyrobench.bench.authoring.new_files import new_effect
+
+    _write(name, out, lambda path: new_effect(name, path), "Edit it. Next: gyrobench validate")
 
 
 def _write(name: str, out: Path | None, make: Callable[[Path], str], next_step: str) -> None:

@@ -100,7 +100,7 @@ def _print_separability(job: Job, target_dph: float) -> None:
     except MeasurementError as error:
         typer.echo(str(error))
         return
-    now = separability(searched_dwells(campaign), all_effects())
+    now = separability(searched_dwells(campaign), all_effects(job.document.path))
     advice = advise(job.document, job.plan, partial(plan_on, job.station), unit, now, target_dph)
     console().print(separability_summary(now, len(campaign), unit, target_dph, advice))
     path = Path(f"separability_{name}.png")

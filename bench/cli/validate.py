@@ -23,6 +23,7 @@ class Kind(StrEnum):
     WORLD = "world"
     FAULTS = "faults"
     IMPORT = "import"
+    EFFECT = "effect"
     COMPENSATION = "compensation"
 
 

@@ -81,17 +81,9 @@ class Hypothesis:
         """All effects but one."""
         return [each for each in self.candidates if each is not one]
 
-    def log_odds_against(self, other: Hypothesis) -> float:
-        """Twice the logarithm of the odds by which the data prefer another hypothesis to this one."""
-        return self.bic - other.bic
-
     def is_better_than(self, other: Hypothesis) -> bool:
         """Whether the data prefer this hypothesis."""
         return self.bic < other.bic
-
-    def is_no_worse_than(self, other: Hypothesis) -> bool:
-        """Whether it is better than another one or tied with it."""
-        return self.bic < other.bic + TIE_MARGIN
 
 
 def ranked(hypotheses: Iterable[Hypothesis]) -> list[Hypothesis]:

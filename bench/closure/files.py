@@ -82,6 +82,7 @@ def closure_document(closure: Closure) -> dict[str, Any]:
         "verdict": closure.verdict,
         "effects": [_effect(each) for each in closure.effects],
         "probabilities": {
+            "found": closure.probability,
             "nothing": closure.posterior.nothing,
             "not_on_the_list": closure.posterior.not_on_list,
             "effects": closure.posterior.of_effect,
@@ -94,6 +95,9 @@ def closure_document(closure: Closure) -> dict[str, Any]:
             }
             for each in closure.posterior.hypotheses[:_HYPOTHESES]
         ],
+        "remainder_shown_from_dph": {
+            name: size if math.isfinite(size) else None for name, size in closure.detectable_dph.items()
+        },
         "separating_measurement": closure.separating_measurement,
         "left_over": closure.unexplained_part,
         "noise_dph": closure.noise_dph,

@@ -174,6 +174,11 @@ def _together(parts: Sequence[Campaign], tables: Sequence[Table]) -> Campaign:
         for each in fields(Campaign)
         if isinstance(getattr(wholes[0], each.name), np.ndarray)
     }
+    names = dict.fromkeys(name for whole in wholes for name in whole.columns)
+    columns = {
+        name: np.concatenate([whole.columns.get(name, np.full(len(whole), np.nan)) for whole in wholes])
+        for name in names
+    }
     together = replace(
         wholes[-1],
         **arrays,
@@ -185,6 +190,7 @@ def _together(parts: Sequence[Campaign], tables: Sequence[Table]) -> Campaign:
             for number in whole.without_temperatures
         ),
         tables=tuple(tables),
+        columns=columns,
     )
     good = np.concatenate(
         [np.ones(len(each), dtype=bool) if each.part_of is None else each.part_of[1] for each in parts]

@@ -75,7 +75,9 @@ def _sum(coefficients: FloatArray, more: FloatArray) -> FloatArray:
     """Sum of coefficients; a shorter polynomial has zeros for the missing degrees."""
     if more.ndim == 1:
         return coefficients + more
-    return coefficients + np.pad(more, ((0, 0), (0, coefficients.shape[1] - more.shape[1])))
+    degree = max(coefficients.shape[1], more.shape[1])
+    longer = [np.pad(each, ((0, 0), (0, degree - each.shape[1]))) for each in (coefficients, more)]
+    return np.asarray(longer[0] + longer[1])
 
 
 def _declared(closure: Closure, solution: FloatArray) -> dict[str, FloatArray]:

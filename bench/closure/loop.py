@@ -5,24 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.candidates import Candidate, Hypothesis, evaluate, hypothesis, solve_with, stack
+from gyrobench.bench.closure.candidates import Candidate, Hypothesis, solve_with, stack
 from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.effect import Effect, Parameter
-from gyrobench.bench.closure.posterior import EXPLAINED, Posterior
+from gyrobench.bench.closure.posterior import EXPLAINED, Posterior, detectable_dph
 from gyrobench.bench.closure.problem import Problem, Solution, declared_problem
-from gyrobench.bench.closure.search import MAX_EFFECTS, Search
+from gyrobench.bench.closure.search import Search
 from gyrobench.bench.closure.uncertainty import Draws, bound_of, draw
-from gyrobench.bench.closure.validation import (
-    LackOfFit,
-    lack_of_fit,
-    leave_out_cycles,
-    measured_minus,
-    pooled_gain,
-)
+from gyrobench.bench.closure.validation import LackOfFit, lack_of_fit, leave_out_cycles, measured_minus
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.text import decimals_of, listed, plain_name, with_sigma
@@ -32,13 +27,6 @@ from gyrobench.bench.navigation.positions import AXES
 LACK_OF_FIT_P = 1e-3
 #: Scatter without structure is noise up to this ratio to the stated uncertainties.
 NOISE_TOLERANCE = 1.25
-#: If a lack of fit remains, an effect is kept only if cross-validation confirms it: it explains this share of
-#: the chi2 of all cycles left out, and lowers it in this share of the cycles.
-CONFIRMED_SHARE, CONFIRMED_CYCLES = 0.5, 0.75
-#: Hypotheses that explain at least this share are extended, at most so many in each step.
-EXTENDED_SHARE, EXTENDED_HYPOTHESES = 0.3, 4
-#: Gains that differ by less are equal: the simpler hypothesis is preferred.
-_GAIN_STEP = 0.01
 _NO_STRUCTURE_P = 0.05
 _S_PER_H = 3600.0
 _UNITS = {"c": "degC"}
@@ -115,7 +103,7 @@ class Evidence:
     #: excess.
     share: float = 0.0
     p_value: float = 1.0  #: Corrected for all candidate fits.
-    #: Twice the logarithm of the odds by which the data prefer the effects found to this one alone.
+    #: Twice the logarithm of the odds of the effects found to this one alone.
     log_odds_against: float = np.nan
 
 
@@ -143,6 +131,7 @@ class Closure:
     effects: tuple[FoundEffect, ...]  #: Strongest first.
     evidence: tuple[Evidence, ...]  #: Of each effect alone.
     posterior: Posterior  #: Probabilities of all hypotheses.
+    detectable_dph: dict[str, float]  #: See :func:`gyrobench.bench.closure.posterior.detectable_dph`.
     #: before, after: Tests of the declared model, and with the effects.
     before: LackOfFit
     after: LackOfFit
@@ -175,6 +164,11 @@ class Closure:
         return next(
             (each.effect.display_name for each in self.evidence if each.effect.name == name), plain_name(name)
         )
+
+    @property
+    def probability(self) -> float:
+        """Probability of exactly the effects found, without a remainder."""
+        return self.posterior.of_set([each.effect.name for each in self.effects], has_remainder=False)
 
     @property
     def separating_measurement(self) -> str | None:
@@ -220,29 +214,28 @@ def close_loop(
     hold_out_cycles : sequence of int
         Cycles that the search does not use; by default :attr:`Campaign.last_cycle`.
     effects : sequence of Effect, optional
-        Candidates; by default all installed ones.
+        Candidates; by default all installed ones and those of the user's files.
 
     Raises
     ------
     MeasurementError
         There is no such cycle, or too little is left without it.
     DocumentError
-        An effect of another package can't be used.
+        An effect of another package or of a file can't be used.
     """
-    candidates = all_effects() if effects is None else tuple(effects)
+    sources = [Path(each.name) for each in campaign.tables]
+    candidates = all_effects(*sources) if effects is None else tuple(effects)
     searched = _searched(campaign, hold_out_cycles)
     campaign = campaign.holding_out(np.unique(campaign.cycle[~searched]).tolist())
     problem = declared_problem(campaign, searched)
     search = Search(problem, candidates)
-    found, after = _best(search)
+    found, weighed = search.most_probable()
+    after = _test(problem, found)
     if _is_noise(after):
         problem = declared_problem(campaign, searched, after.noise_ratio)
         search = Search(problem, candidates)
-        found, after = _best(search)
-    if _lacks_fit(after):
-        found = _confirmed(search, after.noise_ratio)
+        found, weighed = search.most_probable()
         after = _test(problem, found)
-    weighed = search.posterior(found)
     declared, model = (solve_with(problem, each) for each in ((), found.candidates))
     declared_draws, model_draws = (draw(problem, each) for each in ((), found.candidates))
     errors_dph = [measured_minus(campaign, searched, each)[~searched] for each in (declared, model)]
@@ -254,6 +247,7 @@ def close_loop(
         searched=searched,
         verdict=_verdict(found, after, weighed, is_better=error_after < error_before),
         posterior=weighed,
+        detectable_dph=detectable_dph(_with_effects(problem, found)),
         effects=_found_effects(search, found, model, model_draws, weighed),
         evidence=_evidence(search, found),
         before=lack_of_fit(problem, 0),
@@ -315,22 +309,13 @@ def _searched(campaign: Campaign, hold_out_cycles: Sequence[int]) -> BoolArray:
     return searched
 
 
-def _best(search: Search) -> tuple[Hypothesis, LackOfFit]:
-    """Best hypothesis without the effects that raise the chi2 of cycles to which they were not fitted."""
-    problem, found = search.problem, search.best()
-    for each in reversed(found.candidates):
-        others = found.without(each)
-        cycles = leave_out_cycles(problem, others, found.candidates).values()
-        if cycles and pooled_gain(cycles) <= 0.0:
-            found = evaluate(problem, others)
-    return found, _test(problem, found)
-
-
 def _test(problem: Problem, found: Hypothesis) -> LackOfFit:
-    if not found.candidates:
-        return lack_of_fit(problem, 0)
-    after = problem.with_columns(*stack(found.candidates, problem.campaign))
-    return lack_of_fit(after, sum(len(each.values) for each in found.candidates))
+    parameters = sum(len(each.values) for each in found.candidates)
+    return lack_of_fit(_with_effects(problem, found), parameters)
+
+
+def _with_effects(problem: Problem, found: Hypothesis) -> Problem:
+    return problem.with_columns(*stack(found.candidates, problem.campaign)) if found.candidates else problem
 
 
 def _lacks_fit(after: LackOfFit) -> bool:
@@ -344,38 +329,6 @@ def _is_noise(after: LackOfFit) -> bool:
         and after.p_any_structure > _NO_STRUCTURE_P
         and 1.0 < after.noise_ratio < NOISE_TOLERANCE
     )
-
-
-def _confirmed(of: Search, noise_ratio: float) -> Hypothesis:
-    """The hypothesis confirmed by cross-validation, where a lack of fit remains.
-
-    The residual takes the place of the noise. Hypotheses grow by their gain in cycles left out; the one
-    with the largest gain is chosen of those of which each effect is confirmed beside the others.
-    """
-    scale = of.problem.noise_scale * noise_ratio
-    search = of.with_problem(declared_problem(of.problem.campaign, of.problem.searched, scale))
-    best, best_gain, beam = search.declared, 0.0, [search.declared]
-    for _ in range(MAX_EFFECTS):
-        larger = [each for one in beam for effect in search.effects if (each := search.add(one, effect))]
-        gains = np.array(
-            [pooled_gain(leave_out_cycles(search.problem, (), each.candidates).values()) for each in larger]
-        )
-        parameters = [each.parameter_count for each in larger]
-        order = np.lexsort((np.array(parameters), -np.round(gains, 2)))[:EXTENDED_HYPOTHESES]
-        beam = [larger[index] for index in order if gains[index] > EXTENDED_SHARE]
-        for each, gain in zip(beam, (gains[index] for index in order), strict=False):
-            confirmed = all(_is_confirmed(search.problem, each, one) for one in each.candidates)
-            if confirmed and gain > best_gain + _GAIN_STEP:
-                best, best_gain = each, gain
-    return hypothesis(of.problem, best.candidates)
-
-
-def _is_confirmed(problem: Problem, of: Hypothesis, one: Candidate) -> bool:
-    """Whether one effect explains most of the chi2 of cycles left out, and lowers it in most of them."""
-    cycles = leave_out_cycles(problem, of.without(one), of.candidates).values()
-    better = sum(each.gain > 0.0 for each in cycles)
-    share = 0.0 if one.is_at_open_end else pooled_gain(cycles)
-    return share > CONFIRMED_SHARE and better >= CONFIRMED_CYCLES * len(cycles)
 
 
 def _verdict(found: Hypothesis, after: LackOfFit, weighed: Posterior, *, is_better: bool) -> str:
@@ -424,6 +377,10 @@ def _found_effects(
 def _evidence(search: Search, found: Hypothesis) -> tuple[Evidence, ...]:
     problem = search.problem
     excess = problem.chi2 - problem.dof
+
+    def odds(alone: Hypothesis) -> float:
+        return search.evidences.log_odds(found, alone)
+
     result = []
     for effect in search.effects:
         alone = search.alone.get(effect.name)
@@ -431,11 +388,11 @@ def _evidence(search: Search, found: Hypothesis) -> tuple[Evidence, ...]:
         if missing:
             result.append(Evidence(effect, missing))
         elif alone is None:
-            result.append(Evidence(effect, log_odds_against=search.declared.log_odds_against(found)))
+            result.append(Evidence(effect, log_odds_against=odds(search.declared)))
         else:
             share = (problem.chi2 - alone.chi2) / excess if excess > 0.0 else np.nan
-            p_value, odds = search.p_value(alone, 0), alone.log_odds_against(found)
-            result.append(Evidence(effect, None, alone.candidates[0], share, p_value, odds))
+            p_value = search.p_value(alone, 0)
+            result.append(Evidence(effect, None, alone.candidates[0], share, p_value, odds(alone)))
     return tuple(sorted(result, key=lambda each: (each.missing_input is not None, each.log_odds_against)))
 
 

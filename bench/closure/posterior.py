@@ -19,7 +19,7 @@ from scipy.special import gammaln, logsumexp
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate, Hypothesis, stack
 from gyrobench.bench.closure.effects.effect import Effect, Parameter
-from gyrobench.bench.closure.problem import Problem
+from gyrobench.bench.closure.problem import MIN_VISIBLE, Problem
 from gyrobench.bench.closure.remainder import remainder_of
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 
@@ -27,8 +27,9 @@ from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 EFFECT_COUNT_PRIOR = (0.4, 0.35, 0.15, 0.1)
 #: Prior probability of a remainder beside any set, shared equally by its processes.
 REMAINDER_PRIOR = 0.05
-#: Orders of magnitude of a size: rms of a term in the dwells searched, in units of the noise; all are equally
-#: probable. An effect has about the same in all gyros, with this probability, or any smaller one in a gyro.
+#: Magnitudes of a size, all equally probable: rms of a term in the dwells searched beside the
+#: declared model and the other effects, in units of the noise. An effect has about the same in all gyros,
+#: with this probability, or any smaller one in a gyro.
 MAGNITUDES = 0.5 * 4.0 ** np.arange(6)
 SAME_MAGNITUDE = 0.8
 #: Variance of the noise over the stated one, as inverse gamma distributions: probability, shape and scale.
@@ -38,6 +39,8 @@ NOISE_PRIOR = ((0.9, 52.0, 51.0), (0.1, 4.0, 6.0))
 TIE_ODDS = 100.0
 #: Probability of a set of effects, without a remainder, that explains a residual.
 EXPLAINED = 0.99
+#: Probability with which a remainder of a detectable size would have been the most probable hypothesis.
+POWER = 0.9
 #: A term of an effect with several terms is absent from a gyro with this probability.
 _ABSENT = 0.5
 
@@ -69,6 +72,14 @@ class Posterior:
         }
 
     @property
+    def sets(self) -> list[frozenset[str]]:
+        """Sets of effects, with or without a remainder, most probable first."""
+        total: dict[frozenset[str], float] = {}
+        for each in self.hypotheses:
+            total[each.names] = total.get(each.names, 0.0) + each.probability
+        return sorted(total, key=lambda names: -total[names])
+
+    @property
     def nothing(self) -> float:
         """Probability of the declared model alone."""
         return self.of_set((), has_remainder=False)
@@ -83,18 +94,25 @@ class Posterior:
         wanted = frozenset(names), has_remainder
         return sum(each.probability for each in self.hypotheses if (each.names, each.has_remainder) == wanted)
 
-    def tied_with(self, names: Collection[str], one: str) -> tuple[str, ...]:
-        """Effects that explain the data about as well in place of one of a set, most probable first."""
-        found, others = self.of_set(names, has_remainder=False), frozenset(names) - {one}
-        return tuple(
-            next(iter(each.names - others))
+    def odds(self, names: frozenset[str], other: frozenset[str]) -> float:
+        """Odds of one set to another one, both without a remainder."""
+        probability, less = (self.of_set(each, has_remainder=False) for each in (names, other))
+        return probability / less if less > 0.0 else math.inf
+
+    def similar(self, names: frozenset[str]) -> list[frozenset[str]]:
+        """Sets with one effect exchanged that are not excluded by odds of TIE_ODDS, most probable first."""
+        least = self.of_set(names, has_remainder=False) / TIE_ODDS
+        return [
+            each.names
             for each in self.hypotheses
             if not each.has_remainder
-            and one not in each.names
-            and len(each.names) == len(names)
-            and others < each.names
-            and each.probability * TIE_ODDS > found
-        )
+            and len(each.names) == len(names) == len(each.names & names) + 1
+            and each.probability > least
+        ]
+
+    def tied_with(self, names: frozenset[str], one: str) -> tuple[str, ...]:
+        """Effects that may take the place of one of a set, most probable first."""
+        return tuple(next(iter(each - names)) for each in self.similar(names) if one not in each)
 
 
 class Evidences:
@@ -107,7 +125,8 @@ class Evidences:
         self._form_counts = {
             each.name: sum(not form.missing_input(campaign) for form in each.forms) for each in fitted
         }
-        self._problem = problem
+        self._problem, self._effects = problem, effects
+        self._weights: dict[object, tuple[float, FloatArray]] = {}
         self._dof = np.array([basis.shape[0] - basis.shape[1] for basis in problem.bases], dtype=np.float64)
         self._remainder = remainder_of(problem)
 
@@ -116,8 +135,39 @@ class Evidences:
         """What a remainder may follow."""
         return (*self._remainder.names, "nothing else measured")
 
+    def posterior(self, hypotheses: Iterable[Hypothesis]) -> Posterior:
+        """Probabilities of hypotheses, which include the declared model alone.
+
+        An effect that can't be fitted because an input is missing is as probable as the one that it imitates.
+        """
+        found = []
+        for each in hypotheses:
+            weights = self.weights(each)
+            sets = (each.names, *_imitating(each, self._effects, self._problem.campaign))
+            found += [(names, each.candidates, *weights) for names in sets]
+        whole = logsumexp(np.concatenate([[alone, *processes] for *_, alone, processes in found]))
+        follows = np.exp(logsumexp(np.array([processes for *_, processes in found]), axis=0) - whole)
+        weighed = []
+        for names, candidates, alone, processes in found:
+            weighed.append(Weighed(names, False, math.exp(alone - whole), candidates))
+            weighed.append(Weighed(names, True, math.exp(logsumexp(processes) - whole), candidates))
+        return Posterior(
+            tuple(sorted(weighed, key=lambda each: -each.probability)),
+            dict(zip(self.processes, (follows / follows.sum()).tolist(), strict=True)),
+        )
+
+    def log_odds(self, of: Hypothesis, to: Hypothesis) -> float:
+        """Twice the logarithm of the odds of one hypothesis to another, both without a remainder."""
+        return 2.0 * (self.weights(of)[0] - self.weights(to)[0])
+
     def weights(self, of: Hypothesis) -> tuple[float, FloatArray]:
         """Logarithm of prior times evidence, without a remainder and with each of the processes."""
+        key = tuple((each.effect.name, each.form.name, each.values) for each in of.candidates)
+        if key not in self._weights:
+            self._weights[key] = self._weighed(of)
+        return self._weights[key]
+
+    def _weighed(self, of: Hypothesis) -> tuple[float, FloatArray]:
         terms = _Terms.of(self._problem, of.candidates)
         scales = terms.scales()
         per_gyro = self._log_evidence(terms.products[:, None], scales * terms.kept[:, None])
@@ -198,8 +248,9 @@ class _Terms:
         else:
             all_columns, kept = np.zeros((len(problem.campaign), 3, 0)), np.ones((3, 0), dtype=bool)
         visible, rms = problem.beside(all_columns[problem.searched])
-        columns = np.concatenate([visible / rms[:, None], problem.residuals.T[..., None]], axis=2)
         owner = np.repeat(np.arange(len(candidates)), [each.kept.shape[1] for each in candidates])
+        rms = rms * _share_beside_others(visible / rms[:, None], kept, owner)
+        columns = np.concatenate([visible / rms[:, None], problem.residuals.T[..., None]], axis=2)
         return cls(columns, np.swapaxes(columns, 1, 2) @ columns, kept, owner.astype(np.int64), rms)
 
     def scales(self) -> FloatArray:
@@ -209,6 +260,23 @@ class _Terms:
             len(MAGNITUDES) ** count, count
         )
         return combinations[:, self.owner]
+
+
+def _share_beside_others(columns: FloatArray, kept: BoolArray, owner: IntArray) -> FloatArray:
+    """Share (3, k) of columns of rms 1 (3, m, k) that is independent of the other effects' terms.
+
+    What an effect adds to a set is its size: otherwise a set that contains correlated effects of opposite
+    sign would be counted beside each of its parts.
+    """
+    shares = np.ones(kept.shape)
+    for gyro, effect in itertools.product(range(3), range(int(owner.max(initial=0)) + 1)):
+        mine, others = owner == effect, (owner != effect) & kept[gyro]
+        if others.any():
+            columns_of_others, _ = np.linalg.qr(columns[gyro][:, others])
+            rest = columns[gyro][:, mine]
+            rest = rest - columns_of_others @ (columns_of_others.T @ rest)
+            shares[gyro, mine] = np.maximum(np.sqrt(np.mean(rest**2, axis=0)), MIN_VISIBLE)
+    return shares
 
 
 def _summed(per_gyro: FloatArray, magnitudes: int) -> float:
@@ -266,6 +334,7 @@ def _log_parameter_volume(
     return -0.5 * float(np.linalg.slogdet(np.eye(len(slopes)) + information / (2.0 * np.pi))[1])
 
 
+_DRAWS = 400
 #: Step of a derivative, as a share of the prior's width.
 _STEP = 2e-3
 
@@ -284,27 +353,24 @@ def prior_width(problem: Problem, parameter: Parameter, value: float) -> float:
     return parameter.high - parameter.low
 
 
-def posterior(problem: Problem, effects: Sequence[Effect], hypotheses: Iterable[Hypothesis]) -> Posterior:
-    """Probabilities of hypotheses, which include the declared model alone.
+def detectable_dph(problem: Problem) -> dict[str, float]:
+    """Smallest remainder that the data would show with probability ``POWER``, by what it follows: rms, deg/h.
 
-    An effect that can't be fitted because an input is missing is as probable as the one that it imitates.
+    ``problem`` has the effects found as columns. Shown is what makes a remainder more probable than none; its
+    size is the same in all gyros.
     """
-    evidences = Evidences(problem, effects)
-    found = []
-    for each in hypotheses:
-        weights = evidences.weights(each)
-        sets = (each.names, *_imitating(each, effects, problem.campaign))
-        found += [(names, each.candidates, *weights) for names in sets]
-    whole = logsumexp(np.concatenate([[alone, *processes] for _, _, alone, processes in found]))
-    follows = np.exp(logsumexp(np.array([processes for *_, processes in found]), axis=0) - whole)
-    weighed = []
-    for names, candidates, alone, processes in found:
-        weighed.append(Weighed(names, False, math.exp(alone - whole), candidates))
-        weighed.append(Weighed(names, True, math.exp(logsumexp(processes) - whole), candidates))
-    return Posterior(
-        tuple(sorted(weighed, key=lambda each: -each.probability)),
-        dict(zip(evidences.processes, (follows / follows.sum()).tolist(), strict=True)),
-    )
+    remainder = remainder_of(problem)
+    chi2 = np.random.default_rng(0).chisquare(1.0, (_DRAWS, remainder.powers[:, 0].size))
+    prior_odds = math.log((1.0 - REMAINDER_PRIOR) / REMAINDER_PRIOR * len(remainder.names) * len(MAGNITUDES))
+    sizes = np.geomspace(0.05, 20.0, 61)
+    found = {}
+    for name, powers in zip(remainder.names, np.moveaxis(remainder.powers, 1, 0), strict=True):
+        variances = sizes[:, np.newaxis] ** 2 * powers.ravel()
+        log_odds = 0.5 * (variances @ chi2.T - np.sum(np.log1p(variances), axis=1, keepdims=True))
+        shown = np.mean(log_odds > prior_odds, axis=1) >= POWER
+        found[name] = float(sizes[np.argmax(shown)]) if shown.any() else math.inf
+    noise_dph = float(np.sqrt(np.mean(problem.sigma_dph**2)))
+    return {name: size * noise_dph for name, size in found.items()}
 
 
 def _imitating(of: Hypothesis, effects: Sequence[Effect], campaign: Campaign) -> list[frozenset[str]]:

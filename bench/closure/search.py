@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from scipy.special import chdtrc
@@ -19,7 +20,7 @@ from gyrobench.bench.closure.candidates import (
     start_count,
 )
 from gyrobench.bench.closure.effects.effect import Effect
-from gyrobench.bench.closure.posterior import Posterior, posterior
+from gyrobench.bench.closure.posterior import Evidences, Posterior
 from gyrobench.bench.closure.problem import Problem, declared_problem
 from gyrobench.bench.foundations.text import listed
 
@@ -34,6 +35,8 @@ SAME_SHARE = 0.05
 MAX_SHARE_OF_ONE_DWELL = 0.5
 #: Fitted parameters reduce chi2 by at most this factor more than the best starting values.
 _MAX_REFINEMENT = 3.0
+#: Sets are about equally probable below these odds.
+_EVEN_ODDS = 3.0
 #: Limit of exchanges of effects in the best hypothesis.
 _MAX_EXCHANGES = 6
 
@@ -75,7 +78,7 @@ class Search:
             for smaller in beam:
                 for effect in self.effects:
                     larger = self.add(smaller, effect)
-                    if larger is None or not self._all_significant(larger):
+                    if larger is None or self._objections(larger):
                         continue
                     if larger.names not in grown or larger.is_better_than(grown[larger.names]):
                         grown[larger.names] = larger
@@ -83,7 +86,7 @@ class Search:
             if not beam or not beam[0].is_better_than(best):
                 break
             best = beam[0]
-        return self._simplified(self._exchanged(best))
+        return self._exchanged(best)
 
     def add(self, to: Hypothesis, effect: Effect) -> Hypothesis | None:
         """Add one effect in its best form and fit all parameters; None if it is not significant."""
@@ -129,31 +132,51 @@ class Search:
         p_values = [_p_value(reduction, max(rank, 1)) for reduction, rank in gyros]
         return [p_value < SIGNIFICANCE or p_value == min(p_values) for p_value in p_values]
 
-    def posterior(self, found: Hypothesis) -> Posterior:
-        """Probabilities of all sets of effects fitted so far and of the one found with an effect exchanged.
+    @cached_property
+    def evidences(self) -> Evidences:
+        """Evidence of the hypotheses of this search."""
+        return Evidences(self.problem, self.effects)
 
-        A set that contains the one found as a special case is left out: the simpler one is preferred.
+    def most_probable(self) -> tuple[Hypothesis, Posterior]:
+        """The most probable set of effects to which there is no objection, and the probabilities of all sets.
+
+        The sets are those of the search by BIC and all with one effect more than the most probable or with
+        one exchanged. A set that contains the most probable one as a special case is left out: the simpler
+        one is preferred, as it is of sets that are about equally probable.
         """
-        for each in found.candidates:
-            others = evaluate(self.problem, found.without(each))
-            for effect in self.effects:
-                self.add(others, effect)
-        best: dict[frozenset[str], Hypothesis] = {frozenset(): self.declared}
-        for fitted in (*self.alone.values(), *self._known.values()):
-            if fitted and (fitted.names not in best or fitted.is_better_than(best[fitted.names])):
-                best[fitted.names] = fitted
-        best[found.names] = found
-        hypotheses = [each for each in best.values() if not self._contains(each, found)]
-        return posterior(self.problem, self.effects, hypotheses)
+        best, evidences = self.best(), self.evidences
+        for _ in range(_MAX_EXCHANGES):
+            self._fit_similar(best)
+            fitted = self._fitted(best)
+            weighed = evidences.posterior(list(fitted.values()))
+            sets = (fitted[names] for names in weighed.sets if names in fitted)
+            found = next(each for each in sets if not self._objections(each))
+            if found.names == best.names:
+                break
+            best = found
+        similar = [fitted[names] for names in weighed.similar(found.names) if names in fitted]
+        for each in similar:
+            is_as_probable = weighed.odds(found.names, each.names) < _EVEN_ODDS
+            is_simpler = each.parameter_count < found.parameter_count and is_as_probable
+            if (is_simpler or self._is_special_case(each, found)) and not self._objections(each):
+                found = each
+        general = {each.names for each in similar if self._is_special_case(found, each)}
+        return found, evidences.posterior([each for names, each in fitted.items() if names not in general])
 
-    def _contains(self, each: Hypothesis, found: Hypothesis) -> bool:
-        """Whether a hypothesis with one effect exchanged contains the one found as a special case."""
-        return (
-            len(each.candidates) == len(found.candidates)
-            and len(each.names - found.names) == 1
-            and each.is_no_worse_than(found)
-            and self._is_special_case(found, each)
-        )
+    def _fit_similar(self, to: Hypothesis) -> None:
+        """Fit all sets with one effect more, and all with one exchanged."""
+        fewer = [evaluate(self.problem, to.without(each)) for each in to.candidates]
+        for each in [*fewer, to] if len(to.candidates) < MAX_EFFECTS else fewer:
+            for effect in self.effects:
+                self.add(each, effect)
+
+    def _fitted(self, best: Hypothesis) -> dict[frozenset[str], Hypothesis]:
+        """All sets of effects fitted so far, each as it fits best."""
+        fitted = {self.declared.names: self.declared, best.names: best}
+        for each in (*self.alone.values(), *self._known.values()):
+            if each and (each.names not in fitted or each.is_better_than(fitted[each.names])):
+                fitted[each.names] = each
+        return fitted
 
     def _added(self, to: Hypothesis, effect: Effect) -> Hypothesis | None:
         problem, campaign = self.problem, self.problem.campaign
@@ -182,30 +205,15 @@ class Search:
             better = [
                 each
                 for each in found
-                if each is not None and each.is_better_than(best) and self._all_significant(each)
+                if each is not None and each.is_better_than(best) and not self._objections(each)
             ]
             if not better:
                 break
             best = ranked(better)[0]
         return best
 
-    def _simplified(self, best: Hypothesis) -> Hypothesis:
-        """Replace an effect by a special case of it that fits about as well."""
-        for one in best.candidates:
-            others = evaluate(self.problem, best.without(one))
-            for effect in self.effects:
-                simpler = None if effect.name in best.names else self.add(others, effect)
-                if (
-                    simpler is not None
-                    and simpler.is_no_worse_than(best)
-                    and self._is_special_case(simpler, best)
-                    and self._all_significant(simpler)
-                ):
-                    return self._simplified(simpler)
-        return best
-
-    def _all_significant(self, of: Hypothesis) -> bool:
-        return not any(self.objection(of, index) for index in range(len(of.candidates)))
+    def _objections(self, of: Hypothesis) -> bool:
+        return any(self.objection(of, index) for index in range(len(of.candidates)))
 
     def _without_largest_dwell(self, of: Hypothesis, index: int) -> tuple[int, float]:
         """The dwell with most of an effect's reduction of chi2; the p-value without it, 0 if it has little.

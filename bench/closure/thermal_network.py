@@ -225,10 +225,10 @@ def _weighted(residuals: FloatArray) -> FloatArray:
 @cache
 def _compiled() -> Callable[..., tuple[FloatArray, FloatArray, FloatArray]]:
     """:func:`_run` as machine code; numba takes a second to import, and few searches need it."""
-    import numba
+    from gyrobench.bench.foundations.kernels import compiled
 
-    compiled: Callable[..., tuple[FloatArray, FloatArray, FloatArray]] = numba.njit(cache=True)(_run)
-    return compiled
+    machine_code: Callable[..., tuple[FloatArray, FloatArray, FloatArray]] = compiled(_run)
+    return machine_code
 
 
 def _run(

@@ -184,14 +184,14 @@ def _align(step: Align, context: StepContext) -> Ticks:
     begin_s = bench.clock.now()
     yield
     yield from _lasting(bench, (step.duration_s or 0.0) - (bench.clock.now() - begin_s))
-    while step.until_fine and bench.instruments.ins.status().alignment is not Alignment.FINE:
+    while step.until_fine and bench.ins_status().alignment is not Alignment.FINE:
         yield
 
 
 @perform.register
 def _navigate(step: Navigate, context: StepContext) -> Ticks:
     instruments = context.bench.instruments
-    status = instruments.ins.status()
+    status = context.bench.ins_status()
     if status.mode is not InsMode.NAVIGATE and context.recorder.has_window:
         context.recorder.disturb("the INS left navigation in the turn")
     elif status.mode is not InsMode.NAVIGATE:
@@ -334,7 +334,7 @@ def _table_read(context: StepContext) -> Ticks:
 
 
 def _is_sending(bench: LiveBench) -> bool:
-    status = bench.instruments.ins.status()
+    status = bench.ins_status()
     return status.age_s < _BOOT_FRAMES_AGE_S and status.mode is not InsMode.BOOT
 
 
@@ -346,7 +346,7 @@ def _choose_euler_sequence(step: Align, context: StepContext) -> Ticks:
     y_is_vertical = context.bench.state.at.position in ("y_up", "y_down")
     automatic = EulerSequence.PRY_231 if y_is_vertical else EulerSequence.RPY_321
     chosen = automatic if step.euler_sequence == "automatic" else EulerSequence(step.euler_sequence)
-    if instruments.ins.status().euler_sequence is not chosen:
+    if context.bench.ins_status().euler_sequence is not chosen:
         yield from tried(context, lambda: instruments.ins.set_euler_sequence(chosen))
 
 

@@ -361,6 +361,7 @@ class Engine:
         if not outcome.is_safe:
             outcome.fail("the bench could not be brought to its safe state")
         try:
+            self._bench.poll_ins()  # the last frames
             journal.record("ticks", **self._bench.lateness.summary())
             journal.record(
                 "run_ended",

@@ -25,6 +25,7 @@ from gyrobench.bench.station.instruments import Instruments
 from gyrobench.bench.station.safe_state import SafeAction, make_safe
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.frames import FrameBlock, concatenate
+from gyrobench.drivers.ins.ins_status import InsStatus
 from gyrobench.drivers.ins.readout import InsMode
 
 if TYPE_CHECKING:
@@ -165,11 +166,8 @@ class LiveBench:
         faults = self._first(self.instruments.table.faults)
         chamber = self._first(self.instruments.chamber.read)
         alarms = self._first(self.instruments.chamber.alarms)
-        self.poll_ins()
-        now_s = self.clock.now()
-        self.readings = Readings(
-            table, now_s, tuple(faults), chamber, now_s, tuple(alarms), self.instruments.ins.status(), now_s
-        )
+        ins, now_s = self.ins_status(), self.clock.now()
+        self.readings = Readings(table, now_s, tuple(faults), chamber, now_s, tuple(alarms), ins, now_s)
         self._next_reading_s = now_s + self.station.file.instruments_period_s
         self._watch.observe(self.readings)
 
@@ -188,6 +186,8 @@ class LiveBench:
         """Wait for the next tick, then poll what is due."""
         tick_s = self.station.file.tick_s
         next_tick_s = tick_s * (math.floor(self.clock.now() / tick_s + 1e-9) + 1)
+        if self.instruments.ins.keeps_frames:
+            self.clock.sleep_until(next_tick_s)
         while (now_s := self.clock.now()) < next_tick_s:
             self.clock.sleep_until(min(next_tick_s, now_s + self.station.file.poll_period_s))
             self.poll_ins()
@@ -214,6 +214,11 @@ class LiveBench:
     def poll_ins(self) -> None:
         """Receive the frames that have arrived."""
         self._asked("INS", self.instruments.ins.poll)
+
+    def ins_status(self) -> InsStatus:
+        """State of the INS with the frames that have arrived by now."""
+        self.poll_ins()
+        return self.instruments.ins.status()
 
     def reopen(self, instrument: str) -> None:
         """Reopen the port of an instrument; a failure is reported."""
@@ -262,9 +267,8 @@ class LiveBench:
     def read_instruments(self) -> None:
         """Read table, chamber and INS, and keep the readings in the telemetry."""
         self._next_reading_s = self.clock.now() + self.station.file.instruments_period_s
-        self.poll_ins()
-        asked_s = self.clock.now()
-        readings = replace(self.readings, ins=self.instruments.ins.status(), asked_s=asked_s)
+        ins, asked_s = self.ins_status(), self.clock.now()
+        readings = replace(self.readings, ins=ins, asked_s=asked_s)
         table, chamber = self.instruments.table, self.instruments.chamber
         if (faults := self._asked("rate table", table.faults)) is not None:
             readings = replace(readings, table_faults=tuple(faults))
@@ -335,6 +339,7 @@ class LiveBench:
 
     def end_capture(self) -> FrameBlock:
         """Stop keeping frames and return them, with log and telemetry written to the disk."""
+        self.poll_ins()
         frames = self.capture.frames() if self.capture else concatenate([])
         self.capture = None
         if self._can_log and self._telemetry:

@@ -38,7 +38,7 @@ class StoredCompensation:
         InstrumentError if the INS does not accept the compensation.
         """
         ins, run = self._run.bench.instruments.ins, self._run
-        found = ins.status()
+        found = run.bench.ins_status()
         if self._agreed is not None and _same(found, self._agreed, unknown=not after_power_on):
             return
         before = self._agreed

@@ -1,4 +1,4 @@
-"""Types of numpy arrays, and the factors between the units of the field and SI."""
+"""Types of numpy arrays, matrices made of blocks, and the factors between the units of the field and SI."""
 
 from __future__ import annotations
 
@@ -24,3 +24,12 @@ DEG_PER_SQRT_H_TO_SI = np.pi / 180.0 / 60.0
 UG_TO_MPS2 = 1e-6 * STANDARD_GRAVITY
 #: One ug/sqrt(Hz) (velocity random walk) in m/s/sqrt(s).
 UG_PER_SQRT_HZ_TO_SI = UG_TO_MPS2
+
+
+def block_diagonal(*blocks: FloatArray) -> FloatArray:
+    """Matrix with these along its diagonal and zeros elsewhere; a block may have no rows or columns."""
+    ends = np.cumsum([(0, 0), *(each.shape for each in blocks)], axis=0)
+    matrix = np.zeros(ends[-1])
+    for (top, left), (bottom, right), block in zip(ends, ends[1:], blocks, strict=False):
+        matrix[top:bottom, left:right] = block
+    return matrix

@@ -347,5 +347,5 @@ class ManualControl:
 
 
 def _sends_frames(bench: LiveBench) -> bool:
-    status = bench.instruments.ins.status()
+    status = bench.ins_status()
     return status.age_s < _FRESH_S and status.mode is not InsMode.BOOT

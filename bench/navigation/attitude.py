@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from gyrobench.bench.foundations.arrays import FloatArray
 
@@ -23,7 +22,24 @@ UP = np.array([0.0, 0.0, 1.0])
 
 def rotation_matrix(axis: ArrayLike, angle: float) -> FloatArray:
     """Matrix (3, 3) that turns vectors by ``angle`` (rad) about the unit vector ``axis``."""
-    return np.asarray(Rotation.from_rotvec(angle * np.asarray(axis, dtype=float)).as_matrix())
+    return rotation_matrices(angle * np.asarray(axis, dtype=float))
+
+
+def rotation_matrices(vectors: FloatArray) -> FloatArray:
+    """Matrices (..., 3, 3) of rotation vectors (..., 3), rad."""
+    angle = np.linalg.norm(vectors, axis=-1)[..., np.newaxis, np.newaxis]
+    cross = -np.cross(vectors[..., np.newaxis, :], np.eye(3))
+    # sin(a) / a and (1 - cos(a)) / a^2, also where the angle is zero.
+    return np.asarray(
+        np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * np.sinc(0.5 * angle / np.pi) ** 2 * cross @ cross
+    )
+
+
+def rotation_vectors(turns: FloatArray) -> FloatArray:
+    """Rotation vectors (n, 3), rad, of matrices (n, 3, 3) that turn by less than half a turn."""
+    vector, sine, angle = _axis_and_angle(turns)
+    stretch = np.divide(angle, sine, out=np.ones_like(angle), where=sine > 0.0)
+    return vector * stretch[:, np.newaxis]
 
 
 def rotation_vector_enu(C_nb: FloatArray, C_nb_reference: FloatArray) -> FloatArray:
@@ -44,9 +60,7 @@ def rotation_vector_enu(C_nb: FloatArray, C_nb_reference: FloatArray) -> FloatAr
     ndarray, shape (n, 3)
         Rotation vectors, rad.
     """
-    vector, sine, angle = _axis_and_angle(C_nb @ C_nb_reference.T)
-    stretch = np.divide(angle, sine, out=np.ones_like(angle), where=sine > 0.0)
-    return vector * stretch[:, np.newaxis]
+    return rotation_vectors(C_nb @ C_nb_reference.T)
 
 
 def angle_between(C_one: FloatArray, C_other: FloatArray) -> float:

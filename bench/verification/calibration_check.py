@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import erfc
 
 from gyrobench.bench.bias.dwell_table import DwellRow, Triple
 from gyrobench.bench.bias.plateaus import MAX_FROM_MEAN_K, group_plateaus
@@ -175,5 +174,5 @@ def _with_difference(
     if row.flags:
         return row
     difference, both = row.bias_dph - calibrated_dph, math.hypot(row.sigma_dph, sigma_dph)
-    p_value = float(erfc(abs(difference) / both / math.sqrt(2.0)))
+    p_value = math.erfc(abs(difference) / both / math.sqrt(2.0))
     return replace(row, difference_dph=difference, difference_sigma_dph=both, p_value=p_value)

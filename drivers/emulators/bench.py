@@ -84,6 +84,7 @@ class EmulatedBench:
         if seed < 0:
             raise DocumentError(f"emulated bench: the seed must not be negative; found {seed}")
         self.clock = clock
+        self._injector: Injector | None = None
         start_s = math.floor(clock.now())
         self.world = World(load_world(world), seed, start_s)
         self.dialects = {"table": table, "chamber": chamber}
@@ -97,7 +98,6 @@ class EmulatedBench:
         #: The plugs of ``table``, ``chamber`` and ``ins``.
         self.connections = {"table": Connection(), "chamber": Connection(), "ins": Connection()}
         self.injected = InjectionLog()  #: The faults injected so far.
-        self._injector: Injector | None = None
         if faults is not None:
             listed = load_faults(faults)
             listed_log = faults.parent / listed.log if listed.log else None
@@ -110,6 +110,19 @@ class EmulatedBench:
             self.world.advance(self.clock.now())
         else:
             self._injector.advance(self.clock.now())
+
+    def advance_instruments(self) -> None:
+        """Advance what table and chamber depend on: the air and whole seconds, if there are no faults."""
+        if self._injector is None:
+            self.world.advance(math.floor(self.clock.now()))
+            self.world.advance_air(self.clock.now())
+        else:
+            self.advance()
+
+    @property
+    def keeps_frames(self) -> bool:
+        """Whether it makes no difference when the frames of the INS are received: no real time, no faults."""
+        return self.clock.is_virtual and self._injector is None
 
     def _inject(self, faults: FaultList, seed: int, start_s: int, log: Path | None, path: Path) -> None:
         lines = {name: FaultySerial(instrument) for name, instrument in self.serial.items()}
@@ -137,6 +150,8 @@ class EmulatedBench:
 
     def _chamber_event(self, number: int, on: bool) -> None:
         if number == UNIT_POWER_EVENT:
+            if self._injector is None:
+                self.advance()
             self.world.power_unit(on)
 
 

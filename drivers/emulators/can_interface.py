@@ -34,6 +34,7 @@ class EmulatorBus(can.BusABC):
             raise can.CanInitializationError(str(error)) from error
         self._connection = self._bench.connections["ins"]
         self._generation = self._connection.generation
+        self.keeps_frames = self._bench.keeps_frames
         self._blocks: list[FrameBlock] = []
         #: Frames of the oldest block, once :meth:`recv` is used.
         self._messages: deque[can.Message] = deque()

@@ -49,7 +49,7 @@ class Serial(ClockedPort):  # the name that pyserial looks for
         """Send bytes to the instrument; its reply arrives after its latency."""
         if not self.is_open:
             raise PortNotOpenError
-        self._bench.advance()
+        self._bench.advance_instruments()
         self._check_connected()
         now_s = self.clock.now()
         reply = self._instrument.feed(bytes(data), now_s)

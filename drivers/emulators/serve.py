@@ -131,10 +131,7 @@ class _Line:
         """Close the port."""
         if self.plugged_in:
             self.plugged_in = False
-            if isinstance(self.port, TcpClient):
-                self.port.close()
-            else:
-                self.port.unplug()
+            self.port.unplug()
 
     def _follow_plug(self) -> None:
         if self._connection.generation == self._generation or isinstance(self.port, TcpClient):
@@ -185,7 +182,7 @@ class _Daemon:
     def close(self) -> None:
         """Disconnect all clients and stop listening."""
         for client, _, _ in self._clients:
-            client.close()
+            client.unplug()
         self._listener.unplug()
 
 

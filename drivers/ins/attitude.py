@@ -27,7 +27,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from gyrobench.bench.foundations.arrays import FloatArray
 
@@ -68,11 +67,12 @@ def quaternion_matrices(
     if frames is QuaternionFrames.FRD_TO_NED:
         # Both frames change by the same half turn about the bisector of their first two axes.
         scalar_last = scalar_last[..., [1, 0, 2, 3]] * np.array([1.0, 1.0, -1.0, 1.0])
-    length = np.linalg.norm(scalar_last, axis=-1)
-    usable = np.isfinite(length) & (length > 0.0)
-    matrices = np.full((*usable.shape, 3, 3), np.nan)
-    matrices[usable] = Rotation.from_quat(scalar_last[usable]).as_matrix()
-    return matrices
+    length = np.linalg.norm(scalar_last, axis=-1, keepdims=True)
+    unit = scalar_last / np.where(np.isfinite(length) & (length > 0.0), length, np.nan)
+    vector, scalar = unit[..., :3], unit[..., 3, np.newaxis, np.newaxis]
+    cross = -np.cross(vector[..., np.newaxis, :], np.eye(3))
+    outer = vector[..., :, np.newaxis] * vector[..., np.newaxis, :]
+    return np.asarray(2.0 * (outer + scalar * cross) + (2.0 * scalar**2 - 1.0) * np.eye(3))
 
 
 def _turned(axis: Literal["x", "y", "z"], angle: ArrayLike) -> FloatArray:

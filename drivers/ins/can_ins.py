@@ -109,6 +109,11 @@ class CanIns:
         if self.on_frames is not None:
             self.on_frames(block)
 
+    @property
+    def keeps_frames(self) -> bool:
+        """Whether frames wait on the bus without limit, as on an emulated one: it may be polled late."""
+        return getattr(self._bus, "keeps_frames", False)
+
     def status(self) -> InsStatus:
         """State by the newest frames; does not poll."""
         now_s = self._clock.now()

@@ -11,19 +11,18 @@ import difflib
 import logging
 import math
 import re
-import struct
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice, pairwise
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import cantools
 import numpy as np
 import textparser
-from cantools.database import Database
+from cantools.database import Database, DecodeError
 from cantools.database.can import Message, Signal
 from numpy.typing import ArrayLike, NDArray
 
@@ -136,13 +135,17 @@ class DbcCodec:
         words = Payloads(block.take(self.rows(block, message_name)).data)
         return {name: layout.physical(name, words) for name in layout.fields}
 
-    def decode_one(self, data: bytes, message_name: str, signal_name: str) -> float:
-        """Decode one signal of one payload to the same value; NaN if it is absent, or the payload short."""
+    def decode_one(self, data: bytes, message_name: str) -> Mapping[str, float]:
+        """Decode one payload to the same values, by cantools; without absent signals, empty if too short."""
         layout = self._layout(message_name)
         if len(data) < layout.length:
-            return math.nan
-        data = data.ljust(MAX_LENGTH, b"\0")
-        return layout.fields[signal_name].physical_of(data) if layout.selects(signal_name, data) else math.nan
+            return {}
+        try:
+            return layout.message.decode(data, decode_choices=False)  # type: ignore[return-value]
+        except DecodeError:  # a multiplexer has a value without signals
+            row = np.frombuffer(data.ljust(MAX_LENGTH, b"\0"), np.uint8)
+            block = FrameBlock.from_columns([0.0], [layout.arbitration_id], [len(data)], [row])
+            return {name: values.item() for name, values in self.decode(block, message_name).items()}
 
     def encode(self, message_name: str, values: Mapping[str, ArrayLike]) -> NDArray[np.uint8]:
         """Payloads of a message, shape (n, length of the message).
@@ -182,14 +185,6 @@ class _Layout:
         return np.where(
             self._present(name, lambda selector: self.fields[selector].raw(words)), values, np.nan
         )
-
-    def selects(self, name: str, data: bytes) -> bool:
-        """Whether the multiplexers of a payload of 8 bytes select the signal."""
-        signal = self.fields[name].signal
-        selector = signal.multiplexer_signal
-        if signal.multiplexer_ids is None or selector is None:
-            return True
-        return self.fields[selector].raw_of(data) in signal.multiplexer_ids and self.selects(selector, data)
 
     def encode(self, values: dict[str, FloatArray]) -> NDArray[np.uint8]:
         count = len(next(iter(values.values()), np.zeros(1)))
@@ -293,35 +288,6 @@ class BitField:
         if self.signal.offset != 0:
             values += self.signal.offset
         return values
-
-    @cached_property
-    def _scalar(self) -> tuple[Literal["big", "little"], int, int, int, str, float, float]:
-        """Byte order, shift, mask, sign bit or 0, format of a float or "", scale, offset."""
-        signal = self.signal
-        is_float = signal.conversion.is_float
-        return (
-            "big" if self.big_endian else "little",
-            int(self.right - self.left),
-            (1 << signal.length) - 1,
-            1 << (signal.length - 1) if signal.is_signed and not is_float else 0,
-            {16: "e", 32: "f", 64: "d"}[signal.length] if is_float else "",
-            float(signal.scale),
-            float(signal.offset),
-        )
-
-    def raw_of(self, data: bytes) -> float:
-        """Read the field of one payload of 8 bytes."""
-        order, shift, mask, sign, float_format, _, _ = self._scalar
-        bits = int.from_bytes(data, order) >> shift & mask
-        if float_format:
-            size = self.signal.length // 8
-            return float(struct.unpack(f"<{float_format}", bits.to_bytes(size, "little"))[0])
-        return (bits ^ sign) - sign
-
-    def physical_of(self, data: bytes) -> float:
-        """Read the field of one payload of 8 bytes, scaled to the DBC's unit."""
-        *_, scale, offset = self._scalar
-        return float(self.raw_of(data)) * scale + offset
 
     def to_raw(self, values: FloatArray) -> Words:
         """Convert values in the DBC's unit to right-aligned bits; see :meth:`DbcCodec.encode`."""

@@ -115,17 +115,17 @@ class Snapshot:
         self._arrival = arrival
         self._oldest_s = oldest_s
         self._codec = codec
-        self._values: dict[tuple[str, str], float] = {}
+        self._decoded: dict[str, Mapping[str, float]] = {}
 
     def value(self, bound: BoundSignal) -> float:
         """Value of a signal; NaN without its frame."""
-        key = bound.message, bound.signal.name
-        if key not in self._values:
-            row = self._arrival.newest(self._codec.arbitration_id(bound.message))
+        message = bound.message
+        if message not in self._decoded:
+            row = self._arrival.newest(self._codec.arbitration_id(message))
             is_known = row is not None and row[0] >= self._oldest_s
-            value = self._codec.decode_one(bytes(row[4][: row[2]]), *key) if row and is_known else math.nan
-            self._values[key] = bound.si(value)
-        return self._values[key]
+            data = bytes(row[4][: row[2]]) if row and is_known else b""
+            self._decoded[message] = self._codec.decode_one(data, message)
+        return float(bound.to_si(self._decoded[message].get(bound.signal.name, math.nan)))
 
     def held(self, bound: BoundSignal, rows: IntArray) -> FloatArray:  # noqa: ARG002 - only now
         """Value of a signal, shape (1,)."""

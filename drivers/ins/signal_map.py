@@ -328,26 +328,16 @@ class BoundSignal:
     saturates: bool = False
     bits: tuple[int, int] | None = None  #: First and last bit of the raw value, where it is split.
 
-    def to_si(self, physical: FloatArray) -> FloatArray:
-        """Convert values in the DBC's unit to SI; NaN where the signal is saturated."""
+    def to_si(self, physical: FloatArray | float) -> FloatArray:
+        """Convert a value or values in the DBC's unit to SI; NaN where the signal is saturated."""
         physical = physical if self.bits is None else self._field(physical)
         values = np.asarray(physical * self.gain + self.offset, np.float64)
         if self.saturates:
             low, high = self._limits
-            values[~((physical > low) & (physical < high))] = np.nan
+            values = np.where((physical > low) & (physical < high), values, np.nan)
         return values
 
-    def si(self, physical: float) -> float:
-        """Convert one value as :meth:`to_si` does, faster."""
-        if self.bits is not None:
-            return float(self.to_si(np.array([physical]))[0])
-        if self.saturates:
-            low, high = self._limits
-            if not low < physical < high:
-                return math.nan
-        return physical * self.gain + self.offset
-
-    def _field(self, physical: FloatArray) -> FloatArray:
+    def _field(self, physical: FloatArray | float) -> FloatArray:
         """The bits of the raw value as a number; NaN stays."""
         assert self.bits is not None  # noqa: S101 - the caller checks
         first, last = self.bits

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import binomtest
 
-from tests.benchmarks.closure_calibration import GROUPS, LOOKS, examine, read
+from tests.benchmarks.closure_calibration import GROUPS, LOOKS, examine
 
 STATED = 0.99
 VERDICTS = ("clean", "explained", "ambiguous", "unexplained")
@@ -38,22 +38,31 @@ def is_unknown(one):
     return one["group"].startswith("unknown")
 
 
-def stated(one):
-    """Probability of what a verdict states, and whether it is true; None where nothing is stated."""
+def missed(one):
+    """Sizes of the effects that are in the unit and not named."""
+    named = set(one["found"])
+    pairs = zip(one["effects"], one["sizes"], strict=True)
+    return [size for effect, size in pairs if effect not in named]
+
+
+def stated(one, hidden=True):
+    """Probability of what a verdict states, and whether it is true; None where nothing is stated.
+
+    ``hidden``: an effect may be missed that is smaller than what the search states as detectable.
+    """
     known = one["probabilities"]
-    if known is None or one["verdict"] == "ambiguous":
+    if one["verdict"] == "ambiguous":
         return None
-    if one["verdict"] == "clean":
-        return known["nothing"], not one["effects"]
     if one["verdict"] == "unexplained":
-        return known["not_on_list"], is_unknown(one) or bool(one["effects"] and not one["candidates_own"])
-    return known["found"], is_right(one)
+        return known["not_on_list"], is_unknown(one) or bool(one["effects"] and not one["has_own_laws"])
+    is_complete = max(missed(one), default=0.0) <= (one["hidden"] if hidden else 0.0)
+    return known["found"], is_complete and set(one["found"]) <= set(one["effects"])
 
 
-def statements(results):
-    """Verdicts with at least the probability of a finding: how many, and how many are true."""
-    made = [each for each in map(stated, results) if each and each[0] >= STATED]
-    return len(made), sum(true for _, true in made)
+def statements(results, hidden=True):
+    """Verdicts with at least the probability of a finding: how many are true, and how many are."""
+    made = [each for one in results if (each := stated(one, hidden)) and each[0] >= STATED]
+    return sum(true for _, true in made), len(made)
 
 
 def interval(right, count):
@@ -111,13 +120,15 @@ def figures(results):
     def counted(of, condition):
         return share(sum(map(condition, of)), len(of))
 
-    count, true = statements(results)
     rows = {
         "one to three effects of the list, 0.3 to 20 sigma: exactly these named": counted(known, is_right),
         "... or each named or tied": counted(known, lambda one: is_right(one) or is_tied(one)),
         "... `explained`, and wrong": counted(known, lambda one: is_explained(one) and not is_right(one)),
         "held-out error over the fit that knows the shape, median": median_ratio(results),
-        f"verdicts with P >= {STATED}: true": share(true, count),
+        f"verdicts with P >= {STATED}: true, and nothing missed that the search states as detectable": share(
+            *statements(results)
+        ),
+        "... and nothing missed at all": share(*statements(results, hidden=False)),
         "clean, an effect named": counted(clean, names_effect),
         "clean, sigma understated or outliers: `unexplained`": counted(hard, is_unexplained),
         "... an effect named": counted(hard, names_effect),
@@ -161,13 +172,12 @@ def confusion(results):
 
 def stated_and_true(results):
     """Series of the reliability diagram: probabilities, and whether what they are of is true."""
-    with_probabilities = [each for each in results if each["probabilities"]]
     series = {"each effect": [], "nothing": [], "not on the list": [], "best set of effects": []}
-    for one in with_probabilities:
+    for one in results:
         known = one["probabilities"]
         series["each effect"] += [(p, name in one["effects"]) for name, p in known["effects"].items()]
         series["nothing"].append((known["nothing"], not one["effects"]))
-        if is_unknown(one) or one["candidates_own"] or max(one["sizes"], default=0.0) < 1.0:
+        if is_unknown(one) or one["has_own_laws"] or max(one["sizes"], default=0.0) < 1.0:
             series["not on the list"].append((known["not_on_list"], is_unknown(one)))
         names, rest, probability = known["hypotheses"][0]
         true = is_unknown(one) if rest else set(names) == set(one["effects"])
@@ -215,23 +225,16 @@ def draw_reliability(results, path):
     figure.savefig(path, dpi=130)
 
 
-def markdown(results, before=()):
-    rows, earlier = figures(results), figures(before) if before else {}
-    head = "| | without posterior | |\n|---|---|---|" if before else "| | |\n|---|---|"
-    cells = [
-        f"| {name} | " + (f"{earlier[name]} | " if before else "") + f"{value} |"
-        for name, value in rows.items()
-    ]
-    parts = ["\n".join([head, *cells]), confusion(results)]
-    if results[0]["probabilities"]:
-        parts.append(reliability_table(results))
-    return "\n\n".join(parts)
+def markdown(results):
+    rows = [f"| {name} | {value} |" for name, value in figures(results).items()]
+    table = "\n".join(["| | |", "|---|---|", *rows])
+    return "\n\n".join([table, confusion(results), reliability_table(results)])
 
 
 def test_probabilities_of_causes_are_frequencies(tmp_path):
     results = examine(range(60), tmp_path / "results.jsonl")
     print(f"\n{markdown(results)}")
-    count, true = statements(results)
+    true, count = statements(results)
     assert count - true <= 1
     assert not any(map(names_effect, in_group(results, "clean")))
     assert sum(map(is_explained, in_group(results, GROUPS[16]))) <= 1
@@ -242,11 +245,10 @@ if __name__ == "__main__":
     parser.add_argument("--units", type=int, default=1000)
     parser.add_argument("--first", type=int, default=0, help="number of the first unit")
     parser.add_argument("--results", type=Path, required=True)
-    parser.add_argument("--before", type=Path, help="results of another version, for a column beside")
     parser.add_argument("--page", type=Path)
     arguments = parser.parse_args()
     found = examine(range(arguments.first, arguments.first + arguments.units), arguments.results)
-    text = markdown(found, [*read(arguments.before).values()] if arguments.before else ())
+    text = markdown(found)
     print(text)
     if arguments.page:
         lines = arguments.page.read_text().split("<!-- table -->")

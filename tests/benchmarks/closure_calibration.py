@@ -4,6 +4,7 @@ Results are kept, one JSON line a unit, so that making them can be interrupted.
 """
 
 import json
+import math
 import os
 import subprocess
 import sys
@@ -25,6 +26,10 @@ GROUPS = (
 LOOKS = 10
 #: The second has the first as one of its terms.
 CONTAINED = {"thermal_gradient", "attitude_thermal"}
+_CAMPAIGNS = {
+    "ageing": {"design": "power cycles", "cycles": 5},
+    "magnetic_sensitivity": {"design": "headings"},
+}
 #: Standard deviations that hold 95 %.
 WITHIN_95 = 1.959964
 
@@ -45,13 +50,12 @@ def drawn(seed):
     noise = str(draw.choice(NOISES[1:])) if "hard" in group or draw.random() < 0.12 else NOISES[0]
     if group == "clean":
         noise = NOISES[0]
-    own = bool(draw.random() < 0.4)
-    return group, {
-        "effects": effects.tolist(),
-        "sizes": sizes.tolist(),
-        "noise": noise,
-        "candidates_own": own,
-    }
+    options = {"effects": effects.tolist(), "sizes": sizes.tolist(), "noise": noise}
+    # Most units that need it have a campaign that can show the effect.
+    for effect, needed in _CAMPAIGNS.items():
+        if effect in options["effects"] and draw.random() < 0.8:
+            options |= needed
+    return group, options | {"candidates_own": bool(draw.random() < 0.4)}
 
 
 def examined(seed):
@@ -65,12 +69,18 @@ def examined(seed):
     result = {
         "seed": seed,
         "group": group,
-        "design": truth.design,
         **options,
+        "design": truth.design,
+        "has_own_laws": all(each.sizes_dph is not None for each in truth.parts)
+        and bool(np.isfinite(closure.campaign.whole.board_c).all()),
         "verdict": closure.verdict,
         "found": found,
         "tied": {each.effect.name: list(each.tied_with) for each in closure.effects},
         "noise_scale": closure.noise_scale,
+        # The largest thing that the table may hide, in the units of the sizes.
+        "hidden": max(filter(math.isfinite, closure.detectable_dph.values()), default=0.0)
+        / closure.noise_dph
+        * closure.noise_scale,
         "true_noise_scale": float(np.sqrt(np.mean((truth.sigma_dph / closure.campaign.sigma_dph) ** 2))),
         "probabilities": _probabilities(closure),
         "error_before_dph": _error_dph(closure, closure.declared, truth),
@@ -128,7 +138,7 @@ def _inside(closure, truth):
         held = [
             low <= value <= high for value, (low, high) in zip(part.values, one.values_range, strict=True)
         ]
-        inside["parameters"][0] += sum(held)
+        inside["parameters"][0] += int(sum(held))
         inside["parameters"][1] += len(held)
     if is_right or closure.verdict in ("clean", "explained"):
         campaign, searched = closure.campaign, closure.searched

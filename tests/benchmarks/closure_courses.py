@@ -121,7 +121,10 @@ class Schedule:
             for at in draw.uniform(0.0, count, 9).astype(int):
                 power[at:] = draw.uniform(0.55, 1.3)
         is_on = np.array(self.is_on)
-        room_c = 22.0 + draw.uniform(0.5, 2.0) * np.sin(2.0 * np.pi * (time_h / 24.0 + draw.random()))
+        day = 2.0 * np.pi * (time_h / 24.0 + draw.random())
+        weather = np.cumsum(draw.standard_normal(count // 240 + 2))[np.arange(count) // 240]
+        room_c = 22.0 + draw.uniform(0.5, 2.0) * (np.sin(day) + 0.2 * np.sin(2.0 * day + 1.0))
+        room_c += 0.15 * lagged(weather[:, None], 3.0)[:, 0]
         turns = {(name, azimuth) for name in UP for azimuth in self._headings}
         north_of = {each: POSITIONS[each[0]].C_nb(math.radians(each[1]))[1] for each in turns}
         return Course(
@@ -199,4 +202,16 @@ def _run_network(set_c, room_c, power, up, unit, gyros, along, exponent, onset_c
             frame += step * d_frame
         out[now, 0], out[now, 1] = air, case
         out[now, 2:5], out[now, 5:8] = optics, board
+    return out
+
+
+@numba.njit(cache=True)
+def lagged(values, tau_h):
+    """First-order lag of (m, k), at rest before; none for a time constant below a tenth of a minute."""
+    out = values.copy()
+    if tau_h * 600.0 < 1.0:
+        return out
+    keep = np.exp(-STEP_H / tau_h)
+    for now in range(1, len(values)):
+        out[now] = keep * out[now - 1] + (1.0 - keep) * values[now]
     return out

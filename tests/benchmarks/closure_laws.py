@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from tests.benchmarks.closure_courses import STEP_H, Course
+from tests.benchmarks.closure_courses import STEP_H, Course, lagged
 
 
 @dataclass(frozen=True)
@@ -147,8 +147,7 @@ def _ageing(c, draw, own):
 
 
 def _daily_course(c, draw, own):
-    angle = 2.0 * np.pi * (c.time_h / 24.0 + draw.random())
-    return _law(draw, (np.sin(angle) + 0.25 * np.sin(2.0 * angle + 1.0))[:, None])
+    return _law(draw, c.room_c[:, None] if own else lagged(c.room_c[:, None], draw.uniform(0.1, 0.7)), own)
 
 
 def _mode_hop(c, draw, own):
@@ -193,6 +192,34 @@ def _flicker(c, draw, own):
     return _law(draw, np.fft.irfft(spectrum, axis=0)[: len(c.time_h)])
 
 
+#: What a composed law may follow, by driver of the grammar of effects, shape (m, 3) or (m, 1).
+_DRIVERS = {
+    "gyro_c": lambda c: c.optics_c,
+    "gyro_rate_c_per_h": lambda c: np.gradient(c.optics_c, STEP_H, axis=0),
+    "above_optics_k": lambda c: c.board_c - c.optics_c,
+    "case_c": lambda c: c.case_c[:, None],
+    "chamber_c": lambda c: c.air_c[:, None],
+    "supply_w": lambda c: 30.0 * c.power[:, None],
+    "room_c": lambda c: c.room_c[:, None],
+}
+
+
+def _composed(driver):
+    """A law from driver, memory and shape that no effect of the list has."""
+
+    def law(c, draw, own):
+        state = _DRIVERS[driver](c)
+        middle, spread = np.median(state), np.std(state)
+        if driver in ("gyro_c", "case_c", "chamber_c") and draw.random() < 0.5:
+            wide = draw.random() < 0.5
+            state = play(state, 0.4 * spread) if wide else lagged(state, draw.uniform(0.5, 2.0))
+        apart = (state - middle - draw.uniform(-0.7, 0.7) * spread) / (draw.uniform(0.15, 0.5) * spread)
+        shapes = (1.0 / (1.0 + apart**2), 1.0 / (1.0 + np.exp(-apart)), np.logaddexp(0.0, apart))
+        return _law(draw, shapes[draw.integers(len(shapes))], own)
+
+    return law
+
+
 #: Effects by name: those of the candidates, and those on no list.
 ON_THE_LIST = {
     "temperature_rate": _temperature_rate, "thermal_gradient": _thermal_gradient,
@@ -207,19 +234,8 @@ ON_NO_LIST = {
     "supply_ripple": _supply_ripple, "telegraph": _telegraph, "random_walk": _random_walk,
     "flicker": _flicker,
 }  # fmt: skip
-EFFECTS = ON_THE_LIST | ON_NO_LIST
-
-
-@numba.njit(cache=True)
-def lagged(values, tau_h):
-    """First-order lag of (m, k), at rest before; none for a time constant below a tenth of a minute."""
-    out = values.copy()
-    if tau_h * 600.0 < 1.0:
-        return out
-    keep = np.exp(-STEP_H / tau_h)
-    for now in range(1, len(values)):
-        out[now] = keep * out[now - 1] + (1.0 - keep) * values[now]
-    return out
+COMPOSED = {f"composed, {driver}": _composed(driver) for driver in _DRIVERS}
+EFFECTS = ON_THE_LIST | ON_NO_LIST | COMPOSED
 
 
 @numba.njit(cache=True)

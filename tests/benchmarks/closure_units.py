@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
-from tests.benchmarks.closure_courses import DESIGNS, STEP_H, STEP_S, Schedule, temperatures
-from tests.benchmarks.closure_laws import EFFECTS, lagged
+from tests.benchmarks.closure_courses import DESIGNS, STEP_H, STEP_S, Schedule, lagged, temperatures
+from tests.benchmarks.closure_laws import EFFECTS
 
 NOISES = ("stated", "understated", "outliers", "understated, outliers")
 #: An effect of which the declared model takes up more than this is scaled as if it took up this much.
@@ -83,9 +83,9 @@ def make_unit(
     drawn_design, draw_noise = str(draw.choice(DESIGNS)), np.random.default_rng([seed, 17, looks])
     design = design or drawn_design
     schedule = Schedule(draw, design, cycles)
-    course = temperatures(
-        draw, schedule.course(draw, "supply_power" in effects), "attitude_thermal" in effects
-    )
+    is_logged = any(each.startswith("composed") for each in effects)
+    has_steps = is_logged or "supply_power" in effects or draw.random() < 0.2
+    course = temperatures(draw, schedule.course(draw, has_steps), "attitude_thermal" in effects)
     firsts, lengths = (np.array([each[place] for each in schedule.dwells]) for place in (0, 1))
     cycle = np.array([each[2] for each in schedule.dwells])
     run = np.searchsorted(schedule.power_on, firsts, side="right") - 1
@@ -135,7 +135,11 @@ def make_unit(
         signs = draw_noise.choice([-1.0, 1.0], which.shape)
         errors_dph[bad] += which * signs * draw_noise.uniform(6.0, 15.0, (len(bad), 1)) * stated_dph[bad]
     truth = Truth(seed, design, noise, tuple(parts), bias_dph, sigma_dph, tuple((bad + 1).tolist()))
-    measured = _Sensors(draw, course, over_dwells, firsts, lengths, 0.0 if candidates_own else 1.0)
+    logged = {"supply_w": 30.0 * over_dwells(course.power)} if has_steps else {}
+    if draw.random() < (0.8 if "daily_course" in effects else 0.2) or is_logged:
+        logged["room_c"] = over_dwells(course.room_c)
+    logged = {name: each + 0.03 * draw_noise.standard_normal(count) for name, each in logged.items()}
+    measured = _Sensors(draw, course, over_dwells, firsts, lengths, 0.0 if candidates_own else 1.0, is_logged)
     return [
         DwellRow(
             unit=f"S{seed}",
@@ -149,6 +153,7 @@ def make_unit(
             azimuth_deg=float(course.azimuth_deg[firsts[each]]),
             bias_dph=tuple((bias_dph + errors_dph)[each].tolist()),
             sigma_dph=tuple(stated_dph[each].tolist()),
+            other=tuple((name, float(values[each])) for name, values in logged.items()),
             **measured.of(each),
         )
         for each in range(count)
@@ -196,10 +201,10 @@ def _beside_declared(powers, run, searched):
 class _Sensors:
     """Temperatures as measured: each sensor with its offset, lag and noise; some are not there.
 
-    ``errors`` of 0 leaves out offsets and lags.
+    ``errors`` of 0 leaves out offsets and lags; ``has_all``: none is missing.
     """
 
-    def __init__(self, draw, course, over_dwells, firsts, lengths, errors):
+    def __init__(self, draw, course, over_dwells, firsts, lengths, errors, has_all):
         self._columns = {}
         noise_c = draw.uniform(0.002, 0.02)
         optics_c = lagged(course.optics_c, errors * draw.uniform(0.0, 0.02)) + errors * draw.normal(
@@ -211,7 +216,7 @@ class _Sensors:
             hours @ optics_c[first : first + length] / (hours @ hours)
             for first, length, hours in zip(firsts, lengths, inside_h, strict=True)
         ]
-        has = draw.random(3) < (0.65, 0.85, 0.95)
+        has = (draw.random(3) < (0.65, 0.85, 0.95)) | has_all
         for name, values, sigma_c, measured in (
             ("gyro_c", over_dwells(optics_c), noise_c, True),
             ("gyro_rate_c_per_h", np.array(rates), 3.0 * noise_c, True),

@@ -1,4 +1,4 @@
-"""The candidate effects, one module each with an ``EFFECT``; other packages add theirs by entry point."""
+"""The candidate effects: modules with an ``EFFECT``, other packages by entry point, users' files."""
 
 from __future__ import annotations
 
@@ -7,17 +7,21 @@ import pkgutil
 import re
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 
 from gyrobench.bench.closure.effects.effect import Effect, checked
+from gyrobench.bench.closure.effects.effect_file import effect_folders, read_effects
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.packages import EFFECTS, installed, load
 
 
-def all_effects() -> tuple[Effect, ...]:
-    """The effects of this package's modules and of other packages, by name.
+def all_effects(*sources: Path) -> tuple[Effect, ...]:
+    """The effects of this package's modules, of other packages and of the user's files, by name.
 
-    Raises DocumentError if an effect of another package can't be imported, is not an Effect, or has a name
-    already used. It is not left out silently: the outcome of a search depends on its candidates.
+    ``sources``: the tables or runs searched; see
+    :func:`gyrobench.bench.closure.effects.effect_file.effect_folders`. Raises DocumentError if an effect of
+    another package can't be imported, is not an Effect, or has a name already used, or a file is wrong. It is
+    not left out silently: the outcome of a search depends on its candidates.
     """
     modules = (importlib.import_module(f"{__name__}.{each.name}") for each in pkgutil.iter_modules(__path__))
     found = (getattr(module, "EFFECT", None) for module in modules)
@@ -30,6 +34,12 @@ def all_effects() -> tuple[Effect, ...]:
                 f"the entry point {name!r} in {EFFECTS} {reason}. Report this to the package's author"
             )
         effects[name] = replace(effect, forms=tuple(checked(form, name) for form in effect.forms))
+    for path, effect in read_effects(effect_folders(sources)):
+        if effect.name in effects:
+            raise DocumentError(f"{path}: another effect is called {effect.name}. Choose another name")
+        effects[effect.name] = replace(
+            effect, forms=tuple(checked(form, effect.name) for form in effect.forms)
+        )
     return tuple(effects[name] for name in sorted(effects))
 
 

@@ -55,8 +55,8 @@ class Law:
         shaped = partial(self._shaped, values=values[:count])
         if self.memory == "none":
             terms = shaped(driver_values(self.driver, campaign))
-        elif self.driver in _EVENTS:
-            mean = _mean_decay(campaign, _EVENTS[self.driver](campaign), *values[count:])
+        elif self.driver in EVENTS:
+            mean = _mean_decay(campaign, EVENTS[self.driver](campaign), *values[count:])
             terms = shaped(np.repeat(mean[:, np.newaxis], 3, axis=1))
         else:
             record = campaign.record
@@ -72,7 +72,7 @@ class Law:
     def missing_input(self, campaign: Campaign) -> str | None:
         """The input that a campaign does not have; None if it has all."""
         missing = needs_positions(campaign) if FACTORS[self.factor] else None
-        if missing is None and self.driver not in _EVENTS:
+        if missing is None and self.driver not in EVENTS:
             missing = _missing_driver(self.driver, campaign)
         return missing
 
@@ -235,8 +235,8 @@ DRIVERS: Mapping[str, Driver] = MappingProxyType(
         "constant": Driver("", "", lambda of: np.ones_like(of.gyro_c)),
     }
 )
-#: Times of events, after which a decay begins.
-_EVENTS: Mapping[str, Callable[[Campaign], FloatArray]] = MappingProxyType(
+#: Times of events, from which on a decay begins.
+EVENTS: Mapping[str, Callable[[Campaign], FloatArray]] = MappingProxyType(
     {"power_on": lambda of: of.power_on_s, "start": lambda of: of.whole.start_s[:1]}
 )
 

@@ -149,7 +149,11 @@ def _alternatives(closure: Closure) -> Section:
     caption = _P_VALUES if is_noise_only(closure) else _EVIDENCE
     figures = [SectionFigure("evidence", caption, partial(closure_evidence_figure, closure))] if drawn else []
     table = SectionTable(evidence_caption(closure), *evidence_table(closure), words=2)
-    paragraphs = [text.alternative_sentence(closure), *text.tie_sentences(closure)]
+    paragraphs = [
+        text.probability_sentence(closure),
+        text.alternative_sentence(closure),
+        *text.tie_sentences(closure),
+    ]
     paragraphs += text.missing_input_sentences(closure)
     paragraphs += [text.sensitivity_sentence(closure)] if closure.verdict == "clean" else []
     title = "Alternatives" if closure.effects else "Candidate effects"
@@ -205,7 +209,11 @@ def _lack_of_fit(closure: Closure) -> Section:
         [row[: 1 + len(names)] for row in rows],
     )
     extra = "" if closure.unexplained_part is None else _UNEXPLAINED
-    return Section("Lack of fit", _paragraphs(text.after_sentence(closure), extra), tables=[table])
+    return Section(
+        "Lack of fit",
+        _paragraphs(text.after_sentence(closure), extra, text.power_sentence(closure)),
+        tables=[table],
+    )
 
 
 def _paragraphs(*sentences: str) -> list[str]:

@@ -10,6 +10,7 @@ from scipy.special import chdtri
 
 from gyrobench.bench.closure.candidates import start_count
 from gyrobench.bench.closure.loop import LACK_OF_FIT_P, Closure, Evidence, FoundEffect
+from gyrobench.bench.closure.posterior import EXPLAINED, POWER
 from gyrobench.bench.closure.problem import Solution
 from gyrobench.bench.closure.search import SIGNIFICANCE
 from gyrobench.bench.closure.validation import measured_minus
@@ -22,6 +23,8 @@ _S_PER_H = 3600.0
 #: Twice the logarithm of odds of two to one.
 _EVEN = 2.0 * math.log(2.0)
 _NEARLY_ALL, _ALL = 98.5, 100.0
+#: Largest probability that is written, and the smallest of an effect that a sentence names.
+_NEARLY_CERTAIN, _WORTH_STATING = 0.999, 0.005
 _PLAIN_POWER, _LARGEST_POWER = 3.0, 12.0
 
 
@@ -137,26 +140,80 @@ def verdict_sentence(closure: Closure) -> str:
     found = found_labels(closure)
     match closure.verdict:
         case "clean":
-            return "The declared model explains the biases: its residual is noise."
+            nothing = probability_text(closure.posterior.nothing)
+            return f"The declared model explains the biases: its residual is noise ({nothing})."
         case "explained":
-            count = (
-                "One effect explains"
-                if len(closure.effects) == 1
-                else f"{len(closure.effects)} effects explain"
+            count = "One effect" if len(closure.effects) == 1 else f"A set of {len(closure.effects)} effects"
+            return (
+                f"{count} explains the residual within the noise and is the best of those tried: {found} "
+                f"({probability_text(closure.probability)})."
             )
-            return f"{count} the residual: {found}."
         case "ambiguous":
-            fits = "; ".join(_fit_of(closure, each) for each in closure.effects)
-            return f"An effect is present, but the data do not distinguish the candidates: {fits}."
+            return f"An effect is present, but {_unsettled(closure)}"
         case _:
             part = f" {found[0].upper()}{found[1:]} explains only a part." if found else ""
-            return f"The residual exceeds the noise, and no candidate effect explains it.{part}"
+            unknown = probability_text(closure.posterior.not_on_list)
+            return (
+                "The residual exceeds the noise, and no candidate effect explains it (something that is not "
+                f"on the list: {unknown}).{part}"
+            )
 
 
-def _fit_of(closure: Closure, found: FoundEffect) -> str:
-    if not found.tied_with:
-        return f"{found.effect.display_name} is certain"
-    return f"{found.effect.display_name} fits best, {_labels(closure, found.tied_with)} nearly as well"
+def _unsettled(closure: Closure) -> str:
+    """Why the verdict is ambiguous."""
+    tied = [each for each in closure.effects if each.tied_with]
+    if tied:
+        fits = "; ".join(
+            f"{each.effect.display_name} ({probability_text(each.probability)}) or "
+            f"{' or '.join(_with_probability(closure, name) for name in each.tied_with)}"
+            for each in tied
+        )
+        return f"the data do not distinguish the candidates: {fits}."
+    exactly = probability_text(closure.probability)
+    if closure.probability < EXPLAINED:
+        return (
+            f"it is not settled whether it is {found_labels(closure)} alone ({exactly}, required "
+            f"{EXPLAINED:g})."
+        )
+    return f"{found_labels(closure)} ({exactly}) does not predict the held-out cycle better."
+
+
+def _with_probability(closure: Closure, name: str) -> str:
+    return f"{closure.label(name)} ({probability_text(closure.posterior.of_effect.get(name, 0.0))})"
+
+
+def probability_text(probability: float) -> str:
+    """Write a probability, never rounded to 0 or 1: "P = 0.62", "P > 0.999"."""
+    if probability > _NEARLY_CERTAIN:
+        return f"P > {_NEARLY_CERTAIN:g}"
+    if probability < 1.0 - _NEARLY_CERTAIN:
+        return f"P < {1.0 - _NEARLY_CERTAIN:.3f}"
+    return f"P = {probability:.3f}" if not 0.1 <= probability <= 0.9 else f"P = {probability:.2f}"
+
+
+def probability_sentence(closure: Closure) -> str:
+    """Probabilities of the effects, of something that is not on the list, and of nothing."""
+    weighed = closure.posterior
+    likely = {name: p for name, p in weighed.of_effect.items() if p >= _WORTH_STATING}
+    parts = [f"{closure.label(name)} {probability_text(p)}" for name, p in likely.items()]
+    follows = max(weighed.follows, key=lambda name: weighed.follows[name])
+    unknown = f"something that is not on the list {probability_text(weighed.not_on_list)}"
+    parts.append(f"{unknown} (it follows {follows})" if weighed.not_on_list >= 0.5 else unknown)
+    parts.append(f"nothing undeclared {probability_text(weighed.nothing)}")
+    return f"Probabilities: {'; '.join(parts)}."
+
+
+def power_sentence(closure: Closure) -> str:
+    """The smallest remainder that the data would have shown; empty where there is one."""
+    sizes = {name: size for name, size in closure.detectable_dph.items() if math.isfinite(size)}
+    if not sizes or closure.verdict == "unexplained":
+        return ""
+    low, high = min(sizes, key=lambda name: sizes[name]), max(sizes, key=lambda name: sizes[name])
+    return (
+        f"Something else would have been shown with {100.0 * POWER:.0f} % probability from "
+        f"{size_text(sizes[low])} deg/h rms if it follows {low}, to {size_text(sizes[high])} deg/h if it "
+        f"follows {high}; less is not excluded."
+    )
 
 
 def before_sentence(closure: Closure) -> str:
@@ -223,6 +280,7 @@ def alternative_sentence(closure: Closure) -> str:
             f"The most significant candidate alone is {best.effect.display_name} ({p_phrase(best.p_value)})."
         )
     if not names:
+        best = max(others, key=lambda each: each.share)
         return f"The best candidate alone, {best.effect.display_name}, explains {_share_of(best)}."
     share = "" if is_noise_only(closure) else f" (explains {_share_of(best)})"
     alternative = f"The best alternative is {best.effect.display_name} alone{share}; the data"
@@ -255,7 +313,7 @@ def tie_sentences(closure: Closure) -> list[str]:
             )
     if sentences:
         return [*sentences, closure.separating_measurement or ""]
-    return ["No other candidate fits equally well."] if closure.effects else []
+    return ["No other candidate of those tried fits equally well."] if closure.effects else []
 
 
 def missing_input_sentences(closure: Closure) -> list[str]:
@@ -358,17 +416,18 @@ def chain(closure: Closure) -> list[tuple[str, str]]:
     pairs = [("" if index else "Tables", f"{text}.") for index, text in enumerate(several)]
     pairs += [("Residual", before_sentence(closure)), ("", noise_scale_sentence(closure))]
     pairs += [("Effect", text) for text in effect_sentences(closure)]
+    pairs += [("Probability", probability_sentence(closure))]
     pairs += [("Alternatives", alternative_sentence(closure))]
     pairs += [("", text) for text in (*tie_sentences(closure), *missing_input_sentences(closure))]
     pairs += [("Held-out", error_sentence(closure)), ("", constants_sentence(closure))]
     pairs += [("Rotation", rotation_sentence(closure))]
-    pairs += [("Lack of fit", after_sentence(closure))]
+    pairs += [("Lack of fit", after_sentence(closure)), ("", power_sentence(closure))]
     pairs += [("Sensitivity", sensitivity_sentence(closure))] if closure.verdict == "clean" else []
     return [(topic, text) for topic, text in pairs if text]
 
 
 def effect_table(closure: Closure) -> tuple[list[str], list[list[str]]]:
-    """Head and rows of the effects found; four columns of words, then size and p-value."""
+    """Head and rows of the effects found; four columns of words, then size and probability."""
     scale = scale_of_errors(closure)
     rows = [
         [
@@ -377,11 +436,11 @@ def effect_table(closure: Closure) -> tuple[list[str], list[list[str]]]:
             _labels(closure, each.tied_with) or "none",
             gains_text(each.gains) or "no",
             scale.with_sigma(each.rms_dph, each.rms_sigma_dph),
-            p_text(each.p_value),
+            probability_text(each.probability).removeprefix("P ").removeprefix("= "),
         ]
         for each in closure.effects
     ]
-    return ["effect", "gyros", "tied with", "cross-validated", "size", "p"], rows
+    return ["effect", "gyros", "tied with", "cross-validated", "size", "P"], rows
 
 
 def evidence_table(closure: Closure) -> tuple[list[str], list[list[str]]]:
@@ -408,7 +467,7 @@ def evidence_table(closure: Closure) -> tuple[list[str], list[list[str]]]:
 def evidence_caption(closure: Closure) -> str:
     """Explanation of the columns of :func:`evidence_table`."""
     share = "" if is_noise_only(closure) else "share: share of excess variance explained; "
-    odds = "; odds: preference of the data for the effects found" if closure.effects else ""
+    odds = "; odds: of the effects found to this one" if closure.effects else ""
     return f"Each effect alone. {share}p: corrected for all candidate fits{odds}"
 
 

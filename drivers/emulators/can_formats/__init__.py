@@ -31,10 +31,7 @@ class CanFormat(ABC):
 
     @abstractmethod
     def frames(self, epochs: Epochs) -> FrameBlock:
-        """Encode the output of the INS at these epochs, in order of sending; slow frames at a whole second.
-
-        There is at most one whole second among the epochs.
-        """
+        """Encode the output of the INS at these epochs, in order of sending; slow frames at whole seconds."""
 
     @abstractmethod
     def receive(self, message: can.Message) -> None:

@@ -62,8 +62,7 @@ class CanaerospaceFormat(CanFormat):
         whole = epochs.sample % SAMPLE_RATE_HZ == 0
         slow = empty_frames(time_s[whole], _SLOW, 8)
         slow["data"].view(">u4")[:, :2, 1] = int(epochs.mode), int(epochs.alignment)
-        for row in slow["data"].view(">f4"):
-            row[2:, 1] = self._world.temperatures_c()[1:4] + _ZERO_C_IN_K
+        slow["data"].view(">f4")[:, 2:, 1] = epochs.read_c[:, 1:4] + _ZERO_C_IN_K
         _set_headers(slow, [_ULONG, _ULONG, _FLOAT, _FLOAT, _FLOAT], self._slow_codes)
         north, east, roll, pitch, heading = euler_output(epochs.states, pitch_first=False).T
         fast = empty_frames(time_s + len(_SLOW) * FRAME_S * whole, _FAST, 8)

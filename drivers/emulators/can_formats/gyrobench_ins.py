@@ -11,12 +11,12 @@ import math
 import struct
 
 import can
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
 from gyrobench.bench.foundations.arrays import FloatArray, IntArray
+from gyrobench.bench.foundations.kernels import compiled
 from gyrobench.drivers.emulators.can_formats import FRAME_S, CanFormat, execute_command
 from gyrobench.drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs, Mode
 from gyrobench.drivers.emulators.world.ins_compensation import COEFFICIENTS, checksum
@@ -34,11 +34,22 @@ _SLOW_IDS = (
     SYSTEM_TIME, HEIGHT_VELOCITY_D, INS_STATUS, INS_IDENTITY, COMPENSATION_STATUS, OPTICS_TEMPERATURE,
     ELECTRONICS_TEMPERATURE,
 )  # fmt: skip
-_SLOW_DATA = struct.Struct("<II ii BBHBBH IHH II hhhH hhhh")
+_SLOW_DATA = np.dtype(
+    {
+        "names": [
+            "second", "height", "mode", "pitch_first", "align_s", "compensated", "status_count", "serial",
+            "firmware", "hardware", "applied", "loaded", "optics_count",
+        ],
+        "formats": [
+            "<u4", "<i4", "u1", "u1", "<u2", "u1", "<u2", "<u4", "<u2", "<u2", "<u4", "<u4", "<u2",
+        ],
+        "offsets": [0, 8, 16, 17, 18, 20, 22, 24, 28, 30, 32, 36, 46],
+        "itemsize": 8 * len(_SLOW_IDS),
+    }
+)  # fmt: skip
 _FAST_IDS = VELOCITY_NE, ROLL_PITCH, HEADING
 _SLOW_FRAMES, _FAST_FRAMES = len(_SLOW_IDS), len(_FAST_IDS)
 _VELOCITY_LSB_PER_MPS, _ANGLE_LSB_PER_RAD = 1e4, math.degrees(1e6)
-_NO_TEMPERATURES = np.empty(0)
 _FULL_TURN = 360_000_000
 _INT32_MIN, _INT32_MAX = -(2**31), 2**31 - 1
 
@@ -68,53 +79,53 @@ class GyrobenchFormat(CanFormat):
 
     @override
     def frames(self, epochs: Epochs) -> FrameBlock:
-        slow, temperatures_c = b"", _NO_TEMPERATURES
-        second = int(epochs.sample[-1]) // SAMPLE_RATE_HZ
-        if second * SAMPLE_RATE_HZ >= epochs.sample[0]:
-            slow, temperatures_c = self._slow_data(second, epochs), self._world.temperatures_c()
-        count = len(epochs.sample)
-        frames = FrameBlock(np.zeros(len(slow) // 8 + count * _FAST_FRAMES, FRAME_DTYPE))
+        slow, count = self._slow_data(epochs), len(epochs.sample)
+        frames = FrameBlock(np.zeros(len(slow) * _SLOW_FRAMES + count * _FAST_FRAMES, FRAME_DTYPE))
         valid = epochs.mode is Mode.NAVIGATE or epochs.alignment > 0
         _encode(
-            frames.timestamp_s, frames.arbitration_id, frames.length, frames.data, slow, temperatures_c,
+            frames.timestamp_s, frames.arbitration_id, frames.length, frames.data, slow, epochs.read_c,
             epochs.sample, euler_output(epochs.states, self._world.unit.pitch_first),
             self._epoch_unix_s, self._epoch_counter, int(epochs.alignment), valid,
         )  # fmt: skip
         self.skip_epochs(count)
         return frames
 
-    def _slow_data(self, second: int, epochs: Epochs) -> bytes:
+    def _slow_data(self, epochs: Epochs) -> NDArray[np.uint8]:
+        """Data of the slow frames without temperatures, shape (k, 56), of k whole seconds."""
         unit, file = self._world.unit, self._world.file
-        counter = self._status_counter
-        self._status_counter = (counter + 1) & 0xFFFF
-        applied = unit.compensation
+        slow = np.zeros(len(epochs.align_time_s), _SLOW_DATA)
+        if not len(slow):
+            return slow.view(np.uint8).reshape(0, _SLOW_DATA.itemsize)
         table = unit.loaded_table.tobytes()
         if table != self._table:
             self._table, self._checksum = table, checksum(unit.loaded_table)
-        return _SLOW_DATA.pack(
-            second & 0xFFFFFFFF, 0,
-            max(_INT32_MIN, min(_INT32_MAX, round(file.height_m * 1e4))), 0,
-            epochs.mode, unit.pitch_first, min(int(unit.align_time_s), 0xFFFF),
-            applied is not None, 0, counter,
-            file.ins.serial_number, _FIRMWARE, _HARDWARE,
-            0 if applied is None else applied.checksum, self._checksum,
-            0, 0, 0, counter,
-            0, 0, 0, 0,
-        )  # fmt: skip
+        seconds = np.arange(len(slow))
+        slow["second"] = epochs.sample[-1] // SAMPLE_RATE_HZ - seconds[::-1] & 0xFFFFFFFF
+        slow["height"] = max(_INT32_MIN, min(_INT32_MAX, round(file.height_m * 1e4)))
+        slow["mode"], slow["pitch_first"] = epochs.mode, unit.pitch_first
+        slow["align_s"] = np.minimum(epochs.align_time_s, 0xFFFF)
+        slow["status_count"] = slow["optics_count"] = self._status_counter + seconds & 0xFFFF
+        slow["serial"], slow["firmware"], slow["hardware"] = file.ins.serial_number, _FIRMWARE, _HARDWARE
+        slow["loaded"] = self._checksum
+        if unit.compensation is not None:
+            slow["compensated"], slow["applied"] = True, unit.compensation.checksum
+        self._status_counter = (self._status_counter + len(slow)) & 0xFFFF
+        return slow.view(np.uint8).reshape(-1, _SLOW_DATA.itemsize)
 
 
-@numba.njit(cache=True)
+@compiled
 def _encode(
     frame_s: FloatArray, identifier: NDArray[np.uint32], length: NDArray[np.uint8], data: NDArray[np.uint8],
-    slow: bytes, temperatures_c: FloatArray, sample: IntArray, output: FloatArray,
+    slow: NDArray[np.uint8], temperatures_c: FloatArray, sample: IntArray, output: FloatArray,
     epoch_unix_s: float, counter: int, alignment: int, valid: bool,
 ) -> None:  # fmt: skip
-    """Fill the columns of the frames of some epochs, with at most one whole second among them.
+    """Fill the columns of the frames of some epochs.
 
-    ``slow``: data of its slow frames, in which ``temperatures_c``, shape (7,), are missing.
+    ``slow``: data of the slow frames of their whole seconds, in which ``temperatures_c``, shape (k, 7), are
+    missing.
     """
     length[:] = 8
-    row = 0
+    row = second = 0
     for k in range(sample.size):
         time_s = epoch_unix_s + sample[k] / SAMPLE_RATE_HZ
         if sample[k] % SAMPLE_RATE_HZ == 0:
@@ -122,12 +133,13 @@ def _encode(
                 frame_s[row + place] = time_s + place * FRAME_S
                 identifier[row + place] = _SLOW_IDS[place]
                 for byte in range(8):
-                    data[row + place, byte] = slow[8 * place + byte]
+                    data[row + place, byte] = slow[second, 8 * place + byte]
             row += _SLOW_FRAMES
             for i in range(3):
-                _put(data[row - 2], 2 * i, 2, 100.0 * temperatures_c[1 + i])
-                _put(data[row - 1], 2 * i, 2, 100.0 * temperatures_c[4 + i])
-            _put(data[row - 1], 6, 2, 100.0 * temperatures_c[0])
+                _put(data[row - 2], 2 * i, 2, 100.0 * temperatures_c[second, 1 + i])
+                _put(data[row - 1], 2 * i, 2, 100.0 * temperatures_c[second, 4 + i])
+            _put(data[row - 1], 6, 2, 100.0 * temperatures_c[second, 0])
+            second += 1
             time_s += _SLOW_FRAMES * FRAME_S
         for place in range(_FAST_FRAMES):
             frame_s[row + place] = time_s + place * FRAME_S
@@ -142,7 +154,7 @@ def _encode(
         row += _FAST_FRAMES
 
 
-@numba.njit(cache=True)
+@compiled
 def _put(data: NDArray[np.uint8], place: int, size: int, value: float) -> None:
     """Put a signed integer of ``size`` bytes, rounded and within its range, into the data of a frame."""
     limit = 2.0 ** (8 * size - 1)

@@ -54,9 +54,8 @@ class SbgFormat(CanFormat):
         words, halves = slow["data"].view("<u4"), slow["data"].view("<i2")
         words[:, 0, 0] = _solution(epochs)
         words[:, 1, 0], halves[:, 1, 2] = stamps_us[whole], _IMU_OK
-        for row in halves[:, 1]:
-            optics_c = self._world.temperatures_c()[1:4].mean()
-            row[3] = np.rint(100.0 * optics_c).clip(-_INT16_MAX, _INT16_MAX)
+        optics_c = epochs.read_c[:, 1:4].mean(axis=1)
+        halves[:, 1, 3] = np.rint(100.0 * optics_c).clip(-_INT16_MAX, _INT16_MAX)
         fast = empty_frames(time_s + 2 * FRAME_S * whole, (EKF_INFO, EKF_QUAT, EKF_VEL_NED), (4, 8, 6))
         fast["data"].view("<u4")[:, 0, 0] = stamps_us
         halves = fast["data"].view("<i2")

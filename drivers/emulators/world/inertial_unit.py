@@ -55,6 +55,10 @@ class Epochs(NamedTuple):
     states: FloatArray  #: Shape (n, 8). Quaternion body to ENU, velocity east and north, latitude, longitude.
     mode: Mode
     alignment: Alignment
+    #: align_time_s, read_c: Shapes (k,), (k, 7). Time at rest used by the alignment, and readings of the
+    #: temperature sensors, at the k epochs that are whole seconds.
+    align_time_s: FloatArray
+    read_c: FloatArray = np.empty((0, 7))
 
 
 class InertialUnit:
@@ -96,6 +100,11 @@ class InertialUnit:
         return self.mode is Mode.NAVIGATE or self.mode is Mode.ALIGN
 
     @property
+    def changes_by_itself(self) -> bool:
+        """Whether each second has to be simulated alone: it boots, or its compensation follows its state."""
+        return self.powered and (self.mode is Mode.OFF or self.compensation is not None)
+
+    @property
     def align_time_s(self) -> float:
         """Time at rest used by the present alignment."""
         return self._aligned_samples * _DT_S
@@ -135,25 +144,29 @@ class InertialUnit:
 
     def apply_compensation(self) -> None:
         """Apply the table as loaded now; later changes wait for the next call."""
-        self.compensation = InsCompensation(self.loaded_table, self._temperatures, self._up_body)
+        self.compensation = InsCompensation(self.loaded_table, self._temperatures, self._up_body())
 
     def sense_temperatures(self, optics_c: FloatArray, electronics_c: FloatArray) -> None:
-        """Take the readings of the gyros' temperature sensors, shape (3,), at each whole second.
+        """Take the readings of the gyros' temperature sensors, shape (n, 3), at whole seconds.
 
-        The compensation depends on them and on Up in the body: as navigated, or during alignment
-        from the accelerometers in the last second.
+        The compensation depends on them and on Up in the body, so with a compensation n is 1.
         """
         self._temperatures.read(optics_c, electronics_c)
-        if self.mode is Mode.NAVIGATE:
-            self._up_body = matrix_of(self._state[:4])[2]
-        elif self._second_samples:
-            up = self._second_sums[1]
-            self._up_body = up / math.sqrt(up @ up)
         if self.compensation is not None:
-            self.compensation.update(self._temperatures, self._up_body)
+            self.compensation.update(self._temperatures, self._up_body())
+
+    def _up_body(self) -> FloatArray:
+        """Up as navigated, or during alignment from the accelerometers in the present second."""
+        if self.mode is Mode.NAVIGATE:
+            return np.asarray(matrix_of(self._state[:4])[2])
+        up = self._second_sums[1]
+        return up / math.sqrt(up @ up) if self._second_samples else np.zeros(3)
 
     def advance(self, first_sample: int, rotation: FloatArray, velocity: FloatArray) -> Epochs | None:
-        """Take the next sensor samples, none of them beyond the next whole second.
+        """Take the next sensor samples.
+
+        None of them is beyond the next whole second, unless the first is at one and the unit navigates, is
+        in standby or off.
 
         Parameters
         ----------
@@ -184,13 +197,13 @@ class InertialUnit:
                 self._second_samples += n
             states = np.empty((len(samples), STATE_SIZE))
             states[:] = self._state
-        return Epochs(samples, states, self.mode, self.alignment)
+        seconds = (first_sample + n) // SAMPLE_RATE_HZ - first_sample // SAMPLE_RATE_HZ
+        return Epochs(samples, states, self.mode, self.alignment, np.full(seconds, self.align_time_s))
 
     def _reset_state(self) -> None:
         self._sums[:] = 0.0
         self._aligned_samples = 0
         self._levelling_samples = round(self._behaviour.levelling_s * SAMPLE_RATE_HZ)
-        self._up_body = np.zeros(3)
         self._reset_second()
         self.alignment = Alignment.INVALID
         self._state[:] = 0.0

@@ -16,10 +16,10 @@ import math
 import zlib
 from enum import IntEnum
 
-import numba
 import numpy as np
 
 from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.kernels import compiled
 
 
 class Coefficient(IntEnum):
@@ -81,13 +81,12 @@ class TemperatureHistory:
         self._filtered_c = np.zeros((2, 3))
 
     def read(self, optics_c: FloatArray, electronics_c: FloatArray) -> None:
-        """Add the readings of one more second."""
-        self.optics_c, self.electronics_c = optics_c, electronics_c
+        """Add the readings of the next n seconds, each of shape (n, 3)."""
+        self.optics_c, self.electronics_c = optics_c[-1], electronics_c[-1]
         if self.seconds == 0:
-            self._filtered_c[:] = optics_c
-        if self.seconds % _RECORD_EVERY_S == 0:
-            self.record_c.append(optics_c)
-        self.seconds += 1
+            self._filtered_c[:] = optics_c[0]
+        self.record_c.extend(optics_c[-self.seconds % _RECORD_EVERY_S :: _RECORD_EVERY_S].copy())
+        self.seconds += len(optics_c)
         _filter(self._filtered_c, optics_c)
 
     @property
@@ -133,19 +132,20 @@ class InsCompensation:
         )  # fmt: skip
 
 
-@numba.njit(cache=True)
+@compiled
 def _filter(filtered_c: FloatArray, optics_c: FloatArray) -> None:
-    for i in range(3):
-        filtered_c[1, i] += (filtered_c[0, i] - filtered_c[1, i]) / _FILTER_S
-        filtered_c[0, i] += (optics_c[i] - filtered_c[0, i]) / _FILTER_S
+    for k in range(optics_c.shape[0]):
+        for i in range(3):
+            filtered_c[1, i] += (filtered_c[0, i] - filtered_c[1, i]) / _FILTER_S
+            filtered_c[0, i] += (optics_c[k, i] - filtered_c[0, i]) / _FILTER_S
 
 
-@numba.njit(cache=True)
+@compiled
 def _clamped(value: float, low: float, high: float) -> float:
     return min(max(value, low), high)
 
 
-@numba.njit(cache=True)
+@compiled
 def _follow(play_c: FloatArray, optics_c: FloatArray, table: FloatArray) -> None:
     for i in range(3):
         row = table[i]
@@ -156,7 +156,7 @@ def _follow(play_c: FloatArray, optics_c: FloatArray, table: FloatArray) -> None
         play_c[i] = _clamped(play_c[i], at_c - slack_c, at_c + slack_c)
 
 
-@numba.njit(cache=True)
+@compiled
 def _bias_dph(
     table: FloatArray, optics_c: FloatArray, electronics_c: FloatArray, rate_c_per_h: FloatArray,
     up_body: FloatArray, on_s: float, play_c: FloatArray,

@@ -9,15 +9,14 @@ from __future__ import annotations
 import itertools
 import math
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numba
 import numpy as np
-from scipy.optimize import brentq
 
 from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.kernels import compiled
 
 #: Settling follows x^3 exp(-x), x in time constants: smooth at its start, greatest at x = 3.
 _SETTLING_PEAK = 27.0 * math.exp(-3.0)
@@ -131,9 +130,23 @@ def move(
     along_s = -beyond_deg(peak_dps) / peak_dps
     if along_s < 0.0:
         along_s = 0.0
-        peak_dps = float(brentq(beyond_deg, 0.0, peak_dps, xtol=1e-13))
+        peak_dps = _root(beyond_deg, 0.0, peak_dps)
     down = change_rate(AxisState(0.0, peak_dps), 0.0, limits)
     return change_rate(start, peak_dps, limits), [Piece(0.0, along_s)], down
+
+
+def _root(function: Callable[[float], float], one: float, other: float) -> float:
+    """Where a function is zero between two points at which its signs differ (Illinois method)."""
+    at_one, at_other = function(one), function(other)
+    while abs(other - one) > 1e-13 + 1e-15 * abs(other) and at_other:
+        middle = other - at_other * (other - one) / (at_other - at_one)
+        at_middle = function(middle)
+        if at_middle * at_other < 0.0:
+            one, at_one = other, at_other
+        else:
+            at_one *= 0.5
+        other, at_other = middle, at_middle
+    return other
 
 
 class Motion:
@@ -196,7 +209,7 @@ def _end(start: AxisState, pieces: Sequence[Piece]) -> AxisState:
     return start
 
 
-@numba.njit(cache=True)
+@compiled
 def _positions_deg(
     time_s: FloatArray, pieces: FloatArray, end_s: float, settling_deg: float, time_constant_s: float,
     settling_s: float,

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, FloatArray
+from gyrobench.bench.foundations.kernels import compiled
 from gyrobench.drivers.emulators.world.world_file import (
     AccelerometerErrors,
     GyroErrors,
@@ -74,51 +74,60 @@ def _fill(column: FloatArray, value: OverTemperature, unit: float) -> None:
     column[: len(coefficients)] = np.array(coefficients) * unit
 
 
-@numba.njit(cache=True)
+@compiled
 def measure(
     rotation: FloatArray, velocity: FloatArray, polynomials: FloatArray, temperature_c: FloatArray,
     reference_c: float, gyro_bias: FloatArray, added_dph: FloatArray, compensated_dph: FloatArray,
-    normal: FloatArray, dt: float, walks: FloatArray, pulses: FloatArray, remainders: FloatArray,
+    normal: FloatArray, count: int, dt: float, walks: FloatArray, pulses: FloatArray, remainders: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    """Output of gyros and accelerometers, each as in :func:`sense`.
+    """Output of gyros and accelerometers over n seconds or parts of a second, each as in :func:`sense`.
 
     Parameters
     ----------
     rotation, velocity : ndarray, shape (m, 3)
-        True increments; the first n are used.
+        True increments; the first ``count`` are those of each second.
     polynomials : ndarray, shape (2, 6, 12)
         Of gyros and accelerometers, see :class:`TriadErrors`; so are ``walks`` and ``pulses``, shape (2,).
-    temperature_c : ndarray, shape (7,)
+    temperature_c : ndarray, shape (n, 7)
         See :class:`~gyrobench.drivers.emulators.world.thermal.ThermalNetwork`; the accelerometers have the
         temperature of the case.
-    gyro_bias, added_dph, compensated_dph : ndarray, shape (3,)
+    gyro_bias, added_dph, compensated_dph : ndarray, shape (3,), (n, 3), (3,)
         Added to the gyros' biases, rad/s and deg/h, and subtracted from them, deg/h.
-    normal : ndarray, shape (n, 2, 3)
-        Standard normal numbers, sample by sample; scaled in place.
+    normal : ndarray, shape (n, k)
+        Standard normal numbers: six for each sample, and others.
     remainders : ndarray, shape (2, 3)
         Of gyros and accelerometers.
+
+    Returns
+    -------
+    rotation, velocity : ndarray, shape (n * count, 3)
     """
     n = normal.shape[0]
+    measured = np.empty((2, n * count, 3))
+    noise = np.empty((2, count, 3))
     root = math.sqrt(dt)
-    for k in range(n):
-        for kind in range(2):
-            for i in range(3):
-                normal[k, kind, i] = normal[k, kind, i] * root * walks[kind]
-    gyros = _evaluated(polynomials[0], temperature_c[1:4] - reference_c)
-    for i in range(3):
-        gyros[0, i] += gyro_bias[i]
-        gyros[0, i] += added_dph[i] * DPH_TO_RADPS
-        gyros[0, i] -= compensated_dph[i] * DPH_TO_RADPS
-    accelerometers = _evaluated(polynomials[1], np.full(3, temperature_c[0] - reference_c))
-    return (
-        sense(rotation[:n], gyros[1:], gyros[0], normal[:, 0], dt, pulses[0], remainders[0]),
-        sense(
-            velocity[:n], accelerometers[1:], accelerometers[0], normal[:, 1], dt, pulses[1], remainders[1]
-        ),
-    )
+    for second in range(n):
+        for k in range(count):
+            for kind in range(2):
+                for i in range(3):
+                    noise[kind, k, i] = normal[second, 6 * k + 3 * kind + i] * root * walks[kind]
+        gyros = _evaluated(polynomials[0], temperature_c[second, 1:4] - reference_c)
+        for i in range(3):
+            gyros[0, i] += gyro_bias[i]
+            gyros[0, i] += added_dph[second, i] * DPH_TO_RADPS
+            gyros[0, i] -= compensated_dph[i] * DPH_TO_RADPS
+        accelerometers = _evaluated(polynomials[1], np.full(3, temperature_c[second, 0] - reference_c))
+        rows = slice(second * count, (second + 1) * count)
+        measured[0, rows] = sense(
+            rotation[:count], gyros[1:], gyros[0], noise[0], dt, pulses[0], remainders[0]
+        )
+        measured[1, rows] = sense(
+            velocity[:count], accelerometers[1:], accelerometers[0], noise[1], dt, pulses[1], remainders[1]
+        )
+    return measured[0], measured[1]
 
 
-@numba.njit(cache=True)
+@compiled
 def sense(
     true: FloatArray, error_matrix: FloatArray, bias: FloatArray, noise: FloatArray, dt: float, pulse: float,
     remainder: FloatArray,
@@ -152,7 +161,7 @@ def sense(
     return out
 
 
-@numba.njit(cache=True)
+@compiled
 def _evaluated(polynomials: FloatArray, temperature_c: FloatArray) -> FloatArray:
     values = np.zeros((4, 3))
     for column in range(12):

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
 from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.kernels import compiled
 
 #: Rotation rate of the Earth, rad/s.
 EARTH_RATE = 7.292115e-5
@@ -32,7 +32,7 @@ _Row = tuple[float, float, float]
 _Quaternion = tuple[float, float, float, float]
 
 
-@numba.njit(cache=True)
+@compiled
 def normal_gravity(latitude: float, height: float) -> float:
     """Gravity in m/s2 at geodetic latitude (rad) and height (m), Somigliana with free air term."""
     sin2 = math.sin(latitude) ** 2
@@ -40,7 +40,7 @@ def normal_gravity(latitude: float, height: float) -> float:
     return surface * (1.0 - 2.0 * height / SEMI_MAJOR_AXIS)
 
 
-@numba.njit(cache=True)
+@compiled
 def principal_radii(latitude: float) -> tuple[float, float]:
     """Radii of curvature in m at a latitude in rad: along the meridian, and across it."""
     root = 1.0 - ECCENTRICITY_SQUARED * math.sin(latitude) ** 2
@@ -48,7 +48,16 @@ def principal_radii(latitude: float) -> tuple[float, float]:
     return across * (1.0 - ECCENTRICITY_SQUARED) / root, across
 
 
-@numba.njit(cache=True)
+@compiled
+def _length(vector: FloatArray) -> float:
+    """Length of a vector; sums of numpy would load a large part of numba and scipy.linalg."""
+    total = 0.0
+    for each in vector:
+        total += each * each
+    return math.sqrt(total)
+
+
+@compiled
 def _set_rotation(C: FloatArray, axis: FloatArray, angle: float) -> None:
     """Set ``C`` (3, 3) to the rotation about a unit vector by an angle in rad."""
     c, s = math.cos(angle), math.sin(angle)
@@ -58,7 +67,7 @@ def _set_rotation(C: FloatArray, axis: FloatArray, angle: float) -> None:
     C[2, 0], C[2, 1], C[2, 2] = z * x * (1 - c) - y * s, z * y * (1 - c) + x * s, c + z * z * (1 - c)
 
 
-@numba.njit(cache=True)
+@compiled
 def _set_product(C: FloatArray, a: FloatArray, b: FloatArray) -> None:
     """Set ``C`` to the product of two matrices (3, 3), neither of them ``C``."""
     for i in range(3):
@@ -66,7 +75,7 @@ def _set_product(C: FloatArray, a: FloatArray, b: FloatArray) -> None:
             C[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
 
 
-@numba.njit(cache=True)
+@compiled
 def table_attitude(
     outer_axis: FloatArray, inner_axis: FloatArray, mounting: FloatArray, outer: float, inner: float
 ) -> FloatArray:
@@ -79,7 +88,7 @@ def table_attitude(
     return outer_turn
 
 
-@numba.njit(cache=True)
+@compiled
 def _set_rotation_vector(vector: FloatArray, C: FloatArray) -> None:
     """Set ``vector`` (3,) to the rotation vector of ``C``, rad."""
     vector[0] = 0.5 * (C[2, 1] - C[1, 2])
@@ -90,7 +99,7 @@ def _set_rotation_vector(vector: FloatArray, C: FloatArray) -> None:
         vector *= math.atan2(sine, 0.5 * (C[0, 0] + C[1, 1] + C[2, 2] - 1.0)) / sine
 
 
-@numba.njit(cache=True)
+@compiled
 def true_increments(
     outer_axis: FloatArray, inner_axis: FloatArray, mounting: FloatArray, outer: FloatArray,
     inner: FloatArray, latitude: float, height: float, dt: float,
@@ -133,7 +142,7 @@ def true_increments(
     return rotation, velocity
 
 
-@numba.njit(cache=True)
+@compiled
 def _times(a: _Quaternion, b: _Quaternion) -> _Quaternion:
     return (
         a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
@@ -143,7 +152,7 @@ def _times(a: _Quaternion, b: _Quaternion) -> _Quaternion:
     )
 
 
-@numba.njit(cache=True)
+@compiled
 def _quaternion_of(v0: float, v1: float, v2: float) -> _Quaternion:
     square = v0 * v0 + v1 * v1 + v2 * v2
     if square < 1e-6:  # series: exact to double precision for angles below 1 mrad
@@ -154,7 +163,7 @@ def _quaternion_of(v0: float, v1: float, v2: float) -> _Quaternion:
     return math.cos(0.5 * angle), scale * v0, scale * v1, scale * v2
 
 
-@numba.njit(cache=True)
+@compiled
 def _rows_of(w: float, x: float, y: float, z: float) -> tuple[_Row, _Row, _Row]:
     return (
         (w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)),
@@ -163,13 +172,13 @@ def _rows_of(w: float, x: float, y: float, z: float) -> tuple[_Row, _Row, _Row]:
     )
 
 
-@numba.njit(cache=True)
+@compiled
 def matrix_of(q: FloatArray) -> FloatArray:
     """``C_nb`` (3, 3) of a unit quaternion (w, x, y, z)."""
     return np.array(_rows_of(q[0], q[1], q[2], q[3]))
 
 
-@numba.njit(cache=True)
+@compiled
 def add_up(increments: FloatArray, total: FloatArray) -> None:
     """Add increments (n, 3) to ``total`` (3,) one by one: the sum does not depend on how they are split."""
     for k in range(increments.shape[0]):
@@ -177,13 +186,13 @@ def add_up(increments: FloatArray, total: FloatArray) -> None:
             total[i] += increments[k, i]
 
 
-@numba.njit(cache=True)
+@compiled
 def gyrocompass(rotation: FloatArray, velocity: FloatArray) -> FloatArray:
     """Unit quaternion body to ENU (w, x, y, z) from measured increments summed at rest, each of shape (3,).
 
     The directions of the sums are those of the Earth's rotation and Up, body axes.
     """
-    up = velocity / math.sqrt((velocity**2).sum())
+    up = velocity / _length(velocity)
     east = np.array(
         (
             rotation[1] * up[2] - rotation[2] * up[1],
@@ -191,7 +200,7 @@ def gyrocompass(rotation: FloatArray, velocity: FloatArray) -> FloatArray:
             rotation[0] * up[1] - rotation[1] * up[0],
         )
     )
-    east /= math.sqrt((east**2).sum())
+    east /= _length(east)
     C = np.empty((3, 3))
     C[0], C[2] = east, up
     for i in range(3):
@@ -200,7 +209,7 @@ def gyrocompass(rotation: FloatArray, velocity: FloatArray) -> FloatArray:
     return _quaternion_of_matrix(C)
 
 
-@numba.njit(cache=True)
+@compiled
 def _quaternion_of_matrix(C: FloatArray) -> FloatArray:
     squares = np.array(
         (
@@ -211,7 +220,10 @@ def _quaternion_of_matrix(C: FloatArray) -> FloatArray:
         )
     )
     q = np.empty(4)
-    largest = int(np.argmax(squares))  # the numerically best conditioned component
+    largest = 0  # the numerically best conditioned component
+    for i in range(1, 4):
+        if squares[i] > squares[largest]:
+            largest = i
     if largest == 0:
         q[:] = squares[0], C[2, 1] - C[1, 2], C[0, 2] - C[2, 0], C[1, 0] - C[0, 1]
     else:
@@ -219,10 +231,10 @@ def _quaternion_of_matrix(C: FloatArray) -> FloatArray:
         j, k = (i + 1) % 3, (i + 2) % 3
         q[0], q[1 + i] = C[k, j] - C[j, k], squares[largest]
         q[1 + j], q[1 + k] = C[j, i] + C[i, j], C[k, i] + C[i, k]
-    return q / math.sqrt((q**2).sum())
+    return q / _length(q)
 
 
-@numba.njit(cache=True)
+@compiled
 def navigate(
     state: FloatArray, rotation: FloatArray, velocity: FloatArray, dt: float, height: float,
     first: int, every: int,
@@ -292,7 +304,7 @@ def navigate(
     return kept
 
 
-@numba.njit(cache=True)
+@compiled
 def euler_angles(C: FloatArray, pitch_first: bool) -> tuple[float, float, float]:
     """Roll, pitch and heading (clockwise from north) in rad of one attitude.
 
@@ -306,7 +318,7 @@ def euler_angles(C: FloatArray, pitch_first: bool) -> tuple[float, float, float]
     return math.atan2(-C[2, 0], C[2, 2]), pitch, -math.atan2(-C[0, 1], C[1, 1])
 
 
-@numba.njit(cache=True)
+@compiled
 def euler_output(states: FloatArray, pitch_first: bool) -> FloatArray:
     """Velocity and :func:`euler_angles` of navigation states (n, 8), laid out as in :data:`STATE_SIZE`.
 

@@ -6,11 +6,32 @@ where ``u`` is the upward part of the direction from electronics to optics.
 
 from __future__ import annotations
 
-import numba
+from typing import NamedTuple
+
 import numpy as np
 
 from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.kernels import compiled
 from gyrobench.drivers.emulators.world.world_file import GyroThermal, Thermal
+
+
+class ThermalCourse(NamedTuple):
+    """Results of n steps of a thermal network."""
+
+    nodes_c: FloatArray  #: Shape (n, 7). All temperatures: case, then optics and electronics of each gyro.
+    optics_rate_c_per_h: FloatArray  #: Shape (n, 3). Change of each gyro's optics in the step.
+    #: Shape (n, 3). The part of the heat flow from electronics to optics that depends on attitude.
+    convected_w: FloatArray
+
+    @property
+    def optics_c(self) -> FloatArray:
+        """Temperatures of the optics, shape (n, 3)."""
+        return self.nodes_c[:, 1:4]
+
+    @property
+    def electronics_c(self) -> FloatArray:
+        """Temperatures of the electronics, shape (n, 3)."""
+        return self.nodes_c[:, 4:]
 
 
 class ThermalNetwork:
@@ -28,18 +49,24 @@ class ThermalNetwork:
         self.nodes_c = np.full(7, float(start_c))
         #: optics_c, electronics_c: Shape (3,). Of each gyro; views of ``nodes_c``.
         self.optics_c, self.electronics_c = self.nodes_c[1:4], self.nodes_c[4:7]
-        self.optics_rate_c_per_h = np.zeros(3)  #: Shape (3,). Change of each gyro's optics in the last step.
-        #: Shape (3,). The part of the heat flow from electronics to optics that depends on attitude.
-        self.convected_w = np.zeros(3)
+        #: The last steps.
+        self.course = ThermalCourse(self.nodes_c[np.newaxis].copy(), np.zeros((1, 3)), np.zeros((1, 3)))
 
-    def step(self, dt_s: float, air_c: float, up_body: FloatArray) -> None:
-        """Advance by ``dt_s`` (about a second) in air of that temperature; ``up_body`` (3,) is Up."""
-        _step(self.nodes_c, self.optics_rate_c_per_h, self.convected_w, self._case, self._gyro, self._paths,
-              up_body, air_c, 1.0 if self.powered else 0.0, dt_s)  # fmt: skip
+    def step(self, dt_s: float, air_c: float | FloatArray, up_body: FloatArray) -> None:
+        """Advance by ``dt_s`` (about a second) in air of each temperature in turn; ``up_body`` (3,) is Up."""
+        self.course = ThermalCourse(
+            *_steps(self.nodes_c, self._case, self._gyro, self._paths, up_body, np.atleast_1d(air_c),
+                    1.0 if self.powered else 0.0, dt_s)
+        )  # fmt: skip
 
-    def read_c(self, normal: FloatArray) -> FloatArray:
-        """Readings of all nodes, shape (7,), with noise; of six normal numbers, none is for the case."""
-        return np.asarray(_read(self.nodes_c, self._sensor_noise_c, normal))
+    def read_c(self, nodes_c: FloatArray, normal: FloatArray) -> FloatArray:
+        """Readings of all nodes, shape (n, 7), with noise.
+
+        ``normal``: normal numbers, shape (n, 7), or (n, 6) with none for the case.
+        """
+        read_c = nodes_c.copy()
+        read_c[:, 7 - normal.shape[1] :] += self._sensor_noise_c * normal
+        return read_c
 
 
 def _row(gyro: GyroThermal) -> list[float]:
@@ -50,32 +77,29 @@ def _row(gyro: GyroThermal) -> list[float]:
     ]  # fmt: skip
 
 
-@numba.njit(cache=True)
-def _step(
-    nodes: FloatArray, rate: FloatArray, convected: FloatArray, case: FloatArray, gyro: FloatArray,
-    paths: FloatArray, up: FloatArray, air_c: float, power: float, dt: float,
-) -> None:  # fmt: skip
-    case_c = nodes[0]
-    into_case = case[1] * (air_c - case_c)
-    for i in range(3):
-        optics, electronics = nodes[1 + i], nodes[4 + i]
-        c_optics, c_electronics, p_optics, p_electronics = gyro[i, 0], gyro[i, 1], gyro[i, 2], gyro[i, 3]
-        g_oc, g_ec, g_eo, g_conv, share = gyro[i, 4], gyro[i, 5], gyro[i, 6], gyro[i, 7], gyro[i, 8]
-        upward = paths[i, 0] * up[0] + paths[i, 1] * up[1] + paths[i, 2] * up[2]
-        convected[i] = g_conv * share * upward * (electronics - optics)
-        to_optics = (g_eo + g_conv) * (electronics - optics) + convected[i]
-        optics_loss, electronics_loss = g_oc * (optics - case_c), g_ec * (electronics - case_c)
-        nodes[1 + i] += dt / c_optics * (power * p_optics + to_optics - optics_loss)
-        nodes[4 + i] += dt / c_electronics * (power * p_electronics - to_optics - electronics_loss)
-        rate[i] = (nodes[1 + i] - optics) * 3600.0 / dt
-        into_case += optics_loss + electronics_loss
-    nodes[0] += dt / case[0] * into_case
-
-
-@numba.njit(cache=True)
-def _read(nodes: FloatArray, noise_c: float, normal: FloatArray) -> FloatArray:
-    read_c = nodes.copy()
-    first = nodes.size - normal.size
-    for k in range(normal.size):
-        read_c[first + k] += noise_c * normal[k]
-    return read_c
+@compiled
+def _steps(
+    nodes: FloatArray, case: FloatArray, gyro: FloatArray, paths: FloatArray, up: FloatArray,
+    air_c: FloatArray, power: float, dt: float,
+) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    """Make a step for each ``air_c``; returns a :class:`ThermalCourse`, and changes ``nodes``."""
+    n = air_c.size
+    course, rate, convected = np.empty((n, 7)), np.empty((n, 3)), np.empty((n, 3))
+    for k in range(n):
+        case_c = nodes[0]
+        into_case = case[1] * (air_c[k] - case_c)
+        for i in range(3):
+            optics, electronics = nodes[1 + i], nodes[4 + i]
+            c_optics, c_electronics, p_optics, p_electronics = gyro[i, 0], gyro[i, 1], gyro[i, 2], gyro[i, 3]
+            g_oc, g_ec, g_eo, g_conv, share = gyro[i, 4], gyro[i, 5], gyro[i, 6], gyro[i, 7], gyro[i, 8]
+            upward = paths[i, 0] * up[0] + paths[i, 1] * up[1] + paths[i, 2] * up[2]
+            convected[k, i] = g_conv * share * upward * (electronics - optics)
+            to_optics = (g_eo + g_conv) * (electronics - optics) + convected[k, i]
+            optics_loss, electronics_loss = g_oc * (optics - case_c), g_ec * (electronics - case_c)
+            nodes[1 + i] += dt / c_optics * (power * p_optics + to_optics - optics_loss)
+            nodes[4 + i] += dt / c_electronics * (power * p_electronics - to_optics - electronics_loss)
+            rate[k, i] = (nodes[1 + i] - optics) * 3600.0 / dt
+            into_case += optics_loss + electronics_loss
+        nodes[0] += dt / case[0] * into_case
+        course[k] = nodes
+    return course, rate, convected

@@ -12,7 +12,6 @@ import operator
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
-import numba
 import numpy as np
 from pydantic import AfterValidator, Discriminator, Field, Tag
 from typing_extensions import override
@@ -31,23 +30,23 @@ _HOUR_S, _DAY_S = 3600.0, 86_400.0
 
 
 class Conditions(NamedTuple):
-    """What the gyros are exposed to at one moment."""
+    """What the gyros are exposed to at n successive seconds; without the first axis, at one moment."""
 
-    #: time_s, since_power_on_s: Time since the start of the world, and since power-on (None while the unit is
-    #: off).
-    time_s: float
-    since_power_on_s: float | None
-    #: optics_c, electronics_c: Shape (3,). Temperatures of each gyro.
+    #: time_s, since_power_on_s: Shape (n, 1). Time since the start of the world, and since power-on (infinite
+    #: while the unit is off).
+    time_s: FloatArray
+    since_power_on_s: FloatArray
+    #: optics_c, electronics_c: Shape (n, 3). Temperatures of each gyro.
     optics_c: FloatArray
     electronics_c: FloatArray
-    optics_rate_c_per_h: FloatArray  #: Shape (3,). Change of each gyro's optics in the last second.
-    #: Shape (3,). The part of the heat flow from electronics to optics that depends on attitude.
+    optics_rate_c_per_h: FloatArray  #: Shape (n, 3). Change of each gyro's optics in the last second.
+    #: Shape (n, 3). The part of the heat flow from electronics to optics that depends on attitude.
     convected_w: FloatArray
     up_body: FloatArray  #: Shape (3,). Up in body axes.
-    compressor_duty: float  #: Share of the time that the chamber's compressor runs.
+    compressor_duty: FloatArray  #: Shape (n, 1). Share of the time that the chamber's compressor runs.
 
 
-#: Called once a second in order of time: returns what an effect adds to the biases, deg/h, shape (3,).
+#: Called for all seconds in order of time: returns what an effect adds to the biases, deg/h, shape (n, 3).
 AddedBias = Callable[[Conditions], FloatArray]
 
 
@@ -59,7 +58,7 @@ class Effect(StrictModel):
         return self._added_dph
 
     def added_dph(self, now: Conditions) -> FloatArray:
-        """Bias that an effect without memory adds under these conditions, deg/h, shape (3,)."""
+        """Bias that an effect without memory adds under these conditions, deg/h, shape (n, 3)."""
         return self._added_dph(now)
 
     def _added_dph(self, now: Conditions) -> FloatArray:
@@ -105,19 +104,10 @@ class AttitudeThermal(Effect):
     onset_width_c: Positive = Field(2.0, description="width of the onset, K")
 
     def _added_dph(self, now: Conditions) -> FloatArray:
-        added_dph = np.array(self.sensitivity_dph_per_w)
-        _follow_convection(added_dph, now.convected_w, now.optics_c, self.onset_c, self.onset_width_c)
-        return added_dph
-
-
-@numba.njit(cache=True)
-def _follow_convection(
-    added_dph: FloatArray, convected_w: FloatArray, optics_c: FloatArray, onset_c: float, width_c: float
-) -> None:
-    for i in range(3):
-        below = (onset_c - optics_c[i]) / width_c
-        softened = max(below, 0.0) + math.log1p(math.exp(-abs(below)))
-        added_dph[i] *= convected_w[i] * (softened * (width_c / onset_c))
+        below = (self.onset_c - now.optics_c) / self.onset_width_c
+        softened = np.maximum(below, 0.0) + np.log1p(np.exp(-np.abs(below)))
+        per_w = np.array(self.sensitivity_dph_per_w)
+        return per_w * (now.convected_w * (softened * (self.onset_width_c / self.onset_c)))
 
 
 class ThermalHysteresis(Effect):
@@ -138,10 +128,13 @@ class ThermalHysteresis(Effect):
 
         def added_dph(now: Conditions) -> FloatArray:
             nonlocal follower_c
-            before_c = now.optics_c if follower_c is None else follower_c
-            low_c, high_c = now.optics_c - self.half_width_c, now.optics_c + self.half_width_c
-            follower_c = np.minimum(np.maximum(before_c, low_c), high_c)
-            return np.asarray(sensitivity * (follower_c - now.optics_c))
+            lead_c = np.empty_like(now.optics_c)
+            for row, optics_c in zip(np.atleast_2d(lead_c), np.atleast_2d(now.optics_c), strict=True):
+                before_c = optics_c if follower_c is None else follower_c
+                low_c, high_c = optics_c - self.half_width_c, optics_c + self.half_width_c
+                follower_c = np.minimum(np.maximum(before_c, low_c), high_c)
+                row[:] = follower_c - optics_c
+            return np.asarray(sensitivity * lead_c)
 
         return added_dph
 
@@ -154,9 +147,7 @@ class WarmUp(Effect):
     time_constant_s: Positive = Field(description="time in which it falls to 37 %, s")
 
     def _added_dph(self, now: Conditions) -> FloatArray:
-        if now.since_power_on_s is None:
-            return np.zeros(3)
-        return np.array(self.bias_dph) * math.exp(-now.since_power_on_s / self.time_constant_s)
+        return np.array(self.bias_dph) * np.exp(-now.since_power_on_s / self.time_constant_s)
 
 
 class TimeDrift(Effect):
@@ -190,7 +181,7 @@ class SupplyRipple(Effect):
 
     def _added_dph(self, now: Conditions) -> FloatArray:
         phase = math.tau * now.time_s / (self.period_h * _HOUR_S) + math.radians(self.phase_deg)
-        return np.array(self.amplitude_dph) * math.sin(phase)
+        return np.array(self.amplitude_dph) * np.sin(phase)
 
 
 def _shape(value: Any) -> str:
@@ -272,9 +263,10 @@ class DitherCrossing(Effect):
 
     def _added_dph(self, now: Conditions) -> FloatArray:
         pair = ["xyz".index(gyro) for gyro in self.gyros]
-        detuning = (now.optics_c[pair].mean() - self.crossing_c) / self.half_width_c
-        added_dph = np.zeros(3)
-        added_dph[pair] = np.array(self.bias_dph) / (1.0 + detuning**2)
+        mean_c = now.optics_c[..., pair].mean(axis=-1, keepdims=True)
+        detuning = (mean_c - self.crossing_c) / self.half_width_c
+        added_dph = np.zeros(now.optics_c.shape)
+        added_dph[..., pair] = np.array(self.bias_dph) / (1.0 + detuning**2)
         return added_dph
 
 
@@ -294,5 +286,5 @@ class UndeclaredBias:
         self._effects = [effect.start() for effect in effects]
 
     def added_dph(self, now: Conditions) -> FloatArray:
-        """Sum of all effects, deg/h, shape (3,); to be called once a second in order of time."""
-        return functools.reduce(np.add, [effect(now) for effect in self._effects] or [np.zeros(3)])
+        """Sum of all effects, deg/h, shape (n, 3); to be called for all seconds in order of time."""
+        return sum((effect(now) for effect in self._effects), np.zeros(now.optics_c.shape))

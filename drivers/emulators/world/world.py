@@ -3,25 +3,28 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Sequence
+from itertools import groupby
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, FloatArray
 from gyrobench.drivers.emulators.world.chamber_air import ChamberAir, ChamberParameters
-from gyrobench.drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs, InertialUnit
+from gyrobench.drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs, InertialUnit, Mode
 from gyrobench.drivers.emulators.world.sensor_errors import ARCSEC, accelerometer_errors, gyro_errors, measure
 from gyrobench.drivers.emulators.world.strapdown import table_attitude, true_increments
 from gyrobench.drivers.emulators.world.table_axis import AxisParameters, TableAxis
-from gyrobench.drivers.emulators.world.thermal import ThermalNetwork
+from gyrobench.drivers.emulators.world.thermal import ThermalCourse, ThermalNetwork
 from gyrobench.drivers.emulators.world.undeclared_effects import Conditions, UndeclaredBias
 from gyrobench.drivers.emulators.world.world_file import TableGeometry, WorldFile
 
 OUTER, INNER = 1, 2
 _DT_S = 1.0 / SAMPLE_RATE_HZ
+#: Seconds that are simulated at once while nothing but the sensors changes.
+_MAX_SECONDS = 60
 #: Stands for the sensors' output while the unit does not use it.
-_UNUSED = np.zeros((SAMPLE_RATE_HZ, 3))
+_UNUSED = np.zeros((_MAX_SECONDS * SAMPLE_RATE_HZ, 3))
 _NONE_DPH = np.zeros(3)
 _AXIS_KEYS = {"rate_limit_dps", "acceleration_limit_dps2", "jerk_limit_dps3", "position_error_arcsec"}
 _OUTER_AXES = {"east": (1.0, 0.0, 0.0), "up": (0.0, 0.0, 1.0)}
@@ -63,11 +66,13 @@ class World:
         self._power_on_bias = np.zeros(3)
         self._sample = start_s * SAMPLE_RATE_HZ
         self._powered_on_sample = self._sample
+        self._air_seconds = start_s
+        self._air_course: deque[tuple[float, float]] = deque()  # in seconds that are not yet simulated
         self._remainders = np.zeros((2, 3))
         self._resting: tuple[FloatArray, FloatArray, FloatArray] | None = None
         self._resting_from_s: tuple[float, float] | None = None
         self._undeclared = UndeclaredBias(file.undeclared_effects)
-        self._undeclared_dph = self._undeclared.added_dph(self._conditions(self.attitude()[2]))
+        self._update_undeclared(self.attitude()[2])
 
     def power_unit(self, on: bool) -> None:
         """Switch the unit's supply; each power-on draws another repeatability error of the gyro biases."""
@@ -81,7 +86,8 @@ class World:
 
     def temperatures_c(self) -> FloatArray:
         """Read the unit's temperature sensors: case, three optics, three electronics; shape (7,)."""
-        return self._with_faults(self.thermal.read_c(self._random.standard_normal(7)))
+        normal = self._random.standard_normal((1, 7))
+        return self._with_faults(self.thermal.read_c(self.thermal.nodes_c[np.newaxis], normal)).ravel()
 
     def true_gyro_bias(self) -> FloatArray:
         """The true gyro biases at this moment, rad/s, shape (3,)."""
@@ -90,7 +96,7 @@ class World:
 
     def undeclared_bias(self) -> FloatArray:
         """The undeclared effects' part of :meth:`true_gyro_bias`, rad/s, shape (3,)."""
-        return self._undeclared_dph * DPH_TO_RADPS
+        return np.asarray(self._undeclared_dph[-1] * DPH_TO_RADPS)
 
     def attitude(self) -> FloatArray:
         """True ``C_nb`` (3, 3) at this moment."""
@@ -100,71 +106,115 @@ class World:
 
     def advance(self, time_s: float) -> None:
         """Advance to ``time_s``; an earlier time changes nothing."""
-        end = math.floor(time_s * SAMPLE_RATE_HZ + 1e-6)
+        end = _samples(time_s)
         while self._sample < end:
-            into_second = self._sample % SAMPLE_RATE_HZ
-            count = min(end - self._sample, SAMPLE_RATE_HZ - into_second)
+            left, into_second = end - self._sample, self._sample % SAMPLE_RATE_HZ
+            seconds, count = 1, min(left, SAMPLE_RATE_HZ - into_second)
+            resting = self._at_rest()
+            if count == SAMPLE_RATE_HZ and resting is not None and not self.unit.changes_by_itself:
+                seconds = min(left // SAMPLE_RATE_HZ, _MAX_SECONDS)
             if into_second == 0:
-                self._step_second()
-            self._step_samples(count)
+                self._begin_seconds(seconds, self.attitude()[2] if resting is None else resting[2])
+            self._step_samples(seconds, count, resting)
 
-    def _step_second(self) -> None:
-        """Step chamber, temperatures and undeclared effects by one second."""
-        self.air.step(1.0)
-        resting = self._at_rest()
-        up_body = self.attitude()[2] if resting is None else resting[2]
-        self.thermal.step(1.0, self.air.air_c, up_body)
-        self._update_undeclared(up_body)
+    def advance_air(self, time_s: float) -> None:
+        """Advance the chamber's air alone to ``time_s``."""
+        self._step_air(math.ceil(_samples(time_s) / SAMPLE_RATE_HZ))
+
+    def _step_air(self, seconds: int) -> None:
+        while self._air_seconds < seconds:
+            self._air_seconds += 1
+            self.air.step(1.0)
+            self._air_course.append((self.air.air_c, self.air.compressor_duty))
+
+    def _begin_seconds(self, seconds: int, up_body: FloatArray) -> None:
+        """Step chamber, temperatures and undeclared effects to the beginning of each of the next seconds."""
+        self._step_air(self._sample // SAMPLE_RATE_HZ + seconds)
+        air_c, duty = np.array([self._air_course.popleft() for _ in range(seconds)]).T
+        self.thermal.step(1.0, air_c, up_body)
+        self._update_undeclared(up_body, duty[:, np.newaxis])
         if self.unit.powered:
-            read_c = self._with_faults(self.thermal.read_c(self._unit_random.standard_normal(6)))
-            self.unit.sense_temperatures(read_c[1:4], read_c[4:])
+            normal = self._unit_random.standard_normal((seconds, 6))
+            read_c = self._with_faults(self.thermal.read_c(self.thermal.course.nodes_c, normal))
+            self.unit.sense_temperatures(read_c[:, 1:4], read_c[:, 4:])
 
     def _with_faults(self, read_c: FloatArray) -> FloatArray:
         for place, reading_c in self.broken_sensors.items():
-            read_c[place] = reading_c
+            read_c[:, place] = reading_c
         return read_c
 
-    def _update_undeclared(self, up_body: FloatArray) -> None:
-        """Evaluate the undeclared effects for the next second."""
-        if self.file.undeclared_effects:
-            self._undeclared_dph = self._undeclared.added_dph(self._conditions(up_body))
-
-    def _conditions(self, up_body: FloatArray) -> Conditions:
-        on_s = (self._sample - self._powered_on_sample) * _DT_S
-        return Conditions(
-            time_s=self._sample * _DT_S,
-            since_power_on_s=on_s if self.thermal.powered else None,
-            optics_c=self.thermal.optics_c,
-            electronics_c=self.thermal.electronics_c,
-            optics_rate_c_per_h=self.thermal.optics_rate_c_per_h,
-            convected_w=self.thermal.convected_w,
-            up_body=up_body,
-            compressor_duty=self.air.compressor_duty,
+    def _update_undeclared(self, up_body: FloatArray, duty: FloatArray | None = None) -> None:
+        """Evaluate the undeclared effects for the next seconds, or without ``duty`` for the present one."""
+        course = self.thermal.course
+        if duty is None:
+            duty = np.full((1, 1), self.air.compressor_duty)
+            course = ThermalCourse(*(each[-1:] for each in course))
+        if not self.file.undeclared_effects:
+            self._undeclared_dph = np.zeros((len(duty), 3))
+            return
+        sample = self._sample + SAMPLE_RATE_HZ * np.arange(float(len(duty)))[:, np.newaxis]
+        on_s = (sample - self._powered_on_sample) * _DT_S
+        self._undeclared_dph = self._undeclared.added_dph(
+            Conditions(
+                time_s=sample * _DT_S,
+                since_power_on_s=on_s if self.thermal.powered else np.full_like(on_s, np.inf),
+                optics_c=course.optics_c,
+                electronics_c=course.electronics_c,
+                optics_rate_c_per_h=course.optics_rate_c_per_h,
+                convected_w=course.convected_w,
+                up_body=up_body,
+                compressor_duty=duty,
+            )
         )
 
-    def _step_samples(self, count: int) -> None:
-        """Step the inertial sensors and the INS by samples of one second at most."""
-        rotation = velocity = _UNUSED[:count]
-        if self.unit.uses_sensors:
-            rotation, velocity = self._measured_increments(count, self._at_rest())
-        first = self._sample
-        self._sample += count
-        epochs = self.unit.advance(first, rotation, velocity)
-        if epochs is not None and len(epochs.sample) and self.on_epochs:
-            self.on_epochs(epochs)
+    def _step_samples(
+        self, seconds: int, count: int, resting: tuple[FloatArray, FloatArray, FloatArray] | None
+    ) -> None:
+        """Step the inertial sensors and the INS by ``count`` samples of each of some seconds."""
+        unit, first = self.unit, self._sample
+        # Drawn second by second, sample by sample: the noise does not depend on how the time is split.
+        readings = 7 if self.on_epochs and (first + count) % SAMPLE_RATE_HZ == 0 else 0
+        normal = np.empty((seconds, 0))
+        rotation = velocity = _UNUSED[: seconds * count]
+        if unit.uses_sensors:
+            normal = self._random.standard_normal((seconds, 6 * count + readings))
+            rotation, velocity = self._measured_increments(normal, count, resting)
+        self._sample += seconds * count
+        # During alignment the unit evaluates each second.
+        step = count if unit.mode is Mode.ALIGN else seconds * count
+        parts = [
+            unit.advance(first + begin, rotation[begin : begin + step], velocity[begin : begin + step])
+            for begin in range(0, seconds * count, step)
+        ]
+        epochs = [part for part in parts if part is not None and len(part.sample)]
+        if not (self.on_epochs and epochs):
+            return
+        if readings and not normal.size:
+            normal = self._random.standard_normal((seconds, readings))
+        read_c = self.thermal.course.nodes_c[-seconds:]
+        if readings:
+            read_c = self._with_faults(self.thermal.read_c(read_c, normal[:, -readings:]))
+        for _, alike in groupby(epochs, key=lambda part: part.alignment):
+            sample, states, mode, alignment, align_time_s, _ = zip(*alike, strict=True)
+            times_s = np.concatenate(align_time_s)
+            self.on_epochs(
+                Epochs(
+                    np.concatenate(sample), np.concatenate(states), mode[0], alignment[0], times_s,
+                    read_c[: len(times_s)],
+                )
+            )  # fmt: skip
+            read_c = read_c[len(times_s) :]
 
     def _measured_increments(
-        self, count: int, resting: tuple[FloatArray, FloatArray, FloatArray] | None
+        self, normal: FloatArray, count: int, resting: tuple[FloatArray, FloatArray, FloatArray] | None
     ) -> tuple[FloatArray, FloatArray]:
         rotation, velocity = self._ideal_increments(count) if resting is None else resting[:2]
         compensation = self.unit.compensation
-        # Drawn sample by sample: the noise does not depend on how the time is split.
-        normal = self._random.standard_normal((count, 2, 3))
         measured: tuple[FloatArray, FloatArray] = measure(
-            rotation, velocity, self._polynomials, self.thermal.nodes_c, self.file.reference_temperature_c,
-            self._power_on_bias, self._undeclared_dph,
+            rotation, velocity, self._polynomials, self.thermal.course.nodes_c[-len(normal) :],
+            self.file.reference_temperature_c, self._power_on_bias, self._undeclared_dph[-len(normal) :],
             _NONE_DPH if compensation is None else compensation.bias_dph,
-            normal, _DT_S, self._walks, self._pulses, self._remainders,
+            normal, count, _DT_S, self._walks, self._pulses, self._remainders,
         )  # fmt: skip
         return measured
 
@@ -187,9 +237,20 @@ class World:
         return rotation, velocity
 
 
+def _samples(time_s: float) -> int:
+    """Samples that end up to a time."""
+    return math.floor(time_s * SAMPLE_RATE_HZ + 1e-6)
+
+
 def _geometry(table: TableGeometry) -> tuple[FloatArray, FloatArray, FloatArray]:
     """True outer and inner table axis in ENU and mounting of the unit, with their errors."""
-    tilt = Rotation.from_rotvec(np.array(table.tilt_arcsec) * ARCSEC).as_matrix()
-    error = Rotation.from_rotvec(np.array(table.mounting_error_arcsec) * ARCSEC).as_matrix()
+    tilt, error = _turned(table.tilt_arcsec), _turned(table.mounting_error_arcsec)
     axes = (tilt @ np.array(by_outer[table.outer_axis]) for by_outer in (_OUTER_AXES, _INNER_AXES))
     return *axes, np.ascontiguousarray(tilt @ error)
+
+
+def _turned(vector_arcsec: Sequence[float]) -> FloatArray:
+    vector = np.array(vector_arcsec) * ARCSEC
+    angle = float(np.linalg.norm(vector))
+    axis = vector / (angle or 1.0)
+    return np.asarray(table_attitude(axis, axis, np.eye(3), angle, 0.0))

@@ -61,7 +61,7 @@ def test_an_effect_is_found_alone(search, effect, size):
 
 def ties(one, best):
     """Effects tied with those of the best hypothesis."""
-    weighed = one.posterior(best)
+    _, weighed = one.most_probable()
     return tuple(other for name in best.names for other in weighed.tied_with(best.names, name))
 
 
@@ -189,7 +189,7 @@ def test_terms_that_explain_nothing_are_not_added(problem):
 def test_a_weak_effect_of_one_ramp_rate_is_not_distinguished_from_similar_ones(search):
     one, best = search({"temperature_rate": 1.0}, profile=TRIANGLE, cycles=2)
     [found] = best.names
-    assert {"temperature_rate", "thermal_gradient", "thermal_lag"} <= {found, *ties(one, best)}
+    assert {"temperature_rate", "thermal_gradient"} <= {found, *ties(one, best)}
 
 
 def test_a_slow_warm_up_in_few_hours_looks_like_a_drift(search):

@@ -30,6 +30,7 @@ class Intervention(RunObserver):
         self.bench = emulated_bench(BenchAddress(clock.name, world, 0))
         if self.now == self.kind and self.left == 0 and not self.done:
             self.done = True
+            self.bench.advance()
             self.action(self.bench, clock)
 
 

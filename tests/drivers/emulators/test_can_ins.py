@@ -22,6 +22,7 @@ SLOW = ["SYSTEM_TIME", "HEIGHT_VELOCITY_D", "INS_STATUS", "INS_IDENTITY",
         "COMPENSATION_STATUS", "GYRO_OPTICS_TEMPERATURE", "GYRO_ELECTRONICS_TEMPERATURE"]  # fmt: skip
 FAST = ["VELOCITY_NE", "ROLL_PITCH", "HEADING"]
 LSB_MPS, LSB_DEG, LSB_C = 1e-4, 1e-6, 0.01
+TEMPERATURES_C = [-12.344, 20.0, 21.116, -40.0, 55.5, 60.004, 71.0]
 
 
 class Bus:
@@ -73,7 +74,10 @@ def bus(make_world):
 
 def epochs_of(states, first_second=5, mode=Mode.NAVIGATE, alignment=Alignment.FINE):
     samples = np.arange(100 * first_second, 100 * first_second + 10 * len(states), 10)
-    return Epochs(samples, np.array(states), mode, alignment)
+    seconds = np.count_nonzero(samples % 100 == 0)
+    return Epochs(
+        samples, np.array(states), mode, alignment, np.zeros(seconds), np.tile(TEMPERATURES_C, (seconds, 1))
+    )
 
 
 def state(attitude=None, east_mps=0.0, north_mps=0.0):
@@ -125,13 +129,12 @@ def test_heading_is_clockwise_from_north(make_world):
         assert bus.newest("HEADING")["HEADING"] == pytest.approx(heading_deg, abs=LSB_DEG)
 
 
-def test_temperatures_are_those_of_the_network(make_world):
+def test_temperatures_are_those_read_from_the_sensors(make_world):
     bus = Bus(make_world())
-    bus.world.thermal.nodes_c[:] = [-12.344, 20.0, 21.116, -40.0, 55.5, 60.004, 71.0]
     bus.world.on_epochs(epochs_of([state()]))
     optics, electronics = bus.newest("GYRO_OPTICS_TEMPERATURE"), bus.newest("GYRO_ELECTRONICS_TEMPERATURE")
     read_c = [electronics["CASE"], *(optics[axis] for axis in "XYZ"), *(electronics[axis] for axis in "XYZ")]
-    np.testing.assert_allclose(read_c, bus.world.thermal.nodes_c, atol=0.51 * LSB_C)
+    np.testing.assert_allclose(read_c, TEMPERATURES_C, atol=0.51 * LSB_C)
 
 
 @pytest.mark.parametrize("second", [0, 1, 86_400, 2**32 - 1])
@@ -265,7 +268,7 @@ def test_a_compensation_is_loaded_applied_reported_and_cleared(bus):
     assert bus.newest("INS_STATUS")["COMPENSATION"] == 1
     for optics_c, used_c in ((10.0, 10.0), (70.0, 50.0), (-40.0, -20.0)):
         expected = np.polynomial.polynomial.polyval(used_c, coefficients)
-        bus.unit.sense_temperatures(np.full(3, optics_c), np.full(3, optics_c))
+        bus.unit.sense_temperatures(np.full((1, 3), optics_c), np.full((1, 3), optics_c))
         np.testing.assert_allclose(bus.unit.compensation.bias_dph, [0.0, 0.0, expected], rtol=1e-12)
     bus.command(5)
     bus.run(1.0)

@@ -69,7 +69,7 @@ def test_a_search_finds_the_effect_of_another_package(tmp_path):
     assert found["verdict"] == "explained"
     assert [each["effect"] for each in found["effects"]] == ["rate_times_temperature"]
     assert found["effects"][0]["statement"].startswith("The bias follows the temperature rate, in proportion")
-    assert "One effect explains the residual: rate times temperature." in " ".join(result.stdout.split())
+    assert "the best of those tried: rate times temperature (P" in " ".join(result.stdout.split())
     assert "rate times temperature" in (tmp_path / "closure" / "closure.html").read_text()
     assert (tmp_path / "closure" / "figures" / "effect_rate_times_temperature.png").is_file()
 

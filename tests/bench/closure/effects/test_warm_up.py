@@ -34,8 +34,9 @@ def test_a_dwell_of_no_length_is_no_division_by_zero(clean):
 @pytest.mark.parametrize(("cycles", "size"), [(3, 4.0), (4, 2.0)])
 def test_a_decay_longer_than_twelve_hours_is_no_drift(closed, cycles, size):
     closure = closed({_slow_decay: size}, cycles=cycles, seed=3)
-    assert closure.verdict == "explained"
     [found] = closure.effects
+    assert closure.probability > 0.95
+    assert found.tied_with == ()
     assert found.effect.name == "warm_up"
     assert found.candidate.values[0] == pytest.approx(30.0 * 3600.0, rel=0.15)
     assert found.candidate.form.parameters[0].high == pytest.approx(

@@ -26,8 +26,8 @@ from tests.bench.report.made_up_closure import (
     ("search", "verdict", "said"),
     [
         (clean, "clean", "its residual is noise"),
-        (explained, "explained", "One effect explains the residual: temperature rate."),
-        (ambiguous, "ambiguous", "temperature rate fits best, twin nearly as well"),
+        (explained, "explained", "is the best of those tried: temperature rate (P > 0.999)."),
+        (ambiguous, "ambiguous", "temperature rate (P = 0.50) or twin (P = 0.50)"),
         (unexplained, "unexplained", "no candidate effect explains it"),
     ],
 )
@@ -75,7 +75,7 @@ def test_a_tie_comes_with_the_measurement_that_resolves_it():
     tie, separating = closure_text.tie_sentences(ambiguous())
     assert "Tied with temperature rate: twin." in tie
     assert "separate the twins" in separating
-    assert closure_text.tie_sentences(explained()) == ["No other candidate fits equally well."]
+    assert closure_text.tie_sentences(explained()) == ["No other candidate of those tried fits equally well."]
     assert closure_text.tie_sentences(clean()) == []
 
 
@@ -121,7 +121,7 @@ def test_a_clean_search_states_its_sensitivity():
 
 def test_the_chain_goes_from_the_residual_to_the_lack_of_fit():
     topics = [topic for topic, _ in closure_text.chain(explained()) if topic]
-    assert topics == ["Residual", "Effect", "Alternatives", "Held-out", "Lack of fit"]
+    assert topics == ["Residual", "Effect", "Probability", "Alternatives", "Held-out", "Lack of fit"]
 
 
 @pytest.mark.parametrize(

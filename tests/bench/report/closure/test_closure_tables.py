@@ -4,7 +4,7 @@ from gyrobench.bench.report.closure.closure_text import effect_table, evidence_c
 from tests.bench.report.made_up_closure import ambiguous, clean, explained, without_boards
 
 
-def test_an_effect_has_its_gyros_size_and_p_value():
+def test_an_effect_has_its_gyros_size_and_probability():
     head, rows = effect_table(ambiguous())
     [row] = [dict(zip(head, row, strict=True)) for row in rows]
     assert row["effect"] == "temperature rate"
@@ -12,7 +12,7 @@ def test_an_effect_has_its_gyros_size_and_p_value():
     assert row["tied with"] == "twin"
     [effect] = ambiguous().effects
     assert row["size"] == f"{1000.0 * effect.rms_dph:.2f} ± {1000.0 * effect.rms_sigma_dph:.2f}"
-    assert row["p"] == "<1e-9"
+    assert row["P"] == "0.50"
 
 
 def test_an_effect_without_alternatives_is_not_tied():

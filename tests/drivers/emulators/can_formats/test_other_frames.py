@@ -34,6 +34,11 @@ def states():
     return result, attitudes.as_matrix()
 
 
+def epochs_of(samples, result, mode=Mode.NAVIGATE, alignment=Alignment.FINE):
+    seconds = np.count_nonzero(samples % 100 == 0)
+    return Epochs(samples, result, mode, alignment, np.zeros(seconds), np.full((seconds, 7), 23.0))
+
+
 def sent(make_world, name, mode=Mode.NAVIGATE, alignment=Alignment.FINE):
     """The station of that name, the frames of some epochs, and the states behind them."""
     emulator = CanInsEmulator(make_world(), epoch_unix_s=0.0)
@@ -42,7 +47,7 @@ def sent(make_world, name, mode=Mode.NAVIGATE, alignment=Alignment.FINE):
     emulator.listeners.append(blocks.append)
     result, matrices = states()
     samples = np.arange(500, 500 + 10 * EPOCHS, 10)
-    emulator._send_epochs(Epochs(samples, result, mode, alignment))
+    emulator._send_epochs(epochs_of(samples, result, mode, alignment))
     station = Station(find_document("stations", f"emulated_{name}"))
     data = decode_navigation(blocks[0], station.file.ins.signals, DbcCodec(load_dbc(station.dbc_path)))
     return data, result, matrices
@@ -63,7 +68,7 @@ def test_blocks_have_the_layout_of_every_block(make_world, name):
     emulator, blocks = CanInsEmulator(make_world()), []
     emulator.use_format(name)
     emulator.listeners.append(blocks.append)
-    emulator._send_epochs(Epochs(np.arange(10, 101, 10), states()[0][:10], Mode.NAVIGATE, Alignment.FINE))
+    emulator._send_epochs(epochs_of(np.arange(10, 101, 10), states()[0][:10]))
     assert blocks[0].rows.dtype == FRAME_DTYPE
     assert blocks[0].rows.flags.c_contiguous
 

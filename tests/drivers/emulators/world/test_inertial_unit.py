@@ -248,7 +248,7 @@ def along_up(line):
     """What a compensation that follows Up with a vector of 1, 2 and 3 deg/h/g subtracts."""
     line.unit.loaded_table[:, Coefficient.GRAVITY : Coefficient.GRAVITY + 3] = np.diag([1.0, 2.0, 3.0])
     line.unit.apply_compensation()
-    line.unit.sense_temperatures(np.full(3, 20.0), np.full(3, 30.0))
+    line.unit.sense_temperatures(np.full((1, 3), 20.0), np.full((1, 3), 30.0))
     return line.unit.compensation.bias_dph
 
 

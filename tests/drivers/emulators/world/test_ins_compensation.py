@@ -32,7 +32,7 @@ def sensed(optics_c, electronics_c=None):
     sense = TemperatureHistory()
     for at_c in np.atleast_1d(optics_c):
         hot_c = at_c if electronics_c is None else electronics_c
-        sense.read(np.full(3, float(at_c)), np.full(3, float(hot_c)))
+        sense.read(np.full((1, 3), float(at_c)), np.full((1, 3), float(hot_c)))
     return sense
 
 
@@ -73,7 +73,7 @@ def test_noise_of_the_sensors_hardly_shows_in_the_rate():
     rates = []
     sense = TemperatureHistory()
     for at_c in noise_c:
-        sense.read(np.full(3, at_c), np.zeros(3))
+        sense.read(np.full((1, 3), at_c), np.zeros((1, 3)))
         rates.append(sense.rate_c_per_h[0])
     assert np.std(rates[1000:]) < 0.02
 
@@ -109,7 +109,7 @@ def test_the_warm_up_decays_from_power_on():
     compensation = InsCompensation(numbers, sense, NO_UP)
     assert compensation.bias_dph[1] == pytest.approx(0.04 * np.exp(-0.5))
     for _ in range(900):
-        sense.read(np.full(3, 20.0), np.full(3, 20.0))
+        sense.read(np.full((1, 3), 20.0), np.full((1, 3), 20.0))
     compensation.update(sense, NO_UP)
     assert compensation.bias_dph[1] == pytest.approx(0.04 * np.exp(-2.0))
 
@@ -139,7 +139,7 @@ def test_the_play_starts_at_power_on_however_late_it_is_applied(turning_points_c
     sense = TemperatureHistory()
     compensation = None
     for at_c in course(*turning_points_c):
-        sense.read(np.full(3, at_c), np.full(3, at_c))
+        sense.read(np.full((1, 3), at_c), np.full((1, 3), at_c))
         if not applied_late:
             compensation = compensation or InsCompensation(numbers, sense, NO_UP)
             compensation.update(sense, NO_UP)

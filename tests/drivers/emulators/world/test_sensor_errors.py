@@ -101,7 +101,8 @@ def test_pulse_sizes_become_si():
 def felt_by_a_resting_unit(world, seconds):
     """What gyros and accelerometers add to what they feel, summed over each second."""
     resting = world._at_rest()
-    measured = [world._measured_increments(100, resting) for _ in range(seconds)]
+    normal = world._random.standard_normal((seconds, 1, 600))
+    measured = [world._measured_increments(each, 100, resting) for each in normal]
     return [
         np.array([rows[kind].sum(axis=0) for rows in measured]) - resting[kind].sum(axis=0) for kind in (0, 1)
     ]

@@ -1,3 +1,4 @@
+import math
 import re
 from itertools import pairwise
 from pathlib import Path
@@ -139,7 +140,7 @@ def test_in_a_world_the_effects_are_those_of_its_thermal_network(make_world):
     assert world_rate_c_per_h.min() > 1.0
     np.testing.assert_allclose(
         world.undeclared_bias() / DPH_TO_RADPS,
-        np.array([1e-4, -2e-4, 0.0]) * world.thermal.optics_rate_c_per_h
+        np.array([1e-4, -2e-4, 0.0]) * world.thermal.course.optics_rate_c_per_h[-1]
         + np.array([1e-3, -2e-3, 0.0]) * now_c,
     )
 
@@ -160,7 +161,7 @@ def position_spread(make_world_file, conditions):
                     net.step(1.0, air_c, np.array(up, dtype=float))
                 air_c += optics_c - net.optics_c.mean()
             assert net.optics_c.mean() == pytest.approx(optics_c, abs=0.5)
-            now = conditions(optics_c=net.optics_c, convected_w=net.convected_w, up_body=up)
+            now = conditions(optics_c=net.optics_c, convected_w=net.course.convected_w[-1], up_body=up)
             biases_dph.append(undeclared.added_dph(now))
         return np.ptp(biases_dph, axis=0)
 
@@ -260,7 +261,7 @@ def test_the_warm_up_dies_away_with_its_time_constant(conditions):
 
 
 def test_a_unit_that_is_off_does_not_warm_up(conditions):
-    assert not WARM_UP.added_dph(conditions(since_power_on_s=None)).any()
+    assert not WARM_UP.added_dph(conditions(since_power_on_s=math.inf)).any()
 
 
 def test_each_power_on_restarts_the_warm_up(make_world):

@@ -1,0 +1,144 @@
+"""Evidence against numerical quadrature, and probabilities against frequencies of data from the prior."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.special import logsumexp
+from scipy.stats import invgamma, multivariate_normal
+
+from gyrobench.bench.closure import posterior
+from gyrobench.bench.closure.candidates import hypothesis
+from gyrobench.bench.closure.effects import all_effects, temperature_rate, time_drift
+from gyrobench.bench.closure.posterior import (
+    MAGNITUDES,
+    NOISE_PRIOR,
+    Evidences,
+    Posterior,
+    Weighed,
+    detectable_dph,
+)
+from gyrobench.bench.closure.problem import declared_problem
+from gyrobench.bench.closure.remainder import remainder_of
+from gyrobench.bench.closure.search import Search
+from tests.bench.closure.test_candidates import whole
+
+
+def with_biases(problem, noise_units):
+    """Same dwells with biases of (m, 3) standard deviations."""
+    campaign = problem.campaign
+    bias_dph = campaign.bias_dph.copy()
+    bias_dph[problem.searched] = noise_units * campaign.sigma_dph[problem.searched]
+    return declared_problem(replace(campaign, bias_dph=bias_dph), problem.searched)
+
+
+def log_evidence_by_quadrature(problem, column, sigma):
+    """Of one term in all gyros with a standard deviation of its size, integrated over the noise by a sum."""
+    ratios = np.geomspace(0.2, 20.0, 2000)
+    together = []
+    for probability, shape, scale in NOISE_PRIOR:
+        total = np.log(probability)
+        for gyro in range(3):
+            basis = problem.bases[gyro]
+            complement = np.linalg.svd(np.eye(len(basis)) - basis @ basis.T)[0][
+                :, : len(basis) - basis.shape[1]
+            ]
+            data, term = complement.T @ problem.residuals[:, gyro], complement.T @ column[gyro]
+            covariance = np.eye(len(data)) + sigma**2 * np.outer(term, term)
+            chi2 = data @ np.linalg.solve(covariance, data)
+            constant = multivariate_normal.logpdf(np.zeros(len(data)), cov=covariance)
+            values = constant - 0.5 * len(data) * np.log(ratios) - 0.5 * chi2 / ratios
+            values += invgamma.logpdf(ratios, shape, scale=scale) + np.log(np.gradient(ratios))
+            total += logsumexp(values)
+        together.append(total)
+    return logsumexp(together)
+
+
+@pytest.mark.parametrize("sigma", [0.5, 8.0])
+def test_evidence_of_one_term_is_that_of_numerical_quadrature(problem, monkeypatch, sigma):
+    """Difference to the declared model: what does not depend on the hypothesis is left out."""
+    clean = problem({"time_drift": 1.0}, cycles=2, seed=2)
+    monkeypatch.setattr(posterior, "MAGNITUDES", np.array([sigma]))
+    monkeypatch.setattr(posterior, "_SMALLER", np.eye(1))
+    evidences = Evidences(clean, [time_drift.EFFECT])
+    drift, none = hypothesis(clean, [whole(time_drift.EFFECT)]), hypothesis(clean, [])
+    prior = [np.log(each) for each in posterior.EFFECT_COUNT_PRIOR[:2]]
+    found = evidences.weights(drift)[0] - evidences.weights(none)[0] - (prior[1] - prior[0])
+    columns, rms = clean.beside(whole(time_drift.EFFECT).columns(clean.campaign)[clean.searched])
+    column = [columns[gyro, :, 0] / rms[gyro, 0] for gyro in range(3)]
+    expected = log_evidence_by_quadrature(clean, column, sigma) - log_evidence_by_quadrature(
+        clean, column, 0.0
+    )
+    assert found == pytest.approx(expected, abs=1e-3)
+
+
+def test_probabilities_are_frequencies_of_data_from_the_prior(problem):
+    """Half the data have a drift of a magnitude from the prior, half nothing."""
+    clean, random = problem(cycles=2), np.random.default_rng(5)
+    column = whole(time_drift.EFFECT).columns(clean.campaign)[clean.searched]
+    _, rms = clean.beside(column)
+    stated, true = [], []
+    prior = np.array(posterior.EFFECT_COUNT_PRIOR[:2]) / sum(posterior.EFFECT_COUNT_PRIOR[:2])
+    for _ in range(600):
+        is_there = random.random() < prior[1]
+        size = random.choice(MAGNITUDES[:2]) * random.standard_normal(3) if is_there else np.zeros(3)
+        noise = random.standard_normal((clean.searched.sum(), 3))
+        data = with_biases(clean, noise + column[:, :, 0] / rms[:, 0] / clean.sigma_dph * size)
+        evidences = Evidences(data, [time_drift.EFFECT])
+        both = [hypothesis(data, []), hypothesis(data, [whole(time_drift.EFFECT)])]
+        stated.append(evidences.posterior(both).of_effect["time_drift"])
+        true.append(is_there)
+    stated, true = np.array(stated), np.array(true)
+    for low, high in ((0.0, 0.1), (0.1, 0.9), (0.9, 1.0)):
+        mine = (stated >= low) & (stated <= high)
+        spread = max(np.sqrt(np.sum(stated[mine] * (1.0 - stated[mine]))), 1.0)
+        assert np.sum(true[mine]) == pytest.approx(np.sum(stated[mine]), abs=4.0 * spread + 0.04 * mine.sum())
+
+
+def test_a_bend_that_no_effect_describes_is_not_on_the_list(problem):
+    data = problem({"g_sensitivity": 2.0}, seed=3)
+    found, weighed = Search(data, [temperature_rate.EFFECT, time_drift.EFFECT]).most_probable()
+    assert weighed.not_on_list > 0.99
+    assert max(weighed.follows, key=weighed.follows.get).startswith("attitude")
+    assert not found.names
+
+
+def test_clean_data_are_probably_clean(problem):
+    _, weighed = Search(problem(seed=4), all_effects()).most_probable()
+    assert weighed.nothing > 0.9
+    assert weighed.not_on_list < 0.05
+
+
+def test_an_effect_that_can_not_be_fitted_is_as_probable_as_the_one_that_it_imitates(problem):
+    data = problem({"temperature_rate": 4.0}, sensors=(), seed=1)
+    _, weighed = Search(data, all_effects()).most_probable()
+    assert weighed.of_effect["thermal_gradient"] == pytest.approx(
+        weighed.of_effect["temperature_rate"], rel=0.1
+    )
+    assert "thermal_gradient" in weighed.tied_with(frozenset({"temperature_rate"}), "temperature_rate")
+
+
+def test_probabilities_are_summed_over_sets():
+    one, two = frozenset({"a"}), frozenset({"a", "b"})
+    weighed = Posterior((Weighed(one, False, 0.6), Weighed(two, False, 0.3), Weighed(one, True, 0.1)), {})
+    assert weighed.of_effect == {"a": pytest.approx(1.0), "b": pytest.approx(0.3)}
+    assert weighed.not_on_list == pytest.approx(0.1)
+    assert weighed.nothing == 0.0
+    assert weighed.sets == [one, two]
+    assert weighed.odds(one, two) == pytest.approx(2.0)
+
+
+def test_a_remainder_of_the_stated_size_is_shown_in_nine_of_ten(problem):
+    clean, random = problem(), np.random.default_rng(6)
+    remainder = remainder_of(clean)
+    index = remainder.names.index("temperature")
+    size = detectable_dph(clean)["temperature"] / np.sqrt(np.mean(clean.sigma_dph**2))
+    shown = []
+    for _ in range(60):
+        noise = random.standard_normal((clean.searched.sum(), 3))
+        for gyro in range(3):
+            amplitudes = size * np.sqrt(remainder.powers[gyro, index]) * random.standard_normal(30)
+            noise[:, gyro] += remainder.directions[gyro, index] @ amplitudes
+        data = with_biases(clean, noise)
+        shown.append(Evidences(data, []).posterior([hypothesis(data, [])]).not_on_list > 0.5)
+    assert np.mean(shown) == pytest.approx(0.9, abs=0.12)

@@ -1,0 +1,44 @@
+"""Kernels: compiled once, then loaded without the compiler, for themselves and for kernels compiled later."""
+
+import os
+import subprocess
+import sys
+
+SOURCE = """
+import sys
+import numpy as np
+from gyrobench.bench.foundations.kernels import compiled
+
+@compiled
+def halves(values):
+    total = 0.0
+    for each in values:
+        total += 0.5 * each
+    return total
+
+@compiled(fastmath=True)
+def twice(values):
+    return 4.0 * halves(values)
+
+given = np.arange(4.0)
+results = [kernel(given) for kernel in (halves, twice)[: int(sys.argv[1])]]
+hits = halves.stats.cache_hits.total() + twice.stats.cache_hits.total()
+misses = halves.stats.cache_misses.total() + twice.stats.cache_misses.total()
+print(results, hits, misses, "numba.np.arraymath" in sys.modules)
+"""
+
+
+def used(folder, count):
+    """What a new process prints that uses so many of the kernels."""
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(folder / "cache")}
+    command = [sys.executable, str(folder / "kernels_to_use.py"), str(count)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    return done.stdout.strip()
+
+
+def test_a_kernel_is_compiled_once_and_loaded_without_the_compiler(tmp_path):
+    (tmp_path / "kernels_to_use.py").write_text(SOURCE)
+    assert used(tmp_path, 1) == "[3.0] 0 1 True"
+    assert used(tmp_path, 1) == "[3.0] 1 0 False"
+    assert used(tmp_path, 2) == "[3.0, 12.0] 1 1 True"
+    assert used(tmp_path, 2) == "[3.0, 12.0] 2 0 False"
