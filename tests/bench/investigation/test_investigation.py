@@ -61,6 +61,7 @@ def test_predictions_stand_in_the_journal_before_the_block_is_measured(settled):
     assert len(first["predictions"][0]["bias_x_dph"]) == len(first["dwells"])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("fails_at", [1, 3])
 def test_an_investigation_that_was_killed_decides_the_same_again(settled, tmp_path, fails_at):
     unit, folder = unit_with({"warm_up": 0.02}), tmp_path / "killed"
@@ -82,6 +83,7 @@ def test_an_investigation_that_was_killed_decides_the_same_again(settled, tmp_pa
     assert again.rows == whole.rows
 
 
+@pytest.mark.long
 def test_a_block_that_the_bench_refuses_is_replaced_by_another(tmp_path):
     unit = unit_with({"warm_up": 0.02}, refuses=("factor", "chamber"))
     found = investigator(unit, tmp_path / "refusing", budget_h=20.0).run(WallClock())
@@ -107,6 +109,7 @@ def test_a_declined_block_ends_the_investigation(tmp_path):
     assert declining.run(WallClock()).ended == "declined"
 
 
+@pytest.mark.long
 def test_no_block_is_longer_than_what_is_left_of_the_budget(tmp_path):
     found = investigator(unit_with({"warm_up": 0.02}), tmp_path / "short", budget_h=1.5).run(WallClock())
     assert found.spent_h <= 1.6
@@ -119,6 +122,7 @@ def test_the_folder_of_another_table_is_refused(settled):
         Investigator(simulate(unit_with({}, seed=9)), folder, ExternalBench("x"), 1.0, lambda *_: True)
 
 
+@pytest.mark.long
 def test_a_bench_that_fails_leaves_what_was_measured(tmp_path):
     unit, folder = unit_with({"warm_up": 0.02}), tmp_path / "failing"
     with pytest.raises(GyrobenchError, match="exit code"):
