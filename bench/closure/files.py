@@ -150,7 +150,10 @@ def format_predictions(closure: Closure) -> str:
     columns = [each.candidate.columns(whole) for each in closure.effects]
     before = predict(whole, closure.declared.declared, [], [])
     after = predict(whole, closure.model.declared, [each.sizes_dph for each in closure.effects], columns)
-    sigmas = [draws.sigma(draws.bias_dph(whole)) for draws in (closure.declared_draws, closure.model_draws)]
+    sigmas = [
+        draws.sigma(draws.bias_dph(whole), stated)
+        for draws, stated in ((closure.declared_draws, before), (closure.model_draws, after))
+    ]
     known = dict(zip(whole.dwell.tolist(), np.hstack([before, after, *sigmas]).tolist(), strict=True))
     missing: list[float] = [math.nan] * (len(PREDICTION_COLUMNS) - 1)
     rows = [
@@ -171,7 +174,7 @@ def model_document(closure: Closure) -> dict[str, Any]:
             for axis, column in zip(AXES, closure.campaign.gyro_c[closure.searched].T, strict=True)
         },
         "declared_dph": _declared(closure, closure.model.declared),
-        "declared_sigma_dph": _declared(closure, draws.sigma(draws.declared)),
+        "declared_sigma_dph": _declared(closure, draws.sigma(draws.declared, closure.model.declared)),
         "effects": [
             {
                 "effect": each.effect.name,

@@ -16,7 +16,7 @@ from gyrobench.bench.closure.effects.effect import Effect, Parameter
 from gyrobench.bench.closure.posterior import EXPLAINED, Posterior, detectable_dph
 from gyrobench.bench.closure.problem import Problem, Solution, declared_problem
 from gyrobench.bench.closure.search import Search
-from gyrobench.bench.closure.uncertainty import Draws, bound_of, draw
+from gyrobench.bench.closure.uncertainty import Draws, bound_of, draw, interval
 from gyrobench.bench.closure.validation import LackOfFit, lack_of_fit, leave_out_cycles, measured_minus
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
@@ -157,7 +157,7 @@ class Closure:
 
         Without the scatter of the constants in a run that was not searched.
         """
-        return self.model_draws.sigma(self.model_draws.bias_dph(self.campaign))
+        return self.model_draws.sigma(self.model_draws.bias_dph(self.campaign), self.model.bias_dph)
 
     def label(self, name: str) -> str:
         """Label of a candidate effect."""
@@ -365,10 +365,10 @@ def _found_effects(
                 gains={cycle: left_out.gain for cycle, left_out in left_out_cycles.items()},
                 tied_with=weighed.tied_with(found.names, each.effect.name),
                 probability=weighed.of_effect[each.effect.name],
-                sizes_sigma_dph=draws.sigma(sizes_drawn),
-                values_sigma=draws.sigma(values),
-                rms_sigma_dph=float(draws.sigma(np.sqrt(np.mean(parts**2, axis=(1, 2))))),
-                values_range=tuple(map(draws.interval, each.form.parameters, each.values, values.T)),
+                sizes_sigma_dph=draws.sigma(sizes_drawn, sizes),
+                values_sigma=draws.sigma(values, np.array(each.values)),
+                rms_sigma_dph=float(draws.sigma(np.sqrt(np.mean(parts**2, axis=(1, 2))), _rms(part))),
+                values_range=tuple(map(interval, each.form.parameters, each.values, values.T)),
             )
         )
     return tuple(sorted(result, key=lambda each: -each.rms_dph))

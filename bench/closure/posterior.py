@@ -334,7 +334,7 @@ def _log_parameter_volume(
     return -0.5 * float(np.linalg.slogdet(np.eye(len(slopes)) + information / (2.0 * np.pi))[1])
 
 
-_DRAWS = 400
+_DRAWS = 200
 #: Step of a derivative, as a share of the prior's width.
 _STEP = 2e-3
 
@@ -362,7 +362,7 @@ def detectable_dph(problem: Problem) -> dict[str, float]:
     remainder = remainder_of(problem)
     chi2 = np.random.default_rng(0).chisquare(1.0, (_DRAWS, remainder.powers[:, 0].size))
     prior_odds = math.log((1.0 - REMAINDER_PRIOR) / REMAINDER_PRIOR * len(remainder.names) * len(MAGNITUDES))
-    sizes = np.geomspace(0.05, 20.0, 61)
+    sizes = np.geomspace(0.1, 10.0, 25)
     found = {}
     for name, powers in zip(remainder.names, np.moveaxis(remainder.powers, 1, 0), strict=True):
         variances = sizes[:, np.newaxis] ** 2 * powers.ravel()

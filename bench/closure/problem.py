@@ -16,7 +16,7 @@ SCALE_C = 50.0
 #: Least share of a column that counts as visible beside the declared model.
 MIN_VISIBLE = 0.05
 #: A direction that keeps less than this share of a term's length beside the others is not independent.
-_MIN_SHARE = 1e-5
+MIN_SHARE = 1e-5
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Problem:
         kept : ndarray of bool, shape (3, k), optional
             Which of them each gyro has.
         """
-        added = [_basis(self._independent_part(columns, gyro, kept)) for gyro in range(3)]
+        added = [_basis(self.independent_part(columns, gyro, kept)) for gyro in range(3)]
         bases = tuple(np.concatenate(pair, axis=1) for pair in zip(self.bases, added, strict=True))
         residuals = [_residual(basis, self.residuals[:, gyro]) for gyro, basis in enumerate(added)]
         return replace(self, bases=bases, residuals=np.stack(residuals, axis=1))
@@ -76,9 +76,9 @@ class Problem:
         """Reduction of chi2 by a fit of terms, and the number of independent ones among them."""
         reduction, rank = 0.0, 0
         for gyro in range(3):
-            terms = self._independent_part(columns, gyro, kept)
+            terms = self.independent_part(columns, gyro, kept)
             lengths, directions = np.linalg.eigh(terms.T @ terms)
-            independent = lengths > _MIN_SHARE**2
+            independent = lengths > MIN_SHARE**2
             parts = directions[:, independent].T @ (terms.T @ self.residuals[:, gyro])
             reduction += float(np.sum(parts**2 / lengths[independent]))
             rank += int(independent.sum())
@@ -99,13 +99,13 @@ class Problem:
         shares = [0.0]
         for gyro in range(3):
             new, whole = (
-                np.linalg.norm(each._independent_part(columns, gyro, kept), axis=0)  # noqa: SLF001
+                np.linalg.norm(each.independent_part(columns, gyro, kept), axis=0)
                 for each in (self, declared)
             )
-            shares += (new[whole > _MIN_SHARE] / whole[whole > _MIN_SHARE]).tolist()
+            shares += (new[whole > MIN_SHARE] / whole[whole > MIN_SHARE]).tolist()
         return max(shares)
 
-    def _independent_part(self, columns: FloatArray, gyro: int, kept: BoolArray | None) -> FloatArray:
+    def independent_part(self, columns: FloatArray, gyro: int, kept: BoolArray | None) -> FloatArray:
         """Terms of one gyro scaled to length one, minus their projection onto the columns so far."""
         mine = columns[self.searched, gyro] / self.sigma_dph[:, gyro, np.newaxis]
         if kept is not None:
@@ -155,7 +155,7 @@ def solve(problem: Problem, terms: Sequence[tuple[FloatArray, BoolArray]]) -> So
         weighted = np.concatenate(blocks, axis=1)[searched] / problem.sigma_dph[:, gyro, np.newaxis]
         lengths = np.maximum(np.linalg.norm(weighted, axis=0), 1e-300)
         data = campaign.bias_dph[searched, gyro] / problem.sigma_dph[:, gyro]
-        values = np.linalg.lstsq(weighted / lengths, data, rcond=_MIN_SHARE)[0] / lengths
+        values = np.linalg.lstsq(weighted / lengths, data, rcond=MIN_SHARE)[0] / lengths
         parts = np.split(values, np.cumsum([block.shape[1] for block in blocks])[:-1])
         declared[gyro, known] = parts[0]
         for size, part, (_, kept) in zip(sizes, parts[1:], terms, strict=True):
@@ -196,7 +196,7 @@ def _basis(columns: FloatArray) -> FloatArray:
     if columns.shape[1] == 0:
         return columns
     left, lengths, _ = np.linalg.svd(columns, full_matrices=False)
-    return np.asarray(left[:, lengths > _MIN_SHARE])
+    return np.asarray(left[:, lengths > MIN_SHARE])
 
 
 def _residual(basis: FloatArray, data: FloatArray) -> FloatArray:

@@ -13,36 +13,34 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.special import chdtri, ndtri
+from scipy.special import chdtri, gammaln, ndtri
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.candidates import Candidate
+from gyrobench.bench.closure.candidates import Candidate, stack
 from gyrobench.bench.closure.effects.effect import Parameter
-from gyrobench.bench.closure.problem import DEGREE, Problem, declared_columns, with_mean_constants
+from gyrobench.bench.closure.problem import DEGREE, MIN_SHARE, Problem, declared_columns, with_mean_constants
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 
-#: Draws, and values of the nonlinear parameters among them: so many for each parameter, at most all.
-DRAWS, _NODES = 256, 64
-#: Prior standard deviation of the ratio of the noise to the stated uncertainties.
-_PRIOR_SCALE = 0.1
-#: Parameters whose bounds differ by this factor are drawn on a logarithmic scale.
-_DECADE = 10.0
+#: Draws, places of the nonlinear parameters among them, and how many of those are sought within all bounds.
+DRAWS, _NODES, _IN_BOX = 256, 128, 16
+#: Prior standard deviation of the logarithm of the noise over the stated uncertainties.
+_PRIOR_SCALE = 0.3
 #: Degrees of freedom of the t distribution that proposes values.
 _TAILS = 4.0
 #: Rise of chi2 that measures the width of a parameter's distribution.
 _RISE = 4.0
-_MAX_HALVINGS, _ROUNDS = 14, 3
-#: Directions that keep less than this share of a column's length are not determined.
-_MIN_SHARE = 1e-5
+_MAX_HALVINGS, _ROUNDS = 40, 3
+_PRIOR_STEPS = 6
+#: An effect of more terms has those that the search kept.
+_MAX_TERMS = 6
 #: A parameter within this share of its range from a bound is at the bound.
 _AT_BOUND = 1e-3
 
 
 @dataclass(frozen=True)
 class Draws:
-    """N draws of the parameters of a model, with weights."""
+    """N equally probable sets of the parameters of a model."""
 
-    weights: FloatArray  #: Shape (N,). Sum 1.
     declared: FloatArray  #: Shape (N, 3, DEGREE + runs). As in :class:`~.problem.Solution`.
     sizes_dph: dict[str, FloatArray]  #: By name of the effect, shape (N, 3, k) each.
     #: The effects with the parameters drawn, and which of them each draw has.
@@ -59,29 +57,9 @@ class Draws:
             for each in zip(*self.nodes, strict=True)
         }
 
-    def mean(self, drawn: FloatArray) -> FloatArray:
-        """Mean of a quantity, from its value in each draw (N, ...)."""
-        return np.asarray(np.tensordot(self.weights, drawn, axes=1))
-
-    def sigma(self, drawn: FloatArray) -> FloatArray:
-        """Standard uncertainty of a quantity, from its value in each draw (N, ...)."""
-        variance = np.tensordot(self.weights, (drawn - self.mean(drawn)) ** 2, axes=1)
-        return np.asarray(np.sqrt(variance))
-
-    def quantile(self, drawn: FloatArray, probability: float) -> float:
-        """Value (one number in each draw, shape (N,)) below which a quantity is with a probability."""
-        order = np.argsort(drawn, kind="stable")
-        below = np.cumsum(self.weights[order]) - 0.5 * self.weights[order]
-        return float(np.interp(probability, below, drawn[order]))
-
-    def interval(self, parameter: Parameter, value: float, drawn: FloatArray) -> tuple[float, float]:
-        """Interval that holds a nonlinear parameter with 95 %; it ends at the bound if the value is there."""
-        match bound_of(parameter, value):
-            case "lower":
-                return parameter.low, self.quantile(drawn, 0.95)
-            case "upper":
-                return self.quantile(drawn, 0.05), parameter.high
-        return self.quantile(drawn, 0.025), self.quantile(drawn, 0.975)
+    def sigma(self, drawn: FloatArray, stated: FloatArray | float) -> FloatArray:
+        """Standard uncertainty of a quantity as stated, from its value in each draw (N, ...)."""
+        return np.asarray(np.sqrt(np.mean((drawn - stated) ** 2, axis=0)))
 
     def bias_dph(self, campaign: Campaign, effects: Collection[str] | None = None) -> FloatArray:
         """Bias by each draw in the dwells of a campaign (N, n, 3).
@@ -115,169 +93,238 @@ def draw(problem: Problem, candidates: Sequence[Candidate]) -> Draws:
 
     ``problem`` has the declared model alone.
     """
-    sampler = _Sampler(problem, candidates)
-    nodes, weights = sampler.nodes()
-    fits = [sampler.linear(each) for each in nodes]
-    node = np.arange(DRAWS) % len(nodes)
+    problem = _with_noise_of_residuals(problem, candidates)
+    at_best = _equations(problem, candidates)
+    priors = _priors(at_best, candidates)
+    nodes, node = _nodes(problem, candidates, priors)
+    equations = [_equations(problem, each) for each in nodes] if len(nodes) > 1 else [at_best]
     random = np.random.default_rng(0)
     declared = np.full((DRAWS, 3, DEGREE + len(problem.campaign.run_names)), np.nan)
-    sizes = [np.zeros((DRAWS, *each.kept.shape)) for each in candidates]
+    sizes = {each.effect.name: np.zeros((DRAWS, *each.kept.shape)) for each in candidates}
+    ends = np.cumsum([each.kept.shape[1] for each in candidates])
     for gyro in range(3):
-        mine = [each[gyro] for each in fits]
-        normal = _standard_normal(random, max(each.root.shape[1] for each in mine))
-        drawn = np.array([mine[index].drawn(each) for index, each in zip(node, normal, strict=True)])
-        parts = np.split(
-            drawn,
-            np.cumsum([mine[0].known.sum(), *(each.kept[gyro].sum() for each in candidates)])[:-1],
-            axis=1,
+        known = at_best[gyro].known
+        used = _used_terms(at_best[gyro], candidates, gyro, priors, random)
+        normal = _standard_normal(random, known.sum() + used.shape[1])
+        drawn = np.array(
+            [
+                equations[index][gyro].drawn(mine, priors, each)
+                for index, mine, each in zip(node, used, normal, strict=True)
+            ]
         )
-        declared[:, gyro, mine[0].known] = parts[0]
-        for size, part, each in zip(sizes, parts[1:], candidates, strict=True):
-            size[:, gyro, each.kept[gyro]] = part
-    named = {each.effect.name: size for each, size in zip(candidates, sizes, strict=True)}
-    return Draws(weights[node] / weights[node].sum(), declared, named, nodes, node)
+        declared[:, gyro, known], terms = np.split(drawn, [known.sum()], axis=1)
+        for size, part in zip(sizes.values(), np.split(terms, ends[:-1], axis=1), strict=False):
+            size[:, gyro] = part
+    return Draws(declared, sizes, nodes, node)
 
 
-@dataclass(frozen=True)
-class _LinearFit:
-    """Normal distribution of one gyro's coefficients, given the nonlinear parameters."""
-
-    known: BoolArray  #: Columns of the declared model that are not zero.
-    mean: FloatArray  #: Shape (q,).
-    root: FloatArray  #: Shape (q, r). Its product with its transpose is the covariance.
-    chi2: float
-    log_determinant: float  #: Of the covariance in units of the columns' lengths.
-
-    def drawn(self, normal: FloatArray) -> FloatArray:
-        return self.mean + self.root @ normal[: self.root.shape[1]]
+def _with_noise_of_residuals(problem: Problem, candidates: Sequence[Candidate]) -> Problem:
+    """Same problem with the noise that its residuals show, as far as they know it better than is stated."""
+    after = problem.with_columns(*stack(candidates, problem.campaign)) if candidates else problem
+    dof = max(after.dof - sum(len(each.values) for each in candidates), 1)
+    ratio = max(after.chi2 / dof, 1e-12) ** (0.5 / (1.0 + 0.5 / dof / _PRIOR_SCALE**2))
+    return replace(problem, noise_scale=problem.noise_scale * ratio, residuals=problem.residuals / ratio)
 
 
-class _Sampler:
-    """Distribution of the nonlinear parameters of some effects, in coordinates without units."""
+class _NormalEquations:
+    """Of one gyro's coefficients, given the nonlinear parameters, for columns of length one."""
 
-    def __init__(self, problem: Problem, candidates: Sequence[Candidate]) -> None:
-        self.problem, self.candidates = problem, tuple(candidates)
+    def __init__(self, problem: Problem, candidates: Sequence[Candidate], gyro: int) -> None:
+        campaign, searched = problem.campaign, problem.searched
+        base = declared_columns(campaign, gyro)[searched]
+        self.known: BoolArray = np.any(base != 0.0, axis=0)  #: Columns of the declared model in use.
+        terms = [each.columns(campaign)[searched, gyro] for each in candidates]
+        sigma_dph = problem.sigma_dph[:, gyro]
+        columns = np.concatenate([base[:, self.known], *terms], axis=1) / sigma_dph[:, np.newaxis]
+        self._lengths = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+        columns /= self._lengths
+        self._matrix = columns.T @ columns
+        self._vector = columns.T @ (campaign.bias_dph[searched, gyro] / sigma_dph)
+        self._roots: dict[bytes, tuple[FloatArray, float]] = {}
+
+    def root(self, used: BoolArray, priors: FloatArray) -> tuple[FloatArray, float]:
+        """Symmetric root of the covariance (q, q), zero for terms not used, and its log determinant."""
+        key = used.tobytes() + priors.tobytes()
+        if key not in self._roots:
+            chosen = np.flatnonzero(np.concatenate([np.ones(self.known.sum(), dtype=bool), used]))
+            diagonal = np.concatenate([np.zeros(self.known.sum()), priors**2])
+            lengths, directions = np.linalg.eigh((self._matrix + np.diag(diagonal))[np.ix_(chosen, chosen)])
+            good = lengths > MIN_SHARE**2
+            root = np.zeros_like(self._matrix)
+            root[np.ix_(chosen, chosen)] = (
+                directions[:, good] / np.sqrt(lengths[good]) @ directions[:, good].T
+            )
+            self._roots[key] = root, -float(np.sum(np.log(lengths[good])))
+        return self._roots[key]
+
+    def drawn(self, used: BoolArray, priors: FloatArray, normal: FloatArray) -> FloatArray:
+        """Coefficients from standard normal numbers (q,)."""
+        root, _ = self.root(used, priors)
+        return np.asarray(root @ (root @ self._vector + normal) / self._lengths)
+
+    def squares(self, used: BoolArray, priors: FloatArray) -> FloatArray:
+        """Expected squares of the terms' lengths, in standard deviations."""
+        root, _ = self.root(used, priors)
+        return np.asarray((root @ (root @ self._vector)) ** 2 + np.sum(root**2, axis=1))[self.known.sum() :]
+
+    def log_evidence(self, used: BoolArray, priors: FloatArray) -> float:
+        """Logarithm of the probability of the data with the terms used, but for a constant."""
+        root, log_determinant = self.root(used, priors)
+        return 0.5 * (float(np.sum((root @ self._vector) ** 2)) + log_determinant) + float(
+            np.sum(np.log(priors[used]))
+        )
+
+
+def _equations(problem: Problem, candidates: Sequence[Candidate]) -> list[_NormalEquations]:
+    return [_NormalEquations(problem, candidates, gyro) for gyro in range(3)]
+
+
+def _priors(equations: Sequence[_NormalEquations], candidates: Sequence[Candidate]) -> FloatArray:
+    """Inverse standard deviations of a normal prior of the terms' lengths, the same for those of an effect.
+
+    The ones with which the data are most probable (empirical Bayes): the sizes of an effect that was selected
+    as noise made it larger are drawn to zero, and those that the data do not determine stay finite.
+    """
+    kept = np.concatenate([np.zeros((3, 0), dtype=bool), *(each.kept for each in candidates)], axis=1)
+    owner = np.repeat(np.arange(len(candidates)), [each.kept.shape[1] for each in candidates])
+    priors = np.zeros(kept.shape[1])
+    for _ in range(_PRIOR_STEPS if candidates else 0):
+        squares = np.stack([each.squares(kept[gyro], priors) for gyro, each in enumerate(equations)])
+        means = [squares[:, owner == index][each.kept].mean() for index, each in enumerate(candidates)]
+        priors = np.array(means)[owner] ** -0.5
+    return priors
+
+
+def _used_terms(
+    equations: _NormalEquations,
+    candidates: Sequence[Candidate],
+    gyro: int,
+    priors: FloatArray,
+    random: np.random.Generator,
+) -> BoolArray:
+    """Terms of one gyro in each draw (DRAWS, k): by the probability that an effect has them.
+
+    That a term was dropped by the search does not mean that it is zero.
+    """
+    kept = [each.kept[gyro] for each in candidates]
+    drawn = []
+    for place, mine in enumerate(kept):
+        subsets = [mine]
+        if 1 < len(mine) <= _MAX_TERMS:
+            subsets = [
+                np.array(each) for each in itertools.product([False, True], repeat=len(mine)) if any(each)
+            ]
+        log_evidence = np.array(
+            [
+                equations.log_evidence(np.concatenate([*kept[:place], each, *kept[place + 1 :]]), priors)
+                for each in subsets
+            ]
+        )
+        probability = np.exp(log_evidence - log_evidence.max())
+        chosen = random.choice(len(subsets), DRAWS, p=probability / probability.sum())
+        drawn.append(np.array(subsets)[chosen])
+    return np.concatenate([np.zeros((DRAWS, 0), dtype=bool), *drawn], axis=1)
+
+
+def _nodes(
+    problem: Problem, candidates: Sequence[Candidate], priors: FloatArray
+) -> tuple[tuple[tuple[Candidate, ...], ...], IntArray]:
+    """Effects with their nonlinear parameters, and which of these each draw has."""
+    place = _Place(problem, candidates, priors)
+    if not len(place.best):
+        return (tuple(candidates),), np.zeros(DRAWS, dtype=np.intp)
+    centre, root = place.best, np.diag(place.widths())
+    for _ in range(_ROUNDS):
+        places, log_proposed = _proposed(centre, root, place.low, place.high)
+        log_weights = np.array(list(map(place.log_density, places))) - log_proposed
+        weights = np.exp(log_weights - log_weights.max())
+        weights /= weights.sum()
+        centre = weights @ places
+        spread = (places - centre).T @ ((places - centre) * weights[:, np.newaxis])
+        root = np.linalg.cholesky(spread + 1e-9 * np.diag(place.widths() ** 2))
+    chosen = np.searchsorted(np.cumsum(weights), (np.arange(DRAWS) + 0.5) / DRAWS).clip(max=len(places) - 1)
+    used, node = np.unique(chosen, return_inverse=True)
+    return tuple(map(place.candidates_at, places[used])), node
+
+
+class _Place:
+    """The nonlinear parameters of some effects as a place in a box with a uniform prior."""
+
+    def __init__(self, problem: Problem, candidates: Sequence[Candidate], priors: FloatArray) -> None:
+        self._problem, self._candidates = problem, candidates
+        self._priors = priors
         campaign = problem.campaign
         parameters = [parameter for each in candidates for parameter in each.form.parameters]
-        self.is_log = np.array(
-            [each.low > 0.0 and each.high > _DECADE * each.low for each in parameters], dtype=bool
-        )
+        self._is_log = np.array([each.low > 0.0 for each in parameters], dtype=bool)
         span_s = float(campaign.start_s.min()), float(campaign.end_s.max())
         bounds = [(each.low, each.high) if np.isfinite(each.low) else span_s for each in parameters]
-        self.low, self.high = self._coordinates(np.array(bounds, dtype=np.float64).reshape(-1, 2).T)
-        self.best = self._coordinates(np.array([value for each in candidates for value in each.values]))
-        self.scale = 1.0
-        self.prior_size = np.full(len(candidates), np.inf)
-        self._bases = [
-            declared_columns(campaign, gyro)[problem.searched] / problem.sigma_dph[:, gyro, np.newaxis]
-            for gyro in range(3)
-        ]
-        self._set_scale()
+        self.low, self.high = _even(np.array(bounds, dtype=np.float64).reshape(-1, 2).T, self._is_log)
+        self.best = _even(np.array([value for each in candidates for value in each.values]), self._is_log)
 
-    def _coordinates(self, values: FloatArray) -> FloatArray:
-        return np.where(self.is_log, np.log(np.maximum(values, 1e-300)), values)
-
-    def at(self, place: FloatArray) -> tuple[Candidate, ...]:
+    def candidates_at(self, place: FloatArray) -> tuple[Candidate, ...]:
         """The effects with their parameters at a place."""
-        values = iter(np.where(self.is_log, np.exp(np.where(self.is_log, place, 0.0)), place).tolist())
+        values = iter(np.where(self._is_log, np.exp(np.where(self._is_log, place, 0.0)), place).tolist())
         return tuple(
             replace(each, values=tuple(itertools.islice(values, len(each.values))))
-            for each in self.candidates
+            for each in self._candidates
         )
 
-    def linear(self, candidates: Sequence[Candidate]) -> list[_LinearFit]:
-        """Fit of each gyro."""
-        return [self._fit(gyro, candidates) for gyro in range(3)]
-
-    def _fit(self, gyro: int, candidates: Sequence[Candidate]) -> _LinearFit:
-        problem, base = self.problem, self._bases[gyro]
-        known = np.any(base != 0.0, axis=0)
-        terms = [
-            each.columns(problem.campaign)[problem.searched, gyro][:, each.kept[gyro]]
-            / problem.sigma_dph[:, gyro, np.newaxis]
-            for each in candidates
-        ]
-        columns = np.concatenate([base[:, known], *terms], axis=1)
-        lengths = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-        priors = np.repeat(
-            [0.0, *self.scale / self.prior_size], [known.sum(), *(each.shape[1] for each in terms)]
-        )
-        priors = priors / np.sqrt(len(columns))
-        left, shares, right = np.linalg.svd(
-            np.concatenate([columns / lengths, np.diag(priors)[priors > 0.0]]), full_matrices=False
-        )
-        good = shares > _MIN_SHARE
-        data = problem.campaign.bias_dph[problem.searched, gyro] / problem.sigma_dph[:, gyro]
-        parts = left[: len(data), good].T @ data
-        root = right[good].T / shares[good] / lengths[:, np.newaxis]
-        return _LinearFit(
-            known,
-            root @ parts,
-            self.scale * root,
-            float(data @ data - parts @ parts),
-            -float(np.sum(np.log(shares[good]))),
-        )
-
-    def _log_density(self, place: FloatArray) -> float:
+    def log_density(self, place: FloatArray) -> float:
+        """Logarithm of the probability density, with the coefficients of the terms integrated out."""
         if np.any(place < self.low) or np.any(place > self.high):
             return -np.inf
-        fits = self.linear(self.at(place))
-        return float(sum(each.log_determinant - 0.5 * each.chi2 / self.scale**2 for each in fits))
+        columns, kept = stack(self.candidates_at(place), self._problem.campaign)
+        density = 0.0
+        for gyro in range(3):
+            terms = self._problem.independent_part(columns, gyro, kept)
+            used = kept[gyro] & np.any(columns[self._problem.searched, gyro] != 0.0, axis=0)
+            root = np.linalg.cholesky(terms.T @ terms + np.diag(self._priors[used] ** 2))
+            parts = np.linalg.solve(root, terms.T @ self._problem.residuals[:, gyro])
+            density += float(0.5 * parts @ parts - np.sum(np.log(np.diag(root))))
+        return density
 
-    def _set_scale(self) -> None:
-        """Set the noise: that of the residuals, and the stated one with what is known of it, combined."""
-        fits = self.linear(self.candidates)
-        dof = max(self.problem.residuals.size - sum(each.root.shape[1] for each in fits) - len(self.best), 1)
-        found = 0.5 * np.log(max(sum(each.chi2 for each in fits) / dof, 1e-12))
-        self.scale = float(np.exp(found / (1.0 + 0.5 / dof / _PRIOR_SCALE**2)))
-
-    def nodes(self) -> tuple[tuple[tuple[Candidate, ...], ...], FloatArray]:
-        """Values of the parameters and their weights."""
-        if not len(self.best):
-            return (self.candidates,), np.ones(1)
-        count = len(self.best)
-        centre, root = self.best, np.diag(self._widths())
-        for _ in range(_ROUNDS):
-            steps = _proposed(_NODES, count)
-            places = centre + steps @ root.T
-            log_weights = np.array([self._log_density(each) for each in places]) + 0.5 * (
-                _TAILS + count
-            ) * np.log1p(np.sum(steps**2, axis=1) / _TAILS)
-            weights = np.exp(log_weights - log_weights.max())
-            weights /= weights.sum()
-            centre = weights @ places
-            spread = (places - centre).T @ ((places - centre) * weights[:, np.newaxis])
-            root = np.linalg.cholesky(spread + 1e-12 * np.eye(count) * np.trace(spread))
-        return tuple(map(self.at, places)), weights
-
-    def _widths(self) -> FloatArray:
+    def widths(self) -> FloatArray:
         """Standard deviation of each parameter, the others at their best values."""
         return np.array(
             [max(self._width(index, side) for side in (-1.0, 1.0)) for index in range(len(self.best))]
         )
 
     def _width(self, index: int, side: float) -> float:
-        """Where chi2 has risen on one side by more than noise makes it rise."""
-        at_best = self._log_density(self.best)
-        step = (self.high - self.best if side > 0.0 else self.best - self.low)[index]
-        unit = side * np.eye(len(self.best))[index]
+        """By the rise of chi2 on one side."""
+        at_best, step = self.log_density(self.best), side * np.eye(len(self.best))[index]
+        step *= (self.high - self.best if side > 0.0 else self.best - self.low)[index]
         for _ in range(_MAX_HALVINGS):
-            rise = 2.0 * (at_best - self._log_density(self.best + step * unit))
+            rise = 2.0 * (at_best - self.log_density(self.best + step))
             if rise < _RISE:
                 break
-            step *= 0.5 if rise > 4.0 * _RISE else max(np.sqrt(_RISE / rise) * 0.95, 0.5)
-        return float(step / np.sqrt(max(rise, 0.5)))
+            step *= 0.5
+        return float(np.abs(step[index]) / np.sqrt(max(rise, 0.5)))
 
 
-def _proposed(number: int, count: int) -> FloatArray:
-    """Points (number, count) that fill a t distribution evenly."""
-    # Additive recurrence by the generalized golden ratio, the last coordinate for the scale.
-    root = 2.0
+def _proposed(
+    centre: FloatArray, root: FloatArray, low: FloatArray, high: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Places that fill a t distribution evenly, and some that fill the box, with their log density."""
+    count = len(centre)
+    # Additive recurrence by the generalized golden ratio; the last coordinate is the scale of the t.
+    golden = 2.0
     for _ in range(30):
-        root = (1.0 + root) ** (1.0 / (count + 2.0))
-    even = (0.5 + np.outer(np.arange(1, number + 1), root ** -np.arange(1.0, count + 2.0))) % 1.0
+        golden = (1.0 + golden) ** (1.0 / (count + 2.0))
+    even = (0.5 + np.outer(np.arange(1, _NODES + 1), golden ** -np.arange(1.0, count + 2.0))) % 1.0
     scale = np.sqrt(_TAILS / np.maximum(chdtri(_TAILS, even[:, -1:]), 1e-12))
-    return np.asarray(ndtri(even[:, :-1]) * scale)
+    places = centre + ndtri(even[:, :-1]) * scale @ root.T
+    places[:: _NODES // _IN_BOX] = low + even[:_IN_BOX, :-1] * (high - low)
+    squares = np.sum(np.linalg.solve(root, (places - centre).T) ** 2, axis=0)
+    log_t = (
+        gammaln(0.5 * (_TAILS + count))
+        - gammaln(0.5 * _TAILS)
+        - 0.5 * count * np.log(np.pi * _TAILS)
+        - np.log(np.diag(root)).sum()
+        - 0.5 * (_TAILS + count) * np.log1p(squares / _TAILS)
+    )
+    share = _IN_BOX / _NODES
+    log_box = -np.log(high - low).sum()
+    return places, np.logaddexp(np.log1p(-share) + log_t, np.log(share) + log_box)
 
 
 def _standard_normal(random: np.random.Generator, count: int) -> FloatArray:
@@ -289,9 +336,29 @@ def _standard_normal(random: np.random.Generator, count: int) -> FloatArray:
     return normal
 
 
+def interval(parameter: Parameter, value: float, drawn: FloatArray) -> tuple[float, float]:
+    """Interval that holds a nonlinear parameter with 95 %, from its draws (N,).
+
+    It ends at the bound if the value is there.
+    """
+    match bound_of(parameter, value):
+        case "lower":
+            return parameter.low, float(np.quantile(drawn, 0.95))
+        case "upper":
+            return float(np.quantile(drawn, 0.05)), parameter.high
+    low, high = np.quantile(drawn, [0.025, 0.975]).tolist()
+    return low, high
+
+
 def bound_of(parameter: Parameter, value: float) -> str:
     """The bound of the fit at which a parameter is, "lower" or "upper"; empty within its range."""
-    step = _AT_BOUND * (parameter.high - parameter.low)
-    if not np.isfinite(step):
+    if not np.isfinite(parameter.low):
         return ""
-    return "lower" if value <= parameter.low + step else "upper" if value >= parameter.high - step else ""
+    low, value, high = _even(np.array([parameter.low, value, parameter.high]), parameter.low > 0.0)
+    step = _AT_BOUND * (high - low)
+    return "lower" if value <= low + step else "upper" if value >= high - step else ""
+
+
+def _even(values: FloatArray, is_log: BoolArray | bool) -> FloatArray:
+    """Values on the scale on which they are equally probable: a positive scale by its logarithm."""
+    return np.where(is_log, np.log(np.where(is_log, values, 1.0)), values)

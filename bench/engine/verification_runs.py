@@ -129,6 +129,8 @@ class VerificationRuns:
         }
         rows = {name: [dwell.row for dwell in dwells] for name, (dwells, _) in measured.items()}
         fitted_c = self._closure.campaign.gyro_c[self._closure.searched]
+        draws = {DECLARED: self._closure.declared_draws, EFFECT: self._closure.model_draws}
+        fitted = {name: (draws[name], model.effects) for name, model in self.models.items()}
         first = next(iter(rows.values()))
         site = self._job.station.site
         return VerificationResult(
@@ -136,7 +138,7 @@ class VerificationRuns:
             closure=self._closure,
             models=self.models,
             results=tuple(
-                compensation_result(name, rows[name], check_dwells, site, fitted_c)
+                compensation_result(name, rows[name], check_dwells, site, fitted_c, fitted.get(name))
                 for name, (_, check_dwells) in measured.items()
             ),
             new_attitudes=_new_attitudes(read_dwells(self._run.dwells), first),

@@ -245,7 +245,7 @@ class StationFile(StrictModel):
     location: Location = Field(description="where the bench is")
     tick_s: Annotated[float, Field(ge=0.1, le=10.0)] = Field(1.0, description="period of the engine, s")
     poll_period_s: Annotated[float, Field(ge=0.01, le=10.0)] = Field(
-        0.1, description="how often the CAN bus is emptied, s"
+        0.1, description="how often the CAN bus is emptied, s; on virtual time with each reading"
     )
     instruments_period_s: Annotated[float, Field(ge=0.5, le=60.0)] = Field(
         5.0, description="how often table, chamber and INS status are read, s"

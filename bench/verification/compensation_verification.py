@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
@@ -11,11 +11,14 @@ import numpy as np
 from scipy.stats import chi2
 
 from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.loadable_model import LoadableModel
 from gyrobench.bench.closure.loop import Closure
+from gyrobench.bench.closure.uncertainty import Draws
 from gyrobench.bench.dwells.check_dwell import CheckDwell
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.csv_tables import format_csv, write_text
+from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.text import format_cell
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.verification.residuals import ResidualCheck, check_residuals
@@ -60,6 +63,10 @@ class VerificationRow:
     #: day; NaN without all six positions.
     position_nmi: float
     position_noise_nmi: float
+    #: Rms standard uncertainty of the compensation itself, in the varying bias; NaN without one.
+    compensation_sigma_dph: float
+    #: p-value of the varying bias, given the noise and that uncertainty, for all plateaus; NaN for one.
+    agreement_p_value: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +102,7 @@ def compensation_result(
     verifications: Iterable[CheckDwell],
     site: Site,
     fitted_c: FloatArray,
+    model: tuple[Draws, Collection[str]] | None = None,
 ) -> CompensationResult:
     """Residual bias with one compensation, without flagged dwells.
 
@@ -104,15 +112,19 @@ def compensation_result(
         Of the run with that compensation.
     fitted_c : ndarray, shape (n, 3)
         Temperatures of the gyros in the dwells that the model was fitted to.
+    model : tuple of Draws and names, optional
+        Draws of the model that was loaded, and the effects that the INS subtracts.
     """
     good = [row for row in dwells if not row.flags]
     plateaus = check_residuals(good, verifications, site)
-    varying = _varying(good)
-    rows = tuple(
-        _row(compensation, number, plateau, varying[[row.dwell in plateau.dwells for row in good]], fitted_c)
-        for number, plateau in enumerate(plateaus, start=1)
-    )
-    return CompensationResult(compensation, tuple(plateaus), rows, _total(compensation, rows, good, varying))
+    varying = _varying(good, np.array([row.bias_dph for row in good]).reshape(-1, 3))
+    roots = _uncertainty(good, model)
+    rows = []
+    for number, plateau in enumerate(plateaus, start=1):
+        mine = [row.dwell in plateau.dwells for row in good]
+        rows.append(_row(compensation, number, plateau, varying[mine], roots[:, mine], fitted_c))
+    total = _total(compensation, rows, good, varying, roots)
+    return CompensationResult(compensation, tuple(plateaus), tuple(rows), total)
 
 
 #: Columns of the table; the number of the plateau is in ``stop``.
@@ -131,18 +143,47 @@ def write_verification_table(path: Path, results: Iterable[CompensationResult]) 
     write_text(path, format_csv(COLUMNS, map(list, rows)))
 
 
-def _varying(rows: Sequence[DwellRow]) -> FloatArray:
-    """Biases (n, 3) minus each gyro's weighted mean in its power cycle."""
-    varying = np.array([row.bias_dph for row in rows]).reshape(-1, 3)
+def _varying(rows: Sequence[DwellRow], bias_dph: FloatArray) -> FloatArray:
+    """Biases (..., n, 3) minus each gyro's weighted mean in its power cycle."""
+    varying = bias_dph.copy()
     weights = np.array([row.sigma_dph for row in rows]).reshape(-1, 3) ** -2.0
     for run in {row.run for row in rows}:
         mine = [row.run == run for row in rows]
-        varying[mine] -= (weights[mine] * varying[mine]).sum(axis=0) / weights[mine].sum(axis=0)
+        means = (weights[mine] * varying[..., mine, :]).sum(axis=-2) / weights[mine].sum(axis=0)
+        varying[..., mine, :] -= means[..., np.newaxis, :]
     return varying
 
 
+def _uncertainty(rows: Sequence[DwellRow], model: tuple[Draws, Collection[str]] | None) -> FloatArray:
+    """Varying bias (N, n, 3) of draws of a compensation; the sum of their squares is its variance.
+
+    None (N = 0) without a compensation, or where temperatures are missing that the model needs.
+    """
+    if model is None:
+        return np.zeros((0, len(rows), 3))
+    draws, effects = model
+    try:
+        campaign = campaign_of(rows)
+    except MeasurementError:
+        return np.zeros((0, len(rows), 3))
+    if len(campaign) < len(rows):
+        return np.zeros((0, len(rows), 3))
+    order = np.argsort(np.argsort([row.start_s for row in rows], kind="stable"))
+    varying = _varying(rows, draws.bias_dph(campaign, effects)[:, order])
+    return np.asarray((varying - varying.mean(axis=0)) / math.sqrt(len(varying)))
+
+
+def _sigma_dph(roots: FloatArray) -> float:
+    return _rms(np.sqrt(np.sum(roots**2, axis=0))) if len(roots) else math.nan
+
+
 def _row(
-    compensation: str, number: int, plateau: ResidualCheck, varying: FloatArray, fitted_c: FloatArray
+    compensation: str,
+    number: int,
+    plateau: ResidualCheck,
+    varying: FloatArray,
+    roots: FloatArray,
+    fitted_c: FloatArray,
 ) -> VerificationRow:
     return VerificationRow(
         compensation=compensation,
@@ -162,11 +203,17 @@ def _row(
         velocity_noise_mps=plateau.velocity_noise_mps,
         position_nmi=plateau.day.error.max_nmi if plateau.day else math.nan,
         position_noise_nmi=plateau.day.noise_nmi if plateau.day else math.nan,
+        compensation_sigma_dph=_sigma_dph(roots),
+        agreement_p_value=math.nan,
     )
 
 
 def _total(
-    compensation: str, rows: Sequence[VerificationRow], good: Sequence[DwellRow], varying: FloatArray
+    compensation: str,
+    rows: Sequence[VerificationRow],
+    good: Sequence[DwellRow],
+    varying: FloatArray,
+    roots: FloatArray,
 ) -> VerificationRow:
     sigma = np.array([row.sigma_dph for row in good]).reshape(-1, 3)
     dof = varying.size - varying.shape[1] * len({row.run for row in good})
@@ -191,7 +238,18 @@ def _total(
         velocity_noise_mps=velocity_noise,
         position_nmi=position,
         position_noise_nmi=position_noise,
+        compensation_sigma_dph=_sigma_dph(roots),
+        agreement_p_value=_agreement(varying / sigma, roots / sigma, dof) if len(roots) else math.nan,
     )
+
+
+def _agreement(varying: FloatArray, roots: FloatArray, dof: int) -> float:
+    """p-value of a bias (n, 3), given the noise and draws of the compensation, in standard deviations."""
+    if dof < 1:
+        return math.nan
+    columns = roots.reshape(len(roots), -1)
+    covariance = np.eye(varying.size) + columns.T @ columns
+    return float(chi2.sf(varying.ravel() @ np.linalg.solve(covariance, varying.ravel()), dof))
 
 
 def _largest(

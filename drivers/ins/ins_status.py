@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Mapping
 from functools import cached_property
 from typing import Any
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from gyrobench.bench.foundations.arrays import FloatArray, IntArray
-from gyrobench.drivers.frames import FrameBlock, concatenate
+from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.attitude import EulerSequence
 from gyrobench.drivers.ins.dbc_codec import DbcCodec
 from gyrobench.drivers.ins.readout import Alignment, InsMode, Readout
@@ -19,55 +18,7 @@ from gyrobench.drivers.ins.signal_map import BoundSignal, SignalMap
 
 #: Age from which values count as unknown.
 STALE_S = 5.0
-#: Time for which frames are kept: a status may be asked for its values that much later.
-_KEPT_S = 30.0
-#: Frames of a block in which all identifiers are looked up at once; in the others, one by one.
-_LAST_FRAMES = 64
-
 _NOW = np.zeros(1, np.int64)
-
-
-class _Arrival:
-    """Frames that arrived together, with those before them; a frame is searched for when first asked for."""
-
-    def __init__(self, block: FrameBlock, received_s: float, before: _Arrival | None) -> None:
-        self.block = block
-        self.received_s = received_s
-        self.before = before
-        #: Newest row up to here by identifier, as a tuple of the fields; None for no such frame.
-        self.found: dict[int, tuple[Any, ...] | None] = {}
-
-    @cached_property
-    def _last_rows(self) -> dict[int, int]:
-        """Last row of each identifier among the last frames, which have most messages."""
-        first = max(len(self.block) - _LAST_FRAMES, 0)
-        last = self.block.arbitration_id[first:].tolist()
-        return {each: index for index, each in enumerate(last, start=first)}
-
-    def last_row(self, arbitration_id: int) -> int | None:
-        """Last row of an identifier; None if it is not in the block."""
-        row = self._last_rows.get(arbitration_id)
-        if row is None and len(self.block) > _LAST_FRAMES:
-            rows = np.flatnonzero(self.block.arbitration_id == arbitration_id)
-            row = rows.item(-1) if len(rows) else None
-        return row
-
-    def newest(self, arbitration_id: int) -> tuple[Any, ...] | None:
-        passed: list[_Arrival] = []
-        arrival: _Arrival | None = self
-        row = None
-        while arrival is not None and arbitration_id not in arrival.found:
-            passed.append(arrival)
-            index = arrival.last_row(arbitration_id)
-            if index is not None:
-                row = arrival.block.rows[index].item()
-                break
-            arrival = arrival.before
-        else:
-            row = arrival.found[arbitration_id] if arrival is not None else None
-        for each in passed:
-            each.found[arbitration_id] = row
-        return row
 
 
 class NewestFrames:
@@ -79,40 +30,36 @@ class NewestFrames:
 
     def __init__(self, codec: DbcCodec) -> None:
         self._codec = codec
-        self._arrivals = deque([_Arrival(concatenate([]), -np.inf, None)])
-        self._stamp_s = 0.0
+        #: Fields of the frames by identifier; another dictionary after each change, as snapshots hold it.
+        self._newest: dict[int, tuple[Any, ...]] = {}
+        self._received_s, self._stamp_s = -math.inf, 0.0
 
     def take(self, frames: FrameBlock, now_s: float) -> None:
         """Store frames that have just arrived, in order; at least one."""
-        self._stamp_s = frames.timestamp_s.item(-1)
-        self._append(frames, now_s)
-        while self._arrivals[0].received_s < now_s - _KEPT_S:
-            self._arrivals.popleft()
-            self._arrivals[0].before = None
-
-    def _append(self, frames: FrameBlock, received_s: float) -> None:
-        self._arrivals.append(_Arrival(frames, received_s, self._arrivals[-1]))
+        self._received_s, self._stamp_s = now_s, frames.timestamp_s.item(-1)
+        identifiers, places = np.unique(frames.arbitration_id[::-1], return_index=True)
+        newest = frames.rows[::-1][places].tolist()
+        self._newest = self._newest | dict(zip(identifiers.tolist(), newest, strict=True))
 
     def forget(self, message_name: str) -> None:
         """Drop the frames of a message."""
-        self._append(concatenate([]), self._arrivals[-1].received_s)
-        self._arrivals[-1].found[self._codec.arbitration_id(message_name)] = None
+        dropped = self._codec.arbitration_id(message_name)
+        self._newest = {each: row for each, row in self._newest.items() if each != dropped}
 
     def age_s(self, now_s: float) -> float:
         """Time since the last frame."""
-        return float(now_s - self._arrivals[-1].received_s)
+        return now_s - self._received_s
 
     def snapshot(self, now_s: float) -> Snapshot:
         """The frames that are not stale."""
-        oldest_s = self._stamp_s + self.age_s(now_s) - STALE_S
-        return Snapshot(self._arrivals[-1], oldest_s, self._codec)
+        return Snapshot(self._newest, self._stamp_s + self.age_s(now_s) - STALE_S, self._codec)
 
 
 class Snapshot:
     """Values of the newest frames at one moment, those stamped before ``oldest_s`` left out."""
 
-    def __init__(self, arrival: _Arrival, oldest_s: float, codec: DbcCodec) -> None:
-        self._arrival = arrival
+    def __init__(self, newest: Mapping[int, tuple[Any, ...]], oldest_s: float, codec: DbcCodec) -> None:
+        self._newest = newest
         self._oldest_s = oldest_s
         self._codec = codec
         self._decoded: dict[str, Mapping[str, float]] = {}
@@ -121,9 +68,8 @@ class Snapshot:
         """Value of a signal; NaN without its frame."""
         message = bound.message
         if message not in self._decoded:
-            row = self._arrival.newest(self._codec.arbitration_id(message))
-            is_known = row is not None and row[0] >= self._oldest_s
-            data = bytes(row[4][: row[2]]) if row and is_known else b""
+            row = self._newest.get(self._codec.arbitration_id(message))
+            data = bytes(row[4][: row[2]]) if row and row[0] >= self._oldest_s else b""
             self._decoded[message] = self._codec.decode_one(data, message)
         return float(bound.to_si(self._decoded[message].get(bound.signal.name, math.nan)))
 

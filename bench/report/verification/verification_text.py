@@ -31,8 +31,8 @@ _CONSTANT = (
 )
 _NOISE = (
     "Noise is the value expected from the uncertainty of the measurement alone: the rms, or the median of a "
-    "maximum; over all plateaus, that of the plateau with the largest value. The uncertainty of the fit is "
-    "not included: its effect is part of the residual."
+    "maximum; over all plateaus, that of the plateau with the largest value. The compensation's own "
+    "uncertainty, from the noise of the campaign, is stated beside it."
 )
 _DAY = (
     "24 h is the largest position error within a day at rest of a dual-axis rotational INS with these "
@@ -130,7 +130,7 @@ def chain(result: VerificationResult) -> list[tuple[str, str]]:
             f"{last.position_noise_nmi:.2f}",
         ),
     ]
-    topics = [("New", new_conditions_sentence(result))]
+    topics = [("New", new_conditions_sentence(result)), *(("Fit", text) for text in fit_sentences(result))]
     for topic, what, values, noise in changes:
         if len(values) == len(totals):
             steps = listed(
@@ -138,6 +138,19 @@ def chain(result: VerificationResult) -> list[tuple[str, str]]:
             )
             topics.append((topic, f"{what}: {steps}; noise {noise}."))
     return topics + [("Note", note) for note in result.notes]
+
+
+def fit_sentences(result: VerificationResult) -> list[str]:
+    """The uncertainty of each compensation, and whether what remains agrees with it."""
+    sentences = []
+    for total in (each.total for each in result.results if each.total.compensation_sigma_dph >= 0.0):
+        verb = "agrees with" if total.agreement_p_value >= LACK_OF_FIT_P else "exceeds"
+        sentences.append(
+            f"The compensation {LABELS[total.compensation]} has a standard uncertainty of "
+            f"{size_text(total.compensation_sigma_dph)} deg/h in the varying bias. What remains "
+            f"{verb} that and the noise ({p_phrase(total.agreement_p_value)})."
+        )
+    return sentences
 
 
 def reading_sentences(result: VerificationResult) -> list[str]:

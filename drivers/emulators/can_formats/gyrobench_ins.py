@@ -34,19 +34,7 @@ _SLOW_IDS = (
     SYSTEM_TIME, HEIGHT_VELOCITY_D, INS_STATUS, INS_IDENTITY, COMPENSATION_STATUS, OPTICS_TEMPERATURE,
     ELECTRONICS_TEMPERATURE,
 )  # fmt: skip
-_SLOW_DATA = np.dtype(
-    {
-        "names": [
-            "second", "height", "mode", "pitch_first", "align_s", "compensated", "status_count", "serial",
-            "firmware", "hardware", "applied", "loaded", "optics_count",
-        ],
-        "formats": [
-            "<u4", "<i4", "u1", "u1", "<u2", "u1", "<u2", "<u4", "<u2", "<u2", "<u4", "<u4", "<u2",
-        ],
-        "offsets": [0, 8, 16, 17, 18, 20, 22, 24, 28, 30, 32, 36, 46],
-        "itemsize": 8 * len(_SLOW_IDS),
-    }
-)  # fmt: skip
+_SLOW_DATA = struct.Struct("<II ii BBHBBH IHH II hhhH hhhh")
 _FAST_IDS = VELOCITY_NE, ROLL_PITCH, HEADING
 _SLOW_FRAMES, _FAST_FRAMES = len(_SLOW_IDS), len(_FAST_IDS)
 _VELOCITY_LSB_PER_MPS, _ANGLE_LSB_PER_RAD = 1e4, math.degrees(1e6)
@@ -93,24 +81,25 @@ class GyrobenchFormat(CanFormat):
     def _slow_data(self, epochs: Epochs) -> NDArray[np.uint8]:
         """Data of the slow frames without temperatures, shape (k, 56), of k whole seconds."""
         unit, file = self._world.unit, self._world.file
-        slow = np.zeros(len(epochs.align_time_s), _SLOW_DATA)
-        if not len(slow):
-            return slow.view(np.uint8).reshape(0, _SLOW_DATA.itemsize)
-        table = unit.loaded_table.tobytes()
+        applied, table = unit.compensation, unit.loaded_table.tobytes()
         if table != self._table:
             self._table, self._checksum = table, checksum(unit.loaded_table)
-        seconds = np.arange(len(slow))
-        slow["second"] = epochs.sample[-1] // SAMPLE_RATE_HZ - seconds[::-1] & 0xFFFFFFFF
-        slow["height"] = max(_INT32_MIN, min(_INT32_MAX, round(file.height_m * 1e4)))
-        slow["mode"], slow["pitch_first"] = epochs.mode, unit.pitch_first
-        slow["align_s"] = np.minimum(epochs.align_time_s, 0xFFFF)
-        slow["status_count"] = slow["optics_count"] = self._status_counter + seconds & 0xFFFF
-        slow["serial"], slow["firmware"], slow["hardware"] = file.ins.serial_number, _FIRMWARE, _HARDWARE
-        slow["loaded"] = self._checksum
-        if unit.compensation is not None:
-            slow["compensated"], slow["applied"] = True, unit.compensation.checksum
-        self._status_counter = (self._status_counter + len(slow)) & 0xFFFF
-        return slow.view(np.uint8).reshape(-1, _SLOW_DATA.itemsize)
+        one = _SLOW_DATA.pack(
+            0, 0,
+            max(_INT32_MIN, min(_INT32_MAX, round(file.height_m * 1e4))), 0,
+            epochs.mode, unit.pitch_first, 0, applied is not None, 0, 0,
+            file.ins.serial_number, _FIRMWARE, _HARDWARE,
+            0 if applied is None else applied.checksum, self._checksum,
+            *[0] * 8,
+        )  # fmt: skip
+        count = len(epochs.align_time_s)
+        slow = np.tile(np.frombuffer(one, np.uint8), (count, 1))
+        words, halves, seconds = slow.view("<u4"), slow.view("<u2"), np.arange(count)
+        words[:, 0] = epochs.sample[-1] // SAMPLE_RATE_HZ - seconds[::-1] & 0xFFFFFFFF
+        halves[:, 9] = np.minimum(epochs.align_time_s, 0xFFFF)
+        halves[:, 11] = halves[:, 23] = self._status_counter + seconds & 0xFFFF
+        self._status_counter = (self._status_counter + count) & 0xFFFF
+        return slow
 
 
 @compiled

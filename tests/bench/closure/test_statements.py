@@ -51,9 +51,9 @@ def test_an_interval_that_is_not_symmetric_is_stated_with_its_ends():
 
 
 def test_a_parameter_at_its_bound_is_named_with_what_is_known_of_it():
-    highest = found(warm_up, 43_200.0, sigma=[3600.0], within=[(36_000.0, 43_200.0)])
-    assert highest.at_bound == ("tau_s",)
-    assert highest.statement.endswith("(tau 12.0 h, its upper bound, above 10.0 h with 95 %).")
+    highest = found(thermal_hysteresis, 40.0, sigma=[4.0], within=[(33.0, 40.0)])
+    assert highest.at_bound == ("half_width_c",)
+    assert highest.statement.endswith("(half width 40 degC, its upper bound, above 33 degC with 95 %).")
     lowest = found(thermal_hysteresis, 0.3, sigma=[0.2], within=[(0.3, 0.9)])
     assert lowest.at_bound == ("half_width_c",)
     assert "0.30 degC, its lower bound, below 0.90 degC with 95 %" in lowest.statement
