@@ -13,7 +13,7 @@ from gyrobench.bench.closure.candidates import Candidate
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.investigation.blocks import Block, catalogue
 from gyrobench.bench.investigation.choice import Prediction, entropy, expected_entropy, predict_dwells
-from gyrobench.bench.investigation.forecast import ThermalModel, fit_thermal_model, forecast_dwells
+from gyrobench.bench.investigation.forecast import Forecast
 
 #: Blocks of which pairs are tried.
 _PAIRED = 4
@@ -83,14 +83,15 @@ def propose(
     max_h : float
         Longest block.
     """
-    model, known = fit_thermal_model(rows), campaign_of(rows)
+    known = campaign_of(rows)
+    forecast = Forecast(rows, known)
 
     def usable(blocks: Sequence[Block]) -> list[Block]:
         return [
             each for each in blocks if each.plan.duration_h <= max_h and not set(each.kinds) & set(refused)
         ]
 
-    found = [_proposal(rows, known, each, model, rivals, noise_scale) for each in usable(catalogue(rows))]
+    found = [_proposal(rows, known, each, forecast, rivals, noise_scale) for each in usable(catalogue(rows))]
     found.sort(key=lambda each: -each.gain_per_h)
     best = {each.block.name for each in found[:_PAIRED]}
     pairs = [
@@ -98,7 +99,7 @@ def propose(
         for each in usable(catalogue(rows, pairs=True))
         if len(each.kinds) == 2 and set(each.kinds) <= best
     ]
-    found += [_proposal(rows, known, each, model, rivals, noise_scale) for each in pairs]
+    found += [_proposal(rows, known, each, forecast, rivals, noise_scale) for each in pairs]
     return sorted(found, key=lambda each: -each.gain_per_h)
 
 
@@ -106,11 +107,11 @@ def _proposal(
     rows: Sequence[DwellRow],
     known: Campaign,
     block: Block,
-    model: ThermalModel,
+    forecast: Forecast,
     rivals: Sequence[Rival],
     noise_scale: float,
 ) -> Proposal:
-    new = forecast_dwells(rows, block.plan, model)
+    new = forecast.rows(block.plan)
     predictions = _predictions(rows, known, new, rivals, noise_scale)
     probabilities = np.array([each.probability for each in rivals])
     return Proposal(

@@ -4,9 +4,9 @@
 
     python simulated_bench.py UNIT.json PLAN.json NEW.csv
 
-UNIT.json holds the seed, the effects with their sizes, the kinds of step that the bench refuses, and all steps
-so far; measured steps are added to it. Everything is simulated again from the start, minute by minute, by a
-thermal network with convection and radiation, so that a unit behaves the same however its blocks are cut.
+UNIT.json holds the seed, the effects with their sizes, the kinds of step that the bench refuses, and all
+steps so far; measured steps are added to it. Everything is simulated again from the start, minute by minute,
+by a thermal network with convection and radiation: a unit behaves the same however its blocks are cut.
 """
 
 import json
