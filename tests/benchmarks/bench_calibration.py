@@ -38,6 +38,11 @@ def is_unknown(one):
     return one["group"].startswith("unknown")
 
 
+def has_remainder(one):
+    """Whether something is in the unit that no candidate describes exactly."""
+    return is_unknown(one) or not one["has_own_laws"]
+
+
 def missed(one):
     """Sizes of the effects that are in the unit and not named."""
     named = set(one["found"])
@@ -54,7 +59,7 @@ def stated(one, hidden=True):
     if one["verdict"] == "ambiguous":
         return None
     if one["verdict"] == "unexplained":
-        return known["not_on_list"], is_unknown(one) or bool(one["effects"] and not one["has_own_laws"])
+        return known["not_on_list"], has_remainder(one)
     is_complete = max(missed(one), default=0.0) <= (one["hidden"] if hidden else 0.0)
     return known["found"], is_complete and set(one["found"]) <= set(one["effects"])
 
@@ -180,7 +185,7 @@ def stated_and_true(results):
         if is_unknown(one) or one["has_own_laws"] or max(one["sizes"], default=0.0) < 1.0:
             series["not on the list"].append((known["not_on_list"], is_unknown(one)))
         names, rest, probability = known["hypotheses"][0]
-        true = is_unknown(one) if rest else set(names) == set(one["effects"])
+        true = has_remainder(one) if rest else set(names) == set(one["effects"])
         series["best set of effects"].append((probability, true))
     return series
 

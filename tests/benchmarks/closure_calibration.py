@@ -24,7 +24,7 @@ GROUPS = (
     *["unknown, 0.3 to 1 sigma"] * 2, *["unknown, 1 to 10 sigma"] * 2,
 )  # fmt: skip
 LOOKS = 10
-#: The second has the first as one of its terms.
+#: Heat flows; the second has the first as one of its terms.
 CONTAINED = {"thermal_gradient", "attitude_thermal"}
 _CAMPAIGNS = {
     "ageing": {"design": "power cycles", "cycles": 5},
@@ -71,8 +71,7 @@ def examined(seed):
         "group": group,
         **options,
         "design": truth.design,
-        "has_own_laws": all(each.sizes_dph is not None for each in truth.parts)
-        and bool(np.isfinite(closure.campaign.whole.board_c).all()),
+        "has_own_laws": _has_own_laws(closure, truth),
         "verdict": closure.verdict,
         "found": found,
         "tied": {each.effect.name: list(each.tied_with) for each in closure.effects},
@@ -93,6 +92,14 @@ def examined(seed):
         longer = close_loop(campaign_of(make_unit(seed, **options, looks=LOOKS)[0]))
         result["longer"] = [longer.verdict, sorted(each.effect.name for each in longer.effects)]
     return result
+
+
+def _has_own_laws(closure, truth):
+    """Whether each effect of the unit is exactly one that was fitted; without boards a heat flow is not."""
+    fitted = {each.effect.name for each in closure.evidence if not each.missing_input}
+    own = all(each.sizes_dph is not None and each.kind in fitted for each in truth.parts)
+    has_boards = bool(np.isfinite(closure.campaign.whole.board_c).all())
+    return own and (has_boards or not truth.kinds & CONTAINED)
 
 
 def _probabilities(closure):
