@@ -73,6 +73,14 @@ def close(
     rotate: Annotated[
         bool, typer.Option("--rotate", help="Hold out each cycle in turn too, and compare the outcomes.")
     ] = False,
+    compose: Annotated[
+        bool,
+        typer.Option(
+            "--compose",
+            help="If the residual is unexplained, propose laws of a driver, memory and shape: empirical "
+            "hypotheses, the best also as composed_law.yaml for a folder effects.",
+        ),
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Search for effects that explain the residual of the bias model, and test them on a held-out cycle.
@@ -87,10 +95,13 @@ def close(
     """
     import json
 
+    from gyrobench.bench.closure.loop import composed
     from gyrobench.bench.report.closure.closure_page import write_search
     from gyrobench.bench.report.closure.closure_summary import closure_summary
 
     closure = search(tables, hold_out_cycle or (), hold_out or (), rotate=rotate)
+    if compose:
+        closure = composed(closure)
     page, report = write_search(closure, tables, out)
     folder = page.parent
     if as_json:
@@ -100,6 +111,8 @@ def close(
     terminal = console()
     terminal.print(closure_summary(closure))
     written = "closure.json, predictions.csv, model.yaml"
+    if closure.composed and closure.composed.laws:
+        written += ", composed_law.yaml"
     terminal.print(f"Report   {page}\nFigures  {folder / 'figures'}\nTables   {written}", soft_wrap=True)
     if report:
         terminal.print(f"Also in  {report}", soft_wrap=True)

@@ -9,7 +9,7 @@ import typer
 
 from gyrobench.bench.cli.options import EMULATED, ProcedureArgument, StationOption
 from gyrobench.bench.cli.output import JsonOption, console, print_json
-from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
+from gyrobench.bench.foundations.errors import DocumentError, MeasurementError, RunFolderError
 
 if TYPE_CHECKING:
     from gyrobench.bench.engine.job import Job
@@ -27,6 +27,14 @@ def plan(
     target_dph: Annotated[
         float, typer.Option(min=1e-6, help="With --separability: size of effect that matters, deg/h rms.")
     ] = 0.002,
+    closure: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="With --separability: folder of a search (gyrobench close) or its run. Noise, temperatures, "
+            "effects and ties are those of the unit searched.",
+        ),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Show the steps and duration of a procedure. Uses no instrument.
@@ -47,6 +55,8 @@ def plan(
 
     if as_json and separability:
         raise DocumentError("--separability prints text only: it can't be combined with --json")
+    if closure and not separability:
+        raise DocumentError("--closure has a meaning with --separability only")
     job = prepare_job(procedure, station)
     path = figure or Path(f"plan_{job.plan.procedure.procedure}.png")
     save_figure(plan_figure(job.plan), path)
@@ -56,7 +66,7 @@ def plan(
     console().print(timeline_table(timeline_rows(job.plan), job.plan.duration_s))
     typer.echo(f"Figure   {path}")
     if separability:
-        _print_separability(job, target_dph)
+        _print_separability(job, target_dph, closure)
 
 
 def _record(job: Job, figure: Path) -> dict[str, Any]:
@@ -82,27 +92,43 @@ def _record(job: Job, figure: Path) -> dict[str, Any]:
     }
 
 
-def _print_separability(job: Job, target_dph: float) -> None:
+def _print_separability(job: Job, target_dph: float, folder: Path | None) -> None:
     from functools import partial
 
     from gyrobench.bench.closure.effects import all_effects
+    from gyrobench.bench.closure.outlook import measured_unit, tie_outlooks
     from gyrobench.bench.closure.planned_campaign import planned_campaign
-    from gyrobench.bench.closure.procedure_changes import advise
+    from gyrobench.bench.closure.procedure_changes import advise, advise_ties
     from gyrobench.bench.closure.separability import searched_dwells, separability
-    from gyrobench.bench.dwells.closure_inputs import plan_on, planned_unit
+    from gyrobench.bench.dwells.closure_inputs import plan_on, planned_unit, read_closure
     from gyrobench.bench.report.figures.campaigns import separability_figure
     from gyrobench.bench.report.figures.style import save_figure
-    from gyrobench.bench.report.terminal.separability import separability_summary
+    from gyrobench.bench.report.terminal.separability import closure_outlook, separability_summary
 
-    unit, name = planned_unit(job.station), job.plan.procedure.procedure
+    unit, name, closure = planned_unit(job.station), job.plan.procedure.procedure, None
+    if folder:
+        try:
+            closure = read_closure(folder)
+        except (MeasurementError, RunFolderError) as error:
+            raise DocumentError(str(error)) from error
+        unit = measured_unit(closure, job.plan.steps[0].before.thermal)
     try:
         campaign = planned_campaign(job.plan, unit)
     except MeasurementError as error:
         typer.echo(str(error))
         return
-    now = separability(searched_dwells(campaign), all_effects(job.document.path))
-    advice = advise(job.document, job.plan, partial(plan_on, job.station), unit, now, target_dph)
-    console().print(separability_summary(now, len(campaign), unit, target_dph, advice))
+    effects = [each.effect for each in closure.evidence] if closure else all_effects(job.document.path)
+    now = separability(searched_dwells(campaign), effects, closure.effects if closure else ())
+    planner = partial(plan_on, job.station)
+    if closure:
+        advice = advise_ties(job.document, job.plan, planner, unit, closure)
+    else:
+        advice = advise(job.document, job.plan, planner, unit, now, target_dph)
+    console().print(separability_summary(now, len(campaign), unit, target_dph, [] if closure else advice))
+    if closure:
+        console().print(
+            closure_outlook(closure, unit, now.expected_dph, tie_outlooks(closure, campaign), advice)
+        )
     path = Path(f"separability_{name}.png")
     save_figure(separability_figure(now, target_dph, name), path)
     typer.echo(f"Figure   {path}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -74,6 +75,8 @@ class Campaign:
     #: Shape (n,) each. Other numbers of the dwells, by column of the table.
     columns: Mapping[str, FloatArray] = field(default_factory=dict)
     tables: tuple[Table, ...] = ()  #: What it was read from, in the order of time; empty without files.
+    #: Shape (n, 3). Temperature of the electronics above the optics, where dwells are forecast.
+    forecast_above_optics_c: FloatArray | None = None
     #: The campaign including the dwells without a result, and which of its dwells these are.
     part_of: tuple[Campaign, BoolArray] | None = None
 
@@ -191,6 +194,8 @@ class Campaign:
 
         By the thermal network if that describes the temperatures, otherwise as measured.
         """
+        if self.forecast_above_optics_c is not None:
+            return self.forecast_above_optics_c
         if self.part_of is not None:
             whole_c = self.whole.above_optics_c
             return None if whole_c is None else whole_c[self.part_of[1]]
@@ -215,7 +220,8 @@ def campaign_of(rows: Sequence[DwellRow], record: TemperatureRecord | None = Non
     if problems := implausible(rows):
         raise MeasurementError("\n".join(["implausible:", *problems]))
     ordered = sorted(rows, key=lambda row: (row.start_s, row.dwell))
-    warm = [row for row in ordered if np.isfinite([*row.gyro_c, *row.gyro_rate_c_per_h]).all()]
+    is_warm = [bool(np.isfinite([*row.gyro_c, *row.gyro_rate_c_per_h]).all()) for row in ordered]
+    warm = list(itertools.compress(ordered, is_warm))
     good = [not row.flags and bool(np.isfinite([*row.bias_dph, *row.sigma_dph]).all()) for row in warm]
     if not any(good):
         raise MeasurementError(
@@ -255,7 +261,9 @@ def campaign_of(rows: Sequence[DwellRow], record: TemperatureRecord | None = Non
         record=record or record_of_dwells(start_s, end_s, gyro_c, rate_c_per_h),
         unit=units[0],
         held_out=np.zeros(len(warm), dtype=bool),
-        without_temperatures=tuple(row.dwell for row in ordered if row not in warm),
+        without_temperatures=tuple(
+            row.dwell for row, known in zip(ordered, is_warm, strict=True) if not known
+        ),
         azimuth_deg=gather("azimuth_deg"),
         columns=_other_columns(warm, start_s),
     )

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 import yaml
 
+from gyrobench.bench.closure.compose import Composed, law_text
 from gyrobench.bench.closure.loop import Closure, FoundEffect
 from gyrobench.bench.closure.problem import DEGREE, SCALE_C, predict
 from gyrobench.bench.foundations.arrays import FloatArray
@@ -20,11 +21,13 @@ from gyrobench.bench.foundations.files import make_folder, parse_json, read_limi
 from gyrobench.bench.navigation.positions import AXES
 
 _T = TypeVar("_T")
-_DOCUMENT = "closure.json"
+#: Name of the file with the outcome of a search.
+CLOSURE_FILE = "closure.json"
+#: Effect file of the most probable composed law.
+COMPOSED_LAW = "composed_law.yaml"
 #: Most probable hypotheses in the document.
 _HYPOTHESES = 10
 _MAX_BYTES = 100_000_000
-_WHAT_TO_DO = "Remove it and run gyrobench close again"
 PREDICTION_COLUMNS = (
     "dwell",
     *(f"bias_{axis}_before_dph" for axis in AXES),
@@ -40,22 +43,21 @@ def write_closure(folder: Path, closure: Closure) -> None:
     Raises RunFolderError if a file can't be written.
     """
     make_folder(folder)
-    write_text(folder / _DOCUMENT, json.dumps(closure_document(closure), indent=2) + "\n")
+    write_text(folder / CLOSURE_FILE, json.dumps(closure_document(closure), indent=2) + "\n")
     write_text(folder / "predictions.csv", format_predictions(closure))
     write_text(folder / "model.yaml", yaml.safe_dump(model_document(closure), sort_keys=False))
+    for law in closure.composed.laws[:1] if closure.composed else ():
+        write_text(folder / COMPOSED_LAW, law_text(law))
 
 
 def is_written(folder: Path, closure: Closure) -> bool:
-    """Whether a folder holds this search already, by any path of its tables, and rotated or not."""
-    path = folder / _DOCUMENT
-    if not path.exists():
-        return False
+    """Whether a folder holds this search already, by any path of its tables, rotated or composed or not."""
     try:
-        written = parse_json(read_limited(path, _MAX_BYTES, RunFolderError))
-    except ValueError:
+        written = _read(folder)
+    except RunFolderError:
         return False
     own = closure_document(closure)
-    return isinstance(written, dict) and written | {key: own[key] for key in ("tables", "rotation")} == own
+    return written | {key: own[key] for key in ("tables", "rotation", "composed")} == own
 
 
 def read_held_out_cycles(folder: Path) -> list[int]:
@@ -63,17 +65,45 @@ def read_held_out_cycles(folder: Path) -> list[int]:
 
     Raises RunFolderError if the file is damaged.
     """
-    path = folder / _DOCUMENT
-    if not path.exists():
+    if not (folder / CLOSURE_FILE).exists():
         return []
+    cycles = _read(folder).get("held_out_cycles")
+    if not isinstance(cycles, list) or not all(type(cycle) is int for cycle in cycles):
+        raise _damaged(folder, "it has no list held_out_cycles")
+    return cycles
+
+
+def read_tables(folder: Path) -> list[str]:
+    """Paths of the tables of an earlier search; empty for one that does not name them.
+
+    Raises RunFolderError if there is none, or its file is damaged.
+    """
+    tables = _read(folder).get("tables", [])
+    try:
+        return [str(table["path"]) for table in tables]
+    except (TypeError, KeyError) as error:
+        raise _damaged(folder, "its list tables has no paths") from error
+
+
+def _read(folder: Path) -> dict[str, Any]:
+    path = folder / CLOSURE_FILE
+    if not path.exists():
+        raise RunFolderError(
+            f"{folder}: there is no {CLOSURE_FILE}. Give a folder that gyrobench close wrote"
+        )
     try:
         content = parse_json(read_limited(path, _MAX_BYTES, RunFolderError))
     except ValueError as error:
-        raise RunFolderError(f"{path}: the file is damaged: {error}. {_WHAT_TO_DO}") from error
-    cycles = content.get("held_out_cycles") if isinstance(content, dict) else None
-    if not isinstance(cycles, list) or not all(type(cycle) is int for cycle in cycles):
-        raise RunFolderError(f"{path}: the file is damaged: it has no list held_out_cycles. {_WHAT_TO_DO}")
-    return cycles
+        raise _damaged(folder, str(error)) from error
+    if not isinstance(content, dict):
+        raise _damaged(folder, "it is not a JSON object")
+    return content
+
+
+def _damaged(folder: Path, reason: str) -> RunFolderError:
+    return RunFolderError(
+        f"{folder / CLOSURE_FILE}: the file is damaged: {reason}. Remove it and run gyrobench close again"
+    )
 
 
 def closure_document(closure: Closure) -> dict[str, Any]:
@@ -95,6 +125,7 @@ def closure_document(closure: Closure) -> dict[str, Any]:
             }
             for each in closure.posterior.hypotheses[:_HYPOTHESES]
         ],
+        "composed": None if closure.composed is None else _composed(closure.composed),
         "remainder_shown_from_dph": {
             name: size if math.isfinite(size) else None for name, size in closure.detectable_dph.items()
         },
@@ -151,6 +182,33 @@ def closure_document(closure: Closure) -> dict[str, Any]:
 
 def _known(value: float) -> float | None:
     return None if math.isnan(value) else value
+
+
+def _composed(found: Composed) -> dict[str, Any]:
+    return {
+        "status": "empirical: hypotheses until cycles of other runs confirm them",
+        "laws_tried": found.tried,
+        "drivers": found.of_driver,
+        "other": found.other,
+        "laws": [
+            {
+                "driver": law.file.driver,
+                "shape": law.file.shape,
+                "memory": law.file.memory,
+                "factor": law.file.factor,
+                "parameters": {
+                    parameter.name: value
+                    for parameter, value in zip(
+                        law.candidate.form.parameters, law.candidate.values, strict=True
+                    )
+                },
+                "probability": law.probability,
+                "error_after_dph": law.error_after_dph,
+                "statement": law.file.statement,
+            }
+            for law in found.laws
+        ],
+    }
 
 
 def format_predictions(closure: Closure) -> str:

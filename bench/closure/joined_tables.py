@@ -11,7 +11,7 @@ import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign, Table
 from gyrobench.bench.closure.temperatures import TemperatureRecord
-from gyrobench.bench.foundations.arrays import IntArray
+from gyrobench.bench.foundations.arrays import FloatArray, IntArray
 from gyrobench.bench.foundations.errors import MeasurementError
 
 #: Time from the end of a table to the power-on of the next one where no common clock is known.
@@ -172,27 +172,30 @@ def _together(parts: Sequence[Campaign], tables: Sequence[Table]) -> Campaign:
     arrays: dict[str, Any] = {
         each.name: np.concatenate([getattr(whole, each.name) for whole in wholes])
         for each in fields(Campaign)
-        if isinstance(getattr(wholes[0], each.name), np.ndarray)
-    }
-    names = dict.fromkeys(name for whole in wholes for name in whole.columns)
-    columns = {
-        name: np.concatenate([whole.columns.get(name, np.full(len(whole), np.nan)) for whole in wholes])
-        for name in names
+        if each.name != "azimuth_deg" and isinstance(getattr(wholes[0], each.name), np.ndarray)
     }
     together = replace(
         wholes[-1],
         **arrays,
         position=tuple(name for whole in wholes for name in whole.position),
         record=TemperatureRecord.joined([whole.record for whole in wholes]),
+        azimuth_deg=np.concatenate([_known(whole, whole.azimuth_deg) for whole in wholes]),
+        columns={
+            name: np.concatenate([_known(whole, whole.columns.get(name)) for whole in wholes])
+            for name in dict.fromkeys(name for whole in wholes for name in whole.columns)
+        },
         without_temperatures=tuple(
             number + table.added
             for whole, table in zip(wholes, tables, strict=True)
             for number in whole.without_temperatures
         ),
         tables=tuple(tables),
-        columns=columns,
     )
     good = np.concatenate(
         [np.ones(len(each), dtype=bool) if each.part_of is None else each.part_of[1] for each in parts]
     )
     return together if good.all() else together.part(good)
+
+
+def _known(whole: Campaign, values: FloatArray | None) -> FloatArray:
+    return np.full(len(whole), np.nan) if values is None else values

@@ -11,6 +11,7 @@ import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate, Hypothesis, solve_with
+from gyrobench.bench.closure.compose import Composed, compose
 from gyrobench.bench.closure.confounding import confounding
 from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.effect import Effect, Parameter
@@ -149,6 +150,7 @@ class Closure:
     #: declared_draws, model_draws: Draws of the parameters of both models.
     declared_draws: Draws
     model_draws: Draws
+    composed: Composed | None = None  #: Laws composed from the grammar; None if that was not asked for.
     rotation: tuple[Turn, ...] = ()  #: Each cycle held out in turn; empty if that was not asked for.
 
     @property
@@ -244,7 +246,12 @@ def close_loop(
     return Closure(
         campaign=campaign,
         searched=searched,
-        verdict=_verdict(found, after, weighed, is_better=error_after < error_before),
+        verdict=_verdict(
+            found,
+            after,
+            weighed,
+            is_confirmed=error_after < error_before and not _is_circular(campaign, searched, found),
+        ),
         posterior=weighed,
         detectable_dph=detectable_dph(selected.with_effects),
         effects=_found_effects(search, found, model, model_draws, weighed),
@@ -263,6 +270,14 @@ def close_loop(
         declared_draws=declared_draws,
         model_draws=model_draws,
     )
+
+
+def composed(closure: Closure) -> Closure:
+    """Same closure with laws composed from the grammar of effects, where it is unexplained."""
+    if closure.verdict != "unexplained":
+        return closure
+    problem = closure.noise.problem(closure.campaign, closure.searched)
+    return replace(closure, composed=compose(problem, [each.candidate for each in closure.effects]))
 
 
 def rotated(closure: Closure) -> Closure:
@@ -309,13 +324,19 @@ def _searched(campaign: Campaign, hold_out_cycles: Sequence[int]) -> BoolArray:
     return searched
 
 
-def _verdict(found: Hypothesis, after: LackOfFit, weighed: Posterior, *, is_better: bool) -> str:
+def _verdict(found: Hypothesis, after: LackOfFit, weighed: Posterior, *, is_confirmed: bool) -> str:
     if after.is_significant or weighed.not_on_list > 0.5:
         return "unexplained"
     if not found.candidates:
         return "clean"
     is_settled = weighed.of_set(found.names, has_remainder=False) >= EXPLAINED
-    return "explained" if is_settled and is_better else "ambiguous"
+    return "explained" if is_settled and is_confirmed else "ambiguous"
+
+
+def _is_circular(campaign: Campaign, searched: BoolArray, found: Hypothesis) -> bool:
+    """Whether a law composed from the held-out runs themselves is among the effects found."""
+    held_out = {campaign.run_names[run] for run in campaign.run[~searched]}
+    return any(held_out & set(each.effect.composed_from) for each in found.candidates)
 
 
 def _found_effects(

@@ -52,6 +52,8 @@ class Weighed:
     names: frozenset[str]  #: Effects.
     has_remainder: bool  #: Whether something that is not on the list is added.
     probability: float  #: Posterior.
+    #: The effects as fitted; of one that can't be fitted, the one that imitates it.
+    candidates: tuple[Candidate, ...]
 
 
 @dataclass(frozen=True)
@@ -142,13 +144,13 @@ class Evidences:
         for each in hypotheses:
             weights = self.weights(each)
             sets = (each.names, *_imitating(each, self._effects, self._problem.campaign))
-            found += [(names, *weights) for names in sets]
-        whole = logsumexp(np.concatenate([[alone, *processes] for _, alone, processes in found]))
-        follows = np.exp(logsumexp(np.array([processes for _, _, processes in found]), axis=0) - whole)
+            found += [(names, each.candidates, *weights) for names in sets]
+        whole = logsumexp(np.concatenate([[alone, *processes] for *_, alone, processes in found]))
+        follows = np.exp(logsumexp(np.array([processes for *_, processes in found]), axis=0) - whole)
         weighed = []
-        for names, alone, processes in found:
-            weighed.append(Weighed(names, False, math.exp(alone - whole)))
-            weighed.append(Weighed(names, True, math.exp(logsumexp(processes) - whole)))
+        for names, candidates, alone, processes in found:
+            weighed.append(Weighed(names, False, math.exp(alone - whole), candidates))
+            weighed.append(Weighed(names, True, math.exp(logsumexp(processes) - whole), candidates))
         return Posterior(
             tuple(sorted(weighed, key=lambda each: -each.probability)),
             dict(zip(self.processes, (follows / follows.sum()).tolist(), strict=True)),

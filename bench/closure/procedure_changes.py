@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
+from gyrobench.bench.closure.loop import Closure
+from gyrobench.bench.closure.outlook import tie_outlooks
 from gyrobench.bench.closure.planned_campaign import PlannedUnit, planned_campaign
 from gyrobench.bench.closure.separability import Separability, searched_dwells, separability
 from gyrobench.bench.foundations.documents import Document
@@ -345,6 +347,30 @@ def advise(
     if hidden or pairs:
         advice.append(Advice((), 0.0, tuple(sorted(hidden)), tuple(sorted(pairs))))
     return advice
+
+
+def advise_ties(
+    document: Document, plan: Plan, planner: Planner, unit: PlannedUnit, closure: Closure
+) -> list[Advice]:
+    """Find the smallest change after which each tie of a closure is expected to be settled.
+
+    As :func:`advise`; the dwells of the closure count too.
+    """
+    open_ties = {
+        (each.found, each.other)
+        for each in tie_outlooks(closure, planned_campaign(plan, unit))
+        if not each.is_settled
+    }
+    advice = []
+    for what, added_h, changed_plan, changed_unit in _changed(document, plan, planner, unit):
+        if not open_ties:
+            break
+        after = tie_outlooks(closure, planned_campaign(changed_plan, changed_unit))
+        settled = {(each.found, each.other) for each in after if each.is_settled} & open_ties
+        if settled:
+            advice.append(Advice(what, added_h, (), tuple(sorted(settled))))
+            open_ties -= settled
+    return [*advice, Advice((), 0.0, (), tuple(sorted(open_ties)))] if open_ties else advice
 
 
 def _changed(

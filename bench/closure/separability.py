@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 
 import numpy as np
@@ -25,6 +25,7 @@ from scipy.special import chdtri, chndtr
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import TIE_MARGIN, bic_penalty, start_count
 from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter
+from gyrobench.bench.closure.loop import FoundEffect
 from gyrobench.bench.closure.problem import Problem, declared_problem
 from gyrobench.bench.closure.search import SAME_SHARE, SIGNIFICANCE
 from gyrobench.bench.foundations.arrays import FloatArray
@@ -193,6 +194,8 @@ class Separability:
     distinguished_dph: Mapping[tuple[str, str], float]
     #: Largest canonical correlation of the terms of two effects for any gyro, typical values.
     correlation: Mapping[tuple[str, str], float]
+    #: Size that effects found by a closure have in these dwells, by name; others have a target size.
+    expected_dph: Mapping[str, float] = field(default_factory=dict)
 
     def nearest_alternative(self, name: str) -> tuple[str, float] | None:
         """Effect hardest to distinguish from one, and the smallest size at which it is; None without any."""
@@ -203,8 +206,12 @@ class Separability:
         return nearest, sizes[nearest]
 
     def not_found(self, target_dph: float) -> list[str]:
-        """Effects that are not found at a size."""
-        return [each.effect.name for each in self.detections if each.typical_dph > target_dph]
+        """Effects that are not found at a size, or at the expected one."""
+        return [
+            name
+            for each in self.detections
+            if each.typical_dph > self.expected_dph.get(name := each.effect.name, target_dph)
+        ]
 
     def not_distinguished(self, target_dph: float) -> list[tuple[str, str]]:
         """Pairs of effects, each once, of which one is found at a size but mistaken for the other."""
@@ -213,14 +220,16 @@ class Separability:
             {
                 (min(present, other), max(present, other))
                 for (present, other), size in self.distinguished_dph.items()
-                if size > target_dph and present not in hidden
+                if size > self.expected_dph.get(present, target_dph) and present not in hidden
             }
         )
 
     def is_settled(self, name: str, target_dph: float) -> bool:
         """Whether an effect of a size is found and distinguished from all others."""
         return name not in self.not_found(target_dph) and all(
-            size <= target_dph for (present, _), size in self.distinguished_dph.items() if present == name
+            size <= self.expected_dph.get(name, target_dph)
+            for (present, _), size in self.distinguished_dph.items()
+            if present == name
         )
 
     def distinguished_both_ways_dph(self, pair: tuple[str, str]) -> float:
@@ -236,14 +245,26 @@ def searched_dwells(campaign: Campaign) -> Campaign:
     return campaign.part(searched) if searched.any() else campaign
 
 
-def separability(campaign: Campaign, effects: Sequence[Effect]) -> Separability:
+def separability(
+    campaign: Campaign, effects: Sequence[Effect], found: Sequence[FoundEffect] = ()
+) -> Separability:
     """Evaluate which effects a campaign could find and distinguish.
 
-    All dwells of the campaign are searched; its biases are not used.
+    All dwells of the campaign are searched; its biases are not used. ``found``: effects of a closure, which
+    are assumed with the parameters and sizes that were fitted; of others all sizes are alike.
     """
     problem = declared_problem(campaign, np.ones(len(campaign), dtype=bool))
     effects = [effect.bounded(campaign) for effect in effects]
     assumed = {effect.name: assumed_effects(problem, effect) for effect in effects}
+    expected_dph = {}
+    for each in found:
+        columns = each.candidate.columns(campaign)
+        bias_dph = np.einsum("ngk,gk->ng", columns, each.sizes_dph)[:, :, np.newaxis]
+        parts = _independent_part(problem, unit_parts(bias_dph))
+        expected_dph[each.effect.name] = float(np.sqrt(np.mean((bias_dph - bias_dph.mean(axis=0)) ** 2)))
+        if np.any(parts):
+            terms = _independent_part(problem, columns)
+            assumed[each.effect.name].insert(0, AssumedEffect(len(each.candidate.values), terms, parts))
     typical = {name: each[0] for name, each in assumed.items() if each}
     detections = {each.name: _detection(problem, each, assumed[each.name], effects) for each in effects}
     fits = {effect.name: alternative_fits(problem, effect) for effect in effects if effect.name in typical}
@@ -254,6 +275,10 @@ def separability(campaign: Campaign, effects: Sequence[Effect]) -> Separability:
             size_dph = _distinguished_dph(problem, present, own, fits[other])
             distinguished[one, other] = max(detections[one].typical_dph, size_dph)
             correlation[one, other] = _correlation(present, typical[other])
+    for effect in effects:
+        for other in effect.imitated_by if effect.name in typical else ():
+            if other in detections and detections[other].missing_input:
+                distinguished[effect.name, other], correlation[effect.name, other] = np.inf, 1.0
     return Separability(
         campaign,
         tuple(
@@ -262,6 +287,7 @@ def separability(campaign: Campaign, effects: Sequence[Effect]) -> Separability:
         ),
         distinguished,
         correlation,
+        expected_dph,
     )
 
 

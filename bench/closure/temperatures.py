@@ -42,7 +42,9 @@ class TemperatureRecord:
             np.concatenate([getattr(part, name)[mine] for part, mine in zip(parts, own, strict=True)])
             for name in ("time_s", "gyro_c")
         )
-        return cls(time_s, gyro_c, any(part.is_of_dwells for part in parts), parts=tuple(parts))
+        air = [part.air_c[mine] for part, mine in zip(parts, own, strict=True) if part.air_c is not None]
+        air_c = np.concatenate(air) if len(air) == len(parts) else None
+        return cls(time_s, gyro_c, any(part.is_of_dwells for part in parts), air_c, tuple(parts))
 
     def mean_over(self, values: FloatArray, start_s: FloatArray, end_s: FloatArray) -> FloatArray:
         """Mean of values at the record's times (m, 3) from each start to each end, shape (n, 3)."""

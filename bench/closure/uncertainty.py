@@ -23,8 +23,8 @@ from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 
 #: Draws, places of the nonlinear parameters among them, and how many of those are sought within all bounds.
 DRAWS, _NODES, _IN_BOX = 256, 128, 16
-#: Prior standard deviation of the ratio of the noise to the stated uncertainties.
-_PRIOR_SCALE = 0.1
+#: Prior standard deviation of the logarithm of the noise over the stated uncertainties.
+_PRIOR_SCALE = 0.3
 #: Degrees of freedom of the t distribution that proposes values.
 _TAILS = 4.0
 #: Rise of chi2 that measures the width of a parameter's distribution.

@@ -11,16 +11,18 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.closure.campaign import Campaign, Table, campaign_of
+from gyrobench.bench.closure.files import CLOSURE_FILE, read_held_out_cycles, read_tables
 from gyrobench.bench.closure.joined_tables import Source, joined
 from gyrobench.bench.closure.temperatures import TemperatureRecord
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.foundations.errors import MeasurementError, RunFolderError
 from gyrobench.bench.navigation.positions import AXES
-from gyrobench.bench.runs.folder import open_run_folder
+from gyrobench.bench.runs.folder import RunFolder, open_run_folder
 from gyrobench.bench.runs.provenance import read_provenance, started_utc
 from gyrobench.bench.runs.telemetry import read_telemetry
 
 if TYPE_CHECKING:
+    from gyrobench.bench.closure.loop import Closure
     from gyrobench.bench.closure.planned_campaign import PlannedUnit
     from gyrobench.bench.foundations.documents import Document
     from gyrobench.bench.procedure.plan import Plan
@@ -67,6 +69,30 @@ def _source(path: Path) -> Source:
         raise MeasurementError(f"{table}: {error}") from error
 
 
+def read_closure(folder: Path) -> Closure:
+    """Repeat the search of which the files are in a folder, on its tables.
+
+    ``folder``: as ``gyrobench close`` writes it, or the run folder that it is in. Tables that are not at
+    their path are looked for beside the folder. Raises RunFolderError if there is no search, it is damaged,
+    or its tables are missing; DocumentError or MeasurementError if the tables can't be used.
+    """
+    from gyrobench.bench.closure.loop import close_loop
+
+    folder = folder if (folder / CLOSURE_FILE).exists() else RunFolder(folder).closure
+    beside = RunFolder(folder.parent)
+    own = beside.path if beside.journal.exists() else beside.dwells
+    names = read_tables(folder) or [str(own)]
+    paths = []
+    for path in map(Path, names):
+        places = [path, beside.path / path.name, *([own] if len(names) == 1 else [])]
+        if not any(place.exists() for place in places):
+            raise RunFolderError(
+                f"{folder}: the table searched, {path}, is not there. Repeat gyrobench close"
+            )
+        paths.append(next(place for place in places if place.exists()))
+    return close_loop(read_campaign(*paths), read_held_out_cycles(folder))
+
+
 def temperature_record(telemetry: Mapping[str, FloatArray]) -> TemperatureRecord | None:
     """Make a record of a run's readings at equal steps; None where a gyro's temperature was not read.
 
@@ -74,16 +100,22 @@ def temperature_record(telemetry: Mapping[str, FloatArray]) -> TemperatureRecord
     """
     time_s = telemetry["time_s"]
     readings = [telemetry[f"gyro_{axis}_c"] for axis in AXES]
+    readings += [telemetry["chamber_c"]] if np.isfinite(telemetry["chamber_c"]).sum() >= _MIN_SAMPLES else []
     valid = [np.isfinite(each) for each in readings]
     if any(np.count_nonzero(each) < _MIN_SAMPLES for each in valid):
         return None
     first_s, last_s = float(time_s[0]), float(time_s[-1])
     steps = min(max(round((last_s - first_s) / _STEP_S), 1), _MAX_STEPS)
     even_s = np.linspace(first_s, last_s, steps + 1)
-    gyro_c = [
-        np.interp(even_s, time_s[known], values[known]) for values, known in zip(readings, valid, strict=True)
-    ]
-    return TemperatureRecord(even_s, np.stack(gyro_c, axis=1))
+    even_c = np.stack(
+        [
+            np.interp(even_s, time_s[known], values[known])
+            for values, known in zip(readings, valid, strict=True)
+        ],
+        axis=1,
+    )
+    air_c = even_c[:, 3] if len(readings) > len(AXES) else None
+    return TemperatureRecord(even_s, even_c[:, :3], air_c=air_c)
 
 
 def planned_unit(station: Station) -> PlannedUnit:
@@ -98,7 +130,7 @@ def planned_unit(station: Station) -> PlannedUnit:
     if noise == "estimated":
         return unit
     walk = noise.angle_random_walk_deg_per_sqrt_h
-    return replace(unit, angle_random_walk_deg_per_sqrt_h=walk, is_noise_declared=True)
+    return replace(unit, angle_random_walk_deg_per_sqrt_h=walk, noise_source="declared by the station")
 
 
 def plan_on(station: Station, document: Document) -> Plan:

@@ -117,3 +117,14 @@ def temperature_ranges(bins: Iterable[BiasBin | PositionComparison]) -> str:
 def true_minus(text: str) -> str:
     """Text with minus signs in place of hyphens."""
     return text.replace("-", "−")
+
+
+_PLAIN_POWER, _LARGEST_POWER = 3.0, 12.0
+
+
+def odds_text(log_odds: float) -> str:
+    """Write odds, given twice their logarithm: "20 to 1", "10^7 to 1", ">10^12 to 1"."""
+    power = log_odds / (2.0 * math.log(10.0))
+    if power < _PLAIN_POWER:
+        return f"{10.0**power:.0f} to 1"
+    return f"10^{power:.0f} to 1" if power <= _LARGEST_POWER else f">10^{_LARGEST_POWER:.0f} to 1"

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.loop import close_loop
-from tests.benchmarks.closure_laws import ON_NO_LIST, ON_THE_LIST
+from gyrobench.bench.closure.loop import close_loop, composed
+from tests.benchmarks.closure_laws import COMPOSED, ON_NO_LIST, ON_THE_LIST
 from tests.benchmarks.closure_units import NOISES, make_unit, shape_known_error_dph
 
 #: Of twenty units in a row.
@@ -23,8 +23,10 @@ GROUPS = (
     *["clean"] * 3, *["clean, hard noise"] * 2, *["one"] * 7, *["two"] * 3, "three",
     *["unknown, 0.3 to 1 sigma"] * 2, *["unknown, 1 to 10 sigma"] * 2,
 )  # fmt: skip
+#: Units from this number on have a law of the grammar of effects that is on no list.
+FIRST_COMPOSED, LAW = 1_000_000, "unknown, composed law"
 LOOKS = 10
-#: The second has the first as one of its terms.
+#: Heat flows; the second has the first as one of its terms.
 CONTAINED = {"thermal_gradient", "attitude_thermal"}
 _CAMPAIGNS = {
     "ageing": {"design": "power cycles", "cycles": 5},
@@ -37,6 +39,9 @@ WITHIN_95 = 1.959964
 def drawn(seed):
     """Group of a unit, and how it is made."""
     draw = np.random.default_rng([seed, 19])
+    if seed >= FIRST_COMPOSED:
+        kind, size = [*COMPOSED][seed % len(COMPOSED)], float(draw.uniform(3.0, 10.0))
+        return LAW, {"effects": [kind], "sizes": [size], "noise": NOISES[0], "candidates_own": True}
     group = GROUPS[seed % len(GROUPS)]
     count = {"one": 1, "two": 2, "three": 3}.get(group, 1 if group.startswith("unknown") else 0)
     names = [*(ON_NO_LIST if group.startswith("unknown") else ON_THE_LIST)]
@@ -71,8 +76,7 @@ def examined(seed):
         "group": group,
         **options,
         "design": truth.design,
-        "has_own_laws": all(each.sizes_dph is not None for each in truth.parts)
-        and bool(np.isfinite(closure.campaign.whole.board_c).all()),
+        "has_own_laws": _has_own_laws(closure, truth),
         "verdict": closure.verdict,
         "found": found,
         "tied": {each.effect.name: list(each.tied_with) for each in closure.effects},
@@ -89,10 +93,21 @@ def examined(seed):
         "inside": _inside(closure, truth),
         "took_s": took_s,
     }
+    if group == LAW:
+        laws = composed(closure).composed
+        result["drivers"] = dict([*laws.of_driver.items()][:3]) if laws else {}
     if group.startswith("unknown") and closure.verdict == "explained":
         longer = close_loop(campaign_of(make_unit(seed, **options, looks=LOOKS)[0]))
         result["longer"] = [longer.verdict, sorted(each.effect.name for each in longer.effects)]
     return result
+
+
+def _has_own_laws(closure, truth):
+    """Whether each effect of the unit is exactly one that was fitted; without boards a heat flow is not."""
+    fitted = {each.effect.name for each in closure.evidence if not each.missing_input}
+    own = all(each.sizes_dph is not None and each.kind in fitted for each in truth.parts)
+    has_boards = bool(np.isfinite(closure.campaign.whole.board_c).all())
+    return own and (has_boards or not truth.kinds & CONTAINED)
 
 
 def _probabilities(closure):

@@ -199,7 +199,6 @@ _DRIVERS = {
     "above_optics_k": lambda c: c.board_c - c.optics_c,
     "case_c": lambda c: c.case_c[:, None],
     "chamber_c": lambda c: c.air_c[:, None],
-    "supply_w": lambda c: 30.0 * c.power[:, None],
     "room_c": lambda c: c.room_c[:, None],
 }
 

@@ -95,11 +95,12 @@ class Effect:
     compensation: Callable[[FittedForm], InsTerms] = NO_INS_TERM  #: How the INS compensates it.
     label: str = ""  #: Displayed in place of the name; by default the name with spaces.
     may_imitate: Callable[[Campaign], bool] = always  #: In which campaigns it may imitate another effect.
+    composed_from: tuple[str, ...] = ()  #: Runs that an empirical law was composed from.
 
     @property
     def display_name(self) -> str:
         """Name on pages and in the terminal."""
-        return self.label or plain_name(self.name)
+        return f"{self.label or plain_name(self.name)}{' (empirical)' if self.composed_from else ''}"
 
     def bounded(self, campaign: Campaign) -> Effect:
         """Same effect with the bounds of its parameters in a campaign."""

@@ -55,7 +55,9 @@ class EffectFile(StrictModel):
     imitated_by: list[str] = Field(
         [], description="effects that may be present in its place where they can't be fitted"
     )
-    empirical: bool = Field(False, description="a law composed from data, to be confirmed by a new cycle")
+    composed_from: list[str] = Field(
+        [], description="runs that the law was composed from: it is confirmed by held-out dwells of others"
+    )
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -106,7 +108,8 @@ class EffectFile(StrictModel):
             tuple(form_of(law, name=name) for name, law in laws.items()),
             tuple(self.imitated_by),
             partial(ins_terms, laws),
-            f"{self.label or self.effect.replace('_', ' ')}{' (empirical)' if self.empirical else ''}",
+            self.label,
+            composed_from=tuple(self.composed_from),
         )
 
 

@@ -53,8 +53,10 @@ class Law:
         """Terms (n, 3, k) in all dwells at values of the parameters."""
         count = len(SHAPES[self.shape].parameters)
         shaped = partial(self._shaped, values=values[:count])
-        if self.memory == "none":
+        if self.memory == "none" and (self.shape == "linear" or self.driver == "constant"):
             terms = shaped(driver_values(self.driver, campaign))
+        elif self.memory == "none":
+            terms = self._curved(campaign, shaped)
         elif self.driver in EVENTS:
             mean = _mean_decay(campaign, EVENTS[self.driver](campaign), *values[count:])
             terms = shaped(np.repeat(mean[:, np.newaxis], 3, axis=1))
@@ -89,6 +91,19 @@ class Law:
         return tuple(f"{each} by gravity along {AXES[axis]}" for each in shaped for axis in axes) or (
             *shaped,
         )
+
+    def _curved(
+        self, campaign: Campaign, shaped: Callable[[FloatArray], list[FloatArray]]
+    ) -> list[FloatArray]:
+        """Means of the shape over the dwells: that of their means, and what the course within them adds."""
+        course = _course(self.driver, campaign)
+        mean = partial(campaign.record.mean_over, start_s=campaign.start_s, end_s=campaign.end_s)
+        terms = zip(
+            shaped(driver_values(self.driver, campaign)), shaped(course), shaped(mean(course)), strict=True
+        )
+        return [
+            of_mean + mean(over_course) - of_course_mean for of_mean, over_course, of_course_mean in terms
+        ]
 
     def _shaped(self, state: FloatArray, values: tuple[float, ...]) -> list[FloatArray]:
         if self.shape == "polynomial":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from textwrap import fill
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -36,6 +37,8 @@ _S_PER_H, _PERCENT = 3600.0, 100.0
 _MARGIN, _POINT_SIZE, _BAR_HEIGHT_IN, _MAX_POWER = 1.1, 2.2, 0.27, 12.0
 #: Share of a position's width over which its dwells are spread, in the order of time.
 _SPREAD = 0.7
+#: Characters in a line of a label below one of three panels.
+_LABEL_WIDTH = 32
 _BINS_C, _MAX_BINS = (5.0, 10.0, 20.0, 50.0), 12
 
 
@@ -191,7 +194,7 @@ def closure_effect_figure(closure: Closure, found: FoundEffect) -> Figure:
     }
     scale = scale_of_errors(closure)
     figure = new_figure(3.1, layout=None)
-    margins = {"left": 0.09, "right": 0.99, "bottom": 0.25, "top": 0.84, "wspace": 0.06}
+    margins = {"left": 0.1, "right": 0.99, "bottom": 0.29, "top": 0.84, "wspace": 0.06}
     all_axes = figure.subplots(1, len(AXES), sharey=True, gridspec_kw=margins)
     for axis, (axes, gyro) in enumerate(zip(all_axes, AXES, strict=True)):
         axes.set_title(gyro_label(gyro))
@@ -201,7 +204,7 @@ def closure_effect_figure(closure: Closure, found: FoundEffect) -> Figure:
             continue
         noise = rms(noise_dph(closure)[:, axis])
         _draw(axes, parts[axis], rest_dph[:, axis], noise, scale, closure.searched, gyro)
-    all_axes[0].set_ylabel(f"partial residual / ({scale.unit})")
+    figure.supylabel(f"partial residual / ({scale.unit})", x=0.005, fontsize=9)
     first = all_axes[min(parts)]
     figure.suptitle(found.effect.display_name.capitalize(), fontsize=9)
     figure.legend(*first.get_legend_handles_labels(), loc="lower center", ncols=4)
@@ -241,7 +244,7 @@ def _draw(
     )
     draw_dwells(axes, main.along, values, searched, gyro)
     axes.plot(along, line, color="black", linewidth=1.0, label="fit")
-    axes.set_xlabel(main.label, fontsize=8)
+    axes.set_xlabel(fill(main.label, _LABEL_WIDTH), fontsize=8)
 
 
 @house_style

@@ -66,7 +66,7 @@ _COLOURS = {"clean": "finished", "explained": "finished", "ambiguous": "stopped"
 
 def closure_sections(closure: Closure) -> list[Section]:
     """All parts: residual, effects, alternatives, held-out error, rotation, lack of fit."""
-    parts = (_residual, _effects, _alternatives, _error, _rotation, _lack_of_fit)
+    parts = (_residual, _effects, _composed, _alternatives, _error, _rotation, _lack_of_fit)
     return [section for part in parts if (section := part(closure))]
 
 
@@ -108,6 +108,17 @@ def _effects(closure: Closure) -> Section | None:
     return Section(
         title, text.effect_sentences(closure), figures, [effects, _sizes(closure), *_parameters(closure)]
     )
+
+
+def _composed(closure: Closure) -> Section | None:
+    if closure.composed is None:
+        return None
+    table = SectionTable(
+        f"Composed laws, of {closure.composed.tried} tried; the best one is composed_law.yaml",
+        *text.composed_table(closure),
+        words=3,
+    )
+    return Section("Composed laws (empirical)", [text.COMPOSED], [], [table])
 
 
 def _sizes(closure: Closure) -> SectionTable:

@@ -7,7 +7,9 @@ from rich.text import Text
 
 from gyrobench.bench.closure.loop import Closure
 from gyrobench.bench.report.closure.closure_text import (
+    COMPOSED,
     chain,
+    composed_table,
     effect_table,
     evidence_caption,
     evidence_table,
@@ -34,6 +36,10 @@ def closure_summary(closure: Closure) -> RenderableType:
         title = f"Effects found, size rms in {scale_of_errors(closure).unit}"
         headers, rows = effect_table(closure)
         parts += [Text(title, style="bold"), plain_table(headers, 4, rows), Text()]
+    if closure.composed:
+        headers, rows = composed_table(closure)
+        parts += [Text("Composed laws (empirical)", style="bold"), plain_table(headers, 3, rows)]
+        parts += [Text(COMPOSED), Text()]
     headers, rows = evidence_table(closure)
     parts += [Text("Candidate effects", style="bold"), plain_table(headers, 2, rows)]
     parts += [Text(f"{evidence_caption(closure)}."), Text()]

@@ -17,7 +17,7 @@ from gyrobench.bench.closure.search import SIGNIFICANCE
 from gyrobench.bench.closure.validation import LACK_OF_FIT_P, measured_minus
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.text import counted, listed, with_sigma
-from gyrobench.bench.report.number_format import BiasScale, p_text
+from gyrobench.bench.report.number_format import BiasScale, odds_text, p_text
 
 _VISIBLE_NOISE_SCALE = 1.005
 _S_PER_H = 3600.0
@@ -26,7 +26,6 @@ _EVEN = 2.0 * math.log(2.0)
 _NEARLY_ALL, _ALL = 98.5, 100.0
 #: Largest probability that is written, and the smallest of an effect that a sentence names.
 _NEARLY_CERTAIN, _WORTH_STATING = 0.999, 0.005
-_PLAIN_POWER, _LARGEST_POWER = 3.0, 12.0
 
 
 def residuals_dph(closure: Closure, model: Solution) -> FloatArray:
@@ -116,14 +115,6 @@ def p_phrase(p_value: float) -> str:
     """Write a p-value in a sentence: "p = 0.02", "p < 1e-9"."""
     text = p_text(p_value)
     return f"p < {text[1:]}" if text.startswith("<") else f"p = {text}"
-
-
-def odds_text(log_odds: float) -> str:
-    """Write odds, given twice their logarithm: "20 to 1", "10^7 to 1", ">10^12 to 1"."""
-    power = log_odds / (2.0 * math.log(10.0))
-    if power < _PLAIN_POWER:
-        return f"{10.0**power:.0f} to 1"
-    return f"10^{power:.0f} to 1" if power <= _LARGEST_POWER else f">10^{_LARGEST_POWER:.0f} to 1"
 
 
 def gains_text(gains: dict[int, float]) -> str:
@@ -496,3 +487,29 @@ def evidence_caption(closure: Closure) -> str:
 
 def _labels(closure: Closure, names: Iterable[str]) -> str:
     return listed([closure.label(name) for name in names])
+
+
+#: What a composed law is.
+COMPOSED = (
+    "Laws composed from the grammar of effects, fitted beside the effects found. They are empirical: "
+    "hypotheses from the data that they explain, until cycles of other runs confirm them."
+)
+
+
+def composed_table(closure: Closure) -> tuple[list[str], list[list[str]]]:
+    """Composed laws, most probable first, and what no law describes: header and rows."""
+    scale, composed = scale_of_errors(closure), closure.composed
+    if composed is None:
+        return [], []
+    rows = [
+        [
+            law.follows,
+            law.file.shape,
+            law.file.memory,
+            f"{law.probability:.2f}",
+            scale.text(law.error_after_dph),
+        ]
+        for law in composed.laws
+    ]
+    rows.append(["no law of the grammar", "", "", f"{composed.other:.2f}", ""])
+    return ["bias follows", "shape", "memory", "P", f"held-out error, {scale.unit}"], rows

@@ -3,24 +3,29 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Sequence
+import math
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from gyrobench.bench.closure.loop import Closure
+from gyrobench.bench.closure.outlook import TieOutlook
 from gyrobench.bench.closure.planned_campaign import PlannedUnit
+from gyrobench.bench.closure.posterior import TIE_ODDS
 from gyrobench.bench.closure.procedure_changes import Advice
 from gyrobench.bench.closure.separability import POWER, Detection, Separability
 from gyrobench.bench.foundations.text import counted, listed
+from gyrobench.bench.report.number_format import odds_text
 from gyrobench.bench.report.terminal.tables import titled_table
 
 _MAX_INFLATION = 1000.0
 _COLUMNS = (
-    f"found from: smallest size found with {POWER:.0%} probability, for the middle values of the effect's "
-    "parameters; at worst: for the worst values. variance: variance inflation by the other effects, fitted "
-    "beside it. distinguished: smallest size at which it is distinguished from its nearest alternative."
+    f"found: smallest size found with {POWER:.0%} probability, for the middle values of the effect's "
+    "parameters; worst: for the worst values. VIF: variance inflation by the other effects, fitted beside "
+    "it. distinct: smallest size at which it is distinguished from its nearest alternative."
 )
 
 
@@ -55,6 +60,67 @@ def separability_summary(
     return Group(*parts)
 
 
+def closure_outlook(
+    closure: Closure,
+    unit: PlannedUnit,
+    expected_dph: Mapping[str, float],
+    ties: Sequence[TieOutlook],
+    advice: Sequence[Advice],
+) -> RenderableType:
+    """Ties of a closure, the odds expected after the plan, and procedure changes that settle them.
+
+    ``expected_dph``: sizes of the effects found in the dwells of the plan.
+    """
+    rms_k = unit.thermal.rms_k if unit.thermal else None
+    fitted = "are those of a typical unit" if rms_k is None else f"fit its dwells within {rms_k:.2g} K rms"
+    sizes = listed([f"{name} {_size(size_dph)}" for name, size_dph in expected_dph.items()]) or "none"
+    parts: list[RenderableType] = [
+        Text("What the plan decides of the search", style="bold"),
+        Text(
+            f"The search: {closure.verdict}. Effects found, with their sizes in the plan's dwells: {sizes}. "
+            f"The temperatures of the unit {fitted}."
+        ),
+    ]
+    if not ties:
+        return Group(*parts, Text("The search leaves no tie."))
+    table = titled_table()
+    for header in ("found", "tied with", "now", "plan alone", "if found", "if tied"):
+        is_word = header in ("found", "tied with")
+        table.add_column(header, justify="left" if is_word else "right", no_wrap=True)
+    for each in ties:
+        odds = [_odds(value) for value in (each.now, each.alone, each.if_found, each.if_other)]
+        table.add_row(each.found, each.other, *odds)
+    columns = (
+        "now: odds by which the dwells searched prefer the effect found. plan alone: expected from the plan "
+        "without them, if the effect found is present. if found, if tied: expected with both, for the effect "
+        f"that is present; settled from {TIE_ODDS:.0f} to 1 for both."
+    )
+    missing = [
+        f"{each.other} is not fitted. Missing input: {each.missing_input}."
+        for each in ties
+        if each.missing_input
+    ]
+    open_ties = [(each.found, each.other) for each in ties if not each.is_settled]
+    outcome = (
+        f"Still tied after the plan: {pairs_text(open_ties)}." if open_ties else "The plan settles all ties."
+    )
+    return Group(
+        *parts,
+        table,
+        Text(columns),
+        *map(Text, missing),
+        Text(outcome),
+        *(Text(_advice_sentence(each)) for each in advice),
+    )
+
+
+def _odds(odds: float) -> str:
+    if not np.isfinite(odds):
+        return "not fitted"
+    text = odds_text(2.0 * abs(math.log(odds)))
+    return text if odds >= 1.0 else f"1 to {text.removesuffix(' to 1')}"
+
+
 def pairs_text(pairs: Collection[tuple[str, str]]) -> str:
     """Pairs, each once, gathered by the effect that is in most of them: "a from b and c; d from e"."""
     left = set(pairs)
@@ -71,8 +137,7 @@ def pairs_text(pairs: Collection[tuple[str, str]]) -> str:
 
 def _basis(separability: Separability, dwells: int, unit: PlannedUnit) -> str:
     campaign = separability.campaign
-    walk = f"an angle random walk of {unit.angle_random_walk_deg_per_sqrt_h:g} deg/sqrt(h)"
-    whose = "declared by the station" if unit.is_noise_declared else "a typical value, none is declared"
+    walk = f"an angle random walk of {np.mean(unit.angle_random_walk_deg_per_sqrt_h):.2g} deg/sqrt(h)"
     sigma = f"±{1e3 * float(np.sqrt(np.mean(campaign.sigma_dph**2))):.2f}"
     if dwells > len(campaign):
         searched = f"The search uses {len(campaign)} of {dwells} dwells; the last cycle is held out."
@@ -81,12 +146,12 @@ def _basis(separability: Separability, dwells: int, unit: PlannedUnit) -> str:
             f"There is one cycle of {counted(dwells, 'dwell')}. A search needs two, one of them held out; "
             "this table is for all dwells."
         )
-    return f"{searched} Standard uncertainty of a bias: {sigma}, from {walk}, {whose}."
+    return f"{searched} Standard uncertainty of a bias: {sigma}, from {walk}, {unit.noise_source}."
 
 
 def _table(separability: Separability, seen: Sequence[Detection]) -> Table:
     table = titled_table()
-    for header in ("effect", "found from", "at worst", "variance", "alternative", "distinguished"):
+    for header in ("effect", "found", "worst", "VIF", "alternative", "distinct"):
         is_word = header in ("effect", "alternative")
         table.add_column(header, justify="left" if is_word else "right", no_wrap=True)
     for each in seen:

@@ -238,6 +238,20 @@ class ModeHop(Effect):
         return np.asarray(np.array(self.bias_dph) * (mode % 2.0 == 0.0))
 
 
+class LooseClamp(Effect):
+    """A clamp of the block comes free above one temperature: from there the bias grows with temperature."""
+
+    kind: Literal["loose_clamp"] = Field(description="name of the effect")
+    sensitivity_dph_per_c: Vector = Field(
+        description="bias of each gyro per kelvin above the temperature, deg/h/K"
+    )
+    free_above_c: float = Field(description="temperature of the optics above which the clamp is free, degC")
+
+    def _added_dph(self, now: Conditions) -> FloatArray:
+        free_k = np.maximum(now.optics_c - self.free_above_c, 0.0)
+        return np.asarray(np.array(self.sensitivity_dph_per_c) * free_k)
+
+
 def _two_gyros(names: list[str]) -> list[str]:
     if len(set(names)) != 2:
         raise ValueError("two different gyros are needed, as in [x, y]")

@@ -156,8 +156,24 @@ def test_plan_reports_the_effects_that_its_dwells_distinguish(tmp_path):
     result = gyrobench("plan", "six_position_fig7", "--separability", "--target-dph", "0.05", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     assert "The search uses 30 of 60 dwells" in result.stdout
-    assert "At 50.00 all effects are found and distinguished." in result.stdout
+    assert "Not found" not in result.stdout
+    assert "Not distinguished at 50.00: daily_course from time_drift" in " ".join(result.stdout.split())
     assert (tmp_path / "separability_six_position_fig7.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_plan_starts_from_a_search(table, tmp_path):
+    assert gyrobench("close", table, "--out", tmp_path / "found", cwd=tmp_path).returncode == 0
+    arguments = ("plan", "quick_campaign", "--station", "quick", "--separability", "--closure")
+    result = gyrobench(*arguments, "found", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    text = " ".join(result.stdout.split())
+    assert "as measured in the closure" in text
+    assert "Effects found, with their sizes in the plan's dwells: temperature_rate" in text
+    result = gyrobench(*arguments, "nowhere", cwd=tmp_path)
+    assert result.returncode == EXIT_WRONG_INPUT
+    assert "there is no closure.json" in result.stderr
+    result = gyrobench("plan", "quick_campaign", "--closure", "found", cwd=tmp_path)
+    assert "--separability only" in result.stderr
 
 
 def test_plan_of_a_calibration_check_has_no_effects_to_distinguish(tmp_path):

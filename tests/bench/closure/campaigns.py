@@ -32,6 +32,7 @@ _KEYS = {
     "bias_jump": {"bias_dph": [0.010, -0.008, 0.006], "at_h": 1.9},
     "supply_ripple": {"amplitude_dph": [0.010, -0.008, 0.006], "period_h": 0.55},
     "mode_hop": {"bias_dph": [0.012, -0.010, 0.008], "first_reset_c": -12.0, "reset_every_c": 8.0},
+    "loose_clamp": {"sensitivity_dph_per_c": [2.4e-3, -2e-3, 1.8e-3], "free_above_c": 36.0},
     "dither_crossing": {
         "gyros": ["x", "y"], "crossing_c": 28.0, "half_width_c": 3.0, "bias_dph": [0.016, -0.012],
     },

@@ -1,7 +1,5 @@
 """The campaign predicted from a plan, compared with a run of the plan."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -75,8 +73,8 @@ def test_noise_that_a_station_does_not_declare_is_taken_as_typical(tmp_path):
     there = station()
     noise = {"noise": "estimated"}
     there.file = there.file.model_copy(update={"ins": there.file.ins.model_copy(update=noise)})
-    assert planned_unit(there) == replace(PlannedUnit(), is_noise_declared=False)
-    assert planned_unit(station()).is_noise_declared
+    assert planned_unit(there) == PlannedUnit()
+    assert planned_unit(station()).noise_source == "declared by the station"
 
 
 def test_it_is_close_to_the_measurements_of_a_run(short_run):

@@ -120,7 +120,8 @@ def test_an_effect_that_can_not_be_fitted_is_as_probable_as_the_one_that_it_imit
 
 def test_probabilities_are_summed_over_sets():
     one, two = frozenset({"a"}), frozenset({"a", "b"})
-    weighed = Posterior((Weighed(one, False, 0.6), Weighed(two, False, 0.3), Weighed(one, True, 0.1)), {})
+    weights = ((one, False, 0.6), (two, False, 0.3), (one, True, 0.1))
+    weighed = Posterior(tuple(Weighed(*each, ()) for each in weights), {})
     assert weighed.of_effect == {"a": pytest.approx(1.0), "b": pytest.approx(0.3)}
     assert weighed.not_on_list == pytest.approx(0.1)
     assert weighed.nothing == 0.0

@@ -10,7 +10,7 @@ from tests.bench.closure.campaigns import EFFECTS, run_campaign
 pytestmark = pytest.mark.long
 
 #: By the cycles that its campaign takes.
-OUTSIDE = {"supply_ripple": 2, "mode_hop": 2, "dither_crossing": 3}
+OUTSIDE = {"supply_ripple": 2, "mode_hop": 2, "dither_crossing": 3, "loose_clamp": 3}
 #: Each effect that the search knows is in one of these.
 TOGETHER = (
     ("thermal_gradient",),

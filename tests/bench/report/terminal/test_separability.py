@@ -16,7 +16,7 @@ from gyrobench.bench.closure.separability import Separability, searched_dwells, 
 from gyrobench.bench.report.terminal.separability import pairs_text, separability_summary
 from tests.bench.closure.plans import shipped
 
-UNIT = PlannedUnit(0.0006, is_noise_declared=True)
+UNIT = PlannedUnit(0.0006, "declared by the station")
 TARGET_DPH = 0.002
 
 
@@ -38,12 +38,15 @@ def printed(renderable: RenderableType) -> str:
 
 def test_every_effect_has_its_sizes_and_nearest_alternative(result: Separability) -> None:
     text = printed(separability_summary(result, 60, UNIT, TARGET_DPH, []))
-    for each in result.detections:
+    shown = [each for each in result.detections if each.missing_input is None]
+    assert len(shown) > 8
+    for each in shown:
         name = each.effect.name
         alternative, size_dph = result.nearest_alternative(name) or ("", 0.0)
         sizes = f"{name} {1e3 * each.typical_dph:.2f} {1e3 * each.largest_dph:.2f} x"
         assert sizes in text
-        assert f" {alternative} {1e3 * size_dph:.2f} " in text
+        size = f"{1e3 * size_dph:.2f}" if np.isfinite(size_dph) else "never"
+        assert f" {alternative} {size} " in text
 
 
 def test_it_states_dwells_and_uncertainty(result: Separability) -> None:
@@ -53,7 +56,7 @@ def test_it_states_dwells_and_uncertainty(result: Separability) -> None:
         "Standard uncertainty of a bias: ±1.04, from an angle random walk of 0.0006 deg/sqrt(h), declared by "
         "the station" in text
     )
-    undeclared = replace(UNIT, is_noise_declared=False)
+    undeclared = replace(UNIT, noise_source=PlannedUnit().noise_source)
     assert "a typical value, none is declared" in printed(
         separability_summary(result, 30, undeclared, TARGET_DPH, [])
     )
@@ -66,8 +69,13 @@ def test_it_lists_effects_not_found_and_not_distinguished(result: Separability) 
     text = printed(separability_summary(result, 60, UNIT, TARGET_DPH, []))
     assert "Not found at 2.00: chamber_state." in text
     assert "Not distinguished at 2.00: " in text
+    large = printed(separability_summary(result, 60, UNIT, 0.9, []))
+    assert "Not found" not in large
+    # At any size, an effect that can't be fitted may take the place of one that it imitates.
+    assert "Not distinguished at 900.00: daily_course from time_drift; g_sensitivity from" in large
+    seen = replace(result, distinguished_dph=dict.fromkeys(result.distinguished_dph, 0.5))
     assert "At 900.00 all effects are found and distinguished." in printed(
-        separability_summary(result, 60, UNIT, 0.9, [])
+        separability_summary(seen, 60, UNIT, 0.9, [])
     )
 
 

@@ -19,6 +19,7 @@ from gyrobench.drivers.emulators.world.undeclared_effects import (
     Conditions,
     DitherCrossing,
     GSensitivity,
+    LooseClamp,
     ModeHop,
     SupplyRipple,
     TemperatureRate,
@@ -386,6 +387,12 @@ CROSSING = DitherCrossing(
 def test_every_second_mode_has_the_bias(conditions, optics_c, share):
     added_dph = HOP.added_dph(conditions(optics_c=optics_c))
     np.testing.assert_allclose(added_dph, share * np.array([0.01, -0.02, 0.0]))
+
+
+def test_a_clamp_is_loose_above_one_temperature(conditions):
+    clamp = LooseClamp(kind="loose_clamp", sensitivity_dph_per_c=[0.001, -0.002, 0.0], free_above_c=40.0)
+    np.testing.assert_allclose(clamp.added_dph(conditions(optics_c=[50.0, 45.0, 60.0])), [0.01, -0.01, 0.0])
+    np.testing.assert_allclose(clamp.added_dph(conditions(optics_c=[39.0, 0.0, -30.0])), 0.0)
 
 
 def test_each_gyro_hops_at_its_own_temperature(conditions):

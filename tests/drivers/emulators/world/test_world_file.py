@@ -134,6 +134,7 @@ EFFECTS = {
     "g_sensitivity": "sensitivity_dph_per_g: [[0, 0.001, 0], [0, 0, 0], [0, 0, 0.002]]",
     "chamber_state": "bias_dph: [0.01, 0, 0]",
     "mode_hop": "bias_dph: [0.01, 0, 0], first_reset_c: -10, reset_every_c: 8",
+    "loose_clamp": "sensitivity_dph_per_c: [0.001, 0, 0], free_above_c: 30",
     "dither_crossing": "gyros: [x, z], crossing_c: 30, half_width_c: 2, bias_dph: [0.01, 0.01]",
 }
 

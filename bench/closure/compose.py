@@ -1,0 +1,189 @@
+"""Laws composed from the grammar of effects, where no known effect explains a residual.
+
+Every driver that the campaign has, with every memory, shape and factor, is fitted beside the effects found.
+The laws are weighed against each other and against a remainder by the posterior of
+:mod:`gyrobench.bench.closure.posterior`, all laws that were tried being equally probable before. A law is a
+hypothesis from the data that it explains: it is confirmed by cycles of other runs only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import yaml
+
+from gyrobench.bench.closure.campaign import Campaign
+from gyrobench.bench.closure.candidates import (
+    Candidate,
+    Hypothesis,
+    best_start,
+    bic_penalty,
+    evaluate,
+    refine,
+    solve_with,
+    stack,
+)
+from gyrobench.bench.closure.effects.effect_file import EffectFile
+from gyrobench.bench.closure.effects.grammar import DRIVERS, EVENTS, driver_label, driver_values
+from gyrobench.bench.closure.posterior import Evidences
+from gyrobench.bench.closure.problem import Problem
+from gyrobench.bench.closure.search import MAX_EFFECTS
+from gyrobench.bench.closure.validation import measured_minus
+from gyrobench.bench.foundations.arrays import FloatArray
+
+#: Laws that are fitted with all their parameters: the best of all, and of each driver.
+_FITTED, _FITTED_PER_DRIVER = 16, 3
+#: Laws that are listed, each at least this probable.
+_LISTED, _MIN_PROBABILITY = 5, 0.01
+#: Drivers without a memory: time has none.
+_TIMES = ("time_days", "since_power_on_h")
+_SHAPES = ("linear", "polynomial", "onset", "saturation", "resonance")
+#: Degree of a polynomial in the optics temperature, of which the declared model has three, and in others.
+_OPTICS_DEGREE, _DEGREE = 5, 2
+
+
+@dataclass(frozen=True)
+class ComposedLaw:
+    """A law as fitted."""
+
+    file: EffectFile  #: As an effect file.
+    candidate: Candidate  #: Its form and parameters.
+    probability: float  #: Of this law, with or without a remainder.
+    error_after_dph: float  #: Rms of measured minus predicted bias in the held-out dwells.
+
+    @property
+    def follows(self) -> str:
+        """What the bias follows, with the form."""
+        form = self.candidate.form
+        values = ", ".join(
+            f"{parameter.name} {value:.3g}"
+            for parameter, value in zip(form.parameters, self.candidate.values, strict=True)
+        )
+        return f"{form.terms[0]}{f' ({values})' if values else ''}"
+
+
+@dataclass(frozen=True)
+class Composed:
+    """Outcome of a search of the grammar."""
+
+    tried: int  #: Number of laws.
+    laws: tuple[ComposedLaw, ...]  #: Most probable first; the best of each driver at most.
+    of_driver: dict[str, float]  #: Probability of each driver, over all its laws; most probable first.
+    other: float  #: Probability of something that no law of the grammar describes.
+
+
+def compose(problem: Problem, effects_found: Sequence[Candidate]) -> Composed:
+    """Search the grammar for laws beside the effects found, as many as leave room for one more.
+
+    ``problem`` has the declared model alone; ``effects_found``, strongest first.
+    """
+    campaign, searched = problem.campaign, problem.searched
+    found = list(effects_found)[: MAX_EFFECTS - 1]
+    beside = problem.with_columns(*stack(found, campaign)) if found else problem
+    penalty, files = bic_penalty(problem), list(_laws(campaign))
+    starts: list[tuple[float, EffectFile, Candidate]] = []
+    for file in files:
+        effect = file.build()
+        for form in effect.forms:
+            candidate = best_start(beside, effect, form)
+            reduction, rank = beside.chi2_reduction(candidate.columns(campaign))
+            starts.append((penalty * (rank + len(candidate.values)) - reduction, file, candidate))
+    chosen = _chosen(sorted(starts, key=lambda each: each[0]))
+    fitted = []
+    for file, start in chosen:
+        [candidate] = refine(beside, [start])
+        fitted.append((file, evaluate(problem, [*found, candidate])))
+    effects = [*(each.effect for each in found), *(file.build() for file in files)]
+    none = evaluate(problem, found) if found else Hypothesis((), problem.chi2, problem.chi2)
+    best: dict[str, tuple[EffectFile, Hypothesis]] = {}
+    for file, each in fitted:
+        if file.effect not in best or each.is_better_than(best[file.effect][1]):
+            best[file.effect] = file, each
+    weighed = Evidences(problem, effects).posterior([none, *(each for _, each in best.values())])
+    of_driver = dict.fromkeys((file.driver for file, _ in best.values()), 0.0)
+    laws = []
+    for name, (file, each) in best.items():
+        probability = weighed.of_effect.get(name, 0.0)
+        of_driver[file.driver] += probability
+        model = solve_with(problem, each.candidates)
+        error_dph = measured_minus(campaign, searched, model)[~searched]
+        laws.append(
+            ComposedLaw(file, each.candidates[-1], probability, float(np.sqrt(np.mean(error_dph**2))))
+        )
+    laws.sort(key=lambda law: -law.probability)
+    first = {law.file.driver: law for law in reversed(laws)}  # the most probable one of each driver
+    listed = [law for law in laws if law is first[law.file.driver] and law.probability >= _MIN_PROBABILITY]
+    ranked = dict(sorted(of_driver.items(), key=lambda each: -each[1]))
+    return Composed(len(starts), tuple(listed[:_LISTED]), ranked, max(0.0, 1.0 - sum(of_driver.values())))
+
+
+def law_text(law: ComposedLaw) -> str:
+    """Text of the effect file of a law."""
+    content = law.file.model_dump(exclude_defaults=True)
+    return (
+        "# Composed from data: a hypothesis until cycles of other runs confirm it.\n"
+        f"{yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=100)}"
+    )
+
+
+def _chosen(starts: list[tuple[float, EffectFile, Candidate]]) -> list[tuple[EffectFile, Candidate]]:
+    """The best starts, and the best of each driver."""
+    chosen, counts = [], dict.fromkeys((file.driver for _, file, _ in starts), 0)
+    for place, (_, file, start) in enumerate(starts):
+        if place < _FITTED or counts[file.driver] < _FITTED_PER_DRIVER:
+            counts[file.driver] += 1
+            chosen.append((file, start))
+    return chosen
+
+
+def _laws(campaign: Campaign) -> Iterator[EffectFile]:
+    columns = [each for each in campaign.columns if each not in DRIVERS]
+    for driver in (*DRIVERS, *columns):
+        values = driver_values(driver, campaign)
+        if driver == "constant" or not np.isfinite(values).all() or np.ptp(values) == 0.0:
+            continue
+        for shape in _SHAPES:
+            for memory in ("none",) if driver in _TIMES else ("none", "lag", "decay", "play"):
+                # What a shape does to changes alone, or to play, few campaigns can show.
+                if shape == "linear" or memory in ("none", "lag"):
+                    for factor in ("none", "up"):
+                        yield _law(campaign, driver, values, shape, memory, factor)
+    for event in EVENTS:
+        yield _law(campaign, event, np.zeros(1), "linear", "decay", "up")
+
+
+def _law(
+    campaign: Campaign, driver: str, values: FloatArray, shape: str, memory: str, factor: str
+) -> EffectFile:
+    low, high = (float(each) for each in np.percentile(values, [2.0, 98.0]))
+    span = float(np.ptp(values)) or 1.0
+    dwell_s = float(np.median(campaign.end_s - campaign.start_s))
+    length_s = float(campaign.end_s[-1] - campaign.start_s[0])
+    centre, width = ("onset" if shape == "onset" else "centre"), [span / 50.0, span / 3.0]
+    bounds = {}
+    if shape in ("onset", "saturation", "resonance"):
+        bounds[centre] = [low, max(high, low + 1e-6 * span)]
+        bounds["half_width" if shape == "resonance" else "width"] = width
+    if memory == "play":
+        bounds["play"] = width
+    elif memory != "none":
+        bounds["tau_s"] = [dwell_s / 3.0, max(length_s / 2.0, dwell_s)]
+    label = driver_label(driver) if driver not in EVENTS else driver.replace("_", " ")
+    parts = [driver.replace("{axis}", "gyro"), shape, memory, factor]
+    name = "_".join(part for part in parts if part not in ("none", "linear")).lower()
+    how = {"none": "", "lag": " with a lag", "decay": " while it changes", "play": " with play"}[memory]
+    by = "" if factor == "none" else " times gravity along the body axes"
+    return EffectFile(
+        effect=f"composed_{name}"[:60],
+        statement=f"the bias follows the {label}{how} by a law of shape {shape}{by}",
+        experiment=f"vary the {label} and hold all else, in a power cycle that the law was not composed from",
+        driver=driver,
+        shape=shape,  # type: ignore[arg-type]
+        degree=_OPTICS_DEGREE if driver == "gyro_c" and factor == "none" else _DEGREE,
+        memory=memory,  # type: ignore[arg-type]
+        factor=factor,  # type: ignore[arg-type]
+        bounds=bounds,
+        composed_from=list(campaign.run_names),
+    )

@@ -1,0 +1,271 @@
+"""The blocks of measurements that may be proposed, each timed from the present state of the bench."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.investigation.external_bench import (
+    AnyStep,
+    BenchState,
+    BlockPlan,
+    ChamberStep,
+    DwellStep,
+    PowerStep,
+    SoakStep,
+)
+from gyrobench.bench.navigation.positions import POSITIONS
+
+_S_PER_H = 3600.0
+_SWITCH_S = 60.0
+_OFF_H = 1.0
+#: Ramp rates of the blocks, degC/h.
+_USUAL_RAMP_C_PER_H, _SLOW_RAMP_C_PER_H, _FAST_RAMP_C_PER_H = 60.0, 15.0, 120.0
+_SOAK_H, _LONG_SOAK_H, _REPEAT_H = 2.0, 12.0, 6.0
+_REVERSAL_C = 15.0
+_LESS_POWER = 0.7
+_SAME_C = 0.5
+
+
+@dataclass(frozen=True)
+class Block:
+    """A candidate for the next measurement."""
+
+    kinds: tuple[str, ...]  #: The kinds that it consists of, in order: "power cycle".
+    what: str  #: What is done, in the imperative: "switch the unit off for an hour, then measure".
+    plan: BlockPlan  #: Its steps, timed.
+
+    @property
+    def name(self) -> str:
+        """Its kinds: "power cycle, then slow ramp"."""
+        return ", then ".join(self.kinds)
+
+
+@dataclass
+class Timeline:
+    """Steps as they are added one after the other, from the state after the last dwell of a table."""
+
+    rows: Sequence[DwellRow]  #: The dwells measured, in the order of time.
+    steps: list[AnyStep] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        last = self.rows[-1]
+        self.start_s = self.now_s = last.end_s
+        self.chamber_c = last.chamber_set_c if np.isfinite(last.chamber_set_c) else last.chamber_c
+        self.run = last.run
+        self.dwell_s = float(np.median([row.end_s - row.start_s for row in self.rows]))
+        self._next_dwell = self.next_dwell = 1 + max(row.dwell for row in self.rows)
+        self.next_cycle = 1 + max(row.cycle for row in self.rows)
+        self._power_ons = len({row.run for row in self.rows})
+
+    def off_and_on(self, hours: float = _OFF_H) -> None:
+        """Switch the unit off, let it cool, and switch it on: a new run."""
+        self._add(PowerStep(on=False, **self._span(hours * _S_PER_H)))
+        self._power_ons += 1
+        self.run = f"{self.rows[-1].run.rsplit('-', 1)[0]}-{self._power_ons}"
+        self.dissipation(1.0)
+
+    def dissipation(self, factor: float) -> None:
+        """Set the unit's dissipation relative to the usual one."""
+        self._add(PowerStep(on=True, factor=factor, **self._span(_SWITCH_S)))
+
+    def ramp(self, to_c: float, rate_c_per_h: float = _USUAL_RAMP_C_PER_H) -> None:
+        """Ramp the chamber, unless it is there."""
+        if abs(to_c - self.chamber_c) > _SAME_C:
+            span_s = abs(to_c - self.chamber_c) / rate_c_per_h * _S_PER_H
+            self._add(ChamberStep(to_c=float(to_c), ramp_c_per_h=rate_c_per_h, **self._span(span_s)))
+            self.chamber_c = to_c
+
+    def soak(self, hours: float = _SOAK_H) -> None:
+        """Wait."""
+        self._add(SoakStep(**self._span(hours * _S_PER_H)))
+
+    def dwells(self, positions: Iterable[str], azimuth_deg: float = 0.0, length: float = 1.0) -> None:
+        """Measure dwells, each ``length`` times as long as those of the table."""
+        for position in positions:
+            self._add(
+                DwellStep(
+                    dwell=self._next_dwell,
+                    cycle=self.next_cycle,
+                    run=self.run,
+                    position=position,
+                    azimuth_deg=azimuth_deg,
+                    **self._span(length * self.dwell_s),
+                )
+            )
+            self._next_dwell += 1
+
+    def plan(self) -> BlockPlan:
+        """The steps as a plan."""
+        last = self.rows[-1]
+        rate_c = np.array(last.gyro_rate_c_per_h) * 0.5 * (last.end_s - last.start_s) / _S_PER_H
+        x_c, y_c, z_c = (np.array(last.gyro_c) + rate_c).tolist()
+        state = BenchState(
+            chamber_c=last.chamber_c if np.isfinite(last.chamber_c) else None,
+            gyro_x_c=x_c,
+            gyro_y_c=y_c,
+            gyro_z_c=z_c,
+            powered=True,
+            since_power_on_s=last.since_power_on_s + last.end_s - last.start_s,
+            position=last.position,
+        )
+        return BlockPlan(
+            unit=last.unit,
+            start_s=self.start_s,
+            state=state,
+            next_dwell=self.next_dwell,
+            next_cycle=self.next_cycle,
+            steps=self.steps,
+        )
+
+    def _add(self, step: AnyStep) -> None:
+        self.steps.append(step)
+        self.now_s = step.end_s
+
+    def _span(self, duration_s: float) -> dict[str, Any]:
+        return {"start_s": self.now_s, "end_s": self.now_s + duration_s}
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """One kind of block: what it adds to a timeline."""
+
+    name: str
+    what: str
+    add: Callable[[Timeline], None]
+
+
+def _kinds(rows: Sequence[DwellRow]) -> list[_Kind]:
+    set_c = np.array([row.chamber_set_c for row in rows])
+    air_c = np.array([row.chamber_c for row in rows])
+    known_c = np.where(np.isfinite(set_c), set_c, air_c)
+    low_c, middle_c, high_c = np.quantile(known_c[np.isfinite(known_c)], [0.0, 0.5, 1.0]).tolist()
+    measured = [name for name in POSITIONS if any(row.position == name for row in rows)]
+    pair = [name for name in ("z_up", "z_down") if name in measured] or measured[:2]
+    every = list(POSITIONS)
+
+    def from_side(start_c: float) -> Callable[[Timeline], None]:
+        def add(timeline: Timeline) -> None:
+            timeline.ramp(start_c)
+            timeline.soak(1.0)
+            timeline.dwells(pair[:1])  # the table alone shows how far the temperature went
+            timeline.ramp(middle_c)
+            timeline.soak()
+            timeline.dwells(every)
+
+        return add
+
+    def on_ramp(rate_c_per_h: float) -> Callable[[Timeline], None]:
+        """Dwells without a pause while the chamber ramps in steps of one dwell."""
+
+        def add(timeline: Timeline) -> None:
+            to_c = low_c if abs(timeline.chamber_c - low_c) > abs(timeline.chamber_c - high_c) else high_c
+            step_c = np.sign(to_c - timeline.chamber_c) * rate_c_per_h * timeline.dwell_s / _S_PER_H
+            for position in every:
+                if abs(to_c - timeline.chamber_c) > abs(step_c):
+                    timeline.ramp(timeline.chamber_c + float(step_c), rate_c_per_h)
+                timeline.dwells([position])
+
+        return add
+
+    def reversal(timeline: Timeline) -> None:
+        timeline.ramp(middle_c)
+        timeline.soak()
+        timeline.dwells(pair)
+        away_c = min(middle_c + _REVERSAL_C, high_c)
+        timeline.ramp(away_c)
+        timeline.dwells(pair[:1])
+        timeline.ramp(middle_c)
+        timeline.soak(1.0)
+        timeline.dwells(pair)
+
+    def power_cycle(timeline: Timeline) -> None:
+        timeline.off_and_on()
+        timeline.dwells(every)
+
+    def power_cycle_then_long(timeline: Timeline) -> None:
+        timeline.off_and_on()
+        timeline.dwells(pair)
+        timeline.soak(_LONG_SOAK_H)
+        timeline.dwells(pair)
+
+    def less_power(timeline: Timeline) -> None:
+        timeline.dissipation(_LESS_POWER)
+        timeline.soak()
+        timeline.dwells(every)
+        timeline.dissipation(1.0)
+
+    def headings(timeline: Timeline) -> None:
+        for azimuth_deg in (0.0, 90.0, 180.0, 270.0):
+            timeline.dwells([pair[0]], azimuth_deg)
+
+    def inverted(at_c: float) -> Callable[[Timeline], None]:
+        def add(timeline: Timeline) -> None:
+            timeline.ramp(at_c)
+            timeline.soak()
+            timeline.dwells(every)
+
+        return add
+
+    def after_hours(timeline: Timeline) -> None:
+        timeline.soak(_REPEAT_H)
+        timeline.dwells(every)
+
+    def longer(timeline: Timeline) -> None:
+        timeline.dwells(pair, length=3.0)
+
+    return [
+        _Kind(
+            "soak from above",
+            "heat, return to the middle temperature and measure after a soak",
+            from_side(high_c),
+        ),
+        _Kind(
+            "soak from below",
+            "cool, return to the middle temperature and measure after a soak",
+            from_side(low_c),
+        ),
+        _Kind("slow ramp", "measure while the temperature changes slowly", on_ramp(_SLOW_RAMP_C_PER_H)),
+        _Kind("fast ramp", "measure while the temperature changes fast", on_ramp(_FAST_RAMP_C_PER_H)),
+        _Kind(
+            "reversal", "leave the middle temperature, return to it, and measure before and after", reversal
+        ),
+        _Kind("power cycle", "switch the unit off for an hour, then measure from power-on", power_cycle),
+        _Kind(
+            "power cycle and long wait",
+            "switch the unit off for an hour, measure from power-on and again 12 h later",
+            power_cycle_then_long,
+        ),
+        _Kind("power step", "reduce the unit's dissipation and measure after a soak", less_power),
+        _Kind("four headings", "measure one position at four headings", headings),
+        _Kind("cold, six positions", "measure all positions at the lowest temperature", inverted(low_c)),
+        _Kind("hot, six positions", "measure all positions at the highest temperature", inverted(high_c)),
+        _Kind("repeat after hours", "wait, then measure all positions again", after_hours),
+        _Kind("longer dwells", "measure two positions in long dwells", longer),
+    ]
+
+
+def catalogue(rows: Sequence[DwellRow], pairs: bool = False) -> list[Block]:
+    """Blocks that can follow a table, in the order of time; with ``pairs``, each two in sequence."""
+    kinds = _kinds(rows)
+    sequences: list[tuple[_Kind, ...]] = [(each,) for each in kinds]
+    if pairs:
+        sequences += list(itertools.permutations(kinds, 2))
+    blocks = []
+    for sequence in sequences:
+        timeline = Timeline(rows)
+        for kind in sequence:
+            kind.add(timeline)
+        blocks.append(
+            Block(
+                tuple(kind.name for kind in sequence),
+                "; then ".join(kind.what for kind in sequence),
+                timeline.plan(),
+            )
+        )
+    return blocks

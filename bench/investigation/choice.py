@@ -1,0 +1,176 @@
+"""What each hypothesis predicts for a block, and how much of the doubt the block would remove.
+
+A hypothesis fitted to the dwells measured predicts new ones with a Gaussian: its coefficients are linearized
+about the fit. The utility of a block is the expected fall of the entropy of the probabilities per hour, by
+outcomes drawn under each hypothesis (Lindley 1956; for rival models Box and Hill 1967).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrobench.bench.closure.campaign import Campaign
+from gyrobench.bench.closure.candidates import Candidate
+from gyrobench.bench.closure.problem import DEGREE, declared_columns
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
+
+#: Outcomes drawn under each hypothesis.
+_DRAWS = 96
+#: Prior standard deviation of the size of a term, in standard deviations of the noise, and of a parameter as
+#: a share of its bounds; they only keep what the data do not determine finite.
+_MAX_SIZE = 300.0
+_PARAMETER_SHARE = 0.3
+_STEP_SHARE = 0.02
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """A Gaussian for the biases of q / 3 new dwells, gyro by gyro."""
+
+    mean_dph: FloatArray  #: Shape (q,).
+    covariance: FloatArray  #: Shape (q, q), (deg/h)^2, with the noise of the dwells.
+
+    def log_likelihood(self, outcomes_dph: FloatArray) -> FloatArray:
+        """Logarithm of the density of outcomes (s, q), shape (s,)."""
+        factor = np.linalg.cholesky(self.covariance)
+        white = np.linalg.solve(factor, (outcomes_dph - self.mean_dph).T)
+        return np.asarray(-0.5 * np.sum(white**2, axis=0) - np.sum(np.log(np.diag(factor))))
+
+    def draw(self, normals: FloatArray) -> FloatArray:
+        """Outcomes (s, q) from standard normal values (s, q)."""
+        return np.asarray(self.mean_dph + normals @ np.linalg.cholesky(self.covariance).T)
+
+
+def predict_dwells(
+    campaign: Campaign,
+    measured: BoolArray,
+    candidates: Sequence[Candidate],
+    noise_scale: float,
+    run_spread_dph: float,
+) -> Prediction:
+    """Predict the dwells of a campaign that are not measured.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        n dwells, the new ones with forecast temperatures and expected uncertainties.
+    measured : ndarray of bool, shape (n,)
+        The dwells with a bias.
+    candidates : sequence of Candidate
+        The effects of the hypothesis, with their fitted parameters.
+    noise_scale : float
+        Ratio of the noise to the stated uncertainties.
+    run_spread_dph : float
+        Standard deviation of the bias from one power-on to the next.
+    """
+    sigma_dph = campaign.sigma_dph * noise_scale
+    linear = [_linear_columns(campaign, candidates, gyro) for gyro in range(3)]
+    widths = [each.shape[1] for each in linear]
+    count, starts = len(campaign), np.concatenate([[0], np.cumsum(widths)])
+    parameters = [each for one in candidates for each in one.form.parameters]
+    design = np.zeros((3 * count, starts[-1] + len(parameters)))
+    precision = np.zeros(design.shape[1])
+    for gyro, columns in enumerate(linear):
+        place = slice(starts[gyro], starts[gyro + 1])
+        design[gyro * count : (gyro + 1) * count, place] = columns
+        precision[place] = _prior_precision(campaign, columns, sigma_dph[:, gyro], run_spread_dph)
+    data, sigma = campaign.bias_dph.T.ravel(), sigma_dph.T.ravel()
+    known = np.tile(measured, 3)
+    sizes = _solved(design[known], data[known], sigma[known], precision)[0]
+    if parameters:
+        slopes, widths_of = _parameter_slopes(campaign, candidates, sizes, starts)
+        design[:, starts[-1] :] = slopes
+        precision[starts[-1] :] = 1.0 / (_PARAMETER_SHARE * widths_of) ** 2
+    values, covariance = _solved(design[known], data[known], sigma[known], precision)
+    new = ~known
+    return Prediction(
+        design[new] @ values, design[new] @ covariance @ design[new].T + np.diag(sigma[new] ** 2)
+    )
+
+
+def expected_entropy(predictions: Sequence[Prediction], probabilities: FloatArray, seed: int = 0) -> float:
+    """Expected entropy, nats, of the probabilities (k,) of k hypotheses after a block was measured.
+
+    ``predictions``: of each hypothesis for the same dwells. The normal values are the same for each block, so
+    that blocks are compared without the noise of the draws.
+    """
+    normals = np.random.default_rng(seed).standard_normal((_DRAWS, len(predictions[0].mean_dph)))
+    expected = 0.0
+    for truth, probability in zip(predictions, probabilities, strict=True):
+        outcomes = truth.draw(normals)
+        logs = np.stack([each.log_likelihood(outcomes) for each in predictions], axis=1) + np.log(
+            probabilities
+        )
+        posterior = np.exp(logs - logs.max(axis=1, keepdims=True))
+        posterior /= posterior.sum(axis=1, keepdims=True)
+        expected += float(probability * np.mean([entropy(each) for each in posterior]))
+    return expected
+
+
+def entropy(probabilities: FloatArray) -> float:
+    """Entropy of probabilities, nats."""
+    present = probabilities[probabilities > 0.0]
+    return float(-np.sum(present * np.log(present)))
+
+
+def _linear_columns(campaign: Campaign, candidates: Sequence[Candidate], gyro: int) -> FloatArray:
+    """Declared columns, the mean constant, and the terms kept by one gyro, (n, p)."""
+    declared = declared_columns(campaign, gyro)
+    terms = [each.columns(campaign)[:, gyro, each.kept[gyro]] for each in candidates]
+    return np.concatenate([declared, np.ones((len(campaign), 1)), *terms], axis=1)
+
+
+def _prior_precision(
+    campaign: Campaign, columns: FloatArray, sigma_dph: FloatArray, run_spread_dph: float
+) -> FloatArray:
+    """Prior precision of each coefficient of one gyro: runs scatter about their mean, sizes are finite."""
+    runs = len(campaign.run_names)
+    lengths = np.maximum(np.sqrt(np.mean((columns / sigma_dph[:, np.newaxis]) ** 2, axis=0)), 1e-12)
+    precision = (lengths / _MAX_SIZE) ** 2
+    precision[DEGREE : DEGREE + runs] = 1.0 / run_spread_dph**2
+    return np.asarray(precision)
+
+
+def _solved(
+    design: FloatArray, data: FloatArray, sigma: FloatArray, precision: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Coefficients and their covariance by least squares with a prior of mean zero."""
+    weighted = design / sigma[:, np.newaxis]
+    scales = 1.0 / np.sqrt(np.sum(weighted**2, axis=0) + precision + 1e-300)
+    normal = scales[:, np.newaxis] * (weighted.T @ weighted + np.diag(precision)) * scales
+    inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
+    covariance = scales[:, np.newaxis] * inverse * scales
+    return covariance @ (weighted.T @ (data / sigma)), covariance
+
+
+def _parameter_slopes(
+    campaign: Campaign, candidates: Sequence[Candidate], sizes: FloatArray, starts: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Slope of the bias (3 n, parameters) by each parameter, and the parameters' ranges."""
+    slopes, ranges = [], []
+    first = DEGREE + len(campaign.run_names) + 1
+    offsets = [first] * 3
+    for each in candidates:
+        mine = np.zeros(each.kept.shape)
+        for gyro in range(3):
+            kept = int(each.kept[gyro].sum())
+            at = int(starts[gyro]) + offsets[gyro]
+            mine[gyro, each.kept[gyro]] = sizes[at : at + kept]
+            offsets[gyro] += kept
+        for index, parameter in enumerate(each.form.parameters):
+            bounded = np.isfinite([parameter.low, parameter.high]).all()
+            width = parameter.high - parameter.low if bounded else float(np.ptp(campaign.middle_s))
+            step = _STEP_SHARE * (min(width, abs(each.values[index])) or width)
+            sides = []
+            for sign in (-1.0, 1.0):
+                value = each.values[index] + sign * step
+                value = float(np.clip(value, parameter.low, parameter.high))
+                values = (*each.values[:index], value, *each.values[index + 1 :])
+                sides.append((value, np.einsum("ngk,gk->gn", each.form.columns(campaign, values), mine)))
+            (low, before), (high, after) = sides
+            slopes.append(((after - before) / (high - low)).ravel())
+            ranges.append(width)
+    return np.stack(slopes, axis=1), np.array(ranges)

@@ -1,0 +1,197 @@
+"""A bench behind a command: it gets a block of measurements as ``PLAN.json`` and writes the new dwells."""
+
+from __future__ import annotations
+
+import json
+import math
+import shlex
+import subprocess
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
+from gyrobench.bench.foundations.documents import StrictModel
+from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError
+from gyrobench.bench.foundations.files import write_whole
+
+#: Exit code of a bench that can't do the block.
+REFUSED = 3
+_SHOWN_CHARACTERS = 500
+_TIMEOUT_FACTOR, _TIMEOUT_MARGIN_S = 1.5, 600.0
+_S_PER_H = 3600.0
+
+
+class TimedStep(StrictModel):
+    """Base of the steps, with their planned times on the time axis of the table."""
+
+    start_s: float = Field(description="planned start, s")
+    end_s: float = Field(description="planned end, s")
+
+
+class PowerStep(TimedStep):
+    """Switch the unit off or on."""
+
+    kind: Literal["power"] = "power"
+    on: bool = Field(description="whether the unit is on afterwards")
+    factor: float | None = Field(
+        default=None, gt=0.0, description="dissipation relative to the usual one, where the bench can vary it"
+    )
+
+
+class ChamberStep(TimedStep):
+    """Ramp the chamber."""
+
+    kind: Literal["chamber"] = "chamber"
+    to_c: float = Field(description="set point, degC")
+    ramp_c_per_h: float = Field(gt=0.0, description="rate of the set point, degC/h")
+
+
+class SoakStep(TimedStep):
+    """Wait at the present temperature, with the present power."""
+
+    kind: Literal["soak"] = "soak"
+
+
+class DwellStep(TimedStep):
+    """Measure one dwell."""
+
+    kind: Literal["dwell"] = "dwell"
+    dwell: int = Field(description="number in the table")
+    cycle: int = Field(description="pass of the temperature profile")
+    run: str = Field(description="name of the power-on")
+    position: str = Field(description="position: z_up, z_down, y_up, y_down, x_up, x_down")
+    azimuth_deg: float = Field(description="azimuth at the start, deg")
+
+
+class BenchState(StrictModel):
+    """State of bench and unit before the first step."""
+
+    chamber_c: float | None = Field(description="temperature of the chamber, degC; null if not measured")
+    gyro_x_c: float = Field(description="temperature of the x gyro, degC")
+    gyro_y_c: float = Field(description="temperature of the y gyro, degC")
+    gyro_z_c: float = Field(description="temperature of the z gyro, degC")
+    powered: bool = Field(description="whether the unit is on")
+    since_power_on_s: float = Field(description="time since the last power-on, s")
+    position: str = Field(description="position of the last dwell")
+
+
+AnyStep = Annotated[PowerStep | ChamberStep | SoakStep | DwellStep, Field(discriminator="kind")]
+
+
+class BlockPlan(StrictModel):
+    """A block of measurements: the content of ``PLAN.json``."""
+
+    schema_version: Literal[1] = 1
+    unit: str = Field(description="serial number of the INS")
+    start_s: float = Field(description="time of the first step, s, on the time axis of the table")
+    state: BenchState = Field(description="state before the first step")
+    next_dwell: int = Field(description="number of the first new dwell")
+    next_cycle: int = Field(description="number of the new pass of the profile")
+    steps: list[AnyStep] = Field(min_length=1, description="steps in order")
+
+    @property
+    def dwells(self) -> list[DwellStep]:
+        """The dwells to measure."""
+        return [step for step in self.steps if isinstance(step, DwellStep)]
+
+    @property
+    def duration_h(self) -> float:
+        """Time on the bench."""
+        return (self.steps[-1].end_s - self.start_s) / _S_PER_H
+
+    def text(self) -> str:
+        """JSON text."""
+        return json.dumps(self.model_dump(mode="json", exclude_none=True), indent=1) + "\n"
+
+
+class BlockRefusedError(GyrobenchError):
+    """The bench can't do the block; the message is its reason."""
+
+
+@dataclass(frozen=True)
+class ExternalBench:
+    """A bench behind a command.
+
+    ``command`` is split like a shell does and gets the paths of plan and table as its last two arguments.
+    ``time_limit_s``: how long it may take for a block; by default by the plan, as on a real bench.
+    """
+
+    command: str
+    time_limit_s: float | None = None
+
+    def measure(self, plan: BlockPlan, folder: Path) -> list[DwellRow]:
+        """Have a block measured; plan and new table are written into ``folder``.
+
+        Raises BlockRefusedError if the bench can't do it, and GyrobenchError if the command fails, is too
+        slow, or writes something else than the dwells of the plan.
+        """
+        asked, answered = folder / "plan.json", folder / "new.csv"
+        write_whole(asked, plan.text().encode())
+        answered.unlink(missing_ok=True)
+        limit_s = self.time_limit_s or _TIMEOUT_FACTOR * plan.duration_h * _S_PER_H + _TIMEOUT_MARGIN_S
+        try:
+            answer = subprocess.run(  # noqa: S603 - the user's own command
+                [*shlex.split(self.command), str(asked), str(answered)],
+                capture_output=True,
+                text=True,
+                timeout=limit_s,
+                check=False,
+            )
+        except subprocess.TimeoutExpired as error:
+            raise GyrobenchError(
+                f"{self.command}: did not end within {limit_s:.0f} s. Check the bench, or allow more with "
+                "--bench-time-limit-s"
+            ) from error
+        except OSError as error:
+            raise GyrobenchError(
+                f"{self.command}: can't be started: {error.strerror}. Check --bench"
+            ) from error
+        said = answer.stderr.strip()[-_SHOWN_CHARACTERS:]
+        if answer.returncode == REFUSED:
+            raise BlockRefusedError(said or "no reason was given")
+        if answer.returncode:
+            raise GyrobenchError(
+                f"{self.command}: ended with exit code {answer.returncode}: {said or 'no message'}. "
+                "What was measured before is kept"
+            )
+        return checked_rows(read_dwells(answered), plan, answered)
+
+
+def checked_rows(rows: Sequence[DwellRow], plan: BlockPlan, table: Path) -> list[DwellRow]:
+    """New rows of a block, in order.
+
+    Raises DocumentError if they are not the dwells of the plan; some of them may be missing.
+    """
+    asked = {step.dwell: step for step in plan.dwells}
+    problems = [problem for row in rows for problem in _problems(row, asked.get(row.dwell), plan)]
+    if not rows:
+        problems.append("has no dwells")
+    if problems:
+        raise DocumentError("\n".join(f"{table}: {each}" for each in problems))
+    return sorted(rows, key=lambda row: row.start_s)
+
+
+def _problems(row: DwellRow, step: DwellStep | None, plan: BlockPlan) -> list[str]:
+    if step is None:
+        return [f"dwell {row.dwell} is not in the plan. Write the dwells of the plan alone"]
+    wanted = {"unit": plan.unit, "run": step.run, "cycle": step.cycle, "position": step.position}
+    found = [
+        f"dwell {row.dwell} has the {name} {getattr(row, name)}; the plan says {value}"
+        for name, value in wanted.items()
+        if getattr(row, name) != value
+    ]
+    if row.start_s < plan.start_s:
+        found.append(
+            f"dwell {row.dwell} starts at {row.start_s:g} s, before its block at {plan.start_s:g} s. Use the "
+            "time axis of the table"
+        )
+    azimuth = (row.azimuth_deg - step.azimuth_deg + 180.0) % 360.0 - 180.0
+    if math.isfinite(azimuth) and abs(azimuth) > 1.0:
+        found.append(
+            f"dwell {row.dwell} has the azimuth {row.azimuth_deg:g} deg; the plan says {step.azimuth_deg:g}"
+        )
+    return found

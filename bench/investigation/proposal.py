@@ -1,0 +1,197 @@
+"""The next block to measure: the one that is expected to remove most doubt in an hour."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.closure.campaign import Campaign, campaign_of
+from gyrobench.bench.closure.candidates import Candidate
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.investigation.blocks import Block, catalogue
+from gyrobench.bench.investigation.choice import Prediction, entropy, expected_entropy, predict_dwells
+from gyrobench.bench.investigation.forecast import Forecast
+
+#: Blocks of which pairs are tried.
+_PAIRED = 4
+#: Bias from one power-on to the next where the dwells are of a single one, in units of the noise.
+_UNKNOWN_RUN_SPREAD = 5.0
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A hypothesis that may be the cause."""
+
+    names: tuple[str, ...]  #: Its effects; empty for none.
+    candidates: tuple[Candidate, ...]  #: As fitted.
+    probability: float  #: Of all rivals together 1.
+    #: Rms of something that is not on the list beside the effects, deg/h; zero for none.
+    remainder_dph: float = 0.0
+
+    @property
+    def title(self) -> str:
+        """Its effects by name: "warm_up + time_drift", "nothing", "... + not on the list"."""
+        names = " + ".join(self.names) or "nothing"
+        return f"{names} + not on the list" if self.remainder_dph else names
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A block with its utility and what each rival predicts."""
+
+    block: Block  #: The block.
+    rows: tuple[DwellRow, ...]  #: Its dwells with forecast temperatures.
+    predictions: tuple[Prediction, ...]  #: Of each rival, for the biases of these dwells.
+    entropy: float  #: Of the rivals' probabilities, nats.
+    expected_entropy: float  #: After the block.
+
+    @property
+    def gain_per_h(self) -> float:
+        """Expected fall of the entropy per hour on the bench, nats/h."""
+        return (self.entropy - self.expected_entropy) / self.block.plan.duration_h
+
+    @property
+    def difference(self) -> float:
+        """Squared difference of what the first two rivals predict, in units of the second's uncertainty."""
+        first, second = self.predictions[:2]
+        apart_dph = first.mean_dph - second.mean_dph
+        return float(apart_dph @ np.linalg.solve(second.covariance, apart_dph))
+
+
+def propose(
+    rows: Sequence[DwellRow],
+    rivals: Sequence[Rival],
+    noise_scale: float,
+    refused: Collection[Sequence[str]] = (),
+    max_h: float = np.inf,
+) -> list[Proposal]:
+    """Blocks with their utilities, best first.
+
+    Parameters
+    ----------
+    rows : sequence of DwellRow
+        All dwells measured, in the order of time.
+    rivals : sequence of Rival
+        Hypotheses fitted to them.
+    noise_scale : float
+        Ratio of the noise to the stated uncertainties.
+    refused : collection of sequence of str
+        Kinds of the blocks that the bench refused. The kinds of a refused pair are proposed alone.
+    max_h : float
+        Longest block.
+    """
+    known = campaign_of(rows)
+    forecast = Forecast(rows, known)
+
+    def usable(blocks: Sequence[Block]) -> list[Block]:
+        return [
+            each for each in blocks if each.plan.duration_h <= max_h and not set(each.kinds) & set(refused)
+        ]
+
+    found = [_proposal(rows, known, each, forecast, rivals, noise_scale) for each in usable(catalogue(rows))]
+    found.sort(key=lambda each: -each.gain_per_h)
+    best = {each.block.name for each in found[:_PAIRED]}
+    pairs = [
+        each
+        for each in usable(catalogue(rows, pairs=True))
+        if len(each.kinds) == 2 and set(each.kinds) <= best
+    ]
+    found += [_proposal(rows, known, each, forecast, rivals, noise_scale) for each in pairs]
+    return sorted(found, key=lambda each: -each.gain_per_h)
+
+
+def _proposal(
+    rows: Sequence[DwellRow],
+    known: Campaign,
+    block: Block,
+    forecast: Forecast,
+    rivals: Sequence[Rival],
+    noise_scale: float,
+) -> Proposal:
+    new = forecast.rows(block.plan)
+    predictions = _predictions(rows, known, new, rivals, noise_scale)
+    probabilities = np.array([each.probability for each in rivals])
+    return Proposal(
+        block,
+        tuple(new),
+        tuple(predictions),
+        entropy(probabilities),
+        expected_entropy(predictions, probabilities),
+    )
+
+
+def _predictions(
+    rows: Sequence[DwellRow],
+    known: Campaign,
+    new: Sequence[DwellRow],
+    rivals: Sequence[Rival],
+    noise_scale: float,
+) -> list[Prediction]:
+    """What each rival, fitted to dwells, predicts for new ones at their temperatures."""
+    campaign = campaign_of([*rows, *new])
+    measured = ~np.isin(campaign.dwell, [row.dwell for row in new])
+    if known.above_optics_c is not None:
+        # A network fitted again to the new dwells would take a second.
+        above_c = campaign.board_c - campaign.gyro_c
+        above_c[measured] = known.above_optics_c
+        campaign = replace(campaign, forecast_above_optics_c=above_c)
+    spread_dph = _run_spread_dph(rows, noise_scale)
+    found = []
+    for each in rivals:
+        prediction = predict_dwells(campaign, measured, each.candidates, noise_scale, spread_dph)
+        more = each.remainder_dph**2 * np.eye(len(prediction.mean_dph))
+        found.append(Prediction(prediction.mean_dph, prediction.covariance + more))
+    return found
+
+
+def _run_spread_dph(rows: Sequence[DwellRow], noise_scale: float) -> float:
+    """Standard deviation of the bias from one power-on to the next."""
+    sigma_dph = noise_scale * float(np.nanmedian([row.sigma_dph for row in rows]))
+    means = [
+        np.nanmean([row.bias_dph for row in rows if row.run == run], axis=0)
+        for run in dict.fromkeys(row.run for row in rows)
+    ]
+    if len(means) < 3:
+        return _UNKNOWN_RUN_SPREAD * sigma_dph
+    return max(float(np.std(means, axis=0, ddof=1).mean()), sigma_dph)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What new dwells say about rivals that were fitted to the earlier ones."""
+
+    probabilities: tuple[float, ...]  #: Of each rival, by its prediction and the dwells alone.
+    #: Rms of measured minus predicted bias, deg/h, for each rival; of a new power-on without the mean.
+    error_dph: tuple[float, ...]
+    noise_dph: float  #: Rms of the noise of the new dwells.
+
+
+def outcome_of(
+    rows: Sequence[DwellRow], new: Sequence[DwellRow], rivals: Sequence[Rival], noise_scale: float
+) -> Outcome:
+    """Compare new dwells with what each rival predicts at the temperatures measured there.
+
+    Dwells with flags do not count. Raises MeasurementError if all have flags.
+    """
+    good = [row for row in new if not row.flags]
+    if not good:
+        raise MeasurementError("all new dwells have flags. Measure the block again")
+    bias_dph = np.array([row.bias_dph for row in good])
+    predictions = _predictions(rows, campaign_of(rows), good, rivals, noise_scale)
+    logs = np.array([float(each.log_likelihood(bias_dph.T.ravel()[np.newaxis])[0]) for each in predictions])
+    logs += np.log([each.probability for each in rivals])
+    shares = np.exp(logs - logs.max())
+    known, runs = {row.run for row in rows}, np.array([row.run for row in good])
+    errors = []
+    for each in predictions:
+        error_dph = bias_dph - each.mean_dph.reshape(3, -1).T
+        for run in set(runs.tolist()) - known:
+            error_dph[runs == run] -= error_dph[runs == run].mean(axis=0)
+        errors.append(float(np.sqrt(np.mean(error_dph**2))))
+    sigma_dph = noise_scale * np.array([row.sigma_dph for row in good])
+    return Outcome(
+        tuple((shares / shares.sum()).tolist()), tuple(errors), float(np.sqrt(np.mean(sigma_dph**2)))
+    )

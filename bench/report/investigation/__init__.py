@@ -1,0 +1,1 @@
+"""Page and terminal view of an investigation."""

@@ -1,0 +1,144 @@
+"""The page of an investigation (investigation.html): probabilities over time, block by block."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from gyrobench.bench.foundations.files import make_folder
+from gyrobench.bench.foundations.text import plain_name
+from gyrobench.bench.investigation.investigation import Investigation
+from gyrobench.bench.report.closure.closure_page import closure_sections
+from gyrobench.bench.report.closure.closure_text import verdict_sentence
+from gyrobench.bench.report.figures.style import house_style, new_figure
+from gyrobench.bench.report.investigation import investigation_text as text
+from gyrobench.bench.report.page import Findings, Section, SectionFigure, SectionTable, write_findings
+
+_COLOURS = {"settled": "finished", "budget": "stopped", "no_block": "stopped", "declined": "stopped"}
+_CURVES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+_MIN_DRAWN = 0.02
+_OTHERS = {"nothing": ("nothing beside the declared model", "#888888"), "": ("not on the list", "#222222")}
+
+
+def write_investigation_page(folder: Path, found: Investigation, source: str) -> Path:
+    """Write figures and page into a folder. Raises RunFolderError if a file can't be written."""
+    make_folder(folder)
+    first = found.stages[0].closure.campaign
+    findings = Findings(
+        title="Investigation",
+        source=source,
+        judgement=text.GISTS[found.ended],
+        colour=_COLOURS[found.ended],
+        sentence=" ".join(filter(None, [text.end_sentence(found), text.confirmation_sentence(found)])),
+        facts={
+            "first table": f"{len(first)} dwells, {found.repeated_campaign_h:.1f} h",
+            "blocks": f"{len(found.stages) - 1}, {found.spent_h:.1f} h",
+            "verdict": f"{found.closure.verdict}: {verdict_sentence(found.closure)}",
+        },
+        sections=[_story(found), *_blocks(found), *closure_sections(found.closure)],
+    )
+    return write_findings(folder / "investigation.html", findings)
+
+
+def _story(found: Investigation) -> Section:
+    tables = [
+        SectionTable("Blocks in the order of time", text.BLOCK_COLUMNS, text.block_rows(found), words=2)
+    ]
+    refused = [f"{', then '.join(kinds)}: {reason}" for kinds, reason in found.refused.items()]
+    return Section(
+        "Probabilities over hours on the bench",
+        ["Blocks that the bench refused: " + "; ".join(refused) + "."] if refused else [],
+        [
+            SectionFigure(
+                "probabilities",
+                "Probability of each effect after each search, by the hours since the first table.",
+                partial(probability_figure, found),
+            )
+        ],
+        tables if found.stages[1:] else [],
+    )
+
+
+def _blocks(found: Investigation) -> list[Section]:
+    stages = [*found.stages, *([found.confirmation] if found.confirmation else [])]
+    sections = []
+    for number, stage in enumerate((each for each in stages if each.proposal), start=1):
+        proposal, outcome = stage.proposal, stage.outcome
+        if proposal is None or outcome is None:
+            continue
+        rows = [
+            [
+                text.title_of(rival),
+                text.probability_text(rival.probability),
+                text.probability_text(after),
+                f"{1e3 * error_dph:.2f}",
+            ]
+            for rival, after, error_dph in zip(
+                stage.rivals, outcome.probabilities, outcome.error_dph, strict=True
+            )
+        ]
+        table = SectionTable(
+            "Hypotheses: probability before, probability by the prediction, and rms of measured minus "
+            f"predicted bias, 0.001 deg/h; the noise is {1e3 * outcome.noise_dph:.2f}",
+            ("hypothesis", "before", "by prediction", "error"),
+            rows,
+        )
+        name = "Confirmation" if stage is found.confirmation else f"Block {number}"
+        sections.append(
+            Section(
+                f"{name}: {proposal.block.name}",
+                [*text.proposal_sentences(proposal, stage.rivals), text.ruled_out_sentence(stage)],
+                tables=[table],
+            )
+        )
+    return sections
+
+
+@house_style
+def probability_figure(found: Investigation) -> Figure:
+    """Draw the probability of each effect, of nothing and of what is on no list over the hours."""
+    hours = [stage.spent_h for stage in found.stages]
+    curves: dict[str, list[float]] = {}
+    for stage in found.stages:
+        posterior = stage.closure.posterior
+        values = posterior.of_effect | {"nothing": posterior.nothing, "": posterior.not_on_list}
+        for name in values:
+            curves.setdefault(name, [])
+    for name, course in curves.items():
+        for stage in found.stages:
+            posterior = stage.closure.posterior
+            values = posterior.of_effect | {"nothing": posterior.nothing, "": posterior.not_on_list}
+            course.append(values.get(name, 0.0))
+    figure = new_figure(3.4)
+    axes = figure.subplots()
+    shown = sorted(
+        (each for each in curves if max(curves[each]) > _MIN_DRAWN), key=lambda each: -max(curves[each])
+    )
+    colours = iter(_CURVES)
+    for name in shown:
+        label, colour = _OTHERS.get(name, (plain_name(name), ""))
+        axes.plot(
+            hours,
+            curves[name],
+            marker="o",
+            markersize=4,
+            label=label,
+            color=colour or next(colours, "#AAAAAA"),
+        )
+    axes.axhline(0.99, color="#888888", linewidth=0.8, linestyle=":")
+    for stage, after in zip(found.stages[:-1], found.stages[1:], strict=True):
+        if stage.proposal is not None:
+            middle = 0.5 * (stage.spent_h + after.spent_h)
+            axes.annotate(
+                stage.proposal.block.name,
+                (middle, 1.03),
+                ha="center",
+                fontsize=7,
+                rotation=20,
+                annotation_clip=False,
+            )
+    axes.set(xlabel="hours on the bench since the first table", ylabel="probability", ylim=(-0.02, 1.02))
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return figure

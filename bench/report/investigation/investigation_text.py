@@ -1,0 +1,113 @@
+"""Sentences and tables of an investigation, for page and terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from gyrobench.bench.foundations.text import counted, listed, plain_name
+from gyrobench.bench.investigation.investigation import Investigation, Stage
+from gyrobench.bench.investigation.proposal import Proposal, Rival
+from gyrobench.bench.navigation.positions import AXES
+
+#: Gist of each end.
+GISTS = {
+    "settled": "settled",
+    "budget": "not settled within the budget",
+    "no_block": "not settled on this bench",
+    "declined": "stopped",
+}
+_MIN_SHOWN = 0.001
+#: Hypotheses below this probability are ruled out.
+_RULED_OUT = 0.01
+
+
+def title_of(rival: Rival) -> str:
+    """A hypothesis in words."""
+    names = listed([plain_name(name) for name in rival.names]) or "nothing beside the declared model"
+    return f"{names}, and something not on the list" if rival.remainder_dph else names
+
+
+def probability_text(value: float) -> str:
+    """A probability with the digits that matter near 0 and 1."""
+    if value > 0.9995:
+        return "> 0.999"
+    return f"{value:.3f}" if value >= _MIN_SHOWN else "< 0.001"
+
+
+def proposal_sentences(proposal: Proposal, rivals: Sequence[Rival], limit: int = 3) -> Iterator[str]:
+    """What a block does, what it is worth, and what each hypothesis predicts."""
+    plan = proposal.block.plan
+    what = proposal.block.what
+    yield (
+        f"{what[:1].upper()}{what[1:]}: {counted(len(plan.dwells), 'dwell')} in {plan.duration_h:.1f} h. The "
+        f"entropy of the probabilities is expected to fall from {proposal.entropy:.2f} to "
+        f"{proposal.expected_entropy:.2f} nats."
+    )
+    for rival, prediction in list(zip(rivals, proposal.predictions, strict=True))[:limit]:
+        mean_dph = prediction.mean_dph.reshape(3, -1)
+        gyros = ", ".join(
+            f"{axis} {1e3 * each.mean():+.1f}" for axis, each in zip(AXES, mean_dph, strict=True)
+        )
+        yield (
+            f"If it is {title_of(rival)} (probability {probability_text(rival.probability)}), the mean "
+            f"biases are {gyros} x 0.001 deg/h."
+        )
+
+
+def ruled_out_sentence(stage: Stage) -> str:
+    """Hypotheses that a block made improbable; empty without any."""
+    after = stage.outcome.probabilities if stage.outcome else ()
+    names = [
+        title_of(rival)
+        for rival, probability in zip(stage.rivals, after, strict=False)
+        if rival.probability > _RULED_OUT > probability
+    ]
+    return f"Ruled out by what it predicted: {'; '.join(names)}." if names else ""
+
+
+def end_sentence(found: Investigation) -> str:
+    """How the investigation ended, and its cost."""
+    cost = f"{found.spent_h:.1f} h on the bench"
+    share = found.spent_h / found.repeated_campaign_h
+    if found.spent_h:
+        cost += f", {100.0 * share:.0f} % of repeating the campaign ({found.repeated_campaign_h:.1f} h)"
+    return f"{found.reason} {cost[:1].upper()}{cost[1:]}."
+
+
+def confirmation_sentence(found: Investigation) -> str:
+    """What the block after the end says about the cause; empty without one."""
+    stage = found.confirmation
+    if stage is None or stage.outcome is None:
+        return ""
+    after, before = stage.outcome.error_dph
+    held = "agrees with" if stage.outcome.probabilities[0] > 0.5 else "contradicts"
+    return (
+        f"A block predicted before it was measured {held} the cause: rms error {1e3 * before:.2f} x 0.001 "
+        f"deg/h by the declared model, {1e3 * after:.2f} with {title_of(stage.rivals[0])}, noise "
+        f"{1e3 * stage.outcome.noise_dph:.2f}."
+    )
+
+
+def block_rows(found: Investigation) -> list[list[str]]:
+    """A row for each block: what, hours, and what was most probable before and after."""
+    rows = []
+    for number, stage in enumerate(found.stages[:-1], start=1):
+        after = found.stages[number]
+        if stage.proposal is not None:
+            rows.append(
+                [
+                    str(number),
+                    stage.proposal.block.name,
+                    f"{after.spent_h - stage.spent_h:.1f}",
+                    _leading(stage.rivals),
+                    _leading(after.rivals),
+                ]
+            )
+    return rows
+
+
+BLOCK_COLUMNS = ("block", "what", "hours", "most probable before", "after")
+
+
+def _leading(rivals: Sequence[Rival]) -> str:
+    return f"{title_of(rivals[0])}, {probability_text(rivals[0].probability)}"

@@ -1,0 +1,89 @@
+"""Laws composed where no known effect explains the residual."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from gyrobench.bench.bias.dwell_table import write_dwells
+from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.loop import close_loop, composed
+from tests.bench.closure.thermal_bench import measure
+from tests.bench.command_line import gyrobench
+
+SENSORS = ("set", "air", "case", "board", "supply", "room")
+
+
+def striction(course):
+    """Electronics that act through a narrow range of their temperature."""
+    return 1.0 / (1.0 + ((course.board_c - 42.0) / 5.0) ** 2)
+
+
+def onset_of_case(course):
+    return np.maximum(course.case_c - 24.0, 0.0)[:, None]
+
+
+def supply_limit(course):
+    return np.tanh((course.supply_w - 41.0) / 1.0)[:, None]
+
+
+def table(law, size=15.0, seed=0, **options):
+    return measure({law: size}, seed=seed, sensors=SENSORS, **({"cycles": 3} | options)).rows
+
+
+@pytest.mark.parametrize(
+    ("law", "driver"), [(striction, "board_c"), (onset_of_case, "case_c"), (supply_limit, "supply_w")]
+)
+def test_the_driver_of_an_unknown_effect_is_the_most_probable(law, driver):
+    closure = composed(close_loop(campaign_of(table(law))))
+    assert closure.verdict == "unexplained"
+    assert next(iter(closure.composed.of_driver)) == driver
+    best = closure.composed.laws[0]
+    assert best.file.driver == driver
+    assert best.probability > 0.5
+    assert best.error_after_dph < 0.5 * closure.error_before_dph
+
+
+def test_a_residual_that_is_explained_is_not_composed():
+    assert (
+        composed(close_loop(campaign_of(measure({"temperature_rate": 6.0}, cycles=2).rows))).composed is None
+    )
+
+
+def test_noise_on_no_law_of_the_grammar_stays_other():
+    steps = np.random.default_rng(3).standard_normal(400)
+
+    def random_walk(course):
+        return np.interp(course.time_h, np.arange(400) * 0.5, np.cumsum(steps))[:, None]
+
+    closure = composed(close_loop(campaign_of(table(random_walk))))
+    assert closure.composed.other > 0.5
+    assert max(closure.composed.of_driver.values()) < 0.5
+
+
+def test_a_composed_law_is_confirmed_only_by_another_run(tmp_path):
+    write_dwells(tmp_path / "dwells.csv", table(striction, power_on_each_cycle=True))
+    result = gyrobench("close", "dwells.csv", "--compose", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert "empirical" in result.stdout
+    assert "empirical" in (tmp_path / "closure" / "closure.html").read_text()
+    document = json.loads((tmp_path / "closure" / "closure.json").read_text())
+    assert document["verdict"] == "unexplained"
+    assert document["composed"]["laws"][0]["driver"] == "board_c"
+    assert document["composed"]["status"].startswith("empirical")
+    law = tmp_path / "closure" / "composed_law.yaml"
+    assert gyrobench("validate", str(law), cwd=tmp_path).returncode == 0
+
+    (tmp_path / "effects").mkdir()
+    shutil.copy(law, tmp_path / "effects")
+    again = json.loads(gyrobench("close", "dwells.csv", "--json", cwd=tmp_path).stdout)["closure"]
+    assert [each["effect"] for each in again["effects"]] == ["composed_board_c_resonance"]
+    assert again["verdict"] != "explained"
+
+    rows = table(striction, power_on_each_cycle=True, seed=1, cycles=4)
+    new = [row if row.run in ("R1", "R2", "R3") else type(row)(**{**vars(row), "run": "N1"}) for row in rows]
+    write_dwells(tmp_path / "dwells.csv", new)
+    confirmed = json.loads(gyrobench("close", "dwells.csv", "--json", cwd=tmp_path).stdout)["closure"]
+    assert [each["effect"] for each in confirmed["effects"]] == ["composed_board_c_resonance"]
+    assert confirmed["verdict"] == "explained"

@@ -1,0 +1,108 @@
+"""What a plan would decide of the ties of a closure: simulated campaigns stand for plans."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.effects import (
+    g_sensitivity,
+    magnetic_sensitivity,
+    temperature_rate,
+    thermal_gradient,
+    time_drift,
+    warm_up,
+)
+from gyrobench.bench.closure.loop import close_loop
+from gyrobench.bench.closure.outlook import measured_unit, tie_outlooks
+from gyrobench.bench.closure.posterior import TIE_ODDS
+from gyrobench.bench.closure.separability import searched_dwells, separability
+from gyrobench.bench.procedure.estimate import ThermalEstimate
+from tests.bench.closure.thermal_bench import measure
+
+
+def slow_warm_up(course):
+    return np.exp(-course.since_power_on_h / 12.0)[:, np.newaxis]
+
+
+#: Campaigns that leave a tie: effects hidden, sensors, candidates.
+TIES = {
+    "one power-on": ({slow_warm_up: 2.5}, ("set",), (time_drift, warm_up)),
+    "one heading": ({"g_sensitivity": 1.5}, ("set",), (g_sensitivity, magnetic_sensitivity)),
+    "no sensor at the electronics": (
+        {"temperature_rate": 2.0},
+        ("set",),
+        (temperature_rate, thermal_gradient),
+    ),
+}
+
+
+@cache
+def closed(name):
+    effects, sensors, modules = TIES[name]
+    rows = measure(effects, cycles=2, sensors=sensors).rows
+    return close_loop(campaign_of(rows), effects=[each.EFFECT for each in modules])
+
+
+def plan(cycles=2, sensors=("set",), **options):
+    return campaign_of(measure(cycles=cycles, sensors=sensors, seed=9, **options).rows)
+
+
+@pytest.mark.parametrize("name", TIES)
+def test_the_same_procedure_again_leaves_by_itself_the_tie_that_the_closure_found(name):
+    closure = closed(name)
+    assert closure.verdict == "ambiguous"
+    ties = {(each.effect.name, other) for each in closure.effects for other in each.tied_with}
+    outlooks = tie_outlooks(closure, plan())
+    assert {(each.found, each.other) for each in outlooks} == ties
+    for each in outlooks:
+        assert 1.0 / TIE_ODDS < each.now < TIE_ODDS
+        assert each.missing_input or each.alone < TIE_ODDS
+        assert not each.missing_input or not each.is_settled
+
+
+def test_separability_sees_an_effect_that_takes_the_place_of_another_for_lack_of_an_input():
+    closure = closed("one heading")
+    seen = separability(searched_dwells(plan()), [each.effect for each in closure.evidence], closure.effects)
+    assert ("g_sensitivity", "magnetic_sensitivity") in seen.not_distinguished(0.002)
+    assert seen.expected_dph["g_sensitivity"] == pytest.approx(closure.effects[0].rms_dph, rel=0.2)
+    boards = separability(
+        searched_dwells(plan(sensors=("set", "board"))),
+        [each.EFFECT for each in TIES["no sensor at the electronics"][2]],
+    )
+    assert np.isfinite(boards.distinguished_dph["temperature_rate", "thermal_gradient"])
+
+
+def test_an_effect_found_is_assumed_with_the_parameters_found():
+    """A warm-up of 12 h is harder to distinguish from a drift than one of the typical two."""
+    closure = closed("one power-on")
+    effects = [each.effect for each in closure.evidence]
+    usual, found = (
+        separability(searched_dwells(plan()), effects, each).distinguished_dph["warm_up", "time_drift"]
+        for each in ((), closure.effects)
+    )
+    assert found > 1.5 * usual
+
+
+def test_another_power_on_with_the_dwells_so_far_settles_warm_up_against_drift():
+    [outlook] = tie_outlooks(closed("one power-on"), plan())
+    assert outlook.is_settled
+    assert min(outlook.if_found, outlook.if_other) > 1e4
+
+
+def test_sensors_settle_what_their_lack_left_tied():
+    [outlook] = tie_outlooks(closed("no sensor at the electronics"), plan(sensors=("set", "board")))
+    assert outlook.missing_input is None
+    assert outlook.if_found > TIE_ODDS
+    assert outlook.is_settled
+
+
+def test_the_noise_is_that_of_the_closure():
+    closure = closed("one power-on")
+    unit = measured_unit(closure, ThermalEstimate())
+    hours = (closure.campaign.end_s - closure.campaign.start_s)[0] / 3600.0
+    expected = closure.noise_scale * closure.campaign.sigma_dph[0] * np.sqrt(hours)
+    np.testing.assert_allclose(unit.angle_random_walk_deg_per_sqrt_h, expected)
+    assert (unit.has_boards, unit.has_case) == (False, False)
+    assert unit.thermal.rms_k < 1.0

@@ -1,0 +1,131 @@
+import json
+import sys
+
+import pytest
+
+from gyrobench.bench.foundations.clock import WallClock
+from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
+from gyrobench.bench.investigation.external_bench import ExternalBench
+from gyrobench.bench.investigation.investigation import Investigator
+from gyrobench.bench.runs.journal import read_journal
+from tests.bench.investigation import simulated_bench
+from tests.bench.investigation.simulated_bench import first_campaign, simulate
+
+
+def unit_with(effects, seed=2, refuses=("factor",)):
+    steps = first_campaign([45.0, 10.0, -20.0])
+    return {"unit": "S1", "seed": seed, "effects": effects, "refuses": list(refuses), "steps": steps}
+
+
+def investigator(unit, folder, budget_h=60.0, approve=lambda proposal, rivals: True, before=""):
+    path = folder.parent / f"{folder.name}.json"
+    if not path.exists():
+        path.write_text(json.dumps(unit))
+    bench = ExternalBench(f"{before}{sys.executable} {simulated_bench.__file__} {path}")
+    return Investigator(simulate(unit), folder, bench, budget_h, approve)
+
+
+@pytest.fixture(scope="module")
+def settled(tmp_path_factory):
+    """A warm-up that the first table can't distinguish from a drift, settled."""
+    folder = tmp_path_factory.mktemp("investigation") / "whole"
+    return investigator(unit_with({"warm_up": 0.02}), folder).run(WallClock()), folder
+
+
+def test_a_tie_is_settled_in_favour_of_what_is_there_in_a_quarter_of_a_campaign(settled):
+    found, _ = settled
+    assert found.stages[0].closure.posterior.hypotheses[0].probability < 0.99
+    assert found.ended == "settled"
+    assert found.closure.posterior.hypotheses[0].names == {"warm_up"}
+    assert found.spent_h <= 0.25 * found.repeated_campaign_h
+
+
+def test_a_settled_cause_is_confirmed_by_a_block_that_was_predicted(settled):
+    found, folder = settled
+    after, before = found.confirmation.outcome.error_dph
+    assert after < 2.0 * found.confirmation.outcome.noise_dph < before
+    events = [entry["event"] for entry in read_journal(folder / "journal.jsonl")]
+    measured = [place for place, event in enumerate(events) if event == "measured"]
+    assert len(measured) == len(found.stages)
+    assert all("proposed" in events[:place] for place in measured)
+    assert events[-1] == "investigation_ended"
+
+
+def test_predictions_stand_in_the_journal_before_the_block_is_measured(settled):
+    found, folder = settled
+    first = next(entry for entry in read_journal(folder / "journal.jsonl") if entry["event"] == "proposed")
+    assert first["block"] == found.stages[0].proposal.block.name
+    assert {each["hypothesis"] for each in first["predictions"]} == {
+        each.title for each in found.stages[0].rivals
+    }
+    assert len(first["predictions"][0]["bias_x_dph"]) == len(first["dwells"])
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("fails_at", [1, 3])
+def test_an_investigation_that_was_killed_decides_the_same_again(settled, tmp_path, fails_at):
+    unit, folder = unit_with({"warm_up": 0.02}), tmp_path / "killed"
+    calls = []
+
+    def approve(proposal, rivals):
+        calls.append(proposal.block.name)
+        if len(calls) == fails_at:
+            raise KeyboardInterrupt
+        return True
+
+    with pytest.raises(KeyboardInterrupt):
+        investigator(unit, folder, approve=approve).run(WallClock())
+    again = investigator(unit, folder).run(WallClock())
+    whole, _ = settled
+    assert [each.proposal and each.proposal.block.name for each in again.stages] == [
+        each.proposal and each.proposal.block.name for each in whole.stages
+    ]
+    assert again.rows == whole.rows
+
+
+@pytest.mark.long
+def test_a_block_that_the_bench_refuses_is_replaced_by_another(tmp_path):
+    unit = unit_with({"warm_up": 0.02}, refuses=("factor", "chamber"))
+    found = investigator(unit, tmp_path / "refusing", budget_h=20.0).run(WallClock())
+    assert found.refused
+    assert all(
+        step.kind != "chamber"
+        for stage in found.stages
+        if stage.proposal
+        for step in stage.proposal.block.plan.steps
+    )
+
+
+def test_nothing_is_measured_for_a_unit_without_an_effect(tmp_path):
+    found = investigator(unit_with({}, seed=5), tmp_path / "clean").run(WallClock())
+    assert (found.ended, found.spent_h, found.confirmation) == ("settled", 0.0, None)
+    assert found.closure.verdict == "clean"
+
+
+def test_a_declined_block_ends_the_investigation(tmp_path):
+    declining = investigator(
+        unit_with({"warm_up": 0.02}), tmp_path / "no", approve=lambda proposal, rivals: False
+    )
+    assert declining.run(WallClock()).ended == "declined"
+
+
+@pytest.mark.long
+def test_no_block_is_longer_than_what_is_left_of_the_budget(tmp_path):
+    found = investigator(unit_with({"warm_up": 0.02}), tmp_path / "short", budget_h=1.5).run(WallClock())
+    assert found.spent_h <= 1.6
+    assert found.ended in ("budget", "no_block", "settled")
+
+
+def test_the_folder_of_another_table_is_refused(settled):
+    _, folder = settled
+    with pytest.raises(RunFolderError, match="another table"):
+        Investigator(simulate(unit_with({}, seed=9)), folder, ExternalBench("x"), 1.0, lambda *_: True)
+
+
+@pytest.mark.long
+def test_a_bench_that_fails_leaves_what_was_measured(tmp_path):
+    unit, folder = unit_with({"warm_up": 0.02}), tmp_path / "failing"
+    with pytest.raises(GyrobenchError, match="exit code"):
+        investigator(unit, folder, before=f"{sys.executable} -c 'import_error' ").run(WallClock())
+    assert (folder / "start.csv").exists()
+    assert investigator(unit, folder).run(WallClock()).ended == "settled"
