@@ -16,7 +16,8 @@ def table_of(tmp_path, effects, seed):
 
 def test_a_unit_without_an_effect_is_settled_without_a_block(tmp_path):
     command = table_of(tmp_path, {}, 5)
-    answer = gyrobench(
+    options = ("--bench", command, "--approve", "auto", "--json")
+    answer = gyrobench("investigate", "dwells.csv", *options, cwd=tmp_path)
         "investigate", "dwells.csv", "--bench", command, "--approve", "auto", "--json", cwd=tmp_path
     )
     assert answer.returncode == 0, answer.stderr
