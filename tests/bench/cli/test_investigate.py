@@ -18,8 +18,6 @@ def test_a_unit_without_an_effect_is_settled_without_a_block(tmp_path):
     command = table_of(tmp_path, {}, 5)
     options = ("--bench", command, "--approve", "auto", "--json")
     answer = gyrobench("investigate", "dwells.csv", *options, cwd=tmp_path)
-        "investigate", "dwells.csv", "--bench", command, "--approve", "auto", "--json", cwd=tmp_path
-    )
     assert answer.returncode == 0, answer.stderr
     found = json.loads(answer.stdout)
     assert (found["ended"], found["blocks"], found["verdict"]) == ("settled", 0, "clean")
