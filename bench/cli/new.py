@@ -104,6 +104,7 @@ def _write(name: str, out: Path | None, make: Callable[[Path], str], next_step: 
         typer.echo(text, nl=False)
         return
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
     except OSError as error:

@@ -141,6 +141,13 @@ class Campaign:
         columns = {name: values[chosen] for name, values in self.columns.items()}
         return replace(self, **arrays, position=position, columns=columns, part_of=(self, chosen))
 
+    def with_uncertainties(self, sigma_dph: FloatArray) -> Campaign:
+        """Same campaign with other standard uncertainties (n, 3); what is computed of the rest is shared."""
+        everything = self.part_of or (self, np.ones(len(self), dtype=bool))
+        changed = replace(self, sigma_dph=sigma_dph, part_of=everything)
+        vars(changed)["computed_terms"] = self.computed_terms
+        return changed
+
     @property
     def middle_s(self) -> FloatArray:
         """Middle of each dwell, shape (n,)."""

@@ -133,6 +133,14 @@ def closure_document(closure: Closure) -> dict[str, Any]:
         "left_over": closure.unexplained_part,
         "noise_dph": closure.noise_dph,
         "noise_over_stated": closure.noise_scale,
+        "noise": {
+            "scale": closure.noise.scale,
+            "outliers": [
+                {"dwell": each.dwell, "gyro": each.gyro, "residual_sigma": each.residual_sigma}
+                for each in closure.noise.outliers
+            ],
+        },
+        "confounding": list(closure.confounding),
         "lack_of_fit_p_before": closure.before.p_value,
         "lack_of_fit_p_after": closure.after.p_value,
         "error_before_dph": closure.error_before_dph,
@@ -165,6 +173,7 @@ def closure_document(closure: Closure) -> dict[str, Any]:
                 "lacks": each.missing_input,
                 "share_explained_alone": _known(each.share),
                 "p_value_alone": None if each.candidate is None else each.p_value,
+                "rejected": each.rejected or None,
             }
             for each in closure.evidence
         ],

@@ -10,13 +10,16 @@ from pathlib import Path
 import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.candidates import Candidate, Hypothesis, solve_with, stack
+from gyrobench.bench.closure.candidates import Candidate, Hypothesis, solve_with
 from gyrobench.bench.closure.compose import Composed, compose
+from gyrobench.bench.closure.confounding import confounding
 from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.effect import Effect, Parameter
+from gyrobench.bench.closure.noise import Noise
 from gyrobench.bench.closure.posterior import EXPLAINED, Posterior, detectable_dph
-from gyrobench.bench.closure.problem import Problem, Solution, declared_problem
+from gyrobench.bench.closure.problem import Solution, declared_problem
 from gyrobench.bench.closure.search import Search
+from gyrobench.bench.closure.selection import Selected, select
 from gyrobench.bench.closure.uncertainty import Draws, bound_of, draw, interval
 from gyrobench.bench.closure.validation import LackOfFit, lack_of_fit, leave_out_cycles, measured_minus
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
@@ -24,11 +27,6 @@ from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.text import decimals_of, listed, plain_name, with_sigma
 from gyrobench.bench.navigation.positions import AXES
 
-#: A lack of fit is significant below this p-value.
-LACK_OF_FIT_P = 1e-3
-#: Scatter without structure is noise up to this ratio to the stated uncertainties.
-NOISE_TOLERANCE = 1.25
-_NO_STRUCTURE_P = 0.05
 _S_PER_H = 3600.0
 _UNITS = {"c": "degC"}
 #: An interval is stated in place of a standard uncertainty if its middle is off by this share of its length.
@@ -106,6 +104,7 @@ class Evidence:
     p_value: float = 1.0  #: Corrected for all candidate fits.
     #: Twice the logarithm of the odds of the effects found to this one alone.
     log_odds_against: float = np.nan
+    rejected: str = ""  #: Why it is not found though significant alone; empty otherwise.
 
 
 @dataclass(frozen=True)
@@ -140,7 +139,8 @@ class Closure:
     declared: Solution
     model: Solution
     noise_dph: float  #: Noise of a measured bias, rms.
-    noise_scale: float  #: Ratio of the noise to the stated uncertainties.
+    confounding: tuple[str, ...]  #: What the dwells searched can't distinguish, one sentence each.
+    noise: Noise  #: Its ratio to the stated uncertainties, and the outliers.
     #: error_before_dph, error_after_dph: Rms of measured minus predicted bias in the held-out dwells.
     error_before_dph: float
     error_after_dph: float
@@ -152,6 +152,11 @@ class Closure:
     model_draws: Draws
     composed: Composed | None = None  #: Laws composed from the grammar; None if that was not asked for.
     rotation: tuple[Turn, ...] = ()  #: Each cycle held out in turn; empty if that was not asked for.
+
+    @property
+    def noise_scale(self) -> float:
+        """Ratio of the noise to the stated uncertainties."""
+        return self.noise.scale
 
     @cached_property
     def prediction_sigma_dph(self) -> FloatArray:
@@ -229,15 +234,9 @@ def close_loop(
     candidates = all_effects(*sources) if effects is None else tuple(effects)
     searched = _searched(campaign, hold_out_cycles)
     campaign = campaign.holding_out(np.unique(campaign.cycle[~searched]).tolist())
-    problem = declared_problem(campaign, searched)
-    search = Search(problem, candidates)
-    found, weighed = search.most_probable()
-    after = _test(problem, found)
-    if _is_noise(after):
-        problem = declared_problem(campaign, searched, after.noise_ratio)
-        search = Search(problem, candidates)
-        found, weighed = search.most_probable()
-        after = _test(problem, found)
+    selected = select(campaign, searched, candidates)
+    search, found, weighed, after = selected.search, selected.found, selected.posterior, selected.after
+    problem = search.problem
     declared, model = (solve_with(problem, each) for each in ((), found.candidates))
     declared_draws, model_draws = (draw(problem, each) for each in ((), found.candidates))
     errors_dph = [measured_minus(campaign, searched, each)[~searched] for each in (declared, model)]
@@ -254,15 +253,16 @@ def close_loop(
             is_confirmed=error_after < error_before and not _is_circular(campaign, searched, found),
         ),
         posterior=weighed,
-        detectable_dph=detectable_dph(_with_effects(problem, found)),
+        detectable_dph=detectable_dph(selected.with_effects),
         effects=_found_effects(search, found, model, model_draws, weighed),
-        evidence=_evidence(search, found),
+        evidence=_evidence(selected),
         before=lack_of_fit(problem, 0),
         after=after,
         declared=declared,
         model=model,
         noise_dph=_rms(problem.sigma_dph),
-        noise_scale=problem.noise_scale,
+        confounding=confounding(campaign, searched),
+        noise=selected.noise,
         error_before_dph=error_before,
         error_after_dph=error_after,
         error_before_sigma_dph=sigma_before,
@@ -276,7 +276,7 @@ def composed(closure: Closure) -> Closure:
     """Same closure with laws composed from the grammar of effects, where it is unexplained."""
     if closure.verdict != "unexplained":
         return closure
-    problem = declared_problem(closure.campaign, closure.searched, closure.noise_scale)
+    problem = closure.noise.problem(closure.campaign, closure.searched)
     return replace(closure, composed=compose(problem, [each.candidate for each in closure.effects]))
 
 
@@ -324,30 +324,8 @@ def _searched(campaign: Campaign, hold_out_cycles: Sequence[int]) -> BoolArray:
     return searched
 
 
-def _test(problem: Problem, found: Hypothesis) -> LackOfFit:
-    parameters = sum(len(each.values) for each in found.candidates)
-    return lack_of_fit(_with_effects(problem, found), parameters)
-
-
-def _with_effects(problem: Problem, found: Hypothesis) -> Problem:
-    return problem.with_columns(*stack(found.candidates, problem.campaign)) if found.candidates else problem
-
-
-def _lacks_fit(after: LackOfFit) -> bool:
-    return after.p_value < LACK_OF_FIT_P
-
-
-def _is_noise(after: LackOfFit) -> bool:
-    """Whether the residual has no structure and is only slightly larger than the stated uncertainties."""
-    return (
-        _lacks_fit(after)
-        and after.p_any_structure > _NO_STRUCTURE_P
-        and 1.0 < after.noise_ratio < NOISE_TOLERANCE
-    )
-
-
 def _verdict(found: Hypothesis, after: LackOfFit, weighed: Posterior, *, is_confirmed: bool) -> str:
-    if _lacks_fit(after) or weighed.not_on_list > 0.5:
+    if after.is_significant or weighed.not_on_list > 0.5:
         return "unexplained"
     if not found.candidates:
         return "clean"
@@ -395,7 +373,8 @@ def _found_effects(
     return tuple(sorted(result, key=lambda each: -each.rms_dph))
 
 
-def _evidence(search: Search, found: Hypothesis) -> tuple[Evidence, ...]:
+def _evidence(selected: Selected) -> tuple[Evidence, ...]:
+    search, found = selected.search, selected.found
     problem = search.problem
     excess = problem.chi2 - problem.dof
 
@@ -412,8 +391,8 @@ def _evidence(search: Search, found: Hypothesis) -> tuple[Evidence, ...]:
             result.append(Evidence(effect, log_odds_against=odds(search.declared)))
         else:
             share = (problem.chi2 - alone.chi2) / excess if excess > 0.0 else np.nan
-            p_value = search.p_value(alone, 0)
-            result.append(Evidence(effect, None, alone.candidates[0], share, p_value, odds(alone)))
+            p_value, rejected = search.p_value(alone, 0), selected.rejection(effect)
+            result.append(Evidence(effect, None, alone.candidates[0], share, p_value, odds(alone), rejected))
     return tuple(sorted(result, key=lambda each: (each.missing_input is not None, each.log_odds_against)))
 
 

@@ -19,6 +19,8 @@ from gyrobench.bench.closure.candidates import Candidate, solve_with
 from gyrobench.bench.closure.problem import SCALE_C, Problem, Solution, declared_problem
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 
+#: A lack of fit is significant below this p-value.
+LACK_OF_FIT_P = 1e-3
 _DWELLS_A_TIME_KNOT = 6
 _MAX_TIME_KNOTS = 40
 _TEMPERATURE_KNOT_C = 4.0
@@ -37,6 +39,11 @@ class LackOfFit:
     def p_value(self) -> float:
         """Smallest p-value, corrected for the number of tests."""
         return min(1.0, min(self.p_noise, *self.p_structure.values()) * (1 + len(self.p_structure)))
+
+    @property
+    def is_significant(self) -> bool:
+        """Whether the model lacks something."""
+        return self.p_value < LACK_OF_FIT_P
 
     @property
     def p_any_structure(self) -> float:

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import binomtest
 
-from tests.benchmarks.closure_calibration import GROUPS, LOOKS, examine
+from tests.benchmarks.closure_calibration import FIRST_COMPOSED, GROUPS, INTERVALS, LAW, LOOKS, examine
 
 STATED = 0.99
 VERDICTS = ("clean", "explained", "ambiguous", "unexplained")
@@ -142,7 +142,8 @@ def figures(results):
         f"... refuted by {LOOKS} times the data": counted(weak, is_refuted),
         "on no list, 1 to 10 sigma: `explained`": counted(strong, is_explained),
     }
-    for what in ("sizes", "parameters", "predictions"):
+    rows |= _composed_laws(in_group(results, LAW))
+    for what in INTERVALS:
         inside, count = (sum(each["inside"][what][place] for each in results) for place in (0, 1))
         rows[f"95 % intervals of {what} that hold"] = (
             f"{100 * inside / count:.1f} % of {count}" if count else "none"
@@ -151,6 +152,16 @@ def figures(results):
         f"{statistics.median(each['took_s'] for each in results):.2f} s"
     )
     return rows
+
+
+def _composed_laws(units):
+    def first(one):
+        return next(iter(one["drivers"]), "") == one["effects"][0].removeprefix("composed, ")
+
+    return {
+        "composed law, 3 to 10 sigma: right driver first": share(sum(map(first, units)), len(units)),
+        "... `explained` by effects of the list": share(sum(map(is_explained, units)), len(units)),
+    }
 
 
 def _noise_named(hard):
@@ -162,7 +173,7 @@ def _noise_named(hard):
 def confusion(results):
     """Verdicts by what is in the unit."""
     lines = ["| in the unit | right | " + " | ".join(VERDICTS) + " |", "|---" * (len(VERDICTS) + 2) + "|"]
-    for group in dict.fromkeys(GROUPS):
+    for group in dict.fromkeys((*GROUPS, LAW)):
         for low, high in itertools.pairwise(SIZES) if group == "one" else [(0.0, np.inf)]:
             mine = [
                 each for each in in_group(results, group) if low <= max(each["sizes"], default=1.0) < high
@@ -236,8 +247,14 @@ def markdown(results):
     return "\n\n".join([table, confusion(results), reliability_table(results)])
 
 
+def units(count):
+    """Numbers of units, one in twenty with a composed law."""
+    composed = max(count // 20, 7)
+    return [*range(count - composed), *range(FIRST_COMPOSED, FIRST_COMPOSED + composed)]
+
+
 def test_probabilities_of_causes_are_frequencies(tmp_path):
-    results = examine(range(60), tmp_path / "results.jsonl")
+    results = examine(units(60), tmp_path / "results.jsonl")
     print(f"\n{markdown(results)}")
     true, count = statements(results)
     assert count - true <= 1
@@ -248,11 +265,10 @@ def test_probabilities_of_causes_are_frequencies(tmp_path):
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--units", type=int, default=1000)
-    parser.add_argument("--first", type=int, default=0, help="number of the first unit")
     parser.add_argument("--results", type=Path, required=True)
     parser.add_argument("--page", type=Path)
     arguments = parser.parse_args()
-    found = examine(range(arguments.first, arguments.first + arguments.units), arguments.results)
+    found = examine(units(arguments.units), arguments.results)
     text = markdown(found)
     print(text)
     if arguments.page:

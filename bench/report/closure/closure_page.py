@@ -82,7 +82,7 @@ def _residual(closure: Closure) -> Section:
     ]
     return Section(
         "Residual of the declared model",
-        _paragraphs(text.before_sentence(closure), text.noise_scale_sentence(closure)),
+        _paragraphs(text.before_sentence(closure), *text.noise_sentences(closure)),
         figures,
     )
 
@@ -164,8 +164,9 @@ def _alternatives(closure: Closure) -> Section:
         text.probability_sentence(closure),
         text.alternative_sentence(closure),
         *text.tie_sentences(closure),
+        *text.rejection_sentences(closure),
     ]
-    paragraphs += text.missing_input_sentences(closure)
+    paragraphs += [*text.missing_input_sentences(closure), *closure.confounding]
     paragraphs += [text.sensitivity_sentence(closure)] if closure.verdict == "clean" else []
     title = "Alternatives" if closure.effects else "Candidate effects"
     return Section(title, _paragraphs(*paragraphs), figures, [table])

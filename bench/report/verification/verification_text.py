@@ -6,7 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 
 from gyrobench.bench.closure.loadable_model import LoadableModel
-from gyrobench.bench.closure.loop import LACK_OF_FIT_P, Closure
+from gyrobench.bench.closure.loop import Closure
+from gyrobench.bench.closure.validation import LACK_OF_FIT_P
 from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.report.closure.closure_text import found_labels, p_phrase, size_text
 from gyrobench.bench.verification.compensation_verification import (

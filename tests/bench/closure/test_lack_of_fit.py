@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from gyrobench.bench.closure.loop import LACK_OF_FIT_P
-from gyrobench.bench.closure.validation import lack_of_fit
+from gyrobench.bench.closure.validation import LACK_OF_FIT_P, lack_of_fit
 
 
 @pytest.fixture(scope="module")

@@ -14,9 +14,10 @@ from gyrobench.bench.closure.effects import (
     time_drift,
     warm_up,
 )
-from gyrobench.bench.closure.loop import LACK_OF_FIT_P, close_loop
+from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.closure.problem import declared_columns, declared_problem
 from gyrobench.bench.closure.search import Search
+from gyrobench.bench.closure.validation import LACK_OF_FIT_P
 from gyrobench.bench.foundations.errors import MeasurementError
 from tests.bench.closure.thermal_bench import SHARES, SIGMA_DPH, UP, measure
 
@@ -240,9 +241,17 @@ def test_a_little_more_noise_than_stated_is_noise(closed):
     assert closure.noise_dph == pytest.approx(SIGMA_DPH * closure.noise_scale)
 
 
+def test_noise_understated_by_up_to_1_6_is_recognized(closed):
+    closure = closed(noise=1.55, cycles=3)
+    assert closure.verdict == "clean"
+    assert closure.effects == ()
+    assert closure.noise_scale == pytest.approx(1.55, rel=0.08)
+
+
 def test_much_more_noise_than_stated_is_unexplained_without_any_effect(closed):
-    closure = closed(noise=1.6, cycles=3)
+    closure = closed(noise=2.2, cycles=3)
     assert closure.verdict == "unexplained"
+    assert closure.noise_scale == 1.0
     assert closure.effects == ()
     assert closure.after.p_any_structure > 1e-3
 
@@ -301,12 +310,42 @@ def test_sizes_follow_the_gyros(closed):
     np.testing.assert_allclose(found.sizes_dph[:, 0] / found.sizes_dph[0, 0], SHARES, atol=0.2)
 
 
-def test_one_dwell_far_off_is_no_effect_and_left_unexplained():
+def test_one_dwell_far_off_is_no_effect_but_an_outlier():
     rows = measure(cycles=2).rows
     rows[0] = replace(rows[0], bias_dph=tuple(np.add(rows[0].bias_dph, 10.0 * SIGMA_DPH).tolist()))
     closure = close_loop(campaign_of(rows))
     assert closure.effects == ()
-    assert closure.verdict == "unexplained"
+    assert closure.verdict == "clean"
+    assert {(each.dwell, each.gyro) for each in closure.noise.outliers} == {(1, "x"), (1, "y"), (1, "z")}
+    for each in closure.noise.outliers:
+        assert each.residual_sigma == pytest.approx(10.0, abs=3.5)
+
+
+def test_outliers_do_not_influence_the_fit_and_hide_no_effect(closed):
+    rows = measure({"g_sensitivity": 4.0}, cycles=3, headings_deg=(0.0, 90.0)).rows
+    disturbed = (11, 50)
+    bad = [
+        replace(row, bias_dph=tuple(np.add(row.bias_dph, 15.0 * SIGMA_DPH).tolist()))
+        if row.dwell in disturbed
+        else row
+        for row in rows
+    ]
+    closure, undisturbed = close_loop(campaign_of(bad)), closed({"g_sensitivity": 4.0}, cycles=3)
+    assert {each.dwell for each in closure.noise.outliers} == set(disturbed)
+    assert [each.effect.name for each in closure.effects] == ["g_sensitivity"]
+    assert closure.verdict == undisturbed.verdict
+    np.testing.assert_allclose(
+        closure.effects[0].sizes_dph, undisturbed.effects[0].sizes_dph, atol=1.0 * SIGMA_DPH
+    )
+
+
+def test_a_rejected_candidate_has_its_reason(closed):
+    closure = closed({"g_sensitivity": 4.0})
+    settled = {each.effect.name for each in closure.effects}
+    rejected = {each.effect.name: each.rejected for each in closure.evidence if each.rejected}
+    significant = {each.effect.name for each in closure.evidence if each.p_value < 1e-3}
+    assert rejected.keys() == significant - settled
+    assert rejected["attitude_thermal"].startswith("not significant beside g-sensitivity")
 
 
 def test_not_even_the_length_of_the_held_out_cycle_changes_the_outcome():

@@ -108,8 +108,10 @@ def test_the_remaining_residual_is_located_or_noise():
 
 def test_scatter_above_the_stated_uncertainties_is_stated():
     closure = close_loop(campaign_of(made_up_rows(SENSITIVITY, scatter=1.3)), effects=EFFECTS)
-    assert closure_text.noise_scale_sentence(closure).startswith("The scatter of the biases is 1.2")
-    assert closure_text.noise_scale_sentence(explained()) == ""
+    [sentence] = closure_text.noise_sentences(closure)
+    assert sentence.startswith("The noise is 1.")
+    assert "times the stated uncertainties; what is left follows nothing" in sentence
+    assert closure_text.noise_sentences(explained()) == []
 
 
 def test_a_clean_search_states_its_sensitivity():

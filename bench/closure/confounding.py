@@ -1,0 +1,73 @@
+"""What the design of a campaign can't distinguish, whatever the biases are."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from gyrobench.bench.closure.campaign import Campaign
+from gyrobench.bench.closure.problem import declared_problem
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
+
+#: Two sets of terms can't be distinguished if at most this share of the length of one is independent.
+CONFOUNDED_SHARE = 0.3
+#: Degree of the slow course of time that attitudes are compared with, and times the time constant over the
+#: length of the campaign for the slow warm-up.
+_TIME_DEGREE, _SLOW = 3, 0.5
+_SAME_HEADING_DEG = 1.0
+
+
+def confounding(campaign: Campaign, searched: BoolArray) -> tuple[str, ...]:
+    """Sentences on effects that the dwells searched (n,) can't distinguish, each with its reason.
+
+    An effect is confounded with another one if its terms, beside the declared model, are theirs.
+    """
+    seen = campaign.part(searched)
+    sentences = []
+    if len(set(seen.position)) == 1:
+        sentences.append("All dwells are in one attitude: no effect of attitude can be seen or excluded.")
+    elif _stretches(seen.position) == len(set(seen.position)):
+        sentences.append(
+            "Each attitude was measured once, in one stretch of time: attitude cannot be distinguished from "
+            "drift."
+        )
+    elif _independent(campaign, searched, campaign.up_body, _slow_time(campaign)) < CONFOUNDED_SHARE:
+        sentences.append(
+            "The attitudes follow each other as slowly as a drift: attitude cannot be distinguished from "
+            "drift."
+        )
+    if len(set(seen.run.tolist())) == 1:
+        decay = np.exp(-campaign.since_power_on_s / (_SLOW * max(float(np.ptp(seen.middle_s)), 1.0)))
+        if _independent(campaign, searched, decay[:, np.newaxis], _slow_time(campaign)) < CONFOUNDED_SHARE:
+            sentences.append(
+                "All dwells searched are in one power cycle: a slow warm-up cannot be distinguished from "
+                "drift."
+            )
+    if seen.azimuth_deg is not None and np.ptp(seen.azimuth_deg) < _SAME_HEADING_DEG:
+        sentences.append(
+            "All dwells have one heading: an effect of the Earth's magnetic field cannot be distinguished "
+            "from g-sensitivity."
+        )
+    if len(np.unique(seen.cycle)) == 1:
+        sentences.append(
+            "One cycle was searched: what repeats with the temperature profile cannot be distinguished from "
+            "what happens once."
+        )
+    return tuple(sentences)
+
+
+def _stretches(positions: tuple[str, ...]) -> int:
+    return len(list(itertools.groupby(positions)))
+
+
+def _slow_time(campaign: Campaign) -> FloatArray:
+    time = np.interp(campaign.middle_s, [campaign.middle_s.min(), campaign.middle_s.max()], [-1.0, 1.0])
+    return np.asarray(np.polynomial.chebyshev.chebvander(time, _TIME_DEGREE)[:, 1:], dtype=np.float64)
+
+
+def _independent(campaign: Campaign, searched: BoolArray, terms: FloatArray, others: FloatArray) -> float:
+    """Largest share of terms (n, k), beside the declared model, that is independent of others (n, l)."""
+    problem = declared_problem(campaign, searched)
+    beside = problem.with_columns(np.repeat(others[:, np.newaxis], 3, axis=1))
+    return beside.independent_share(np.repeat(terms[:, np.newaxis], 3, axis=1))

@@ -1,0 +1,133 @@
+"""Noise of the measured biases: its ratio to the stated uncertainties, and dwells far beyond it.
+
+Noise is what follows nothing: scatter beside a model of which the residual has no structure. Outliers are
+down-weighted in the fit: each gets the standard deviation by which it is off.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gyrobench.bench.closure.campaign import Campaign
+from gyrobench.bench.closure.candidates import Candidate, stack
+from gyrobench.bench.closure.problem import SCALE_C, Problem, declared_problem
+from gyrobench.bench.closure.validation import lack_of_fit
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
+from gyrobench.bench.navigation.positions import AXES
+
+#: A measured bias further from the model than this many standard deviations is an outlier.
+OUTLIER_SIGMA = 5.0
+#: With a larger share the outliers are no exceptions: all count in full.
+MAX_OUTLIERS = 0.1
+#: Scatter without structure is noise up to this ratio to the stated uncertainties.
+MAX_SCALE = 1.7
+#: p-values: below them, scatter is larger than stated, and has structure.
+LARGER_P, STRUCTURE_P = 1e-2, 1e-2
+#: Noises are the same if their scales differ by less than this share.
+_SAME = 0.03
+_ROUNDS = 10
+_TIME_DEGREE = 5
+#: Twice the negative log likelihood of an outlier beyond that of other dwells: 2 % have ten times the noise.
+_OUTLIER_COST = 2.0 * math.log(10.0 / 0.02)
+#: Of the variance of a residual in that of the noise, at least.
+_MIN_SHARE = 1e-3
+#: Median of the absolute value of a standard normal number.
+_MEDIAN = 0.6745
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """A measured bias far from the model."""
+
+    dwell: int  #: Number of the dwell.
+    gyro: str  #: "x", "y" or "z".
+    residual_sigma: float  #: Measured minus model, in standard deviations of the noise.
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of the measured biases of a campaign."""
+
+    scale: float  #: Ratio of the noise to the stated uncertainties; at least 1.
+    outliers: tuple[Outlier, ...]  #: Farthest first.
+    #: Shape (n, 3). Ratio of the standard deviation used for an outlier to that of its noise; 1 for others.
+    factors: FloatArray
+
+    @classmethod
+    def stated(cls, campaign: Campaign) -> Noise:
+        """As stated, without outliers."""
+        return cls(1.0, (), np.ones_like(campaign.sigma_dph))
+
+    def problem(self, campaign: Campaign, searched: BoolArray) -> Problem:
+        """Declared model of a campaign with this noise."""
+        weighted = campaign.with_uncertainties(campaign.sigma_dph * self.factors)
+        return declared_problem(weighted, searched, self.scale)
+
+    def cost(self, bic: float, dwells: int) -> float:
+        """Twice the negative log likelihood of all dwells, outliers included, beside a hypothesis.
+
+        ``bic``: of the hypothesis in this noise.
+        """
+        return bic + 3 * dwells * 2.0 * math.log(self.scale) + _OUTLIER_COST * len(self.outliers)
+
+    def is_like(self, other: Noise) -> bool:
+        """Whether the scales are about equal and the outliers are the same."""
+        is_same = np.array_equal(self.factors > 1.0, other.factors > 1.0)
+        return is_same and abs(self.scale / other.scale - 1.0) < _SAME
+
+
+def estimate_noise(
+    campaign: Campaign, searched: BoolArray, effects: Sequence[Candidate] = (), *, smooth: bool = False
+) -> Noise:
+    """Noise of the dwells searched, beside the declared model and effects.
+
+    ``campaign`` has the stated uncertainties. Where the residual of the declared model alone has structure,
+    the noise is as stated: effects may account for it. ``smooth`` adds functions of time, temperature rate
+    and attitude that take up most of any effect.
+    """
+    extra: list[tuple[FloatArray, BoolArray | None]] = [(_smooth(campaign), None)] if smooth else []
+    if effects:
+        extra.append(stack(effects, campaign))
+    noise = Noise.stated(campaign)
+    for _ in range(_ROUNDS):
+        after = noise.problem(campaign, searched)
+        for columns, kept in extra:
+            after = after.with_columns(columns, kept)
+        updated = _with_outliers(noise, after)
+        if np.mean(updated.factors[searched] > 1.0) > MAX_OUTLIERS:
+            updated = Noise.stated(campaign)
+        is_settled, noise = updated.is_like(noise), updated
+        if is_settled:
+            break
+    test = lack_of_fit(after, sum(len(each.values) for each in effects))
+    if test.p_any_structure < STRUCTURE_P:
+        return noise if extra else Noise.stated(campaign)
+    is_larger = test.p_noise < LARGER_P and 1.0 < test.noise_ratio < MAX_SCALE
+    return replace(noise, scale=test.noise_ratio) if is_larger else noise
+
+
+def _smooth(campaign: Campaign) -> FloatArray:
+    time = np.interp(campaign.middle_s, [campaign.middle_s.min(), campaign.middle_s.max()], [-1.0, 1.0])
+    of_time = np.polynomial.chebyshev.chebvander(time, _TIME_DEGREE)[:, 1:]
+    common = np.repeat(np.hstack([of_time, campaign.up_body])[:, np.newaxis], 3, axis=1)
+    by_attitude = campaign.up_body[:, np.newaxis] * campaign.gyro_c[:, :, np.newaxis] / SCALE_C
+    return np.concatenate([common, by_attitude, campaign.rate_c_per_h[:, :, np.newaxis]], axis=2)
+
+
+def _with_outliers(noise: Noise, after: Problem) -> Noise:
+    """Same noise with the outliers of the residuals of a problem that has it."""
+    campaign, searched = after.campaign, after.searched
+    factors = np.ones_like(noise.factors)
+    leverage = np.stack([np.sum(basis**2, axis=1) for basis in after.bases], axis=1)
+    off = after.residuals * noise.factors[searched] / np.sqrt(np.maximum(1.0 - leverage, _MIN_SHARE))
+    off /= max(1.0, float(np.median(np.abs(off))) / _MEDIAN)
+    factors[searched] = np.where(np.abs(off) > OUTLIER_SIGMA, np.abs(off), 1.0)
+    outliers = [
+        Outlier(int(campaign.dwell[searched][dwell]), AXES[gyro], float(off[dwell, gyro]))
+        for dwell, gyro in np.argwhere(np.abs(off) > OUTLIER_SIGMA)
+    ]
+    return Noise(1.0, tuple(sorted(outliers, key=lambda each: -abs(each.residual_sigma))), factors)

@@ -1,0 +1,92 @@
+"""Which hypothesis stands: the most probable one in its own noise, and why others do not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from gyrobench.bench.closure.campaign import Campaign
+from gyrobench.bench.closure.candidates import Hypothesis, stack
+from gyrobench.bench.closure.effects.effect import Effect
+from gyrobench.bench.closure.noise import Noise, estimate_noise
+from gyrobench.bench.closure.posterior import Posterior
+from gyrobench.bench.closure.problem import Problem
+from gyrobench.bench.closure.search import SIGNIFICANCE, Search
+from gyrobench.bench.closure.validation import LackOfFit, lack_of_fit
+from gyrobench.bench.foundations.arrays import BoolArray
+from gyrobench.bench.foundations.text import listed
+
+#: Searches in a noise estimated beside what the one before found.
+_MAX_SEARCHES = 4
+
+
+@dataclass(frozen=True)
+class Selected:
+    """The hypothesis that stands."""
+
+    noise: Noise  #: Of the search.
+    search: Search
+    found: Hypothesis  #: The effects found; the declared model alone if there are none.
+    posterior: Posterior  #: Probabilities of all sets of effects.
+
+    @property
+    def with_effects(self) -> Problem:
+        """The problem after a fit of the effects found."""
+        problem, candidates = self.search.problem, self.found.candidates
+        return problem.with_columns(*stack(candidates, problem.campaign)) if candidates else problem
+
+    @property
+    def after(self) -> LackOfFit:
+        """Test of the residual with the effects found."""
+        return lack_of_fit(self.with_effects, sum(len(each.values) for each in self.found.candidates))
+
+    @property
+    def cost(self) -> float:
+        """See :meth:`~.noise.Noise.cost`."""
+        return self.noise.cost(self.found.bic, int(self.search.problem.searched.sum()))
+
+    def rejection(self, effect: Effect) -> str:
+        """Why an effect that is significant alone is not found; empty for all others."""
+        search, found = self.search, self.found
+        alone = search.alone.get(effect.name)
+        if alone is None or effect.name in found.names or search.p_value(alone, 0) >= SIGNIFICANCE:
+            return ""
+        labels = listed([each.effect.display_name for each in found.candidates])
+        with_it = search.add(found, effect)
+        if with_it is None:
+            return f"not significant beside {labels}"
+        place = [each.effect.name for each in with_it.candidates].index(effect.name)
+        beside = f"{labels} alone" if labels else "the declared model alone"
+        return search.objection(with_it, place) or f"{beside} is about as probable and simpler"
+
+
+def select(campaign: Campaign, searched: BoolArray, effects: Sequence[Effect]) -> Selected:
+    """Search the dwells ``searched`` (n,) of a campaign, which has the stated uncertainties.
+
+    The noise is estimated beside the declared model and beside the effects found. A few disturbed dwells
+    look like an effect, and an effect in a few dwells looks like outliers: if either noise is not as
+    stated, both are searched, and the one stands that describes all dwells better.
+    """
+    stated, alone = Noise.stated(campaign), estimate_noise(campaign, searched)
+    settled = [_settled(campaign, searched, effects, stated)]
+    if not alone.is_like(stated):
+        settled.append(_settled(campaign, searched, effects, alone))
+    if all(each.after.is_significant for each in settled):
+        smooth = estimate_noise(campaign, searched, smooth=True)
+        if smooth.outliers:
+            settled.append(_settled(campaign, searched, effects, smooth))
+    return min(settled, key=lambda each: each.cost)
+
+
+def _settled(campaign: Campaign, searched: BoolArray, effects: Sequence[Effect], noise: Noise) -> Selected:
+    """Search again as long as the noise beside what is found is another one than that of the search."""
+    is_last = False
+    for _ in range(_MAX_SEARCHES):
+        search = Search(noise.problem(campaign, searched), effects)
+        selected = Selected(noise, search, *search.most_probable())
+        noise = estimate_noise(campaign, searched, selected.found.candidates)
+        if is_last or noise.is_like(selected.noise):
+            break
+        # Scatter that has structure beside another set of effects is not noise.
+        is_last = noise.scale == 1.0 < selected.noise.scale
+    return selected

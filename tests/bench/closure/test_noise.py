@@ -1,0 +1,68 @@
+"""Noise that is larger than stated, and outliers: recognized, named, and not called an effect."""
+
+import numpy as np
+import pytest
+
+from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.loop import close_loop
+from gyrobench.bench.closure.noise import OUTLIER_SIGMA, estimate_noise
+from tests.bench.closure.thermal_bench import measure
+from tests.benchmarks.closure_units import make_unit
+
+HARD = ("understated", "outliers", "understated, outliers")
+
+
+def test_clean_units_with_noise_larger_than_stated_or_outliers_are_called_clean():
+    """Of 30, at most one is not; on all the noise is named."""
+    verdicts, named = [], []
+    for seed in range(30):
+        noise = HARD[seed % 3]
+        rows, truth = make_unit(seed, noise=noise)
+        closure = close_loop(campaign_of(rows))
+        verdicts.append(closure.verdict)
+        searched = {row.dwell for row in rows if row.cycle < rows[-1].cycle}
+        far = {each.dwell for each in closure.noise.outliers}
+        assert far <= set(truth.outliers)
+        if "understated" in noise:
+            named.append(closure.noise.scale > 1.15)
+        elif searched & set(truth.outliers):
+            named.append(bool(far))
+    assert verdicts.count("clean") >= 29
+    assert np.mean(named) >= 0.95
+
+
+@pytest.mark.parametrize("scale", [1.2, 1.4, 1.6])
+def test_the_scale_is_that_of_the_noise(scale):
+    campaign = campaign_of(measure(noise=scale).rows)
+    noise = estimate_noise(campaign, np.ones(len(campaign), dtype=bool))
+    assert noise.scale == pytest.approx(scale, rel=0.08)
+    assert noise.outliers == ()
+    assert np.all(noise.factors == 1.0)
+
+
+@pytest.mark.parametrize("effect", ["g_sensitivity", "time_drift", "sinusoid"])
+def test_an_effect_is_no_noise(effect):
+    campaign = campaign_of(measure({effect: 1.5}).rows)
+    noise = estimate_noise(campaign, np.ones(len(campaign), dtype=bool))
+    assert noise.scale == 1.0
+    assert noise.outliers == ()
+
+
+def test_noise_as_stated_has_no_scale_and_no_outliers():
+    noises = [estimate_noise(c, np.ones(len(c), dtype=bool))
+              for c in (campaign_of(measure(seed=seed).rows) for seed in range(20))]  # fmt: skip
+    assert sum(each.scale > 1.0 for each in noises) <= 2
+    assert all(each.outliers == () for each in noises)
+
+
+def test_an_outlier_is_off_by_more_than_five_standard_deviations_and_counts_as_one():
+    rows, truth = make_unit(13, noise="outliers")
+    campaign = campaign_of(rows)
+    noise = estimate_noise(campaign, np.ones(len(campaign), dtype=bool))
+    assert {each.dwell for each in noise.outliers} <= set(truth.outliers)
+    off = [abs(each.residual_sigma) for each in noise.outliers]
+    assert off == sorted(off, reverse=True)
+    assert min(off) > OUTLIER_SIGMA
+    np.testing.assert_allclose(sorted(noise.factors[noise.factors > 1.0]), sorted(off))
+    residuals = noise.problem(campaign, np.ones(len(campaign), dtype=bool)).residuals
+    assert np.abs(residuals[noise.factors > 1.0]).max() < 1.3
