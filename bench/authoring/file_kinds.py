@@ -21,6 +21,7 @@ from gyrobench.bench.exchange.import_map import LogMap
 from gyrobench.bench.foundations.documents import Document, Schema, StrictModel, json_schema
 from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError
 from gyrobench.bench.foundations.shipped import shipped_folders
+from gyrobench.bench.investigation.external_bench import BlockPlan
 from gyrobench.bench.procedure.procedure_file import VARIABLE_PATTERN, Procedure, Repeat
 from gyrobench.bench.procedure.steps import STEP_KINDS, Step
 from gyrobench.bench.runs.compensation_file import CompensationFile
@@ -59,9 +60,10 @@ FAULTS = FileKind("faults", "gyrobench list of faults", "faults", frozenset({"fa
 IMPORT_MAP = _kind_of_model("import", "gyrobench map of a log", "imports", LogMap)
 EFFECT = _kind_of_model("effect", "gyrobench effect on the bias", "", EffectFile)
 COMPENSATION = _kind_of_model("compensation", "gyrobench compensation of an INS", "", CompensationFile)
+PLAN = _kind_of_model("plan", "gyrobench plan of a block of measurements", "", BlockPlan)
 
 KINDS = {
-    kind.name: kind for kind in (PROCEDURE, STATION, WORLD, FAULTS, IMPORT_MAP, EFFECT, COMPENSATION)
+    kind.name: kind for kind in (PROCEDURE, STATION, WORLD, FAULTS, IMPORT_MAP, EFFECT, COMPENSATION, PLAN)
 }  # fmt: skip
 
 

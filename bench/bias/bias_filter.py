@@ -35,6 +35,8 @@ from gyrobench.bench.navigation.error_model import STATES, Site, integrate
 #: A rate of damping of which nothing is known beforehand, 1/s; and the least one that is reported: what a
 #: slower one does to the biases is small.
 _WIDE_DAMPING, _MIN_DAMPING = 1.0, 0.5 / 3600.0
+#: Share of its uncertainty in one dwell that is the same in all dwells of a unit.
+_COMMON_SHARE = 0.3
 #: The same of an acceleration, m/s^2; and the p-value above which accelerometers count as settled.
 _WIDE_ACCELERATION, _MAX_TRANSIENT_P_VALUE = 0.1, 0.01
 
@@ -67,11 +69,15 @@ class Damping:
     def mean(cls, several: Sequence[Damping]) -> Damping:
         """Mean of several dwells of one INS, weighted by the inverse squares of their uncertainties.
 
-        ``several``: one or more, 1/s.
+        Its uncertainty is that of the scatter, and of what the dwells have in common: how accelerometers
+        settle, and biases that follow the temperature within a dwell. ``several``: one or more, 1/s.
         """
+        rates = np.array([each.rate for each in several])
         weights = np.array([each.sigma**-2.0 for each in several])
-        rate = weights @ [each.rate for each in several] / weights.sum()
-        return cls(float(rate), float(weights.sum() ** -0.5))
+        rate = weights @ rates / weights.sum()
+        scatter = weights @ (rates - rate) ** 2 / max(len(rates) - 1, 1)
+        common = _COMMON_SHARE**2 * len(rates) if len(rates) > 1 else 0.0
+        return cls(float(rate), float(np.sqrt((max(scatter, 1.0) + common) / weights.sum())))
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,6 +25,7 @@ class Kind(StrEnum):
     IMPORT = "import"
     EFFECT = "effect"
     COMPENSATION = "compensation"
+    PLAN = "plan"
 
 
 def validate(

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import binomtest
 
-from tests.benchmarks.closure_calibration import FIRST_COMPOSED, GROUPS, LAW, LOOKS, examine
+from tests.benchmarks.closure_calibration import FIRST_COMPOSED, GROUPS, INTERVALS, LAW, LOOKS, examine
 
 STATED = 0.99
 VERDICTS = ("clean", "explained", "ambiguous", "unexplained")
@@ -143,7 +143,7 @@ def figures(results):
         "on no list, 1 to 10 sigma: `explained`": counted(strong, is_explained),
     }
     rows |= _composed_laws(in_group(results, LAW))
-    for what in ("sizes", "parameters", "predictions"):
+    for what in INTERVALS:
         inside, count = (sum(each["inside"][what][place] for each in results) for place in (0, 1))
         rows[f"95 % intervals of {what} that hold"] = (
             f"{100 * inside / count:.1f} % of {count}" if count else "none"

@@ -32,6 +32,9 @@ _CAMPAIGNS = {
     "ageing": {"design": "power cycles", "cycles": 5},
     "magnetic_sensitivity": {"design": "headings"},
 }
+#: Of what 95 % intervals are counted; predictions are also those of a model that is not exactly true.
+INEXACT = "predictions with other laws, or with effects missed"
+INTERVALS = ("sizes", "parameters", "predictions", INEXACT)
 #: Standard deviations that hold 95 %.
 WITHIN_95 = 1.959964
 
@@ -136,7 +139,7 @@ def _inside(closure, truth):
 
     Sizes and parameters of effects with the candidate's own law, where exactly the right effects are found.
     """
-    inside = {"sizes": [0, 0], "parameters": [0, 0], "predictions": [0, 0]}
+    inside = {what: [0, 0] for what in INTERVALS}
 
     def count(what, errors, sigmas):
         inside[what][0] += int(np.sum(np.abs(errors) <= WITHIN_95 * sigmas))
@@ -155,11 +158,12 @@ def _inside(closure, truth):
         ]
         inside["parameters"][0] += int(sum(held))
         inside["parameters"][1] += len(held)
-    if is_right or closure.verdict in ("clean", "explained"):
+    if closure.verdict != "unexplained":
         campaign, searched = closure.campaign, closure.searched
         seen = ~searched & np.isin(campaign.run, campaign.run[searched])
         errors_dph, sigma_dph = closure.model.bias_dph - truth.bias_dph, closure.prediction_sigma_dph
-        count("predictions", errors_dph[seen], sigma_dph[seen])
+        is_own = is_right and _has_own_laws(closure, truth)
+        count("predictions" if is_own else INEXACT, errors_dph[seen], sigma_dph[seen])
     return inside
 
 

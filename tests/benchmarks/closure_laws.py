@@ -74,9 +74,9 @@ def _thermal_hysteresis(c, draw, own):
 def _thermal_lag(c, draw, own):
     tau_h = draw.uniform(0.15, 1.6)
     if own:
-        return _law(draw, lagged(c.optics_c, tau_h) - c.optics_c, own, (tau_h * 3600.0,))
+        return _law(draw, c.optics_c - lagged(c.optics_c, tau_h), own, (tau_h * 3600.0,))
     behind = lagged(lagged(c.optics_c, 0.85 * tau_h), 0.15 * tau_h)
-    return _law(draw, behind - c.optics_c)
+    return _law(draw, c.optics_c - behind)
 
 
 def _warm_up(c, draw, own):

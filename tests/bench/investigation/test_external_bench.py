@@ -108,3 +108,15 @@ def test_the_dwells_of_the_plan_come_back(rows, tmp_path):
     measured = bench.measure(plan, tmp_path)
     assert [row.dwell for row in measured] == [step.dwell for step in plan.dwells]
     assert json.loads((tmp_path / "plan.json").read_text())["next_dwell"] == measured[0].dwell
+
+
+def test_the_plan_fits_its_published_schema(rows):
+    jsonschema = pytest.importorskip("jsonschema")
+    from gyrobench.bench.authoring.file_kinds import KINDS, schema_of
+
+    schema = schema_of(KINDS["plan"])
+    for block in catalogue(rows):
+        jsonschema.validate(json.loads(block.plan.text()), schema)
+    wrong = json.loads(plan_of(rows, "reversal").text()) | {"steps": [{"kind": "dance"}]}
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(wrong, schema)

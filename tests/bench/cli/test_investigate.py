@@ -1,0 +1,39 @@
+import json
+import sys
+
+from gyrobench.bench.bias.dwell_table import write_dwells
+from tests.bench.command_line import gyrobench
+from tests.bench.investigation import simulated_bench
+from tests.bench.investigation.simulated_bench import first_campaign, simulate
+
+
+def table_of(tmp_path, effects, seed):
+    unit = {"unit": "S1", "seed": seed, "effects": effects, "steps": first_campaign([45.0, 10.0, -20.0])}
+    (tmp_path / "unit.json").write_text(json.dumps(unit))
+    write_dwells(tmp_path / "dwells.csv", simulate(unit))
+    return f"{sys.executable} {simulated_bench.__file__} {tmp_path / 'unit.json'}"
+
+
+def test_a_unit_without_an_effect_is_settled_without_a_block(tmp_path):
+    command = table_of(tmp_path, {}, 5)
+    options = ("--bench", command, "--approve", "auto", "--json")
+    answer = gyrobench("investigate", "dwells.csv", *options, cwd=tmp_path)
+    assert answer.returncode == 0, answer.stderr
+    found = json.loads(answer.stdout)
+    assert (found["ended"], found["blocks"], found["verdict"]) == ("settled", 0, "clean")
+    assert (tmp_path / "investigation" / "investigation.html").exists()
+    assert (tmp_path / "investigation" / "closure" / "closure.json").exists()
+
+
+def test_without_an_answer_at_the_prompt_no_block_is_measured(tmp_path):
+    command = table_of(tmp_path, {"warm_up": 0.02}, 2)
+    answer = gyrobench("investigate", "dwells.csv", "--bench", command, cwd=tmp_path)
+    assert answer.returncode == 1
+    assert "the mean biases are" in answer.stdout.replace("\n", " ")
+    assert not list((tmp_path / "investigation").glob("block-*/new.csv"))
+
+
+def test_a_table_that_does_not_exist_is_wrong_input(tmp_path):
+    answer = gyrobench("investigate", "none.csv", "--bench", "true", cwd=tmp_path)
+    assert answer.returncode == 2
+    assert "none.csv" in answer.stderr
