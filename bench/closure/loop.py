@@ -158,6 +158,11 @@ class Closure:
         """Ratio of the noise to the stated uncertainties."""
         return self.noise.scale
 
+    @property
+    def noise_sentences(self) -> list[str]:
+        """See :meth:`~.noise.Noise.sentences`."""
+        return self.noise.sentences(is_all=self.verdict != "unexplained")
+
     @cached_property
     def prediction_sigma_dph(self) -> FloatArray:
         """Standard uncertainty of the bias by the model in all dwells (n, 3), deg/h.

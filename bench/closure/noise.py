@@ -17,6 +17,7 @@ from gyrobench.bench.closure.candidates import Candidate, stack
 from gyrobench.bench.closure.problem import SCALE_C, Problem, declared_problem
 from gyrobench.bench.closure.validation import lack_of_fit
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
+from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.navigation.positions import AXES
 
 #: A measured bias further from the model than this many standard deviations is an outlier.
@@ -66,6 +67,29 @@ class Noise:
         """Declared model of a campaign with this noise."""
         weighted = campaign.with_uncertainties(campaign.sigma_dph * self.factors)
         return declared_problem(weighted, searched, self.scale)
+
+    def sentences(self, *, is_all: bool) -> list[str]:
+        """The ratio to the stated uncertainties and the outliers; empty if there are none.
+
+        ``is_all``: whether the residual has no structure.
+        """
+        sentences = []
+        if self.scale > 1.0:
+            left = "; what is left follows nothing" if is_all else ""
+            sentences.append(
+                f"The noise is {self.scale:.2f} times the stated uncertainties{left}. It is included in the "
+                "noise stated here."
+            )
+        if self.outliers:
+            off: dict[int, list[str]] = {}
+            for each in self.outliers:
+                off.setdefault(each.dwell, []).append(f"{each.gyro} {each.residual_sigma:+.0f} sigma")
+            dwells = [f"dwell {dwell} ({', '.join(gyros)})" for dwell, gyros in sorted(off.items())]
+            sentences.append(
+                f"Further than {OUTLIER_SIGMA:.0f} sigma from the model and down-weighted in the fit: "
+                f"{listed(dwells)}."
+            )
+        return sentences
 
     def cost(self, bic: float, dwells: int) -> float:
         """Twice the negative log likelihood of all dwells, outliers included, beside a hypothesis.

@@ -82,7 +82,7 @@ def _residual(closure: Closure) -> Section:
     ]
     return Section(
         "Residual of the declared model",
-        _paragraphs(text.before_sentence(closure), *text.noise_sentences(closure)),
+        _paragraphs(text.before_sentence(closure), *closure.noise_sentences),
         figures,
     )
 

@@ -10,7 +10,6 @@ from scipy.special import chdtri
 
 from gyrobench.bench.closure.candidates import start_count
 from gyrobench.bench.closure.loop import Closure, Evidence, FoundEffect
-from gyrobench.bench.closure.noise import OUTLIER_SIGMA
 from gyrobench.bench.closure.posterior import EXPLAINED, POWER
 from gyrobench.bench.closure.problem import Solution
 from gyrobench.bench.closure.search import SIGNIFICANCE
@@ -229,27 +228,6 @@ def before_sentence(closure: Closure) -> str:
     return f"{residual} The residual is consistent with noise ({p})."
 
 
-def noise_sentences(closure: Closure) -> list[str]:
-    """Noise above the stated uncertainties, and outliers; empty if there are none."""
-    sentences = []
-    if closure.noise_scale >= _VISIBLE_NOISE_SCALE:
-        left = "" if closure.verdict == "unexplained" else "; what is left follows nothing"
-        sentences.append(
-            f"The noise is {closure.noise_scale:.2f} times the stated uncertainties{left}. It is included in "
-            "the noise stated here."
-        )
-    if closure.noise.outliers:
-        farthest: dict[int, list[str]] = {}
-        for each in closure.noise.outliers:
-            farthest.setdefault(each.dwell, []).append(f"{each.gyro} {each.residual_sigma:+.0f} sigma")
-        dwells = [f"dwell {dwell} ({', '.join(gyros)})" for dwell, gyros in sorted(farthest.items())]
-        sentences.append(
-            f"Further than {OUTLIER_SIGMA:.0f} sigma from the model and down-weighted in the fit: "
-            f"{listed(dwells)}."
-        )
-    return sentences
-
-
 def rejection_sentences(closure: Closure) -> list[str]:
     """Candidates that are significant alone and not found, with the reason."""
     tied = {name for each in closure.effects for name in each.tied_with}
@@ -427,7 +405,7 @@ def chain(closure: Closure) -> list[tuple[str, str]]:
     """All sentences that apply, in order, each with its topic."""
     several = table_texts(closure) if len(closure.campaign.tables) > 1 else []
     pairs = [("" if index else "Tables", f"{text}.") for index, text in enumerate(several)]
-    pairs += [("Residual", before_sentence(closure)), *(("", text) for text in noise_sentences(closure))]
+    pairs += [("Residual", before_sentence(closure)), *(("", text) for text in closure.noise_sentences)]
     pairs += [("Effect", text) for text in effect_sentences(closure)]
     pairs += [("Probability", probability_sentence(closure))]
     pairs += [("Alternatives", alternative_sentence(closure))]
