@@ -42,6 +42,7 @@ class Draws:
     """N equally probable sets of the parameters of a model."""
 
     declared: FloatArray  #: Shape (N, 3, DEGREE + runs). As in :class:`~.problem.Solution`.
+    run_names: tuple[str, ...]  #: Of these runs.
     sizes_dph: dict[str, FloatArray]  #: By name of the effect, shape (N, 3, k) each.
     #: The effects with the parameters drawn, and which of them each draw has.
     nodes: tuple[tuple[Candidate, ...], ...]
@@ -68,7 +69,11 @@ class Draws:
         mean constant of the fitted ones, without its scatter.
         """
         base = np.stack([declared_columns(campaign, gyro) for gyro in range(3)], axis=1)
-        bias_dph = _sum(base, with_mean_constants(self.declared))
+        unknown = np.full((*self.declared.shape[:2], 1), np.nan)
+        known = np.concatenate([self.declared, unknown], axis=2)
+        place = {name: DEGREE + index for index, name in enumerate(self.run_names)}
+        wanted = [*range(DEGREE), *(place.get(name, -1) for name in campaign.run_names)]
+        bias_dph = _sum(base, with_mean_constants(known)[..., wanted])
         for name in self.sizes_dph.keys() if effects is None else effects:
             bias_dph += self.effect_dph(campaign, name)
         return bias_dph
@@ -115,7 +120,7 @@ def draw(problem: Problem, candidates: Sequence[Candidate]) -> Draws:
         declared[:, gyro, known], terms = np.split(drawn, [known.sum()], axis=1)
         for size, part in zip(sizes.values(), np.split(terms, ends[:-1], axis=1), strict=False):
             size[:, gyro] = part
-    return Draws(declared, sizes, nodes, node)
+    return Draws(declared, problem.campaign.run_names, sizes, nodes, node)
 
 
 def _with_noise_of_residuals(problem: Problem, candidates: Sequence[Candidate]) -> Problem:
