@@ -79,3 +79,10 @@ def test_a_bias_that_wanders_is_no_effect_but_noise_of_its_own_spectrum(kind):
         assert sum(share for name, share in follows.items() if name.startswith("time")) > 0.9
         probabilities.append(sum(follows[each] for each in spectra))
     assert np.mean(probabilities) > 0.4
+
+
+def test_the_stated_noise_is_that_of_dwells_without_outliers():
+    rows, truth = make_unit(13, noise="outliers")
+    closure = close_loop(campaign_of(rows))
+    assert closure.noise.outliers
+    assert closure.noise_dph == pytest.approx(np.sqrt(np.mean(truth.sigma_dph**2)), rel=0.15)
