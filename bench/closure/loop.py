@@ -265,7 +265,7 @@ def close_loop(
         after=after,
         declared=declared,
         model=model,
-        noise_dph=rms(problem.sigma_dph),
+        noise_dph=selected.noise.scale * rms(campaign.sigma_dph[searched]),
         confounding=confounding(campaign, searched),
         noise=selected.noise,
         error_before_dph=error_before,

@@ -250,7 +250,11 @@ def _evidence_of(found: FoundEffect, is_one_cycle: bool) -> str:
         return f"{significance} Not confirmed by cross-validation: {reason}."
     cycles = "cycle" if len(found.gains) == 1 else "cycles"
     parts = [f"{share_text(gain)} of chi2 in cycle {cycle}" for cycle, gain in found.gains.items()]
-    return f"{significance} With its size fitted to the other {cycles}, it explains {listed(parts)}."
+    against = [str(cycle) for cycle, gain in found.gains.items() if gain <= 0.0]
+    depends = (
+        f" It depends on which cycle is held out: cycle {listed(against)} contradicts it." if against else ""
+    )
+    return f"{significance} With its size fitted to the other {cycles}, it explains {listed(parts)}.{depends}"
 
 
 def alternative_sentence(closure: Closure) -> str:
