@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -52,22 +52,13 @@ class Search:
         Each effect alone, without those that are not significant.
     """
 
-    def __init__(
-        self, problem: Problem, effects: Sequence[Effect], alone: Mapping[str, Hypothesis] | None = None
-    ) -> None:
+    def __init__(self, problem: Problem, effects: Sequence[Effect]) -> None:
         self.problem = problem
         self.effects = tuple(each.bounded(problem.campaign) for each in effects)
         self.declared = evaluate(problem, ())
         self._known: dict[tuple[object, ...], Hypothesis | None] = {}
-        if alone is None:
-            each_alone = {effect.name: self._added(self.declared, effect) for effect in self.effects}
-            alone = {name: each for name, each in each_alone.items() if each is not None}
-        self.alone = dict(alone)
-
-    def with_problem(self, problem: Problem) -> Search:
-        """Same search with another noise: parameters are kept, terms selected again."""
-        alone = {name: evaluate(problem, each.candidates) for name, each in self.alone.items()}
-        return Search(problem, self.effects, alone)
+        alone = {effect.name: self._added(self.declared, effect) for effect in self.effects}
+        self.alone = {name: each for name, each in alone.items() if each is not None}
 
     def best(self) -> Hypothesis:
         """The hypothesis with the smallest BIC of which each effect is significant."""
@@ -141,8 +132,8 @@ class Search:
         """The most probable set of effects to which there is no objection, and the probabilities of all sets.
 
         The sets are those of the search by BIC and all with one effect more than the most probable or with
-        one exchanged. A set that contains the most probable one as a special case is left out: the simpler
-        one is preferred, as it is of sets that are about equally probable.
+        one exchanged. The simpler one is preferred of sets that are about equally probable, and of two that
+        are tied if it is a special case of the other; that does not change their probabilities.
         """
         best, evidences = self.best(), self.evidences
         for _ in range(_MAX_EXCHANGES):
@@ -160,8 +151,7 @@ class Search:
             is_simpler = each.parameter_count < found.parameter_count and is_as_probable
             if (is_simpler or self._is_special_case(each, found)) and not self._objections(each):
                 found = each
-        general = {each.names for each in similar if self._is_special_case(found, each)}
-        return found, evidences.posterior([each for names, each in fitted.items() if names not in general])
+        return found, weighed
 
     def _fit_similar(self, to: Hypothesis) -> None:
         """Fit all sets with one effect more, and all with one exchanged."""
