@@ -132,8 +132,8 @@ class Search:
         """The most probable set of effects to which there is no objection, and the probabilities of all sets.
 
         The sets are those of the search by BIC and all with one effect more than the most probable or with
-        one exchanged. The simpler one is preferred of sets that are about equally probable, and of two that
-        are tied if it is a special case of the other; that does not change their probabilities.
+        one exchanged. A set that contains the most probable one as a special case is left out: the simpler
+        one is preferred, as it is of sets that are about equally probable.
         """
         best, evidences = self.best(), self.evidences
         for _ in range(_MAX_EXCHANGES):
@@ -151,7 +151,8 @@ class Search:
             is_simpler = each.parameter_count < found.parameter_count and is_as_probable
             if (is_simpler or self._is_special_case(each, found)) and not self._objections(each):
                 found = each
-        return found, weighed
+        general = {each.names for each in similar if self._is_special_case(found, each)}
+        return found, evidences.posterior([each for names, each in fitted.items() if names not in general])
 
     def _fit_similar(self, to: Hypothesis) -> None:
         """Fit all sets with one effect more, and all with one exchanged."""
