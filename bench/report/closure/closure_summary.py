@@ -6,6 +6,7 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from gyrobench.bench.closure.loop import Closure
+from gyrobench.bench.foundations.arrays import rms
 from gyrobench.bench.report.closure.closure_tables import (
     COMPOSED,
     composed_table,
@@ -18,7 +19,6 @@ from gyrobench.bench.report.closure.closure_text import (
     chain,
     held_out_cycles,
     noise_dph,
-    rms,
     scale_of_errors,
     verdict_sentence,
 )

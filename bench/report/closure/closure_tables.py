@@ -104,5 +104,6 @@ def composed_table(closure: Closure) -> tuple[list[str], list[list[str]]]:
         ]
         for law in composed.laws
     ]
-    rows.append(["no law of the grammar", "", "", f"{composed.other:.2f}", ""])
+    rows.append(["no law of the grammar, or one and something else", "", "", f"{composed.other:.2f}", ""])
+    rows.append(["of this: a law and something else", "", "", f"{composed.law_and_remainder:.2f}", ""])
     return ["bias follows", "shape", "memory", "P", f"held-out error, {scale.unit}"], rows
