@@ -16,10 +16,10 @@ from gyrobench.bench.closure.confounding import confounding
 from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.effect import Effect, Parameter
 from gyrobench.bench.closure.noise import Noise
-from gyrobench.bench.closure.posterior import EXPLAINED, Posterior, detectable_dph
+from gyrobench.bench.closure.posterior import CLEAN, EXPLAINED, Posterior, detectable_dph
 from gyrobench.bench.closure.problem import Solution, declared_problem
 from gyrobench.bench.closure.search import Search
-from gyrobench.bench.closure.selection import Selected, select
+from gyrobench.bench.closure.selection import NotAccepted, Selected, select
 from gyrobench.bench.closure.uncertainty import Draws, bound_of, draw, interval
 from gyrobench.bench.closure.validation import LackOfFit, lack_of_fit, leave_out_cycles, measured_minus
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms
@@ -131,6 +131,7 @@ class Closure:
     effects: tuple[FoundEffect, ...]  #: Strongest first.
     evidence: tuple[Evidence, ...]  #: Of each effect alone.
     posterior: Posterior  #: Probabilities of all hypotheses.
+    not_accepted: NotAccepted | None  #: The most probable set of effects, where none is found.
     detectable_dph: dict[str, float]  #: See :func:`gyrobench.bench.closure.posterior.detectable_dph`.
     #: before, after: Tests of the declared model, and with the effects.
     before: LackOfFit
@@ -258,6 +259,7 @@ def close_loop(
             is_confirmed=error_after < error_before and not _is_circular(campaign, searched, found),
         ),
         posterior=weighed,
+        not_accepted=selected.not_accepted,
         detectable_dph=detectable_dph(selected.with_effects),
         effects=_found_effects(search, found, model, model_draws, weighed),
         evidence=_evidence(selected),
@@ -333,7 +335,7 @@ def _verdict(found: Hypothesis, after: LackOfFit, weighed: Posterior, *, is_conf
     if after.is_significant or weighed.not_on_list > 0.5:
         return "unexplained"
     if not found.candidates:
-        return "clean"
+        return "clean" if weighed.nothing >= CLEAN else "ambiguous"
     is_settled = weighed.of_set(found.names, has_remainder=False) >= EXPLAINED
     return "explained" if is_settled and is_confirmed else "ambiguous"
 

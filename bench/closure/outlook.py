@@ -120,7 +120,7 @@ def _alternative(problem: Problem, others: Sequence[Candidate], effect: Effect) 
     """Hypothesis with an effect beside others; None if it can't be fitted."""
     if effect.missing_input(problem.campaign):
         return None
-    search = Search(problem, (effect,), {} if others else None)
+    search = Search(problem, (effect,))
     return search.add(evaluate(problem, others), search.effects[0])
 
 

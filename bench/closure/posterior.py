@@ -39,6 +39,8 @@ NOISE_PRIOR = ((0.9, 52.0, 51.0), (0.1, 4.0, 6.0))
 TIE_ODDS = 100.0
 #: Probability of a set of effects, without a remainder, that explains a residual.
 EXPLAINED = 0.99
+#: Least probability of the declared model alone where it is stated that there is nothing else.
+CLEAN = 0.5
 #: Probability with which a remainder of a detectable size would have been the most probable hypothesis.
 POWER = 0.9
 #: A term of an effect with several terms is absent from a gyro with this probability.

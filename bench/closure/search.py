@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -52,22 +52,13 @@ class Search:
         Each effect alone, without those that are not significant.
     """
 
-    def __init__(
-        self, problem: Problem, effects: Sequence[Effect], alone: Mapping[str, Hypothesis] | None = None
-    ) -> None:
+    def __init__(self, problem: Problem, effects: Sequence[Effect]) -> None:
         self.problem = problem
         self.effects = tuple(each.bounded(problem.campaign) for each in effects)
         self.declared = evaluate(problem, ())
         self._known: dict[tuple[object, ...], Hypothesis | None] = {}
-        if alone is None:
-            each_alone = {effect.name: self._added(self.declared, effect) for effect in self.effects}
-            alone = {name: each for name, each in each_alone.items() if each is not None}
-        self.alone = dict(alone)
-
-    def with_problem(self, problem: Problem) -> Search:
-        """Same search with another noise: parameters are kept, terms selected again."""
-        alone = {name: evaluate(problem, each.candidates) for name, each in self.alone.items()}
-        return Search(problem, self.effects, alone)
+        alone = {effect.name: self._added(self.declared, effect) for effect in self.effects}
+        self.alone = {name: each for name, each in alone.items() if each is not None}
 
     def best(self) -> Hypothesis:
         """The hypothesis with the smallest BIC of which each effect is significant."""

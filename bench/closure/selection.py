@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.candidates import Hypothesis, stack
+from gyrobench.bench.closure.candidates import Hypothesis, evaluate, stack
 from gyrobench.bench.closure.effects.effect import Effect
 from gyrobench.bench.closure.noise import Noise, estimate_noise
 from gyrobench.bench.closure.posterior import Posterior
@@ -18,6 +18,15 @@ from gyrobench.bench.foundations.text import listed
 
 #: Searches in a noise estimated beside what the one before found.
 _MAX_SEARCHES = 4
+
+
+@dataclass(frozen=True)
+class NotAccepted:
+    """A probable set of effects that is not found."""
+
+    names: tuple[str, ...]  #: Effects.
+    probability: float  #: Of the set, with or without a remainder.
+    reason: str  #: The objection to it.
 
 
 @dataclass(frozen=True)
@@ -44,6 +53,21 @@ class Selected:
     def cost(self) -> float:
         """See :meth:`~.noise.Noise.cost`."""
         return self.noise.cost(self.found.bic, int(self.search.problem.searched.sum()))
+
+    @property
+    def not_accepted(self) -> NotAccepted | None:
+        """The most probable set of effects, and why it is not found; None if effects are found."""
+        names = next(filter(None, self.posterior.sets), None)
+        if self.found.candidates or names is None:
+            return None
+        mine = [each for each in self.posterior.hypotheses if each.names == names]
+        fitted = evaluate(self.search.problem, mine[0].candidates)
+        objections = (self.search.objection(fitted, index) for index in range(len(fitted.candidates)))
+        return NotAccepted(
+            tuple(sorted(names)),
+            sum(each.probability for each in mine),
+            next(filter(None, objections), "the declared model alone is simpler or more probable"),
+        )
 
     def rejection(self, effect: Effect) -> str:
         """Why an effect that is significant alone is not found; empty for all others."""

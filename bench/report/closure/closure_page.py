@@ -21,16 +21,20 @@ from gyrobench.bench.report.closure.closure_figures import (
     closure_evidence_figure,
     closure_residual_figure,
 )
-from gyrobench.bench.report.closure.closure_text import (
+from gyrobench.bench.report.closure.closure_tables import (
+    COMPOSED,
+    composed_table,
     effect_table,
     evidence_caption,
     evidence_table,
+    rotation_table,
+)
+from gyrobench.bench.report.closure.closure_text import (
     held_out_cycles,
     is_noise_only,
     models_of,
     noise_dph,
     residuals_dph,
-    rotation_table,
     scale_of_errors,
     verdict_sentence,
 )
@@ -115,10 +119,10 @@ def _composed(closure: Closure) -> Section | None:
         return None
     table = SectionTable(
         f"Composed laws, of {closure.composed.tried} tried; the best one is composed_law.yaml",
-        *text.composed_table(closure),
+        *composed_table(closure),
         words=3,
     )
-    return Section("Composed laws (empirical)", [text.COMPOSED], [], [table])
+    return Section("Composed laws (empirical)", [COMPOSED], [], [table])
 
 
 def _sizes(closure: Closure) -> SectionTable:

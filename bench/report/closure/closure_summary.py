@@ -7,16 +7,18 @@ from rich.text import Text
 
 from gyrobench.bench.closure.loop import Closure
 from gyrobench.bench.foundations.arrays import rms
-from gyrobench.bench.report.closure.closure_text import (
+from gyrobench.bench.report.closure.closure_tables import (
     COMPOSED,
-    chain,
     composed_table,
     effect_table,
     evidence_caption,
     evidence_table,
+    rotation_table,
+)
+from gyrobench.bench.report.closure.closure_text import (
+    chain,
     held_out_cycles,
     noise_dph,
-    rotation_table,
     scale_of_errors,
     verdict_sentence,
 )

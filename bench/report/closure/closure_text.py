@@ -10,7 +10,7 @@ from scipy.special import chdtri
 
 from gyrobench.bench.closure.candidates import start_count
 from gyrobench.bench.closure.loop import Closure, Evidence, FoundEffect
-from gyrobench.bench.closure.posterior import EXPLAINED, POWER
+from gyrobench.bench.closure.posterior import CLEAN, EXPLAINED, POWER
 from gyrobench.bench.closure.problem import Solution
 from gyrobench.bench.closure.search import SIGNIFICANCE
 from gyrobench.bench.closure.validation import LACK_OF_FIT_P, measured_minus
@@ -66,10 +66,12 @@ def scale_of_errors(closure: Closure) -> BiasScale:
 
 def held_out_cycles(closure: Closure) -> str:
     """Name the held-out cycles: "cycle 3", "cycles 2 and 3"; of several tables "cycle 3 of A"."""
-    return _cycles_text(closure, np.unique(closure.campaign.cycle[~closure.searched]).tolist())
+    return cycles_text(closure, np.unique(closure.campaign.cycle[~closure.searched]).tolist())
 
 
-def _cycles_text(closure: Closure, cycles: Collection[int]) -> str:
+def cycles_text(closure: Closure, cycles: Collection[int]) -> str:
+    """Name cycles; of several tables with the table of each."""
+
     def text(numbers: Collection[int]) -> str:
         return f"cycle{'s' if len(numbers) > 1 else ''} {listed(list(map(str, numbers)))}"
 
@@ -85,7 +87,7 @@ def table_texts(closure: Closure) -> list[str]:
     campaign = closure.campaign
     first_s = campaign.tables[0].start_s
     return [
-        f"{_cycles_text(closure, table.cycles)}, from {(table.start_s - first_s) / _S_PER_H:.1f} h"
+        f"{cycles_text(closure, table.cycles)}, from {(table.start_s - first_s) / _S_PER_H:.1f} h"
         f"{f' ({table.placed})' if table.placed else ''}"
         for table in campaign.tables
     ]
@@ -111,9 +113,9 @@ def p_phrase(p_value: float) -> str:
     return f"p < {text[1:]}" if text.startswith("<") else f"p = {text}"
 
 
-def gains_text(gains: dict[int, float]) -> str:
-    """Share of chi2 explained in each cycle left out: "1: 97 %, 2: 96 %"."""
-    return ", ".join(f"{cycle}: {share_text(gain)}" for cycle, gain in gains.items())
+def labels(closure: Closure, names: Iterable[str]) -> str:
+    """Labels of candidate effects, listed."""
+    return listed([closure.label(name) for name in names])
 
 
 def found_labels(closure: Closure) -> str:
@@ -135,7 +137,7 @@ def verdict_sentence(closure: Closure) -> str:
                 f"({probability_text(closure.probability)})."
             )
         case "ambiguous":
-            return f"An effect is present, but {_unsettled(closure)}"
+            return f"An effect is present, but {_unsettled(closure)}" if found else _undecided(closure)
         case _:
             part = f" {found[0].upper()}{found[1:]} explains only a part." if found else ""
             unknown = probability_text(closure.posterior.not_on_list)
@@ -162,6 +164,17 @@ def _unsettled(closure: Closure) -> str:
             f"{EXPLAINED:g})."
         )
     return f"{found_labels(closure)} ({exactly}) does not predict the held-out cycle better."
+
+
+def _undecided(closure: Closure) -> str:
+    """Why it is neither stated that there is an effect nor that there is none."""
+    nothing = probability_text(closure.posterior.nothing)
+    sentence = f"It is not settled whether the residual is noise ({nothing}, required {CLEAN:g})"
+    likely = closure.not_accepted
+    if likely is None:
+        return f"{sentence}: it may hold something that is not on the list."
+    what = f"{labels(closure, likely.names)} ({probability_text(likely.probability)})"
+    return f"{sentence}. The most probable cause, {what}, is not accepted: {likely.reason}."
 
 
 def _with_probability(closure: Closure, name: str) -> str:
@@ -293,13 +306,12 @@ def tie_sentences(closure: Closure) -> list[str]:
         others = [name for name in each.tied_with if name in not_fitted]
         if fitted:
             sentences.append(
-                f"Tied with {each.effect.display_name}: {_labels(closure, fitted)}. The odds are below 100 "
+                f"Tied with {each.effect.display_name}: {labels(closure, fitted)}. The odds are below 100 "
                 "to 1."
             )
         if others:
             sentences.append(
-                f"Not excluded in place of {each.effect.display_name}: {_labels(closure, others)}, not "
-                "fitted."
+                f"Not excluded in place of {each.effect.display_name}: {labels(closure, others)}, not fitted."
             )
     if sentences:
         return [*sentences, closure.separating_measurement or ""]
@@ -340,30 +352,12 @@ def rotation_sentence(closure: Closure) -> str:
     if not outcomes:
         return "No cycle can be held out alone." if closure.rotation else ""
     texts = [
-        f"{verdict}{f' ({_labels(closure, names)})' if names else ''} with {_cycles_text(closure, cycles)}"
+        f"{verdict}{f' ({labels(closure, names)})' if names else ''} with {cycles_text(closure, cycles)}"
         for (verdict, names), cycles in outcomes.items()
     ]
     if len(texts) == 1:
         return f"The outcome does not depend on which cycle is held out: {texts[0]}."
     return f"The outcome depends on which cycle is held out: {'; '.join(texts)}."
-
-
-def rotation_table(closure: Closure) -> tuple[list[str], list[list[str]]]:
-    """Head and rows of a rotation; three columns of words, then errors."""
-    scale = scale_of_errors(closure)
-    rows = [
-        [
-            _cycles_text(closure, [turn.cycle]),
-            turn.verdict or f"not possible: {turn.reason}",
-            _labels(closure, turn.effects) or ("none" if turn.verdict else ""),
-            *(
-                scale.text(value) if turn.verdict else ""
-                for value in (turn.error_before_dph, turn.error_after_dph, turn.noise_dph)
-            ),
-        ]
-        for turn in closure.rotation
-    ]
-    return ["held out", "verdict", "effects", "before", "after", "noise"], rows
 
 
 def constants_sentence(closure: Closure) -> str:
@@ -415,79 +409,3 @@ def chain(closure: Closure) -> list[tuple[str, str]]:
     pairs += [("Lack of fit", after_sentence(closure)), ("", power_sentence(closure))]
     pairs += [("Sensitivity", sensitivity_sentence(closure))] if closure.verdict == "clean" else []
     return [(topic, text) for topic, text in pairs if text]
-
-
-def effect_table(closure: Closure) -> tuple[list[str], list[list[str]]]:
-    """Head and rows of the effects found; four columns of words, then size and probability."""
-    scale = scale_of_errors(closure)
-    rows = [
-        [
-            each.effect.display_name,
-            listed(each.axes),
-            _labels(closure, each.tied_with) or "none",
-            gains_text(each.gains) or "no",
-            scale.with_sigma(each.rms_dph, each.rms_sigma_dph),
-            probability_text(each.probability).removeprefix("P ").removeprefix("= "),
-        ]
-        for each in closure.effects
-    ]
-    return ["effect", "gyros", "tied with", "cross-validated", "size", "P"], rows
-
-
-def evidence_table(closure: Closure) -> tuple[list[str], list[list[str]]]:
-    """Head and rows of each candidate alone, without columns that would be empty."""
-    found = {each.effect.name for each in closure.effects}
-    tied = {name for each in closure.effects for name in each.tied_with}
-    head = ["effect", "", "p"] if is_noise_only(closure) else ["effect", "", "share", "p"]
-    head += ["odds"] if closure.effects else []
-    rows = []
-    for each in closure.evidence:
-        if each.missing_input is None:
-            name = each.effect.name
-            cells = {
-                "effect": each.effect.display_name,
-                "": "found" if name in found else "tied" if name in tied else "",
-                "share": share_text(each.share),
-                "p": p_text(each.p_value),
-                "odds": odds_text(each.log_odds_against) if each.log_odds_against > 0.0 else "",
-            }
-            rows.append([cells[column] for column in head])
-    return head, rows
-
-
-def evidence_caption(closure: Closure) -> str:
-    """Explanation of the columns of :func:`evidence_table`."""
-    share = "" if is_noise_only(closure) else "share: share of excess variance explained; "
-    odds = "; odds: of the effects found to this one" if closure.effects else ""
-    return f"Each effect alone. {share}p: corrected for all candidate fits{odds}"
-
-
-def _labels(closure: Closure, names: Iterable[str]) -> str:
-    return listed([closure.label(name) for name in names])
-
-
-#: What a composed law is.
-COMPOSED = (
-    "Laws composed from the grammar of effects, fitted beside the effects found. They are empirical: "
-    "hypotheses from the data that they explain, until cycles of other runs confirm them."
-)
-
-
-def composed_table(closure: Closure) -> tuple[list[str], list[list[str]]]:
-    """Composed laws, most probable first, and what no law describes: header and rows."""
-    scale, composed = scale_of_errors(closure), closure.composed
-    if composed is None:
-        return [], []
-    rows = [
-        [
-            law.follows,
-            law.file.shape,
-            law.file.memory,
-            f"{law.probability:.2f}",
-            scale.text(law.error_after_dph),
-        ]
-        for law in composed.laws
-    ]
-    rows.append(["no law of the grammar, or one and something else", "", "", f"{composed.other:.2f}", ""])
-    rows.append(["of this: a law and something else", "", "", f"{composed.law_and_remainder:.2f}", ""])
-    return ["bias follows", "shape", "memory", "P", f"held-out error, {scale.unit}"], rows

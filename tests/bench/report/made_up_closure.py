@@ -87,6 +87,12 @@ def ambiguous():
 
 
 @cache
+def faint():
+    """Probably not nothing, and yet no effect is significant."""
+    return close_loop(campaign_of(made_up_rows(0.11 * SENSITIVITY)), effects=EFFECTS)
+
+
+@cache
 def unexplained():
     return close_loop(campaign_of(made_up_rows(np.zeros(3), unknown_dph=0.02)), effects=EFFECTS)
 

@@ -14,13 +14,14 @@ from tests.bench.report.made_up_closure import (
     ambiguous,
     clean,
     explained,
+    faint,
     made_up_rows,
     quiet,
     unexplained,
     without_boards,
 )
 
-SEARCHES = [clean, explained, ambiguous, unexplained, quiet, without_boards]
+SEARCHES = [clean, explained, ambiguous, faint, unexplained, quiet, without_boards]
 
 
 @pytest.fixture(scope="module", params=SEARCHES)

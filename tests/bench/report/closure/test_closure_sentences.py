@@ -15,6 +15,7 @@ from tests.bench.report.made_up_closure import (
     ambiguous,
     clean,
     explained,
+    faint,
     made_up_rows,
     quiet,
     quiet_unexplained,
@@ -35,6 +36,15 @@ from tests.bench.report.made_up_closure import (
 def test_each_verdict_has_a_sentence(search, verdict, said):
     assert search().verdict == verdict
     assert said in closure_text.verdict_sentence(search())
+
+
+def test_without_an_accepted_effect_the_most_probable_cause_is_stated_with_the_objection():
+    assert faint().verdict == "ambiguous"
+    assert not faint().effects
+    assert faint().posterior.nothing < 0.5
+    sentence = closure_text.verdict_sentence(faint())
+    assert sentence.startswith("It is not settled whether the residual is noise (P = 0.32, required 0.5).")
+    assert "temperature rate (P = 0.68), is not accepted: not significant (p = 0.002" in sentence
 
 
 def test_the_residual_is_compared_with_the_noise():

@@ -11,6 +11,7 @@ from tests.bench.report.made_up_closure import (
     ambiguous,
     clean,
     explained,
+    faint,
     quiet,
     quiet_unexplained,
     unexplained,
@@ -25,7 +26,7 @@ def printed(closure):
 
 
 @pytest.mark.parametrize(
-    "search", [clean, explained, ambiguous, unexplained, quiet, quiet_unexplained, without_boards]
+    "search", [clean, explained, ambiguous, faint, unexplained, quiet, quiet_unexplained, without_boards]
 )
 def test_it_fits_a_terminal_without_colour_and_nothing_is_cut_off(search):
     text = printed(search())
