@@ -93,6 +93,8 @@ def effect(name: _Name, out: _Out = None) -> None:
     """
     from gyrobench.bench.authoring.new_files import new_effect
 
+    if out is not None and out.parent == Path("effects"):
+        out.parent.mkdir(exist_ok=True)
     _write(name, out, lambda path: new_effect(name, path), "Edit it. Next: gyrobench validate")
 
 
@@ -104,7 +106,6 @@ def _write(name: str, out: Path | None, make: Callable[[Path], str], next_step: 
         typer.echo(text, nl=False)
         return
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
     except OSError as error:

@@ -96,13 +96,14 @@ def verify(
 
 
 def _search(run: RunFolder) -> Closure:
-    """Repeat the search of a run; its files are written if they are missing."""
-    from gyrobench.bench.closure.files import is_written, read_held_out_cycles
+    """Repeat the search of a run; its files are written if they are missing, or of another search."""
+    from gyrobench.bench.closure.files import has_composed_laws, is_written, read_held_out_cycles
+    from gyrobench.bench.closure.loop import composed
     from gyrobench.bench.report.closure.closure_page import write_search
 
     closure = search([run.path], read_held_out_cycles(run.closure))
     if not is_written(run.closure, closure):
-        write_search(closure, [run.path])
+        write_search(composed(closure) if has_composed_laws(run.closure) else closure, [run.path])
     return closure
 
 

@@ -22,6 +22,8 @@ from gyrobench.bench.navigation.positions import POSITIONS
 
 #: Largest share of dwells without a reading of a sensor, other than a gyro's, that is interpolated.
 _MAX_MISSING = 0.1
+#: Headings that differ by less are one.
+_SAME_HEADING_DEG = 5.0
 
 
 @dataclass(frozen=True)
@@ -152,6 +154,20 @@ class Campaign:
     def middle_s(self) -> FloatArray:
         """Middle of each dwell, shape (n,)."""
         return 0.5 * (self.start_s + self.end_s)
+
+    @property
+    def has_one_heading(self) -> bool | None:
+        """Whether all known headings are one or its opposite; None if none is known."""
+        headings_deg = np.zeros(0) if self.azimuth_deg is None else self.azimuth_deg
+        headings_deg = headings_deg[np.isfinite(headings_deg)]
+        # A pair at 0 and 180 deg is the pair at 180 and 360 deg.
+        off_deg = (headings_deg - headings_deg[:1] + 90.0) % 180.0 - 90.0
+        return bool(np.all(np.abs(off_deg) < _SAME_HEADING_DEG)) if len(off_deg) else None
+
+    def slow_time(self, degree: int) -> FloatArray:
+        """Chebyshev polynomials of the dwells' time up to a degree, without the constant: (n, degree)."""
+        time = np.interp(self.middle_s, [self.middle_s.min(), self.middle_s.max()], [-1.0, 1.0])
+        return np.asarray(np.polynomial.chebyshev.chebvander(time, degree)[:, 1:], dtype=np.float64)
 
     @cached_property
     def computed_terms(self) -> dict[object, FloatArray]:

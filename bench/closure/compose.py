@@ -8,6 +8,7 @@ hypothesis from the data that it explains: it is confirmed by cycles of other ru
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -31,7 +32,7 @@ from gyrobench.bench.closure.posterior import Evidences
 from gyrobench.bench.closure.problem import Problem
 from gyrobench.bench.closure.search import MAX_EFFECTS
 from gyrobench.bench.closure.validation import measured_minus
-from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.arrays import FloatArray, rms
 
 #: Laws that are fitted with all their parameters: the best of all, and of each driver.
 _FITTED, _FITTED_PER_DRIVER = 16, 3
@@ -50,7 +51,7 @@ class ComposedLaw:
 
     file: EffectFile  #: As an effect file.
     candidate: Candidate  #: Its form and parameters.
-    probability: float  #: Of this law, with or without a remainder.
+    probability: float  #: Of this law, without a remainder.
     error_after_dph: float  #: Rms of measured minus predicted bias in the held-out dwells.
 
     @property
@@ -70,8 +71,11 @@ class Composed:
 
     tried: int  #: Number of laws.
     laws: tuple[ComposedLaw, ...]  #: Most probable first; the best of each driver at most.
-    of_driver: dict[str, float]  #: Probability of each driver, over all its laws; most probable first.
-    other: float  #: Probability of something that no law of the grammar describes.
+    #: Probability of each driver, over all its laws without a remainder; most probable first.
+    of_driver: dict[str, float]
+    #: Probability of something that no law of the grammar describes: no law, or a law and a remainder.
+    other: float
+    law_and_remainder: float  #: The part of it that is a law and a remainder.
 
 
 def compose(problem: Problem, effects_found: Sequence[Candidate]) -> Composed:
@@ -82,7 +86,7 @@ def compose(problem: Problem, effects_found: Sequence[Candidate]) -> Composed:
     campaign, searched = problem.campaign, problem.searched
     found = list(effects_found)[: MAX_EFFECTS - 1]
     beside = problem.with_columns(*stack(found, campaign)) if found else problem
-    penalty, files = bic_penalty(problem), list(_laws(campaign))
+    penalty, files = bic_penalty(problem), list(_laws(campaign, {each.effect.name for each in found}))
     starts: list[tuple[float, EffectFile, Candidate]] = []
     for file in files:
         effect = file.build()
@@ -101,22 +105,25 @@ def compose(problem: Problem, effects_found: Sequence[Candidate]) -> Composed:
     for file, each in fitted:
         if file.effect not in best or each.is_better_than(best[file.effect][1]):
             best[file.effect] = file, each
-    weighed = Evidences(problem, effects).posterior([none, *(each for _, each in best.values())])
+    weighed = Evidences(problem, effects).posterior([none, *(each for _, each in best.values())]).hypotheses
     of_driver = dict.fromkeys((file.driver for file, _ in best.values()), 0.0)
     laws = []
-    for name, (file, each) in best.items():
-        probability = weighed.of_effect.get(name, 0.0)
+    for file, each in best.values():
+        probability = sum(
+            one.probability for one in weighed if one.candidates is each.candidates and not one.has_remainder
+        )
         of_driver[file.driver] += probability
         model = solve_with(problem, each.candidates)
         error_dph = measured_minus(campaign, searched, model)[~searched]
-        laws.append(
-            ComposedLaw(file, each.candidates[-1], probability, float(np.sqrt(np.mean(error_dph**2))))
-        )
+        laws.append(ComposedLaw(file, each.candidates[-1], probability, rms(error_dph)))
     laws.sort(key=lambda law: -law.probability)
     first = {law.file.driver: law for law in reversed(laws)}  # the most probable one of each driver
     listed = [law for law in laws if law is first[law.file.driver] and law.probability >= _MIN_PROBABILITY]
     ranked = dict(sorted(of_driver.items(), key=lambda each: -each[1]))
-    return Composed(len(starts), tuple(listed[:_LISTED]), ranked, max(0.0, 1.0 - sum(of_driver.values())))
+    no_law = sum(one.probability for one in weighed if len(one.candidates) == len(found))
+    with_law = [one for one in weighed if len(one.candidates) > len(found)]
+    and_remainder = sum(one.probability for one in with_law if one.has_remainder)
+    return Composed(len(starts), tuple(listed[:_LISTED]), ranked, no_law + and_remainder, and_remainder)
 
 
 def law_text(law: ComposedLaw) -> str:
@@ -138,7 +145,8 @@ def _chosen(starts: list[tuple[float, EffectFile, Candidate]]) -> list[tuple[Eff
     return chosen
 
 
-def _laws(campaign: Campaign) -> Iterator[EffectFile]:
+def _laws(campaign: Campaign, used: set[str]) -> Iterator[EffectFile]:
+    """All laws of a campaign; their names are added to the ones used."""
     columns = [each for each in campaign.columns if each not in DRIVERS]
     for driver in (*DRIVERS, *columns):
         values = driver_values(driver, campaign)
@@ -149,13 +157,13 @@ def _laws(campaign: Campaign) -> Iterator[EffectFile]:
                 # What a shape does to changes alone, or to play, few campaigns can show.
                 if shape == "linear" or memory in ("none", "lag"):
                     for factor in ("none", "up"):
-                        yield _law(campaign, driver, values, shape, memory, factor)
+                        yield _law(campaign, used, driver, values, shape, memory, factor)
     for event in EVENTS:
-        yield _law(campaign, event, np.zeros(1), "linear", "decay", "up")
+        yield _law(campaign, used, event, np.zeros(1), "linear", "decay", "up")
 
 
 def _law(
-    campaign: Campaign, driver: str, values: FloatArray, shape: str, memory: str, factor: str
+    campaign: Campaign, used: set[str], driver: str, values: FloatArray, shape: str, memory: str, factor: str
 ) -> EffectFile:
     low, high = (float(each) for each in np.percentile(values, [2.0, 98.0]))
     span = float(np.ptp(values)) or 1.0
@@ -172,11 +180,10 @@ def _law(
         bounds["tau_s"] = [dwell_s / 3.0, max(length_s / 2.0, dwell_s)]
     label = driver_label(driver) if driver not in EVENTS else driver.replace("_", " ")
     parts = [driver.replace("{axis}", "gyro"), shape, memory, factor]
-    name = "_".join(part for part in parts if part not in ("none", "linear")).lower()
     how = {"none": "", "lag": " with a lag", "decay": " while it changes", "play": " with play"}[memory]
     by = "" if factor == "none" else " times gravity along the body axes"
     return EffectFile(
-        effect=f"composed_{name}"[:60],
+        effect=_unused("_".join(part for part in parts if part not in ("none", "linear")), used),
         statement=f"the bias follows the {label}{how} by a law of shape {shape}{by}",
         experiment=f"vary the {label} and hold all else, in a power cycle that the law was not composed from",
         driver=driver,
@@ -187,3 +194,12 @@ def _law(
         bounds=bounds,
         composed_from=list(campaign.run_names),
     )
+
+
+def _unused(text: str, used: set[str]) -> str:
+    """Name of a law that is valid in an effect file and not used; it is added to the ones used."""
+    stem = f"composed_{re.sub('[^a-z0-9]+', '_', text.lower()).strip('_')}"
+    endings = ("", *(f"_{number}" for number in range(2, len(used) + 3)))
+    name = next(each for ending in endings if (each := stem[: 60 - len(ending)] + ending) not in used)
+    used.add(name)
+    return name

@@ -15,7 +15,7 @@ CONFOUNDED_SHARE = 0.3
 #: Degree of the slow course of time that attitudes are compared with, and times the time constant over the
 #: length of the campaign for the slow warm-up.
 _TIME_DEGREE, _SLOW = 3, 0.5
-_SAME_HEADING_DEG = 1.0
+_NO_HEADINGS = "Headings were not recorded (column azimuth_deg)"
 
 
 def confounding(campaign: Campaign, searched: BoolArray) -> tuple[str, ...]:
@@ -23,7 +23,7 @@ def confounding(campaign: Campaign, searched: BoolArray) -> tuple[str, ...]:
 
     An effect is confounded with another one if its terms, beside the declared model, are theirs.
     """
-    seen = campaign.part(searched)
+    seen, slow_time = campaign.part(searched), campaign.slow_time(_TIME_DEGREE)
     sentences = []
     if len(set(seen.position)) == 1:
         sentences.append("All dwells are in one attitude: no effect of attitude can be seen or excluded.")
@@ -32,22 +32,22 @@ def confounding(campaign: Campaign, searched: BoolArray) -> tuple[str, ...]:
             "Each attitude was measured once, in one stretch of time: attitude cannot be distinguished from "
             "drift."
         )
-    elif _independent(campaign, searched, campaign.up_body, _slow_time(campaign)) < CONFOUNDED_SHARE:
+    elif _independent(campaign, searched, campaign.up_body, slow_time) < CONFOUNDED_SHARE:
         sentences.append(
             "The attitudes follow each other as slowly as a drift: attitude cannot be distinguished from "
             "drift."
         )
     if len(set(seen.run.tolist())) == 1:
         decay = np.exp(-campaign.since_power_on_s / (_SLOW * max(float(np.ptp(seen.middle_s)), 1.0)))
-        if _independent(campaign, searched, decay[:, np.newaxis], _slow_time(campaign)) < CONFOUNDED_SHARE:
+        if _independent(campaign, searched, decay[:, np.newaxis], slow_time) < CONFOUNDED_SHARE:
             sentences.append(
                 "All dwells searched are in one power cycle: a slow warm-up cannot be distinguished from "
                 "drift."
             )
-    if seen.azimuth_deg is not None and np.ptp(seen.azimuth_deg) < _SAME_HEADING_DEG:
+    if seen.has_one_heading is not False:
+        headings = "All dwells have one heading or its opposite" if seen.has_one_heading else _NO_HEADINGS
         sentences.append(
-            "All dwells have one heading: an effect of the Earth's magnetic field cannot be distinguished "
-            "from g-sensitivity."
+            f"{headings}: an effect of the Earth's magnetic field cannot be distinguished from g-sensitivity."
         )
     if len(np.unique(seen.cycle)) == 1:
         sentences.append(
@@ -59,11 +59,6 @@ def confounding(campaign: Campaign, searched: BoolArray) -> tuple[str, ...]:
 
 def _stretches(positions: tuple[str, ...]) -> int:
     return len(list(itertools.groupby(positions)))
-
-
-def _slow_time(campaign: Campaign) -> FloatArray:
-    time = np.interp(campaign.middle_s, [campaign.middle_s.min(), campaign.middle_s.max()], [-1.0, 1.0])
-    return np.asarray(np.polynomial.chebyshev.chebvander(time, _TIME_DEGREE)[:, 1:], dtype=np.float64)
 
 
 def _independent(campaign: Campaign, searched: BoolArray, terms: FloatArray, others: FloatArray) -> float:

@@ -60,6 +60,14 @@ def is_written(folder: Path, closure: Closure) -> bool:
     return written | {key: own[key] for key in ("tables", "rotation", "composed")} == own
 
 
+def has_composed_laws(folder: Path) -> bool:
+    """Whether an earlier search composed laws.
+
+    Raises RunFolderError if the file is damaged.
+    """
+    return (folder / CLOSURE_FILE).exists() and _read(folder).get("composed") is not None
+
+
 def read_held_out_cycles(folder: Path) -> list[int]:
     """Held-out cycles of an earlier search; none without one.
 
@@ -190,6 +198,7 @@ def _composed(found: Composed) -> dict[str, Any]:
         "laws_tried": found.tried,
         "drivers": found.of_driver,
         "other": found.other,
+        "law_and_something_else": found.law_and_remainder,
         "laws": [
             {
                 "driver": law.file.driver,

@@ -22,7 +22,7 @@ from gyrobench.bench.closure.search import Search
 from gyrobench.bench.closure.selection import Selected, select
 from gyrobench.bench.closure.uncertainty import Draws, bound_of, draw, interval
 from gyrobench.bench.closure.validation import LackOfFit, lack_of_fit, leave_out_cycles, measured_minus
-from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.text import decimals_of, listed, plain_name, with_sigma
 from gyrobench.bench.navigation.positions import AXES
@@ -208,7 +208,7 @@ class Closure:
         low_c, high_c = _worst_span(campaign.gyro_c[searched].mean(axis=1), squares)
         low_h, high_h = _worst_span(campaign.middle_s[searched] / _S_PER_H, squares)
         return (
-            f"The residual is {_rms(residual):.2g} deg/h rms, {self.after.noise_ratio:.1f} times the noise, "
+            f"The residual is {rms(residual):.2g} deg/h rms, {self.after.noise_ratio:.1f} times the noise, "
             f"and follows {self.after.follows}. It is largest in position {plain_name(position)}, "
             f"at {low_c:.0f} to {high_c:.0f} degC, and at {low_h:.0f} to {high_h:.0f} h."
         )
@@ -245,7 +245,7 @@ def close_loop(
     declared, model = (solve_with(problem, each) for each in ((), found.candidates))
     declared_draws, model_draws = (draw(problem, each) for each in ((), found.candidates))
     errors_dph = [measured_minus(campaign, searched, each)[~searched] for each in (declared, model)]
-    error_before, error_after = map(_rms, errors_dph)
+    error_before, error_after = map(rms, errors_dph)
     noise_dph = campaign.sigma_dph[~searched] * problem.noise_scale
     sigma_before, sigma_after = (_rms_sigma(each, noise_dph) for each in errors_dph)
     return Closure(
@@ -265,7 +265,7 @@ def close_loop(
         after=after,
         declared=declared,
         model=model,
-        noise_dph=_rms(problem.sigma_dph),
+        noise_dph=selected.noise.scale * rms(campaign.sigma_dph[searched]),
         confounding=confounding(campaign, searched),
         noise=selected.noise,
         error_before_dph=error_before,
@@ -302,7 +302,7 @@ def _turn(campaign: Campaign, cycle: int, effects: Sequence[Effect]) -> Turn:
         tuple(each.effect.name for each in closure.effects),
         closure.error_before_dph,
         closure.error_after_dph,
-        closure.noise_scale * _rms(campaign.sigma_dph[campaign.cycle == cycle]),
+        closure.noise_scale * rms(campaign.sigma_dph[campaign.cycle == cycle]),
     )
 
 
@@ -365,13 +365,13 @@ def _found_effects(
                 axes=tuple(axis for axis, seen in zip(AXES, shows, strict=True) if seen),
                 p_value=search.p_value(found, index),
                 candidate_fits=search.candidate_fits(each.effect),
-                rms_dph=_rms(part),
+                rms_dph=rms(part),
                 gains={cycle: left_out.gain for cycle, left_out in left_out_cycles.items()},
                 tied_with=weighed.tied_with(found.names, each.effect.name),
                 probability=weighed.of_effect[each.effect.name],
                 sizes_sigma_dph=draws.sigma(sizes_drawn, sizes),
                 values_sigma=draws.sigma(values, np.array(each.values)),
-                rms_sigma_dph=float(draws.sigma(np.sqrt(np.mean(parts**2, axis=(1, 2))), _rms(part))),
+                rms_sigma_dph=float(draws.sigma(np.sqrt(np.mean(parts**2, axis=(1, 2))), rms(part))),
                 values_range=tuple(map(interval, each.form.parameters, each.values, values.T)),
             )
         )
@@ -441,8 +441,4 @@ def _rms_sigma(errors_dph: FloatArray, noise_dph: FloatArray) -> float:
     """
     true = max(float(np.sum(errors_dph**2) - np.sum(noise_dph**2)), 0.0) / errors_dph.size
     variance = np.sum(2.0 * noise_dph**4 + 4.0 * noise_dph**2 * true)
-    return float(np.sqrt(variance)) / (2.0 * errors_dph.size * max(_rms(errors_dph), 1e-300))
-
-
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+    return float(np.sqrt(variance)) / (2.0 * errors_dph.size * max(rms(errors_dph), 1e-300))

@@ -135,9 +135,9 @@ def estimate_noise(
 
 
 def _smooth(campaign: Campaign) -> FloatArray:
-    time = np.interp(campaign.middle_s, [campaign.middle_s.min(), campaign.middle_s.max()], [-1.0, 1.0])
-    of_time = np.polynomial.chebyshev.chebvander(time, _TIME_DEGREE)[:, 1:]
-    common = np.repeat(np.hstack([of_time, campaign.up_body])[:, np.newaxis], 3, axis=1)
+    common = np.repeat(
+        np.hstack([campaign.slow_time(_TIME_DEGREE), campaign.up_body])[:, np.newaxis], 3, axis=1
+    )
     by_attitude = campaign.up_body[:, np.newaxis] * campaign.gyro_c[:, :, np.newaxis] / SCALE_C
     return np.concatenate([common, by_attitude, campaign.rate_c_per_h[:, :, np.newaxis]], axis=2)
 

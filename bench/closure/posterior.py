@@ -21,7 +21,7 @@ from gyrobench.bench.closure.candidates import Candidate, Hypothesis, stack
 from gyrobench.bench.closure.effects.effect import Effect, Parameter
 from gyrobench.bench.closure.problem import MIN_VISIBLE, Problem
 from gyrobench.bench.closure.remainder import remainder_of
-from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray, rms
 
 #: Prior probability of so many effects; all sets of as many are equally probable.
 EFFECT_COUNT_PRIOR = (0.4, 0.35, 0.15, 0.1)
@@ -369,7 +369,7 @@ def detectable_dph(problem: Problem) -> dict[str, float]:
         log_odds = 0.5 * (variances @ chi2.T - np.sum(np.log1p(variances), axis=1, keepdims=True))
         shown = np.mean(log_odds > prior_odds, axis=1) >= POWER
         found[name] = float(sizes[np.argmax(shown)]) if shown.any() else math.inf
-    noise_dph = float(np.sqrt(np.mean(problem.sigma_dph**2)))
+    noise_dph = rms(problem.sigma_dph)
     return {name: size * noise_dph for name, size in found.items()}
 
 

@@ -73,6 +73,13 @@ def _hours(campaign: Campaign, count: int, length: float) -> FloatArray:
     return _each_gyro(_waves(campaign.middle_s, count, length))
 
 
+def _power_law(campaign: Campaign, exponent: float) -> FloatArray:
+    """Noise of the bias whose power falls as a power of frequency: flicker 1, random walk 2."""
+    place = (campaign.middle_s - campaign.middle_s.min()) / max(float(np.ptp(campaign.middle_s)), 1e-9)
+    order = np.arange(1, RANK + 1)
+    return _each_gyro(np.cos(np.pi * order * place[:, np.newaxis]) / order ** (0.5 * exponent))
+
+
 def _attitude(campaign: Campaign) -> FloatArray | None:
     up = _each_gyro(campaign.up_body)
     return np.concatenate([up, np.abs(up)], axis=2) if len(set(campaign.position)) > 1 else None
@@ -114,6 +121,8 @@ def _chamber(campaign: Campaign) -> FloatArray | None:
 _PROCESSES: dict[str, Callable[[Campaign], FloatArray | None]] = {
     "time": lambda campaign: _hours(campaign, 16, 0.5),
     "time, irregularly": lambda campaign: _hours(campaign, RANK, 0.1),
+    "time as a random walk": lambda campaign: _power_law(campaign, 2.0),
+    "time as flicker noise": lambda campaign: _power_law(campaign, 1.0),
     "time since power-on": lambda campaign: _each_gyro(
         _waves(np.log(campaign.since_power_on_s + 900.0), 10, 0.5)
     ),

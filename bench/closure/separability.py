@@ -28,7 +28,7 @@ from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter
 from gyrobench.bench.closure.loop import FoundEffect
 from gyrobench.bench.closure.problem import Problem, declared_problem
 from gyrobench.bench.closure.search import SAME_SHARE, SIGNIFICANCE
-from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.arrays import FloatArray, rms
 
 #: Terms below this share of their own length, or of an effect's length, are not independent.
 MIN_SHARE = 1e-5
@@ -261,7 +261,7 @@ def separability(
         columns = each.candidate.columns(campaign)
         bias_dph = np.einsum("ngk,gk->ng", columns, each.sizes_dph)[:, :, np.newaxis]
         parts = _independent_part(problem, unit_parts(bias_dph))
-        expected_dph[each.effect.name] = float(np.sqrt(np.mean((bias_dph - bias_dph.mean(axis=0)) ** 2)))
+        expected_dph[each.effect.name] = rms(bias_dph - bias_dph.mean(axis=0))
         if np.any(parts):
             terms = _independent_part(problem, columns)
             assumed[each.effect.name].insert(0, AssumedEffect(len(each.candidate.values), terms, parts))

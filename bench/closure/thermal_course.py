@@ -14,7 +14,7 @@ from scipy.optimize import minimize_scalar
 
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.temperatures import lag
-from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.arrays import FloatArray, rms
 from gyrobench.bench.procedure.estimate import ThermalEstimate
 
 #: Of a typical unit: share of the gyros' lag behind the air that the case takes, and of their self-heating.
@@ -164,7 +164,7 @@ class UnitThermal:
         optics_lags_s, optics_rises_k, optics_c = map(np.array, zip(*optics, strict=True))
         lags_s, rises_k, electronics_c = map(np.array, zip(*electronics, strict=True))
         off_k = _means(time_s, optics_c.T, whole.start_s, whole.end_s) - whole.gyro_c
-        rms_k = float(np.sqrt(np.mean(off_k**2)))
+        rms_k = rms(off_k)
         fitted = UnitThermal(
             case_lag_s, float(case_rise_k), optics_lags_s, lags_s, optics_rises_k, rises_k, rms_k
         )

@@ -1,9 +1,9 @@
-"""Types of numpy arrays, matrices made of blocks, and the factors between the units of the field and SI."""
+"""Types of numpy arrays, root mean squares, matrices made of blocks, and factors between units and SI."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 #: Real numbers; NaN where a value is missing.
 FloatArray = NDArray[np.float64]
@@ -24,6 +24,12 @@ DEG_PER_SQRT_H_TO_SI = np.pi / 180.0 / 60.0
 UG_TO_MPS2 = 1e-6 * STANDARD_GRAVITY
 #: One ug/sqrt(Hz) (velocity random walk) in m/s/sqrt(s).
 UG_PER_SQRT_HZ_TO_SI = UG_TO_MPS2
+
+
+def rms(values: ArrayLike) -> float:
+    """Root mean square of all values; NaN of none."""
+    squares = np.square(np.asarray(values, dtype=np.float64))
+    return float(np.sqrt(np.mean(squares))) if squares.size else np.nan
 
 
 def block_diagonal(*blocks: FloatArray) -> FloatArray:

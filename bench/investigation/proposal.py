@@ -10,6 +10,7 @@ import numpy as np
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.closure.campaign import Campaign, campaign_of
 from gyrobench.bench.closure.candidates import Candidate
+from gyrobench.bench.foundations.arrays import rms
 from gyrobench.bench.investigation.blocks import Block, catalogue
 from gyrobench.bench.investigation.choice import Prediction, entropy, expected_entropy, predict_dwells
 from gyrobench.bench.investigation.external_bench import BlockPlan
@@ -209,8 +210,6 @@ def outcome_of(
         error_dph = bias_dph - each.mean_dph.reshape(3, -1).T
         for run in set(runs.tolist()) - known:
             error_dph[runs == run] -= error_dph[runs == run].mean(axis=0)
-        errors.append(float(np.sqrt(np.mean(error_dph**2))))
+        errors.append(rms(error_dph))
     sigma_dph = noise_scale * np.array([row.sigma_dph for row in good])
-    return Outcome(
-        tuple((shares / shares.sum()).tolist()), tuple(errors), float(np.sqrt(np.mean(sigma_dph**2)))
-    )
+    return Outcome(tuple((shares / shares.sum()).tolist()), tuple(errors), rms(sigma_dph))

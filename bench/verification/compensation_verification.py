@@ -16,7 +16,7 @@ from gyrobench.bench.closure.loadable_model import LoadableModel
 from gyrobench.bench.closure.loop import Closure
 from gyrobench.bench.closure.uncertainty import Draws
 from gyrobench.bench.dwells.check_dwell import CheckDwell
-from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.arrays import FloatArray, rms
 from gyrobench.bench.foundations.csv_tables import format_csv, write_text
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.text import format_cell
@@ -174,7 +174,7 @@ def _uncertainty(rows: Sequence[DwellRow], model: tuple[Draws, Collection[str]] 
 
 
 def _sigma_dph(roots: FloatArray) -> float:
-    return _rms(np.sqrt(np.sum(roots**2, axis=0))) if len(roots) else math.nan
+    return rms(np.sqrt(np.sum(roots**2, axis=0))) if len(roots) else math.nan
 
 
 def _row(
@@ -195,7 +195,7 @@ def _row(
         dwells=len(varying),
         bias_rms_dph=plateau.bias_rms_dph,
         bias_noise_dph=plateau.sigma_rms_dph,
-        varying_rms_dph=_rms(varying),
+        varying_rms_dph=rms(varying),
         varying_p_value=math.nan,
         spread_dph=plateau.spread_dph,
         spread_noise_dph=plateau.spread_noise_dph,
@@ -228,9 +228,9 @@ def _total(
         gyro_c=None,
         fit="",
         dwells=len(good),
-        bias_rms_dph=_rms(np.array([row.bias_dph for row in good])),
-        bias_noise_dph=_rms(sigma),
-        varying_rms_dph=_rms(varying),
+        bias_rms_dph=rms(np.array([row.bias_dph for row in good])),
+        bias_noise_dph=rms(sigma),
+        varying_rms_dph=rms(varying),
         varying_p_value=float(chi2.sf(np.sum((varying / sigma) ** 2), dof)) if dof > 0 else math.nan,
         spread_dph=spread,
         spread_noise_dph=spread_noise,
@@ -265,7 +265,3 @@ def _fit(gyro_c: float, fitted_c: FloatArray) -> str:
     if np.abs(means_c - gyro_c).min() <= FITTED_WITHIN_K:
         return "fitted"
     return "between" if means_c.min() < gyro_c < means_c.max() else "outside"
-
-
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2))) if values.size else math.nan

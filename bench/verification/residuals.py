@@ -15,7 +15,7 @@ from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.plateaus import group_plateaus, set_point_c
 from gyrobench.bench.bias.statistics import weighted_mean
 from gyrobench.bench.dwells.check_dwell import CheckDwell
-from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.arrays import FloatArray, rms
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
@@ -79,8 +79,8 @@ def _check(plateau: Sequence[DwellRow | CheckDwell], site: Site) -> ResidualChec
         chamber_set_c=set_point_c(plateau[0]),
         dwells=tuple(row.dwell for row in rows),
         gyro_c=float(np.mean(measured_c)),
-        bias_rms_dph=_rms(biases),
-        sigma_rms_dph=_rms(sigmas),
+        bias_rms_dph=rms(biases),
+        sigma_rms_dph=rms(sigmas),
         spread_dph=_spread(rows),
         spread_noise_dph=_spread_noise(rows),
         velocity_east_mps=max(map(_largest_velocity_east, check_dwells), default=math.nan),
@@ -109,10 +109,6 @@ def _velocity_sigma(each: CheckDwell, site: Site) -> float:
     return math.hypot(levelled, math.sqrt(walked))
 
 
-def _rms(values: Sequence[Sequence[float]]) -> float:
-    return float(np.sqrt(np.mean(np.square(values)))) if values else math.nan
-
-
 def _spread(rows: Sequence[DwellRow]) -> float:
     if len({row.position for row in rows}) < 2:
         return math.nan
@@ -128,7 +124,7 @@ def _spread_noise(rows: Sequence[DwellRow]) -> float:
     counts = Counter(row.position for row in rows)
     if len(counts) < 2:
         return math.nan
-    sigma_dph = _rms([[sigma / math.sqrt(counts[row.position]) for sigma in row.sigma_dph] for row in rows])
+    sigma_dph = rms([[sigma / math.sqrt(counts[row.position]) for sigma in row.sigma_dph] for row in rows])
     return sigma_dph * float(studentized_range.ppf(0.5 ** (1.0 / len(AXES)), len(counts), math.inf))
 
 

@@ -52,7 +52,7 @@ def test_a_new_client_is_greeted():
     with socket.create_connection(("127.0.0.1", port.number), timeout=120) as client:
         accepted = port.accept(b"< hi >")
         assert client.recv(100) == b"< hi >"
-        accepted.close()
+        accepted.unplug()
     assert port.accept() is None
     port.unplug()
 

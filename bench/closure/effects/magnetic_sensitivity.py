@@ -24,8 +24,6 @@ from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.positions import POSITIONS
 
 _INCLINATION = Parameter("inclination_deg", -89.0, 89.0, fixed(-70.0, -30.0, 30.0, 70.0))
-#: Headings of pairs that differ by less are one.
-_SAME_HEADING_DEG = 5.0
 
 
 def _columns(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
@@ -44,9 +42,7 @@ def _missing_input(campaign: Campaign) -> str | None:
     azimuth_deg = campaign.azimuth_deg
     if azimuth_deg is None or not np.isfinite(azimuth_deg).all():
         return "the headings of the dwells (column azimuth_deg)"
-    # A pair at 0 and 180 deg is the pair at 180 and 360 deg.
-    from_first_deg = (azimuth_deg - azimuth_deg[0] + 90.0) % 180.0 - 90.0
-    if np.abs(from_first_deg).max() < _SAME_HEADING_DEG:
+    if campaign.has_one_heading:
         return "dwells at headings other than one and its opposite"
     return needs_positions(campaign)
 

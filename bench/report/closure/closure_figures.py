@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 
 from gyrobench.bench.closure.loop import Closure, FoundEffect
 from gyrobench.bench.closure.search import SIGNIFICANCE
-from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.report.closure.closure_text import (
     held_out_cycles,
@@ -21,7 +21,6 @@ from gyrobench.bench.report.closure.closure_text import (
     noise_dph,
     p_phrase,
     residuals_dph,
-    rms,
     scale_of_errors,
     share_text,
 )

@@ -10,6 +10,7 @@ import numpy as np
 
 from gyrobench.bench.closure.files import write_closure
 from gyrobench.bench.closure.loop import Closure
+from gyrobench.bench.foundations.arrays import rms
 from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.text import counted, with_sigma
 from gyrobench.bench.navigation.positions import AXES, gyro_label
@@ -29,7 +30,6 @@ from gyrobench.bench.report.closure.closure_text import (
     models_of,
     noise_dph,
     residuals_dph,
-    rms,
     rotation_table,
     scale_of_errors,
     verdict_sentence,

@@ -6,6 +6,7 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from gyrobench.bench.closure.loop import Closure
+from gyrobench.bench.foundations.arrays import rms
 from gyrobench.bench.report.closure.closure_text import (
     COMPOSED,
     chain,
@@ -15,7 +16,6 @@ from gyrobench.bench.report.closure.closure_text import (
     evidence_table,
     held_out_cycles,
     noise_dph,
-    rms,
     rotation_table,
     scale_of_errors,
     verdict_sentence,

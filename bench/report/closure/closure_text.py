@@ -14,7 +14,7 @@ from gyrobench.bench.closure.posterior import EXPLAINED, POWER
 from gyrobench.bench.closure.problem import Solution
 from gyrobench.bench.closure.search import SIGNIFICANCE
 from gyrobench.bench.closure.validation import LACK_OF_FIT_P, measured_minus
-from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.arrays import FloatArray, rms
 from gyrobench.bench.foundations.text import counted, listed, with_sigma
 from gyrobench.bench.report.number_format import BiasScale, odds_text, p_text
 
@@ -41,11 +41,6 @@ def models_of(closure: Closure) -> dict[str, Solution]:
 def noise_dph(closure: Closure) -> FloatArray:
     """Standard deviation of the noise in all dwells (n, 3), deg/h."""
     return closure.campaign.sigma_dph * closure.noise_scale
-
-
-def rms(values: FloatArray) -> float:
-    """Root mean square of all values."""
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def is_noise_only(closure: Closure) -> bool:
@@ -255,7 +250,11 @@ def _evidence_of(found: FoundEffect, is_one_cycle: bool) -> str:
         return f"{significance} Not confirmed by cross-validation: {reason}."
     cycles = "cycle" if len(found.gains) == 1 else "cycles"
     parts = [f"{share_text(gain)} of chi2 in cycle {cycle}" for cycle, gain in found.gains.items()]
-    return f"{significance} With its size fitted to the other {cycles}, it explains {listed(parts)}."
+    against = [str(cycle) for cycle, gain in found.gains.items() if gain <= 0.0]
+    depends = (
+        f" It depends on which cycle is held out: cycle {listed(against)} contradicts it." if against else ""
+    )
+    return f"{significance} With its size fitted to the other {cycles}, it explains {listed(parts)}.{depends}"
 
 
 def alternative_sentence(closure: Closure) -> str:
@@ -489,5 +488,6 @@ def composed_table(closure: Closure) -> tuple[list[str], list[list[str]]]:
         ]
         for law in composed.laws
     ]
-    rows.append(["no law of the grammar", "", "", f"{composed.other:.2f}", ""])
+    rows.append(["no law of the grammar, or one and something else", "", "", f"{composed.other:.2f}", ""])
+    rows.append(["of this: a law and something else", "", "", f"{composed.law_and_remainder:.2f}", ""])
     return ["bias follows", "shape", "memory", "P", f"held-out error, {scale.unit}"], rows

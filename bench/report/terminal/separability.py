@@ -17,6 +17,7 @@ from gyrobench.bench.closure.planned_campaign import PlannedUnit
 from gyrobench.bench.closure.posterior import TIE_ODDS
 from gyrobench.bench.closure.procedure_changes import Advice
 from gyrobench.bench.closure.separability import POWER, Detection, Separability
+from gyrobench.bench.foundations.arrays import rms
 from gyrobench.bench.foundations.text import counted, listed
 from gyrobench.bench.report.number_format import odds_text
 from gyrobench.bench.report.terminal.tables import titled_table
@@ -138,7 +139,7 @@ def pairs_text(pairs: Collection[tuple[str, str]]) -> str:
 def _basis(separability: Separability, dwells: int, unit: PlannedUnit) -> str:
     campaign = separability.campaign
     walk = f"an angle random walk of {np.mean(unit.angle_random_walk_deg_per_sqrt_h):.2g} deg/sqrt(h)"
-    sigma = f"±{1e3 * float(np.sqrt(np.mean(campaign.sigma_dph**2))):.2f}"
+    sigma = f"±{1e3 * rms(campaign.sigma_dph):.2f}"
     if dwells > len(campaign):
         searched = f"The search uses {len(campaign)} of {dwells} dwells; the last cycle is held out."
     else:

@@ -2,12 +2,15 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from gyrobench.bench.bias.dwell_table import write_dwells
+from gyrobench.bench.closure import posterior
 from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.compose import _laws
 from gyrobench.bench.closure.loop import close_loop, composed
 from tests.bench.closure.thermal_bench import measure
 from tests.bench.command_line import gyrobench
@@ -60,6 +63,31 @@ def test_noise_on_no_law_of_the_grammar_stays_other():
     closure = composed(close_loop(campaign_of(table(random_walk))))
     assert closure.composed.other > 0.5
     assert max(closure.composed.of_driver.values()) < 0.5
+
+
+def test_a_law_beside_something_else_is_no_law_alone(monkeypatch):
+    """With a remainder nearly certain before, what is left to the laws alone is small."""
+    closure = close_loop(campaign_of(table(striction)))
+    monkeypatch.setattr(posterior, "REMAINDER_PRIOR", 1.0 - 1e-9)
+    found = composed(closure).composed
+    assert found.law_and_remainder > 0.99
+    assert found.law_and_remainder <= found.other <= 1.0 + 1e-9
+    assert sum(found.of_driver.values()) == pytest.approx(1.0 - found.other)
+    assert found.laws == ()
+
+
+def test_laws_of_columns_with_any_name_have_valid_unique_names():
+    start = "Anode current at the supply of the optical source and its cooler (mA) "
+    rows = [
+        replace(row, other=tuple((f"{start}{name}", value) for name, value in row.other))
+        for row in table(supply_limit)
+    ]
+    campaign = campaign_of(rows)
+    laws = list(_laws(campaign, {"composed_gyro_c"}))
+    assert {each.driver for each in laws} >= set(campaign.columns)
+    used = [each.effect for each in laws]
+    assert len(set(used)) == len(used)
+    assert "composed_gyro_c" not in used
 
 
 def test_a_composed_law_is_confirmed_only_by_another_run(tmp_path):

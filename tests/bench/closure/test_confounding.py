@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.confounding import confounding
@@ -22,6 +23,23 @@ def test_of_mixed_attitudes_in_several_power_cycles_only_the_heading_is_confound
     rows = measure(power_on_each_cycle=True, dwell_s=1680.0).rows
     turned = campaign_of([replace(row, azimuth_deg=90.0 * (row.dwell % 4)) for row in rows])
     assert confounding(turned, np.ones(len(turned), dtype=bool)) == ()
+
+
+@pytest.mark.parametrize(
+    ("headings_deg", "named_as"),
+    [
+        ([359.8, 0.1, 180.0, 179.9], "All dwells have one heading or its opposite"),
+        ([0.0, 180.0, np.nan, 0.0], "All dwells have one heading or its opposite"),
+        ([np.nan], "Headings were not recorded"),
+        ([0.0, 90.0, np.nan, 0.0], None),
+    ],
+)
+def test_a_heading_and_its_opposite_are_one_and_none_is_named_as_not_recorded(headings_deg, named_as):
+    rows = measure(power_on_each_cycle=True, dwell_s=1680.0).rows
+    rows = [replace(row, azimuth_deg=headings_deg[row.dwell % len(headings_deg)]) for row in rows]
+    found = confounding(campaign_of(rows), np.ones(len(rows), dtype=bool))
+    assert [each.split(":")[0].split(" (")[0] for each in found] == ([named_as] if named_as else [])
+    assert all("magnetic field" in each for each in found)
 
 
 def test_attitudes_measured_once_each_in_one_stretch_are_confounded_with_drift():

@@ -66,3 +66,23 @@ def test_an_outlier_is_off_by_more_than_five_standard_deviations_and_counts_as_o
     np.testing.assert_allclose(sorted(noise.factors[noise.factors > 1.0]), sorted(off))
     residuals = noise.problem(campaign, np.ones(len(campaign), dtype=bool)).residuals
     assert np.abs(residuals[noise.factors > 1.0]).max() < 1.3
+
+
+@pytest.mark.parametrize("kind", ["random_walk", "flicker"])
+def test_a_bias_that_wanders_is_no_effect_but_noise_of_its_own_spectrum(kind):
+    spectra = {"time as a random walk", "time as flicker noise"}
+    probabilities = []
+    for seed in range(5):
+        closure = close_loop(campaign_of(make_unit(seed, [kind], 2.0)[0]))
+        assert closure.verdict == "unexplained"
+        follows = closure.posterior.follows
+        assert sum(share for name, share in follows.items() if name.startswith("time")) > 0.9
+        probabilities.append(sum(follows[each] for each in spectra))
+    assert np.mean(probabilities) > 0.4
+
+
+def test_the_stated_noise_is_that_of_dwells_without_outliers():
+    rows, truth = make_unit(13, noise="outliers")
+    closure = close_loop(campaign_of(rows))
+    assert closure.noise.outliers
+    assert closure.noise_dph == pytest.approx(np.sqrt(np.mean(truth.sigma_dph**2)), rel=0.15)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from gyrobench.bench.foundations.arrays import rms
 from gyrobench.bench.report.closure.closure_figures import (
     closure_effect_figure,
     closure_error_figure,
@@ -10,7 +11,7 @@ from gyrobench.bench.report.closure.closure_figures import (
     closure_residual_figure,
     temperature_groups,
 )
-from gyrobench.bench.report.closure.closure_text import residuals_dph, rms
+from gyrobench.bench.report.closure.closure_text import residuals_dph
 from tests.bench.report.made_up_closure import ambiguous, clean, explained, unexplained, without_boards
 
 

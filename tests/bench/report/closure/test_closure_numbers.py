@@ -5,11 +5,11 @@ import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.loop import close_loop
+from gyrobench.bench.foundations.arrays import rms
 from gyrobench.bench.report.closure.closure_text import (
     held_out_cycles,
     is_noise_only,
     residuals_dph,
-    rms,
     smallest_visible_dph,
 )
 from tests.bench.report.made_up_closure import EFFECTS, clean, explained, made_up_rows, unexplained

@@ -1,6 +1,7 @@
 """A search for effects in sentences."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -48,6 +49,14 @@ def test_an_effect_has_its_p_value_and_cross_validation():
     assert "on the x and y gyros" in sentence
     assert "p < 1e-9, corrected for 5 candidate fits." in sentence
     assert "85 % of chi2 in cycle 1 and 86 % of chi2 in cycle 2" in sentence
+
+
+def test_an_effect_that_a_cycle_contradicts_is_said_to_depend_on_the_one_held_out():
+    closure = explained()
+    assert "depends on which cycle" not in " ".join(closure_text.effect_sentences(closure))
+    first = replace(closure.effects[0], gains={1: 0.9, 2: -0.3})
+    [sentence, *_] = closure_text.effect_sentences(replace(closure, effects=(first,)))
+    assert sentence.endswith("It depends on which cycle is held out: cycle 2 contradicts it.")
 
 
 def test_the_best_alternative_has_its_share_and_odds():
