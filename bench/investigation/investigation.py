@@ -17,11 +17,16 @@ from gyrobench.bench.bias.dwell_table import DwellRow, format_dwells, read_dwell
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.loop import Closure, close_loop
 from gyrobench.bench.foundations.clock import Clock
-from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
 from gyrobench.bench.foundations.files import make_folder
 from gyrobench.bench.foundations.text import listed
-from gyrobench.bench.investigation.external_bench import BlockRefusedError, ExternalBench, checked_rows
-from gyrobench.bench.investigation.proposal import Outcome, Proposal, Rival, outcome_of, propose
+from gyrobench.bench.investigation.external_bench import (
+    BlockPlan,
+    BlockRefusedError,
+    ExternalBench,
+    checked_rows,
+)
+from gyrobench.bench.investigation.proposal import Outcome, Proposal, Rival, outcome_of, proposal_of, propose
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.runs.journal import Journal, read_journal
 
@@ -34,6 +39,8 @@ _MAX_RIVALS = 6
 _MIN_GAIN = 0.02
 #: The dwells of a block, once they were checked.
 _DONE = "dwells.csv"
+#: Times that a kind of block is measured while the blocks bring only dwells with flags.
+_MAX_FLAGGED = 2
 _S_PER_H = 3600.0
 
 
@@ -45,7 +52,8 @@ class Stage:
     closure: Closure  #: The search.
     rivals: tuple[Rival, ...]  #: The hypotheses that a block has to distinguish.
     proposal: Proposal | None = None  #: The block measured next; None at the end.
-    outcome: Outcome | None = None  #: What the block says about the rivals; None at the end.
+    #: What the block says about the rivals; None at the end, and if all its dwells have flags.
+    outcome: Outcome | None = None
 
 
 @dataclass(frozen=True)
@@ -53,7 +61,7 @@ class Investigation:
     """Outcome of an investigation."""
 
     stages: tuple[Stage, ...]  #: In the order of time; the last one has no block.
-    ended: str  #: "settled", "budget", "no_block" or "declined".
+    ended: str  #: "settled", "budget", "no_block", "declined" or "bench_failed".
     reason: str  #: Why it ended, one sentence.
     rows: tuple[DwellRow, ...]  #: All dwells.
     refused: Mapping[tuple[str, ...], str]  #: Reasons of the bench by the kinds of a block.
@@ -101,6 +109,7 @@ class Investigator:
         self._approve = approve
         self._refused: dict[tuple[str, ...], str] = {}
         self._spent_h, self._blocks = 0.0, 0
+        self._flagged: list[tuple[str, ...]] = []
         table = folder / "start.csv"
         if not table.exists():
             write_dwells(table, self._rows)
@@ -110,8 +119,9 @@ class Investigator:
     def run(self, clock: Clock) -> Investigation:
         """Measure block after block until the cause is settled, or no block can help, or the time is spent.
 
-        A settled cause is confirmed by one more block, predicted before it is measured. Raises GyrobenchError
-        if the bench fails; a later call continues.
+        A settled cause is confirmed by one more block, predicted before it is measured. A bench that
+        fails ends the investigation; a later call continues it. What was measured before is taken from the
+        folder.
         """
         path = self._folder / "journal.jsonl"
         earlier = list(read_journal(path)) if path.exists() else []
@@ -132,7 +142,8 @@ class Investigator:
                     stage, ended = self._with_block(stage, journal)
                 stages.append(stage)
             if ended[0] == "settled" and stages[-1].rivals[0].names:
-                confirmation = self._confirmation(stages[-1], journal)
+                confirmation, failed = self._confirmation(stages[-1], journal)
+                ended = failed or ended
             journal.record("investigation_ended", ended=ended[0], reason=ended[1])
             write_dwells(self._folder / "dwells.csv", self._rows)
         return Investigation(tuple(stages), *ended, tuple(self._rows), dict(self._refused), confirmation)
@@ -144,19 +155,36 @@ class Investigator:
         value: Callable[[Proposal], float] = lambda each: each.gain_per_h,
     ) -> tuple[Stage, tuple[str, str] | None]:
         """The stage with the block of largest value that the bench can do, or why there is none."""
+        folder, scale = self._block_folder, stage.closure.noise_scale
+        done = folder / _DONE
+        if done.exists():
+            plan = BlockPlan.model_validate_json((folder / "plan.json").read_text(encoding="utf-8"))
+            rows = checked_rows(read_dwells(done), plan, done)
+            earlier = proposal_of(plan, self._kinds_of_block(), self._rows, stage.rivals, scale)
+            return self._with_outcome(stage, earlier, rows, journal), None
         while True:
             left_h = self._budget_h - self._spent_h
-            scale = stage.closure.noise_scale
-            found = propose(self._rows, stage.rivals, scale, list(self._refused), left_h)
+            idle = [kinds for kinds in self._flagged if self._flagged.count(kinds) >= _MAX_FLAGGED]
+            found = propose(self._rows, stage.rivals, scale, [*self._refused, *idle], left_h)
             useful = [each for each in found if each.entropy - each.expected_entropy > _MIN_GAIN]
             if not useful:
                 return stage, ("no_block", self._no_block(stage))
             best = max(useful, key=value)
             if not self._is_approved(best, stage, journal):
                 return stage, ("declined", "The proposed block was declined.")
-            rows = self._measured(best, journal)
-            if rows is not None:
-                return self._with_outcome(stage, best, rows, journal), None
+            make_folder(folder)
+            try:
+                rows = self._bench.measure(best.block.plan, folder)
+            except BlockRefusedError as error:
+                kinds = best.block.kinds
+                self._refused[kinds] = str(error)
+                journal.record("refused", number=self._blocks + 1, kinds=kinds, reason=str(error))
+                continue
+            except GyrobenchError as error:
+                problem = "; ".join(str(error).splitlines()).rstrip(".")
+                return stage, ("bench_failed", f"The bench failed: {problem}.")
+            write_dwells(done, rows)
+            return self._with_outcome(stage, best, rows, journal), None
 
     def _no_block(self, stage: Stage) -> str:
         names = sorted({name for each in stage.rivals for name in each.names})
@@ -167,12 +195,12 @@ class Investigator:
             f"{experiments or 'a measurement of other quantities'}."
         )
 
-    def _confirmation(self, last: Stage, journal: Journal) -> Stage | None:
-        """A block in which the cause and the declared model alone differ most; None if not measured."""
+    def _confirmation(self, last: Stage, journal: Journal) -> tuple[Stage | None, tuple[str, str] | None]:
+        """A block in which the cause and the declared model alone differ most, and a failure of the bench."""
         cause = replace(last.rivals[0], probability=0.5)
         stage = replace(last, rivals=(cause, Rival((), (), 0.5)))
         stage, ended = self._with_block(stage, journal, lambda each: each.difference)
-        return None if ended else stage
+        return (None if ended else stage), ended if ended and ended[0] == "bench_failed" else None
 
     def _searched(self) -> Stage:
         closure = close_loop(campaign_of(self._rows), self._held_out)
@@ -184,7 +212,7 @@ class Investigator:
             what = listed(sorted(map(stage.closure.label, best.names))) or "nothing beside the declared model"
             more = " and something that is not on the list" if best.has_remainder else ""
             return "settled", f"{what.capitalize()}{more}: probability {best.probability:.4f}."
-        if self._spent_h >= self._budget_h:
+        if self._spent_h >= self._budget_h and not (self._block_folder / _DONE).exists():
             return "budget", f"{self._spent_h:.1f} h of {self._budget_h:g} h on the bench are spent."
         return None
 
@@ -193,29 +221,20 @@ class Investigator:
         return self._folder / f"block-{self._blocks + 1}"
 
     def _is_approved(self, proposal: Proposal, stage: Stage, journal: Journal) -> bool:
-        """Whether a block may be measured, or was before the investigation was killed."""
-        if (self._block_folder / _DONE).exists():
-            return True
+        """Whether a block may be measured."""
         journal.record("proposed", number=self._blocks + 1, **proposed(proposal, stage.rivals))
         answer = self._approve(proposal, stage.rivals)
         journal.record("approved" if answer else "declined", number=self._blocks + 1)
         return answer
 
-    def _measured(self, proposal: Proposal, journal: Journal) -> list[DwellRow] | None:
-        """Dwells of a block; None if the bench refused it."""
-        folder, number = self._block_folder, self._blocks + 1
-        make_folder(folder)
-        done = folder / _DONE
-        if done.exists():
-            return checked_rows(read_dwells(done), proposal.block.plan, done)
-        try:
-            rows = self._bench.measure(proposal.block.plan, folder)
-        except BlockRefusedError as error:
-            self._refused[proposal.block.kinds] = str(error)
-            journal.record("refused", number=number, kinds=proposal.block.kinds, reason=str(error))
-            return None
-        write_dwells(done, rows)
-        return rows
+    def _kinds_of_block(self) -> tuple[str, ...]:
+        """Kinds of a block that was measured before, by the journal."""
+        names = [
+            entry["block"]
+            for entry in read_journal(self._folder / "journal.jsonl")
+            if entry["event"] == "proposed" and entry["number"] == self._blocks + 1
+        ]
+        return tuple(names[-1].split(", then ")) if names else ("block",)
 
     def _with_outcome(
         self, stage: Stage, proposal: Proposal, rows: Sequence[DwellRow], journal: Journal
@@ -223,6 +242,7 @@ class Investigator:
         """The stage with its block; the dwells are added to the table."""
         outcome = outcome_of(self._rows, rows, stage.rivals, stage.closure.noise_scale)
         hours = (max(row.end_s for row in rows) - proposal.block.plan.start_s) / _S_PER_H
+        self._flagged = [] if outcome else [*self._flagged, proposal.block.kinds]
         self._rows += rows
         self._spent_h += hours
         self._blocks += 1
@@ -231,8 +251,9 @@ class Investigator:
             number=self._blocks,
             hours=hours,
             dwells=len(rows),
-            noise_dph=outcome.noise_dph,
-            hypotheses=[
+            noise_dph=outcome.noise_dph if outcome else None,
+            hypotheses=outcome
+            and [
                 {"hypothesis": rival.title, "probability": probability, "error_dph": error_dph}
                 for rival, probability, error_dph in zip(
                     stage.rivals, outcome.probabilities, outcome.error_dph, strict=True

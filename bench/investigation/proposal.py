@@ -11,9 +11,9 @@ from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.closure.campaign import Campaign, campaign_of
 from gyrobench.bench.closure.candidates import Candidate
 from gyrobench.bench.foundations.arrays import rms
-from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.investigation.blocks import Block, catalogue
 from gyrobench.bench.investigation.choice import Prediction, entropy, expected_entropy, predict_dwells
+from gyrobench.bench.investigation.external_bench import BlockPlan
 from gyrobench.bench.investigation.forecast import Forecast
 
 #: Blocks of which pairs are tried.
@@ -80,7 +80,8 @@ def propose(
     noise_scale : float
         Ratio of the noise to the stated uncertainties.
     refused : collection of sequence of str
-        Kinds of the blocks that the bench refused. The kinds of a refused pair are proposed alone.
+        Kinds of the blocks that the bench refused. One kind is not proposed in a pair either; the kinds of a
+        refused pair are proposed alone.
     max_h : float
         Longest block.
     """
@@ -89,19 +90,36 @@ def propose(
 
     def usable(blocks: Sequence[Block]) -> list[Block]:
         return [
-            each for each in blocks if each.plan.duration_h <= max_h and not set(each.kinds) & set(refused)
+            each
+            for each in blocks
+            if each.plan.duration_h <= max_h and not any(set(kinds) <= set(each.kinds) for kinds in refused)
         ]
 
+    paired = {kind for kinds in refused if len(kinds) > 1 for kind in kinds}
     found = [_proposal(rows, known, each, forecast, rivals, noise_scale) for each in usable(catalogue(rows))]
     found.sort(key=lambda each: -each.gain_per_h)
     best = {each.block.name for each in found[:_PAIRED]}
     pairs = [
         each
         for each in usable(catalogue(rows, pairs=True))
-        if len(each.kinds) == 2 and set(each.kinds) <= best
+        if len(each.kinds) == 2 and set(each.kinds) <= best and not set(each.kinds) & paired
     ]
     found += [_proposal(rows, known, each, forecast, rivals, noise_scale) for each in pairs]
     return sorted(found, key=lambda each: -each.gain_per_h)
+
+
+def proposal_of(
+    plan: BlockPlan,
+    kinds: Sequence[str],
+    rows: Sequence[DwellRow],
+    rivals: Sequence[Rival],
+    noise_scale: float,
+) -> Proposal:
+    """The proposal of a plan that was measured before, by the kinds of its block."""
+    whats = {each.name: each.what for each in catalogue(rows)}
+    block = Block(tuple(kinds), "; then ".join(whats.get(kind, kind) for kind in kinds), plan)
+    known = campaign_of(rows)
+    return _proposal(rows, known, block, Forecast(rows, known), rivals, noise_scale)
 
 
 def _proposal(
@@ -151,9 +169,10 @@ def _predictions(
 def _run_spread_dph(rows: Sequence[DwellRow], noise_scale: float) -> float:
     """Standard deviation of the bias from one power-on to the next."""
     sigma_dph = noise_scale * float(np.nanmedian([row.sigma_dph for row in rows]))
+    good = [row for row in rows if not row.flags]
     means = [
-        np.nanmean([row.bias_dph for row in rows if row.run == run], axis=0)
-        for run in dict.fromkeys(row.run for row in rows)
+        np.nanmean([row.bias_dph for row in good if row.run == run], axis=0)
+        for run in dict.fromkeys(row.run for row in good)
     ]
     if len(means) < 3:
         return _UNKNOWN_RUN_SPREAD * sigma_dph
@@ -172,14 +191,14 @@ class Outcome:
 
 def outcome_of(
     rows: Sequence[DwellRow], new: Sequence[DwellRow], rivals: Sequence[Rival], noise_scale: float
-) -> Outcome:
+) -> Outcome | None:
     """Compare new dwells with what each rival predicts at the temperatures measured there.
 
-    Dwells with flags do not count. Raises MeasurementError if all have flags.
+    Dwells with flags do not count; None if all have flags.
     """
     good = [row for row in new if not row.flags]
     if not good:
-        raise MeasurementError("all new dwells have flags. Measure the block again")
+        return None
     bias_dph = np.array([row.bias_dph for row in good])
     predictions = _predictions(rows, campaign_of(rows), good, rivals, noise_scale)
     logs = np.array([float(each.log_likelihood(bias_dph.T.ravel()[np.newaxis])[0]) for each in predictions])

@@ -16,7 +16,6 @@ from gyrobench.bench.report.figures.style import house_style, new_figure
 from gyrobench.bench.report.investigation import investigation_text as text
 from gyrobench.bench.report.page import Findings, Section, SectionFigure, SectionTable, write_findings
 
-_COLOURS = {"settled": "finished", "budget": "stopped", "no_block": "stopped", "declined": "stopped"}
 _CURVES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 _MIN_DRAWN = 0.02
 _OTHERS = {"nothing": ("nothing beside the declared model", "#888888"), "": ("not on the list", "#222222")}
@@ -30,7 +29,7 @@ def write_investigation_page(folder: Path, found: Investigation, source: str) ->
         title="Investigation",
         source=source,
         judgement=text.GISTS[found.ended],
-        colour=_COLOURS[found.ended],
+        colour="finished" if found.ended == "settled" else "stopped",
         sentence=" ".join(filter(None, [text.end_sentence(found), text.confirmation_sentence(found)])),
         facts={
             "first table": f"{len(first)} dwells, {found.repeated_campaign_h:.1f} h",

@@ -4,7 +4,7 @@ import sys
 import pytest
 
 from gyrobench.bench.foundations.clock import WallClock
-from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
+from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.investigation.external_bench import ExternalBench
 from gyrobench.bench.investigation.investigation import Investigator
 from gyrobench.bench.runs.journal import read_journal
@@ -116,6 +116,31 @@ def test_no_block_is_longer_than_what_is_left_of_the_budget(tmp_path):
     assert found.ended in ("budget", "no_block", "settled")
 
 
+def test_a_bench_that_refuses_all_is_asked_once_for_each_kind(tmp_path):
+    unit, asked = unit_with({"warm_up": 0.02}), []
+
+    def approve(proposal, rivals):
+        asked.append(proposal.block.kinds)
+        return True
+
+    refusing = f"{sys.executable} -c 'raise SystemExit(3)' "
+    found = investigator(unit, tmp_path / "all", approve=approve, before=refusing).run(WallClock())
+    assert found.ended == "no_block"
+    assert asked
+    assert len(asked) == len(set(asked))
+
+
+def test_measured_blocks_are_taken_from_the_folder_with_any_budget(settled):
+    whole, folder = settled
+
+    def approve(proposal, rivals):
+        raise AssertionError
+
+    again = investigator(unit_with({"warm_up": 0.02}), folder, 0.5, approve).run(WallClock())
+    assert again.rows == whole.rows
+    assert again.ended == "settled"
+
+
 def test_the_folder_of_another_table_is_refused(settled):
     _, folder = settled
     with pytest.raises(RunFolderError, match="another table"):
@@ -125,7 +150,8 @@ def test_the_folder_of_another_table_is_refused(settled):
 @pytest.mark.long
 def test_a_bench_that_fails_leaves_what_was_measured(tmp_path):
     unit, folder = unit_with({"warm_up": 0.02}), tmp_path / "failing"
-    with pytest.raises(GyrobenchError, match="exit code"):
-        investigator(unit, folder, before=f"{sys.executable} -c 'import_error' ").run(WallClock())
-    assert (folder / "start.csv").exists()
+    found = investigator(unit, folder, before=f"{sys.executable} -c 'import_error' ").run(WallClock())
+    assert found.ended == "bench_failed"
+    assert "exit code 1" in found.reason
+    assert (folder / "dwells.csv").exists()
     assert investigator(unit, folder).run(WallClock()).ended == "settled"
