@@ -49,7 +49,7 @@ def investigate(
     investigation that was interrupted. Exit code 1: ended without a settled cause.
 
     With --json: {"ended", "reason", "folder", "report", "hours", "blocks", "verdict", "effects"}; ended is
-    settled, budget, no_block, declined or bench_failed.
+    settled, budget, no_block, declined, refuted or bench_failed.
 
     Example: gyrobench investigate dwells.csv --bench "python my_bench.py" --approve auto
     """

@@ -105,7 +105,11 @@ class BlockPlan(StrictModel):
 
     def text(self) -> str:
         """JSON text."""
-        return json.dumps(self.model_dump(mode="json", exclude_none=True), indent=1) + "\n"
+        plan = self.model_dump(mode="json")
+        plan["steps"] = [
+            {key: value for key, value in step.items() if value is not None} for step in plan["steps"]
+        ]
+        return json.dumps(plan, indent=1) + "\n"
 
 
 class BlockRefusedError(GyrobenchError):
@@ -137,7 +141,8 @@ class ExternalBench:
             answer = subprocess.run(  # noqa: S603 - the user's own command
                 [*shlex.split(self.command), str(asked), str(answered)],
                 capture_output=True,
-                text=True,
+                encoding="utf-8",
+                errors="replace",
                 timeout=limit_s,
                 check=False,
             )
@@ -180,7 +185,7 @@ def _problems(row: DwellRow, step: DwellStep | None, plan: BlockPlan) -> list[st
         return [f"dwell {row.dwell} is not in the plan. Write the dwells of the plan alone"]
     wanted = {"unit": plan.unit, "run": step.run, "cycle": step.cycle, "position": step.position}
     found = [
-        f"dwell {row.dwell} has the {name} {getattr(row, name)}; the plan says {value}"
+        f"dwell {row.dwell} has the {name} {getattr(row, name)}, not {value}"
         for name, value in wanted.items()
         if getattr(row, name) != value
     ]
@@ -191,7 +196,5 @@ def _problems(row: DwellRow, step: DwellStep | None, plan: BlockPlan) -> list[st
         )
     azimuth = (row.azimuth_deg - step.azimuth_deg + 180.0) % 360.0 - 180.0
     if math.isfinite(azimuth) and abs(azimuth) > 1.0:
-        found.append(
-            f"dwell {row.dwell} has the azimuth {row.azimuth_deg:g} deg; the plan says {step.azimuth_deg:g}"
-        )
+        found.append(f"dwell {row.dwell} has the azimuth {row.azimuth_deg:g} deg, not {step.azimuth_deg:g}")
     return found

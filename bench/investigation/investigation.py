@@ -61,7 +61,7 @@ class Investigation:
     """Outcome of an investigation."""
 
     stages: tuple[Stage, ...]  #: In the order of time; the last one has no block.
-    ended: str  #: "settled", "budget", "no_block", "declined" or "bench_failed".
+    ended: str  #: "settled", "budget", "no_block", "declined", "refuted" or "bench_failed".
     reason: str  #: Why it ended, one sentence.
     rows: tuple[DwellRow, ...]  #: All dwells.
     refused: Mapping[tuple[str, ...], str]  #: Reasons of the bench by the kinds of a block.
@@ -143,7 +143,7 @@ class Investigator:
                 stages.append(stage)
             if ended[0] == "settled" and stages[-1].rivals[0].names:
                 confirmation, failed = self._confirmation(stages[-1], journal)
-                ended = failed or ended
+                ended = failed or self._refuted(confirmation) or ended
             journal.record("investigation_ended", ended=ended[0], reason=ended[1])
             write_dwells(self._folder / "dwells.csv", self._rows)
         return Investigation(tuple(stages), *ended, tuple(self._rows), dict(self._refused), confirmation)
@@ -202,16 +202,24 @@ class Investigator:
         stage, ended = self._with_block(stage, journal, lambda each: each.difference)
         return (None if ended else stage), ended if ended and ended[0] == "bench_failed" else None
 
+    def _refuted(self, confirmation: Stage | None) -> tuple[str, str] | None:
+        """The end of a cause that predicted the last block worse than the declared model did."""
+        if confirmation is None or confirmation.outcome is None:
+            return None
+        if confirmation.outcome.probabilities[0] >= 0.5:
+            return None
+        return "refuted", f"A block contradicts what {confirmation.rivals[0].title} predicted for it."
+
     def _searched(self) -> Stage:
         closure = close_loop(campaign_of(self._rows), self._held_out)
         return Stage(self._spent_h, closure, rivals_of(closure))
 
     def _end(self, stage: Stage) -> tuple[str, str] | None:
         best = stage.closure.posterior.hypotheses[0]
-        if best.probability >= SETTLED:
+        is_stated = stage.closure.verdict in ("explained", "clean")
+        if best.probability >= SETTLED and not best.has_remainder and is_stated:
             what = listed(sorted(map(stage.closure.label, best.names))) or "nothing beside the declared model"
-            more = " and something that is not on the list" if best.has_remainder else ""
-            return "settled", f"{what.capitalize()}{more}: probability {best.probability:.4f}."
+            return "settled", f"{what.capitalize()}: probability {best.probability:.4f}."
         if self._spent_h >= self._budget_h and not (self._block_folder / _DONE).exists():
             return "budget", f"{self._spent_h:.1f} h of {self._budget_h:g} h on the bench are spent."
         return None

@@ -15,6 +15,7 @@ GISTS = {
     "budget": "not settled within the budget",
     "no_block": "not settled on this bench",
     "declined": "stopped",
+    "refuted": "refuted",
     "bench_failed": "stopped: the bench failed",
 }
 _MIN_SHOWN = 0.001

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.loop import close_loop
+from gyrobench.bench.closure.posterior import EXPLAINED
 from gyrobench.bench.dwells.closure_inputs import read_campaign
 from tests.bench.closure.campaigns import EFFECTS, run_campaign
 
@@ -46,8 +47,10 @@ def test_undeclared_effects_are_named_and_the_error_falls_to_the_noise(tmp_path,
     closure = closed(tmp_path, *kinds)
     assert {each.candidate.effect.name for each in closure.effects} == set(kinds)
     assert all(each.axes == ("x", "y", "z") for each in closure.effects)
+    probability = closure.posterior.of_set(kinds, has_remainder=False)
     tied = any(each.tied_with for each in closure.effects)
-    assert closure.verdict == ("ambiguous" if tied else "explained")
+    assert probability > 0.5
+    assert closure.verdict == ("explained" if probability >= EXPLAINED and not tied else "ambiguous")
     assert closure.error_before_dph > 1.5 * noise_of_held_out(closure)
     assert closure.error_after_dph < 1.3 * noise_of_held_out(closure)
 

@@ -74,9 +74,9 @@ def test_a_command_that_does_not_exist_is_reported(rows, tmp_path):
     ("change", "message"),
     [
         (("dwell", "999"), "dwell 999 is not in the plan"),
-        (("position", "x_up"), "the plan says z_up"),
+        (("position", "x_up"), "position x_up, not z_up"),
         (("unit", "OTHER"), "has the unit OTHER"),
-        (("run", "B-7"), "the plan says B-1"),
+        (("run", "B-7"), "run B-7, not B-1"),
         (("start_s", "5.0"), "before its block"),
         (("azimuth_deg", "33.0"), "azimuth 33 deg"),
     ],

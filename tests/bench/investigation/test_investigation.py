@@ -62,7 +62,7 @@ def test_predictions_stand_in_the_journal_before_the_block_is_measured(settled):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("fails_at", [1, 3])
+@pytest.mark.parametrize("fails_at", [1, 2])
 def test_an_investigation_that_was_killed_decides_the_same_again(settled, tmp_path, fails_at):
     unit, folder = unit_with({"warm_up": 0.02}), tmp_path / "killed"
     calls = []
