@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Hypothesis, evaluate, stack
@@ -38,13 +39,13 @@ class Selected:
     found: Hypothesis  #: The effects found; the declared model alone if there are none.
     posterior: Posterior  #: Probabilities of all sets of effects.
 
-    @property
+    @cached_property
     def with_effects(self) -> Problem:
         """The problem after a fit of the effects found."""
         problem, candidates = self.search.problem, self.found.candidates
         return problem.with_columns(*stack(candidates, problem.campaign)) if candidates else problem
 
-    @property
+    @cached_property
     def after(self) -> LackOfFit:
         """Test of the residual with the effects found."""
         return lack_of_fit(self.with_effects, sum(len(each.values) for each in self.found.candidates))
