@@ -45,8 +45,8 @@ def test_an_interrupted_run_is_resumed_and_keeps_its_finished_dwells(unpacked):
         change_dph = np.abs(np.array(new.bias_dph) - old.bias_dph)
         vertical = "xyz".index(new.position[0])
         assert np.delete(change_dph / old.sigma_dph, vertical).max() < 0.1
-        # The station's file states no uncertainty of the latitude, and the default was 0.02 arcmin in 0.1.0: without that
-        # knowledge the vertical bias may change by the root of what its variance grew by.
+        # The station's file states no uncertainty of the latitude, and its default was 0.02 arcmin in 0.1.0:
+        # without that knowledge a vertical bias may change by the root of what its variance grew by.
         assert change_dph[vertical] ** 2 < new.sigma_dph[vertical] ** 2 - old.sigma_dph[vertical] ** 2
     measured_again = command("bins", folder, cwd=folder.parent)
     assert measured_again.returncode == 0, measured_again.stderr
