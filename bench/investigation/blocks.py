@@ -19,6 +19,7 @@ from gyrobench.bench.investigation.external_bench import (
     PowerStep,
     SoakStep,
 )
+from gyrobench.bench.investigation.forecast import chamber_c
 from gyrobench.bench.navigation.positions import POSITIONS
 
 _S_PER_H = 3600.0
@@ -30,6 +31,8 @@ _SOAK_H, _LONG_SOAK_H, _REPEAT_H = 2.0, 12.0, 6.0
 _REVERSAL_C = 15.0
 _LESS_POWER = 0.7
 _SAME_C = 0.5
+#: The kind that tests a law composed from the earlier dwells.
+NEW_CYCLE = "new cycle"
 
 
 @dataclass(frozen=True)
@@ -56,7 +59,7 @@ class Timeline:
     def __post_init__(self) -> None:
         last = self.rows[-1]
         self.start_s = self.now_s = last.end_s
-        self.chamber_c = last.chamber_set_c if np.isfinite(last.chamber_set_c) else last.chamber_c
+        self.chamber_c = float(chamber_c(self.rows)[-1])
         self.run = last.run
         self.dwell_s = float(np.median([row.end_s - row.start_s for row in self.rows]))
         self._next_dwell = self.next_dwell = 1 + max(row.dwell for row in self.rows)
@@ -103,8 +106,9 @@ class Timeline:
     def plan(self) -> BlockPlan:
         """The steps as a plan."""
         last = self.rows[-1]
-        rate_c = np.array(last.gyro_rate_c_per_h) * 0.5 * (last.end_s - last.start_s) / _S_PER_H
-        x_c, y_c, z_c = (np.array(last.gyro_c) + rate_c).tolist()
+        warm = [row for row in self.rows if np.isfinite([*row.gyro_c, *row.gyro_rate_c_per_h]).all()][-1]
+        rise_c = np.array(warm.gyro_rate_c_per_h) * 0.5 * (warm.end_s - warm.start_s) / _S_PER_H
+        x_c, y_c, z_c = (np.array(warm.gyro_c) + rise_c).tolist()
         state = BenchState(
             chamber_c=last.chamber_c if np.isfinite(last.chamber_c) else None,
             gyro_x_c=x_c,
@@ -141,10 +145,7 @@ class _Kind:
 
 
 def _kinds(rows: Sequence[DwellRow]) -> list[_Kind]:
-    set_c = np.array([row.chamber_set_c for row in rows])
-    air_c = np.array([row.chamber_c for row in rows])
-    known_c = np.where(np.isfinite(set_c), set_c, air_c)
-    low_c, middle_c, high_c = np.quantile(known_c[np.isfinite(known_c)], [0.0, 0.5, 1.0]).tolist()
+    low_c, middle_c, high_c = np.quantile(chamber_c(rows), [0.0, 0.5, 1.0]).tolist()
     measured = [name for name in POSITIONS if any(row.position == name for row in rows)]
     pair = [name for name in ("z_up", "z_down") if name in measured] or measured[:2]
     every = list(POSITIONS)
@@ -219,6 +220,13 @@ def _kinds(rows: Sequence[DwellRow]) -> list[_Kind]:
     def longer(timeline: Timeline) -> None:
         timeline.dwells(pair, length=3.0)
 
+    def new_cycle(timeline: Timeline) -> None:
+        timeline.off_and_on()
+        for to_c in (middle_c, high_c, low_c):
+            timeline.ramp(to_c)
+            timeline.soak()
+            timeline.dwells(every)
+
     return [
         _Kind(
             "soak from above",
@@ -247,6 +255,11 @@ def _kinds(rows: Sequence[DwellRow]) -> list[_Kind]:
         _Kind("hot, six positions", "measure all positions at the highest temperature", inverted(high_c)),
         _Kind("repeat after hours", "wait, then measure all positions again", after_hours),
         _Kind("longer dwells", "measure two positions in long dwells", longer),
+        _Kind(
+            NEW_CYCLE,
+            "switch the unit off for an hour, then measure all positions at three temperatures",
+            new_cycle,
+        ),
     ]
 
 
