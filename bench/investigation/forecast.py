@@ -38,7 +38,7 @@ class Forecast:
         last = self._rows[-1]
         time_s, set_c, power, up_body = _inputs(plan, last)
         course = self.thermal.course(time_s, set_c, power, up_body, self._start)
-        power_on_s, is_on = last.end_s - plan.state.since_power_on_s, plan.state.powered
+        power_on_s, is_on = plan.start_s - plan.state.since_power_on_s, plan.state.powered
         found = []
         for step in plan.steps:
             if isinstance(step, PowerStep):
@@ -80,10 +80,14 @@ class Forecast:
 
 def _inputs(plan: BlockPlan, last: DwellRow) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Times (m,), set point, power, and Up in body axes (m, 3), over a block."""
-    count = min(max(round((plan.steps[-1].end_s - plan.start_s) / _STEP_S), 2), _MAX_STEPS)
-    time_s = np.linspace(plan.start_s, plan.steps[-1].end_s, count + 1)
+    begin_s = min(last.end_s, plan.start_s)
+    count = min(max(round((plan.steps[-1].end_s - begin_s) / _STEP_S), 2), _MAX_STEPS)
+    time_s = np.linspace(begin_s, plan.steps[-1].end_s, count + 1)
     first_c = last.chamber_set_c if np.isfinite(last.chamber_set_c) else last.chamber_c
-    set_c, power = np.full_like(time_s, first_c), np.ones_like(time_s)
+    set_c, power = np.full_like(time_s, first_c), np.full_like(time_s, float(plan.state.powered))
+    if plan.start_s > begin_s:  # from the last dwell to the state before the first step
+        start_c = first_c if plan.state.chamber_c is None else plan.state.chamber_c
+        set_c = np.interp(time_s, [begin_s, plan.start_s], [first_c, start_c])
     up_body = np.tile(POSITIONS[plan.state.position].C_nb()[2], (len(time_s), 1))
     for step in plan.steps:
         later = time_s >= step.start_s

@@ -9,23 +9,19 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow, format_dwells, read_dwells, write_dwells
-from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.campaign import Campaign, campaign_of
 from gyrobench.bench.closure.loop import Closure, close_loop
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
-from gyrobench.bench.foundations.files import make_folder
+from gyrobench.bench.foundations.files import make_folder, write_whole
 from gyrobench.bench.foundations.text import listed
-from gyrobench.bench.investigation.external_bench import (
-    BlockPlan,
-    BlockRefusedError,
-    ExternalBench,
-    checked_rows,
-)
+from gyrobench.bench.investigation.blocks import BlockPlanner
+from gyrobench.bench.investigation.external_bench import BlockPlan, BlockRefusedError
 from gyrobench.bench.investigation.proposal import Outcome, Proposal, Rival, outcome_of, proposal_of, propose
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.runs.journal import Journal, read_journal
@@ -37,8 +33,8 @@ _MIN_PROBABILITY = 1e-3
 _MAX_RIVALS = 6
 #: A block that is expected to remove less of the entropy, nats, is not worth its time.
 _MIN_GAIN = 0.02
-#: The dwells of a block, once they were checked.
-_DONE = "dwells.csv"
+#: The plan of a block, once it was approved, and its dwells, once they were checked.
+_PLAN, _DONE = "plan.json", "dwells.csv"
 #: Times that a kind of block is measured while the blocks bring only dwells with flags.
 _MAX_FLAGGED = 2
 _S_PER_H = 3600.0
@@ -85,11 +81,22 @@ class Investigation:
         return float(first.end_s.max() - first.start_s.min()) / _S_PER_H
 
 
+class Bench(Protocol):
+    """What measures the blocks."""
+
+    def measure(self, plan: BlockPlan, folder: Path) -> list[DwellRow]:
+        """Measure a block, or what is left of it; files of the bench are written into ``folder``.
+
+        Raises BlockRefusedError if the bench can't do it, and GyrobenchError if it fails.
+        """
+
+
 class Investigator:
-    """An investigation of a table on an external bench.
+    """An investigation of a table.
 
     ``folder`` gets the journal and all results; an investigation in it is continued. ``approve`` is asked
-    before a block is measured.
+    before a block is measured. ``planner`` is what the bench says about blocks beforehand, by default
+    nothing; ``campaign`` makes the campaign of dwells that is searched.
 
     Raises RunFolderError if the folder belongs to another table.
     """
@@ -98,13 +105,16 @@ class Investigator:
         self,
         rows: Sequence[DwellRow],
         folder: Path,
-        bench: ExternalBench,
+        bench: Bench,
         budget_h: float,
         approve: Callable[[Proposal, Sequence[Rival]], bool],
+        planner: BlockPlanner | None = None,
+        campaign: Callable[[Sequence[DwellRow]], Campaign] = campaign_of,
     ) -> None:
         make_folder(folder)
         self._rows = sorted(rows, key=lambda row: (row.start_s, row.dwell))
-        self._held_out = [max(row.cycle for row in self._rows)]
+        self._planner, self._campaign = planner, campaign
+        self._held_out = [campaign(self._rows).last_cycle]
         self._folder, self._bench, self._budget_h = folder, bench, budget_h
         self._approve = approve
         self._refused: dict[tuple[str, ...], str] = {}
@@ -157,22 +167,24 @@ class Investigator:
         """The stage with the block of largest value that the bench can do, or why there is none."""
         folder, scale = self._block_folder, stage.closure.noise_scale
         done = folder / _DONE
-        if done.exists():
-            plan = BlockPlan.model_validate_json((folder / "plan.json").read_text(encoding="utf-8"))
-            rows = checked_rows(read_dwells(done), plan, done)
-            earlier = proposal_of(plan, self._kinds_of_block(), self._rows, stage.rivals, scale)
-            return self._with_outcome(stage, earlier, rows, journal), None
+        decided = self._decided(stage)
+        if decided is not None and done.exists():
+            return self._with_outcome(stage, decided, read_dwells(done), journal), None
         while True:
             left_h = self._budget_h - self._spent_h
             idle = [kinds for kinds in self._flagged if self._flagged.count(kinds) >= _MAX_FLAGGED]
-            found = propose(self._rows, stage.rivals, scale, [*self._refused, *idle], left_h)
-            useful = [each for each in found if each.entropy - each.expected_entropy > _MIN_GAIN]
-            if not useful:
-                return stage, ("no_block", self._no_block(stage))
-            best = max(useful, key=value)
-            if not self._is_approved(best, stage, journal):
-                return stage, ("declined", "The proposed block was declined.")
-            make_folder(folder)
+            if decided is not None:
+                best, decided = decided, None
+            else:
+                found = propose(
+                    self._rows, stage.rivals, scale, [*self._refused, *idle], left_h, self._planner
+                )
+                useful = [each for each in found if each.entropy - each.expected_entropy > _MIN_GAIN]
+                if not useful:
+                    return stage, ("no_block", self._no_block(stage))
+                best = max(useful, key=value)
+                if not self._is_approved(best, stage, journal):
+                    return stage, ("declined", "The proposed block was declined.")
             try:
                 rows = self._bench.measure(best.block.plan, folder)
             except BlockRefusedError as error:
@@ -211,7 +223,7 @@ class Investigator:
         return "refuted", f"A block contradicts what {confirmation.rivals[0].title} predicted for it."
 
     def _searched(self) -> Stage:
-        closure = close_loop(campaign_of(self._rows), self._held_out)
+        closure = close_loop(self._campaign(self._rows), self._held_out)
         return Stage(self._spent_h, closure, rivals_of(closure))
 
     def _end(self, stage: Stage) -> tuple[str, str] | None:
@@ -229,20 +241,29 @@ class Investigator:
         return self._folder / f"block-{self._blocks + 1}"
 
     def _is_approved(self, proposal: Proposal, stage: Stage, journal: Journal) -> bool:
-        """Whether a block may be measured."""
+        """Whether a block may be measured; the plan of one that may is in its folder."""
         journal.record("proposed", number=self._blocks + 1, **proposed(proposal, stage.rivals))
         answer = self._approve(proposal, stage.rivals)
+        if answer:
+            make_folder(self._block_folder)
+            write_whole(self._block_folder / _PLAN, proposal.block.plan.text().encode())
         journal.record("approved" if answer else "declined", number=self._blocks + 1)
         return answer
 
-    def _kinds_of_block(self) -> tuple[str, ...]:
-        """Kinds of a block that was measured before, by the journal."""
-        names = [
-            entry["block"]
+    def _decided(self, stage: Stage) -> Proposal | None:
+        """The next block if it was approved before, and not refused since."""
+        entries = [
+            entry
             for entry in read_journal(self._folder / "journal.jsonl")
-            if entry["event"] == "proposed" and entry["number"] == self._blocks + 1
+            if entry.get("number") == self._blocks + 1
         ]
-        return tuple(names[-1].split(", then ")) if names else ("block",)
+        events = [entry["event"] for entry in entries]
+        if not {"approved", "measured"} & set(events[-1:]):
+            return None
+        name = next(entry["block"] for entry in reversed(entries) if entry["event"] == "proposed")
+        plan = BlockPlan.model_validate_json((self._block_folder / _PLAN).read_text(encoding="utf-8"))
+        scale = stage.closure.noise_scale
+        return proposal_of(plan, name.split(", then "), self._rows, stage.rivals, scale)
 
     def _with_outcome(
         self, stage: Stage, proposal: Proposal, rows: Sequence[DwellRow], journal: Journal
