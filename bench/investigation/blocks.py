@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -25,6 +25,8 @@ from gyrobench.bench.navigation.positions import POSITIONS
 _S_PER_H = 3600.0
 _SWITCH_S = 60.0
 _OFF_H = 1.0
+#: Time off for a power-on that only begins a block.
+_SHORTLY_OFF_H = 5.0 / 3600.0
 #: Ramp rates of the blocks, degC/h.
 _USUAL_RAMP_C_PER_H, _SLOW_RAMP_C_PER_H, _FAST_RAMP_C_PER_H = 60.0, 15.0, 120.0
 _SOAK_H, _LONG_SOAK_H, _REPEAT_H = 2.0, 12.0, 6.0
@@ -49,12 +51,46 @@ class Block:
         return ", then ".join(self.kinds)
 
 
+@dataclass(frozen=True)
+class BlockStart:
+    """When and in which state a block begins on a bench that switches the unit off and on for it."""
+
+    time_s: float  #: On the time axis of the table.
+    state: BenchState
+    power_ons: int  #: How often the unit was switched on.
+
+
+class BlockPlanner(Protocol):
+    """What a bench says about blocks before they are proposed."""
+
+    def start(self, rows: Sequence[DwellRow]) -> BlockStart | None:
+        """Begin of a block after these dwells; None if the bench stays as it is after the last one."""
+
+    def timed(self, block: Block) -> Block | None:
+        """The block with the bench's times; None if the bench can't do it."""
+
+
+class AfterLastDwell:
+    """A bench that stays as it is after the last dwell, and measures in the planned times."""
+
+    def start(self, rows: Sequence[DwellRow]) -> None:
+        """None."""
+
+    def timed(self, block: Block) -> Block:
+        """The block."""
+        return block
+
+
 @dataclass
 class Timeline:
-    """Steps as they are added one after the other, from the state after the last dwell of a table."""
+    """Steps as they are added one after the other, from the state after the last dwell of a table.
+
+    With ``start``, they begin there with a power-on.
+    """
 
     rows: Sequence[DwellRow]  #: The dwells measured, in the order of time.
     steps: list[AnyStep] = field(default_factory=list)
+    start: BlockStart | None = None
 
     def __post_init__(self) -> None:
         last = self.rows[-1]
@@ -65,9 +101,16 @@ class Timeline:
         self._next_dwell = self.next_dwell = 1 + max(row.dwell for row in self.rows)
         self.next_cycle = 1 + max(row.cycle for row in self.rows)
         self._power_ons = len({row.run for row in self.rows})
+        self._is_ready = self.start is None
+        if self.start is not None:
+            self.start_s = self.now_s = self.start.time_s
+            self._power_ons = self.start.power_ons
+            if self.start.state.chamber_c is not None:
+                self.chamber_c = self.start.state.chamber_c
 
     def off_and_on(self, hours: float = _OFF_H) -> None:
         """Switch the unit off, let it cool, and switch it on: a new run."""
+        self._is_ready = True
         self._add(PowerStep(on=False, **self._span(hours * _S_PER_H)))
         self._power_ons += 1
         self.run = f"{self.rows[-1].run.rsplit('-', 1)[0]}-{self._power_ons}"
@@ -75,10 +118,12 @@ class Timeline:
 
     def dissipation(self, factor: float) -> None:
         """Set the unit's dissipation relative to the usual one."""
+        self._switch_on()
         self._add(PowerStep(on=True, factor=factor, **self._span(_SWITCH_S)))
 
     def ramp(self, to_c: float, rate_c_per_h: float = _USUAL_RAMP_C_PER_H) -> None:
         """Ramp the chamber, unless it is there."""
+        self._switch_on()
         if abs(to_c - self.chamber_c) > _SAME_C:
             span_s = abs(to_c - self.chamber_c) / rate_c_per_h * _S_PER_H
             self._add(ChamberStep(to_c=float(to_c), ramp_c_per_h=rate_c_per_h, **self._span(span_s)))
@@ -86,10 +131,12 @@ class Timeline:
 
     def soak(self, hours: float = _SOAK_H) -> None:
         """Wait."""
+        self._switch_on()
         self._add(SoakStep(**self._span(hours * _S_PER_H)))
 
     def dwells(self, positions: Iterable[str], azimuth_deg: float = 0.0, length: float = 1.0) -> None:
         """Measure dwells, each ``length`` times as long as those of the table."""
+        self._switch_on()
         for position in positions:
             self._add(
                 DwellStep(
@@ -103,9 +150,15 @@ class Timeline:
             )
             self._next_dwell += 1
 
+    def _switch_on(self) -> None:
+        if not self._is_ready:
+            self.off_and_on(_SHORTLY_OFF_H)
+
     def plan(self) -> BlockPlan:
         """The steps as a plan."""
         last = self.rows[-1]
+        if self.start is not None:
+            return self._plan(self.start.state)
         warm = [row for row in self.rows if np.isfinite([*row.gyro_c, *row.gyro_rate_c_per_h]).all()][-1]
         rise_c = np.array(warm.gyro_rate_c_per_h) * 0.5 * (warm.end_s - warm.start_s) / _S_PER_H
         x_c, y_c, z_c = (np.array(warm.gyro_c) + rise_c).tolist()
@@ -118,8 +171,11 @@ class Timeline:
             since_power_on_s=last.since_power_on_s + last.end_s - last.start_s,
             position=last.position,
         )
+        return self._plan(state)
+
+    def _plan(self, state: BenchState) -> BlockPlan:
         return BlockPlan(
-            unit=last.unit,
+            unit=self.rows[-1].unit,
             start_s=self.start_s,
             state=state,
             next_dwell=self.next_dwell,
@@ -263,15 +319,15 @@ def _kinds(rows: Sequence[DwellRow]) -> list[_Kind]:
     ]
 
 
-def catalogue(rows: Sequence[DwellRow], pairs: bool = False) -> list[Block]:
-    """Blocks that can follow a table, in the order of time; with ``pairs``, each two in sequence."""
+def catalogue(rows: Sequence[DwellRow], pairs: bool = False, start: BlockStart | None = None) -> list[Block]:
+    """Blocks that can follow dwells in the order of time, from ``start``; with ``pairs``, two in sequence."""
     kinds = _kinds(rows)
     sequences: list[tuple[_Kind, ...]] = [(each,) for each in kinds]
     if pairs:
         sequences += list(itertools.permutations(kinds, 2))
     blocks = []
     for sequence in sequences:
-        timeline = Timeline(rows)
+        timeline = Timeline(rows, start=start)
         for kind in sequence:
             kind.add(timeline)
         blocks.append(

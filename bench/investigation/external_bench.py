@@ -144,33 +144,30 @@ class ExternalBench:
         if empty:
             raise DocumentError("--bench is empty. Name the command that measures a block")
 
-    def measured_before(self, plan: BlockPlan, folder: Path) -> list[DwellRow] | None:
-        """All dwells of a plan, if its command wrote them and gyrobench was ended before it took them."""
-        asked, answered = _files(folder)
-        if not answered.exists() or not asked.exists() or asked.read_text("utf-8") != plan.text():
-            return None
-        try:
-            rows = checked_rows(read_dwells(answered), plan, answered)
-        except GyrobenchError:
-            return None
-        return rows if len(rows) == len(plan.dwells) else None
-
     def measure(self, plan: BlockPlan, folder: Path) -> list[DwellRow]:
-        """Have a block measured; plan and new table are written into ``folder``.
+        """Have a block measured; plan, new table, and what the command wrote are files of ``folder``.
+
+        A table with all dwells that is there is taken: its command ended after gyrobench was.
 
         Raises BlockRefusedError if the bench can't do it, and GyrobenchError if the command fails, is too
         slow, or writes something else than the dwells of the plan.
         """
-        asked, answered = _files(folder)
-        if asked.exists() and asked.read_text("utf-8") == plan.text():
-            self.notice(f"{folder}: the bench did not finish this block before. It is measured again.")
+        asked, answered, log = (folder / name for name in ("plan.json", "new.csv", "bench.log"))
+        if answered.exists() and (rows := _whole(plan, answered)):
+            return rows
+        if log.exists():
+            self.notice(
+                f"{folder}: this block was interrupted before all dwells were there. It is measured again."
+            )
         answered.unlink(missing_ok=True)
         write_whole(asked, plan.text().encode())
         limit_s = self.time_limit_s or _TIMEOUT_FACTOR * plan.duration_h * _S_PER_H + _TIMEOUT_MARGIN_S
-        code, message = self._run([str(asked), str(answered)], limit_s)
+        code = self._run([str(asked), str(answered)], limit_s, log)
+        message = log.read_text(encoding="utf-8", errors="replace").strip()[-_SHOWN_CHARACTERS:]
         if code:
             # A table of a command that failed is no measurement.
             answered.unlink(missing_ok=True)
+            log.unlink()
         if code == REFUSED:
             raise BlockRefusedError(message or "no reason was given")
         if code:
@@ -180,40 +177,43 @@ class ExternalBench:
             )
         return checked_rows(read_dwells(answered), plan, answered)
 
-    def _run(self, arguments: Sequence[str], limit_s: float) -> tuple[int, str]:
-        """Exit code and end of the standard error; a command that is too slow or interrupted is ended."""
-        try:
-            started = subprocess.Popen(  # noqa: S603 - the user's own command
-                [*shlex.split(self.command), *arguments],
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.PIPE,
-                encoding="utf-8",
-                errors="replace",
-                start_new_session=True,
-            )
-        except OSError as error:
-            raise GyrobenchError(
-                f"{self.command}: can't be started: {error.strerror}. Check --bench"
-            ) from error
-        with started as process:
+    def _run(self, arguments: Sequence[str], limit_s: float, log: Path) -> int:
+        """Exit code; standard error goes to a file. A command that is too slow or interrupted is ended."""
+        with log.open("wb") as written:
             try:
-                _, written = process.communicate(timeout=limit_s)
-            except BaseException as error:
-                _end(process)
-                if not isinstance(error, subprocess.TimeoutExpired):
-                    raise
+                process = subprocess.Popen(  # noqa: S603 - the user's own command
+                    [*shlex.split(self.command), *arguments],
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.DEVNULL,
+                    stderr=written,
+                    start_new_session=True,
+                )
+            except OSError as error:
                 raise GyrobenchError(
-                    f"{self.command}: did not end within {limit_s:.0f} s. Check the bench, or allow more "
-                    "with --bench-time-limit-s"
+                    f"{self.command}: can't be started: {error.strerror}. Check --bench"
                 ) from error
-        return process.returncode, written.strip()[-_SHOWN_CHARACTERS:]
+        try:
+            return process.wait(limit_s)
+        except subprocess.TimeoutExpired as error:
+            raise GyrobenchError(
+                f"{self.command}: did not end within {limit_s:.0f} s. Check the bench, or allow more "
+                "with --bench-time-limit-s"
+            ) from error
+        finally:
+            if process.returncode is None:
+                _end(process)
 
 
-def _files(folder: Path) -> tuple[Path, Path]:
-    return folder / "plan.json", folder / "new.csv"
+def _whole(plan: BlockPlan, table: Path) -> list[DwellRow]:
+    """Dwells of a table that has all of a plan; none otherwise."""
+    try:
+        rows = checked_rows(read_dwells(table), plan, table)
+    except GyrobenchError:
+        return []
+    return rows if len(rows) == len(plan.dwells) else []
 
 
-def _end(process: subprocess.Popen[str]) -> None:
+def _end(process: subprocess.Popen[bytes]) -> None:
     """End a command and all processes that it started, after time to switch the bench off."""
     for name in ("SIGTERM", "SIGKILL"):
         with contextlib.suppress(ProcessLookupError, subprocess.TimeoutExpired):

@@ -66,10 +66,10 @@ class Forecast:
         Their biases are zero. What the table lacks is NaN, but for the electronics if their temperature is
         known without a sensor.
         """
-        last, (thermal, before) = self.measured[-1], self._fitted
-        time_s, set_c, power, up_body = _inputs(plan, chamber_c(self.measured)[-1])
+        thermal, before = self._fitted
+        time_s, set_c, power, up_body = _inputs(plan, self.measured)
         course = thermal.course(time_s, set_c, power, up_body, before and before.end)
-        power_on_s, is_on = last.end_s - plan.state.since_power_on_s, plan.state.powered
+        power_on_s, is_on = plan.start_s - plan.state.since_power_on_s, plan.state.powered
         found = []
         for step in plan.steps:
             if isinstance(step, PowerStep):
@@ -129,11 +129,17 @@ def chamber_c(rows: Sequence[DwellRow]) -> FloatArray:
     return np.asarray(found[np.isfinite(found)])
 
 
-def _inputs(plan: BlockPlan, first_c: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def _inputs(
+    plan: BlockPlan, rows: Sequence[DwellRow]
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Times (m,), set point, power, and Up in body axes (m, 3), over a block."""
-    count = min(max(round((plan.steps[-1].end_s - plan.start_s) / _STEP_S), 2), _MAX_STEPS)
-    time_s = np.linspace(plan.start_s, plan.steps[-1].end_s, count + 1)
-    set_c, power = np.full_like(time_s, first_c), np.ones_like(time_s)
+    begin_s, first_c = min(rows[-1].end_s, plan.start_s), float(chamber_c(rows)[-1])
+    count = min(max(round((plan.steps[-1].end_s - begin_s) / _STEP_S), 2), _MAX_STEPS)
+    time_s = np.linspace(begin_s, plan.steps[-1].end_s, count + 1)
+    set_c, power = np.full_like(time_s, first_c), np.full_like(time_s, float(plan.state.powered))
+    if plan.start_s > begin_s:  # from the last dwell to the state before the first step
+        start_c = first_c if plan.state.chamber_c is None else plan.state.chamber_c
+        set_c = np.interp(time_s, [begin_s, plan.start_s], [first_c, start_c])
     up_body = np.tile(POSITIONS[plan.state.position].C_nb()[2], (len(time_s), 1))
     for step in plan.steps:
         later = time_s >= step.start_s

@@ -14,15 +14,15 @@ from typing import Any, Protocol
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow, format_dwells, read_dwells, write_dwells
-from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.campaign import Campaign, campaign_of
 from gyrobench.bench.closure.loop import Closure, close_loop, composed
 from gyrobench.bench.closure.search import MAX_EFFECTS
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
-from gyrobench.bench.foundations.files import make_folder
+from gyrobench.bench.foundations.files import make_folder, write_whole
 from gyrobench.bench.foundations.text import listed
-from gyrobench.bench.investigation.blocks import NEW_CYCLE
-from gyrobench.bench.investigation.external_bench import BlockPlan, BlockRefusedError, checked_rows
+from gyrobench.bench.investigation.blocks import NEW_CYCLE, BlockPlanner
+from gyrobench.bench.investigation.external_bench import BlockPlan, BlockRefusedError
 from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.investigation.proposal import Outcome, Proposal, Rival, outcome_of, proposal_of, propose
 from gyrobench.bench.navigation.positions import AXES
@@ -35,8 +35,8 @@ _MIN_PROBABILITY = 1e-3
 _MAX_RIVALS = 6
 #: A block that is expected to remove less of the entropy, nats, is not worth its time.
 _MIN_GAIN = 0.02
-#: The dwells of a block, once they were checked.
-_DONE = "dwells.csv"
+#: The plan of a block, once it was approved, and its dwells, once they were checked.
+_PLAN, _DONE = "plan.json", "dwells.csv"
 #: Times that a kind of block is measured while the blocks bring only dwells with flags.
 _MAX_FLAGGED = 2
 #: A prediction is tested where it differs by this square from that without it, in units of its uncertainty.
@@ -95,15 +95,12 @@ class Investigation:
 
 
 class Bench(Protocol):
-    """What measures blocks."""
-
-    def measured_before(self, plan: BlockPlan, folder: Path) -> list[DwellRow] | None:
-        """Dwells of a block that was measured whole before the investigation was interrupted, if it was."""
+    """What measures the blocks."""
 
     def measure(self, plan: BlockPlan, folder: Path) -> list[DwellRow]:
-        """Measure a block; files are written into ``folder``.
+        """Measure a block, or what is left of it; files of the bench are written into ``folder``.
 
-        Raises BlockRefusedError if the bench can't do it, and another GyrobenchError if it fails.
+        Raises BlockRefusedError if the bench can't do it, and GyrobenchError if it fails.
         """
 
 
@@ -111,7 +108,8 @@ class Investigator:
     """An investigation of a table.
 
     ``folder`` gets the journal and all results; an investigation in it is continued. ``approve`` is asked
-    before a block is measured.
+    before a block is measured. ``planner`` is what the bench says about blocks beforehand, by default
+    nothing; ``campaign`` makes the campaign of dwells that is searched.
 
     Raises RunFolderError if the folder belongs to another table.
     """
@@ -123,10 +121,13 @@ class Investigator:
         bench: Bench,
         budget_h: float,
         approve: Callable[[Proposal, Sequence[Rival]], bool],
+        planner: BlockPlanner | None = None,
+        campaign: Callable[[Sequence[DwellRow]], Campaign] = campaign_of,
     ) -> None:
         make_folder(folder)
         self._rows = sorted(rows, key=lambda row: (row.start_s, row.dwell))
-        self._held_out = [max(row.cycle for row in self._rows)]
+        self._planner, self._campaign = planner, campaign
+        self._held_out = [campaign(self._rows).last_cycle]
         self._folder, self._bench, self._budget_h = folder, bench, budget_h
         self._approve = approve
         self._refused: dict[tuple[str, ...], str] = {}
@@ -178,41 +179,40 @@ class Investigator:
         """The stage with the best block that the bench can do, or why there is none."""
         folder, scale, forecast = self._block_folder, stage.closure.noise_scale, Forecast(self._rows)
         done = folder / _DONE
-        if done.exists():
-            plan = BlockPlan.model_validate_json((folder / "plan.json").read_text(encoding="utf-8"))
-            rows = checked_rows(read_dwells(done), plan, done)
-            earlier = proposal_of(plan, self._kinds_of_block(), forecast, stage.rivals, scale)
-            return self._with_outcome(stage, forecast, earlier, rows, journal), None
+        decided = self._decided(stage, forecast)
+        if decided is not None and done.exists():
+            return self._with_outcome(stage, forecast, decided, read_dwells(done), journal), None
         while True:
             left_h = self._budget_h - self._spent_h
             idle = [kinds for kinds in self._flagged if self._flagged.count(kinds) >= _MAX_FLAGGED]
-            found = propose(forecast, stage.rivals, scale, [*self._refused, *idle], left_h)
-            useful = [
-                each
-                for each in found
-                if each.entropy - each.expected_entropy > _MIN_GAIN
-                and (stage.purpose != TEST_LAW or each.block.name == NEW_CYCLE)
-            ]
-            if not useful:
-                return stage, self._no_block(stage)
-            best = max(useful, key=_gain_per_h if stage.purpose == DISTINGUISH else _test_per_h)
-            answer = self._bench.measured_before(best.block.plan, folder)
-            if answer is None:
+            if decided is not None:
+                best, decided = decided, None
+            else:
+                refused = [*self._refused, *idle]
+                found = propose(forecast, stage.rivals, scale, refused, left_h, self._planner)
+                useful = [
+                    each
+                    for each in found
+                    if each.entropy - each.expected_entropy > _MIN_GAIN
+                    and (stage.purpose != TEST_LAW or each.block.name == NEW_CYCLE)
+                ]
+                if not useful:
+                    return stage, self._no_block(stage)
+                best = max(useful, key=_gain_per_h if stage.purpose == DISTINGUISH else _test_per_h)
                 if not self._is_approved(best, stage, journal):
                     return stage, ("declined", "The proposed block was declined.")
-                make_folder(folder)
-                try:
-                    answer = self._bench.measure(best.block.plan, folder)
-                except BlockRefusedError as error:
-                    kinds = best.block.kinds
-                    self._refused[kinds] = str(error)
-                    journal.record("refused", number=self._blocks + 1, kinds=kinds, reason=str(error))
-                    continue
-                except GyrobenchError as error:
-                    problem = "; ".join(str(error).splitlines()).rstrip(".")
-                    return stage, ("bench_failed", f"The bench failed: {problem}.")
-            write_dwells(done, answer)
-            return self._with_outcome(stage, forecast, best, answer, journal), None
+            try:
+                rows = self._bench.measure(best.block.plan, folder)
+            except BlockRefusedError as error:
+                kinds = best.block.kinds
+                self._refused[kinds] = str(error)
+                journal.record("refused", number=self._blocks + 1, kinds=kinds, reason=str(error))
+                continue
+            except GyrobenchError as error:
+                problem = "; ".join(str(error).splitlines()).rstrip(".")
+                return stage, ("bench_failed", f"The bench failed: {problem}.")
+            write_dwells(done, rows)
+            return self._with_outcome(stage, forecast, best, rows, journal), None
 
     def _no_block(self, stage: Stage) -> tuple[str, str]:
         not_on_list = stage.closure.posterior.not_on_list
@@ -250,7 +250,7 @@ class Investigator:
         return next((each.outcome for each in reversed(tests) if each.outcome), None)
 
     def _searched(self) -> Stage:
-        closure = close_loop(campaign_of(self._rows), self._held_out)
+        closure = close_loop(self._campaign(self._rows), self._held_out)
         return Stage(self._spent_h, closure, rivals_of(closure))
 
     def _end(self, stage: Stage) -> tuple[str, str] | None:
@@ -277,22 +277,27 @@ class Investigator:
         return self._folder / f"block-{self._blocks + 1}"
 
     def _is_approved(self, proposal: Proposal, stage: Stage, journal: Journal) -> bool:
-        """Whether a block may be measured."""
+        """Whether a block may be measured; the plan of one that may is in its folder."""
         journal.record(
             "proposed", number=self._blocks + 1, purpose=stage.purpose, **proposed(proposal, stage.rivals)
         )
         answer = self._approve(proposal, stage.rivals)
+        if answer:
+            make_folder(self._block_folder)
+            write_whole(self._block_folder / _PLAN, proposal.block.plan.text().encode())
         journal.record("approved" if answer else "declined", number=self._blocks + 1)
         return answer
 
-    def _kinds_of_block(self) -> tuple[str, ...]:
-        """Kinds of a block that was measured before, by the journal."""
-        names = [
-            entry["block"]
-            for entry in self._earlier
-            if entry["event"] == "proposed" and entry["number"] == self._blocks + 1
-        ]
-        return tuple(names[-1].split(", then ")) if names else ("block",)
+    def _decided(self, stage: Stage, forecast: Forecast) -> Proposal | None:
+        """The next block if it was approved before, and not refused since."""
+        entries = [entry for entry in self._earlier if entry.get("number") == self._blocks + 1]
+        events = [entry["event"] for entry in entries]
+        if not {"approved", "measured"} & set(events[-1:]):
+            return None
+        name = next(entry["block"] for entry in reversed(entries) if entry["event"] == "proposed")
+        plan = BlockPlan.model_validate_json((self._block_folder / _PLAN).read_text(encoding="utf-8"))
+        scale = stage.closure.noise_scale
+        return proposal_of(plan, name.split(", then "), forecast, stage.rivals, scale)
 
     def _with_outcome(
         self, stage: Stage, forecast: Forecast, proposal: Proposal, rows: Sequence[DwellRow], journal: Journal

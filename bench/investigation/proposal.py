@@ -13,7 +13,7 @@ from gyrobench.bench.closure.candidates import Candidate, best_start, solve_with
 from gyrobench.bench.closure.effects.effect import Effect
 from gyrobench.bench.closure.problem import declared_problem
 from gyrobench.bench.foundations.arrays import BoolArray, rms
-from gyrobench.bench.investigation.blocks import Block, catalogue
+from gyrobench.bench.investigation.blocks import AfterLastDwell, Block, BlockPlanner, catalogue
 from gyrobench.bench.investigation.choice import Prediction, entropy, expected_entropy, predict_dwells
 from gyrobench.bench.investigation.external_bench import BlockPlan
 from gyrobench.bench.investigation.forecast import Forecast
@@ -72,6 +72,7 @@ def propose(
     noise_scale: float,
     refused: Collection[Sequence[str]] = (),
     max_h: float = np.inf,
+    planner: BlockPlanner | None = None,
 ) -> list[Proposal]:
     """Blocks with their utilities, best first.
 
@@ -88,26 +89,27 @@ def propose(
         refused pair are proposed alone.
     max_h : float
         Longest block.
+    planner : BlockPlanner, optional
+        The bench; by default one that stays as it is after the last dwell.
     """
+    rows, planner = forecast.measured, planner or AfterLastDwell()
+    start = planner.start(rows)
 
     def usable(blocks: Sequence[Block]) -> list[Block]:
-        return [
-            each
-            for each in blocks
-            if each.plan.duration_h <= max_h and not any(set(kinds) <= set(each.kinds) for kinds in refused)
-        ]
+        asked = [each for each in blocks if not any(set(kinds) <= set(each.kinds) for kinds in refused)]
+        timed = filter(None, map(planner.timed, asked))
+        return [each for each in timed if each.plan.duration_h <= max_h]
 
     paired = {kind for kinds in refused if len(kinds) > 1 for kind in kinds}
-    rows = forecast.measured
-    found = [_proposal(forecast, each, rivals, noise_scale) for each in usable(catalogue(rows))]
+    found = [_proposal(forecast, each, rivals, noise_scale) for each in usable(catalogue(rows, start=start))]
     found.sort(key=lambda each: -each.gain_per_h)
     best = {each.block.name for each in found[:_PAIRED]}
     pairs = [
         each
-        for each in usable(catalogue(rows, pairs=True))
+        for each in catalogue(rows, pairs=True, start=start)
         if len(each.kinds) == 2 and set(each.kinds) <= best and not set(each.kinds) & paired
     ]
-    found += [_proposal(forecast, each, rivals, noise_scale) for each in pairs]
+    found += [_proposal(forecast, each, rivals, noise_scale) for each in usable(pairs)]
     return sorted(found, key=lambda each: -each.gain_per_h)
 
 

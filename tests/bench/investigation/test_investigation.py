@@ -6,7 +6,6 @@ import pytest
 
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.foundations.files import write_whole
 from gyrobench.bench.investigation.external_bench import ExternalBench
 from gyrobench.bench.investigation.investigation import Investigator
 from gyrobench.bench.runs.journal import read_journal
@@ -167,11 +166,7 @@ class FlaggingBench:
     def __init__(self, unit):
         self.unit, self.kinds = unit, []
 
-    def measured_before(self, plan, folder):
-        return None
-
     def measure(self, plan, folder):
-        write_whole(folder / "plan.json", plan.text().encode())
         steps = [step.model_dump() for step in plan.steps]
         rows = simulate(self.unit | {"steps": self.unit["steps"] + steps})
         return [replace(row, flags=("moved",)) for row in rows if row.dwell >= plan.next_dwell]
