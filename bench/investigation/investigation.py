@@ -15,6 +15,8 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow, format_dwells, read_dwells, write_dwells
 from gyrobench.bench.closure.campaign import Campaign, campaign_of
+from gyrobench.bench.closure.effects import all_effects
+from gyrobench.bench.closure.effects.effect import Effect, searched_length_s
 from gyrobench.bench.closure.loop import Closure, close_loop, composed
 from gyrobench.bench.closure.search import MAX_EFFECTS
 from gyrobench.bench.foundations.clock import Clock
@@ -34,11 +36,13 @@ SETTLED = 0.99
 _MIN_PROBABILITY = 1e-3
 _MAX_RIVALS = 6
 #: A block that is expected to remove less of the entropy, nats, is not worth its time.
-_MIN_GAIN = 0.02
+MIN_GAIN = 0.02
 #: The plan of a block, once it was approved, and its dwells, once they were checked.
 _PLAN, _DONE = "plan.json", "dwells.csv"
 #: Times that a kind of block is measured while the blocks bring only dwells with flags.
 _MAX_FLAGGED = 2
+#: Ageing is a hypothesis of dwells over more than this: its shortest time constant is a day.
+_MIN_AGEING_S = 26.0 * 3600.0
 #: A prediction is tested where it differs by this square from that without it, in units of its uncertainty.
 _ENOUGH = 60.0
 #: Purposes of a block.
@@ -193,7 +197,7 @@ class Investigator:
                 useful = [
                     each
                     for each in found
-                    if each.entropy - each.expected_entropy > _MIN_GAIN
+                    if each.entropy - each.expected_entropy > MIN_GAIN
                     and (stage.purpose != TEST_LAW or each.block.name == NEW_CYCLE)
                 ]
                 if not useful:
@@ -250,14 +254,13 @@ class Investigator:
         return next((each.outcome for each in reversed(tests) if each.outcome), None)
 
     def _searched(self) -> Stage:
-        closure = close_loop(self._campaign(self._rows), self._held_out)
+        closure = searched(self._campaign(self._rows), self._held_out)
         return Stage(self._spent_h, closure, rivals_of(closure))
 
     def _end(self, stage: Stage) -> tuple[str, str] | None:
         posterior = stage.closure.posterior
         best = posterior.hypotheses[0]
-        is_stated = stage.closure.verdict in ("explained", "clean")
-        if best.probability >= SETTLED and not best.has_remainder and is_stated:
+        if is_settled(stage.closure):
             tested = self._tested(CONFIRM, tuple(sorted(best.names)))
             if tested is not None and tested.probabilities[0] < 0.5:
                 return (
@@ -324,6 +327,31 @@ class Investigator:
             ],
         )
         return replace(stage, proposal=proposal, outcome=outcome)
+
+
+def searched(campaign: Campaign, held_out: Sequence[int]) -> Closure:
+    """Search with the effects that only the first dwells do not show, as far as they are long enough.
+
+    A single power cycle does not exclude ageing, so that a search leaves it out; the next block may have
+    another one.
+    """
+    effects = all_effects(*(Path(each.name) for each in campaign.tables))
+    if searched_length_s(campaign.holding_out(held_out)) > _MIN_AGEING_S:
+        effects = tuple(_in_one_power_cycle(each) if each.name == "ageing" else each for each in effects)
+    return close_loop(campaign, held_out, effects)
+
+
+def _in_one_power_cycle(effect: Effect) -> Effect:
+    return replace(
+        effect, forms=tuple(replace(form, missing_input=lambda campaign: None) for form in effect.forms)
+    )
+
+
+def is_settled(closure: Closure) -> bool:
+    """Whether a search states one cause, or that there is nothing, and nothing else is probable."""
+    best = closure.posterior.hypotheses[0]
+    is_stated = closure.verdict in ("explained", "clean")
+    return best.probability >= SETTLED and not best.has_remainder and is_stated
 
 
 def rivals_of(closure: Closure) -> tuple[Rival, ...]:
