@@ -17,12 +17,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice, pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import cantools
 import numpy as np
 import textparser
-from cantools.database import Database, DecodeError
+from cantools.database import Database
 from cantools.database.can import Message, Signal
 from numpy.typing import ArrayLike, NDArray
 
@@ -135,17 +135,10 @@ class DbcCodec:
         words = Payloads(block.take(self.rows(block, message_name)).data)
         return {name: layout.physical(name, words) for name in layout.fields}
 
-    def decode_one(self, data: bytes, message_name: str) -> Mapping[str, float]:
-        """Decode one payload to the same values, by cantools; without absent signals, empty if too short."""
+    def decode_one(self, data: bytes, message_name: str, signal_name: str) -> float:
+        """Decode one signal of one payload to the same value; NaN if it is absent or the data too short."""
         layout = self._layout(message_name)
-        if len(data) < layout.length:
-            return {}
-        try:
-            return layout.message.decode(data, decode_choices=False)  # type: ignore[return-value]
-        except DecodeError:  # a multiplexer has a value without signals
-            row = np.frombuffer(data.ljust(MAX_LENGTH, b"\0"), np.uint8)
-            block = FrameBlock.from_columns([0.0], [layout.arbitration_id], [len(data)], [row])
-            return {name: values.item() for name, values in self.decode(block, message_name).items()}
+        return layout.physical_one(signal_name, data) if len(data) >= layout.length else math.nan
 
     def encode(self, message_name: str, values: Mapping[str, ArrayLike]) -> NDArray[np.uint8]:
         """Payloads of a message, shape (n, length of the message).
@@ -173,7 +166,6 @@ class _Layout:
 
     def __init__(self, message: Message) -> None:
         extended = EXTENDED_ID if message.is_extended_frame else 0
-        self.message = message
         self.arbitration_id = message.frame_id | extended
         self.length = message.length
         self.fields = {signal.name: BitField(signal) for signal in message.signals}
@@ -184,6 +176,17 @@ class _Layout:
             return values
         return np.where(
             self._present(name, lambda selector: self.fields[selector].raw(words)), values, np.nan
+        )
+
+    def physical_one(self, name: str, data: bytes) -> float:
+        return self.fields[name].physical_one(data) if self._is_present(name, data) else math.nan
+
+    def _is_present(self, name: str, data: bytes) -> bool:
+        """Whether the multiplexers in a payload select the signal."""
+        signal = self.fields[name].signal
+        selector = signal.multiplexer_signal
+        return (signal.multiplexer_ids is None or selector is None) or (
+            self.fields[selector].raw_one(data) in signal.multiplexer_ids and self._is_present(selector, data)
         )
 
     def encode(self, values: dict[str, FloatArray]) -> NDArray[np.uint8]:
@@ -288,6 +291,26 @@ class BitField:
         if self.signal.offset != 0:
             values += self.signal.offset
         return values
+
+    @cached_property
+    def _one(self) -> tuple[Literal["little", "big"], int, int, int]:
+        """Byte order of a payload, the shift to the field's last bit, and masks of all its bits and its sign."""
+        length, shift = self.signal.length, int(self.right) - int(self.left)
+        sign = 1 << length - 1 if self.signal.is_signed and not self.signal.conversion.is_float else 0
+        return "big" if self.big_endian else "little", shift, (1 << length) - 1, sign
+
+    def raw_one(self, data: bytes) -> float:
+        """Read the field of one payload, as :meth:`raw` does."""
+        order, shift, mask, sign = self._one
+        raw = int.from_bytes(data.ljust(MAX_LENGTH, b"\0"), order) >> shift & mask
+        if self.signal.conversion.is_float:
+            bits_type, float_type = _FLOATS[self.signal.length]
+            return float(bits_type(raw).view(float_type))
+        return raw - 2 * (raw & sign)
+
+    def physical_one(self, data: bytes) -> float:
+        """Read the field of one payload, scaled to the DBC's unit."""
+        return float(self.raw_one(data)) * float(self.signal.scale) + float(self.signal.offset)
 
     def to_raw(self, values: FloatArray) -> Words:
         """Convert values in the DBC's unit to right-aligned bits; see :meth:`DbcCodec.encode`."""

@@ -66,7 +66,7 @@ class World:
         self._power_on_bias = np.zeros(3)
         self._sample = start_s * SAMPLE_RATE_HZ
         self._powered_on_sample = self._sample
-        self._air_seconds = start_s
+        self.air_s = start_s  #: Time that the chamber's air has reached.
         self._air_course: deque[tuple[float, float]] = deque()  # in seconds that are not yet simulated
         self._remainders = np.zeros((2, 3))
         self._resting: tuple[FloatArray, FloatArray, FloatArray] | None = None
@@ -122,8 +122,8 @@ class World:
         self._step_air(math.ceil(_samples(time_s) / SAMPLE_RATE_HZ))
 
     def _step_air(self, seconds: int) -> None:
-        while self._air_seconds < seconds:
-            self._air_seconds += 1
+        while self.air_s < seconds:
+            self.air_s += 1
             self.air.step(1.0)
             self._air_course.append((self.air.air_c, self.air.compressor_duty))
 
