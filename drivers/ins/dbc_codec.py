@@ -294,7 +294,7 @@ class BitField:
 
     @cached_property
     def _one(self) -> tuple[Literal["little", "big"], int, int, int]:
-        """Byte order of a payload, the shift to the field's last bit, and masks of all its bits and its sign."""
+        """Byte order of a payload, shift to the last bit, masks of all bits and of the sign."""
         length, shift = self.signal.length, int(self.right) - int(self.left)
         sign = 1 << length - 1 if self.signal.is_signed and not self.signal.conversion.is_float else 0
         return "big" if self.big_endian else "little", shift, (1 << length) - 1, sign
