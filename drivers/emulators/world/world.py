@@ -195,15 +195,14 @@ class World:
         if readings:
             read_c = self._with_faults(self.thermal.read_c(read_c, normal[:, -readings:]))
         for _, alike in groupby(epochs, key=lambda part: part.alignment):
-            sample, states, mode, alignment, align_time_s, _ = zip(*alike, strict=True)
-            times_s = np.concatenate(align_time_s)
-            self.on_epochs(
-                Epochs(
-                    np.concatenate(sample), np.concatenate(states), mode[0], alignment[0], times_s,
-                    read_c[: len(times_s)],
+            joined, *others = alike
+            if others:
+                sample, states, times_s = (
+                    np.concatenate([each[i] for each in (joined, *others)]) for i in (0, 1, 4)
                 )
-            )  # fmt: skip
-            read_c = read_c[len(times_s) :]
+                joined = joined._replace(sample=sample, states=states, align_time_s=times_s)
+            self.on_epochs(joined._replace(read_c=read_c[: len(joined.align_time_s)]))
+            read_c = read_c[len(joined.align_time_s) :]
 
     def _measured_increments(
         self, normal: FloatArray, count: int, resting: tuple[FloatArray, FloatArray, FloatArray] | None
