@@ -149,8 +149,8 @@ _DAY = (
 )
 _TOTAL = "All plateaus: rms of bias and varying bias, otherwise the maximum; {}"
 _NUMBERS = (
-    "Numbers of the compensation and their standard uncertainties, by gyro, as in compensation.yaml. Those of "
-    "one gyro are correlated: the uncertainty of what is subtracted is stated under Residual."
+    "Numbers of the compensation and their standard uncertainties, by gyro, as in compensation.yaml. Those "
+    "of one gyro are correlated: the uncertainty of what is subtracted is stated under Residual."
 )
 _PLATEAUS = (
     "By mean gyro temperature in °C; fit: whether the model was fitted at the temperature, between fitted "
