@@ -138,7 +138,8 @@ class DbcCodec:
     def decode_one(self, data: bytes, message_name: str, signal_name: str) -> float:
         """Decode one signal of one payload to the same value; NaN if it is absent or the data too short."""
         layout = self._layout(message_name)
-        return layout.physical_one(signal_name, data) if len(data) >= layout.length else math.nan
+        is_sent = len(data) >= layout.length and layout.selects(signal_name, data)
+        return layout.fields[signal_name].physical_one(data) if is_sent else math.nan
 
     def encode(self, message_name: str, values: Mapping[str, ArrayLike]) -> NDArray[np.uint8]:
         """Payloads of a message, shape (n, length of the message).
@@ -178,16 +179,13 @@ class _Layout:
             self._present(name, lambda selector: self.fields[selector].raw(words)), values, np.nan
         )
 
-    def physical_one(self, name: str, data: bytes) -> float:
-        return self.fields[name].physical_one(data) if self._is_present(name, data) else math.nan
-
-    def _is_present(self, name: str, data: bytes) -> bool:
+    def selects(self, name: str, data: bytes) -> bool:
         """Whether the multiplexers in a payload select the signal."""
         signal = self.fields[name].signal
         selector = signal.multiplexer_signal
-        return (signal.multiplexer_ids is None or selector is None) or (
-            self.fields[selector].raw_one(data) in signal.multiplexer_ids and self._is_present(selector, data)
-        )
+        if signal.multiplexer_ids is None or selector is None:
+            return True
+        return self.fields[selector].raw_one(data) in signal.multiplexer_ids and self.selects(selector, data)
 
     def encode(self, values: dict[str, FloatArray]) -> NDArray[np.uint8]:
         count = len(next(iter(values.values()), np.zeros(1)))
@@ -293,15 +291,16 @@ class BitField:
         return values
 
     @cached_property
-    def _one(self) -> tuple[Literal["little", "big"], int, int, int]:
-        """Byte order of a payload, shift to the last bit, masks of all bits and of the sign."""
-        length, shift = self.signal.length, int(self.right) - int(self.left)
-        sign = 1 << length - 1 if self.signal.is_signed and not self.signal.conversion.is_float else 0
-        return "big" if self.big_endian else "little", shift, (1 << length) - 1, sign
+    def _one(self) -> tuple[Literal["little", "big"], int, int, int, float, float]:
+        """Byte order of a payload, shift to the last bit, masks of all and of the sign bit, scale, offset."""
+        signal, shift = self.signal, int(self.right) - int(self.left)
+        sign = 1 << signal.length - 1 if signal.is_signed and not signal.conversion.is_float else 0
+        order: Literal["little", "big"] = "big" if self.big_endian else "little"
+        return order, shift, (1 << signal.length) - 1, sign, float(signal.scale), float(signal.offset)
 
     def raw_one(self, data: bytes) -> float:
         """Read the field of one payload, as :meth:`raw` does."""
-        order, shift, mask, sign = self._one
+        order, shift, mask, sign, _, _ = self._one
         raw = int.from_bytes(data.ljust(MAX_LENGTH, b"\0"), order) >> shift & mask
         if self.signal.conversion.is_float:
             bits_type, float_type = _FLOATS[self.signal.length]
@@ -310,7 +309,7 @@ class BitField:
 
     def physical_one(self, data: bytes) -> float:
         """Read the field of one payload, scaled to the DBC's unit."""
-        return float(self.raw_one(data)) * float(self.signal.scale) + float(self.signal.offset)
+        return float(self.raw_one(data)) * self._one[4] + self._one[5]
 
     def to_raw(self, values: FloatArray) -> Words:
         """Convert values in the DBC's unit to right-aligned bits; see :meth:`DbcCodec.encode`."""

@@ -37,8 +37,8 @@ class NewestFrames:
     def take(self, frames: FrameBlock, now_s: float) -> None:
         """Store frames that have just arrived, in order; at least one."""
         self._received_s, self._stamp_s = now_s, frames.timestamp_s.item(-1)
-        places = {identifier: row for row, identifier in enumerate(frames.arbitration_id.tolist())}
-        newest = frames.take(list(places.values())).rows.tolist()
+        places = dict(zip(frames.arbitration_id.tolist(), range(len(frames)), strict=True))
+        newest = frames.rows[list(places.values())].tolist()
         self._newest = self._newest | dict(zip(places, newest, strict=True))
 
     def forget(self, message_name: str) -> None:
