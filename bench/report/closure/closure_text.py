@@ -157,13 +157,14 @@ def _unsettled(closure: Closure) -> str:
             for each in tied
         )
         return f"the data do not distinguish the candidates: {fits}."
-    exactly = probability_text(closure.probability)
+    found = f"{found_labels(closure)} ({probability_text(closure.probability)}"
     if closure.probability < EXPLAINED:
-        return (
-            f"it is not settled whether it is {found_labels(closure)} alone ({exactly}, required "
-            f"{EXPLAINED:g})."
-        )
-    return f"{found_labels(closure)} ({exactly}) does not predict the held-out cycle better."
+        return f"it is not settled whether it is {found}, required {EXPLAINED:g})."
+    rivals = closure.posterior.rivals([each.effect.name for each in closure.effects])
+    if rivals:
+        others = listed([_with_probability(closure, name) for name in rivals])
+        return f"it is not settled whether it is {found}) alone, or with or in place of it {others}."
+    return f"{found}) does not predict the held-out cycle better by more than chance, and within the noise."
 
 
 def _undecided(closure: Closure) -> str:
