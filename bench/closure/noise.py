@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate, stack
 from gyrobench.bench.closure.problem import SCALE_C, Problem, declared_problem
@@ -65,6 +66,15 @@ class Noise:
         """Declared model of a campaign with this noise."""
         weighted = campaign.with_uncertainties(campaign.sigma_dph * self.factors)
         return declared_problem(weighted, searched, self.scale)
+
+    def weighted(self, rows: Sequence[DwellRow]) -> list[DwellRow]:
+        """Rows of a dwell table with the standard deviations used for outliers."""
+        off = {(each.dwell, each.gyro): abs(each.residual_sigma) for each in self.outliers}
+        factors = [[off.get((row.dwell, axis), 1.0) for axis in AXES] for row in rows]
+        return [
+            replace(row, sigma_dph=tuple((np.array(row.sigma_dph) * mine).tolist()))
+            for row, mine in zip(rows, factors, strict=True)
+        ]
 
     def sentences(self, *, is_all: bool) -> list[str]:
         """The ratio to the stated uncertainties and the outliers; empty if there are none.
