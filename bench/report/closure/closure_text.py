@@ -140,10 +140,9 @@ def verdict_sentence(closure: Closure) -> str:
                 f"({probability_text(closure.probability)})."
             )
         case "ambiguous":
-            nothing = closure.posterior.nothing
-            is_sure = nothing <= 1.0 - EXPLAINED
-            likely = f"An effect is likely ({probability_text(1.0 - nothing)})"
-            present = "An effect is present" if is_sure else likely
+            some = 1.0 - closure.posterior.nothing
+            likely = f"An effect is likely ({probability_text(some)})"
+            present = "An effect is present" if some >= EXPLAINED else likely
             return f"{present}, but {_unsettled(closure)}" if found else _undecided(closure)
         case _:
             verb = "explains" if len(closure.effects) == 1 else "explain"
