@@ -233,7 +233,8 @@ class Investigator:
     def _test(self, last: Stage, ended: str) -> Stage | None:
         """A stage whose block tests what an investigation ends with: its cause, or a composed law."""
         if ended == "settled":
-            cause = replace(last.rivals[0], probability=0.5)
+            found = tuple(each.candidate for each in last.closure.effects)
+            cause = Rival(tuple(sorted(each.effect.name for each in found)), found, 0.5)
             if cause.names and self._tested(CONFIRM, cause.names) is None:
                 return replace(last, rivals=(cause, Rival((), (), 0.5)), purpose=CONFIRM)
         is_tested = any(each.purpose == TEST_LAW and each.outcome for each in self._stages)
@@ -259,16 +260,13 @@ class Investigator:
 
     def _end(self, stage: Stage) -> tuple[str, str] | None:
         posterior = stage.closure.posterior
-        best = posterior.hypotheses[0]
+        names = tuple(sorted(each.effect.name for each in stage.closure.effects))
         if is_settled(stage.closure):
-            tested = self._tested(CONFIRM, tuple(sorted(best.names)))
+            tested = self._tested(CONFIRM, names)
             if tested is not None and tested.probabilities[0] < 0.5:
-                return (
-                    "refuted",
-                    f"A block contradicts what {' + '.join(sorted(best.names))} predicted for it.",
-                )
-            what = listed(sorted(map(stage.closure.label, best.names))) or "nothing beside the declared model"
-            return "settled", f"{what.capitalize()}: probability {best.probability:.4f}."
+                return ("refuted", f"A block contradicts what {' + '.join(names)} predicted for it.")
+            what = listed(sorted(map(stage.closure.label, names))) or "nothing beside the declared model"
+            return "settled", f"{what.capitalize()}: probability {stage.closure.probability:.4f}."
         if posterior.not_on_list >= SETTLED:
             return "not_on_list", f"Not on the list of effects: probability {posterior.not_on_list:.4f}."
         if self._spent_h >= self._budget_h and not (self._block_folder / _DONE).exists():
@@ -342,16 +340,12 @@ def searched(campaign: Campaign, held_out: Sequence[int]) -> Closure:
 
 
 def _in_one_power_cycle(effect: Effect) -> Effect:
-    return replace(
-        effect, forms=tuple(replace(form, missing_input=lambda campaign: None) for form in effect.forms)
-    )
+    return replace(effect, forms=tuple(replace(form, missing_input=lambda _: None) for form in effect.forms))
 
 
 def is_settled(closure: Closure) -> bool:
-    """Whether a search states one cause, or that there is nothing, and nothing else is probable."""
-    best = closure.posterior.hypotheses[0]
-    is_stated = closure.verdict in ("explained", "clean")
-    return best.probability >= SETTLED and not best.has_remainder and is_stated
+    """Whether a search states its cause, or that there is nothing, with enough probability."""
+    return closure.probability >= SETTLED and closure.verdict in ("explained", "clean")
 
 
 def rivals_of(closure: Closure) -> tuple[Rival, ...]:

@@ -51,12 +51,7 @@ def unit_of(seed):
 def is_tied(closure):
     """Whether there is an effect, on the list, and no cause is settled."""
     posterior = closure.posterior
-    return (
-        closure.verdict == "ambiguous"
-        and posterior.nothing < 0.05
-        and posterior.not_on_list < 0.5
-        and posterior.hypotheses[0].probability < 0.99
-    )
+    return closure.verdict == "ambiguous" and posterior.nothing < 0.05 and posterior.not_on_list < 0.5
 
 
 class Tie:
@@ -80,7 +75,7 @@ class Tie:
         while True:
             state = self._known[blocks]
             if is_settled(state.closure):
-                is_right = state.closure.posterior.hypotheses[0].names == self.truth
+                is_right = {each.effect.name for each in state.closure.effects} == self.truth
                 return Settled(hours, True, is_right, blocks, choice_s)
             left_h = self.campaign_h - hours
             useful = [
@@ -115,3 +110,21 @@ class State:
         found = propose(Forecast(self.rows), rivals_of(self.closure), self.closure.noise_scale)
         self.choice_s = time.process_time() - begin_s
         return found
+
+
+def by_entropy(proposal, state):
+    """The choice of `gyrobench investigate`."""
+    return proposal.gain_per_h
+
+
+def by_d_optimality(proposal, state):
+    """Fall of the logarithm of the determinant of the parameters' covariance of the best cause, per hour."""
+    sigma_dph = state.closure.noise_scale * np.array([row.sigma_dph for row in proposal.rows])
+    determinant = np.linalg.slogdet(proposal.predictions[0].covariance)[1]
+    return (determinant - 2.0 * np.sum(np.log(sigma_dph))) / proposal.block.plan.duration_h
+
+
+def by_chance(seed):
+    """Blocks of one kind in random order."""
+    draw = np.random.default_rng([seed, 31])
+    return lambda proposal, state: draw.random() - 2.0 * (len(proposal.block.kinds) > 1)

@@ -151,8 +151,8 @@ class SimulatedUnit:
         noise_c, off_c = sensors.uniform(0.002, 0.02), sensors.normal(0.0, [[0.2], [0.3]], (2, 3))
         means = {
             "gyro_c": over(course.optics_c) + off_c[0], "board_c": over(course.board_c) + off_c[1],
-            "case_c": over(course.case_c), "chamber_c": over(course.air_c), "chamber_set_c": over(course.set_c),
-            "supply_w": 30.0 * over(course.power), "room_c": over(course.room_c),
+            "case_c": over(course.case_c), "chamber_c": over(course.air_c),
+            "chamber_set_c": over(course.set_c), "supply_w": 30.0 * over(course.power), "room_c": over(course.room_c),
         }  # fmt: skip
         rows = []
         for index, (number, start, length, cycle, position, run, azimuth_deg) in enumerate(chosen):
@@ -161,9 +161,10 @@ class SimulatedUnit:
             hours = (np.arange(length) - 0.5 * (length - 1)) * STEP_H
             rate = hours @ course.optics_c[start : start + length] / (hours @ hours)
             read = {
-                name: values[index] + (0.0 if name == "chamber_set_c" else noise_c) * noise.standard_normal(values.shape[1:])
+                name: values[index]
+                + noise_c * (name != "chamber_set_c") * noise.standard_normal(values.shape[1:])
                 for name, values in means.items()
-            }  # fmt: skip
+            }
             other = [(name, float(read.pop(name))) for name in ("supply_w", "room_c")]
             rows.append(
                 DwellRow(
