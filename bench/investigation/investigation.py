@@ -193,7 +193,8 @@ class Investigator:
                 best, decided = decided, None
             else:
                 refused = [*self._refused, *idle]
-                found = propose(forecast, stage.rivals, scale, refused, left_h, self._planner)
+                measured = [each.proposal.block.kinds for each in self._stages if each.proposal]
+                found = propose(forecast, stage.rivals, scale, refused, left_h, self._planner, measured)
                 useful = [
                     each
                     for each in found

@@ -62,7 +62,7 @@ class Tie:
         self._held_out = [max(row.cycle for row in unit.rows)]
         self.campaign_h = (unit.rows[-1].end_s - unit.rows[0].start_s) / 3600.0
         self.truth = frozenset(unit.kinds)
-        self._known = {(): State(unit, unit.rows, self._held_out)}
+        self._known = {(): State(unit, unit.rows, self._held_out, ())}
 
     @property
     def closure(self):
@@ -92,14 +92,15 @@ class Tie:
             if blocks not in self._known:
                 unit = copy.deepcopy(state.unit)
                 new = unit.measure(chosen.block.plan)
-                self._known[blocks] = State(unit, [*state.rows, *new], self._held_out)
+                self._known[blocks] = State(unit, [*state.rows, *new], self._held_out, blocks)
 
 
 class State:
     """A unit and its dwells after some blocks, with their search."""
 
-    def __init__(self, unit, rows, held_out):
+    def __init__(self, unit, rows, held_out, blocks):
         self.unit, self.rows = unit, rows
+        self._measured = [each.split(", then ") for each in blocks]
         self.closure = searched(campaign_of(rows), held_out)
         self.choice_s = 0.0
 
@@ -107,7 +108,8 @@ class State:
     def proposals(self):
         """All blocks with what the causes predict."""
         begin_s = time.process_time()
-        found = propose(Forecast(self.rows), rivals_of(self.closure), self.closure.noise_scale)
+        rivals, scale = rivals_of(self.closure), self.closure.noise_scale
+        found = propose(Forecast(self.rows), rivals, scale, measured=self._measured)
         self.choice_s = time.process_time() - begin_s
         return found
 

@@ -152,7 +152,8 @@ class SimulatedUnit:
         means = {
             "gyro_c": over(course.optics_c) + off_c[0], "board_c": over(course.board_c) + off_c[1],
             "case_c": over(course.case_c), "chamber_c": over(course.air_c),
-            "chamber_set_c": over(course.set_c), "supply_w": 30.0 * over(course.power), "room_c": over(course.room_c),
+            "chamber_set_c": over(course.set_c), "supply_w": 30.0 * over(course.power),
+            "room_c": over(course.room_c),
         }  # fmt: skip
         rows = []
         for index, (number, start, length, cycle, position, run, azimuth_deg) in enumerate(chosen):
