@@ -114,7 +114,8 @@ class StateSpaceEstimate(BiasEstimate):
     #: Most significant step of the biases in the dwell; None in very short windows, or if not searched for.
     step: BiasStep | None
     damping: Damping  #: None in an INS that is free inertial, as the biases presume.
-    information: DwellInformation  #: For the joint solution of several dwells.
+    #: For the joint solution of several dwells; None where only its result is kept.
+    information: DwellInformation | None
 
 
 class BiasFilter:
