@@ -49,7 +49,7 @@ def investigate(
     investigation that was interrupted. Exit code 1: ended without a settled cause.
 
     With --json: {"ended", "reason", "folder", "report", "hours", "blocks", "verdict", "effects"}; ended is
-    settled, budget, no_block, declined, refuted or bench_failed.
+    settled, not_on_list, budget, no_block, declined, refuted or bench_failed.
 
     Example: gyrobench investigate dwells.csv --bench "python my_bench.py" --approve auto
     """
@@ -59,7 +59,7 @@ def investigate(
     from gyrobench.bench.investigation.investigation import Investigator
     from gyrobench.bench.report.closure.closure_page import write_search
     from gyrobench.bench.report.investigation.investigation_page import write_investigation_page
-    from gyrobench.bench.report.investigation.investigation_text import confirmation_sentence, end_sentence
+    from gyrobench.bench.report.investigation.investigation_text import end_sentence, test_sentence
 
     terminal = console(as_json)
     folder = out or table.parent / "investigation"
@@ -69,7 +69,11 @@ def investigate(
         return approve is Approval.AUTO or typer.confirm("Measure it?", err=as_json)
 
     investigator = Investigator(
-        read_dwells(table), folder, ExternalBench(bench, bench_time_limit_s), budget_h, approved
+        read_dwells(table),
+        folder,
+        ExternalBench(bench, bench_time_limit_s, terminal.print),
+        budget_h,
+        approved,
     )
     found = investigator.run(WallClock())
     write_search(found.closure, [folder / "dwells.csv"], folder / "closure")
@@ -88,7 +92,7 @@ def investigate(
             }
         )
     else:
-        for sentence in filter(None, [end_sentence(found), confirmation_sentence(found)]):
+        for sentence in filter(None, [end_sentence(found), test_sentence(found)]):
             terminal.print(sentence)
         terminal.print(
             f"Report   {page}\nTable    {folder / 'dwells.csv'}\nFolder   {folder}", soft_wrap=True

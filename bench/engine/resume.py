@@ -116,6 +116,9 @@ class ResumeState:
                 self.unit = str(entry["unit"])
             case "run_started":
                 self.unsafe = dict(_NO_SAFE_STATE)
+                if "power_ons" in entry:  # of the runs that it continues
+                    self.unit = str(entry["unit"])
+                    self.power_ons = _number(entry["power_ons"], _MAX_POWER_ONS)
             case "guard_acted":
                 self._made_safe(entry)
             case "run_resumed":

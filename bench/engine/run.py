@@ -39,20 +39,30 @@ from gyrobench.bench.station.locks import BenchLock, RunLock
 _GUARD_TIME_S = 60.0
 
 
+@dataclass(frozen=True)
+class EarlierRuns:
+    """What a run continues: earlier ones of the same unit, on one clock."""
+
+    clock: Clock  #: After the last record of the earlier runs; an emulated bench lives as long as it.
+    unit: str  #: Serial number of the INS.
+    power_ons: int  #: How often the INS was switched on.
+
+
 def run_job(
-    job: Job, out: Path | None, observer: RunObserver, operator: Operator
+    job: Job, out: Path | None, observer: RunObserver, operator: Operator, after: EarlierRuns | None = None
 ) -> tuple[RunFolder, RunOutcome]:
     """Run a job.
 
-    ``out`` is the run folder, by default a new one under ``runs/``. Raises BenchInUseError if another run
-    holds the bench. Raises InstrumentError if an instrument can't be reached; nothing has moved and there is
-    no run folder. Raises RunFolderError if the run folder can't be written.
+    ``out`` is the run folder, by default a new one under ``runs/``; ``after`` are runs that this one
+    continues. Raises BenchInUseError if another run holds the bench. Raises InstrumentError if an instrument
+    can't be reached; nothing has moved and there is no run folder. Raises RunFolderError if the run folder
+    can't be written.
     """
-    clock = job.station.new_clock()
+    clock = after.clock if after else job.station.new_clock()
     start = _Start(
         job,
         clock,
-        ResumeState(),
+        ResumeState(unit=after.unit, power_ons=after.power_ons) if after else ResumeState(),
         RunOutcome(),
         partial(create_run_folder, out, job.plan.procedure.procedure),
         partial(_write_inputs, job, clock),
@@ -61,15 +71,18 @@ def run_job(
 
 
 def resume_run(
-    resumption: Resumption, observer: RunObserver, operator: Operator
+    resumption: Resumption, observer: RunObserver, operator: Operator, clock: Clock | None = None
 ) -> tuple[RunFolder, RunOutcome]:
-    """Resume an interrupted run; raises what :func:`run_job` does, and RunFolderError for damaged files."""
+    """Resume an interrupted run; raises what :func:`run_job` does, and RunFolderError for damaged files.
+
+    ``clock``: by default :meth:`Resumption.clock`.
+    """
     job, folder = resumption.job, resumption.folder
     if resumption.damage:
         raise RunFolderError("\n".join(resumption.damage.describe()))
     if resumption.is_measured:
         return folder, _finish(resumption)
-    clock = resumption.clock()
+    clock = clock or resumption.clock()
     dwells, check_dwells = replay(folder, measurement_setup(job.station))
 
     def check_folder(folder: RunFolder, instruments: Instruments) -> None:  # noqa: ARG001
@@ -181,6 +194,7 @@ def _record_start(journal: Journal, start: _Start, setup: MeasurementSetup, obse
         station=job.station.file.station,
         next_step=left[0].number if left else None,
         options=job.options,
+        **({"unit": state.unit, "power_ons": state.power_ons} if state.power_ons else {}),
     )
     journal.record("resolution", lines=[limit.text for limit in setup.resolution])
     for limit in setup.resolution:

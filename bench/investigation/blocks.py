@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -19,17 +19,22 @@ from gyrobench.bench.investigation.external_bench import (
     PowerStep,
     SoakStep,
 )
+from gyrobench.bench.investigation.forecast import chamber_c
 from gyrobench.bench.navigation.positions import POSITIONS
 
 _S_PER_H = 3600.0
 _SWITCH_S = 60.0
 _OFF_H = 1.0
+#: Time off for a power-on that only begins a block.
+_SHORTLY_OFF_H = 5.0 / 3600.0
 #: Ramp rates of the blocks, degC/h.
 _USUAL_RAMP_C_PER_H, _SLOW_RAMP_C_PER_H, _FAST_RAMP_C_PER_H = 60.0, 15.0, 120.0
 _SOAK_H, _LONG_SOAK_H, _REPEAT_H = 2.0, 12.0, 6.0
 _REVERSAL_C = 15.0
 _LESS_POWER = 0.7
 _SAME_C = 0.5
+#: The kind that tests a law composed from the earlier dwells.
+NEW_CYCLE = "new cycle"
 
 
 @dataclass(frozen=True)
@@ -46,25 +51,66 @@ class Block:
         return ", then ".join(self.kinds)
 
 
+@dataclass(frozen=True)
+class BlockStart:
+    """When and in which state a block begins on a bench that switches the unit off and on for it."""
+
+    time_s: float  #: On the time axis of the table.
+    state: BenchState
+    power_ons: int  #: How often the unit was switched on.
+
+
+class BlockPlanner(Protocol):
+    """What a bench says about blocks before they are proposed."""
+
+    def start(self, rows: Sequence[DwellRow]) -> BlockStart | None:
+        """Begin of a block after these dwells; None if the bench stays as it is after the last one."""
+
+    def timed(self, block: Block) -> Block | None:
+        """The block with the bench's times; None if the bench can't do it."""
+
+
+class AfterLastDwell:
+    """A bench that stays as it is after the last dwell, and measures in the planned times."""
+
+    def start(self, rows: Sequence[DwellRow]) -> None:
+        """None."""
+
+    def timed(self, block: Block) -> Block:
+        """The block."""
+        return block
+
+
 @dataclass
 class Timeline:
-    """Steps as they are added one after the other, from the state after the last dwell of a table."""
+    """Steps as they are added one after the other, from the state after the last dwell of a table.
+
+    With ``start``, they begin there with a power-on.
+    """
 
     rows: Sequence[DwellRow]  #: The dwells measured, in the order of time.
     steps: list[AnyStep] = field(default_factory=list)
+    start: BlockStart | None = None
 
     def __post_init__(self) -> None:
         last = self.rows[-1]
         self.start_s = self.now_s = last.end_s
-        self.chamber_c = last.chamber_set_c if np.isfinite(last.chamber_set_c) else last.chamber_c
+        self.chamber_c = float(chamber_c(self.rows)[-1])
         self.run = last.run
         self.dwell_s = float(np.median([row.end_s - row.start_s for row in self.rows]))
         self._next_dwell = self.next_dwell = 1 + max(row.dwell for row in self.rows)
         self.next_cycle = 1 + max(row.cycle for row in self.rows)
         self._power_ons = len({row.run for row in self.rows})
+        self._is_ready = self.start is None
+        if self.start is not None:
+            self.start_s = self.now_s = self.start.time_s
+            self._power_ons = self.start.power_ons
+            if self.start.state.chamber_c is not None:
+                self.chamber_c = self.start.state.chamber_c
 
     def off_and_on(self, hours: float = _OFF_H) -> None:
         """Switch the unit off, let it cool, and switch it on: a new run."""
+        self._is_ready = True
         self._add(PowerStep(on=False, **self._span(hours * _S_PER_H)))
         self._power_ons += 1
         self.run = f"{self.rows[-1].run.rsplit('-', 1)[0]}-{self._power_ons}"
@@ -72,10 +118,12 @@ class Timeline:
 
     def dissipation(self, factor: float) -> None:
         """Set the unit's dissipation relative to the usual one."""
+        self._switch_on()
         self._add(PowerStep(on=True, factor=factor, **self._span(_SWITCH_S)))
 
     def ramp(self, to_c: float, rate_c_per_h: float = _USUAL_RAMP_C_PER_H) -> None:
         """Ramp the chamber, unless it is there."""
+        self._switch_on()
         if abs(to_c - self.chamber_c) > _SAME_C:
             span_s = abs(to_c - self.chamber_c) / rate_c_per_h * _S_PER_H
             self._add(ChamberStep(to_c=float(to_c), ramp_c_per_h=rate_c_per_h, **self._span(span_s)))
@@ -83,10 +131,12 @@ class Timeline:
 
     def soak(self, hours: float = _SOAK_H) -> None:
         """Wait."""
+        self._switch_on()
         self._add(SoakStep(**self._span(hours * _S_PER_H)))
 
     def dwells(self, positions: Iterable[str], azimuth_deg: float = 0.0, length: float = 1.0) -> None:
         """Measure dwells, each ``length`` times as long as those of the table."""
+        self._switch_on()
         for position in positions:
             self._add(
                 DwellStep(
@@ -100,11 +150,18 @@ class Timeline:
             )
             self._next_dwell += 1
 
+    def _switch_on(self) -> None:
+        if not self._is_ready:
+            self.off_and_on(_SHORTLY_OFF_H)
+
     def plan(self) -> BlockPlan:
         """The steps as a plan."""
         last = self.rows[-1]
-        rate_c = np.array(last.gyro_rate_c_per_h) * 0.5 * (last.end_s - last.start_s) / _S_PER_H
-        x_c, y_c, z_c = (np.array(last.gyro_c) + rate_c).tolist()
+        if self.start is not None:
+            return self._plan(self.start.state)
+        warm = [row for row in self.rows if np.isfinite([*row.gyro_c, *row.gyro_rate_c_per_h]).all()][-1]
+        rise_c = np.array(warm.gyro_rate_c_per_h) * 0.5 * (warm.end_s - warm.start_s) / _S_PER_H
+        x_c, y_c, z_c = (np.array(warm.gyro_c) + rise_c).tolist()
         state = BenchState(
             chamber_c=last.chamber_c if np.isfinite(last.chamber_c) else None,
             gyro_x_c=x_c,
@@ -114,8 +171,11 @@ class Timeline:
             since_power_on_s=last.since_power_on_s + last.end_s - last.start_s,
             position=last.position,
         )
+        return self._plan(state)
+
+    def _plan(self, state: BenchState) -> BlockPlan:
         return BlockPlan(
-            unit=last.unit,
+            unit=self.rows[-1].unit,
             start_s=self.start_s,
             state=state,
             next_dwell=self.next_dwell,
@@ -141,10 +201,7 @@ class _Kind:
 
 
 def _kinds(rows: Sequence[DwellRow]) -> list[_Kind]:
-    set_c = np.array([row.chamber_set_c for row in rows])
-    air_c = np.array([row.chamber_c for row in rows])
-    known_c = np.where(np.isfinite(set_c), set_c, air_c)
-    low_c, middle_c, high_c = np.quantile(known_c[np.isfinite(known_c)], [0.0, 0.5, 1.0]).tolist()
+    low_c, middle_c, high_c = np.quantile(chamber_c(rows), [0.0, 0.5, 1.0]).tolist()
     measured = [name for name in POSITIONS if any(row.position == name for row in rows)]
     pair = [name for name in ("z_up", "z_down") if name in measured] or measured[:2]
     every = list(POSITIONS)
@@ -219,6 +276,13 @@ def _kinds(rows: Sequence[DwellRow]) -> list[_Kind]:
     def longer(timeline: Timeline) -> None:
         timeline.dwells(pair, length=3.0)
 
+    def new_cycle(timeline: Timeline) -> None:
+        timeline.off_and_on()
+        for to_c in (middle_c, high_c, low_c):
+            timeline.ramp(to_c)
+            timeline.soak()
+            timeline.dwells(every)
+
     return [
         _Kind(
             "soak from above",
@@ -247,18 +311,23 @@ def _kinds(rows: Sequence[DwellRow]) -> list[_Kind]:
         _Kind("hot, six positions", "measure all positions at the highest temperature", inverted(high_c)),
         _Kind("repeat after hours", "wait, then measure all positions again", after_hours),
         _Kind("longer dwells", "measure two positions in long dwells", longer),
+        _Kind(
+            NEW_CYCLE,
+            "switch the unit off for an hour, then measure all positions at three temperatures",
+            new_cycle,
+        ),
     ]
 
 
-def catalogue(rows: Sequence[DwellRow], pairs: bool = False) -> list[Block]:
-    """Blocks that can follow a table, in the order of time; with ``pairs``, each two in sequence."""
+def catalogue(rows: Sequence[DwellRow], pairs: bool = False, start: BlockStart | None = None) -> list[Block]:
+    """Blocks that can follow dwells in the order of time, from ``start``; with ``pairs``, two in sequence."""
     kinds = _kinds(rows)
     sequences: list[tuple[_Kind, ...]] = [(each,) for each in kinds]
     if pairs:
         sequences += list(itertools.permutations(kinds, 2))
     blocks = []
     for sequence in sequences:
-        timeline = Timeline(rows)
+        timeline = Timeline(rows, start=start)
         for kind in sequence:
             kind.add(timeline)
         blocks.append(

@@ -9,23 +9,21 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow, format_dwells, read_dwells, write_dwells
-from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.loop import Closure, close_loop
+from gyrobench.bench.closure.campaign import Campaign, campaign_of
+from gyrobench.bench.closure.loop import Closure, close_loop, composed
+from gyrobench.bench.closure.search import MAX_EFFECTS
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
-from gyrobench.bench.foundations.files import make_folder
+from gyrobench.bench.foundations.files import make_folder, write_whole
 from gyrobench.bench.foundations.text import listed
-from gyrobench.bench.investigation.external_bench import (
-    BlockPlan,
-    BlockRefusedError,
-    ExternalBench,
-    checked_rows,
-)
+from gyrobench.bench.investigation.blocks import NEW_CYCLE, BlockPlanner
+from gyrobench.bench.investigation.external_bench import BlockPlan, BlockRefusedError
+from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.investigation.proposal import Outcome, Proposal, Rival, outcome_of, proposal_of, propose
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.runs.journal import Journal, read_journal
@@ -37,10 +35,14 @@ _MIN_PROBABILITY = 1e-3
 _MAX_RIVALS = 6
 #: A block that is expected to remove less of the entropy, nats, is not worth its time.
 _MIN_GAIN = 0.02
-#: The dwells of a block, once they were checked.
-_DONE = "dwells.csv"
+#: The plan of a block, once it was approved, and its dwells, once they were checked.
+_PLAN, _DONE = "plan.json", "dwells.csv"
 #: Times that a kind of block is measured while the blocks bring only dwells with flags.
 _MAX_FLAGGED = 2
+#: A prediction is tested where it differs by this square from that without it, in units of its uncertainty.
+_ENOUGH = 60.0
+#: Purposes of a block.
+DISTINGUISH, CONFIRM, TEST_LAW = "distinguish", "confirm", "test_law"
 _S_PER_H = 3600.0
 
 
@@ -50,7 +52,10 @@ class Stage:
 
     spent_h: float  #: Hours on the bench since the first table, before the block.
     closure: Closure  #: The search.
-    rivals: tuple[Rival, ...]  #: The hypotheses that a block has to distinguish.
+    #: The hypotheses that a block has to distinguish. Where a cause is confirmed or a law tested, it is the
+    #: first, and the second does without it.
+    rivals: tuple[Rival, ...]
+    purpose: str = DISTINGUISH  #: DISTINGUISH, CONFIRM or TEST_LAW.
     proposal: Proposal | None = None  #: The block measured next; None at the end.
     #: What the block says about the rivals; None at the end, and if all its dwells have flags.
     outcome: Outcome | None = None
@@ -61,12 +66,16 @@ class Investigation:
     """Outcome of an investigation."""
 
     stages: tuple[Stage, ...]  #: In the order of time; the last one has no block.
-    ended: str  #: "settled", "budget", "no_block", "declined", "refuted" or "bench_failed".
-    reason: str  #: Why it ended, one sentence.
+    #: "settled", "not_on_list", "budget", "no_block", "declined", "refuted" or "bench_failed".
+    ended: str
+    reason: str  #: Why it ended.
     rows: tuple[DwellRow, ...]  #: All dwells.
     refused: Mapping[tuple[str, ...], str]  #: Reasons of the bench by the kinds of a block.
-    #: The block that confirms a settled cause; its rivals are the cause and the declared model alone.
-    confirmation: Stage | None = None
+
+    @property
+    def test(self) -> Stage | None:
+        """The last block that confirmed a settled cause or tested a composed law, if it gave an outcome."""
+        return next((each for each in reversed(self.stages) if _is_test(each)), None)
 
     @property
     def closure(self) -> Closure:
@@ -85,11 +94,22 @@ class Investigation:
         return float(first.end_s.max() - first.start_s.min()) / _S_PER_H
 
 
+class Bench(Protocol):
+    """What measures the blocks."""
+
+    def measure(self, plan: BlockPlan, folder: Path) -> list[DwellRow]:
+        """Measure a block, or what is left of it; files of the bench are written into ``folder``.
+
+        Raises BlockRefusedError if the bench can't do it, and GyrobenchError if it fails.
+        """
+
+
 class Investigator:
-    """An investigation of a table on an external bench.
+    """An investigation of a table.
 
     ``folder`` gets the journal and all results; an investigation in it is continued. ``approve`` is asked
-    before a block is measured.
+    before a block is measured. ``planner`` is what the bench says about blocks beforehand, by default
+    nothing; ``campaign`` makes the campaign of dwells that is searched.
 
     Raises RunFolderError if the folder belongs to another table.
     """
@@ -98,18 +118,23 @@ class Investigator:
         self,
         rows: Sequence[DwellRow],
         folder: Path,
-        bench: ExternalBench,
+        bench: Bench,
         budget_h: float,
         approve: Callable[[Proposal, Sequence[Rival]], bool],
+        planner: BlockPlanner | None = None,
+        campaign: Callable[[Sequence[DwellRow]], Campaign] = campaign_of,
     ) -> None:
         make_folder(folder)
         self._rows = sorted(rows, key=lambda row: (row.start_s, row.dwell))
-        self._held_out = [max(row.cycle for row in self._rows)]
+        self._planner, self._campaign = planner, campaign
+        self._held_out = [campaign(self._rows).last_cycle]
         self._folder, self._bench, self._budget_h = folder, bench, budget_h
         self._approve = approve
         self._refused: dict[tuple[str, ...], str] = {}
         self._spent_h, self._blocks = 0.0, 0
         self._flagged: list[tuple[str, ...]] = []
+        self._earlier: list[dict[str, Any]] = []
+        self._stages: list[Stage] = []
         table = folder / "start.csv"
         if not table.exists():
             write_dwells(table, self._rows)
@@ -119,19 +144,20 @@ class Investigator:
     def run(self, clock: Clock) -> Investigation:
         """Measure block after block until the cause is settled, or no block can help, or the time is spent.
 
-        A settled cause is confirmed by one more block, predicted before it is measured. A bench that
-        fails ends the investigation; a later call continues it. What was measured before is taken from the
-        folder.
+        A settled cause, and a law composed for what is not on the list, are tested by one more block,
+        predicted before it is measured. A bench that fails ends the investigation; a later call continues
+        it. What was measured before is taken from the folder.
         """
         path = self._folder / "journal.jsonl"
-        earlier = list(read_journal(path)) if path.exists() else []
-        stages: list[Stage] = []
-        confirmation = None
+        self._earlier = list(read_journal(path)) if path.exists() else []
+        self._stages = []
         with Journal(path, clock) as journal:
-            event = "investigation_resumed" if earlier else "investigation_started"
+            event = "investigation_resumed" if self._earlier else "investigation_started"
             journal.record(event, budget_h=self._budget_h)
             self._refused = {
-                tuple(entry["kinds"]): entry["reason"] for entry in earlier if entry["event"] == "refused"
+                tuple(entry["kinds"]): entry["reason"]
+                for entry in self._earlier
+                if entry["event"] == "refused"
             }
             ended = None
             while ended is None:
@@ -140,39 +166,41 @@ class Investigator:
                 ended = self._end(stage)
                 if ended is None:
                     stage, ended = self._with_block(stage, journal)
-                stages.append(stage)
-            if ended[0] == "settled" and stages[-1].rivals[0].names:
-                confirmation, failed = self._confirmation(stages[-1], journal)
-                ended = failed or self._refuted(confirmation) or ended
+                if ended and (test := self._test(stage, ended[0])):
+                    test, failed = self._with_block(test, journal)
+                    stage = test if failed is None else stage
+                    ended = failed and (failed if failed[0] == "bench_failed" else ended)
+                self._stages.append(stage)
             journal.record("investigation_ended", ended=ended[0], reason=ended[1])
             write_dwells(self._folder / "dwells.csv", self._rows)
-        return Investigation(tuple(stages), *ended, tuple(self._rows), dict(self._refused), confirmation)
+        return Investigation(tuple(self._stages), *ended, tuple(self._rows), dict(self._refused))
 
-    def _with_block(
-        self,
-        stage: Stage,
-        journal: Journal,
-        value: Callable[[Proposal], float] = lambda each: each.gain_per_h,
-    ) -> tuple[Stage, tuple[str, str] | None]:
-        """The stage with the block of largest value that the bench can do, or why there is none."""
-        folder, scale = self._block_folder, stage.closure.noise_scale
+    def _with_block(self, stage: Stage, journal: Journal) -> tuple[Stage, tuple[str, str] | None]:
+        """The stage with the best block that the bench can do, or why there is none."""
+        folder, scale, forecast = self._block_folder, stage.closure.noise_scale, Forecast(self._rows)
         done = folder / _DONE
-        if done.exists():
-            plan = BlockPlan.model_validate_json((folder / "plan.json").read_text(encoding="utf-8"))
-            rows = checked_rows(read_dwells(done), plan, done)
-            earlier = proposal_of(plan, self._kinds_of_block(), self._rows, stage.rivals, scale)
-            return self._with_outcome(stage, earlier, rows, journal), None
+        decided = self._decided(stage, forecast)
+        if decided is not None and done.exists():
+            return self._with_outcome(stage, forecast, decided, read_dwells(done), journal), None
         while True:
             left_h = self._budget_h - self._spent_h
             idle = [kinds for kinds in self._flagged if self._flagged.count(kinds) >= _MAX_FLAGGED]
-            found = propose(self._rows, stage.rivals, scale, [*self._refused, *idle], left_h)
-            useful = [each for each in found if each.entropy - each.expected_entropy > _MIN_GAIN]
-            if not useful:
-                return stage, ("no_block", self._no_block(stage))
-            best = max(useful, key=value)
-            if not self._is_approved(best, stage, journal):
-                return stage, ("declined", "The proposed block was declined.")
-            make_folder(folder)
+            if decided is not None:
+                best, decided = decided, None
+            else:
+                refused = [*self._refused, *idle]
+                found = propose(forecast, stage.rivals, scale, refused, left_h, self._planner)
+                useful = [
+                    each
+                    for each in found
+                    if each.entropy - each.expected_entropy > _MIN_GAIN
+                    and (stage.purpose != TEST_LAW or each.block.name == NEW_CYCLE)
+                ]
+                if not useful:
+                    return stage, self._no_block(stage)
+                best = max(useful, key=_gain_per_h if stage.purpose == DISTINGUISH else _test_per_h)
+                if not self._is_approved(best, stage, journal):
+                    return stage, ("declined", "The proposed block was declined.")
             try:
                 rows = self._bench.measure(best.block.plan, folder)
             except BlockRefusedError as error:
@@ -184,42 +212,59 @@ class Investigator:
                 problem = "; ".join(str(error).splitlines()).rstrip(".")
                 return stage, ("bench_failed", f"The bench failed: {problem}.")
             write_dwells(done, rows)
-            return self._with_outcome(stage, best, rows, journal), None
+            return self._with_outcome(stage, forecast, best, rows, journal), None
 
-    def _no_block(self, stage: Stage) -> str:
+    def _no_block(self, stage: Stage) -> tuple[str, str]:
+        not_on_list = stage.closure.posterior.not_on_list
+        if stage.closure.verdict == "unexplained" and not_on_list > 0.5:
+            return "not_on_list", f"Not on the list of effects: probability {not_on_list:.4f}."
         names = sorted({name for each in stage.rivals for name in each.names})
         effects = {each.effect.name: each.effect for each in stage.closure.evidence}
         experiments = "; ".join(effects[name].experiment for name in names if name in effects)
-        return (
+        return "no_block", (
             "No block of this bench is expected to distinguish what is left. What would: "
             f"{experiments or 'a measurement of other quantities'}."
         )
 
-    def _confirmation(self, last: Stage, journal: Journal) -> tuple[Stage | None, tuple[str, str] | None]:
-        """A block in which the cause and the declared model alone differ most, and a failure of the bench."""
-        cause = replace(last.rivals[0], probability=0.5)
-        stage = replace(last, rivals=(cause, Rival((), (), 0.5)))
-        stage, ended = self._with_block(stage, journal, lambda each: each.difference)
-        return (None if ended else stage), ended if ended and ended[0] == "bench_failed" else None
+    def _test(self, last: Stage, ended: str) -> Stage | None:
+        """A stage whose block tests what an investigation ends with: its cause, or a composed law."""
+        if ended == "settled":
+            cause = replace(last.rivals[0], probability=0.5)
+            if cause.names and self._tested(CONFIRM, cause.names) is None:
+                return replace(last, rivals=(cause, Rival((), (), 0.5)), purpose=CONFIRM)
+        is_tested = any(each.purpose == TEST_LAW and each.outcome for each in self._stages)
+        if ended == "not_on_list" and not is_tested:
+            law = composed(last.closure).composed
+            if law is not None and law.laws:
+                found = tuple(each.candidate for each in last.closure.effects)[: MAX_EFFECTS - 1]
+                names = tuple(each.effect.name for each in found)
+                best = law.laws[0].candidate
+                with_law = Rival((*names, best.effect.name), (*found, best), 0.5)
+                without = Rival(names, found, 0.5, _remainder_dph(last.closure))
+                return replace(last, rivals=(with_law, without), purpose=TEST_LAW)
+        return None
 
-    def _refuted(self, confirmation: Stage | None) -> tuple[str, str] | None:
-        """The end of a cause that predicted the last block worse than the declared model did."""
-        if confirmation is None or confirmation.outcome is None:
-            return None
-        if confirmation.outcome.probabilities[0] >= 0.5:
-            return None
-        return "refuted", f"A block contradicts what {confirmation.rivals[0].title} predicted for it."
+    def _tested(self, purpose: str, names: tuple[str, ...]) -> Outcome | None:
+        """Outcome of the block that tested something."""
+        tests = [each for each in self._stages if each.purpose == purpose and each.rivals[0].names == names]
+        return next((each.outcome for each in reversed(tests) if each.outcome), None)
 
     def _searched(self) -> Stage:
-        closure = close_loop(campaign_of(self._rows), self._held_out)
+        closure = close_loop(self._campaign(self._rows), self._held_out)
         return Stage(self._spent_h, closure, rivals_of(closure))
 
     def _end(self, stage: Stage) -> tuple[str, str] | None:
-        best = stage.closure.posterior.hypotheses[0]
+        posterior = stage.closure.posterior
+        names = tuple(sorted(each.effect.name for each in stage.closure.effects))
         is_stated = stage.closure.verdict in ("explained", "clean")
-        if best.probability >= SETTLED and not best.has_remainder and is_stated:
-            what = listed(sorted(map(stage.closure.label, best.names))) or "nothing beside the declared model"
-            return "settled", f"{what.capitalize()}: probability {best.probability:.4f}."
+        if stage.closure.probability >= SETTLED and is_stated:
+            tested = self._tested(CONFIRM, names)
+            if tested is not None and tested.probabilities[0] < 0.5:
+                return ("refuted", f"A block contradicts what {' + '.join(names)} predicted for it.")
+            what = listed(sorted(map(stage.closure.label, names))) or "nothing beside the declared model"
+            return "settled", f"{what.capitalize()}: probability {stage.closure.probability:.4f}."
+        if posterior.not_on_list >= SETTLED:
+            return "not_on_list", f"Not on the list of effects: probability {posterior.not_on_list:.4f}."
         if self._spent_h >= self._budget_h and not (self._block_folder / _DONE).exists():
             return "budget", f"{self._spent_h:.1f} h of {self._budget_h:g} h on the bench are spent."
         return None
@@ -229,26 +274,33 @@ class Investigator:
         return self._folder / f"block-{self._blocks + 1}"
 
     def _is_approved(self, proposal: Proposal, stage: Stage, journal: Journal) -> bool:
-        """Whether a block may be measured."""
-        journal.record("proposed", number=self._blocks + 1, **proposed(proposal, stage.rivals))
+        """Whether a block may be measured; the plan of one that may is in its folder."""
+        journal.record(
+            "proposed", number=self._blocks + 1, purpose=stage.purpose, **proposed(proposal, stage.rivals)
+        )
         answer = self._approve(proposal, stage.rivals)
+        if answer:
+            make_folder(self._block_folder)
+            write_whole(self._block_folder / _PLAN, proposal.block.plan.text().encode())
         journal.record("approved" if answer else "declined", number=self._blocks + 1)
         return answer
 
-    def _kinds_of_block(self) -> tuple[str, ...]:
-        """Kinds of a block that was measured before, by the journal."""
-        names = [
-            entry["block"]
-            for entry in read_journal(self._folder / "journal.jsonl")
-            if entry["event"] == "proposed" and entry["number"] == self._blocks + 1
-        ]
-        return tuple(names[-1].split(", then ")) if names else ("block",)
+    def _decided(self, stage: Stage, forecast: Forecast) -> Proposal | None:
+        """The next block if it was approved before, and not refused since."""
+        entries = [entry for entry in self._earlier if entry.get("number") == self._blocks + 1]
+        events = [entry["event"] for entry in entries]
+        if not {"approved", "measured"} & set(events[-1:]):
+            return None
+        name = next(entry["block"] for entry in reversed(entries) if entry["event"] == "proposed")
+        plan = BlockPlan.model_validate_json((self._block_folder / _PLAN).read_text(encoding="utf-8"))
+        scale = stage.closure.noise_scale
+        return proposal_of(plan, name.split(", then "), forecast, stage.rivals, scale)
 
     def _with_outcome(
-        self, stage: Stage, proposal: Proposal, rows: Sequence[DwellRow], journal: Journal
+        self, stage: Stage, forecast: Forecast, proposal: Proposal, rows: Sequence[DwellRow], journal: Journal
     ) -> Stage:
         """The stage with its block; the dwells are added to the table."""
-        outcome = outcome_of(self._rows, rows, stage.rivals, stage.closure.noise_scale)
+        outcome = outcome_of(forecast, proposal, rows, stage.rivals, stage.closure.noise_scale)
         hours = (max(row.end_s for row in rows) - proposal.block.plan.start_s) / _S_PER_H
         self._flagged = [] if outcome else [*self._flagged, proposal.block.kinds]
         self._rows += rows
@@ -276,18 +328,37 @@ def rivals_of(closure: Closure) -> tuple[Rival, ...]:
     best = [each for each in closure.posterior.hypotheses if each.probability > _MIN_PROBABILITY]
     best = best[:_MAX_RIVALS]
     total = sum(each.probability for each in best)
-    residual_dph = (closure.campaign.bias_dph - closure.model.bias_dph)[closure.searched]
-    variance = float(np.mean(residual_dph**2)) - closure.noise_dph**2
-    remainder_dph = max(np.sqrt(max(variance, 0.0)), 0.5 * closure.noise_dph)
+    effects = {each.effect.name: each.effect for each in closure.evidence}
+    remainder_dph = _remainder_dph(closure)
     return tuple(
         Rival(
             tuple(sorted(each.names)),
             each.candidates,
             each.probability / total,
             remainder_dph if each.has_remainder else 0.0,
+            tuple(effects[name] for name in each.names - {one.effect.name for one in each.candidates}),
         )
         for each in best
     )
+
+
+def _remainder_dph(closure: Closure) -> float:
+    """Rms of what the model leaves beyond the noise; at least half of the noise."""
+    residual_dph = (closure.campaign.bias_dph - closure.model.bias_dph)[closure.searched]
+    variance = float(np.mean(residual_dph**2)) - closure.noise_dph**2
+    return float(max(np.sqrt(max(variance, 0.0)), 0.5 * closure.noise_dph))
+
+
+def _gain_per_h(proposal: Proposal) -> float:
+    return proposal.gain_per_h
+
+
+def _test_per_h(proposal: Proposal) -> float:
+    return min(proposal.difference, _ENOUGH) / proposal.block.plan.duration_h
+
+
+def _is_test(stage: Stage) -> bool:
+    return stage.purpose != DISTINGUISH and stage.outcome is not None
 
 
 def probabilities(closure: Closure) -> dict[str, Any]:
