@@ -16,7 +16,7 @@ from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate, stack
 from gyrobench.bench.closure.problem import SCALE_C, Problem, declared_problem
-from gyrobench.bench.closure.validation import lack_of_fit
+from gyrobench.bench.closure.validation import MEDIAN, lack_of_fit
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.navigation.positions import AXES
@@ -37,8 +37,6 @@ _TIME_DEGREE = 5
 _OUTLIER_COST = 2.0 * math.log(10.0 / 0.02)
 #: Of the variance of a residual in that of the noise, at least.
 _MIN_SHARE = 1e-3
-#: Median of the absolute value of a standard normal number.
-_MEDIAN = 0.6745
 
 
 @dataclass(frozen=True)
@@ -158,7 +156,7 @@ def _with_outliers(noise: Noise, after: Problem) -> Noise:
     factors = np.ones_like(noise.factors)
     leverage = np.stack([np.sum(basis**2, axis=1) for basis in after.bases], axis=1)
     off = after.residuals * noise.factors[searched] / np.sqrt(np.maximum(1.0 - leverage, _MIN_SHARE))
-    off /= max(1.0, float(np.median(np.abs(off))) / _MEDIAN)
+    off /= max(1.0, float(np.median(np.abs(off))) / MEDIAN)
     factors[searched] = np.where(np.abs(off) > OUTLIER_SIGMA, np.abs(off), 1.0)
     outliers = [
         Outlier(int(campaign.dwell[searched][dwell]), AXES[gyro], float(off[dwell, gyro]))
