@@ -346,7 +346,9 @@ def _in_one_power_cycle(effect: Effect) -> Effect:
 
 def is_settled(closure: Closure) -> bool:
     """Whether a search states its cause, or that there is nothing, with enough probability."""
-    return closure.probability >= SETTLED and closure.verdict in ("explained", "clean")
+    names = [each.effect.name for each in closure.effects]
+    is_stated = closure.verdict in ("explained", "clean")
+    return is_stated and closure.posterior.of_all(names) >= SETTLED and not closure.posterior.rivals(names)
 
 
 def rivals_of(closure: Closure) -> tuple[Rival, ...]:
