@@ -1,7 +1,7 @@
-"""Calibration of all coefficients: expected uncertainties at five latitudes; rms and coverage on simulated units.
+"""Calibration of all coefficients: expected uncertainties at five latitudes; rms and coverage.
 
-The truth is a unit on a table in closed form, independent of the estimator. The Cramer-Rao bound is the information
-of the same rotations at the noise that was simulated.
+The truth is a unit on a table in closed form, independent of the estimator. The Cramer-Rao bound is the
+information of the same rotations at the noise that was simulated.
 """
 
 import os
@@ -32,8 +32,8 @@ def test_expected_uncertainties_of_eighteen_rotations(latitude_deg):
         return f"{min(values):7.3f} to {max(values):7.3f}"
 
     print(
-        f"\n{latitude_deg:4d} deg: gyro scale factors {of('gyro_scale')} ppm, misalignments {of('gyro_mis')} arcsec, "
-        f"accelerometer biases {of('accelerometer_bias')} ug, scale factors {of('accelerometer_scale')} ppm"
+        f"\n{latitude_deg:4d} deg: gyro scale factors {of('gyro_scale')} ppm, misalignments {of('gyro_mis')} "
+        f"arcsec, accelerometer biases {of('accelerometer_bias')} ug, scale factors {of('accelerometer_scale')} ppm"
     )
     assert found.is_observed.all()
     assert sigmas[[NAMES.index(f"gyro_scale_factor_{axis}") for axis in "xyz"]].max() < 0.55
@@ -63,6 +63,9 @@ def test_rms_over_the_cramer_rao_bound_and_coverage():
             bounds.append(calibrate([recording], site, exact).sigmas)
     ratio = np.sqrt(np.mean((np.array(deviations) / np.mean(bounds, axis=0)) ** 2))
     coverage = np.mean(np.abs(normalised) < 1.96)
-    print(f"\n{RUNS} units, {len(COEFFICIENTS)} coefficients: rms / bound {ratio:.3f}, 95 % intervals hold {coverage:.1%}")
+    print(
+        f"\n{RUNS} units, {len(COEFFICIENTS)} coefficients: rms / bound {ratio:.3f}, "
+        f"95 % intervals hold {coverage:.1%}"
+    )
     assert ratio < 1.05
     assert 0.93 < coverage < 0.97
