@@ -32,7 +32,7 @@ def test_expected_uncertainties_of_eighteen_rotations(latitude_deg):
         return f"{min(values):7.3f} to {max(values):7.3f}"
 
     print(
-        f"\n{latitude_deg} deg: gyro scale factors {of('gyro_scale')} ppm, misalignments {of('gyro_mis')} arcsec"
+        f"\n{latitude_deg} deg: scale factors {of('gyro_scale')} ppm, misalignments {of('gyro_mis')} arcsec"
     )
     print(
         f"accelerometer biases {of('accelerometer_bias')} ug, scale factors {of('accelerometer_scale')} ppm"
