@@ -148,9 +148,10 @@ def verdict_sentence(closure: Closure) -> str:
             verb = "explains" if len(closure.effects) == 1 else "explain"
             part = f" {found[0].upper()}{found[1:]} {verb} only a part." if found else ""
             unknown = probability_text(closure.posterior.not_on_list)
+            noise = "; more noise than stated is likelier" if closure.posterior.not_on_list < 0.5 else ""
             return (
                 "The residual exceeds the noise, and no candidate effect explains it (something that is not "
-                f"on the list: {unknown}).{part}"
+                f"on the list: {unknown}{noise}).{part}"
             )
 
 
