@@ -257,7 +257,7 @@ class Investigator:
         posterior = stage.closure.posterior
         names = tuple(sorted(each.effect.name for each in stage.closure.effects))
         is_stated = stage.closure.verdict in ("explained", "clean")
-        if stage.closure.probability >= SETTLED and is_stated:
+        if is_stated and posterior.of_all(names) >= SETTLED and not posterior.rivals(names):
             tested = self._tested(CONFIRM, names)
             if tested is not None and tested.probabilities[0] < 0.5:
                 return ("refuted", f"A block contradicts what {' + '.join(names)} predicted for it.")
