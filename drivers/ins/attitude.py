@@ -23,6 +23,7 @@ Navigation System Based on Ring Laser Gyroscope", section 4.
 from __future__ import annotations
 
 from enum import StrEnum
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -50,25 +51,9 @@ def attitude_matrices(
     sequence: EulerSequence, roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike
 ) -> FloatArray:
     """Matrices ``C_nb``, shape (n, 3, 3), of Euler angles in rad, shape (n,)."""
-    angles = np.asarray(np.broadcast_arrays(roll, pitch, yaw), np.float64)
-    with np.errstate(invalid="ignore"):  # an infinite angle has no sine; NaN is right
-        (cos_r, cos_p, cos_y), (sin_r, sin_p, sin_y) = np.cos(angles), np.sin(angles)
-    zero = np.zeros_like(cos_r)
-    # Rows of the matrix before the rotation about Up.
-    if sequence is EulerSequence.RPY_321:
-        first = (cos_r, zero, sin_r)
-        second = (sin_p * sin_r, cos_p, -sin_p * cos_r)
-        third = (-cos_p * sin_r, sin_p, cos_p * cos_r)
-    else:
-        first = (cos_r, sin_r * sin_p, sin_r * cos_p)
-        second = (zero, cos_p, -sin_p)
-        third = (-sin_r, cos_r * sin_p, cos_r * cos_p)
-    matrices = np.empty((*zero.shape, 3, 3))
-    for column, (one, other, up) in enumerate(zip(first, second, third, strict=True)):
-        matrices[..., 0, column] = cos_y * one - sin_y * other
-        matrices[..., 1, column] = sin_y * one + cos_y * other
-        matrices[..., 2, column] = up
-    return matrices
+    about_x, about_y = _turned("x", pitch), _turned("y", roll)
+    tilted = about_x @ about_y if sequence is EulerSequence.RPY_321 else about_y @ about_x
+    return np.asarray(_turned("z", yaw) @ tilted)
 
 
 def quaternion_matrices(
@@ -88,3 +73,18 @@ def quaternion_matrices(
     cross = -np.cross(vector[..., np.newaxis, :], np.eye(3))
     outer = vector[..., :, np.newaxis] * vector[..., np.newaxis, :]
     return np.asarray(2.0 * (outer + scalar * cross) + (2.0 * scalar**2 - 1.0) * np.eye(3))
+
+
+def _turned(axis: Literal["x", "y", "z"], angle: ArrayLike) -> FloatArray:
+    """Matrices (n, 3, 3) that rotate vectors about an axis."""
+    angle = np.asarray(angle, np.float64)
+    with np.errstate(invalid="ignore"):  # an infinite angle has no sine; NaN is right
+        cosine, sine = np.cos(angle), np.sin(angle)
+    along = "xyz".index(axis)
+    first, second = (along + 1) % 3, (along + 2) % 3
+    matrices = np.zeros((*angle.shape, 3, 3))
+    matrices[..., along, along] = 1.0
+    matrices[..., first, first] = matrices[..., second, second] = cosine
+    matrices[..., first, second] = -sine
+    matrices[..., second, first] = sine
+    return matrices
