@@ -120,7 +120,8 @@ class StateSpaceEstimate(BiasEstimate):
     #: latitude_error, latitude_sigma: Of the latitude that the INS uses, rad, by these data alone.
     latitude_error: float
     latitude_sigma: float
-    information: DwellInformation  #: For the joint solution of several dwells.
+    #: For the joint solution of several dwells; None where only its result is kept.
+    information: DwellInformation | None
 
 
 class BiasFilter:

@@ -14,7 +14,8 @@ from gyrobench.bench.bias.bias_filter import GoodnessOfFit, StateSpaceEstimate, 
 from gyrobench.bench.bias.bias_steps import BiasStep
 from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, TurnPath
 from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow
-from gyrobench.bench.bias.noise_estimate import estimate_noise
+from gyrobench.bench.bias.joint_solution import DwellRows
+from gyrobench.bench.bias.noise_estimate import RestMotion, estimate_noise
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.paper import estimate_paper
 from gyrobench.bench.bias.parameters import PriorKnowledge
@@ -108,12 +109,13 @@ class MeasuredDwell:
     """A row for the table, what is behind it where there is a result, and how the frames came."""
 
     row: DwellRow
-    #: estimate, paper: By the full error model and by the paper's method.
+    #: estimate, paper: By the full error model, without its information, and by the paper's method.
     estimate: StateSpaceEstimate | None
     paper: BiasEstimate | None
+    shared: DwellRows | None  #: What it shows of the unknowns that the dwells of a plateau share.
     #: Navigation at rest, an epoch a second, for the noise estimate; empty where it is disturbed, and where
     #: :mod:`gyrobench.bench.dwells.run_dwells` does not keep it.
-    windows: tuple[NavigationWindow, ...]
+    windows: tuple[RestMotion, ...]
     counts: EpochCounts  #: How the frames came.
     doubts: tuple[str, ...]  #: Those flags that noise larger than declared would explain.
     #: Which sign or axis of the signal map is wrong; every further dwell would be invalid too.
@@ -136,9 +138,9 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
     A dwell that can't give a result gives a row without biases, flagged with the reason.
     """
     flags = list(marks.disturbances)
-    estimate, paper = None, None
+    estimate, paper, shared = None, None, None
     doubts: tuple[str, ...] = ()
-    windows: tuple[NavigationWindow, ...] = ()
+    windows: tuple[RestMotion, ...] = ()
     counts, temperatures, signal_fault = EpochCounts(), DwellTemperatures(), ""
     try:
         navigation = checked_navigation(marks, frames, setup, flags)
@@ -150,15 +152,18 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
         noise = setup.noise_in(dwell.windows)
         paper = _paper(dwell, setup.site, noise)
         estimate, found, doubts = estimate_dwell(dwell, setup, noise)
+        if estimate.information:
+            shared = DwellRows.of(estimate.information, dwell.position, setup.prior)
+            estimate = replace(estimate, information=None)
         flags += found
         if not flags:
-            windows = tuple(window.thinned(EPOCH_S) for window in dwell.windows)
+            windows = tuple(RestMotion.of(window.thinned(EPOCH_S)) for window in dwell.windows)
         flags += doubts
     except MeasurementError as error:
         flags.append(str(error))
         signal_fault = str(error) if isinstance(error, SignalMapError) else ""
     row = _row(marks, temperatures, estimate, paper, flags)
-    return MeasuredDwell(row, estimate, paper, windows, counts, doubts, signal_fault)
+    return MeasuredDwell(row, estimate, paper, shared, windows, counts, doubts, signal_fault)
 
 
 def estimate_dwell(
@@ -314,16 +319,15 @@ def rest_output(
 
 def _check_navigating(navigation: NavigationData, inside: BoolArray) -> None:
     """Turns count as well: an INS that realigns in a turn starts with other errors after it."""
-    modes = set(navigation.mode[inside].tolist())
-    if not modes <= {InsMode.NAVIGATE, InsMode.UNKNOWN}:
+    if not np.isin(navigation.mode[inside], (InsMode.NAVIGATE, InsMode.UNKNOWN)).all():
         raise MeasurementError(
             "the INS left navigation during the dwell or its turn. Check its status in the raw CAN log"
         )
-    if len(set(navigation.alignment[inside].tolist())) > 1:
+    if len(np.unique(navigation.alignment[inside])) > 1:
         raise MeasurementError(
             "the INS reported another alignment during the dwell or its turn. Did it realign?"
         )
-    if len(set(navigation.segment[inside].tolist())) > 1:
+    if len(np.unique(navigation.segment[inside])) > 1:
         raise MeasurementError("the clock of the INS was reset during the dwell. Did it restart?")
     if not np.isfinite(navigation.attitude[inside]).all():
         raise MeasurementError(

@@ -91,7 +91,7 @@ def _north_flag(solutions: Sequence[JointSolution], prior: PriorKnowledge) -> st
     if not agreeing:
         return ""
     rates, sigmas = np.array([each.north_rate for each in agreeing]).T
-    _, _, earth_up = agreeing[0].dwells[0].information.earth_rate
+    _, _, earth_up = agreeing[0].dwells[0].rows.earth_rate
     error = float((rates / sigmas**2).sum() / (1.0 / sigmas**2).sum() / earth_up)
     # What the misalignments of the gyros do is common to all plateaus.
     sigma = float(np.hypot((1.0 / sigmas**2).sum() ** -0.5, sigmas.min() / 2.0) / abs(earth_up))
