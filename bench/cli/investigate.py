@@ -102,8 +102,8 @@ def investigate(
     investigation that was interrupted. Exit code 1: ended without a settled cause.
 
     With --json: {"ended", "reason", "folder", "report", "hours", "blocks", "verdict", "effects",
-    "verification"}; ended is settled, budget, no_block, declined, refuted or bench_failed; verification is
-    null, or a list with the columns of comparison.csv as keys.
+    "verification"}; ended is settled, not_on_list, budget, no_block, declined, refuted or bench_failed;
+    verification is null, or a list with the columns of comparison.csv as keys.
 
     Example: gyrobench investigate quick_campaign --station quick --world quick --approve auto
     """
@@ -136,7 +136,7 @@ def investigate(
             raise DocumentError("--bench goes with one table, without --station, --world and --seed")
         table = Path(sources[0])
         folder = out or table.parent / "investigation"
-        external = ExternalBench(bench, bench_time_limit_s)
+        external = ExternalBench(bench, bench_time_limit_s, terminal.print)
         found = Investigator(read_dwells(table), folder, external, budget_h, approved).run(WallClock())
         _report(terminal, found, folder, sources, None, as_json)
         return
@@ -148,11 +148,11 @@ def investigate(
     if measured and len(measured) == len(sources):
         first = RunFolder(measured[0])
         folder = out or first.path / "investigation"
+        clock = None
         known = emulation_of(first)
         chosen = Emulation(world or known.world, known.seed if seed is None else seed, known.faults)
         job = job_in(first) if station is None else prepare_job(str(first.procedure), station)
         job = replace(job, emulation=chosen)
-        clock = None
     else:
         if len(sources) > 1 or sources[0].endswith(".csv"):
             raise DocumentError(
@@ -195,9 +195,9 @@ def _report(
 ) -> None:
     from gyrobench.bench.report.closure.closure_page import write_search
     from gyrobench.bench.report.investigation.investigation_page import write_investigation_page
-    from gyrobench.bench.report.investigation.investigation_text import confirmation_sentence, end_sentence
+    from gyrobench.bench.report.investigation.investigation_text import end_sentence, test_sentence
     from gyrobench.bench.report.verification.verification_page import write_verification_page
-    from gyrobench.bench.report.verification.verification_summary import verification_summary
+    from gyrobench.bench.report.verification.verification_text import outcome_sentence
     from gyrobench.bench.verification.compensation_verification import table_records, write_verification_table
 
     write_search(found.closure, [folder / "dwells.csv"], folder / "closure")
@@ -220,10 +220,10 @@ def _report(
             }
         )
     else:
-        for sentence in filter(None, [end_sentence(found), confirmation_sentence(found)]):
+        for sentence in filter(None, [end_sentence(found), test_sentence(found)]):
             terminal.print(sentence)
         if proof is not None:
-            terminal.print(verification_summary(proof))
+            terminal.print(outcome_sentence(proof))
         terminal.print(
             f"Report   {page}\nTable    {folder / 'dwells.csv'}\nFolder   {folder}", soft_wrap=True
         )

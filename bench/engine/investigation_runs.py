@@ -32,7 +32,7 @@ from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError, RunFolderError
 from gyrobench.bench.foundations.files import write_whole
 from gyrobench.bench.investigation.block_procedure import DwellPattern, block_procedure
-from gyrobench.bench.investigation.blocks import Block, BlockStart
+from gyrobench.bench.investigation.blocks import Block, BlockStart, BlockTimes
 from gyrobench.bench.investigation.external_bench import BenchState, BlockPlan, PowerStep
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.procedure.plan import Plan
@@ -119,6 +119,8 @@ class StationBench:
         self._pattern = DwellPattern.of(job_in(self._runs[0]).plan)
         self.rows = joined_rows(self._campaign)  #: Dwells of the campaign.
         last_dwells = read_dwells(self._runs[-1].dwells)
+        hours = (self.rows[-1].end_s - self.rows[0].start_s) / 3600.0
+        self._times = BlockTimes.on_bench(self._station.file.unit.thermal.time_constant_s, hours)
         self._shift_s = self.rows[-1].start_s - max(row.start_s for row in last_dwells)
 
     def campaign(self, rows: Sequence[DwellRow]) -> Campaign:
@@ -154,7 +156,7 @@ class StationBench:
             since_power_on_s=now_s - rows[-1].start_s + rows[-1].since_power_on_s,
             position=rows[-1].position,
         )
-        return BlockStart(now_s, state, power_ons)
+        return BlockStart(now_s, state, power_ons, self._times)
 
     def timed(self, block: Block) -> Block | None:
         """The block with the times of the planner; None if the station can't run it."""

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
+import os
 import shlex
+import signal
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -22,6 +25,8 @@ from gyrobench.bench.foundations.files import write_whole
 REFUSED = 3
 _SHOWN_CHARACTERS = 500
 _TIMEOUT_FACTOR, _TIMEOUT_MARGIN_S = 1.5, 600.0
+#: Time for a command that is ended to switch its bench off.
+_TERMINATION_S = 10.0
 _S_PER_H = 3600.0
 
 
@@ -122,48 +127,101 @@ class ExternalBench:
 
     ``command`` is split like a shell does and gets the paths of plan and table as its last two arguments.
     ``time_limit_s``: how long it may take for a block; by default by the plan, as on a real bench.
+    ``notice``: gets what a person has to know.
+
+    Raises DocumentError if the command can't be split.
     """
 
     command: str
     time_limit_s: float | None = None
+    notice: Callable[[str], None] = lambda text: None  # noqa: ARG005
+
+    def __post_init__(self) -> None:
+        try:
+            empty = not shlex.split(self.command)
+        except ValueError as error:
+            raise DocumentError(f"--bench {self.command}: {error}. Close each quotation mark") from error
+        if empty:
+            raise DocumentError("--bench is empty. Name the command that measures a block")
 
     def measure(self, plan: BlockPlan, folder: Path) -> list[DwellRow]:
-        """Have a block measured; plan and new table are written into ``folder``.
+        """Have a block measured; plan, new table, and what the command wrote are files of ``folder``.
+
+        A table with all dwells that is there is taken: its command ended after gyrobench was.
 
         Raises BlockRefusedError if the bench can't do it, and GyrobenchError if the command fails, is too
         slow, or writes something else than the dwells of the plan.
         """
-        asked, answered = folder / "plan.json", folder / "new.csv"
-        write_whole(asked, plan.text().encode())
-        answered.unlink(missing_ok=True)
-        limit_s = self.time_limit_s or _TIMEOUT_FACTOR * plan.duration_h * _S_PER_H + _TIMEOUT_MARGIN_S
-        try:
-            answer = subprocess.run(  # noqa: S603 - the user's own command
-                [*shlex.split(self.command), str(asked), str(answered)],
-                capture_output=True,
-                encoding="utf-8",
-                errors="replace",
-                timeout=limit_s,
-                check=False,
+        asked, answered, log = (folder / name for name in ("plan.json", "new.csv", "bench.log"))
+        if answered.exists() and (rows := _whole(plan, answered)):
+            return rows
+        if log.exists():
+            self.notice(
+                f"{folder}: this block was interrupted before all dwells were there. It is measured again."
             )
-        except subprocess.TimeoutExpired as error:
+        answered.unlink(missing_ok=True)
+        write_whole(asked, plan.text().encode())
+        limit_s = self.time_limit_s or _TIMEOUT_FACTOR * plan.duration_h * _S_PER_H + _TIMEOUT_MARGIN_S
+        code = self._run([str(asked), str(answered)], limit_s, log)
+        message = log.read_text(encoding="utf-8", errors="replace").strip()[-_SHOWN_CHARACTERS:]
+        if code:
+            # A table of a command that failed is no measurement.
+            answered.unlink(missing_ok=True)
+            log.unlink()
+        if code == REFUSED:
+            raise BlockRefusedError(message or "no reason was given")
+        if code:
             raise GyrobenchError(
-                f"{self.command}: did not end within {limit_s:.0f} s. Check the bench, or allow more with "
-                "--bench-time-limit-s"
-            ) from error
-        except OSError as error:
-            raise GyrobenchError(
-                f"{self.command}: can't be started: {error.strerror}. Check --bench"
-            ) from error
-        said = answer.stderr.strip()[-_SHOWN_CHARACTERS:]
-        if answer.returncode == REFUSED:
-            raise BlockRefusedError(said or "no reason was given")
-        if answer.returncode:
-            raise GyrobenchError(
-                f"{self.command}: ended with exit code {answer.returncode}: {said or 'no message'}. "
+                f"{self.command}: ended with exit code {code}: {message or 'no message'}. "
                 "What was measured before is kept"
             )
         return checked_rows(read_dwells(answered), plan, answered)
+
+    def _run(self, arguments: Sequence[str], limit_s: float, log: Path) -> int:
+        """Exit code; standard error goes to a file. A command that is too slow or interrupted is ended."""
+        with log.open("wb") as written:
+            try:
+                process = subprocess.Popen(  # noqa: S603 - the user's own command
+                    [*shlex.split(self.command), *arguments],
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.DEVNULL,
+                    stderr=written,
+                    start_new_session=True,
+                )
+            except OSError as error:
+                raise GyrobenchError(
+                    f"{self.command}: can't be started: {error.strerror}. Check --bench"
+                ) from error
+        try:
+            return process.wait(limit_s)
+        except subprocess.TimeoutExpired as error:
+            raise GyrobenchError(
+                f"{self.command}: did not end within {limit_s:.0f} s. Check the bench, or allow more "
+                "with --bench-time-limit-s"
+            ) from error
+        finally:
+            if process.returncode is None:
+                _end(process)
+
+
+def _whole(plan: BlockPlan, table: Path) -> list[DwellRow]:
+    """Dwells of a table that has all of a plan; none otherwise."""
+    try:
+        rows = checked_rows(read_dwells(table), plan, table)
+    except GyrobenchError:
+        return []
+    return rows if len(rows) == len(plan.dwells) else []
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """End a command and all processes that it started, after time to switch the bench off."""
+    for name in ("SIGTERM", "SIGKILL"):
+        with contextlib.suppress(ProcessLookupError, subprocess.TimeoutExpired):
+            if os.name == "posix":
+                os.killpg(process.pid, getattr(signal, name))
+            elif process.poll() is None:
+                process.kill()
+            process.wait(_TERMINATION_S)
 
 
 def checked_rows(rows: Sequence[DwellRow], plan: BlockPlan, table: Path) -> list[DwellRow]:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow, Triple
-from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.thermal_course import Course, UnitThermal
+from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.thermal_course import ELECTRONICS_ABOVE_OPTICS_K, Course, UnitThermal
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.investigation.external_bench import BlockPlan, ChamberStep, DwellStep, PowerStep
 from gyrobench.bench.navigation.positions import POSITIONS
@@ -23,21 +24,51 @@ _S_PER_H = 3600.0
 class Forecast:
     """A unit as its dwells show it: lags and temperature rises, and its state at the end of the last dwell.
 
-    ``rows`` are the dwells in the order of time, ``campaign`` the same as arrays.
+    Attributes
+    ----------
+    measured : sequence of DwellRow
+        The dwells in the order of time.
+    campaign : Campaign
+        The same as arrays.
     """
 
-    def __init__(self, rows: Sequence[DwellRow], campaign: Campaign) -> None:
-        self._rows = rows
-        self.thermal, course = UnitThermal.typical(ThermalEstimate()).fitted_to(campaign)
-        self._start = None if course is None else course.end
-        self._typical_s = float(np.median([row.end_s - row.start_s for row in rows]))
-        self._sigma_dph = np.nanmedian([row.sigma_dph for row in rows], axis=0)
+    def __init__(self, measured: Sequence[DwellRow]) -> None:
+        self.measured, self.campaign = measured, campaign_of(measured)
+        self._typical_s = float(np.median([row.end_s - row.start_s for row in measured]))
+        self._sigma_dph = np.nanmedian([row.sigma_dph for row in measured], axis=0)
+
+    @cached_property
+    def _fitted(self) -> tuple[UnitThermal, Course | None]:
+        return UnitThermal.typical(ThermalEstimate()).fitted_to(self.campaign)
+
+    @property
+    def thermal(self) -> UnitThermal:
+        """The lags and rises; those of a typical unit without temperatures of the chamber."""
+        return self._fitted[0]
+
+    @cached_property
+    def _above_optics(self) -> tuple[FloatArray, FloatArray] | None:
+        """Electronics above optics as the campaign has them: offset (3,), and factor (3,) of the course's."""
+        known_k, (_, course) = self.campaign.above_optics_c, self._fitted
+        if known_k is None:
+            return None
+        if course is None:
+            return known_k.mean(axis=0) - ELECTRONICS_ABOVE_OPTICS_K, np.ones(3)
+        above_k = course.electronics_c - course.optics_c
+        above_k = course.means(above_k, self.campaign.start_s, self.campaign.end_s)
+        pairs = zip(above_k.T, known_k.T, strict=True)
+        factors, offsets = np.transpose([np.polyfit(found_k, wanted_k, 1) for found_k, wanted_k in pairs])
+        return offsets, factors
 
     def rows(self, plan: BlockPlan) -> list[DwellRow]:
-        """Rows of the planned dwells; their biases are zero, and what the table lacks is NaN."""
-        last = self._rows[-1]
-        time_s, set_c, power, up_body = _inputs(plan, last)
-        course = self.thermal.course(time_s, set_c, power, up_body, self._start)
+        """Rows of the planned dwells.
+
+        Their biases are zero. What the table lacks is NaN, but for the electronics if their temperature is
+        known without a sensor.
+        """
+        thermal, before = self._fitted
+        time_s, set_c, power, up_body = _inputs(plan, self.measured)
+        course = thermal.course(time_s, set_c, power, up_body, before and before.end)
         power_on_s, is_on = plan.start_s - plan.state.since_power_on_s, plan.state.powered
         found = []
         for step in plan.steps:
@@ -49,13 +80,18 @@ class Forecast:
         return found
 
     def _row(self, step: DwellStep, course: Course, since_power_on_s: float) -> DwellRow:
-        last, duration_s = self._rows[-1], step.end_s - step.start_s
+        last, duration_s = self.measured[-1], step.end_s - step.start_s
         edges_s = np.array([step.start_s]), np.array([step.end_s])
 
         def mean(values: FloatArray, like: float | Triple) -> FloatArray:
             known = np.isfinite(np.mean(like))
             return course.means(values, *edges_s)[0] if known else np.full(values.shape[1:], math.nan)
 
+        optics_c, electronics_c = mean(course.optics_c, 0.0), mean(course.electronics_c, last.board_c)
+        if self._above_optics is not None:
+            offsets, factors = self._above_optics
+            above_k = mean(course.electronics_c - course.optics_c, 0.0)
+            electronics_c = optics_c + offsets + factors * above_k
         ends_c = [np.interp([step.start_s, step.end_s], course.time_s, each) for each in course.optics_c.T]
         return DwellRow(
             unit=last.unit,
@@ -66,7 +102,7 @@ class Forecast:
             start_s=step.start_s,
             end_s=step.end_s,
             since_power_on_s=since_power_on_s,
-            gyro_c=_triple(mean(course.optics_c, last.gyro_c)),
+            gyro_c=_triple(optics_c),
             gyro_rate_c_per_h=_triple([(end - begin) / duration_s * _S_PER_H for begin, end in ends_c]),
             bias_dph=(0.0, 0.0, 0.0),
             sigma_dph=_triple(self._sigma_dph * math.sqrt(self._typical_s / duration_s)),
@@ -74,16 +110,32 @@ class Forecast:
             chamber_set_c=float(mean(course.air_c, last.chamber_set_c)),
             chamber_c=float(mean(course.air_c, last.chamber_c)),
             case_c=float(mean(course.case_c, last.case_c)),
-            board_c=_triple(mean(course.electronics_c, last.board_c)),
+            board_c=_triple(electronics_c),
         )
 
 
-def _inputs(plan: BlockPlan, last: DwellRow) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def chamber_c(rows: Sequence[DwellRow]) -> FloatArray:
+    """Temperature of the chamber in each dwell, degC: set point, air, or what a typical unit follows.
+
+    Dwells without a temperature are left out.
+    """
+    lag = ThermalEstimate()
+    followed = [
+        np.mean(row.gyro_c) + np.mean(row.gyro_rate_c_per_h) * lag.time_constant_s / _S_PER_H for row in rows
+    ]
+    known = np.array([[row.chamber_set_c, row.chamber_c] for row in rows])
+    known = np.column_stack([known, np.array(followed) - lag.self_heating_c])
+    found = known[np.arange(len(rows)), np.argmax(np.isfinite(known), axis=1)]
+    return np.asarray(found[np.isfinite(found)])
+
+
+def _inputs(
+    plan: BlockPlan, rows: Sequence[DwellRow]
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Times (m,), set point, power, and Up in body axes (m, 3), over a block."""
-    begin_s = min(last.end_s, plan.start_s)
+    begin_s, first_c = min(rows[-1].end_s, plan.start_s), float(chamber_c(rows)[-1])
     count = min(max(round((plan.steps[-1].end_s - begin_s) / _STEP_S), 2), _MAX_STEPS)
     time_s = np.linspace(begin_s, plan.steps[-1].end_s, count + 1)
-    first_c = last.chamber_set_c if np.isfinite(last.chamber_set_c) else last.chamber_c
     set_c, power = np.full_like(time_s, first_c), np.full_like(time_s, float(plan.state.powered))
     if plan.start_s > begin_s:  # from the last dwell to the state before the first step
         start_c = first_c if plan.state.chamber_c is None else plan.state.chamber_c

@@ -15,13 +15,15 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow, format_dwells, read_dwells, write_dwells
 from gyrobench.bench.closure.campaign import Campaign, campaign_of
-from gyrobench.bench.closure.loop import Closure, close_loop
+from gyrobench.bench.closure.loop import Closure, close_loop, composed
+from gyrobench.bench.closure.search import MAX_EFFECTS
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
 from gyrobench.bench.foundations.files import make_folder, write_whole
 from gyrobench.bench.foundations.text import listed
-from gyrobench.bench.investigation.blocks import BlockPlanner
+from gyrobench.bench.investigation.blocks import NEW_CYCLE, Block, BlockPlanner
 from gyrobench.bench.investigation.external_bench import BlockPlan, BlockRefusedError
+from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.investigation.proposal import Outcome, Proposal, Rival, outcome_of, proposal_of, propose
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.runs.journal import Journal, read_journal
@@ -37,6 +39,10 @@ _MIN_GAIN = 0.02
 _PLAN, _DONE = "plan.json", "dwells.csv"
 #: Times that a kind of block is measured while the blocks bring only dwells with flags.
 _MAX_FLAGGED = 2
+#: A prediction is tested where it differs by this square from that without it, in units of its uncertainty.
+_ENOUGH = 60.0
+#: Purposes of a block.
+DISTINGUISH, CONFIRM, TEST_LAW = "distinguish", "confirm", "test_law"
 _S_PER_H = 3600.0
 
 
@@ -46,7 +52,10 @@ class Stage:
 
     spent_h: float  #: Hours on the bench since the first table, before the block.
     closure: Closure  #: The search.
-    rivals: tuple[Rival, ...]  #: The hypotheses that a block has to distinguish.
+    #: The hypotheses that a block has to distinguish. Where a cause is confirmed or a law tested, it is the
+    #: first, and the second does without it.
+    rivals: tuple[Rival, ...]
+    purpose: str = DISTINGUISH  #: DISTINGUISH, CONFIRM or TEST_LAW.
     proposal: Proposal | None = None  #: The block measured next; None at the end.
     #: What the block says about the rivals; None at the end, and if all its dwells have flags.
     outcome: Outcome | None = None
@@ -57,12 +66,16 @@ class Investigation:
     """Outcome of an investigation."""
 
     stages: tuple[Stage, ...]  #: In the order of time; the last one has no block.
-    ended: str  #: "settled", "budget", "no_block", "declined", "refuted" or "bench_failed".
-    reason: str  #: Why it ended, one sentence.
+    #: "settled", "not_on_list", "budget", "no_block", "declined", "refuted" or "bench_failed".
+    ended: str
+    reason: str  #: Why it ended.
     rows: tuple[DwellRow, ...]  #: All dwells.
     refused: Mapping[tuple[str, ...], str]  #: Reasons of the bench by the kinds of a block.
-    #: The block that confirms a settled cause; its rivals are the cause and the declared model alone.
-    confirmation: Stage | None = None
+
+    @property
+    def test(self) -> Stage | None:
+        """The last block that confirmed a settled cause or tested a composed law, if it gave an outcome."""
+        return next((each for each in reversed(self.stages) if _is_test(each)), None)
 
     @property
     def closure(self) -> Closure:
@@ -120,6 +133,8 @@ class Investigator:
         self._refused: dict[tuple[str, ...], str] = {}
         self._spent_h, self._blocks = 0.0, 0
         self._flagged: list[tuple[str, ...]] = []
+        self._earlier: list[dict[str, Any]] = []
+        self._stages: list[Stage] = []
         table = folder / "start.csv"
         if not table.exists():
             write_dwells(table, self._rows)
@@ -129,19 +144,20 @@ class Investigator:
     def run(self, clock: Clock) -> Investigation:
         """Measure block after block until the cause is settled, or no block can help, or the time is spent.
 
-        A settled cause is confirmed by one more block, predicted before it is measured. A bench that
-        fails ends the investigation; a later call continues it. What was measured before is taken from the
-        folder.
+        A settled cause, and a law composed for what is not on the list, are tested by one more block,
+        predicted before it is measured. A bench that fails ends the investigation; a later call continues
+        it. What was measured before is taken from the folder.
         """
         path = self._folder / "journal.jsonl"
-        earlier = list(read_journal(path)) if path.exists() else []
-        stages: list[Stage] = []
-        confirmation = None
+        self._earlier = list(read_journal(path)) if path.exists() else []
+        self._stages = []
         with Journal(path, clock) as journal:
-            event = "investigation_resumed" if earlier else "investigation_started"
+            event = "investigation_resumed" if self._earlier else "investigation_started"
             journal.record(event, budget_h=self._budget_h)
             self._refused = {
-                tuple(entry["kinds"]): entry["reason"] for entry in earlier if entry["event"] == "refused"
+                tuple(entry["kinds"]): entry["reason"]
+                for entry in self._earlier
+                if entry["event"] == "refused"
             }
             ended = None
             while ended is None:
@@ -150,39 +166,39 @@ class Investigator:
                 ended = self._end(stage)
                 if ended is None:
                     stage, ended = self._with_block(stage, journal)
-                stages.append(stage)
-            if ended[0] == "settled" and stages[-1].rivals[0].names:
-                confirmation, failed = self._confirmation(stages[-1], journal)
-                ended = failed or self._refuted(confirmation) or ended
+                if ended and (test := self._test(stage, ended[0])):
+                    test, failed = self._with_block(test, journal)
+                    stage = test if failed is None else stage
+                    ended = failed and (failed if failed[0] == "bench_failed" else ended)
+                self._stages.append(stage)
             journal.record("investigation_ended", ended=ended[0], reason=ended[1])
             write_dwells(self._folder / "dwells.csv", self._rows)
-        return Investigation(tuple(stages), *ended, tuple(self._rows), dict(self._refused), confirmation)
+        return Investigation(tuple(self._stages), *ended, tuple(self._rows), dict(self._refused))
 
-    def _with_block(
-        self,
-        stage: Stage,
-        journal: Journal,
-        value: Callable[[Proposal], float] = lambda each: each.gain_per_h,
-    ) -> tuple[Stage, tuple[str, str] | None]:
-        """The stage with the block of largest value that the bench can do, or why there is none."""
-        folder, scale = self._block_folder, stage.closure.noise_scale
+    def _with_block(self, stage: Stage, journal: Journal) -> tuple[Stage, tuple[str, str] | None]:
+        """The stage with the best block that the bench can do, or why there is none."""
+        folder, scale, forecast = self._block_folder, stage.closure.noise_scale, Forecast(self._rows)
         done = folder / _DONE
-        decided = self._decided(stage)
+        decided = self._decided(stage, forecast)
         if decided is not None and done.exists():
-            return self._with_outcome(stage, decided, read_dwells(done), journal), None
+            return self._with_outcome(stage, forecast, decided, read_dwells(done), journal), None
         while True:
             left_h = self._budget_h - self._spent_h
             idle = [kinds for kinds in self._flagged if self._flagged.count(kinds) >= _MAX_FLAGGED]
             if decided is not None:
                 best, decided = decided, None
             else:
-                found = propose(
-                    self._rows, stage.rivals, scale, [*self._refused, *idle], left_h, self._planner
-                )
-                useful = [each for each in found if each.entropy - each.expected_entropy > _MIN_GAIN]
+                refused = [*self._refused, *idle]
+                found = propose(forecast, stage.rivals, scale, refused, left_h, self._planner)
+                useful = [
+                    each
+                    for each in found
+                    if each.entropy - each.expected_entropy > _MIN_GAIN
+                    and (stage.purpose != TEST_LAW or each.block.name == NEW_CYCLE)
+                ]
                 if not useful:
-                    return stage, ("no_block", self._no_block(stage))
-                best = max(useful, key=value)
+                    return stage, self._no_block(stage)
+                best = max(useful, key=_gain_per_h if stage.purpose == DISTINGUISH else _test_per_h)
                 if not self._is_approved(best, stage, journal):
                     return stage, ("declined", "The proposed block was declined.")
             try:
@@ -196,42 +212,62 @@ class Investigator:
                 problem = "; ".join(str(error).splitlines()).rstrip(".")
                 return stage, ("bench_failed", f"The bench failed: {problem}.")
             write_dwells(done, rows)
-            return self._with_outcome(stage, best, rows, journal), None
+            return self._with_outcome(stage, forecast, best, rows, journal), None
 
-    def _no_block(self, stage: Stage) -> str:
+    def _no_block(self, stage: Stage) -> tuple[str, str]:
+        not_on_list = stage.closure.posterior.not_on_list
+        if stage.closure.verdict == "unexplained" and not_on_list > 0.5:
+            return "not_on_list", f"Not on the list of effects: probability {not_on_list:.4f}."
         names = sorted({name for each in stage.rivals for name in each.names})
         effects = {each.effect.name: each.effect for each in stage.closure.evidence}
         experiments = "; ".join(effects[name].experiment for name in names if name in effects)
-        return (
+        return "no_block", (
             "No block of this bench is expected to distinguish what is left. What would: "
             f"{experiments or 'a measurement of other quantities'}."
         )
 
-    def _confirmation(self, last: Stage, journal: Journal) -> tuple[Stage | None, tuple[str, str] | None]:
-        """A block in which the cause and the declared model alone differ most, and a failure of the bench."""
-        cause = replace(last.rivals[0], probability=0.5)
-        stage = replace(last, rivals=(cause, Rival((), (), 0.5)))
-        stage, ended = self._with_block(stage, journal, lambda each: each.difference)
-        return (None if ended else stage), ended if ended and ended[0] == "bench_failed" else None
+    def _test(self, last: Stage, ended: str) -> Stage | None:
+        """A stage whose block tests what an investigation ends with: its cause, or a composed law."""
+        if ended == "settled":
+            cause = replace(last.rivals[0], probability=0.5)
+            if cause.names and self._tested(CONFIRM, cause.names) is None:
+                return replace(last, rivals=(cause, Rival((), (), 0.5)), purpose=CONFIRM)
+        is_tested = any(each.purpose == TEST_LAW and each.outcome for each in self._stages)
+        if ended == "not_on_list" and not is_tested:
+            law = composed(last.closure).composed
+            if law is not None and law.laws:
+                found = tuple(each.candidate for each in last.closure.effects)[: MAX_EFFECTS - 1]
+                names = tuple(each.effect.name for each in found)
+                best = law.laws[0].candidate
+                with_law = Rival((*names, best.effect.name), (*found, best), 0.5)
+                without = Rival(names, found, 0.5, _remainder_dph(last.closure))
+                return replace(last, rivals=(with_law, without), purpose=TEST_LAW)
+        return None
 
-    def _refuted(self, confirmation: Stage | None) -> tuple[str, str] | None:
-        """The end of a cause that predicted the last block worse than the declared model did."""
-        if confirmation is None or confirmation.outcome is None:
-            return None
-        if confirmation.outcome.probabilities[0] >= 0.5:
-            return None
-        return "refuted", f"A block contradicts what {confirmation.rivals[0].title} predicted for it."
+    def _tested(self, purpose: str, names: tuple[str, ...]) -> Outcome | None:
+        """Outcome of the block that tested something."""
+        tests = [each for each in self._stages if each.purpose == purpose and each.rivals[0].names == names]
+        return next((each.outcome for each in reversed(tests) if each.outcome), None)
 
     def _searched(self) -> Stage:
         closure = close_loop(self._campaign(self._rows), self._held_out)
         return Stage(self._spent_h, closure, rivals_of(closure))
 
     def _end(self, stage: Stage) -> tuple[str, str] | None:
-        best = stage.closure.posterior.hypotheses[0]
+        posterior = stage.closure.posterior
+        best = posterior.hypotheses[0]
         is_stated = stage.closure.verdict in ("explained", "clean")
         if best.probability >= SETTLED and not best.has_remainder and is_stated:
+            tested = self._tested(CONFIRM, tuple(sorted(best.names)))
+            if tested is not None and tested.probabilities[0] < 0.5:
+                return (
+                    "refuted",
+                    f"A block contradicts what {' + '.join(sorted(best.names))} predicted for it.",
+                )
             what = listed(sorted(map(stage.closure.label, best.names))) or "nothing beside the declared model"
             return "settled", f"{what.capitalize()}: probability {best.probability:.4f}."
+        if posterior.not_on_list >= SETTLED:
+            return "not_on_list", f"Not on the list of effects: probability {posterior.not_on_list:.4f}."
         if self._spent_h >= self._budget_h and not (self._block_folder / _DONE).exists():
             return "budget", f"{self._spent_h:.1f} h of {self._budget_h:g} h on the bench are spent."
         return None
@@ -242,7 +278,9 @@ class Investigator:
 
     def _is_approved(self, proposal: Proposal, stage: Stage, journal: Journal) -> bool:
         """Whether a block may be measured; the plan of one that may is in its folder."""
-        journal.record("proposed", number=self._blocks + 1, **proposed(proposal, stage.rivals))
+        journal.record(
+            "proposed", number=self._blocks + 1, purpose=stage.purpose, **proposed(proposal, stage.rivals)
+        )
         answer = self._approve(proposal, stage.rivals)
         if answer:
             make_folder(self._block_folder)
@@ -250,26 +288,22 @@ class Investigator:
         journal.record("approved" if answer else "declined", number=self._blocks + 1)
         return answer
 
-    def _decided(self, stage: Stage) -> Proposal | None:
+    def _decided(self, stage: Stage, forecast: Forecast) -> Proposal | None:
         """The next block if it was approved before, and not refused since."""
-        entries = [
-            entry
-            for entry in read_journal(self._folder / "journal.jsonl")
-            if entry.get("number") == self._blocks + 1
-        ]
+        entries = [entry for entry in self._earlier if entry.get("number") == self._blocks + 1]
         events = [entry["event"] for entry in entries]
         if not {"approved", "measured"} & set(events[-1:]):
             return None
-        name = next(entry["block"] for entry in reversed(entries) if entry["event"] == "proposed")
+        entry = next(entry for entry in reversed(entries) if entry["event"] == "proposed")
         plan = BlockPlan.model_validate_json((self._block_folder / _PLAN).read_text(encoding="utf-8"))
-        scale = stage.closure.noise_scale
-        return proposal_of(plan, name.split(", then "), self._rows, stage.rivals, scale)
+        block = Block(tuple(entry["block"].split(", then ")), entry.get("what", entry["block"]), plan)
+        return proposal_of(forecast, block, stage.rivals, stage.closure.noise_scale)
 
     def _with_outcome(
-        self, stage: Stage, proposal: Proposal, rows: Sequence[DwellRow], journal: Journal
+        self, stage: Stage, forecast: Forecast, proposal: Proposal, rows: Sequence[DwellRow], journal: Journal
     ) -> Stage:
         """The stage with its block; the dwells are added to the table."""
-        outcome = outcome_of(self._rows, rows, stage.rivals, stage.closure.noise_scale)
+        outcome = outcome_of(forecast, proposal, rows, stage.rivals, stage.closure.noise_scale)
         hours = (max(row.end_s for row in rows) - proposal.block.plan.start_s) / _S_PER_H
         self._flagged = [] if outcome else [*self._flagged, proposal.block.kinds]
         self._rows += rows
@@ -297,18 +331,37 @@ def rivals_of(closure: Closure) -> tuple[Rival, ...]:
     best = [each for each in closure.posterior.hypotheses if each.probability > _MIN_PROBABILITY]
     best = best[:_MAX_RIVALS]
     total = sum(each.probability for each in best)
-    residual_dph = (closure.campaign.bias_dph - closure.model.bias_dph)[closure.searched]
-    variance = float(np.mean(residual_dph**2)) - closure.noise_dph**2
-    remainder_dph = max(np.sqrt(max(variance, 0.0)), 0.5 * closure.noise_dph)
+    effects = {each.effect.name: each.effect for each in closure.evidence}
+    remainder_dph = _remainder_dph(closure)
     return tuple(
         Rival(
             tuple(sorted(each.names)),
             each.candidates,
             each.probability / total,
             remainder_dph if each.has_remainder else 0.0,
+            tuple(effects[name] for name in each.names - {one.effect.name for one in each.candidates}),
         )
         for each in best
     )
+
+
+def _remainder_dph(closure: Closure) -> float:
+    """Rms of what the model leaves beyond the noise; at least half of the noise."""
+    residual_dph = (closure.campaign.bias_dph - closure.model.bias_dph)[closure.searched]
+    variance = float(np.mean(residual_dph**2)) - closure.noise_dph**2
+    return float(max(np.sqrt(max(variance, 0.0)), 0.5 * closure.noise_dph))
+
+
+def _gain_per_h(proposal: Proposal) -> float:
+    return proposal.gain_per_h
+
+
+def _test_per_h(proposal: Proposal) -> float:
+    return min(proposal.difference, _ENOUGH) / proposal.block.plan.duration_h
+
+
+def _is_test(stage: Stage) -> bool:
+    return stage.purpose != DISTINGUISH and stage.outcome is not None
 
 
 def probabilities(closure: Closure) -> dict[str, Any]:
@@ -325,6 +378,7 @@ def proposed(proposal: Proposal, rivals: Sequence[Rival]) -> dict[str, Any]:
     """A proposal with its predictions, for the journal."""
     return {
         "block": proposal.block.name,
+        "what": proposal.block.what,
         "hours": proposal.block.plan.duration_h,
         "entropy": proposal.entropy,
         "expected_entropy": proposal.expected_entropy,

@@ -9,11 +9,12 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.closure.campaign import Campaign, campaign_of
-from gyrobench.bench.closure.candidates import Candidate
-from gyrobench.bench.foundations.arrays import rms
+from gyrobench.bench.closure.candidates import Candidate, best_start, solve_with
+from gyrobench.bench.closure.effects.effect import Effect
+from gyrobench.bench.closure.problem import declared_problem
+from gyrobench.bench.foundations.arrays import BoolArray, rms
 from gyrobench.bench.investigation.blocks import AfterLastDwell, Block, BlockPlanner, catalogue
 from gyrobench.bench.investigation.choice import Prediction, entropy, expected_entropy, predict_dwells
-from gyrobench.bench.investigation.external_bench import BlockPlan
 from gyrobench.bench.investigation.forecast import Forecast
 
 #: Blocks of which pairs are tried.
@@ -31,6 +32,8 @@ class Rival:
     probability: float  #: Of all rivals together 1.
     #: Rms of something that is not on the list beside the effects, deg/h; zero for none.
     remainder_dph: float = 0.0
+    #: Effects among them that were not fitted, since the dwells lack an input; what imitates them was.
+    unfitted: tuple[Effect, ...] = ()
 
     @property
     def title(self) -> str:
@@ -63,7 +66,7 @@ class Proposal:
 
 
 def propose(
-    rows: Sequence[DwellRow],
+    forecast: Forecast,
     rivals: Sequence[Rival],
     noise_scale: float,
     refused: Collection[Sequence[str]] = (),
@@ -74,8 +77,8 @@ def propose(
 
     Parameters
     ----------
-    rows : sequence of DwellRow
-        All dwells measured, in the order of time.
+    forecast : Forecast
+        Of all dwells measured.
     rivals : sequence of Rival
         Hypotheses fitted to them.
     noise_scale : float
@@ -88,10 +91,8 @@ def propose(
     planner : BlockPlanner, optional
         The bench; by default one that stays as it is after the last dwell.
     """
-    planner = planner or AfterLastDwell()
+    rows, planner = forecast.measured, planner or AfterLastDwell()
     start = planner.start(rows)
-    known = campaign_of(rows)
-    forecast = Forecast(rows, known)
 
     def usable(blocks: Sequence[Block]) -> list[Block]:
         asked = [each for each in blocks if not any(set(kinds) <= set(each.kinds) for kinds in refused)]
@@ -100,8 +101,7 @@ def propose(
 
     paired = {kind for kinds in refused if len(kinds) > 1 for kind in kinds}
     found = [
-        _proposal(rows, known, each, forecast, rivals, noise_scale)
-        for each in usable(catalogue(rows, start=start))
+        proposal_of(forecast, each, rivals, noise_scale) for each in usable(catalogue(rows, start=start))
     ]
     found.sort(key=lambda each: -each.gain_per_h)
     best = {each.block.name for each in found[:_PAIRED]}
@@ -110,34 +110,14 @@ def propose(
         for each in catalogue(rows, pairs=True, start=start)
         if len(each.kinds) == 2 and set(each.kinds) <= best and not set(each.kinds) & paired
     ]
-    found += [_proposal(rows, known, each, forecast, rivals, noise_scale) for each in usable(pairs)]
+    found += [proposal_of(forecast, each, rivals, noise_scale) for each in usable(pairs)]
     return sorted(found, key=lambda each: -each.gain_per_h)
 
 
-def proposal_of(
-    plan: BlockPlan,
-    kinds: Sequence[str],
-    rows: Sequence[DwellRow],
-    rivals: Sequence[Rival],
-    noise_scale: float,
-) -> Proposal:
-    """The proposal of a plan that was measured before, by the kinds of its block."""
-    whats = {each.name: each.what for each in catalogue(rows)}
-    block = Block(tuple(kinds), "; then ".join(whats.get(kind, kind) for kind in kinds), plan)
-    known = campaign_of(rows)
-    return _proposal(rows, known, block, Forecast(rows, known), rivals, noise_scale)
-
-
-def _proposal(
-    rows: Sequence[DwellRow],
-    known: Campaign,
-    block: Block,
-    forecast: Forecast,
-    rivals: Sequence[Rival],
-    noise_scale: float,
-) -> Proposal:
+def proposal_of(forecast: Forecast, block: Block, rivals: Sequence[Rival], noise_scale: float) -> Proposal:
+    """The proposal of a block."""
     new = forecast.rows(block.plan)
-    predictions = _predictions(rows, known, new, rivals, noise_scale)
+    predictions = _predictions(forecast, new, rivals, noise_scale)
     probabilities = np.array([each.probability for each in rivals])
     return Proposal(
         block,
@@ -149,13 +129,10 @@ def _proposal(
 
 
 def _predictions(
-    rows: Sequence[DwellRow],
-    known: Campaign,
-    new: Sequence[DwellRow],
-    rivals: Sequence[Rival],
-    noise_scale: float,
+    forecast: Forecast, new: Sequence[DwellRow], rivals: Sequence[Rival], noise_scale: float
 ) -> list[Prediction]:
     """What each rival, fitted to dwells, predicts for new ones at their temperatures."""
+    rows, known = forecast.measured, forecast.campaign
     campaign = campaign_of([*rows, *new])
     measured = ~np.isin(campaign.dwell, [row.dwell for row in new])
     if known.above_optics_c is not None:
@@ -166,10 +143,33 @@ def _predictions(
     spread_dph = _run_spread_dph(rows, noise_scale)
     found = []
     for each in rivals:
-        prediction = predict_dwells(campaign, measured, each.candidates, noise_scale, spread_dph)
-        more = each.remainder_dph**2 * np.eye(len(prediction.mean_dph))
+        candidates, unknown_dph = _predictable(each, campaign, measured, known)
+        prediction = predict_dwells(campaign, measured, candidates, noise_scale, spread_dph)
+        more = (each.remainder_dph**2 + unknown_dph**2) * np.eye(len(prediction.mean_dph))
         found.append(Prediction(prediction.mean_dph, prediction.covariance + more))
     return found
+
+
+def _predictable(
+    rival: Rival, campaign: Campaign, measured: BoolArray, known: Campaign
+) -> tuple[list[Candidate], float]:
+    """Effects of a rival that the dwells of a campaign can show, and the size of its others, deg/h.
+
+    An effect that was not fitted is predicted as what imitates it, unless the new dwells have its input.
+    """
+    candidates = list(rival.candidates)
+    for effect in rival.unfitted:
+        forms = [form for form in effect.forms if form.missing_input(campaign) is None]
+        if forms:
+            start = best_start(declared_problem(campaign, measured), effect, forms[0])
+            candidates = [*(each for each in candidates if each.effect.name in rival.names), start]
+    missing = [each for each in candidates if each.form.missing_input(campaign)]
+    if not missing:
+        return candidates, 0.0
+    problem = declared_problem(known, np.ones(len(known), dtype=bool))
+    solution = solve_with(problem, [each for each in missing if not each.form.missing_input(known)])
+    size_dph = rms(solution.bias_dph - solve_with(problem, ()).bias_dph)
+    return [each for each in candidates if each not in missing], size_dph
 
 
 def _run_spread_dph(rows: Sequence[DwellRow], noise_scale: float) -> float:
@@ -196,21 +196,26 @@ class Outcome:
 
 
 def outcome_of(
-    rows: Sequence[DwellRow], new: Sequence[DwellRow], rivals: Sequence[Rival], noise_scale: float
+    forecast: Forecast,
+    proposal: Proposal,
+    new: Sequence[DwellRow],
+    rivals: Sequence[Rival],
+    noise_scale: float,
 ) -> Outcome | None:
-    """Compare new dwells with what each rival predicts at the temperatures measured there.
+    """Compare the dwells of a block with what each rival predicts at the temperatures measured there.
 
-    Dwells with flags do not count; None if all have flags.
+    Electronics without a sensor are as forecast. Dwells with flags do not count; None if all have flags.
     """
-    good = [row for row in new if not row.flags]
+    expected = {row.dwell: row for row in proposal.rows}
+    good = [_with_electronics(row, expected[row.dwell]) for row in new if not row.flags]
     if not good:
         return None
     bias_dph = np.array([row.bias_dph for row in good])
-    predictions = _predictions(rows, campaign_of(rows), good, rivals, noise_scale)
+    predictions = _predictions(forecast, good, rivals, noise_scale)
     logs = np.array([float(each.log_likelihood(bias_dph.T.ravel()[np.newaxis])[0]) for each in predictions])
     logs += np.log([each.probability for each in rivals])
     shares = np.exp(logs - logs.max())
-    known, runs = {row.run for row in rows}, np.array([row.run for row in good])
+    known, runs = {row.run for row in forecast.measured}, np.array([row.run for row in good])
     errors = []
     for each in predictions:
         error_dph = bias_dph - each.mean_dph.reshape(3, -1).T
@@ -219,3 +224,11 @@ def outcome_of(
         errors.append(rms(error_dph))
     sigma_dph = noise_scale * np.array([row.sigma_dph for row in good])
     return Outcome(tuple((shares / shares.sum()).tolist()), tuple(errors), rms(sigma_dph))
+
+
+def _with_electronics(row: DwellRow, expected: DwellRow) -> DwellRow:
+    """Same row; electronics that were not measured are as far above the optics as expected."""
+    if np.isfinite(row.board_c).all():
+        return row
+    x_c, y_c, z_c = (np.array(row.gyro_c) + expected.board_c - expected.gyro_c).tolist()
+    return replace(row, board_c=(x_c, y_c, z_c))

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from gyrobench.bench.foundations.files import make_folder
 from gyrobench.bench.foundations.text import plain_name
-from gyrobench.bench.investigation.investigation import Investigation
+from gyrobench.bench.investigation.investigation import CONFIRM, TEST_LAW, Investigation
 from gyrobench.bench.report.closure.closure_page import closure_sections
 from gyrobench.bench.report.closure.closure_text import verdict_sentence
 from gyrobench.bench.report.figures.style import house_style, new_figure
@@ -38,7 +38,7 @@ def write_investigation_page(
         source=source,
         judgement=text.GISTS[found.ended],
         colour="finished" if found.ended == "settled" else "stopped",
-        sentence=" ".join(filter(None, [text.end_sentence(found), text.confirmation_sentence(found)])),
+        sentence=" ".join(filter(None, [text.end_sentence(found), text.test_sentence(found)])),
         facts={
             "first table": f"{len(first)} dwells, {found.repeated_campaign_h:.1f} h",
             "blocks": f"{len(found.stages) - 1}, {found.spent_h:.1f} h",
@@ -69,9 +69,8 @@ def _story(found: Investigation) -> Section:
 
 
 def _blocks(found: Investigation) -> list[Section]:
-    stages = [*found.stages, *([found.confirmation] if found.confirmation else [])]
     sections = []
-    for number, stage in enumerate((each for each in stages if each.proposal), start=1):
+    for number, stage in enumerate((each for each in found.stages if each.proposal), start=1):
         proposal, outcome = stage.proposal, stage.outcome
         if proposal is None or outcome is None:
             continue
@@ -92,10 +91,10 @@ def _blocks(found: Investigation) -> list[Section]:
             ("hypothesis", "before", "by prediction", "error"),
             rows,
         )
-        name = "Confirmation" if stage is found.confirmation else f"Block {number}"
+        purpose = {CONFIRM: ", confirmation", TEST_LAW: ", test of the composed law"}.get(stage.purpose, "")
         sections.append(
             Section(
-                f"{name}: {proposal.block.name}",
+                f"Block {number}{purpose}: {proposal.block.name}",
                 [*text.proposal_sentences(proposal, stage.rivals), text.ruled_out_sentence(stage)],
                 tables=[table],
             )

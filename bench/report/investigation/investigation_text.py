@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from gyrobench.bench.closure.loop import Closure
 from gyrobench.bench.foundations.text import counted, listed, plain_name
-from gyrobench.bench.investigation.investigation import Investigation, Stage
+from gyrobench.bench.investigation.investigation import CONFIRM, Investigation, Stage, rivals_of
 from gyrobench.bench.investigation.proposal import Proposal, Rival
 from gyrobench.bench.navigation.positions import AXES
 
 #: Gist of each end.
 GISTS = {
     "settled": "settled",
+    "not_on_list": "not on the list of effects",
     "budget": "not settled within the budget",
     "no_block": "not settled on this bench",
     "declined": "stopped",
@@ -76,17 +78,24 @@ def end_sentence(found: Investigation) -> str:
     return f"{found.reason} {cost[:1].upper()}{cost[1:]}."
 
 
-def confirmation_sentence(found: Investigation) -> str:
-    """What the block after the end says about the cause; empty without one."""
-    stage = found.confirmation
+def test_sentence(found: Investigation) -> str:
+    """What the block that tested the cause or a composed law says about it; empty without one."""
+    stage = found.test
     if stage is None or stage.outcome is None:
         return ""
     after, before = stage.outcome.error_dph
-    held = "agrees with" if stage.outcome.probabilities[0] > 0.5 else "contradicts"
+    probability = stage.outcome.probabilities[0]
+    if stage.purpose == CONFIRM:
+        subject, held = "the cause", "agrees with" if probability >= 0.5 else "contradicts"
+    else:
+        law = stage.rivals[0].candidates[-1].effect
+        subject = f"the composed law ({law.statement})"
+        held = "leaves open"
+        if probability >= 1.0 - _RULED_OUT or probability <= _RULED_OUT:
+            held = "confirms" if probability > 0.5 else "refutes"
     return (
-        f"A block predicted before it was measured {held} the cause: rms error {1e3 * before:.2f} x 0.001 "
-        f"deg/h by the declared model, {1e3 * after:.2f} with {title_of(stage.rivals[0])}, noise "
-        f"{1e3 * stage.outcome.noise_dph:.2f}."
+        f"A block predicted before it was measured {held} {subject}: rms error {1e3 * before:.2f} x 0.001 "
+        f"deg/h without it, {1e3 * after:.2f} with it, noise {1e3 * stage.outcome.noise_dph:.2f}."
     )
 
 
@@ -101,8 +110,8 @@ def block_rows(found: Investigation) -> list[list[str]]:
                     str(number),
                     stage.proposal.block.name,
                     f"{after.spent_h - stage.spent_h:.1f}",
-                    _leading(stage.rivals),
-                    _leading(after.rivals),
+                    _leading(stage.closure),
+                    _leading(after.closure),
                 ]
             )
     return rows
@@ -111,5 +120,6 @@ def block_rows(found: Investigation) -> list[list[str]]:
 BLOCK_COLUMNS = ("block", "what", "hours", "most probable before", "after")
 
 
-def _leading(rivals: Sequence[Rival]) -> str:
-    return f"{title_of(rivals[0])}, {probability_text(rivals[0].probability)}"
+def _leading(closure: Closure) -> str:
+    best = rivals_of(closure)[0]
+    return f"{title_of(best)}, {probability_text(best.probability)}"

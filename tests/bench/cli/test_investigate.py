@@ -37,3 +37,22 @@ def test_a_table_that_does_not_exist_is_wrong_input(tmp_path):
     answer = gyrobench("investigate", "none.csv", "--bench", "true", cwd=tmp_path)
     assert answer.returncode == 2
     assert "none.csv" in answer.stderr
+
+
+def test_a_bench_that_fails_is_reported_with_what_was_measured(tmp_path):
+    table_of(tmp_path, {"warm_up": 0.02}, 2)
+    command = f"{sys.executable} -c 'import sys; sys.exit(\"chamber door open\")'"
+    options = ("--bench", command, "--approve", "auto", "--json")
+    answer = gyrobench("investigate", "dwells.csv", *options, cwd=tmp_path)
+    assert answer.returncode == 1
+    found = json.loads(answer.stdout)
+    assert (found["ended"], found["hours"], found["blocks"]) == ("bench_failed", 0.0, 0)
+    assert "chamber door open" in found["reason"]
+    assert (tmp_path / "investigation" / "investigation.html").exists()
+
+
+def test_an_open_quotation_mark_is_wrong_input(tmp_path):
+    table_of(tmp_path, {}, 5)
+    answer = gyrobench("investigate", "dwells.csv", "--bench", "python 'bench.py", cwd=tmp_path)
+    assert answer.returncode == 2
+    assert "Close each quotation mark" in answer.stderr.replace("\n", " ")

@@ -1,6 +1,7 @@
 import json
 import sys
 
+import psutil
 import pytest
 
 from gyrobench.bench.bias.dwell_table import read_dwells
@@ -63,6 +64,39 @@ def test_a_bench_that_fails_or_hangs_ends_the_block(rows, tmp_path, code, messag
         bench = ExternalBench(bench.command, time_limit_s=0.5)
     with pytest.raises(GyrobenchError, match=message):
         bench.measure(plan_of(rows, "reversal"), tmp_path)
+
+
+def test_no_process_of_a_command_that_is_too_slow_remains(rows, tmp_path):
+    code = f"""
+import subprocess, time
+child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(1000)"])
+open({str(tmp_path / "child")!r}, "w").write(str(child.pid))
+time.sleep(1000)"""
+    bench = ExternalBench(bench_that(tmp_path, code).command, time_limit_s=3.0)
+    with pytest.raises(GyrobenchError, match="did not end"):
+        bench.measure(plan_of(rows, "reversal"), tmp_path)
+    process = psutil.Process(int((tmp_path / "child").read_text())) if (tmp_path / "child").exists() else None
+    assert process is None or process.status() == psutil.STATUS_ZOMBIE or not process.is_running()
+
+
+@pytest.mark.parametrize(("command", "message"), [("python 'my bench.py", "quotation"), ("  ", "is empty")])
+def test_a_command_that_can_not_be_split_is_refused_at_once(command, message):
+    with pytest.raises(GyrobenchError, match=message):
+        ExternalBench(command)
+
+
+@pytest.mark.parametrize("lost", [0, 1])
+def test_a_table_that_the_command_finished_is_taken_and_a_part_is_measured_again(rows, tmp_path, lost):
+    plan, notices = plan_of(rows, "four headings"), []
+    (tmp_path / "unit.json").write_text(json.dumps(UNIT))
+    command = f"{sys.executable} {simulated_bench.__file__} {tmp_path / 'unit.json'}"
+    whole = ExternalBench(command, notice=notices.append).measure(plan, tmp_path)
+    assert not notices
+    lines = (tmp_path / "new.csv").read_text().splitlines(keepends=True)
+    (tmp_path / "new.csv").write_text("".join(lines[: len(lines) - lost]))
+    again = ExternalBench(command if lost else "/no/such/bench", notice=notices.append)
+    assert again.measure(plan, tmp_path) == whole
+    assert ["measured again" in each for each in notices] == [True] * lost
 
 
 def test_a_command_that_does_not_exist_is_reported(rows, tmp_path):

@@ -1,5 +1,6 @@
 import json
 import sys
+from dataclasses import replace
 
 import pytest
 
@@ -37,16 +38,18 @@ def test_a_tie_is_settled_in_favour_of_what_is_there_in_a_quarter_of_a_campaign(
     assert found.stages[0].closure.posterior.hypotheses[0].probability < 0.99
     assert found.ended == "settled"
     assert found.closure.posterior.hypotheses[0].names == {"warm_up"}
-    assert found.spent_h <= 0.25 * found.repeated_campaign_h
+    at_end = next(each for each in found.stages if each.closure.probability >= 0.99)
+    assert at_end.spent_h <= 0.25 * found.repeated_campaign_h
 
 
 def test_a_settled_cause_is_confirmed_by_a_block_that_was_predicted(settled):
     found, folder = settled
-    after, before = found.confirmation.outcome.error_dph
-    assert after < 2.0 * found.confirmation.outcome.noise_dph < before
+    assert found.test.purpose == "confirm"
+    after, before = found.test.outcome.error_dph
+    assert after < 2.0 * found.test.outcome.noise_dph < before
     events = [entry["event"] for entry in read_journal(folder / "journal.jsonl")]
     measured = [place for place, event in enumerate(events) if event == "measured"]
-    assert len(measured) == len(found.stages)
+    assert len(measured) == len(found.stages) - 1
     assert all("proposed" in events[:place] for place in measured)
     assert events[-1] == "investigation_ended"
 
@@ -98,7 +101,7 @@ def test_a_block_that_the_bench_refuses_is_replaced_by_another(tmp_path):
 
 def test_nothing_is_measured_for_a_unit_without_an_effect(tmp_path):
     found = investigator(unit_with({}, seed=5), tmp_path / "clean").run(WallClock())
-    assert (found.ended, found.spent_h, found.confirmation) == ("settled", 0.0, None)
+    assert (found.ended, found.spent_h, found.test) == ("settled", 0.0, None)
     assert found.closure.verdict == "clean"
 
 
@@ -155,3 +158,30 @@ def test_a_bench_that_fails_leaves_what_was_measured(tmp_path):
     assert "exit code 1" in found.reason
     assert (folder / "dwells.csv").exists()
     assert investigator(unit, folder).run(WallClock()).ended == "settled"
+
+
+class FlaggingBench:
+    """A unit whose dwells all have a flag."""
+
+    def __init__(self, unit):
+        self.unit, self.kinds = unit, []
+
+    def measure(self, plan, folder):
+        steps = [step.model_dump() for step in plan.steps]
+        rows = simulate(self.unit | {"steps": self.unit["steps"] + steps})
+        return [replace(row, flags=("moved",)) for row in rows if row.dwell >= plan.next_dwell]
+
+
+def test_a_block_that_brings_flagged_dwells_alone_is_not_repeated_for_ever(tmp_path):
+    proposed, unit = [], unit_with({"warm_up": 0.02})
+
+    def approve(proposal, rivals):
+        proposed.append(proposal.block.kinds)
+        return len(proposed) < 4
+
+    found = Investigator(simulate(unit), tmp_path / "flags", FlaggingBench(unit), 60.0, approve)
+    found = found.run(WallClock())
+    assert found.ended == "declined"
+    assert max(map(proposed.count, proposed)) == 2
+    assert all(stage.outcome is None for stage in found.stages)
+    assert found.spent_h > 0.0
