@@ -6,7 +6,6 @@ The comparison of hypotheses is here alone: :class:`Hypothesis` ranks them, stat
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
@@ -18,8 +17,6 @@ from gyrobench.bench.closure.effects.effect import Effect, Form
 from gyrobench.bench.closure.problem import Problem, Solution, solve
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 
-#: Hypotheses are tied if the data prefer one by odds of less than 100 to 1; twice the logarithm.
-TIE_MARGIN = 2.0 * math.log(100.0)
 _MAX_EVALUATIONS = 60
 #: Precision of a parameter in units of its first step, and of chi2.
 _PARAMETER_PRECISION = 1e-2

@@ -1,4 +1,4 @@
-"""What the design of a campaign can't distinguish, whatever the biases are."""
+"""What the design of a campaign can't distinguish, with any biases."""
 
 from __future__ import annotations
 

@@ -2,27 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from gyrobench.bench.closure.effects.effect import FittedForm
+from gyrobench.bench.closure.effects.effect import FittedForm, InsTerms
 from gyrobench.bench.closure.loop import Closure, FoundEffect
 from gyrobench.bench.closure.problem import DEGREE, SCALE_C
+from gyrobench.bench.closure.uncertainty import DRAWS, Draws
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
-from gyrobench.drivers.ins.command_map import Compensation
+from gyrobench.drivers.ins.command_map import NUMBERS, Compensation
 
 #: Coefficients that several effects may contribute to.
 _SUMMED = ("polynomial_dph", "gradient_dph_per_k")
-_COEFFICIENTS = {each.name for each in fields(Compensation)}
 
 
 @dataclass(frozen=True, eq=False)
 class LoadableModel:
     """A bias model as an INS can subtract it."""
 
-    compensation: Compensation  #: Limited to the temperatures, rates and differences that were fitted.
+    #: Limited to the temperatures, rates and differences that were fitted, with standard uncertainties.
+    compensation: Compensation
     effects: tuple[str, ...]  #: Names of the effects in it.
     notes: tuple[str, ...]  #: What of the model is not in it, or only in part; sentences without a period.
 
@@ -33,7 +35,8 @@ def declared_model(closure: Closure) -> LoadableModel:
     Its constant is the mean over the power cycles searched: the best estimate for the next one.
     """
     coefficients = _declared(closure, closure.declared.declared)
-    return LoadableModel(Compensation(**coefficients), (), (_constant_note(closure),))
+    sigma = _sigma(coefficients, lambda index: _declared(closure, closure.declared_draws.declared[index]))
+    return LoadableModel(Compensation(**coefficients, sigma=sigma), (), (_constant_note(closure),))
 
 
 def model_with_effects(closure: Closure) -> LoadableModel:
@@ -41,34 +44,65 @@ def model_with_effects(closure: Closure) -> LoadableModel:
 
     Raises MeasurementError if an effect of another package names a coefficient that an INS does not have.
     """
-    coefficients = _declared(closure, closure.model.declared)
     loaded, notes = [], [_constant_note(closure)]
     for found in closure.effects:
         name = found.effect.name
-        terms = found.effect.compensation(_fitted(closure, found))
+        terms = _terms(closure, found)
         if terms.left_out:
             notes.append(f"{name} is left out: {terms.left_out}")
             continue
-        unknown = sorted(terms.coefficients.keys() - _COEFFICIENTS)
+        unknown = sorted(terms.coefficients.keys() - set(NUMBERS))
         if unknown:
             raise MeasurementError(
                 f"the effect {name!r} is compensated by {', '.join(unknown)}, which no INS has. Report this "
                 "to the author of the effect"
             )
-        loaded.append(name)
-        for key, values in terms.coefficients.items():
-            is_sum = key in coefficients and key in _SUMMED
-            coefficients[key] = _sum(coefficients[key], values) if is_sum else values
+        loaded.append(found)
         if terms.note:
             notes.append(f"{name} is {terms.note}")
         if found.tied_with:
             notes.append(f"{name} is loaded, but {' or '.join(found.tied_with)} fits the data equally well")
-    return LoadableModel(Compensation(**coefficients), tuple(loaded), tuple(notes))
+    coefficients = _with_terms(closure, closure.model.declared, [_terms(closure, each) for each in loaded])
+    draws = closure.model_draws
+
+    def drawn(index: int) -> dict[str, FloatArray]:
+        terms = [_terms(closure, each, draws, index) for each in loaded]
+        return _with_terms(closure, draws.declared[index], terms)
+
+    compensation = Compensation(**coefficients, sigma=_sigma(coefficients, drawn))
+    return LoadableModel(compensation, tuple(each.effect.name for each in loaded), tuple(notes))
 
 
-def _fitted(closure: Closure, found: FoundEffect) -> FittedForm:
-    candidate = found.candidate
-    return FittedForm(closure.campaign, closure.searched, candidate.form, candidate.values, found.sizes_dph)
+def _terms(closure: Closure, found: FoundEffect, draws: Draws | None = None, index: int = 0) -> InsTerms:
+    """What an INS subtracts of an effect: as fitted, or as drawn."""
+    candidate, name = found.candidate, found.effect.name
+    values, sizes = candidate.values, found.sizes_dph
+    if draws is not None:
+        values, sizes = tuple(draws.values[name][index].tolist()), draws.sizes_dph[name][index]
+    fitted = FittedForm(closure.campaign, closure.searched, candidate.form, values, sizes)
+    return found.effect.compensation(fitted)
+
+
+def _with_terms(closure: Closure, solution: FloatArray, terms: Sequence[InsTerms]) -> dict[str, FloatArray]:
+    """Numbers of the declared model and of effects."""
+    coefficients = _declared(closure, solution)
+    for each in terms:
+        for key, values in each.coefficients.items():
+            is_sum = key in coefficients and key in _SUMMED
+            coefficients[key] = _sum(coefficients[key], values) if is_sum else values
+    return coefficients
+
+
+def _sigma(
+    stated: Mapping[str, FloatArray], drawn: Callable[[int], Mapping[str, FloatArray]]
+) -> dict[str, FloatArray]:
+    """Standard uncertainties of numbers, from those of each draw; limits have none."""
+    draws = [drawn(index) for index in range(DRAWS)]
+    sigma = {
+        name: np.sqrt(np.mean([(each[name] - value) ** 2 for each in draws], axis=0))
+        for name, value in stated.items()
+    }
+    return {name: value for name, value in sigma.items() if value.any()}
 
 
 def _sum(coefficients: FloatArray, more: FloatArray) -> FloatArray:

@@ -21,7 +21,13 @@ from gyrobench.bench.closure.problem import Solution, declared_problem
 from gyrobench.bench.closure.search import Search
 from gyrobench.bench.closure.selection import NotAccepted, Selected, select
 from gyrobench.bench.closure.uncertainty import Draws, bound_of, draw, interval
-from gyrobench.bench.closure.validation import LackOfFit, lack_of_fit, leave_out_cycles, measured_minus
+from gyrobench.bench.closure.validation import (
+    LackOfFit,
+    is_confirmed,
+    lack_of_fit,
+    leave_out_cycles,
+    measured_minus,
+)
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.text import decimals_of, listed, plain_name, with_sigma
@@ -180,8 +186,9 @@ class Closure:
 
     @property
     def probability(self) -> float:
-        """Probability of exactly the effects found, without a remainder."""
-        return self.posterior.of_set([each.effect.name for each in self.effects], has_remainder=False)
+        """Probability that all effects found are there; of nothing undeclared if there are none."""
+        names = [each.effect.name for each in self.effects]
+        return self.posterior.of_all(names) if names else self.posterior.nothing
 
     @property
     def separating_measurement(self) -> str | None:
@@ -245,10 +252,10 @@ def close_loop(
     problem = search.problem
     declared, model = (solve_with(problem, each) for each in ((), found.candidates))
     declared_draws, model_draws = (draw(problem, each) for each in ((), found.candidates))
-    errors_dph = [measured_minus(campaign, searched, each)[~searched] for each in (declared, model)]
-    error_before, error_after = map(rms, errors_dph)
+    before_dph, after_dph = (
+        measured_minus(campaign, searched, each)[~searched] for each in (declared, model)
+    )
     noise_dph = campaign.sigma_dph[~searched] * problem.noise_scale
-    sigma_before, sigma_after = (_rms_sigma(each, noise_dph) for each in errors_dph)
     return Closure(
         campaign=campaign,
         searched=searched,
@@ -256,7 +263,8 @@ def close_loop(
             found,
             after,
             weighed,
-            is_confirmed=error_after < error_before and not _is_circular(campaign, searched, found),
+            is_confirmed=is_confirmed(before_dph, after_dph, noise_dph)
+            and not _is_circular(campaign, searched, found),
         ),
         posterior=weighed,
         not_accepted=selected.not_accepted,
@@ -270,10 +278,10 @@ def close_loop(
         noise_dph=selected.noise.scale * rms(campaign.sigma_dph[searched]),
         confounding=confounding(campaign, searched),
         noise=selected.noise,
-        error_before_dph=error_before,
-        error_after_dph=error_after,
-        error_before_sigma_dph=sigma_before,
-        error_after_sigma_dph=sigma_after,
+        error_before_dph=rms(before_dph),
+        error_after_dph=rms(after_dph),
+        error_before_sigma_dph=_rms_sigma(before_dph, noise_dph),
+        error_after_sigma_dph=_rms_sigma(after_dph, noise_dph),
         declared_draws=declared_draws,
         model_draws=model_draws,
     )
@@ -336,7 +344,7 @@ def _verdict(found: Hypothesis, after: LackOfFit, weighed: Posterior, *, is_conf
         return "unexplained"
     if not found.candidates:
         return "clean" if weighed.nothing >= CLEAN else "ambiguous"
-    is_settled = weighed.of_set(found.names, has_remainder=False) >= EXPLAINED
+    is_settled = weighed.of_all(found.names) >= EXPLAINED and not weighed.rivals(found.names)
     return "explained" if is_settled and is_confirmed else "ambiguous"
 
 
@@ -370,7 +378,7 @@ def _found_effects(
                 rms_dph=rms(part),
                 gains={cycle: left_out.gain for cycle, left_out in left_out_cycles.items()},
                 tied_with=weighed.tied_with(found.names, each.effect.name),
-                probability=weighed.of_effect[each.effect.name],
+                probability=weighed.of_all([each.effect.name], has_remainder=None),
                 sizes_sigma_dph=draws.sigma(sizes_drawn, sizes),
                 values_sigma=draws.sigma(values, np.array(each.values)),
                 rms_sigma_dph=float(draws.sigma(np.sqrt(np.mean(parts**2, axis=(1, 2))), rms(part))),

@@ -12,10 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate, stack
 from gyrobench.bench.closure.problem import SCALE_C, Problem, declared_problem
-from gyrobench.bench.closure.validation import lack_of_fit
+from gyrobench.bench.closure.validation import MEDIAN, lack_of_fit
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.navigation.positions import AXES
@@ -36,8 +37,6 @@ _TIME_DEGREE = 5
 _OUTLIER_COST = 2.0 * math.log(10.0 / 0.02)
 #: Of the variance of a residual in that of the noise, at least.
 _MIN_SHARE = 1e-3
-#: Median of the absolute value of a standard normal number.
-_MEDIAN = 0.6745
 
 
 @dataclass(frozen=True)
@@ -67,6 +66,15 @@ class Noise:
         """Declared model of a campaign with this noise."""
         weighted = campaign.with_uncertainties(campaign.sigma_dph * self.factors)
         return declared_problem(weighted, searched, self.scale)
+
+    def weighted(self, rows: Sequence[DwellRow]) -> list[DwellRow]:
+        """Rows of a dwell table with the standard deviations used for outliers."""
+        off = {(each.dwell, each.gyro): abs(each.residual_sigma) for each in self.outliers}
+        factors = [[off.get((row.dwell, axis), 1.0) for axis in AXES] for row in rows]
+        return [
+            replace(row, sigma_dph=tuple((np.array(row.sigma_dph) * mine).tolist()))
+            for row, mine in zip(rows, factors, strict=True)
+        ]
 
     def sentences(self, *, is_all: bool) -> list[str]:
         """The ratio to the stated uncertainties and the outliers; empty if there are none.
@@ -148,7 +156,7 @@ def _with_outliers(noise: Noise, after: Problem) -> Noise:
     factors = np.ones_like(noise.factors)
     leverage = np.stack([np.sum(basis**2, axis=1) for basis in after.bases], axis=1)
     off = after.residuals * noise.factors[searched] / np.sqrt(np.maximum(1.0 - leverage, _MIN_SHARE))
-    off /= max(1.0, float(np.median(np.abs(off))) / _MEDIAN)
+    off /= max(1.0, float(np.median(np.abs(off))) / MEDIAN)
     factors[searched] = np.where(np.abs(off) > OUTLIER_SIGMA, np.abs(off), 1.0)
     outliers = [
         Outlier(int(campaign.dwell[searched][dwell]), AXES[gyro], float(off[dwell, gyro]))

@@ -77,10 +77,10 @@ class TieOutlook:
 def tie_outlooks(closure: Closure, planned: Campaign) -> list[TieOutlook]:
     """The ties of a closure after a planned campaign that begins at its end."""
     effects = {each.effect.name: each.effect for each in closure.evidence}
-    problem = declared_problem(closure.campaign, closure.searched, closure.noise_scale)
+    problem = closure.noise.problem(closure.campaign, closure.searched)
     found = tuple(each.candidate for each in closure.effects)
     names = {each.effect.name for each in found}
-    seen = replace(closure.campaign.part(closure.searched), tables=(), part_of=None)
+    seen = replace(problem.campaign.part(closure.searched), tables=(), part_of=None)
     seen = replace(seen, sigma_dph=seen.sigma_dph * closure.noise_scale)
     planned = replace(planned, unit=seen.unit)
     together = joined([Source("measured", seen), Source("planned", planned, is_run=True)])

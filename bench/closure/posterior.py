@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.special import gammaln, logsumexp
@@ -37,12 +37,16 @@ SAME_MAGNITUDE = 0.8
 NOISE_PRIOR = ((0.9, 52.0, 51.0), (0.1, 4.0, 6.0))
 #: Effects are tied if the data and the prior prefer one by odds of less than this to 1.
 TIE_ODDS = 100.0
-#: Probability of a set of effects, without a remainder, that explains a residual.
+#: Probability that all effects found are there, without a remainder, where they explain a residual.
 EXPLAINED = 0.99
+#: Probability of any other effect from which it is not settled that those found are all.
+RIVAL = 0.1
 #: Least probability of the declared model alone where it is stated that there is nothing else.
 CLEAN = 0.5
 #: Probability with which a remainder of a detectable size would have been the most probable hypothesis.
 POWER = 0.9
+#: Logarithm of odds that do not change a sum.
+_NEGLIGIBLE = 12.0
 #: A term of an effect with several terms is absent from a gyro with this probability.
 _ABSENT = 0.5
 
@@ -64,6 +68,8 @@ class Posterior:
 
     hypotheses: tuple[Weighed, ...]  #: Most probable first.
     follows: dict[str, float]  #: Probability of each process, if there is a remainder.
+    #: By effect found: those of which it is a special case. They are no other cause, only a more general law.
+    more_general: Mapping[str, frozenset[str]] = field(default_factory=dict)
 
     @property
     def of_effect(self) -> dict[str, float]:
@@ -96,20 +102,42 @@ class Posterior:
         wanted = frozenset(names), has_remainder
         return sum(each.probability for each in self.hypotheses if (each.names, each.has_remainder) == wanted)
 
+    def of_all(self, names: Collection[str], *, has_remainder: bool | None = False) -> float:
+        """Probability that all these effects are there, in any set, each as such or as a special case.
+
+        ``has_remainder``: whether something is there that is not on the list; None for either.
+        """
+        forms = [{name, *self.more_general.get(name, ())} for name in names]
+        return sum(
+            each.probability
+            for each in self.hypotheses
+            if all(each.names & form for form in forms) and has_remainder in (None, each.has_remainder)
+        )
+
+    def rivals(self, names: Collection[str]) -> dict[str, float]:
+        """Effects beside these, or in place of them, that are not improbable."""
+        same = {*names}.union(*self.more_general.values())
+        return {name: p for name, p in self.of_effect.items() if name not in same and p >= RIVAL}
+
     def odds(self, names: frozenset[str], other: frozenset[str]) -> float:
         """Odds of one set to another one, both without a remainder."""
         probability, less = (self.of_set(each, has_remainder=False) for each in (names, other))
         return probability / less if less > 0.0 else math.inf
 
     def similar(self, names: frozenset[str]) -> list[frozenset[str]]:
-        """Sets with one effect exchanged that are not excluded by odds of TIE_ODDS, most probable first."""
+        """Sets with one effect exchanged that are not excluded by odds of TIE_ODDS, most probable first.
+
+        One that has a more general law in place of an effect is none of them.
+        """
         least = self.of_set(names, has_remainder=False) / TIE_ODDS
+        general = frozenset().union(*(self.more_general.get(name, ()) for name in names))
         return [
             each.names
             for each in self.hypotheses
             if not each.has_remainder
             and len(each.names) == len(names) == len(each.names & names) + 1
             and each.probability > least
+            and not each.names & general - names
         ]
 
     def tied_with(self, names: frozenset[str], one: str) -> tuple[str, ...]:
@@ -142,11 +170,15 @@ class Evidences:
 
         An effect that can't be fitted because an input is missing is as probable as the one that it imitates.
         """
-        found = []
+        hypotheses, found = list(hypotheses), []
+        top = max(max(alone, *processes) for alone, processes in map(self.weights, hypotheses))
         for each in hypotheses:
-            weights = self.weights(each)
+            alone, processes = self.weights(each)
+            # Where a remainder is improbable the magnitudes of the effects are those without it.
+            if processes.max() > top - _NEGLIGIBLE:
+                alone, processes = self.weights(each, is_summed=True)
             sets = (each.names, *_imitating(each, self._effects, self._problem.campaign))
-            found += [(names, each.candidates, *weights) for names in sets]
+            found += [(names, each.candidates, alone, processes) for names in sets]
         whole = logsumexp(np.concatenate([[alone, *processes] for *_, alone, processes in found]))
         follows = np.exp(logsumexp(np.array([processes for *_, processes in found]), axis=0) - whole)
         weighed = []
@@ -162,23 +194,30 @@ class Evidences:
         """Twice the logarithm of the odds of one hypothesis to another, both without a remainder."""
         return 2.0 * (self.weights(of)[0] - self.weights(to)[0])
 
-    def weights(self, of: Hypothesis) -> tuple[float, FloatArray]:
-        """Logarithm of prior times evidence, without a remainder and with each of the processes."""
-        key = tuple((each.effect.name, each.form.name, each.values) for each in of.candidates)
+    def weights(self, of: Hypothesis, *, is_summed: bool = False) -> tuple[float, FloatArray]:
+        """Logarithm of prior times evidence, without a remainder and with each of the processes.
+
+        ``is_summed``: sum over the magnitudes of the effects beside a process too.
+        """
+        key = (
+            is_summed,
+            *((each.effect.name, each.form.name, each.values, each.kept.tobytes()) for each in of.candidates),
+        )
         if key not in self._weights:
-            self._weights[key] = self._weighed(of)
+            self._weights[key] = self._weighed(of, is_summed=is_summed)
         return self._weights[key]
 
-    def _weighed(self, of: Hypothesis) -> tuple[float, FloatArray]:
+    def _weighed(self, of: Hypothesis, *, is_summed: bool) -> tuple[float, FloatArray]:
         terms = _Terms.of(self._problem, of.candidates)
         scales = terms.scales()
         per_gyro = self._log_evidence(terms.products[:, None], scales * terms.kept[:, None])
-        best = scales[np.argmax(per_gyro[..., 0], axis=1)] * terms.kept
+        best = scales[np.argmax(per_gyro[..., 0], axis=1)]
+        per_gyro += self._other_terms(terms, best)[:, np.newaxis]
         axes = (len(MAGNITUDES),) * len(of.candidates)
         alone = _summed(per_gyro.reshape(3, *axes, -1), len(axes))
-        at_best = _summed(self._log_evidence(terms.products, best), 0)
-        prior = self._log_prior(of) + _log_parameter_volume(self._problem, of.candidates, terms, best)
-        with_process = self._with_processes(terms, best) - at_best + alone
+        prior = self._log_prior(of)
+        prior += _log_parameter_volume(self._problem, of.candidates, terms, best * terms.kept)
+        with_process = self._with_processes(terms, best, alone, is_summed=is_summed)
         return (
             prior + math.log(1.0 - REMAINDER_PRIOR) + alone,
             prior + math.log(REMAINDER_PRIOR / len(with_process)) + with_process,
@@ -191,23 +230,59 @@ class Evidences:
         optional = sum(each.kept.size for each in of.candidates if each.kept.shape[1] > 1)
         return math.log(EFFECT_COUNT_PRIOR[count] / sets) - forms + optional * math.log(_ABSENT)
 
-    def _with_processes(self, terms: _Terms, scales: FloatArray) -> FloatArray:
-        """Log evidence with each process, the terms having given magnitudes (3, k)."""
+    def _other_terms(self, terms: _Terms, scales: FloatArray) -> FloatArray:
+        """Log evidence of all subsets of terms over that of those kept, (3, components of the noise prior).
+
+        Each term is dropped or added beside those kept, as if it were independent of the others. An effect
+        keeps one term in each gyro. ``scales`` (3, k) are those of all terms.
+        """
+        mine = terms.owner[:, np.newaxis] == terms.owner
+        can_change = (mine.sum(axis=0) > 1) & (~terms.kept | (terms.kept.astype(np.int64) @ mine > 1))
+        changed = terms.kept[:, np.newaxis] ^ np.eye(len(terms.owner), dtype=bool)
+        ratios = self._log_evidence(terms.products[:, np.newaxis], scales[:, np.newaxis] * changed)
+        ratios -= self._log_evidence(terms.products, scales * terms.kept)[:, np.newaxis]
+        return np.asarray(np.sum(np.logaddexp(0.0, ratios) * can_change[..., np.newaxis], axis=1))
+
+    def _with_processes(
+        self, terms: _Terms, best: FloatArray, alone: float, *, is_summed: bool
+    ) -> FloatArray:
+        """Log evidence with each process.
+
+        The magnitudes of the effects are the ``best`` (3, k), or summed one at a time.
+        """
+        effects = range(int(terms.owner.max(initial=-1)) + 1 if is_summed else 0)
+        trials = [np.where(terms.owner == each, size, best) for each in effects for size in MAGNITUDES]
+        scales = np.stack([best, *trials], axis=1) * terms.kept[:, np.newaxis]
+
+        def by_magnitude(found: FloatArray, axes: int) -> FloatArray:
+            """Of (3, ..., scales, components): with the best, and with those of each effect summed."""
+            parts = np.split(found[..., 1:, :], len(effects), axis=-2) if effects else []
+            return np.array([_summed(found[..., 0, :], axes), *(_summed(each, axes + 1) for each in parts)])
+
+        without = by_magnitude(self._log_evidence(terms.products[:, np.newaxis], scales), 0)
+        added = [by_magnitude(each, 1) - without for each in self._processes(terms, scales)]
+        return np.array([alone + each[0] + np.sum(each[1:] - each[0]) for each in added])
+
+    def _processes(self, terms: _Terms, scales: FloatArray) -> Iterator[FloatArray]:
+        """Log evidence with each process: (3, its magnitudes, scales, components of the noise prior).
+
+        ``scales`` (3, S, k) are those of the terms.
+        """
         directions, powers = self._remainder.directions, self._remainder.powers
         parts = np.swapaxes(directions, 2, 3) @ terms.columns[:, np.newaxis]
         variances = MAGNITUDES[:, np.newaxis] ** 2 * powers[:, :, np.newaxis]
         weighted = (variances / (1.0 + variances))[..., np.newaxis] * parts[:, :, np.newaxis]
         products = terms.products[:, None, None] - np.swapaxes(parts, 2, 3)[:, :, None] @ weighted
-        found = self._log_evidence(products, scales[:, None, None])
-        found -= 0.5 * np.sum(np.log1p(variances), axis=3)[..., np.newaxis]
-        smooth = [_summed(found[:, index], 1) for index in range(len(self._remainder.names))]
+        found = self._log_evidence(products[:, :, :, None], scales[:, None, None])
+        found -= 0.5 * np.sum(np.log1p(variances), axis=3)[..., np.newaxis, np.newaxis]
+        yield from np.moveaxis(found, 1, 0)
         # Scatter is larger noise: below the second magnitude it is what the prior of the noise includes.
         larger = 1.0 + MAGNITUDES[1:, np.newaxis] ** 2
         products = terms.products[:, None] / larger[..., np.newaxis]
-        scatter = np.full((3, len(MAGNITUDES), len(NOISE_PRIOR)), -1e9)
-        scatter[:, 1:] = self._log_evidence(products, scales[:, None])
-        scatter[:, 1:] -= 0.5 * self._dof[:, None, None] * np.log(larger)
-        return np.array([*smooth, _summed(scatter, 1)])
+        scatter = np.full((3, len(MAGNITUDES), *scales.shape[1:2], len(NOISE_PRIOR)), -1e9)
+        scatter[:, 1:] = self._log_evidence(products[:, :, None], scales[:, None])
+        scatter[:, 1:] -= 0.5 * self._dof[:, None, None, None] * np.log(larger)[..., np.newaxis]
+        yield scatter
 
     def _log_evidence(self, products: FloatArray, scales: FloatArray) -> FloatArray:
         """Log evidence (3, ..., components of the noise prior), sizes and noise integrated.
@@ -344,13 +419,12 @@ _STEP = 2e-3
 def prior_width(problem: Problem, parameter: Parameter, value: float) -> float:
     """Width of a parameter's uniform prior at a value.
 
-    The prior of a scale, positive by its bounds, is uniform in its logarithm; that of a time without bounds
-    covers the dwells searched.
+    The prior of a scale is uniform in its logarithm; a time without bounds is one in the dwells searched.
     """
     if not math.isfinite(parameter.low):
         campaign = problem.campaign
         return float(np.ptp(campaign.middle_s[problem.searched]))
-    if parameter.low > 0.0:
+    if parameter.is_scale:
         return value * math.log(parameter.high / parameter.low)
     return parameter.high - parameter.low
 

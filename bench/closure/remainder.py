@@ -16,9 +16,12 @@ from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.problem import Problem
 from gyrobench.bench.foundations.arrays import FloatArray
 
-#: Largest number of columns of a process.
-RANK = 30
+#: Largest number of columns of a process, and of functions of time.
+RANK = 48
+_ORDERS = 30
 _MIN_POWER = 1e-6
+#: The set point moves, and the temperature has changed, from this on.
+_MIN_SLOPE_C, _MIN_CHANGE_C = 1e-4, 1.0
 
 
 @dataclass(frozen=True)
@@ -34,8 +37,8 @@ def remainder_of(problem: Problem) -> Remainder:
     """The processes that the dwells searched can show."""
     seen = problem.campaign.part(problem.searched)
     processes = {name: found for name, make in _PROCESSES.items() if (found := make(seen)) is not None}
-    directions = np.zeros((3, len(processes), len(seen), RANK))
-    powers = np.zeros((3, len(processes), RANK))
+    directions = np.zeros((3, len(processes) + 1, len(seen), RANK))
+    powers = np.zeros((3, len(processes) + 1, RANK))
     for index, columns in enumerate(processes.values()):
         visible, rms = problem.beside(columns)
         visible /= np.sqrt(np.sum(rms**2, axis=1))[:, np.newaxis, np.newaxis]
@@ -44,7 +47,12 @@ def remainder_of(problem: Problem) -> Remainder:
             rank = int(np.sum(lengths[:RANK] ** 2 > _MIN_POWER))
             directions[gyro, index, :, :rank] = left[:, :rank]
             powers[gyro, index, :rank] = lengths[:rank] ** 2
-    return Remainder(tuple(processes), directions, powers)
+    scaled = np.concatenate(np.moveaxis(directions * np.sqrt(powers[:, :, np.newaxis]), 1, 0), axis=2)
+    lengths, left = np.linalg.eigh(scaled @ np.swapaxes(scaled, 1, 2) / len(processes))
+    rank = min(RANK, len(seen))
+    directions[:, -1, :, :rank] = left[:, :, : -rank - 1 : -1]
+    powers[:, -1, :rank] = np.maximum(lengths[:, : -rank - 1 : -1], 0.0)
+    return Remainder((*processes, "several of these together"), directions, powers)
 
 
 def _waves(values: FloatArray, count: int, length: float) -> FloatArray:
@@ -76,7 +84,7 @@ def _hours(campaign: Campaign, count: int, length: float) -> FloatArray:
 def _power_law(campaign: Campaign, exponent: float) -> FloatArray:
     """Noise of the bias whose power falls as a power of frequency: flicker 1, random walk 2."""
     place = (campaign.middle_s - campaign.middle_s.min()) / max(float(np.ptp(campaign.middle_s)), 1e-9)
-    order = np.arange(1, RANK + 1)
+    order = np.arange(1, _ORDERS + 1)
     return _each_gyro(np.cos(np.pi * order * place[:, np.newaxis]) / order ** (0.5 * exponent))
 
 
@@ -118,9 +126,32 @@ def _chamber(campaign: Campaign) -> FloatArray | None:
     )
 
 
+def _machinery(campaign: Campaign) -> FloatArray | None:
+    """Shares of each dwell with a falling, rising and constant set point, at any temperature."""
+    if not np.isfinite(campaign.set_c).all():
+        return None
+    path_c = campaign.set_point_path_c
+    slopes_c = np.diff(path_c, axis=1)
+    moves = [slopes_c < -_MIN_SLOPE_C, slopes_c > _MIN_SLOPE_C, np.abs(slopes_c) <= _MIN_SLOPE_C]
+    shares = np.stack([np.mean(each, axis=1) for each in moves], axis=1)
+    waves = _with_constant(_waves(path_c.mean(axis=1), 8, 0.2))
+    return _products(_each_gyro(shares), _each_gyro(waves))
+
+
+def _branch(campaign: Campaign) -> FloatArray:
+    """Temperature on the way up and on the way down: the sign of its last change."""
+    branch = np.zeros_like(campaign.gyro_c)
+    turn_c = campaign.gyro_c[0].copy()
+    for index, now_c in enumerate(campaign.gyro_c):
+        is_moving = np.abs(now_c - turn_c) > _MIN_CHANGE_C
+        branch[index] = np.where(is_moving, np.sign(now_c - turn_c), branch[max(index - 1, 0)])
+        turn_c = np.where(is_moving, now_c, turn_c)
+    return _products(branch[..., np.newaxis], _with_constant(_temperatures(campaign, 8, 0.2)))
+
+
 _PROCESSES: dict[str, Callable[[Campaign], FloatArray | None]] = {
     "time": lambda campaign: _hours(campaign, 16, 0.5),
-    "time, irregularly": lambda campaign: _hours(campaign, RANK, 0.1),
+    "time, irregularly": lambda campaign: _hours(campaign, _ORDERS, 0.1),
     "time as a random walk": lambda campaign: _power_law(campaign, 2.0),
     "time as flicker noise": lambda campaign: _power_law(campaign, 1.0),
     "time since power-on": lambda campaign: _each_gyro(
@@ -135,4 +166,6 @@ _PROCESSES: dict[str, Callable[[Campaign], FloatArray | None]] = {
     "attitude and temperature rate": _by_attitude(_rates),
     "electronics above optics": _flow,
     "chamber temperature": _chamber,
+    "state of the chamber": _machinery,
+    "direction of the temperature": _branch,
 }

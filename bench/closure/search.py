@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -20,7 +20,7 @@ from gyrobench.bench.closure.candidates import (
     start_count,
 )
 from gyrobench.bench.closure.effects.effect import Effect
-from gyrobench.bench.closure.posterior import Evidences, Posterior
+from gyrobench.bench.closure.posterior import RIVAL, Evidences, Posterior
 from gyrobench.bench.closure.problem import Problem, declared_problem
 from gyrobench.bench.foundations.text import listed
 
@@ -57,6 +57,7 @@ class Search:
         self.effects = tuple(each.bounded(problem.campaign) for each in effects)
         self.declared = evaluate(problem, ())
         self._known: dict[tuple[object, ...], Hypothesis | None] = {}
+        self._insignificant: dict[frozenset[str], Hypothesis] = {}
         alone = {effect.name: self._added(self.declared, effect) for effect in self.effects}
         self.alone = {name: each for name, each in alone.items() if each is not None}
 
@@ -132,8 +133,8 @@ class Search:
         """The most probable set of effects to which there is no objection, and the probabilities of all sets.
 
         The sets are those of the search by BIC and all with one effect more than the most probable or with
-        one exchanged. A set that contains the most probable one as a special case is left out: the simpler
-        one is preferred, as it is of sets that are about equally probable.
+        one exchanged, significant or not. A special case is preferred to a more general law that is tied with
+        it, and the simpler of sets that are about equally probable.
         """
         best, evidences = self.best(), self.evidences
         for _ in range(_MAX_EXCHANGES):
@@ -151,8 +152,21 @@ class Search:
             is_simpler = each.parameter_count < found.parameter_count and is_as_probable
             if (is_simpler or self._is_special_case(each, found)) and not self._objections(each):
                 found = each
-        general = {each.names for each in similar if self._is_special_case(found, each)}
-        return found, evidences.posterior([each for names, each in fitted.items() if names not in general])
+        return found, replace(weighed, more_general=self._more_general(found, similar, weighed))
+
+    def _more_general(
+        self, found: Hypothesis, similar: Iterable[Hypothesis], weighed: Posterior
+    ) -> dict[str, frozenset[str]]:
+        """By effect found: those that contain it and are improbable, or fitted no different from it."""
+        general: dict[str, frozenset[str]] = {}
+        for each in similar:
+            is_improbable = weighed.of_set(each.names, has_remainder=False) < RIVAL
+            if self._is_special_case(found, each) and (
+                is_improbable or self._is_contained(each, [found.candidates])
+            ):
+                [one], other = found.names - each.names, each.names - found.names
+                general[one] = general.get(one, frozenset()) | other
+        return general
 
     def _fit_similar(self, to: Hypothesis) -> None:
         """Fit all sets with one effect more, and all with one exchanged."""
@@ -167,24 +181,35 @@ class Search:
         for each in (*self.alone.values(), *self._known.values()):
             if each and (each.names not in fitted or each.is_better_than(fitted[each.names])):
                 fitted[each.names] = each
+        for each in self._insignificant.values():
+            is_near = len(each.names - best.names) == 1 >= len(best.names - each.names)
+            if is_near and each.names not in fitted:
+                fitted[each.names] = each
         return fitted
 
     def _added(self, to: Hypothesis, effect: Effect) -> Hypothesis | None:
         problem, campaign = self.problem, self.problem.campaign
         beside = problem.with_columns(*stack(to.candidates, campaign)) if to.candidates else problem
-        found = []
+        found, failed = [], []
         for form in effect.forms:
             if form.missing_input(campaign):
                 continue
             start = best_start(beside, effect, form)
             reduction, rank = beside.chi2_reduction(start.columns(campaign))
             if _p_value(_MAX_REFINEMENT * reduction, rank + len(start.values)) >= SIGNIFICANCE:
+                failed.append(start)
                 continue
             [candidate] = refine(beside, [start])
             reduction, rank = beside.chi2_reduction(candidate.columns(campaign))
             if _p_value(reduction, rank + len(candidate.values)) < SIGNIFICANCE:
                 whole = [replace(each, kept=np.ones_like(each.kept)) for each in (*to.candidates, candidate)]
                 found.append(evaluate(problem, refine(problem, whole) if to.candidates else whole))
+            elif rank:
+                failed.append(candidate)
+        if failed and not found:
+            weak = ranked([evaluate(problem, [*to.candidates, each]) for each in failed])[0]
+            known = self._insignificant.get(weak.names, weak)
+            self._insignificant[weak.names] = ranked([weak, known])[0]
         return ranked(found)[0] if found else None
 
     def _exchanged(self, best: Hypothesis) -> Hypothesis:
@@ -237,11 +262,14 @@ class Search:
         """Whether a hypothesis is contained in another, as fitted or with a parameter at a bound."""
         if general.parameter_count <= special.parameter_count:
             return False
-        target = stack(special.candidates, self.problem.campaign)
+        return self._is_contained(special, [general.candidates, *_at_bounds(general.candidates)])
+
+    def _is_contained(self, special: Hypothesis, laws: Iterable[Sequence[Candidate]]) -> bool:
+        """Whether one of several sets of effects reproduces a hypothesis."""
+        problem, target = self.problem, stack(special.candidates, self.problem.campaign)
         return any(
-            self.problem.with_columns(*stack(each, self.problem.campaign)).independent_share(*target)
-            < SAME_SHARE
-            for each in (general.candidates, *_at_bounds(general.candidates))
+            problem.with_columns(*stack(each, problem.campaign)).independent_share(*target) < SAME_SHARE
+            for each in laws
         )
 
 

@@ -14,6 +14,7 @@ expected square of the effect is the sum of theirs.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
@@ -23,9 +24,10 @@ from scipy.optimize import brentq
 from scipy.special import chdtri, chndtr
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.candidates import TIE_MARGIN, bic_penalty, start_count
+from gyrobench.bench.closure.candidates import bic_penalty, start_count
 from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter
 from gyrobench.bench.closure.loop import FoundEffect
+from gyrobench.bench.closure.posterior import TIE_ODDS
 from gyrobench.bench.closure.problem import Problem, declared_problem
 from gyrobench.bench.closure.search import SAME_SHARE, SIGNIFICANCE
 from gyrobench.bench.foundations.arrays import FloatArray, rms
@@ -157,13 +159,15 @@ def _grid(parameter: Parameter, campaign: Campaign, count: int) -> list[float]:
     begun: list[float] = parameter.starts(campaign).tolist()
     if not np.isfinite([low, high]).all():
         return begun
-    spread = np.geomspace if low > 0.0 and high > _WIDE * low else np.linspace
+    spread = np.geomspace if parameter.is_scale and high > _WIDE * low else np.linspace
     return sorted({*begun, *spread(low, high, count).tolist()})
 
 
 #: Probability of finding an effect of the smallest size stated.
 POWER = 0.9
 _DIFFERENT_DWELLS = "dwells with a larger variation of what the effect follows"
+#: Odds at which effects are tied, as a difference of BIC.
+_TIE_MARGIN = 2.0 * math.log(TIE_ODDS)
 #: Sizes evaluated, deg/h.
 _SIZES_DPH = np.geomspace(1e-6, 10.0, 1401)
 
@@ -341,7 +345,7 @@ def _distinguished_dph(
     if _is_special_case(present, alternative):
         return 0.0
     behind = _expected_bic(present, alternative, bic_penalty(problem)) - own
-    tied = np.flatnonzero(behind < TIE_MARGIN)
+    tied = np.flatnonzero(behind < _TIE_MARGIN)
     first = tied[-1] + 1 if len(tied) else 0
     return float(_SIZES_DPH[first]) if first < len(_SIZES_DPH) else np.inf
 

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 
@@ -153,6 +152,8 @@ def _through(
     time_s: FloatArray, middle_s: FloatArray, nodes_c: FloatArray, rates: FloatArray
 ) -> TemperatureRecord:
     """Record through nodes (k, 3) at times (k,) with slopes in K/s, linear beyond them."""
+    from scipy.interpolate import CubicHermiteSpline
+
     inside_s = np.clip(time_s, middle_s[0], middle_s[-1])
     before = np.minimum(time_s - middle_s[0], 0.0)[:, np.newaxis] * rates[0]
     after = np.maximum(time_s - middle_s[-1], 0.0)[:, np.newaxis] * rates[-1]

@@ -21,8 +21,6 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
-from scipy.optimize import least_squares
 
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 
@@ -143,6 +141,8 @@ class _Segment:
         part: slice,
     ) -> _Segment:
         """Interpolate the case temperature by a spline of its integral, which keeps the dwells' means."""
+        from scipy.interpolate import make_interp_spline
+
         edges_h = np.append(start_s, end_s[-1]) / _S_PER_H
         lengths_h = np.diff(edges_h)
         sums = np.concatenate([[0.0], np.cumsum(case_c * lengths_h)])
@@ -172,6 +172,8 @@ def _without_pauses(start_s: FloatArray, end_s: FloatArray, fitted: BoolArray) -
 
 def _fit(segments: list[_Segment], readings: FloatArray) -> FloatArray | None:
     """Parameters of one gyro's network; None if it does not describe the readings (n, 3)."""
+    from scipy.optimize import least_squares
+
     count = len(_PARAMETERS)
 
     def residuals(values: FloatArray) -> FloatArray:
@@ -203,6 +205,7 @@ def _fit(segments: list[_Segment], readings: FloatArray) -> FloatArray | None:
 
 def _with_start(parameters: FloatArray, segment: _Segment, readings: FloatArray) -> FloatArray:
     """Parameters with the initial temperatures that fit one segment best."""
+    from scipy.optimize import least_squares
 
     def weighted(values: FloatArray) -> FloatArray:
         return _weighted(segment.residuals(np.append(parameters, values), readings))

@@ -260,7 +260,7 @@ class _Place:
         self._priors = priors
         campaign = problem.campaign
         parameters = [parameter for each in candidates for parameter in each.form.parameters]
-        self._is_log = np.array([each.low > 0.0 for each in parameters], dtype=bool)
+        self._is_log = np.array([each.is_scale for each in parameters], dtype=bool)
         span_s = float(campaign.start_s.min()), float(campaign.end_s.max())
         bounds = [(each.low, each.high) if np.isfinite(each.low) else span_s for each in parameters]
         self.low, self.high = _even(np.array(bounds, dtype=np.float64).reshape(-1, 2).T, self._is_log)
@@ -359,7 +359,7 @@ def bound_of(parameter: Parameter, value: float) -> str:
     """The bound of the fit at which a parameter is, "lower" or "upper"; empty within its range."""
     if not np.isfinite(parameter.low):
         return ""
-    low, value, high = _even(np.array([parameter.low, value, parameter.high]), parameter.low > 0.0)
+    low, value, high = _even(np.array([parameter.low, value, parameter.high]), parameter.is_scale)
     step = _AT_BOUND * (high - low)
     return "lower" if value <= low + step else "upper" if value >= high - step else ""
 

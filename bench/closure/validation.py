@@ -17,7 +17,7 @@ from scipy.special import chdtrc, fdtrc, ndtr
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate, solve_with
 from gyrobench.bench.closure.problem import SCALE_C, Problem, Solution, declared_problem
-from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms
 
 #: A lack of fit is significant below this p-value.
 LACK_OF_FIT_P = 1e-3
@@ -135,6 +135,40 @@ _STRUCTURES: dict[str, Callable[[Campaign], FloatArray]] = {
     "position": _positions,
     "temperature rate": _rate,
 }
+
+
+#: What effects predict counts as seen in held-out dwells from this many standard deviations of its size on.
+_MIN_T = 3.0
+#: Errors beyond this many standard deviations are outliers; held-out dwells are like those searched up to
+#: this ratio of their errors to the noise.
+_MAX_ERROR, _MAX_HELD_OUT_NOISE = 5.0, 2.0
+#: Median of the absolute value of a standard normal number.
+MEDIAN = 0.6745
+
+
+def is_confirmed(before_dph: FloatArray, after_dph: FloatArray, noise_dph: FloatArray) -> bool:
+    """Whether effects reduce the errors in held-out dwells by more than chance, and to their noise.
+
+    Parameters
+    ----------
+    before_dph, after_dph : ndarray, shape (n, 3)
+        Measured minus predicted bias without and with the effects.
+    noise_dph : ndarray, shape (n, 3)
+        Standard deviation of the noise.
+
+    Notes
+    -----
+    The size of what the effects predict is fitted to the errors without them: it is 1 if they are right, and
+    0 if these dwells show nothing of them. Its standard deviation follows from the errors left.
+    """
+    predicted, left = (before_dph - after_dph) / noise_dph, after_dph / noise_dph
+    noise = max(1.0, float(np.median(np.abs(left))) / MEDIAN)
+    left = np.clip(left, -_MAX_ERROR * noise, _MAX_ERROR * noise)
+    length = float(np.linalg.norm(predicted))
+    if length == 0.0 or noise > _MAX_HELD_OUT_NOISE:
+        return False
+    size = 1.0 + float(np.sum(predicted * left)) / length**2
+    return size > 0.5 and size * length > _MIN_T * max(1.0, rms(left))
 
 
 #: The other cycles determine a term's size if they have this share of its length in the one left out.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import fields
 from pathlib import Path
 from types import MappingProxyType
 
@@ -32,7 +31,7 @@ from gyrobench.bench.verification.compensation_verification import (
     VerificationResult,
     compensation_result,
 )
-from gyrobench.drivers.ins.command_map import Compensation
+from gyrobench.drivers.ins.command_map import NUMBERS, Compensation
 
 _AZIMUTH_TOLERANCE_DEG = 1.0
 
@@ -215,9 +214,7 @@ def is_run_of(folder: RunFolder, job: Job) -> bool:
     if job.compensation is None or not folder.compensation.exists():
         return same_world and same_files and (job.compensation is None) == (not folder.compensation.exists())
     loaded, required = read_compensation(folder.compensation), job.compensation
-    same_numbers = all(
-        np.array_equal(getattr(loaded, each.name), getattr(required, each.name)) for each in fields(required)
-    )
+    same_numbers = all(np.array_equal(getattr(loaded, name), getattr(required, name)) for name in NUMBERS)
     return same_world and same_files and same_numbers
 
 

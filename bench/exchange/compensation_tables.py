@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import fields
 from types import MappingProxyType
 from typing import Any
 
@@ -17,7 +16,7 @@ from gyrobench.bench.exchange.export_folder import ExportFolder, field_of, unit_
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.runs.compensation_file import write_compensation
-from gyrobench.drivers.ins.command_map import TERMS, Compensation
+from gyrobench.drivers.ins.command_map import NUMBERS, TERMS, Compensation
 
 _TABLE, _TERMS, _FILE = "compensation_table", "compensation_terms", "compensation.yaml"
 #: Spacing of the table, and decimals of its biases: far below what any gyro keeps.
@@ -94,6 +93,7 @@ _TERMS_SCHEMA = pa.schema(
         pa.field("number", pa.string()),
         pa.field("index", pa.string()),
         pa.field("value", pa.float64()),
+        pa.field("sigma", pa.float64()),
         pa.field("unit", pa.string()),
         pa.field("term", pa.string()),
         pa.field("meaning", pa.string()),
@@ -104,21 +104,25 @@ _TERMS_SCHEMA = pa.schema(
 def _terms(compensation: Compensation) -> Iterator[dict[str, Any]]:
     """One row a number; those that are zero for all gyros are left out."""
     effect = {name: term for term, name in TERMS.items()}
-    for each in fields(compensation):
-        values = getattr(compensation, each.name)
-        if not values.any() and each.name not in ("low_c", "high_c"):
+    for name in NUMBERS:
+        values = getattr(compensation, name)
+        if not values.any() and name not in ("low_c", "high_c"):
             continue
-        for axis, row in zip(AXES, values, strict=True):
-            for index, value in enumerate(np.atleast_1d(row)):
-                is_polynomial = each.name == "polynomial_dph"
+        sigmas = compensation.sigma.get(name, np.full_like(values, np.nan))
+        for axis, row, of_row in zip(AXES, values, sigmas, strict=True):
+            for index, (value, sigma) in enumerate(
+                zip(np.atleast_1d(row), np.atleast_1d(of_row), strict=True)
+            ):
+                is_polynomial = name == "polynomial_dph"
                 along = f"degree {index}" if is_polynomial else AXES[index] if row.ndim else ""
                 per = f" per degC^{index}" if is_polynomial and index else ""
                 yield {
                     "gyro": axis,
-                    "number": each.name,
+                    "number": name,
                     "index": along,
                     "value": float(f"{value:.9g}"),
-                    "unit": unit_of(each.name) + per,
-                    "term": "declared" if is_polynomial else effect.get(each.name, ""),
-                    "meaning": _MEANING.get(each.name, ""),
+                    "sigma": None if math.isnan(sigma) else float(f"{sigma:.3g}"),
+                    "unit": unit_of(name) + per,
+                    "term": "declared" if is_polynomial else effect.get(name, ""),
+                    "meaning": _MEANING.get(name, ""),
                 }

@@ -7,20 +7,46 @@ from functools import partial
 from typing import Any, TypeVar, overload
 
 import numba
-from numba.core.caching import FunctionCache
+from numba.core.caching import Cache, FunctionCache, make_library_cache
 from numba.core.dispatcher import Dispatcher
+from numba.core.runtime import nrtdynmod
 from numba.core.runtime.nrt import rtsys
 
 FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
 
 
-class _MachineCode(FunctionCache):
+class _LoadedAlone(Cache):
     """Loads code without all that numba needs to compile any: 0.3 s and 60 MB in each process."""
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        rtsys.initialize(target_context)
         with self._guard_against_spurious_io_errors():
             return self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+
+
+class _MachineCode(_LoadedAlone, FunctionCache):
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        rtsys.initialize(target_context)
+        return super().load_overload(sig, target_context)
+
+
+class _Library(_LoadedAlone, make_library_cache("library")):  # type: ignore[misc]
+    """Code that belongs to no single kernel."""
+
+
+def _array_allocation(target_context: Any) -> Any:
+    """Numba's functions that allocate arrays, also from the cache: 20 MB less in each process."""
+    cache = _Library(_array_allocation)  # type: ignore[no-untyped-call]
+    library = cache.load_overload((), target_context)
+    if library is None:
+        module, library = nrtdynmod.create_nrt_module(target_context)  # type: ignore[no-untyped-call]
+        library.enable_object_caching()
+        library.add_ir_module(module)
+        library.finalize()
+        cache.save_overload((), library)  # type: ignore[no-untyped-call]
+    return library
+
+
+nrtdynmod.compile_nrt_functions = _array_allocation
 
 
 @overload

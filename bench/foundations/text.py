@@ -51,6 +51,13 @@ def with_sigma(value: float, sigma: float) -> str:
     return f"{value:z.{decimals}f} ± {sigma:.{decimals}f}"
 
 
+def probability_number(probability: float) -> str:
+    """Write a probability, never rounded to 0 or 1: "0.62", "0.004", "> 0.999"."""
+    if not 0.001 <= probability <= 0.999:
+        return "> 0.999" if probability > 0.5 else "< 0.001"
+    return f"{probability:.{2 if 0.1 <= probability <= 0.9 else 3}f}"
+
+
 def format_cell(value: str | float | None) -> str:
     """A number by :func:`format_number`, empty for None, anything else as it is."""
     if value is None:

@@ -255,17 +255,14 @@ class Investigator:
 
     def _end(self, stage: Stage) -> tuple[str, str] | None:
         posterior = stage.closure.posterior
-        best = posterior.hypotheses[0]
+        names = tuple(sorted(each.effect.name for each in stage.closure.effects))
         is_stated = stage.closure.verdict in ("explained", "clean")
-        if best.probability >= SETTLED and not best.has_remainder and is_stated:
-            tested = self._tested(CONFIRM, tuple(sorted(best.names)))
+        if stage.closure.probability >= SETTLED and is_stated:
+            tested = self._tested(CONFIRM, names)
             if tested is not None and tested.probabilities[0] < 0.5:
-                return (
-                    "refuted",
-                    f"A block contradicts what {' + '.join(sorted(best.names))} predicted for it.",
-                )
-            what = listed(sorted(map(stage.closure.label, best.names))) or "nothing beside the declared model"
-            return "settled", f"{what.capitalize()}: probability {best.probability:.4f}."
+                return ("refuted", f"A block contradicts what {' + '.join(names)} predicted for it.")
+            what = listed(sorted(map(stage.closure.label, names))) or "nothing beside the declared model"
+            return "settled", f"{what.capitalize()}: probability {stage.closure.probability:.4f}."
         if posterior.not_on_list >= SETTLED:
             return "not_on_list", f"Not on the list of effects: probability {posterior.not_on_list:.4f}."
         if self._spent_h >= self._budget_h and not (self._block_folder / _DONE).exists():

@@ -147,10 +147,14 @@ def with_figure_files(folder: Path, sections: Iterable[Section], key: str = "") 
 
     Raises RunFolderError if a file can't be written.
     """
-    return [
-        replace(section, figures=[_as_file(folder, each, key) for each in section.figures])
-        for section in sections
-    ]
+    gc.freeze()  # or each collection below looks at all modules
+    try:
+        return [
+            replace(section, figures=[_as_file(folder, each, key) for each in section.figures])
+            for section in sections
+        ]
+    finally:
+        gc.unfreeze()
 
 
 def write_findings(path: Path, findings: Findings) -> Path:
@@ -193,7 +197,7 @@ def _as_file(folder: Path, drawn: SectionFigure, key: str) -> SectionFigure:
     path = folder / f"{drawn.name}.png"
     if not is_drawn(path, key):
         save_figure(drawn.figure(), path, key)
-        gc.collect(1)  # figures are cycles of some megabytes
+        gc.collect()  # figures are cycles of some megabytes
     return replace(drawn, figure=path)
 
 

@@ -2,25 +2,40 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import yaml
 from pydantic import Field, model_validator
 
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.documents import StrictModel, read_document, validate
 from gyrobench.bench.foundations.files import write_whole
-from gyrobench.drivers.ins.command_map import Compensation
+from gyrobench.drivers.ins.command_map import NUMBERS, Compensation
 
 _OfGyros = Annotated[list[float], Field(min_length=3, max_length=3)]
 _Vectors = Annotated[list[_OfGyros], Field(min_length=3, max_length=3)]
 _Polynomials = Annotated[list[Annotated[list[float], Field(min_length=1)]], Field(min_length=3, max_length=3)]
+_Name = Literal[
+    "polynomial_dph",
+    "rate_dph_per_c_per_h",
+    "gradient_dph_per_k",
+    "saturating_dph_per_k",
+    "growing_dph_per_k",
+    "onset_c",
+    "onset_width_c",
+    "gravity_dph_per_g",
+    "warm_up_dph",
+    "warm_up_s",
+    "hysteresis_dph_per_k",
+    "half_width_k",
+]
 
 _HEAD = """\
 # Compensation of the gyros x, y, z: what each subtracts. T is the temperature of its optics, B that of
-# its electronics, Up the unit vector in body axes.
+# its electronics, Up the unit vector in body axes. sigma: standard uncertainty of each number; those of one
+# gyro are correlated.
 """
 
 
@@ -48,6 +63,9 @@ class CompensationFile(StrictModel):
     warm_up_s: _OfGyros | None = Field(default=None, description="time constant of the warm-up")
     hysteresis_dph_per_k: _OfGyros | None = Field(default=None, description="per play of T, less T")
     half_width_k: _OfGyros | None = Field(default=None, description="half width of the play")
+    sigma: dict[_Name, _Polynomials | _OfGyros] | None = Field(
+        default=None, description="standard uncertainty of each number, by its key; an INS does not get them"
+    )
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -58,7 +76,9 @@ class CompensationFile(StrictModel):
 
     def compensation(self) -> Compensation:
         """Give what the file describes."""
-        return Compensation(**{name: np.array(value) for name, value in self if value is not None})
+        numbers = {name: np.array(value) for name, value in self if value is not None and name != "sigma"}
+        sigma: dict[str, FloatArray] = {name: np.array(value) for name, value in (self.sigma or {}).items()}
+        return Compensation(**numbers, sigma=sigma)
 
 
 def write_compensation(path: Path, compensation: Compensation) -> None:
@@ -66,9 +86,13 @@ def write_compensation(path: Path, compensation: Compensation) -> None:
 
     Raises RunFolderError if the file can't be written.
     """
-    values = {each.name: getattr(compensation, each.name) for each in fields(compensation)}
+    values = {name: getattr(compensation, name) for name in NUMBERS}
     required = {name for name, field in CompensationFile.model_fields.items() if field.is_required()}
-    content = {name: value.tolist() for name, value in values.items() if name in required or value.any()}
+    content: dict[str, Any] = {
+        name: value.tolist() for name, value in values.items() if name in required or value.any()
+    }
+    sigma = {name: value.tolist() for name, value in compensation.sigma.items() if value.any()}
+    content |= {"sigma": sigma} if sigma else {}
     write_whole(path, (_HEAD + yaml.safe_dump(content, sort_keys=False, default_flow_style=None)).encode())
 
 

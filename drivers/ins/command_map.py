@@ -109,10 +109,19 @@ class Compensation:
     #: width.
     hysteresis_dph_per_k: FloatArray = field(default_factory=_zeros)
     half_width_k: FloatArray = field(default_factory=_zeros)
+    #: Standard uncertainties of the numbers by name, in the shapes of these; those of a gyro are
+    #: correlated. An INS does not get them.
+    sigma: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for each in fields(self):
-            self._check_array(each.name)
+        for name in NUMBERS:
+            self._check_array(name, getattr(self, name))
+        for name, value in self.sigma.items():
+            self._check_array(name, value, "sigma of ")
+            if value.shape != getattr(self, name).shape or (value < 0.0).any():
+                raise MeasurementError(
+                    f"compensation: sigma of {name} must have as many numbers as {name}, none below zero"
+                )
         for low, high in (("low_c", "high_c"), ("difference_low_k", "difference_high_k")):
             if (getattr(self, low) > getattr(self, high)).any():
                 raise MeasurementError(f"compensation: {low} must not be above {high}")
@@ -128,15 +137,20 @@ class Compensation:
         """Names of the :data:`TERMS` that are used."""
         return tuple(term for term, name in TERMS.items() if np.any(getattr(self, name)))
 
-    def _check_array(self, name: str) -> None:
-        value = getattr(self, name)
+    def _check_array(self, name: str, value: FloatArray, of: str = "") -> None:
         shape: tuple[int, ...] = (3, 3) if name in _VECTORS else (3,)
         if name == "polynomial_dph":
             shape = (3, value.shape[-1])
         if value.shape != shape or not value.size:
-            raise MeasurementError(f"compensation: {name} has the shape {value.shape}, not {shape}")
+            raise MeasurementError(f"compensation: {of}{name} has the shape {value.shape}, not {shape}")
         if not np.isfinite(value).all():
-            raise MeasurementError(f"compensation: {name} must hold finite numbers; found {value.tolist()}")
+            raise MeasurementError(
+                f"compensation: {of}{name} must hold finite numbers; found {value.tolist()}"
+            )
+
+
+#: Names of the numbers of a compensation.
+NUMBERS = tuple(each.name for each in fields(Compensation) if each.name != "sigma")
 
 
 def checksum(numbers: Iterable[float]) -> int:

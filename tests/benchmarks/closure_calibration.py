@@ -119,7 +119,7 @@ def _probabilities(closure):
         "nothing": posterior.nothing,
         "not_on_list": posterior.not_on_list,
         "effects": posterior.of_effect,
-        "found": posterior.of_set([each.effect.name for each in closure.effects], has_remainder=False),
+        "found": closure.probability,
         "hypotheses": [
             [sorted(each.names), each.has_remainder, each.probability] for each in posterior.hypotheses[:8]
         ],

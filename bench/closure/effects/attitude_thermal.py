@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.special import expit
 
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.effects.effect import (
@@ -35,6 +34,8 @@ _ONSET = (
 
 
 def _saturating(below: FloatArray) -> FloatArray:
+    from scipy.special import expit
+
     return np.asarray(expit(below))
 
 

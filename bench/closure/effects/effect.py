@@ -30,6 +30,12 @@ class Parameter:
     #: campaign is a drift.
     is_open_end: bool = False
     limit: Callable[[Campaign], float] | None = None  #: A lower upper bound in a campaign, if any.
+    is_place: bool = False  #: A place on an axis, as an onset: equally probable everywhere, though positive.
+
+    @property
+    def is_scale(self) -> bool:
+        """Whether it is positive and its logarithm equally probable everywhere."""
+        return self.low > 0.0 and not self.is_place
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,8 @@ FOLDER = "effects"
 _STARTS = {0: 1, 1: 6, 2: 4}
 #: Bounds of at least this ratio have starting values at equal ratios.
 _WIDE = 8.0
+#: Parameters that are places on the driver's axis, not scales.
+_PLACES = ("onset", "centre")
 
 _Bounds = Annotated[list[float], Field(min_length=2, max_length=2)]
 
@@ -68,7 +70,7 @@ class EffectFile(StrictModel):
                 f"{self.memory}; found {listed(list(self.bounds)) if self.bounds else 'none'}"
             )
         for name, (low, high) in self.bounds.items():
-            if low >= high or (name not in ("onset", "centre") and low <= 0.0):
+            if low >= high or (name not in _PLACES and low <= 0.0):
                 raise ValueError(
                     f"bounds of {name}: the lowest value must be above zero and below the highest"
                 )
@@ -85,7 +87,11 @@ class EffectFile(StrictModel):
         count = _STARTS.get(len(self.bounds), 3)
         parameters = tuple(
             Parameter(
-                name if name == "tau_s" else f"{name}_{unit}", low, high, fixed(*spaced(low, high, count))
+                name if name == "tau_s" else f"{name}_{unit}",
+                low,
+                high,
+                fixed(*spaced(low, high, count)),
+                is_place=name in _PLACES,
             )
             for name in _parameters(self.shape, self.memory)
             for low, high in [self.bounds[name]]

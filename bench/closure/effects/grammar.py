@@ -14,7 +14,6 @@ from functools import partial
 from types import MappingProxyType
 
 import numpy as np
-from scipy.special import expit
 
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.effects.effect import (
@@ -133,6 +132,8 @@ def _below(state: FloatArray, onset: float, width: float) -> list[FloatArray]:
 
 
 def _saturation(state: FloatArray, centre: float, width: float) -> list[FloatArray]:
+    from scipy.special import expit
+
     return [np.asarray(expit((state - centre) / width))]
 
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from gyrobench.bench.closure.loop import Closure
-from gyrobench.bench.foundations.text import listed
+from gyrobench.bench.foundations.text import listed, probability_number
 from gyrobench.bench.report.closure.closure_text import (
     cycles_text,
     is_noise_only,
     labels,
-    probability_text,
     scale_of_errors,
     share_text,
 )
@@ -54,7 +53,7 @@ def effect_table(closure: Closure) -> tuple[list[str], list[list[str]]]:
             labels(closure, each.tied_with) or "none",
             gains_text(each.gains) or "no",
             scale.with_sigma(each.rms_dph, each.rms_sigma_dph),
-            probability_text(each.probability).removeprefix("P ").removeprefix("= "),
+            probability_number(each.probability),
         ]
         for each in closure.effects
     ]

@@ -15,7 +15,7 @@ from gyrobench.bench.closure.problem import Solution
 from gyrobench.bench.closure.search import SIGNIFICANCE
 from gyrobench.bench.closure.validation import LACK_OF_FIT_P, measured_minus
 from gyrobench.bench.foundations.arrays import FloatArray, rms
-from gyrobench.bench.foundations.text import counted, listed, with_sigma
+from gyrobench.bench.foundations.text import counted, listed, probability_number, with_sigma
 from gyrobench.bench.report.number_format import BiasScale, odds_text, p_text
 
 _VISIBLE_NOISE_SCALE = 1.005
@@ -24,7 +24,7 @@ _S_PER_H = 3600.0
 _EVEN = 2.0 * math.log(2.0)
 _NEARLY_ALL, _ALL = 98.5, 100.0
 #: Largest probability that is written, and the smallest of an effect that a sentence names.
-_NEARLY_CERTAIN, _WORTH_STATING = 0.999, 0.005
+_WORTH_STATING = 0.005
 
 
 def residuals_dph(closure: Closure, model: Solution) -> FloatArray:
@@ -157,13 +157,14 @@ def _unsettled(closure: Closure) -> str:
             for each in tied
         )
         return f"the data do not distinguish the candidates: {fits}."
-    exactly = probability_text(closure.probability)
+    found = f"{found_labels(closure)} ({probability_text(closure.probability)}"
     if closure.probability < EXPLAINED:
-        return (
-            f"it is not settled whether it is {found_labels(closure)} alone ({exactly}, required "
-            f"{EXPLAINED:g})."
-        )
-    return f"{found_labels(closure)} ({exactly}) does not predict the held-out cycle better."
+        return f"it is not settled whether it is {found}, required {EXPLAINED:g})."
+    rivals = closure.posterior.rivals([each.effect.name for each in closure.effects])
+    if rivals:
+        others = listed([_with_probability(closure, name) for name in rivals])
+        return f"it is not settled whether it is {found}) alone, or with or in place of it {others}."
+    return f"{found}) does not predict the held-out cycle better by more than chance, and within the noise."
 
 
 def _undecided(closure: Closure) -> str:
@@ -182,12 +183,9 @@ def _with_probability(closure: Closure, name: str) -> str:
 
 
 def probability_text(probability: float) -> str:
-    """Write a probability, never rounded to 0 or 1: "P = 0.62", "P > 0.999"."""
-    if probability > _NEARLY_CERTAIN:
-        return f"P > {_NEARLY_CERTAIN:g}"
-    if probability < 1.0 - _NEARLY_CERTAIN:
-        return f"P < {1.0 - _NEARLY_CERTAIN:.3f}"
-    return f"P = {probability:.3f}" if not 0.1 <= probability <= 0.9 else f"P = {probability:.2f}"
+    """Write a probability with its symbol: "P = 0.62", "P > 0.999"."""
+    number = probability_number(probability)
+    return f"P {number}" if number[0] in "<>" else f"P = {number}"
 
 
 def probability_sentence(closure: Closure) -> str:

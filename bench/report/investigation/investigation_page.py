@@ -8,7 +8,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from gyrobench.bench.foundations.files import make_folder
-from gyrobench.bench.foundations.text import plain_name
+from gyrobench.bench.foundations.text import plain_name, probability_number
 from gyrobench.bench.investigation.investigation import CONFIRM, TEST_LAW, Investigation
 from gyrobench.bench.report.closure.closure_page import closure_sections
 from gyrobench.bench.report.closure.closure_text import verdict_sentence
@@ -77,8 +77,8 @@ def _blocks(found: Investigation) -> list[Section]:
         rows = [
             [
                 text.title_of(rival),
-                text.probability_text(rival.probability),
-                text.probability_text(after),
+                probability_number(rival.probability),
+                probability_number(after),
                 f"{1e3 * error_dph:.2f}",
             ]
             for rival, after, error_dph in zip(

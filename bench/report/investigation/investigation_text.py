@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from gyrobench.bench.closure.loop import Closure
-from gyrobench.bench.foundations.text import counted, listed, plain_name
+from gyrobench.bench.foundations.text import counted, listed, plain_name, probability_number
 from gyrobench.bench.investigation.investigation import CONFIRM, Investigation, Stage, rivals_of
 from gyrobench.bench.investigation.proposal import Proposal, Rival
 from gyrobench.bench.navigation.positions import AXES
@@ -20,7 +20,6 @@ GISTS = {
     "refuted": "refuted",
     "bench_failed": "stopped: the bench failed",
 }
-_MIN_SHOWN = 0.001
 #: Hypotheses below this probability are ruled out.
 _RULED_OUT = 0.01
 
@@ -29,13 +28,6 @@ def title_of(rival: Rival) -> str:
     """A hypothesis in words."""
     names = listed([plain_name(name) for name in rival.names]) or "nothing beside the declared model"
     return f"{names}, and something not on the list" if rival.remainder_dph else names
-
-
-def probability_text(value: float) -> str:
-    """A probability with the digits that matter near 0 and 1."""
-    if value > 0.9995:
-        return "> 0.999"
-    return f"{value:.3f}" if value >= _MIN_SHOWN else "< 0.001"
 
 
 def proposal_sentences(proposal: Proposal, rivals: Sequence[Rival], limit: int = 3) -> Iterator[str]:
@@ -53,7 +45,7 @@ def proposal_sentences(proposal: Proposal, rivals: Sequence[Rival], limit: int =
             f"{axis} {1e3 * each.mean():+.1f}" for axis, each in zip(AXES, mean_dph, strict=True)
         )
         yield (
-            f"If it is {title_of(rival)} (probability {probability_text(rival.probability)}), the mean "
+            f"If it is {title_of(rival)} (probability {probability_number(rival.probability)}), the mean "
             f"biases are {gyros} x 0.001 deg/h."
         )
 
@@ -122,4 +114,4 @@ BLOCK_COLUMNS = ("block", "what", "hours", "most probable before", "after")
 
 def _leading(closure: Closure) -> str:
     best = rivals_of(closure)[0]
-    return f"{title_of(best)}, {probability_text(best.probability)}"
+    return f"{title_of(best)}, {probability_number(best.probability)}"

@@ -26,6 +26,7 @@ from gyrobench.bench.report.verification.verification_text import (
     UNITS,
     chain,
     model_sentences,
+    number_rows,
     outcome,
     outcome_sentence,
     plateau_rows,
@@ -147,6 +148,10 @@ _DAY = (
     "black line is the largest error expected from the measurement noise alone."
 )
 _TOTAL = "All plateaus: rms of bias and varying bias, otherwise the maximum; {}"
+_NUMBERS = (
+    "Numbers of the compensation and their standard uncertainties, by gyro, as in compensation.yaml. Those "
+    "of one gyro are correlated: the uncertainty of what is subtracted is stated under Residual."
+)
 _PLATEAUS = (
     "By mean gyro temperature in °C; fit: whether the model was fitted at the temperature, between fitted "
     "temperatures, or outside them; {}"
@@ -159,9 +164,10 @@ def verification_sections(result: VerificationResult) -> list[Section]:
     plateaus = SectionTable(
         _PLATEAUS.format(UNITS), ["°C", "cycle", "fit", "compensation", *SIZES], plateau_rows(result), words=4
     )
+    numbers = SectionTable(_NUMBERS, ["number", "x", "y", "z"], number_rows(result.models))
     figures = [SectionFigure("residuals", _RESIDUALS, partial(residual_bars_figure, result))]
     return [
-        Section("Compensations", model_sentences(result.closure, result.models)),
+        Section("Compensations", model_sentences(result.closure, result.models), tables=[numbers]),
         Section("Residual", [sentence for _, sentence in chain(result)], figures, [totals, plateaus]),
         Section(
             "A day of a rotational INS", figures=[SectionFigure("day", _DAY, partial(day_figure, result))]

@@ -9,6 +9,7 @@ from gyrobench.bench.closure.loadable_model import LoadableModel
 from gyrobench.bench.closure.loop import Closure
 from gyrobench.bench.closure.validation import LACK_OF_FIT_P
 from gyrobench.bench.foundations.text import listed
+from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.report.closure.closure_text import found_labels, p_phrase, size_text
 from gyrobench.bench.verification.compensation_verification import (
     DECLARED,
@@ -18,6 +19,7 @@ from gyrobench.bench.verification.compensation_verification import (
     VerificationResult,
     VerificationRow,
 )
+from gyrobench.drivers.ins.command_map import NUMBERS
 
 #: The compensations as displayed.
 LABELS = {NONE: "none", DECLARED: "declared", EFFECT: "with effect"}
@@ -63,6 +65,20 @@ def model_sentences(closure: Closure, models: Mapping[str, LoadableModel]) -> li
         what = "One compensation, the declared model. No effect was found."
     notes = models[EFFECT].notes if EFFECT in models else models[DECLARED].notes
     return [f"{what} {limits}", *(f"{note[0].upper()}{note[1:]}." for note in notes)]
+
+
+def number_rows(models: Mapping[str, LoadableModel]) -> list[list[str]]:
+    """Each number of the most complete compensation with its standard uncertainty: name, gyros x, y and z."""
+    compensation = models.get(EFFECT, models[DECLARED]).compensation
+    rows = []
+    for name in (each for each in NUMBERS if each in compensation.sigma):
+        numbers = getattr(compensation, name), compensation.sigma[name]
+        lines = list(zip(*(each.reshape(3, -1).T for each in numbers), strict=True))
+        for index, (values, sigmas) in enumerate(lines):
+            which = f", T^{index}" if name == "polynomial_dph" else f", {AXES[index]}" if lines[1:] else ""
+            pairs = zip(values, sigmas, strict=True)
+            rows.append([name + which, *(f"{value:.3g} ± {sigma:.2g}" for value, sigma in pairs)])
+    return rows
 
 
 def outcome(result: VerificationResult) -> str:

@@ -7,6 +7,7 @@ from gyrobench.bench.closure.effects.effect import Effect, Form
 from gyrobench.bench.closure.problem import declared_problem
 from gyrobench.bench.closure.validation import (
     LeftOut,
+    is_confirmed,
     leave_out_cycles,
     measured_minus,
     pooled_gain,
@@ -119,3 +120,28 @@ def test_the_true_effect_leaves_the_noise(problem):
     one = problem({"time_drift": 20.0})
     rest = measured_minus(one.campaign, one.searched, solve_with(one, [whole(time_drift.EFFECT)]))
     assert np.sqrt(np.mean(rest**2)) == pytest.approx(SIGMA_DPH, rel=0.15)
+
+
+@pytest.mark.parametrize(
+    ("held_out", "is_so"),
+    [
+        (lambda true, noise: true + noise, True),
+        (lambda true, noise: true + noise + 30.0 * (np.arange(40) == 7)[:, None], True),
+        (lambda true, noise: noise, False),
+        (lambda true, noise: 40.0 * noise, False),
+        (lambda true, noise: true + 5.0 * noise, False),
+        (lambda true, noise: -true + noise, False),
+        (lambda true, noise: true[::-1] + noise, False),
+    ],
+    ids=["as predicted", "an outlier", "absent", "garbage", "larger noise", "reversed", "in another order"],
+)
+def test_effects_are_confirmed_by_held_out_dwells_that_follow_them(held_out, is_so):
+    random = np.random.default_rng(3)
+    true = 2.0 * random.standard_normal((40, 3))
+    measured = held_out(true, random.standard_normal((40, 3)))
+    assert is_confirmed(measured, measured - true, np.ones((40, 3))) == is_so
+
+
+def test_an_effect_that_predicts_nothing_in_the_held_out_dwells_is_not_confirmed():
+    measured = np.random.default_rng(3).standard_normal((40, 3))
+    assert not is_confirmed(measured, measured, np.ones((40, 3)))

@@ -9,6 +9,7 @@ from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.effects import all_effects, attitude_thermal
 from gyrobench.bench.closure.loadable_model import declared_model, model_with_effects
 from gyrobench.bench.closure.loop import close_loop
+from gyrobench.bench.closure.problem import SCALE_C
 from tests.bench.closure.thermal_bench import STEP_S, measure
 from tests.drivers.ins.compensation_reference import Conditions, compensated_dph
 
@@ -75,6 +76,30 @@ def test_the_declared_model_is_a_polynomial_within_the_fitted_temperatures():
     fitted_c = campaign.gyro_c[closure.searched]
     np.testing.assert_array_equal(compensation.low_c, fitted_c.min(axis=0))
     np.testing.assert_array_equal(compensation.high_c, fitted_c.max(axis=0))
+
+
+def test_numbers_have_the_uncertainties_of_the_fit():
+    _, closure = search("warm_up")
+    compensation = model_with_effects(closure).compensation
+    sigma, [found] = compensation.sigma, closure.effects
+    assert sigma.keys() == {"polynomial_dph", "warm_up_dph", "warm_up_s"}
+    np.testing.assert_allclose(sigma["warm_up_dph"], found.sizes_sigma_dph[:, 0])
+    np.testing.assert_allclose(sigma["warm_up_s"], found.values_sigma[0])
+    draws = closure.model_draws
+    cubic = draws.declared[:, :, 2] / SCALE_C**3
+    stated = compensation.polynomial_dph[:, 3]
+    np.testing.assert_allclose(sigma["polynomial_dph"][:, 3], draws.sigma(cubic, stated))
+
+
+def test_true_numbers_are_within_their_uncertainties():
+    def loaded(**options):
+        return model_with_effects(search("g_sensitivity", **options)[1]).compensation
+
+    true, off = loaded(noise=1e-3).gravity_dph_per_g, []
+    for seed in range(10):
+        compensation = loaded(seed=seed)
+        off.append((compensation.gravity_dph_per_g - true) / compensation.sigma["gravity_dph_per_g"])
+    assert 0.8 < np.sqrt(np.mean(np.square(off))) < 1.25
 
 
 def test_rates_and_differences_are_limited_to_the_fitted_range():

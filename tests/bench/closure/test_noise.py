@@ -86,3 +86,12 @@ def test_the_stated_noise_is_that_of_dwells_without_outliers():
     closure = close_loop(campaign_of(rows))
     assert closure.noise.outliers
     assert closure.noise_dph == pytest.approx(np.sqrt(np.mean(truth.sigma_dph**2)), rel=0.15)
+
+
+def test_rows_get_the_standard_deviations_of_the_search():
+    rows, _ = make_unit(13, noise="outliers")
+    campaign = campaign_of(rows)
+    noise = estimate_noise(campaign, np.ones(len(campaign), dtype=bool))
+    assert noise.outliers
+    weighted = campaign_of(noise.weighted(rows))
+    np.testing.assert_allclose(weighted.sigma_dph, campaign.sigma_dph * noise.factors)

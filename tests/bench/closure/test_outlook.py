@@ -1,5 +1,7 @@
 """What a plan would decide of the ties of a closure: simulated campaigns stand for plans."""
 
+import math
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -106,3 +108,17 @@ def test_the_noise_is_that_of_the_closure():
     np.testing.assert_allclose(unit.angle_random_walk_deg_per_sqrt_h, expected)
     assert (unit.has_boards, unit.has_case) == (False, False)
     assert unit.thermal.rms_k < 1.0
+
+
+def test_outliers_count_as_in_the_search():
+    effects, sensors, modules = TIES["one power-on"]
+    rows = measure(effects, cycles=2, sensors=sensors).rows
+    rows[7] = replace(
+        rows[7], bias_dph=tuple(each + 60.0 * rows[7].sigma_dph[0] for each in rows[7].bias_dph)
+    )
+    closure = close_loop(campaign_of(rows), effects=[each.EFFECT for each in modules])
+    assert {each.dwell for each in closure.noise.outliers} == {rows[7].dwell}
+    [disturbed], [usual] = (tie_outlooks(each, plan()) for each in (closure, closed("one power-on")))
+    for name in ("if_found", "if_other"):
+        odds = [math.log(getattr(each, name)) for each in (disturbed, usual)]
+        assert odds[0] == pytest.approx(odds[1], rel=0.2)

@@ -10,6 +10,7 @@ from scipy.stats import invgamma, multivariate_normal
 from gyrobench.bench.closure import posterior
 from gyrobench.bench.closure.candidates import hypothesis
 from gyrobench.bench.closure.effects import all_effects, temperature_rate, time_drift
+from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter, fixed
 from gyrobench.bench.closure.posterior import (
     MAGNITUDES,
     NOISE_PRIOR,
@@ -17,9 +18,10 @@ from gyrobench.bench.closure.posterior import (
     Posterior,
     Weighed,
     detectable_dph,
+    prior_width,
 )
 from gyrobench.bench.closure.problem import declared_problem
-from gyrobench.bench.closure.remainder import remainder_of
+from gyrobench.bench.closure.remainder import RANK, remainder_of
 from gyrobench.bench.closure.search import Search
 from tests.bench.closure.test_candidates import whole
 
@@ -129,6 +131,60 @@ def test_probabilities_are_summed_over_sets():
     assert weighed.odds(one, two) == pytest.approx(2.0)
 
 
+def test_an_effect_is_there_as_such_or_as_a_special_case():
+    one, general, other = (frozenset({name}) for name in "agb")
+    weights = ((one, False, 0.9), (general, False, 0.06), (one | other, False, 0.03), (one, True, 0.01))
+    weighed = Posterior(tuple(Weighed(*each, ()) for each in weights), {})
+    assert weighed.of_all(one) == pytest.approx(0.93)
+    assert weighed.similar(one) == [general]
+    weighed = replace(weighed, more_general={"a": general})
+    assert weighed.of_all(one) == pytest.approx(0.99)
+    assert weighed.of_all(one, has_remainder=None) == pytest.approx(1.0)
+    assert weighed.similar(one) == []
+    assert weighed.rivals(one) == {}
+
+
+def test_an_effect_that_is_not_improbable_is_a_rival():
+    one, both = frozenset({"a"}), frozenset({"a", "b"})
+    weighed = Posterior((Weighed(one, False, 0.8, ()), Weighed(both, False, 0.2, ())), {})
+    assert weighed.of_all(one) == pytest.approx(1.0)
+    assert weighed.rivals(one) == {"b": pytest.approx(0.2)}
+
+
+def test_terms_that_were_dropped_are_summed_over(problem):
+    """Data with two orthogonal terms: the evidence is that of all subsets, whichever the search kept."""
+    clean = problem(cycles=2, seed=2)
+    terms = np.zeros((len(clean.campaign), 3, 2))
+    terms[::4, :, 0] = terms[1::4, :, 1] = clean.sigma_dph[0]
+    two = Effect("two", "", "", (Form(("one", "other"), lambda _campaign, _values: terms),))
+    data = with_biases(clean, clean.residuals + 1.5 * (terms[clean.searched, :, 0] > 0.0))
+    subsets = [np.array(each) for each in ([True, True], [True, False], [False, True])]
+    evidences = Evidences(data, [two])
+
+    def weight(*kept):
+        one = replace(whole(two), kept=np.stack(kept))
+        return evidences.weights(hypothesis(data, [one]))[0]
+
+    assert weight(*[subsets[0]] * 3) == pytest.approx(weight(*[subsets[1]] * 3), abs=0.7)
+
+
+def test_the_prior_of_an_onset_does_not_depend_on_its_zero(problem):
+    """Limits of 5 and 60 degC are no reason to expect the onset at 10 degC."""
+    onset, scale = (Parameter("p", 5.0, 60.0, fixed(20.0), is_place=each) for each in (True, False))
+    one = problem()
+    assert prior_width(one, onset, 10.0) == prior_width(one, onset, 50.0) == 55.0
+    assert prior_width(one, scale, 10.0) == pytest.approx(10.0 * np.log(12.0))
+
+
+def test_effects_that_are_not_significant_count(problem):
+    search = Search(problem(seed=4), all_effects())
+    found, weighed = search.most_probable()
+    assert not found.names
+    weak = [p for name, p in weighed.of_effect.items() if name not in search.alone]
+    assert len(weak) > 5
+    assert 0.0 < min(weak) <= max(weak) < 0.1
+
+
 def test_a_remainder_of_the_stated_size_is_shown_in_nine_of_ten(problem):
     clean, random = problem(), np.random.default_rng(6)
     remainder = remainder_of(clean)
@@ -138,7 +194,7 @@ def test_a_remainder_of_the_stated_size_is_shown_in_nine_of_ten(problem):
     for _ in range(60):
         noise = random.standard_normal((clean.searched.sum(), 3))
         for gyro in range(3):
-            amplitudes = size * np.sqrt(remainder.powers[gyro, index]) * random.standard_normal(30)
+            amplitudes = size * np.sqrt(remainder.powers[gyro, index]) * random.standard_normal(RANK)
             noise[:, gyro] += remainder.directions[gyro, index] @ amplitudes
         data = with_biases(clean, noise)
         shown.append(Evidences(data, []).posterior([hypothesis(data, [])]).not_on_list > 0.5)

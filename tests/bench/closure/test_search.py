@@ -3,9 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrobench.bench.closure.candidates import TIE_MARGIN, evaluate
+from gyrobench.bench.closure.candidates import evaluate
 from gyrobench.bench.closure.effects import all_effects, bias_jump, time_drift
 from gyrobench.bench.closure.effects.effect import Effect, Form
+from gyrobench.bench.closure.posterior import TIE_ODDS
 from gyrobench.bench.closure.problem import declared_problem
 from gyrobench.bench.closure.search import SIGNIFICANCE, Search
 from tests.bench.closure.conftest import EQUIPPED
@@ -169,7 +170,7 @@ def test_each_gyro_says_by_itself_whether_it_shows_an_effect(problem):
 def test_a_special_case_at_the_lower_bound_of_a_parameter_is_no_tie(search):
     """A lag of a second follows the rate as well as the rate itself."""
     one, best = search({"temperature_rate": 4.0}, cycles=2, seed=1)
-    assert one.alone["thermal_lag"].bic < best.bic + TIE_MARGIN
+    assert one.alone["thermal_lag"].bic < best.bic + 2.0 * np.log(TIE_ODDS)
     assert ties(one, best) == ()
 
 

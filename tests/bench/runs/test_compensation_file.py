@@ -1,12 +1,18 @@
 import re
 from dataclasses import fields
+from typing import get_args
 
 import numpy as np
 import pytest
 
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.runs.compensation_file import CompensationFile, read_compensation, write_compensation
-from gyrobench.drivers.ins.command_map import Compensation
+from gyrobench.bench.runs.compensation_file import (
+    CompensationFile,
+    _Name,
+    read_compensation,
+    write_compensation,
+)
+from gyrobench.drivers.ins.command_map import NUMBERS, Compensation
 
 POLYNOMIAL = "polynomial_dph: [[1.0], [2.0], [3.0]]\nlow_c: [-20, -20, -20]\nhigh_c: [70, 70, 70]\n"
 
@@ -27,16 +33,20 @@ def test_every_number_of_a_compensation_has_its_key():
 
 def test_a_compensation_is_read_as_it_was_written(tmp_path):
     random = np.random.default_rng(2)
-    numbers = {each.name: random.uniform(1.0, 2.0, 3) for each in fields(Compensation)}
+    numbers = {name: random.uniform(1.0, 2.0, 3) for name in NUMBERS}
     for name in ("saturating_dph_per_k", "growing_dph_per_k", "gravity_dph_per_g"):
         numbers[name] = random.normal(size=(3, 3))
     numbers |= {"polynomial_dph": random.normal(size=(3, 4)), "high_c": np.full(3, 60.0)}
     numbers["difference_high_k"] = np.full(3, 30.0)
     path = tmp_path / "compensation.yaml"
-    write_compensation(path, Compensation(**numbers))
+    sigma = {name: 0.1 * np.abs(numbers[name]) for name in get_args(_Name)}
+    write_compensation(path, Compensation(**numbers, sigma=sigma))
     read = read_compensation(path)
     for name, value in numbers.items():
         np.testing.assert_array_equal(getattr(read, name), value)
+    assert read.sigma.keys() == sigma.keys()
+    for name, value in sigma.items():
+        np.testing.assert_array_equal(read.sigma[name], value)
 
 
 def test_terms_that_are_not_used_are_left_out(tmp_path, written):
@@ -65,6 +75,16 @@ def test_terms_that_are_not_used_are_left_out(tmp_path, written):
         (POLYNOMIAL + "gravity: [1, 2, 3]\n", "unknown key 'gravity'"),
         (POLYNOMIAL + "warm_up_dph: [1, 2]\n", "at least 3 items"),
         ("low_c: [1, 2, 3]\n", "polynomial_dph"),
+        (POLYNOMIAL + "sigma: {low_c: [1, 1, 1]}\n", "low_c"),
+        (
+            POLYNOMIAL + "sigma: {polynomial_dph: [[0.1], [-0.2], [0.3]]}\n",
+            "sigma of polynomial_dph must have as many numbers as polynomial_dph, none below zero",
+        ),
+        (
+            POLYNOMIAL + "sigma: {polynomial_dph: [[0.1, 1], [0.2, 1], [0.3, 1]]}\n",
+            "must have as many numbers",
+        ),
+        (POLYNOMIAL + "sigma: {warm_up_dph: [0.1, 0.2]}\n", "at least 3 items"),
     ],
 )
 def test_mistakes_are_shown_with_their_place(written, text, message):

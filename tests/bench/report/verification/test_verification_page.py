@@ -33,6 +33,16 @@ def test_the_page_holds_its_figures_and_the_judgement_in_its_colour(comparison, 
     assert COLOURS[judgement] == colour
 
 
+def test_the_numbers_loaded_have_their_uncertainties(tmp_path):
+    result = confirmed()
+    page = write_verification_page(tmp_path, result).read_text(encoding="utf-8")
+    compensation = result.models["effect"].compensation
+    for name in compensation.sigma:
+        assert name in page
+    value, sigma = compensation.polynomial_dph[0, 1], compensation.sigma["polynomial_dph"][0, 1]
+    assert f"{value:.3g} ± {sigma:.2g}" in page
+
+
 def test_the_bars_of_each_compensation_are_at_its_plateaus():
     spread = residual_bars_figure(confirmed()).axes[1]
     heights = [[bar.get_height() for bar in container] for container in spread.containers]
