@@ -1,8 +1,9 @@
 """The runs of an investigation on a bench: its campaign and its blocks, on one clock.
 
-Each run ends in the station's safe state, and each block begins from there with a power-on, on a real as on
-an emulated bench: what the safe state does to chamber and unit is in the forecast of the next block. An
-emulated bench lives as long as the clock, so that it continues with its temperatures.
+Each run ends in the station's safe state, and each block begins from there, on a real as on an emulated
+bench: the chamber returns to the temperature of the last dwell, and the unit is switched off and on, so that
+its time since power-on is known. An emulated bench lives as long as the clock, so that it continues with its
+temperatures.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from gyrobench.bench.foundations.clock import RESUME_STEP_S, Clock, VirtualClock
 from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError, RunFolderError
 from gyrobench.bench.foundations.files import write_whole
-from gyrobench.bench.investigation.block_procedure import DwellPattern, block_procedure
+from gyrobench.bench.investigation.block_procedure import SHORTLY_S, DwellPattern, block_procedure
 from gyrobench.bench.investigation.blocks import Block, BlockStart, BlockTimes
 from gyrobench.bench.investigation.external_bench import BenchState, BlockPlan, PowerStep
 from gyrobench.bench.navigation.positions import AXES
@@ -160,8 +161,12 @@ class StationBench:
 
     def timed(self, block: Block) -> Block | None:
         """The block with the times of the planner; None if the station can't run it."""
-        cools = any(isinstance(step, PowerStep) and not step.on for step in block.plan.steps[1:])
-        if cools and self._station.file.unit.power == "always_on":
+        off_s = [
+            step.end_s - step.start_s
+            for step in block.plan.steps
+            if isinstance(step, PowerStep) and not step.on
+        ]
+        if max(off_s, default=0.0) > SHORTLY_S and self._station.file.unit.power == "always_on":
             return None
         try:
             return block_procedure(block.plan, self._pattern).timed(block, self._plan)
@@ -174,8 +179,7 @@ class StationBench:
             rest,
             chamber_c=rest.chamber_c if state.chamber_c is None else state.chamber_c,
             gyro_c=float(np.mean([state.gyro_x_c, state.gyro_y_c, state.gyro_z_c])),
-            powered=state.powered,
-        )
+        )  # with the INS off: a power-on switches one that is on off first
         return self._station.plan(document, checked_procedure(document), bench)
 
     def measure(self, plan: BlockPlan, folder: Path) -> list[DwellRow]:

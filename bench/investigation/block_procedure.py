@@ -20,7 +20,7 @@ from gyrobench.bench.procedure.plan import Plan, PlannedStep
 from gyrobench.bench.procedure.steps import GoTo, Navigate, PowerOn
 
 #: A unit that is off for less is switched off and on by the power-on itself.
-_SHORTLY_S = 30.0
+SHORTLY_S = 30.0
 _SETTLE_S = 60.0
 
 #: Plans a document that starts from the state of a block; raises DocumentError if the bench can't run it.
@@ -121,7 +121,7 @@ def _entries(step: AnyStep, pattern: DwellPattern, is_on: bool) -> Iterator[Any]
         raise DocumentError("no step of a procedure changes the dissipation of the unit")
     elif step.on and not is_on:
         yield {"power_on": {"settle_s": pattern.settle_s}}
-    elif not step.on and duration_s > _SHORTLY_S:
+    elif not step.on and duration_s > SHORTLY_S:
         yield "power_off"
         yield {"wait": {"duration_s": duration_s}}
 

@@ -111,7 +111,8 @@ class AfterLastDwell:
 class Timeline:
     """Steps as they are added one after the other, from the state after the last dwell of a table.
 
-    With ``start``, they begin there with a power-on.
+    With ``start``, they begin there: the chamber returns to the last dwell's temperature, and the unit is
+    switched off and on.
     """
 
     rows: Sequence[DwellRow]  #: The dwells measured, in the order of time.
@@ -132,8 +133,9 @@ class Timeline:
         if self.start is not None:
             self.start_s = self.now_s = self.start.time_s
             self._power_ons = self.start.power_ons
-            if self.start.state.chamber_c is not None:
-                self.chamber_c = self.start.state.chamber_c
+            at_c = self.start.state.chamber_c
+            span_s = 0.0 if at_c is None else abs(self.chamber_c - at_c) / self.times.ramp_c_per_h * _S_PER_H
+            self._to(self.chamber_c, self.times.ramp_c_per_h, span_s)
 
     def off_and_on(self, hours: float | None = None) -> None:
         """Switch the unit off, let it cool, and switch it on: a new run."""
@@ -154,8 +156,7 @@ class Timeline:
         self._switch_on()
         if abs(to_c - self.chamber_c) > _SAME_C:
             span_s = abs(to_c - self.chamber_c) / rate_c_per_h * _S_PER_H
-            self._add(ChamberStep(to_c=float(to_c), ramp_c_per_h=rate_c_per_h, **self._span(span_s)))
-            self.chamber_c = to_c
+            self._to(to_c, rate_c_per_h, span_s)
 
     def soak(self, hours: float | None = None) -> None:
         """Wait."""
@@ -177,6 +178,10 @@ class Timeline:
                 )
             )
             self._next_dwell += 1
+
+    def _to(self, to_c: float, rate_c_per_h: float, span_s: float) -> None:
+        self._add(ChamberStep(to_c=float(to_c), ramp_c_per_h=rate_c_per_h, **self._span(span_s)))
+        self.chamber_c = to_c
 
     def _switch_on(self) -> None:
         if not self._is_ready:

@@ -19,8 +19,9 @@ from gyrobench.bench.investigation.forecast import Forecast
 
 #: Blocks of which pairs are tried.
 _PAIRED = 4
-#: Bias from one power-on to the next where the dwells are of a single one, in units of the noise.
-_UNKNOWN_RUN_SPREAD = 5.0
+#: Least spread of the bias from one power-on to the next, in units of the noise: the search takes nothing
+#: from the constant of a power-on, and a block must not be chosen for what it would say.
+_MIN_RUN_SPREAD = 30.0
 
 
 @dataclass(frozen=True)
@@ -174,15 +175,7 @@ def _predictable(
 
 def _run_spread_dph(rows: Sequence[DwellRow], noise_scale: float) -> float:
     """Standard deviation of the bias from one power-on to the next."""
-    sigma_dph = noise_scale * float(np.nanmedian([row.sigma_dph for row in rows]))
-    good = [row for row in rows if not row.flags]
-    means = [
-        np.nanmean([row.bias_dph for row in good if row.run == run], axis=0)
-        for run in dict.fromkeys(row.run for row in good)
-    ]
-    if len(means) < 3:
-        return _UNKNOWN_RUN_SPREAD * sigma_dph
-    return max(float(np.std(means, axis=0, ddof=1).mean()), sigma_dph)
+    return _MIN_RUN_SPREAD * noise_scale * float(np.nanmedian([row.sigma_dph for row in rows]))
 
 
 @dataclass(frozen=True)
