@@ -48,8 +48,8 @@ class ClockedPort(SerialBase):
 
     def read(self, size: int = 1, /) -> bytes:
         """Read up to ``size`` bytes, waiting on the clock until the time-out."""
-        self._collect()
         if len(self._arrived) < size:
+            self._collect()
             self._await(size)
         data = bytes(self._arrived[:size])
         del self._arrived[:size]

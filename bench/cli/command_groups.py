@@ -15,7 +15,17 @@ from typer.core import TyperCommand, TyperGroup
 GROUPS: dict[str, tuple[str, ...]] = {
     "Measure": ("run", "resume", "control", "verify"),
     "Before a run": ("plan", "check", "jog", "message"),
-    "Watch and report": ("monitor", "report", "export", "bins", "close", "investigate", "import", "raw-rate"),
+    "Watch and report": (
+        "monitor",
+        "report",
+        "export",
+        "bins",
+        "close",
+        "investigate",
+        "import",
+        "raw-rate",
+        "calibrate",
+    ),
     "Many runs": ("runs", "fleet"),
     "Files": ("new", "validate", "schema"),
     "Try and learn": ("emulate", "record", "replay"),

@@ -142,7 +142,8 @@ class Posterior:
 
     def tied_with(self, names: frozenset[str], one: str) -> tuple[str, ...]:
         """Effects that may take the place of one of a set, most probable first."""
-        return tuple(next(iter(each - names)) for each in self.similar(names) if one not in each)
+        tied = (next(iter(each - names)) for each in self.similar(names) if one not in each)
+        return tuple(dict.fromkeys(tied))
 
 
 class Evidences:

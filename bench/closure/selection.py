@@ -82,7 +82,10 @@ class Selected:
             return f"not significant beside {labels}"
         place = [each.effect.name for each in with_it.candidates].index(effect.name)
         beside = f"{labels} alone" if labels else "the declared model alone"
-        return search.objection(with_it, place) or f"{beside} is about as probable and simpler"
+        reason = f"{beside} is about as probable and simpler"
+        if self.posterior.not_on_list > 0.5:
+            reason = "something that is not on the list is more probable"
+        return search.objection(with_it, place) or reason
 
 
 def select(campaign: Campaign, searched: BoolArray, effects: Sequence[Effect]) -> Selected:

@@ -174,8 +174,7 @@ class SignCheck:
         share = np.linspace(0.0, 1.0, _PATH_POINTS)
         outer = before.outer_deg + share * (after.outer_deg - before.outer_deg)
         inner = before.inner_deg + share * (after.inner_deg - before.inner_deg)
-        path = np.stack([self.table.attitude(*pair) for pair in zip(outer, inner, strict=True)])
-        return float(_angles_to(C_nb, path).max())
+        return float(_angles_to(C_nb, self.table.attitude(outer, inner)).max())
 
     def _unexplained(self, time_s: FloatArray, velocity: FloatArray, rotation: FloatArray) -> FloatArray:
         """What tilt does not explain of the velocities (n, 2) of a window, shape (9, n, 2).

@@ -186,12 +186,13 @@ class Engine:
 
     def _tick_through(self, planned: PlannedStep, begin_s: float) -> None:
         clock, observers = self._bench.clock, self._run.observers
-        deadline = Deadline(clock, planned.timeout_s)
+        end_s = begin_s + self._plan.duration_s - planned.start_s
+        timeout_s = clock.now() + planned.timeout_s
         for _ in perform(planned.step, self._step_context):
             self._tick()
-            elapsed_s = clock.now() - begin_s
-            observers.ticked(self._bench, self._plan.duration_s - planned.start_s - elapsed_s)
-            if deadline.expired():
+            now_s = clock.now()
+            observers.ticked(self._bench, end_s - now_s)
+            if now_s >= timeout_s:
                 place = self._run.job.document.place(planned.location)
                 raise StepTimeoutError(
                     f"{place}: step {planned.number} ({planned.label}: {planned.step.describe()}) did not "

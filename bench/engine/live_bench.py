@@ -6,7 +6,7 @@ import contextlib
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -267,18 +267,17 @@ class LiveBench:
     def read_instruments(self) -> None:
         """Read table, chamber and INS, and keep the readings in the telemetry."""
         self._next_reading_s = self.clock.now() + self.station.file.instruments_period_s
-        ins, asked_s = self.ins_status(), self.clock.now()
-        readings = replace(self.readings, ins=ins, asked_s=asked_s)
+        changes: dict[str, Any] = {"ins": self.ins_status(), "asked_s": (asked_s := self.clock.now())}
         table, chamber = self.instruments.table, self.instruments.chamber
         if (faults := self._asked("rate table", table.faults)) is not None:
-            readings = replace(readings, table_faults=tuple(faults))
+            changes["table_faults"] = tuple(faults)
         if (of_table := self._asked("rate table", table.read)) is not None:
-            readings = replace(readings, table=of_table, table_s=self.clock.now())
+            changes |= {"table": of_table, "table_s": self.clock.now()}
         if (alarms := self._asked("chamber", chamber.alarms)) is not None:
-            readings = replace(readings, chamber_alarms=tuple(alarms))
+            changes["chamber_alarms"] = tuple(alarms)
         if (of_chamber := self._asked("chamber", chamber.read)) is not None:
-            readings = replace(readings, chamber=of_chamber, chamber_s=self.clock.now())
-        self.readings = readings
+            changes |= {"chamber": of_chamber, "chamber_s": self.clock.now()}
+        self.readings = readings = replace(self.readings, **changes)
         self._watch.observe(readings)
         self._notice_restart(readings)
         self._notice_silent_bus(readings)

@@ -107,8 +107,12 @@ class ObserverGroup(RunObserver):
     def __init__(self, *members: RunObserver) -> None:
         for name in _EVENTS:
             ignores = getattr(RunObserver, name)
-            methods = [getattr(member, name) for member in members]
-            needed = [method for method in methods if getattr(method, "__func__", None) is not ignores]
+            needed: list[Callable[..., None]] = []
+            for method in (getattr(member, name) for member in members):
+                if isinstance(method, partial):  # of a group
+                    needed += method.args[0]
+                elif getattr(method, "__func__", None) is not ignores:
+                    needed.append(method)
             setattr(self, name, partial(_notify, needed))
 
 

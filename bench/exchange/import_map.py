@@ -1,4 +1,7 @@
-"""The import map: a YAML file that says what each column of a foreign log holds and how it is averaged."""
+"""The import map: a YAML file that says what each column of a foreign log holds, and how it is averaged.
+
+With a section ``calibration`` the log can also be calibrated, which takes increments too.
+"""
 
 from __future__ import annotations
 
@@ -41,6 +44,11 @@ def _require_one(model: Any, *names: str) -> None:
         quoted = ", ".join(f"'{name}'" for name in names)
         found = " and ".join(f"'{name}'" for name in given) or "none of them"
         raise ValueError(f"give exactly one of {quoted}; there is {found}")
+
+
+def _missing() -> Any:
+    """Value of a key that an import requires and a calibration ignores: see :func:`load_log_map`."""
+    return None
 
 
 class TextFormat(StrictModel):
@@ -130,12 +138,31 @@ class SignedColumn(StrictModel):
 AxisColumn = Annotated[SignedColumn, _plain("column", Column, SignedColumn)]
 
 
+#: Ends of the units of a rate; others are increments.
+_PER_TIME = ("/s", "/h", "dps")
+
+
 class GyroColumns(StrictModel):
     """Which column measures the rate about which body axis."""
 
     unit: Literal[
-        "rad/s", "mrad/s", "urad/s", "deg/s", "mdeg/s", "dps", "mdps", "deg/h", "mdeg/h", "arcsec/s"
-    ] = Field(description="unit of the rates")
+        "rad/s",
+        "mrad/s",
+        "urad/s",
+        "deg/s",
+        "mdeg/s",
+        "dps",
+        "mdps",
+        "deg/h",
+        "mdeg/h",
+        "arcsec/s",
+        "rad",
+        "mrad",
+        "urad",
+        "deg",
+        "mdeg",
+        "arcsec",
+    ] = Field(description="unit of the rates; an angle: increments since the sample before, to calibrate")
     x: AxisColumn = Field(description="column of the x gyro, with its sign")
     y: AxisColumn = Field(description="column of the y gyro, with its sign")
     z: AxisColumn = Field(description="column of the z gyro, with its sign")
@@ -275,6 +302,33 @@ class EarthRate(StrictModel):
     )
 
 
+class CalibrationAccelerometers(StrictModel):
+    """Specific force or its increments; positive up at rest."""
+
+    unit: Literal["m/s2", "g", "mg", "m/s", "mm/s"] = Field(
+        description="unit; a velocity: increments since the sample before"
+    )
+    x: AxisColumn = Field(description="column of the x accelerometer, with its sign")
+    y: AxisColumn = Field(description="column of the y accelerometer, with its sign")
+    z: AxisColumn = Field(description="column of the z accelerometer, with its sign")
+
+
+class CalibrationLog(StrictModel):
+    """What ``gyrobench calibrate`` needs beside the gyros; it ignores temperatures, position and windows."""
+
+    accelerometers: CalibrationAccelerometers = Field(description="columns of the accelerometers")
+    latitude_deg: float = Field(ge=-85.0, le=85.0, description="geodetic latitude, deg")
+    height_m: float = Field(default=0.0, ge=-1000.0, le=10000.0, description="above the ellipsoid, m")
+    gravity_mps2: float | None = Field(
+        default=None, ge=9.7, le=9.9, description="local gravity; default: normal gravity of the place"
+    )
+    whole_turns_arcsec: Positive | None = Field(
+        default=None,
+        description="standard uncertainty with which the table returns after whole turns; without it spins "
+        "count as any other rotation",
+    )
+
+
 class LogMap(StrictModel):
     """The columns of a log and how they are averaged."""
 
@@ -290,10 +344,12 @@ class LogMap(StrictModel):
     signals: SignalFormat | None = Field(default=None, description="the log holds named signals")
     time: TimeRule = Field(description="how the samples are timed")
     gyro: GyroColumns = Field(description="which columns are the rates")
-    temperatures: TemperatureColumns = Field(description="which columns are temperatures")
+    temperatures: TemperatureColumns = Field(
+        default_factory=_missing, description="which columns are temperatures; required without 'calibration'"
+    )
     status: StatusRule | None = Field(default=None, description="which samples are valid")
     position: Annotated[PositionRule, _plain("constant", PositionName, PositionRule)] = Field(
-        description="position of the unit"
+        default_factory=_missing, description="position of the unit; required without 'calibration'"
     )
     cycle: Annotated[CycleRule, _plain("constant", int, CycleRule)] = Field(
         default=CycleRule(constant=1), description="cycle of each window; a cycle can be held out"
@@ -301,27 +357,51 @@ class LogMap(StrictModel):
     earth_rate: EarthRate | None = Field(
         default=None, description="without it the Earth's rotation remains in the biases"
     )
-    window_s: float = Field(ge=1e-3, le=1e12, description="length of the windows that are averaged")
+    window_s: float = Field(
+        default_factory=_missing,
+        ge=1e-3,
+        le=1e12,
+        description="length of the windows that are averaged; required without 'calibration'",
+    )
     skip_s: NotNegative = Field(default=0.0, description="left out at the beginning of each log")
     max_gap_s: Positive | None = Field(
         default=None,
         description="longest time between samples; by default 5 sample intervals or 1 % of a window",
     )
+    calibration: CalibrationLog | None = Field(
+        default=None, description="for gyrobench calibrate: accelerometers and place"
+    )
+
+    @property
+    def import_problem(self) -> str:
+        """Why the log can be calibrated and not imported; empty if it can be imported."""
+        missing = [name for name in ("temperatures", "position", "window_s") if getattr(self, name) is None]
+        if missing:
+            return f"the import map lacks {', '.join(repr(name) for name in missing)}"
+        return "" if self.gyro.unit.endswith(_PER_TIME) else f"'gyro.unit: {self.gyro.unit}' is no rate"
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
         _require_one(self, "text", "records", "signals")
-        if self.cycle.block_s is not None and self.cycle.block_s < self.window_s:
+        if self.calibration is None and self.import_problem:
+            raise ValueError(f"{self.import_problem}; only a map with 'calibration' may")
+        if self.cycle.block_s is not None and self.window_s and self.cycle.block_s < self.window_s:
             raise ValueError(f"'cycle.block_s' is shorter than 'window_s' ({self.window_s:g} s)")
         return self
 
 
-def load_log_map(path: Path) -> LogMap:
-    """Read an import map.
+def load_log_map(path: Path, for_calibration: bool = False) -> LogMap:
+    """Read an import map; also one that only calibrates, or only imports.
 
     Raises DocumentError, which lists everything that is wrong with it, each with its place.
     """
     log_map = validate(read_document(path), LogMap)
+    if for_calibration and log_map.calibration is None:
+        raise DocumentError(
+            f"{path}: has no section 'calibration' with the accelerometers and the latitude. Add it"
+        )
+    if not for_calibration and log_map.import_problem:
+        raise DocumentError(f"{path}: {log_map.import_problem}: the log can't be imported")
     if log_map.signals is None or log_map.signals.dbc is None:
         return log_map
     name = log_map.signals.dbc

@@ -5,7 +5,7 @@ Body axes, deg/h, degC, seconds since the first sample. The unit is at rest in e
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -32,6 +32,8 @@ from gyrobench.bench.navigation.positions import AXES, POSITIONS
 #: Quantities of some samples by name, each of shape (n,): ``time_s``, ``rate_x_dph``, ``gyro_x_c``, ...,
 #: ``force_x``, ``position`` (index in POSITIONS), ``cycle``; NaN where not measured.
 Samples = dict[str, FloatArray]
+#: Column of a quantity, and the scale and offset that convert it.
+Quantity = tuple[Column, float, float]
 
 RATES = tuple(f"rate_{axis}_dph" for axis in AXES)
 FORCES = tuple(f"force_{axis}" for axis in AXES)
@@ -49,6 +51,8 @@ _TIME_RESOLUTION_S = 1e-6
 class SampleReader:
     """Reads one log by its import map, and counts samples left out for their status or without a time.
 
+    ``quantities`` replaces those of the import map, and leaves the position out.
+
     ``first_s`` is the reading of the log's clock at its first sample, from the first batch on; 0 without a
     time column.
 
@@ -58,9 +62,10 @@ class SampleReader:
         The file can't be read or has no sample.
     """
 
-    def __init__(self, path: Path, log_map: LogMap) -> None:
+    def __init__(self, path: Path, log_map: LogMap, quantities: Mapping[str, Quantity] | None = None) -> None:
         self._path = path
         self._map = log_map
+        self._position = None if quantities else log_map.position
         self._log: RecordLog | SignalLog | TextLog
         if log_map.records:
             self._log = RecordLog(path, log_map.records)
@@ -68,7 +73,7 @@ class SampleReader:
             self._log = SignalLog(path, log_map.signals)
         else:
             self._log = TextLog(path, log_map.text or TextFormat())
-        self._quantities = _quantities(log_map)
+        self._quantities = quantities or _quantities(log_map)
         self.first_s = 0.0
         self.bad_status = 0
         self.no_time = 0
@@ -90,7 +95,7 @@ class SampleReader:
         time = self._map.time.column
         texts = [
             rule.column
-            for rule in (self._map.status, self._map.position)
+            for rule in (self._map.status, self._position)
             if rule is not None and rule.column is not None
         ]
         origin, last_s = None, -np.inf
@@ -140,13 +145,13 @@ class SampleReader:
             name: _measured(name, batch[column], scale, offset)
             for name, (column, scale, offset) in self._quantities.items()
         }
-        status, position = self._map.status, self._map.position
+        status, position = self._map.status, self._position
         if status is not None:
             valid = np.isin(_words(batch[status.column]), [_word(str(each)) for each in status.good])
             self.bad_status += int((~valid).sum())
             for name in RATES:
                 samples[name] = np.where(valid, samples[name], np.nan)
-        if position.column is not None:
+        if position is not None and position.column is not None:
             samples["position"] = self._positions(batch[position.column])
         return samples
 
@@ -192,11 +197,11 @@ def read_recording(path: Path, log_map: LogMap) -> RateRecording:
         raise MeasurementError(f"{path}: {error}") from error
 
 
-def _quantities(log_map: LogMap) -> dict[str, tuple[Column, float, float]]:
+def _quantities(log_map: LogMap) -> dict[str, Quantity]:
     """Column, scale and offset of each number that is read."""
     gyro, temperatures = log_map.gyro, log_map.temperatures
     to_dph = _rate_dph(gyro.unit)
-    quantities: dict[str, tuple[Column, float, float]] = {}
+    quantities: dict[str, Quantity] = {}
     for name, axis in zip(RATES, (gyro.x, gyro.y, gyro.z), strict=True):
         quantities[name] = (axis.column, axis.sign * axis.scale * to_dph, 0.0)
     quantities |= temperatures.by_quantity()

@@ -178,7 +178,6 @@ class _Window:
         self._rows: Thinned[tuple[float, float, float, InsStatus]] = Thinned(MAX_WINDOW_SAMPLES)
 
     def add(self, time_s: float, ins: InsStatus) -> None:
-        ins.keep_attitude()  # to compute it takes longer, and on virtual time few snapshots show it
         east, north, _ = ins.velocity_enu_mps.tolist()
         self._rows.add((time_s - self._begun_s, east, north, ins))
 

@@ -18,6 +18,8 @@ from gyrobench.bench.foundations.arrays import FloatArray
 
 #: Up in the navigation frame.
 UP = np.array([0.0, 0.0, 1.0])
+#: Shape (3, 9). A vector times this is, row by row, the matrix of the cross product with the vector.
+_CROSS = np.cross(np.eye(3)[:, np.newaxis], -np.eye(3)).reshape(3, 9)
 
 
 def rotation_matrix(axis: ArrayLike, angle: float) -> FloatArray:
@@ -28,7 +30,7 @@ def rotation_matrix(axis: ArrayLike, angle: float) -> FloatArray:
 def rotation_matrices(vectors: FloatArray) -> FloatArray:
     """Matrices (..., 3, 3) of rotation vectors (..., 3), rad."""
     angle = np.linalg.norm(vectors, axis=-1)[..., np.newaxis, np.newaxis]
-    cross = -np.cross(vectors[..., np.newaxis, :], np.eye(3))
+    cross = (vectors @ _CROSS).reshape(*vectors.shape, 3)
     # sin(a) / a and (1 - cos(a)) / a^2, also where the angle is zero.
     return np.asarray(
         np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * np.sinc(0.5 * angle / np.pi) ** 2 * cross @ cross

@@ -13,10 +13,11 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.navigation.attitude import UP, rotation_matrix
+from gyrobench.bench.navigation.attitude import UP, rotation_matrices, rotation_matrix
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
 #: Angles of the outer and the inner axis, deg.
@@ -57,10 +58,13 @@ class TwoAxisTable:
         if not (np.allclose(C @ C.T, np.eye(3), atol=_TOLERANCE) and np.linalg.det(C) > 0.0):
             raise DocumentError(f"the mounting must be a right-handed rotation; found {C.tolist()}")
 
-    def attitude(self, outer_deg: float, inner_deg: float) -> FloatArray:
-        """Attitude ``C_nb`` (3, 3) of the unit at these axis angles."""
-        outer = rotation_matrix(self.outer_axis_enu, np.deg2rad(outer_deg))
-        return outer @ rotation_matrix(self.inner_axis_enu, np.deg2rad(inner_deg)) @ self.C_mount
+    def attitude(self, outer_deg: ArrayLike, inner_deg: ArrayLike) -> FloatArray:
+        """Attitudes ``C_nb`` (..., 3, 3) of the unit at these axis angles (...)."""
+        outer, inner = (
+            rotation_matrices(np.multiply.outer(np.deg2rad(angle_deg), axis))
+            for angle_deg, axis in ((outer_deg, self.outer_axis_enu), (inner_deg, self.inner_axis_enu))
+        )
+        return outer @ inner @ self.C_mount
 
     def angles(self, C_nb: FloatArray, turns_deg: Sequence[float] = ()) -> Angles:
         """Axis angles that give an attitude.
@@ -114,7 +118,7 @@ class TwoAxisTable:
         """Attitudes (k, 3, 3) on the way between two pairs of angles, both axes moving at once."""
         longest_deg = float(np.abs(np.subtract(to_angles, from_angles)).max())
         steps = max(1, int(np.ceil(longest_deg / _PATH_STEP_DEG)))
-        return np.stack([self.attitude(*pair) for pair in np.linspace(from_angles, to_angles, steps + 1)])
+        return self.attitude(*np.linspace(from_angles, to_angles, steps + 1).T)
 
     def reaches(self, C_nb: FloatArray) -> bool:
         """Whether some axis angles, limits apart, give this attitude."""

@@ -41,7 +41,7 @@ Handler = Callable[[Arguments], str]
 Handlers = dict[tuple[tuple[str, ...], bool], Handler]
 
 _LIMIT_DECIMALS = 4
-_REGISTER = lru_cache(maxsize=512)(re.compile(r"A(\d+)(STATE|DYN|SWFLT|INTLK)", re.ASCII).fullmatch)
+_REGISTER = re.compile(r"A(\d+)(STATE|DYN|SWFLT|INTLK)", re.ASCII)
 _SINGLE_LIMITS = {
     "RATE": "rate_dps",
     "ACCELERATION": "acceleration_dps2",
@@ -142,6 +142,8 @@ class AxisCommands:
     def __init__(self, axes: Mapping[int, AclAxis], decimals: int) -> None:
         self._axes = dict(axes)
         self._decimals = decimals
+        self._one = lru_cache(maxsize=512)(self._find)
+        self._register = lru_cache(maxsize=512)(self._find_register)
 
     def handlers(self) -> Handlers:
         """All commands and queries of the axes."""
@@ -194,7 +196,7 @@ class AxisCommands:
             for header, handler in handlers.items()
         }
 
-    def _one(self, argument: Argument) -> AclAxis:
+    def _find(self, argument: Argument) -> AclAxis:
         axis_number = whole_number(argument)
         refuse_if(axis_number not in self._axes)
         return self._axes[axis_number]
@@ -297,28 +299,30 @@ class AxisCommands:
 
     def _status_register(self, arguments: Arguments) -> str:
         expect(arguments, 1, 2)
-        value = self._register(str(arguments[0]))
+        value = self._register(str(arguments[0]))()
         if len(arguments) == 1:
             return str(value)
         bit = whole_number(arguments[1])
         refuse_if(not 0 <= bit < 32)
         return str(value >> bit & 1)
 
-    def _register(self, name: str) -> int:
-        """Value of a status register; ACP, SUP and RI are always zero."""
+    def _find_register(self, name: str) -> Callable[[], int]:
+        """Find what reads a status register; ACP, SUP and RI are always zero."""
         if name == "SI":
-            return sum(axis.faulted << axis_number - 1 for axis_number, axis in self._axes.items())
+            return lambda: sum(axis.faulted << number - 1 for number, axis in self._axes.items())
         if name in ("ACP", "SUP", "RI"):
-            return 0
-        match = _REGISTER(name)
+            return lambda: 0
+        match = _REGISTER.fullmatch(name)
         if match is None:
             raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
         axis = self._one(float(match[1]))
-        if match[2] == "STATE":
-            return axis.state_register()
-        if match[2] == "DYN":
-            return axis.dynamics_register()
-        return axis.software_faults if match[2] == "SWFLT" else axis.latched_interlocks
+        registers: dict[str, Callable[[], int]] = {
+            "STATE": axis.state_register,
+            "DYN": axis.dynamics_register,
+            "SWFLT": lambda: axis.software_faults,
+            "INTLK": lambda: axis.latched_interlocks,
+        }
+        return registers[match[2]]
 
     def _legacy_status(self, arguments: Arguments) -> str:
         expect(arguments, 2)

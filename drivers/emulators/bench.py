@@ -113,11 +113,12 @@ class EmulatedBench:
 
     def advance_instruments(self) -> None:
         """Advance what table and chamber depend on: the air and whole seconds, if there are no faults."""
-        if self._injector is None:
-            self.world.advance(math.floor(self.clock.now()))
-            self.world.advance_air(self.clock.now())
-        else:
+        now_s = self.clock.now()
+        if self._injector is not None:
             self.advance()
+        elif now_s >= self.world.air_s:  # not yet in this second
+            self.world.advance(math.floor(now_s))
+            self.world.advance_air(now_s)
 
     @property
     def keeps_frames(self) -> bool:

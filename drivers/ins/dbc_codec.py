@@ -17,12 +17,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice, pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import cantools
 import numpy as np
 import textparser
-from cantools.database import Database, DecodeError
+from cantools.database import Database
 from cantools.database.can import Message, Signal
 from numpy.typing import ArrayLike, NDArray
 
@@ -135,17 +135,11 @@ class DbcCodec:
         words = Payloads(block.take(self.rows(block, message_name)).data)
         return {name: layout.physical(name, words) for name in layout.fields}
 
-    def decode_one(self, data: bytes, message_name: str) -> Mapping[str, float]:
-        """Decode one payload to the same values, by cantools; without absent signals, empty if too short."""
+    def decode_one(self, data: bytes, message_name: str, signal_name: str) -> float:
+        """Decode one signal of one payload to the same value; NaN if it is absent or the data too short."""
         layout = self._layout(message_name)
-        if len(data) < layout.length:
-            return {}
-        try:
-            return layout.message.decode(data, decode_choices=False)  # type: ignore[return-value]
-        except DecodeError:  # a multiplexer has a value without signals
-            row = np.frombuffer(data.ljust(MAX_LENGTH, b"\0"), np.uint8)
-            block = FrameBlock.from_columns([0.0], [layout.arbitration_id], [len(data)], [row])
-            return {name: values.item() for name, values in self.decode(block, message_name).items()}
+        is_sent = len(data) >= layout.length and layout.selects(signal_name, data)
+        return layout.fields[signal_name].physical_one(data) if is_sent else math.nan
 
     def encode(self, message_name: str, values: Mapping[str, ArrayLike]) -> NDArray[np.uint8]:
         """Payloads of a message, shape (n, length of the message).
@@ -173,7 +167,6 @@ class _Layout:
 
     def __init__(self, message: Message) -> None:
         extended = EXTENDED_ID if message.is_extended_frame else 0
-        self.message = message
         self.arbitration_id = message.frame_id | extended
         self.length = message.length
         self.fields = {signal.name: BitField(signal) for signal in message.signals}
@@ -185,6 +178,14 @@ class _Layout:
         return np.where(
             self._present(name, lambda selector: self.fields[selector].raw(words)), values, np.nan
         )
+
+    def selects(self, name: str, data: bytes) -> bool:
+        """Whether the multiplexers in a payload select the signal."""
+        signal = self.fields[name].signal
+        selector = signal.multiplexer_signal
+        if signal.multiplexer_ids is None or selector is None:
+            return True
+        return self.fields[selector].raw_one(data) in signal.multiplexer_ids and self.selects(selector, data)
 
     def encode(self, values: dict[str, FloatArray]) -> NDArray[np.uint8]:
         count = len(next(iter(values.values()), np.zeros(1)))
@@ -288,6 +289,27 @@ class BitField:
         if self.signal.offset != 0:
             values += self.signal.offset
         return values
+
+    @cached_property
+    def _one(self) -> tuple[Literal["little", "big"], int, int, int, float, float]:
+        """Byte order of a payload, shift to the last bit, masks of all and of the sign bit, scale, offset."""
+        signal, shift = self.signal, int(self.right) - int(self.left)
+        sign = 1 << signal.length - 1 if signal.is_signed and not signal.conversion.is_float else 0
+        order: Literal["little", "big"] = "big" if self.big_endian else "little"
+        return order, shift, (1 << signal.length) - 1, sign, float(signal.scale), float(signal.offset)
+
+    def raw_one(self, data: bytes) -> float:
+        """Read the field of one payload, as :meth:`raw` does."""
+        order, shift, mask, sign, _, _ = self._one
+        raw = int.from_bytes(data.ljust(MAX_LENGTH, b"\0"), order) >> shift & mask
+        if self.signal.conversion.is_float:
+            bits_type, float_type = _FLOATS[self.signal.length]
+            return float(bits_type(raw).view(float_type))
+        return raw - 2 * (raw & sign)
+
+    def physical_one(self, data: bytes) -> float:
+        """Read the field of one payload, scaled to the DBC's unit."""
+        return float(self.raw_one(data)) * self._one[4] + self._one[5]
 
     def to_raw(self, values: FloatArray) -> Words:
         """Convert values in the DBC's unit to right-aligned bits; see :meth:`DbcCodec.encode`."""

@@ -37,9 +37,9 @@ class NewestFrames:
     def take(self, frames: FrameBlock, now_s: float) -> None:
         """Store frames that have just arrived, in order; at least one."""
         self._received_s, self._stamp_s = now_s, frames.timestamp_s.item(-1)
-        identifiers, places = np.unique(frames.arbitration_id[::-1], return_index=True)
-        newest = frames.rows[::-1][places].tolist()
-        self._newest = self._newest | dict(zip(identifiers.tolist(), newest, strict=True))
+        places = dict(zip(frames.arbitration_id.tolist(), range(len(frames)), strict=True))
+        newest = frames.rows[list(places.values())].tolist()
+        self._newest = self._newest | dict(zip(places, newest, strict=True))
 
     def forget(self, message_name: str) -> None:
         """Drop the frames of a message."""
@@ -62,16 +62,14 @@ class Snapshot:
         self._newest = newest
         self._oldest_s = oldest_s
         self._codec = codec
-        self._decoded: dict[str, Mapping[str, float]] = {}
 
     def value(self, bound: BoundSignal) -> float:
         """Value of a signal; NaN without its frame."""
-        message = bound.message
-        if message not in self._decoded:
-            row = self._newest.get(self._codec.arbitration_id(message))
-            data = bytes(row[4][: row[2]]) if row and row[0] >= self._oldest_s else b""
-            self._decoded[message] = self._codec.decode_one(data, message)
-        return float(bound.to_si(self._decoded[message].get(bound.signal.name, math.nan)))
+        row = self._newest.get(self._codec.arbitration_id(bound.message))
+        if row is None or row[0] < self._oldest_s:
+            return math.nan
+        data = bytes(row[4][: row[2]])
+        return bound.one_to_si(self._codec.decode_one(data, bound.message, bound.signal.name))
 
     def held(self, bound: BoundSignal, rows: IntArray) -> FloatArray:  # noqa: ARG002 - only now
         """Value of a signal, shape (1,)."""
@@ -150,12 +148,6 @@ class InsStatus:
     def attitude(self) -> FloatArray:
         """``C_nb``, shape (3, 3)."""
         return np.asarray(self._readout.attitude(_NOW)[0])
-
-    def keep_attitude(self) -> None:
-        """Read what the attitude is computed from, so that it can be asked for at any later time."""
-        for path in self._signals:
-            if path.startswith("attitude."):
-                self._number(path)
 
     @cached_property
     def optics_c(self) -> FloatArray:

@@ -337,6 +337,13 @@ class BoundSignal:
             values = np.where((physical > low) & (physical < high), values, np.nan)
         return values
 
+    def one_to_si(self, physical: float) -> float:
+        """Convert one value as :meth:`to_si`."""
+        if self.bits is not None:
+            return float(self.to_si(physical))
+        is_valid = not self.saturates or self._limits[0] < physical < self._limits[1]
+        return physical * self.gain + self.offset if is_valid else math.nan
+
     def _field(self, physical: FloatArray | float) -> FloatArray:
         """The bits of the raw value as a number; NaN stays."""
         assert self.bits is not None  # noqa: S101 - the caller checks

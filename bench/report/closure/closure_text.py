@@ -129,7 +129,10 @@ def verdict_sentence(closure: Closure) -> str:
     match closure.verdict:
         case "clean":
             nothing = probability_text(closure.posterior.nothing)
-            return f"The declared model explains the biases: its residual is noise ({nothing})."
+            return (
+                f"No undeclared effect was found: the residual of the declared model is noise ({nothing})"
+                f"{_not_excluded(closure)}."
+            )
         case "explained":
             count = "One effect" if len(closure.effects) == 1 else f"A set of {len(closure.effects)} effects"
             return (
@@ -137,14 +140,24 @@ def verdict_sentence(closure: Closure) -> str:
                 f"({probability_text(closure.probability)})."
             )
         case "ambiguous":
-            return f"An effect is present, but {_unsettled(closure)}" if found else _undecided(closure)
+            some = 1.0 - closure.posterior.nothing
+            likely = f"An effect is likely ({probability_text(some)})"
+            present = "An effect is present" if some >= EXPLAINED else likely
+            return f"{present}, but {_unsettled(closure)}" if found else _undecided(closure)
         case _:
-            part = f" {found[0].upper()}{found[1:]} explains only a part." if found else ""
+            verb = "explains" if len(closure.effects) == 1 else "explain"
+            part = f" {found[0].upper()}{found[1:]} {verb} only a part." if found else ""
             unknown = probability_text(closure.posterior.not_on_list)
             return (
                 "The residual exceeds the noise, and no candidate effect explains it (something that is not "
                 f"on the list: {unknown}).{part}"
             )
+
+
+def _not_excluded(closure: Closure) -> str:
+    """What a clean verdict leaves open."""
+    sizes = [size for size in closure.detectable_dph.values() if math.isfinite(size)]
+    return f"; something below {size_text(max(sizes))} deg/h rms is not excluded" if sizes else ""
 
 
 def _unsettled(closure: Closure) -> str:
@@ -192,7 +205,13 @@ def probability_sentence(closure: Closure) -> str:
     """Probabilities of the effects, of something that is not on the list, and of nothing."""
     weighed = closure.posterior
     likely = {name: p for name, p in weighed.of_effect.items() if p >= _WORTH_STATING}
-    parts = [f"{closure.label(name)} {probability_text(p)}" for name, p in likely.items()]
+    parts = []
+    for each in closure.effects:
+        likely.pop(each.effect.name, None)
+        general = [name for name in weighed.more_general.get(each.effect.name, ()) if likely.pop(name, None)]
+        law = f" (as such or as {labels(closure, general)})" if general else ""
+        parts.append(f"{each.effect.display_name} {probability_text(each.probability)}{law}")
+    parts += [f"{closure.label(name)} {probability_text(p)}" for name, p in likely.items()]
     follows = max(weighed.follows, key=lambda name: weighed.follows[name])
     unknown = f"something that is not on the list {probability_text(weighed.not_on_list)}"
     parts.append(f"{unknown} (it follows {follows})" if weighed.not_on_list >= 0.5 else unknown)
@@ -235,12 +254,17 @@ def before_sentence(closure: Closure) -> str:
 
 
 def rejection_sentences(closure: Closure) -> list[str]:
-    """Candidates that are significant alone and not found, with the reason."""
+    """Candidates that are significant alone and not found, by reason."""
     tied = {name for each in closure.effects for name in each.tied_with}
-    rejected = [each for each in closure.evidence if each.rejected and each.effect.name not in tied]
+    by_reason: dict[str, list[str]] = {}
+    for each in closure.evidence:
+        if each.rejected and each.effect.name not in tied:
+            reason, _, detail = each.rejected.partition(" (")
+            detail = f" ({detail.partition(',')[0].removesuffix(')')})" if detail else ""
+            by_reason.setdefault(reason, []).append(f"{each.effect.display_name}{detail}")
     return [
-        f"Rejected: {each.effect.display_name} ({p_phrase(each.p_value)} alone): {each.rejected}."
-        for each in rejected
+        f"Rejected although significant alone: {listed(names)}. Reason: {reason}."
+        for reason, names in by_reason.items()
     ]
 
 
@@ -262,16 +286,16 @@ def _evidence_of(found: FoundEffect, is_one_cycle: bool) -> str:
     cycles = "cycle" if len(found.gains) == 1 else "cycles"
     parts = [f"{share_text(gain)} of chi2 in cycle {cycle}" for cycle, gain in found.gains.items()]
     against = [str(cycle) for cycle, gain in found.gains.items() if gain <= 0.0]
-    depends = (
-        f" It depends on which cycle is held out: cycle {listed(against)} contradicts it." if against else ""
-    )
+    which = f"cycles {listed(against)} contradict" if against[1:] else f"cycle {listed(against)} contradicts"
+    depends = f" It depends on which cycle is held out: {which} it." if against else ""
     return f"{significance} With its size fitted to the other {cycles}, it explains {listed(parts)}.{depends}"
 
 
 def alternative_sentence(closure: Closure) -> str:
     """The best other candidate and the odds against it; its share if no effect was found."""
     names = {each.effect.name for each in closure.effects}
-    others = [each for each in closure.evidence if not each.missing_input and each.effect.name not in names]
+    same = names.union(*(closure.posterior.more_general.get(name, ()) for name in names))
+    others = [each for each in closure.evidence if not each.missing_input and each.effect.name not in same]
     if not others or closure.verdict == "clean":
         return ""
     best = min(others, key=lambda each: each.log_odds_against)
@@ -337,7 +361,8 @@ def error_sentence(closure: Closure) -> str:
     return (
         f"In {held_out_cycles(closure)} (held out, {dwells}), measured minus predicted bias is {models}; the "
         f"noise is {size_text(rms(noise_dph(closure)[held_out]))} deg/h. A predicted bias has a standard "
-        f"uncertainty of {size_text(rms(closure.prediction_sigma_dph[held_out]))} deg/h."
+        f"uncertainty of {size_text(rms(closure.prediction_sigma_dph[held_out]))} deg/h"
+        f"{', as far as the model holds' if closure.verdict == 'unexplained' else ''}."
     )
 
 

@@ -67,24 +67,26 @@ class GyrobenchFormat(CanFormat):
 
     @override
     def frames(self, epochs: Epochs) -> FrameBlock:
-        slow, count = self._slow_data(epochs), len(epochs.sample)
-        frames = FrameBlock(np.zeros(len(slow) * _SLOW_FRAMES + count * _FAST_FRAMES, FRAME_DTYPE))
+        seconds, count = len(epochs.align_time_s), len(epochs.sample)
+        frames = FrameBlock(np.zeros(seconds * _SLOW_FRAMES + count * _FAST_FRAMES, FRAME_DTYPE))
         valid = epochs.mode is Mode.NAVIGATE or epochs.alignment > 0
         _encode(
-            frames.timestamp_s, frames.arbitration_id, frames.length, frames.data, slow, epochs.read_c,
-            epochs.sample, euler_output(epochs.states, self._world.unit.pitch_first),
-            self._epoch_unix_s, self._epoch_counter, int(epochs.alignment), valid,
+            frames.timestamp_s, frames.arbitration_id, frames.length, frames.data, self._slow_data(epochs),
+            epochs.read_c, epochs.align_time_s, epochs.sample,
+            euler_output(epochs.states, self._world.unit.pitch_first), self._epoch_unix_s,
+            self._epoch_counter, self._status_counter, int(epochs.alignment), valid,
         )  # fmt: skip
+        self._status_counter = (self._status_counter + seconds) & 0xFFFF
         self.skip_epochs(count)
         return frames
 
     def _slow_data(self, epochs: Epochs) -> NDArray[np.uint8]:
-        """Data of the slow frames without temperatures, shape (k, 56), of k whole seconds."""
+        """Data of the slow frames of a second, shape (56,), without times, counters and temperatures."""
         unit, file = self._world.unit, self._world.file
         applied, table = unit.compensation, unit.loaded_table.tobytes()
         if table != self._table:
             self._table, self._checksum = table, checksum(unit.loaded_table)
-        one = _SLOW_DATA.pack(
+        data = _SLOW_DATA.pack(
             0, 0,
             max(_INT32_MIN, min(_INT32_MAX, round(file.height_m * 1e4))), 0,
             epochs.mode, unit.pitch_first, 0, applied is not None, 0, 0,
@@ -92,26 +94,19 @@ class GyrobenchFormat(CanFormat):
             0 if applied is None else applied.checksum, self._checksum,
             *[0] * 8,
         )  # fmt: skip
-        count = len(epochs.align_time_s)
-        slow = np.tile(np.frombuffer(one, np.uint8), (count, 1))
-        words, halves, seconds = slow.view("<u4"), slow.view("<u2"), np.arange(count)
-        words[:, 0] = epochs.sample[-1] // SAMPLE_RATE_HZ - seconds[::-1] & 0xFFFFFFFF
-        halves[:, 9] = np.minimum(epochs.align_time_s, 0xFFFF)
-        halves[:, 11] = halves[:, 23] = self._status_counter + seconds & 0xFFFF
-        self._status_counter = (self._status_counter + count) & 0xFFFF
-        return slow
+        return np.frombuffer(data, np.uint8)
 
 
 @compiled
 def _encode(
     frame_s: FloatArray, identifier: NDArray[np.uint32], length: NDArray[np.uint8], data: NDArray[np.uint8],
-    slow: NDArray[np.uint8], temperatures_c: FloatArray, sample: IntArray, output: FloatArray,
-    epoch_unix_s: float, counter: int, alignment: int, valid: bool,
+    slow: NDArray[np.uint8], temperatures_c: FloatArray, align_time_s: FloatArray, sample: IntArray,
+    output: FloatArray, epoch_unix_s: float, counter: int, status_counter: int, alignment: int, valid: bool,
 ) -> None:  # fmt: skip
     """Fill the columns of the frames of some epochs.
 
-    ``slow``: data of the slow frames of their whole seconds, in which ``temperatures_c``, shape (k, 7), are
-    missing.
+    ``slow``: data of the slow frames of a second, to which are added ``temperatures_c``, shape (k, 7), and
+    ``align_time_s``, shape (k,), of the k whole seconds, the time, and ``status_counter``.
     """
     length[:] = 8
     row = second = 0
@@ -122,7 +117,11 @@ def _encode(
                 frame_s[row + place] = time_s + place * FRAME_S
                 identifier[row + place] = _SLOW_IDS[place]
                 for byte in range(8):
-                    data[row + place, byte] = slow[second, 8 * place + byte]
+                    data[row + place, byte] = slow[8 * place + byte]
+            _put_bits(data[row], 0, 4, sample[k] // SAMPLE_RATE_HZ)
+            _put_bits(data[row + 2], 2, 2, int(min(align_time_s[second], 0xFFFF)))
+            _put_bits(data[row + 2], 6, 2, status_counter + second)
+            _put_bits(data[row + 5], 6, 2, status_counter + second)
             row += _SLOW_FRAMES
             for i in range(3):
                 _put(data[row - 2], 2 * i, 2, 100.0 * temperatures_c[second, 1 + i])
@@ -138,7 +137,7 @@ def _encode(
         _put(data[row + 1], 0, 4, output[k, 2] * _ANGLE_LSB_PER_RAD)
         _put(data[row + 1], 4, 4, output[k, 3] * _ANGLE_LSB_PER_RAD)
         _put(data[row + 2], 0, 4, np.rint(output[k, 4] * _ANGLE_LSB_PER_RAD) % _FULL_TURN)
-        data[row + 2, 4], data[row + 2, 5] = counter + k & 0xFF, counter + k >> 8 & 0xFF
+        _put_bits(data[row + 2], 4, 2, counter + k)
         data[row + 2, 6], data[row + 2, 7] = alignment, valid
         row += _FAST_FRAMES
 
@@ -147,6 +146,11 @@ def _encode(
 def _put(data: NDArray[np.uint8], place: int, size: int, value: float) -> None:
     """Put a signed integer of ``size`` bytes, rounded and within its range, into the data of a frame."""
     limit = 2.0 ** (8 * size - 1)
-    number = int(min(max(np.rint(value), -limit), limit - 1.0))
+    _put_bits(data, place, size, int(min(max(np.rint(value), -limit), limit - 1.0)))
+
+
+@compiled
+def _put_bits(data: NDArray[np.uint8], place: int, size: int, number: int) -> None:
+    """Put the lowest ``size`` bytes of a number into the data of a frame."""
     for byte in range(size):
         data[place + byte] = number >> 8 * byte & 0xFF

@@ -66,7 +66,7 @@ class World:
         self._power_on_bias = np.zeros(3)
         self._sample = start_s * SAMPLE_RATE_HZ
         self._powered_on_sample = self._sample
-        self._air_seconds = start_s
+        self.air_s = start_s  #: Time that the chamber's air has reached.
         self._air_course: deque[tuple[float, float]] = deque()  # in seconds that are not yet simulated
         self._remainders = np.zeros((2, 3))
         self._resting: tuple[FloatArray, FloatArray, FloatArray] | None = None
@@ -122,8 +122,8 @@ class World:
         self._step_air(math.ceil(_samples(time_s) / SAMPLE_RATE_HZ))
 
     def _step_air(self, seconds: int) -> None:
-        while self._air_seconds < seconds:
-            self._air_seconds += 1
+        while self.air_s < seconds:
+            self.air_s += 1
             self.air.step(1.0)
             self._air_course.append((self.air.air_c, self.air.compressor_duty))
 
@@ -195,15 +195,14 @@ class World:
         if readings:
             read_c = self._with_faults(self.thermal.read_c(read_c, normal[:, -readings:]))
         for _, alike in groupby(epochs, key=lambda part: part.alignment):
-            sample, states, mode, alignment, align_time_s, _ = zip(*alike, strict=True)
-            times_s = np.concatenate(align_time_s)
-            self.on_epochs(
-                Epochs(
-                    np.concatenate(sample), np.concatenate(states), mode[0], alignment[0], times_s,
-                    read_c[: len(times_s)],
+            joined, *others = alike
+            if others:
+                sample, states, times_s = (
+                    np.concatenate([each[i] for each in (joined, *others)]) for i in (0, 1, 4)
                 )
-            )  # fmt: skip
-            read_c = read_c[len(times_s) :]
+                joined = joined._replace(sample=sample, states=states, align_time_s=times_s)
+            self.on_epochs(joined._replace(read_c=read_c[: len(joined.align_time_s)]))
+            read_c = read_c[len(joined.align_time_s) :]
 
     def _measured_increments(
         self, normal: FloatArray, count: int, resting: tuple[FloatArray, FloatArray, FloatArray] | None

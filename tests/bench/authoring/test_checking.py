@@ -78,7 +78,7 @@ def changed(tmp_path, folder, name, *pairs):
             ["latitude_deg", "bot_s"],
         ),
         ("faults", "every_kind", [("lost_reply", "lost_replies")], "faults", ["lost_replies"]),
-        ("imports", "ln100", [("unit: deg/s", "unit: deg")], "import", ["deg/s"]),
+        ("imports", "ln100", [("unit: deg/s", "unit: rpm")], "import", ["deg/s"]),
     ],
 )
 def test_everything_wrong_is_reported_with_its_place(folder, name, pairs, kind, said, tmp_path):

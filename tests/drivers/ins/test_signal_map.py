@@ -233,7 +233,7 @@ def test_a_signal_is_split_into_bit_fields_as_the_maker_s_own_dbc_needs(tmp_path
     payload = (1 << 27 | 1 << 5 | 1 << 4 | 3).to_bytes(4, "little") + b"\xff\xff"
     for path in ("mode", "alignment", "attitude.valid"):
         one, other = (
-            bound[path].to_si(codec.decode_one(payload, bound[path].message)[bound[path].signal.name])
+            bound[path].one_to_si(codec.decode_one(payload, bound[path].message, bound[path].signal.name))
             for bound, codec in ((split, own), (named, shipped))
         )
         assert one == other != 0.0

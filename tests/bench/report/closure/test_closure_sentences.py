@@ -27,7 +27,7 @@ from tests.bench.report.made_up_closure import (
 @pytest.mark.parametrize(
     ("search", "verdict", "said"),
     [
-        (clean, "clean", "its residual is noise"),
+        (clean, "clean", "the residual of the declared model is noise"),
         (explained, "explained", "is the best of those tried: temperature rate (P > 0.999)."),
         (ambiguous, "ambiguous", "temperature rate (P = 0.50) or twin (P = 0.50)"),
         (unexplained, "unexplained", "no candidate effect explains it"),
@@ -67,6 +67,44 @@ def test_an_effect_that_a_cycle_contradicts_is_said_to_depend_on_the_one_held_ou
     first = replace(closure.effects[0], gains={1: 0.9, 2: -0.3})
     [sentence, *_] = closure_text.effect_sentences(replace(closure, effects=(first,)))
     assert sentence.endswith("It depends on which cycle is held out: cycle 2 contradicts it.")
+
+
+def test_rejected_effects_are_listed_by_reason():
+    closure = explained()
+    assert closure_text.rejection_sentences(closure) == [
+        "Rejected although significant alone: bias jump. Reason: not significant beside temperature rate."
+    ]
+    beside = "not significant beside temperature rate (p = {}, required below 0.001)"
+    reasons = [
+        "",
+        beside.format(0.02),
+        beside.format(0.3),
+        "it rests on dwell 7 alone (p = 0.1 without it)",
+        "",
+    ]
+    evidence = tuple(
+        replace(each, rejected=reason) for each, reason in zip(closure.evidence, reasons, strict=True)
+    )
+    first, second, third = (each.effect.display_name for each in evidence[1:4])
+    assert closure_text.rejection_sentences(replace(closure, evidence=evidence)) == [
+        f"Rejected although significant alone: {first} (p = 0.02) and {second} (p = 0.3). "
+        "Reason: not significant beside temperature rate.",
+        f"Rejected although significant alone: {third} (p = 0.1 without it). "
+        "Reason: it rests on dwell 7 alone.",
+    ]
+
+
+def test_an_effect_beside_which_noise_is_not_excluded_is_called_likely():
+    closure = ambiguous()
+    assert closure_text.verdict_sentence(closure).startswith("An effect is present, but")
+    weighed = [
+        replace(
+            each, probability=0.2 if not each.names and not each.has_remainder else 0.8 * each.probability
+        )
+        for each in closure.posterior.hypotheses
+    ]
+    likely = replace(closure, posterior=replace(closure.posterior, hypotheses=tuple(weighed)))
+    assert closure_text.verdict_sentence(likely).startswith("An effect is likely (P = 0.80), but")
 
 
 def test_the_best_alternative_has_its_share_and_odds():

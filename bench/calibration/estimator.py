@@ -1,0 +1,302 @@
+"""Systematic calibration: all coefficients from navigation errors over a list of rotations with rests.
+
+The unit rests at one place between rotations. Integrated from an attitude found by gravity and the Earth's
+rate, the velocity at rest has to be zero, and whole turns have to lead back to the attitude before. What is
+left is explained by the coefficients, by the attitude at the start and, as an option, by the places of the
+accelerometers in the unit and their delay: generalised least squares, linearised at the solution (Gauss and
+Newton). Recordings in separate attitudes, as of a tumble test, and rotations on a table are one problem:
+coefficients are common, the attitude at the start is each recording's.
+
+References
+----------
+Savage, "Improved Strapdown Inertial Sensor Calibration Procedures", Strapdown Associates, WBN-14020 (2014):
+calibration from rotations between rests, sensed by the accelerometers alone.
+Camberlein and Mazzanti, "Calibration technique for laser gyro strapdown inertial navigation systems",
+Symposium Gyro Technology, Stuttgart 1985.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrobench.bench.bias.statistics import Chi2Test, chi2_test, compress, solve
+from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, SensorErrors
+from gyrobench.bench.calibration.recording import (
+    IncrementRecording,
+    Rest,
+    Rotation,
+    SensorNoise,
+    find_rests,
+    find_rotations,
+    measure_noise,
+)
+from gyrobench.bench.calibration.strapdown import ATTITUDE, DELAY, LEVER_ARMS, integrate
+from gyrobench.bench.calibration.whitening import white_rows
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.attitude import rotation_matrices
+from gyrobench.bench.navigation.earth import EARTH_RATE
+from gyrobench.bench.navigation.error_model import Site
+
+#: Time between two velocities at rest, s: closer ones would average noise of the output alone.
+EPOCH_S = 1.0
+#: Large sizes of what is not a coefficient, SI: lever arms, delay, attitude error at the start.
+_LEVER_ARM, _DELAY, _ATTITUDE_ERROR = 0.2, 0.01, 0.5
+#: An unknown is observed if sizes ten times as large let its uncertainty grow by less than this.
+_MAX_GROWTH = 1.1
+#: Rounds of linearisation; the last one changes the weighted sum of squares by less than this.
+_MAX_ROUNDS, _CONVERGED = 15, 0.1
+#: Below this probability the noise alone does not explain the residuals.
+MIN_P_VALUE = 1e-3
+#: Epochs at rest over which residuals are summed for the test of fit.
+_FIT_EPOCHS = 60
+
+
+@dataclass(frozen=True)
+class CalibrationOptions:
+    """What is estimated beside the coefficients, and what the table contributes."""
+
+    lever_arms: bool = False  #: Places of the y and z accelerometers relative to the x accelerometer.
+    delay: bool = False  #: Delay of the accelerometers against the gyros.
+    #: Standard uncertainty, rad, with which the table returns after whole turns; None: spins count as any
+    #: other rotation.
+    whole_turns: float | None = None
+    gravity: float | None = None  #: Local gravity, m/s^2; None: normal gravity of the site.
+
+
+@dataclass(frozen=True, eq=False)
+class Information:
+    """What white rows say of the coefficients and of what else is unknown."""
+
+    rows: FloatArray  #: Shape (m, 21 + k), at most 22 + k of them. SI.
+    data: FloatArray  #: Shape (m,).
+    sizes: FloatArray  #: Shape (21 + k,). Large values of the unknowns, SI.
+
+    @classmethod
+    def of(cls, blocks: Sequence[FloatArray], used: Sequence[int]) -> Information:
+        """From the rows of all recordings, see :func:`side_by_side`."""
+        stacked = compress(np.vstack([compress(each) for each in blocks]))
+        sizes = [each.size for each in COEFFICIENTS] + [_LEVER_ARM] * 9 + [_DELAY]
+        attitudes = [_ATTITUDE_ERROR] * (stacked.shape[1] - 1 - len(used))
+        return cls(stacked[:, :-1], stacked[:, -1], np.array([*(sizes[each] for each in used), *attitudes]))
+
+    def solve(self, origin: FloatArray | None = None) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Values (21 + k,), their covariance, and which of them the data determine.
+
+        What the data leave open stays near ``origin`` (21 + k,), or zero.
+        """
+        centre = np.zeros(len(self.sizes)) if origin is None else origin
+        left = self.data - self.rows @ centre
+        values, covariance = solve(self.rows, left, np.diag(self.sizes))
+        _, wide = solve(self.rows, left, np.diag(10.0 * self.sizes))
+        growth = np.sqrt(np.diag(wide) / np.diag(covariance))
+        return centre + values, covariance, np.asarray(growth < _MAX_GROWTH)
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """Coefficients of one unit with their uncertainties."""
+
+    #: values, covariance, is_observed: Shapes (21,), (21, 21), (21,). Of
+    #: :data:`~gyrobench.bench.calibration.coefficients.COEFFICIENTS`, SI; without meaning where not observed.
+    values: FloatArray
+    covariance: FloatArray
+    is_observed: BoolArray
+    #: lever_arms, delay: Places of the y and z accelerometers relative to the x accelerometer, (2, 3), m, and
+    #: delay of the accelerometers, s, with uncertainties; None if not estimated, NaN where not observed.
+    lever_arms: tuple[FloatArray, FloatArray] | None
+    delay: tuple[float, float] | None
+    noise: SensorNoise  #: As measured at rest.
+    recordings: tuple[IncrementRecording, ...]
+    rests: tuple[tuple[Rest, ...], ...]  #: Of each recording.
+    rotations: tuple[tuple[Rotation, ...], ...]  #: Of each recording.
+    #: Test that the noise explains what the coefficients leave of the velocity. Where it does not, the
+    #: uncertainties are larger by the root of chi2 over its degrees of freedom.
+    fit: Chi2Test
+
+    @property
+    def sigmas(self) -> FloatArray:
+        """Standard uncertainties (21,), SI."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def correlations(self) -> FloatArray:
+        """Correlation coefficients (21, 21)."""
+        return np.asarray(self.covariance / np.outer(self.sigmas, self.sigmas))
+
+    @property
+    def errors(self) -> SensorErrors:
+        """The coefficients as matrices."""
+        return SensorErrors.from_vector(np.where(self.is_observed, self.values, 0.0))
+
+
+def calibrate(
+    recordings: Sequence[IncrementRecording], site: Site, options: CalibrationOptions | None = None
+) -> Calibration:
+    """Estimate all coefficients.
+
+    ``recordings``: of one unit, at one sample rate. Raises MeasurementError if the unit does not rest long
+    enough, or no coefficients explain the increments.
+    """
+    options = options or CalibrationOptions()
+    rests = [find_rests(each) for each in recordings]
+    rotations = [find_rotations(*each) for each in zip(recordings, rests, strict=True)]
+    noise = measure_noise(recordings, rests)
+    sections = [_Section.between_rests(*each) for each in zip(recordings, rests, rotations, strict=True)]
+    used = columns_of(options)
+    common, first = np.zeros(COUNT + 10), SensorErrors(gyro_bias=_first_bias(recordings, rests))
+    common[:COUNT] = first.vector()
+    starts = [each.aligned(first) for each in sections]
+    origin, left = np.concatenate([common[used], np.zeros(3 * len(sections))]), np.inf
+    for _ in range(_MAX_ROUNDS):
+        parts = [
+            each.white_rows(common, start, noise, site, options)
+            for each, start in zip(sections, starts, strict=True)
+        ]
+        blocks = side_by_side(parts, common, used)
+        found = Information.of(blocks, used)
+        values, covariance, is_observed = found.solve(origin)
+        attitudes = values[len(used) :].reshape(-1, 3)
+        before, left = left, float(np.linalg.norm(found.data - found.rows @ values) ** 2)
+        common[used] = values[: len(used)]
+        origin[len(used) :] -= attitudes.ravel()
+        starts = [turn @ start for turn, start in zip(rotation_matrices(attitudes), starts, strict=True)]
+        if abs(left - before) < _CONVERGED:
+            break
+    else:
+        raise MeasurementError(
+            f"the estimate does not converge in {_MAX_ROUNDS} rounds: the increments do not follow from "
+            "rotations between rests at one place. Check signs, axes and units in the import map"
+        )
+    sums = np.vstack([_sums(each) for each in blocks])
+    test = chi2_test(sums[:, -1] - sums[:, :-1] @ values, sums[:, :-1], covariance)
+    if test.p_value < MIN_P_VALUE:
+        covariance = covariance * test.chi2 / test.dof
+    beyond = np.where(is_observed, values, np.nan)[COUNT : len(used)]
+    uncertainty = np.where(is_observed, np.sqrt(np.diag(covariance)), np.nan)[COUNT : len(used)]
+    return Calibration(
+        values=values[:COUNT],
+        covariance=covariance[:COUNT, :COUNT],
+        is_observed=is_observed[:COUNT],
+        lever_arms=(beyond[:6].reshape(2, 3), uncertainty[:6].reshape(2, 3)) if options.lever_arms else None,
+        delay=(float(beyond[-1]), float(uncertainty[-1])) if options.delay else None,
+        noise=noise,
+        recordings=tuple(recordings),
+        rests=tuple(map(tuple, rests)),
+        rotations=tuple(map(tuple, rotations)),
+        fit=test,
+    )
+
+
+def columns_of(options: CalibrationOptions) -> list[int]:
+    """Which columns are common to all recordings; the x accelerometer's place is the origin."""
+    arms = range(LEVER_ARMS.start + 3, LEVER_ARMS.stop) if options.lever_arms else ()
+    return [*range(COUNT), *arms, *([DELAY] if options.delay else [])]
+
+
+def side_by_side(
+    parts: Sequence[tuple[FloatArray, FloatArray]], common: FloatArray, used: Sequence[int]
+) -> list[FloatArray]:
+    """White rows of each recording with the columns of all: common ones, attitudes at the starts, data.
+
+    ``parts``: rows (m, 34) and data (m,) of each recording, at the values ``common`` (31,). The data returned
+    are those of the values themselves, not of what they differ from the assumed ones.
+    """
+    blocks = []
+    for number, (rows, data) in enumerate(parts):
+        block = np.zeros((len(rows), len(used) + 3 * len(parts) + 1))
+        block[:, : len(used)] = rows[:, used]
+        block[:, len(used) + 3 * number :][:, :3] = rows[:, ATTITUDE]
+        block[:, -1] = data + rows[:, used] @ common[used]
+        blocks.append(block)
+    return blocks
+
+
+@dataclass(frozen=True, eq=False)
+class _Section:
+    """A recording from its first rest to its last, in epochs."""
+
+    recording: IncrementRecording
+    offset: int  #: First sample.
+    first: int  #: Samples of the first rest.
+    ends: IntArray  #: Shape (n,). Samples up to the end of each epoch.
+    at_rest: BoolArray  #: Shape (n,). Whether the unit rests at the end of each.
+    spins: list[tuple[int, int]]  #: Epochs before and after whole turns.
+
+    @classmethod
+    def between_rests(
+        cls, recording: IncrementRecording, rests: Sequence[Rest], rotations: Sequence[Rotation]
+    ) -> _Section:
+        offset, size = rests[0].begin, max(1, round(EPOCH_S / recording.interval_s))
+        ends = np.arange(size, rests[-1].end - offset + 1, size, dtype=np.int64)
+        at_rest = np.zeros(len(ends), bool)
+        for rest in rests:
+            at_rest |= (ends >= rest.begin - offset) & (ends <= rest.end - offset)
+        spins = [
+            ((before.end - offset) // size, -(-(after.begin - offset) // size))
+            for before, after, rotation in zip(rests, rests[1:], rotations, strict=False)
+            if rotation.is_spin
+        ]
+        return cls(recording, offset, rests[0].end - offset, ends, at_rest, spins)
+
+    def aligned(self, errors: SensorErrors) -> FloatArray:
+        """Attitude (3, 3) at the start by gravity and the Earth's rate in the first rest."""
+        rate, force = (each[: self.first].mean(axis=0) for each in self._freed(errors, None))
+        up = force / np.linalg.norm(force)
+        east = np.cross(rate, up)
+        east /= np.linalg.norm(east)
+        return np.stack([east, np.cross(up, east), up])
+
+    def white_rows(
+        self,
+        common: FloatArray,
+        C_nb: FloatArray,
+        noise: SensorNoise,
+        site: Site,
+        options: CalibrationOptions,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Rows (m, 34) and data (m,) at the values ``common`` (31,) and an attitude at the start."""
+        interval_s = self.recording.interval_s
+        angle, velocity = self._freed(SensorErrors.from_vector(common[:COUNT]), common)
+        gravity = options.gravity or site.gravity
+        trajectory = integrate(angle, velocity, interval_s, self.ends, C_nb, site.latitude, gravity)
+        lengths_s = np.diff(self.ends, prepend=0) * interval_s
+        turns = options.whole_turns
+        spins = [] if turns is None else self.spins
+        return white_rows(trajectory, lengths_s, self.at_rest, spins, noise, site.latitude, turns or 0.0)
+
+    def _freed(self, errors: SensorErrors, common: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+        part, interval_s = slice(self.offset, None), self.recording.interval_s
+        angle, velocity = errors.removed(
+            self.recording.angle[part], self.recording.velocity[part], interval_s
+        )
+        if common is not None and common[COUNT:].any():
+            rate = angle / interval_s
+            turning = np.gradient(rate, axis=0)
+            arms = common[LEVER_ARMS].reshape(3, 3)
+            for sensor, arm in enumerate(arms):
+                moved = np.cross(turning, arm) + np.cross(rate, np.cross(rate, arm)) * interval_s
+                velocity[:, sensor] -= moved[:, sensor]
+            velocity += common[DELAY] * np.cross(velocity, rate)
+        return angle, velocity
+
+
+def _first_bias(recordings: Sequence[IncrementRecording], rests: Sequence[Sequence[Rest]]) -> FloatArray:
+    """Gyro biases that exceed the Earth's rate by far; zero otherwise."""
+    rates = [
+        recording.angle[rest.begin : rest.end].mean(axis=0) / recording.interval_s
+        for recording, stretches in zip(recordings, rests, strict=True)
+        for rest in stretches
+    ]
+    mean = np.mean(rates, axis=0)
+    return np.asarray(mean if np.linalg.norm(mean) > 3.0 * EARTH_RATE else np.zeros(3))
+
+
+def _sums(rows: FloatArray) -> FloatArray:
+    """White rows summed over blocks of a minute, which show a slow misfit."""
+    size, columns = 3 * _FIT_EPOCHS, rows.shape[1]
+    blocks = rows[: len(rows) // size * size].reshape(-1, _FIT_EPOCHS, 3, columns)
+    return np.asarray(blocks.sum(axis=1).reshape(-1, columns) / np.sqrt(_FIT_EPOCHS))

@@ -1,0 +1,205 @@
+"""Increments of a unit that is turned and rests in between: where it rests, how it was turned, its noise."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrobench.bench.bias.allan import RANDOM_WALK, WHITE_ANGLE, allan_variance, fit_rate_noise
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vectors
+from gyrobench.bench.navigation.positions import AXES
+
+#: Time, s, over which increments are averaged to see motion.
+BLOCK_S = 0.5
+#: Shortest rest, s, that counts; all rests of a recording are at least :data:`MIN_REST_TOTAL_S`.
+MIN_REST_S, MIN_REST_TOTAL_S = 5.0, 60.0
+#: Smallest net angle, rad, of a rotation between two rests; what turns less is a disturbance.
+MIN_ROTATION = np.deg2rad(1.0)
+#: A spin turns so far, rad, and returns to within :data:`MIN_ROTATION` of where it started.
+MIN_SPIN = np.deg2rad(350.0)
+
+#: Rate, rad/s, and specific force, m/s^2, that may differ between resting blocks beyond their noise.
+_RATE_TOLERANCE, _FORCE_TOLERANCE = np.deg2rad(0.005), 2e-3
+#: Rate, rad/s, above the slowest at which a unit is taken to be turned.
+_TURNING = np.deg2rad(0.1)
+_SIGMAS = 6.0
+#: Quartile of the sizes of differences of normal values, in standard deviations of one value.
+_QUARTILE = 0.3186 * np.sqrt(2.0)
+#: Time between the samples of an Allan variance, s.
+_ALLAN_S = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class IncrementRecording:
+    """Increments of angle and velocity, evenly sampled and without a gap.
+
+    Raises MeasurementError if they are no numbers, or too few.
+    """
+
+    interval_s: float  #: Time between two samples.
+    angle: FloatArray  #: Shape (n, 3). Since the sample before, body axes, rad.
+    velocity: FloatArray  #: Shape (n, 3). Integral of the specific force since the sample before, m/s.
+    start_s: float = 0.0  #: Beginning of the first increment on the log's clock.
+
+    def __post_init__(self) -> None:
+        for name, values in (("angle", self.angle), ("velocity", self.velocity)):
+            if not np.isfinite(values).all():
+                raise MeasurementError(f"an increment of {name} is not a number. Cut the recording there")
+        if self.duration_s < MIN_REST_TOTAL_S:
+            raise MeasurementError(
+                f"{self.duration_s:.3g} s of increments; at least {MIN_REST_TOTAL_S:g} s are needed"
+            )
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first increment's beginning to the last one's end."""
+        return len(self.angle) * self.interval_s
+
+
+@dataclass(frozen=True)
+class Rest:
+    """The unit rests from one sample to another."""
+
+    begin: int  #: First sample.
+    end: int  #: Behind the last sample.
+
+
+@dataclass(frozen=True, eq=False)
+class Rotation:
+    """What happened between two rests."""
+
+    start_s: float  #: From the start of the recording.
+    duration_s: float
+    vector: FloatArray  #: Shape (3,). Net rotation, body axes, rad, up to half a turn.
+    path: float  #: Angle travelled about the axis that turned most, rad, with its sign.
+    axis: int  #: Index of that body axis.
+
+    @property
+    def is_spin(self) -> bool:
+        """Whether these are whole turns."""
+        return bool(abs(self.path) > MIN_SPIN and np.linalg.norm(self.vector) < MIN_ROTATION)
+
+    @property
+    def kind(self) -> str:
+        """``spin``, ``rotation`` or ``disturbance``: moved and not turned."""
+        if self.is_spin:
+            return "spin"
+        return "disturbance" if float(np.linalg.norm(self.vector)) < MIN_ROTATION else "rotation"
+
+
+def find_rests(recording: IncrementRecording) -> list[Rest]:
+    """Stretches in which the unit rests, in order; disturbed parts are left out.
+
+    The unit rests where neither mean rate nor mean specific force of a block of half a second differs from
+    those of its neighbours by more than their noise, and the rate is that of the other resting blocks: a
+    steady spin is no rest. Raises MeasurementError if it rests for less than a minute in all.
+    """
+    size = max(1, round(BLOCK_S / recording.interval_s))
+    count = len(recording.angle) // size
+    rate, force = (
+        values[: count * size].reshape(count, size, 3).mean(axis=1) / recording.interval_s
+        for values in (recording.angle, recording.velocity)
+    )
+    quiet = _steady(rate, _RATE_TOLERANCE) & _steady(force, _FORCE_TOLERANCE)
+    if quiet.any():
+        speed = np.linalg.norm(rate, axis=1)
+        slow = quiet & (speed < speed[quiet].min() + _TURNING)
+        level = np.median(rate[slow], axis=0)
+        away = np.abs(rate - level).max(axis=1)
+        # The Earth's rate turns with the unit: at most twice 15 deg/h.
+        quiet &= away < 2.0 * _RATE_TOLERANCE + _SIGMAS * _noise(rate).max()
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], quiet, [False]]).astype(np.int8)))
+    least = round(MIN_REST_S / recording.interval_s)
+    # The blocks at the ends may hold a part of the motion.
+    spans = [((first + 1) * size, (last - 1) * size) for first, last in edges.reshape(-1, 2)]
+    if edges.size and edges[0] == 0:
+        spans[0] = (0, spans[0][1])
+    if edges.size and edges[-1] == count:
+        spans[-1] = (spans[-1][0], count * size)
+    rests = [Rest(int(begin), int(end)) for begin, end in spans if end - begin >= least]
+    total_s = sum(rest.end - rest.begin for rest in rests) * recording.interval_s
+    if total_s < MIN_REST_TOTAL_S:
+        raise MeasurementError(
+            f"the unit rests for {total_s:.3g} s of {recording.duration_s:.4g} s; at least "
+            f"{MIN_REST_TOTAL_S:g} s are needed. Record longer dwells between the rotations"
+        )
+    return rests
+
+
+def find_rotations(recording: IncrementRecording, rests: Sequence[Rest]) -> list[Rotation]:
+    """What happened between each rest and the next."""
+    level = np.mean([recording.angle[rest.begin : rest.end].mean(axis=0) for rest in rests], axis=0)
+    rotations = []
+    for before, after in itertools.pairwise(rests):
+        steps = recording.angle[before.end : after.begin] - level
+        turned = np.eye(3)
+        for turn in rotation_matrices(steps):
+            turned = turned @ turn
+        travelled = steps.sum(axis=0)
+        axis = int(np.argmax(np.abs(travelled)))
+        rotations.append(
+            Rotation(
+                before.end * recording.interval_s,
+                len(steps) * recording.interval_s,
+                rotation_vectors(turned[np.newaxis])[0],
+                float(travelled[axis]),
+                axis,
+            )
+        )
+    return rotations
+
+
+@dataclass(frozen=True, eq=False)
+class SensorNoise:
+    """Noise of the increments of each axis, shapes (3,), SI."""
+
+    angle_random_walk: FloatArray  #: rad/sqrt(s).
+    white_angle: FloatArray  #: rad; quantisation, dither.
+    velocity_random_walk: FloatArray  #: m/s/sqrt(s).
+    white_velocity: FloatArray  #: m/s; quantisation, vibration.
+
+
+def measure_noise(recordings: Sequence[IncrementRecording], rests: Sequence[Sequence[Rest]]) -> SensorNoise:
+    """Noise of the resting unit, from the Allan variance over all rests of recordings at one sample rate.
+
+    Raises MeasurementError if the rests are too short for it, or a sensor's output never changes.
+    """
+    interval_s = recordings[0].interval_s
+    size = max(1, round(_ALLAN_S / interval_s))
+    terms = []
+    for name in ("angle", "velocity"):
+        for axis, label in enumerate(AXES):
+            segments = []
+            for recording, stretches in zip(recordings, rests, strict=True):
+                values = getattr(recording, name)[:, axis]
+                if np.ptp(values) == 0.0:
+                    raise MeasurementError(f"the {name} increments of axis {label} never change")
+                segments += [
+                    np.concatenate([[0.0], np.cumsum(values[rest.begin : rest.end])])[::size]
+                    for rest in stretches
+                ]
+            fitted = fit_rate_noise(allan_variance(segments, size * interval_s))
+            # A term that does not show may be as large as twice its uncertainty.
+            least = np.where(fitted.terms > 2.0 * fitted.sigmas, 0.0, 2.0 * fitted.sigmas)
+            terms.append(np.sqrt(np.maximum(fitted.terms, least)[[RANDOM_WALK, WHITE_ANGLE]]))
+    gyro, force = np.array(terms[:3]).T, np.array(terms[3:]).T
+    return SensorNoise(gyro[0], gyro[1], force[0], force[1])
+
+
+def _noise(means: FloatArray) -> FloatArray:
+    """Standard deviation (3,) of the blocks' means at rest, of which at least a quarter are."""
+    if len(means) < 2:
+        return np.zeros(3)
+    return np.asarray(np.quantile(np.abs(np.diff(means, axis=0)), 0.25, axis=0) / _QUARTILE)
+
+
+def _steady(means: FloatArray, tolerance: float) -> BoolArray:
+    """Whether each block agrees with the ones beside it."""
+    steps = np.abs(np.diff(means, axis=0)) <= tolerance + _SIGMAS * np.sqrt(2.0) * _noise(means)
+    same = np.concatenate([[True], steps.all(axis=1), [True]])
+    return np.asarray(same[1:] & same[:-1])

@@ -1,0 +1,183 @@
+"""Results of a calibration as a table of coefficients, correlations and one record."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gyrobench.bench.calibration.coefficients import COEFFICIENTS, Coefficient
+from gyrobench.bench.calibration.estimator import Calibration
+from gyrobench.bench.foundations.arrays import (
+    DEG_PER_SQRT_H_TO_SI,
+    RADPS_TO_DPH,
+    UG_PER_SQRT_HZ_TO_SI,
+    FloatArray,
+)
+from gyrobench.bench.foundations.csv_tables import format_rows, write_text
+from gyrobench.bench.foundations.files import make_folder
+from gyrobench.bench.foundations.text import format_number
+from gyrobench.bench.navigation.earth import earth_rate_enu
+from gyrobench.bench.navigation.error_model import Site
+from gyrobench.bench.navigation.positions import AXES
+
+NOT_OBSERVABLE = "not observable"
+
+
+@dataclass(frozen=True)
+class CoefficientRow:
+    """A row of ``coefficients.csv``; value and sigma are missing where not observable."""
+
+    coefficient: str  #: ``gyro_bias``, ``accelerometer_misalignment``, ...
+    axis: str  #: Sensor axis; of misalignments the sensor and the axis that it senses.
+    value: float | None
+    sigma: float | None  #: Standard uncertainty.
+    unit: str
+    finding: str  #: Empty or ``not observable``.
+
+
+@dataclass(frozen=True, eq=False)
+class RestRate:
+    """Mean rate and specific force of one rest, as measured."""
+
+    start_s: float  #: On the log's clock.
+    duration_s: float
+    rate_dph: float  #: Size of the mean rate.
+    up_rate_dph: float  #: Its part along the specific force.
+    up_sigma_dph: float  #: Standard uncertainty of both by noise alone.
+    force_mps2: float  #: Size of the mean specific force.
+
+
+def coefficient_rows(calibration: Calibration) -> list[CoefficientRow]:
+    """Rows of ``coefficients.csv``."""
+    rows = [
+        _row(each.name, each.axis, value * each.per_si, sigma * each.per_si, each.unit, is_observed)
+        for each, value, sigma, is_observed in zip(
+            COEFFICIENTS, calibration.values, calibration.sigmas, calibration.is_observed, strict=True
+        )
+    ]
+    if calibration.lever_arms is not None:
+        arms, sigmas = calibration.lever_arms
+        rows += [
+            _row(
+                "accelerometer_lever_arm",
+                f"{sensor}{axis}",
+                1e3 * arm,
+                1e3 * sigma,
+                "mm",
+                bool(np.isfinite(sigma)),
+            )
+            for sensor, places, spreads in zip("yz", arms, sigmas, strict=True)
+            for axis, arm, sigma in zip(AXES, places, spreads, strict=True)
+        ]
+    if calibration.delay is not None:
+        delay_s, sigma_s = calibration.delay
+        rows.append(
+            _row("accelerometer_delay", "", 1e3 * delay_s, 1e3 * sigma_s, "ms", bool(np.isfinite(sigma_s)))
+        )
+    return rows
+
+
+def rest_rates(calibration: Calibration) -> list[RestRate]:
+    """What each rest measured."""
+    rates = []
+    for recording, rests in zip(calibration.recordings, calibration.rests, strict=True):
+        for rest in rests:
+            rate, force = (
+                values[rest.begin : rest.end].mean(axis=0) / recording.interval_s
+                for values in (recording.angle, recording.velocity)
+            )
+            size = float(np.linalg.norm(force))
+            duration_s = (rest.end - rest.begin) * recording.interval_s
+            noise = calibration.noise
+            variance = noise.angle_random_walk**2 / duration_s + 2.0 * (noise.white_angle / duration_s) ** 2
+            rates.append(
+                RestRate(
+                    recording.start_s + rest.begin * recording.interval_s,
+                    duration_s,
+                    float(np.linalg.norm(rate)) * RADPS_TO_DPH,
+                    float(rate @ force) / size * RADPS_TO_DPH,
+                    float(np.sqrt(variance @ (force / size) ** 2)) * RADPS_TO_DPH,
+                    size,
+                )
+            )
+    return rates
+
+
+def strongest_correlations(
+    calibration: Calibration, least: float
+) -> list[tuple[Coefficient, Coefficient, float]]:
+    """Pairs of observed coefficients whose correlation is at least so large, strongest first."""
+    correlations = calibration.correlations
+    seen = np.flatnonzero(calibration.is_observed)
+    pairs = [
+        (COEFFICIENTS[i], COEFFICIENTS[j], float(correlations[i, j]))
+        for i in seen
+        for j in seen[seen > i]
+        if abs(correlations[i, j]) >= least
+    ]
+    return sorted(pairs, key=lambda pair: -abs(pair[2]))
+
+
+def calibration_record(calibration: Calibration, site: Site, origin: Mapping[str, Any]) -> dict[str, Any]:
+    """Everything, as one JSON object."""
+    noise = calibration.noise
+    return {
+        **origin,
+        "coefficients": [vars(row) for row in coefficient_rows(calibration)],
+        "noise": {
+            "angle_random_walk_deg_per_sqrt_h": noise.angle_random_walk / DEG_PER_SQRT_H_TO_SI,
+            "white_angle_urad": noise.white_angle * 1e6,
+            "velocity_random_walk_ug_per_sqrt_hz": noise.velocity_random_walk / UG_PER_SQRT_HZ_TO_SI,
+            "white_velocity_mmps": noise.white_velocity * 1e3,
+        },
+        "earth_rate_up_dph": earth_rate_enu(site.latitude)[2] * RADPS_TO_DPH,
+        "rests": [vars(rest) for rest in rest_rates(calibration)],
+        "rotations": [
+            {
+                "start_s": recording.start_s + rotation.start_s,
+                "duration_s": rotation.duration_s,
+                "axis": AXES[rotation.axis],
+                "angle_deg": float(np.rad2deg(rotation.path)),
+                "kind": rotation.kind,
+            }
+            for recording, rotations in zip(calibration.recordings, calibration.rotations, strict=True)
+            for rotation in rotations
+        ],
+        "fit": vars(calibration.fit),
+    }
+
+
+def write_calibration(folder: Path, calibration: Calibration, record: Mapping[str, Any]) -> list[Path]:
+    """Write ``coefficients.csv``, ``correlations.csv`` and ``calibration.json``; returns the paths.
+
+    Raises RunFolderError if a file can't be written.
+    """
+    names = [f"{each.name}_{each.axis}" for each in COEFFICIENTS]
+    seen = np.outer(calibration.is_observed, calibration.is_observed)
+    correlations = np.where(seen, calibration.correlations, np.nan)
+    lines = [",".join(["coefficient", *names])]
+    lines += [",".join([name, *_cells(row)]) for name, row in zip(names, correlations, strict=True)]
+    texts = {
+        "coefficients.csv": format_rows(list(CoefficientRow.__annotations__), coefficient_rows(calibration)),
+        "correlations.csv": "\n".join(lines) + "\n",
+        "calibration.json": json.dumps(record, indent=1, ensure_ascii=False) + "\n",
+    }
+    make_folder(folder)
+    for name, text in texts.items():
+        write_text(folder / name, text)
+    return [folder / name for name in texts]
+
+
+def _cells(values: FloatArray) -> list[str]:
+    return [format_number(round(float(value), 4)) if np.isfinite(value) else "" for value in values]
+
+
+def _row(name: str, axis: str, value: float, sigma: float, unit: str, is_observed: bool) -> CoefficientRow:
+    if is_observed:
+        return CoefficientRow(name, axis, float(value), float(sigma), unit, "")
+    return CoefficientRow(name, axis, None, None, unit, NOT_OBSERVABLE)

@@ -1,0 +1,68 @@
+"""`gyrobench calibrate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gyrobench.bench.cli.options import complete_import_map
+from gyrobench.bench.cli.output import JsonOption, plain, print_result
+
+
+def calibrate(
+    logs: Annotated[
+        list[Path],
+        typer.Argument(metavar="LOG...", help="Log of rates or increments; several in order of time."),
+    ],
+    mapping: Annotated[
+        str,
+        typer.Option(
+            "--map",
+            help="Import map with a section 'calibration': file or shipped name.",
+            autocompletion=complete_import_map,
+        ),
+    ],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the results; default: none are written.")
+    ] = None,
+    lever_arms: Annotated[
+        bool, typer.Option("--lever-arms", help="Estimate where the accelerometers are in the unit, too.")
+    ] = False,
+    delay: Annotated[
+        bool, typer.Option("--delay", help="Estimate the delay of the accelerometers, too.")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Estimate all sensor coefficients from rates or increments of a unit that is turned between rests.
+
+    Biases, scale factors and misalignments of gyros and accelerometers, with uncertainties. Rests and
+    rotations are found in the logs; what the data do not determine is stated. Missing samples divide a log.
+
+    With --out: coefficients.csv, correlations.csv, calibration.json, which is also what --json prints:
+    {"logs", "map", "coefficients", "noise", "earth_rate_up_dph", "rests", "rotations", "fit"}.
+
+    Example: gyrobench calibrate rotations.csv --map my_imu.yaml --out calibration
+    """
+    from gyrobench.bench.calibration.estimator import CalibrationOptions
+    from gyrobench.bench.calibration.estimator import calibrate as estimate
+    from gyrobench.bench.calibration.results import calibration_record, write_calibration
+    from gyrobench.bench.exchange.import_map import load_log_map
+    from gyrobench.bench.exchange.increments import read_increments, site_of
+    from gyrobench.bench.foundations.files import file_sha256
+    from gyrobench.bench.foundations.shipped import find_document
+    from gyrobench.bench.report.terminal.calibration import calibration_summary
+
+    map_path = find_document("imports", mapping)
+    log_map = load_log_map(map_path, for_calibration=True)
+    recordings = [recording for path in logs for recording in read_increments(path, log_map)]
+    site, gravity, whole_turns = site_of(log_map)
+    found = estimate(recordings, site, CalibrationOptions(lever_arms, delay, whole_turns, gravity))
+    origin = {
+        "logs": [{"file": str(path), "sha256": file_sha256(path)} for path in logs],
+        "map": {"file": str(map_path), "sha256": file_sha256(map_path)},
+    }
+    record = plain(calibration_record(found, site, origin))
+    paths = write_calibration(out, found, record) if out else []
+    print_result(record, as_json, calibration_summary(found, site), *(f"Written  {path}" for path in paths))

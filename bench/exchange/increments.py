@@ -1,0 +1,95 @@
+"""Increments of angle and velocity from a foreign log, for a calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from gyrobench.bench.calibration.recording import MIN_REST_TOTAL_S, IncrementRecording
+from gyrobench.bench.exchange.import_map import LogMap
+from gyrobench.bench.exchange.log_windows import FORCES, RATES, Quantity, SampleReader
+from gyrobench.bench.foundations.arrays import STANDARD_GRAVITY, BoolArray, FloatArray
+from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
+from gyrobench.bench.navigation.error_model import Site
+
+#: SI units of angle and velocity, and of their rates, by the names in maps.
+_ANGLES = {"rad": 1.0, "deg": np.pi / 180.0, "arcsec": np.pi / 648000.0}
+_VELOCITIES = {"m/s2": 1.0, "g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY, "m/s": 1.0, "mm/s": 1e-3}
+_PREFIXES = {"m": 1e-3, "u": 1e-6}
+_INCREMENTS = ("m/s", "mm/s")
+#: Longest time between two samples of one piece, as a multiple of the usual one.
+_MAX_GAP = 1.5
+_NO_SECTION = "the import map has no section 'calibration'"
+
+
+def read_increments(path: Path, log_map: LogMap) -> list[IncrementRecording]:
+    """Read a log, cut where samples are missing; pieces shorter than a minute are left out.
+
+    Rates and specific forces count as means since the sample before. Raises DocumentError if the log can't be
+    read, or does not fit the map. Raises MeasurementError if no piece is long enough.
+    """
+    section = log_map.calibration
+    if section is None:
+        raise DocumentError(_NO_SECTION)
+    angle_unit, angles_are_increments = _angle_unit(log_map.gyro.unit)
+    quantities: dict[str, Quantity] = {}
+    for names, columns, unit in (
+        (RATES, log_map.gyro, angle_unit),
+        (FORCES, section.accelerometers, _VELOCITIES[section.accelerometers.unit]),
+    ):
+        for name, axis in zip(names, (columns.x, columns.y, columns.z), strict=True):
+            quantities[name] = (axis.column, axis.sign * axis.scale * unit, 0.0)
+    reader = SampleReader(path, log_map, quantities)
+    batches = list(reader.batches())
+    samples = {name: np.concatenate([each[name] for each in batches]) for name in batches[0]}
+    time_s = samples["time_s"]
+    angle, velocity = (np.column_stack([samples[name] for name in names]) for names in (RATES, FORCES))
+    recordings = []
+    for part in _pieces(time_s, np.isfinite(angle).all(axis=1) & np.isfinite(velocity).all(axis=1)):
+        interval_s = float((time_s[part][-1] - time_s[part][0]) / (len(time_s[part]) - 1))
+        recordings.append(
+            IncrementRecording(
+                interval_s,
+                angle[part] * (1.0 if angles_are_increments else interval_s),
+                velocity[part] * (1.0 if section.accelerometers.unit in _INCREMENTS else interval_s),
+                reader.first_s + float(time_s[part][0]) - interval_s,
+            )
+        )
+    if not recordings:
+        raise MeasurementError(
+            f"{path}: no {MIN_REST_TOTAL_S:g} s without a missing sample. Check the log and 'time' in its map"
+        )
+    return recordings
+
+
+def _angle_unit(unit: str) -> tuple[float, bool]:
+    """A unit of rate or angle in rad/s or rad, and whether it is one of increments."""
+    base, _, per = ({"dps": "deg/s", "mdps": "mdeg/s"}.get(unit, unit)).partition("/")
+    size = _ANGLES[base] if base in _ANGLES else _PREFIXES[base[0]] * _ANGLES[base[1:]]
+    return size / (3600.0 if per == "h" else 1.0), not per
+
+
+def _pieces(time_s: FloatArray, valid: BoolArray) -> Iterator[slice]:
+    """Parts of a log, by valid samples, that are long enough and evenly sampled."""
+    steps = np.diff(time_s)
+    usual = float(np.median(steps)) if steps.size else 0.0
+    joined = valid[1:] & valid[:-1] & (steps < _MAX_GAP * usual) if steps.size else np.zeros(0, bool)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], joined, [False]]).astype(np.int8)))
+    for first, last in edges.reshape(-1, 2):
+        if (last - first) * usual >= MIN_REST_TOTAL_S:
+            yield slice(int(first), int(last) + 1)
+
+
+def site_of(log_map: LogMap) -> tuple[Site, float | None, float | None]:
+    """Place, local gravity (m/s^2) and uncertainty of whole turns (rad), the last two if given."""
+    section = log_map.calibration
+    if section is None:
+        raise DocumentError(_NO_SECTION)
+    turns = section.whole_turns_arcsec
+    return (
+        Site(float(np.deg2rad(section.latitude_deg)), section.height_m),
+        section.gravity_mps2,
+        None if turns is None else turns * _ANGLES["arcsec"],
+    )

@@ -1,0 +1,113 @@
+"""Coefficients of a calibration in a terminal of 80 columns, readable without colour."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+from rich.console import Group, RenderableType
+from rich.text import Text
+
+from gyrobench.bench.calibration.estimator import MIN_P_VALUE, Calibration
+from gyrobench.bench.calibration.results import (
+    NOT_OBSERVABLE,
+    CoefficientRow,
+    coefficient_rows,
+    rest_rates,
+    strongest_correlations,
+)
+from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, RADPS_TO_DPH, UG_PER_SQRT_HZ_TO_SI
+from gyrobench.bench.foundations.text import counted, decimals_of, listed, plain_name
+from gyrobench.bench.navigation.earth import earth_rate_enu
+from gyrobench.bench.navigation.error_model import Site
+from gyrobench.bench.report.number_format import p_text
+from gyrobench.bench.report.terminal.tables import plain_table, topics
+
+_MIN_CORRELATION, _MAX_PAIRS = 0.9, 5
+_MAX_RESTS = 6
+
+
+def calibration_summary(calibration: Calibration, site: Site) -> RenderableType:
+    """Table of coefficients, and what they rest on."""
+    headers = ("Coefficient", "Axis", "Unit", "Value", "Standard uncertainty")
+    table = plain_table(headers, 3, map(_cells, coefficient_rows(calibration)), fold=False)
+    return Group(
+        Text("Coefficients in the body frame of the accelerometers", style="bold"),
+        table,
+        Text(),
+        topics(_topics(calibration, site)),
+    )
+
+
+def _cells(row: CoefficientRow) -> tuple[str, ...]:
+    words = plain_name(row.coefficient), row.axis, row.unit
+    if row.value is None or row.sigma is None:
+        return *words, NOT_OBSERVABLE, ""
+    decimals = decimals_of(row.sigma)
+    return *words, f"{row.value:.{decimals}f}", f"{row.sigma:.{decimals}f}"
+
+
+def _topics(calibration: Calibration, site: Site) -> Iterator[tuple[str, str]]:
+    kinds = Counter(turn.kind for turns in calibration.rotations for turn in turns)
+    rests = rest_rates(calibration)
+    at_rest_s = sum(rest.duration_s for rest in rests)
+    found = [counted(len(rests), "rest"), *(counted(count, kind) for kind, count in kinds.items())]
+    yield "Found", f"{listed(found)}; {at_rest_s:.0f} s at rest"
+    noise = calibration.noise
+    yield (
+        "Noise",
+        f"x, y, z: angle random walk {_three(noise.angle_random_walk / DEG_PER_SQRT_H_TO_SI)} deg/sqrt(h), "
+        f"white angle {_three(1e6 * noise.white_angle)} urad, velocity random walk "
+        f"{_three(noise.velocity_random_walk / UG_PER_SQRT_HZ_TO_SI)} ug/sqrt(Hz)",
+    )
+    up_dph = earth_rate_enu(site.latitude)[2] * RADPS_TO_DPH
+    if len(rests) <= _MAX_RESTS:
+        for rest in rests:
+            yield (
+                "At rest",
+                f"from {rest.start_s:.0f} s for {rest.duration_s:.0f} s: rate {rest.rate_dph:.3f} deg/h, "
+                f"vertical {rest.up_rate_dph:.3f} ± {rest.up_sigma_dph:.3f} deg/h (Earth {up_dph:.3f}), "
+                "biases included",
+            )
+    yield "Fit", _fit_sentence(calibration)
+    pairs = strongest_correlations(calibration, _MIN_CORRELATION)[:_MAX_PAIRS]
+    if pairs:
+        texts = [
+            f"{plain_name(a.name)} {a.axis} and {plain_name(b.name)} {b.axis} {value:+.2f}"
+            for a, b, value in pairs
+        ]
+        yield "Correlated", "; ".join(texts)
+    missing = [row for row in coefficient_rows(calibration) if row.finding]
+    if missing:
+        yield "Not observable", f"{_named(missing)}: {_advice(kinds)}"
+
+
+def _fit_sentence(calibration: Calibration) -> str:
+    fit = calibration.fit
+    if fit.dof == 0:
+        return "not tested: the rests are too short"
+    test = f"chi2 {fit.chi2:.0f} for {fit.dof} degrees of freedom, p {p_text(fit.p_value)}"
+    if fit.p_value >= MIN_P_VALUE:
+        return f"noise explains the velocity at rest ({test})"
+    return (
+        f"noise does not explain the velocity at rest ({test}). All uncertainties are multiplied by "
+        f"{np.sqrt(fit.chi2 / fit.dof):.2f}"
+    )
+
+
+def _named(rows: Iterable[CoefficientRow]) -> str:
+    axes: dict[str, list[str]] = {}
+    for row in rows:
+        axes.setdefault(plain_name(row.coefficient), []).append(row.axis)
+    return "; ".join(f"{name} {', '.join(each)}" for name, each in axes.items())
+
+
+def _advice(kinds: Counter[str]) -> str:
+    if not kinds["rotation"] and not kinds["spin"]:
+        return "the unit was not turned. Turn it about two axes between rests"
+    return "no rotation distinguishes them. gyrobench plan --observability shows which would"
+
+
+def _three(values: np.ndarray) -> str:
+    return ", ".join(f"{value:.2g}" for value in values)

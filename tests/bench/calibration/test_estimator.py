@@ -1,0 +1,198 @@
+"""Coefficients from increments of a rotated unit: correct, as good as possible, and honest about the rest."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from gyrobench.bench.calibration import estimator
+from gyrobench.bench.calibration.coefficients import COEFFICIENTS, SensorErrors
+from gyrobench.bench.calibration.estimator import CalibrationOptions, calibrate
+from gyrobench.bench.calibration.recording import IncrementRecording, SensorNoise
+from gyrobench.bench.navigation.error_model import Site
+from tests.bench.calibration.rotated_unit import EARTH, EIGHTEEN, Noise, Unit
+
+SITE = Site(np.deg2rad(45.0))
+RANDOM = np.random.default_rng(11)
+ERRORS = {
+    "gyro_bias": np.array([5e-8, -1e-7, 7e-8]),
+    "gyro_matrix": RANDOM.normal(0.0, 5e-5, (3, 3)),
+    "force_bias": np.array([5e-4, -3e-4, 2e-4]),
+    "force_matrix": RANDOM.normal(0.0, 2e-4, (3, 3)),
+}
+TRUTH = SensorErrors(**ERRORS).vector()
+INDEX = {f"{each.name}_{each.axis}": number for number, each in enumerate(COEFFICIENTS)}
+
+
+def rotated_unit(**changes):
+    return Unit(**({"gravity": SITE.gravity, "sample_hz": 20.0, "dwell_s": 60.0} | ERRORS | changes))
+
+
+@cache
+def eighteen():
+    return rotated_unit().increments()
+
+
+def recorded(increments, seed, sample_hz=20.0, noise=None):
+    random, dt = np.random.default_rng(seed), 1.0 / sample_hz
+    return IncrementRecording(dt, *(noise or Noise()).added(*increments, dt, random))
+
+
+def test_every_coefficient_of_eighteen_rotations_is_found_as_well_as_the_noise_allows():
+    found = [calibrate([recorded(eighteen(), seed)], SITE) for seed in range(10)]
+    assert all(each.is_observed.all() for each in found)
+    deviations = np.array([(each.values - TRUTH) / each.sigmas for each in found])
+    # 210 values: the standard deviation of their root mean square is about 0.06 with the correlations.
+    assert np.sqrt(np.mean(deviations**2)) == pytest.approx(1.0, abs=0.15)
+    assert np.mean(np.abs(deviations) < 1.96) > 0.90
+    assert min(each.fit.p_value for each in found) > 1e-4
+
+
+def test_the_uncertainty_is_the_cramer_rao_bound(monkeypatch):
+    """Information of the same data in another way: attitude in closed form, noise as one matrix."""
+    noise = Noise()
+    exact = SensorNoise(
+        *(np.full(3, each) for each in (noise.angle_random_walk, 0.0, noise.velocity_random_walk, 1e-4))
+    )
+    monkeypatch.setattr(estimator, "measure_noise", lambda *_: exact)
+    unit = rotated_unit(rotations=EIGHTEEN[:6], dwell_s=40.0, ramp_s=2.0)
+    found = calibrate([recorded(unit.increments(), 3)], SITE)
+    (rests,) = found.rests
+    ends = np.arange(20, rests[-1].end + 1, 20)
+    used = np.any([(ends >= rest.begin) & (ends <= rest.end) for rest in rests], axis=0)
+    response = responses(unit)[ends[used] - 1]
+    time = ends[used] / 20.0
+    early, late = np.minimum.outer(time, time), np.maximum.outer(time, time)
+    white = noise.white_velocity**2 * (np.eye(len(time)) + 1.0)
+    vertical = noise.velocity_random_walk**2 * early + white
+    # A random walk of the tilt, integrated through gravity.
+    level = vertical + (SITE.gravity * noise.angle_random_walk) ** 2 * early**2 * (3.0 * late - early) / 6.0
+    information = sum(
+        response[:, axis].T @ np.linalg.solve(covariance, response[:, axis])
+        for axis, covariance in enumerate((level, level, vertical))
+    )
+    bound = np.sqrt(np.diag(np.linalg.inv(information + np.diag(np.full(24, 1e-6)))))[:21]
+    seen = found.is_observed & (found.sigmas < 0.01 * np.array([each.size for each in COEFFICIENTS]))
+    assert seen.sum() >= 19
+    np.testing.assert_allclose(found.sigmas[seen], bound[seen], rtol=0.02)
+
+
+def responses(unit):
+    """Integral of force and gravity (n, 3, 24) after each sample, by coefficients and first attitude."""
+    dt = 1.0 / unit.sample_hz
+    rates, forces = (each * dt for each in unit.sensed(dt * (np.arange(len(unit.increments()[0])) + 0.5)))
+    time = dt * (np.arange(len(rates)) + 0.5)
+    outer, inner = unit.profile(time)
+    C_nb = Rotation.from_rotvec(np.outer(outer[0], [1, 0, 0])) * Rotation.from_rotvec(
+        np.outer(inner[0], [0, 0, 1])
+    )
+    earth = EARTH * np.array([0.0, np.cos(SITE.latitude), np.sin(SITE.latitude)])
+    to_inertial = Rotation.from_rotvec(np.outer(time, earth)).as_matrix()
+    C = C_nb.as_matrix()
+    gyro = np.concatenate(
+        [C * dt, np.stack([C[:, :, i] * rates[:, [j]] for i in range(3) for j in range(3)], axis=2)], axis=2
+    )
+    tilt = np.zeros((len(time), 3, 24))
+    tilt[:, :, :12] = np.cumsum(to_inertial @ gyro, axis=0)
+    tilt[:, :, 21:] = np.eye(3)
+    tilt = to_inertial.transpose(0, 2, 1) @ tilt
+    rows, columns = np.tril_indices(3)
+    lift = np.zeros((len(time), 3, 24))
+    lift[:, :, 12:15] = C * dt
+    lift[:, :, 15:21] = np.stack(
+        [C[:, :, i] * forces[:, [j]] for i, j in zip(rows, columns, strict=True)], axis=2
+    )
+    up = np.array([0.0, 0.0, SITE.gravity * dt])
+    return np.cumsum(np.cross(tilt, up, axisa=1).transpose(0, 2, 1) + lift, axis=0)
+
+
+# pandas 3 ignores an argument of pyins with a warning.
+@pytest.mark.filterwarnings("ignore::Warning")
+def test_increments_simulated_by_pyins_give_the_coefficients():
+    from pyins import sim
+
+    unit = rotated_unit()
+    begin, span, *_ = unit.segments()[-1]
+    time = np.arange(round((begin + span) * 20.0) + 1) / 20.0
+    outer, inner = unit.profile(time)
+    attitude = Rotation.from_rotvec(np.outer(outer[0], [1, 0, 0])) * Rotation.from_rotvec(
+        np.outer(inner[0], [0, 0, 1])
+    )
+    to_ned = Rotation.from_matrix([[0, 1, 0], [1, 0, 0], [0, 0, -1]] @ attitude.as_matrix())
+    rph = to_ned.as_euler("ZYX", degrees=True)[:, ::-1]
+    place = np.tile([45.0, 0.0, 0.0], (len(time), 1))
+    _, imu = sim.generate_imu(time, place, rph, np.zeros((len(time), 3)), "increment")
+    angle, velocity = imu.to_numpy()[1:, :3], imu.to_numpy()[1:, 3:]
+    angle = angle @ (np.eye(3) + unit.gyro_matrix).T + unit.gyro_bias * 0.05
+    velocity = velocity @ (np.eye(3) + unit.force_matrix).T + unit.force_bias * 0.05
+    found = calibrate([recorded((angle, velocity), 4)], SITE)
+    deviations = (found.values - TRUTH) / found.sigmas
+    assert np.abs(deviations).max() < 4.0
+    assert found.fit.p_value > 1e-4
+
+
+def test_a_tumble_in_separate_logs_gives_all_accelerometer_coefficients():
+    turns = [Rotation.from_euler("zyx", each, degrees=True) for each in ATTITUDES]
+    logs = [
+        recorded(rotated_unit(rotations=(), dwell_s=120.0, start=turn).increments(), number)
+        for number, turn in enumerate(turns)
+    ]
+    found = calibrate(logs, SITE)
+    accelerometers = slice(12, 21)
+    assert found.is_observed[accelerometers].all()
+    deviations = ((found.values - TRUTH) / found.sigmas)[accelerometers]
+    assert np.abs(deviations).max() < 4.0
+    assert found.sigmas[INDEX["accelerometer_bias_x"]] < 3e-5
+    # The Earth alone turned the gyros.
+    assert found.sigmas[INDEX["gyro_scale_factor_z"]] > 5e-5
+
+
+ATTITUDES = [(0, 0, 0), (0, 0, 180), (0, 0, 90), (0, 0, -90), (0, 90, 0), (0, -90, 0)]
+ATTITUDES += [(0, 0, 45), (0, 45, 0), (90, 45, 20), (30, -45, 30), (0, 30, 135), (20, -30, -135)]
+
+
+def test_whole_turns_against_the_table_give_the_scale_factor_to_a_tenth_of_a_ppm():
+    spins = (("inner", 3600.0), ("inner", -3600.0))
+    unit = rotated_unit(rotations=(*EIGHTEEN[:9], *spins), rate_dps=60.0, sample_hz=50.0)
+    log = recorded(unit.increments(), 5, 50.0)
+    alone = calibrate([log], SITE)
+    with_turns = calibrate([log], SITE, CalibrationOptions(whole_turns=1.0 * np.pi / 648000.0))
+    z = INDEX["gyro_scale_factor_z"]
+    assert alone.sigmas[z] > 3e-7
+    assert with_turns.sigmas[z] < 1e-7
+    assert abs(with_turns.values[z] - TRUTH[z]) < 4.0 * with_turns.sigmas[z]
+
+
+def test_rotations_about_one_level_axis_leave_open_what_they_do_not_show():
+    unit = rotated_unit(rotations=(("outer", 90.0),) * 8)
+    found = calibrate([recorded(unit.increments(), 6)], SITE)
+    seen = {name for name, number in INDEX.items() if found.is_observed[number]}
+    assert "gyro_scale_factor_x" in seen
+    assert {"gyro_scale_factor_y", "gyro_scale_factor_z"}.isdisjoint(seen)
+    assert np.abs((found.values - TRUTH) / found.sigmas)[found.is_observed].max() < 4.0
+
+
+def test_lever_arms_and_delay_are_estimated_where_asked_for():
+    arms = np.array([[0.03, 0.0, 0.01], [-0.02, 0.04, 0.0], [0.01, -0.03, 0.05]])
+    unit = rotated_unit(rate_dps=30.0, sample_hz=50.0, arms=arms, delay_s=0.002)
+    log = recorded(unit.increments(), 7, 50.0)
+    found = calibrate([log], SITE, CalibrationOptions(lever_arms=True, delay=True))
+    places, sigmas = found.lever_arms
+    assert np.abs((places - (arms[1:] - arms[0])) / sigmas).max() < 4.0
+    assert sigmas.max() < 2e-3
+    delay_s, sigma_s = found.delay
+    assert abs(delay_s - 0.002) < 4.0 * sigma_s
+    assert np.abs((found.values - TRUTH) / found.sigmas).max() < 4.0
+    # Without them the velocity at rest contradicts the noise, and the uncertainties grow.
+    plain = calibrate([log], SITE)
+    assert plain.fit.p_value < 1e-6
+    assert plain.sigmas[0] > 2.0 * found.sigmas[0]
+
+
+def test_biases_far_above_the_earth_rate_are_found():
+    unit = rotated_unit(gyro_bias=np.array([4e-3, -2e-3, 3e-3]), gyro_matrix=100.0 * ERRORS["gyro_matrix"])
+    noise = Noise(angle_random_walk=3e-5, white_velocity=1e-3)
+    found = calibrate([recorded(unit.increments(), 8, noise=noise)], SITE)
+    truth = SensorErrors(unit.gyro_bias, unit.gyro_matrix, unit.force_bias, unit.force_matrix).vector()
+    assert np.abs((found.values - truth) / found.sigmas)[found.is_observed].max() < 4.5

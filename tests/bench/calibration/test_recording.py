@@ -1,0 +1,86 @@
+"""Rests, rotations, spins and disturbances are found in increments."""
+
+import numpy as np
+import pytest
+
+from gyrobench.bench.calibration.recording import (
+    IncrementRecording,
+    find_rests,
+    find_rotations,
+    measure_noise,
+)
+from gyrobench.bench.foundations.errors import MeasurementError
+from tests.bench.calibration.rotated_unit import Noise, Unit
+
+
+def recorded(unit, noise=None, seed=1):
+    noise, dt = noise or Noise(), 1.0 / unit.sample_hz
+    return IncrementRecording(dt, *noise.added(*unit.increments(), dt, np.random.default_rng(seed)))
+
+
+def test_rests_and_rotations_are_those_of_the_table():
+    unit = Unit(rotations=(("outer", 90.0), ("inner", -180.0), ("outer", 45.0)), dwell_s=40.0, sample_hz=20.0)
+    recording = recorded(unit)
+    rests = find_rests(recording)
+    lengths = [(rest.end - rest.begin) * recording.interval_s for rest in rests]
+    assert len(rests) == 4
+    assert min(lengths) > 37.0
+    rotations = find_rotations(recording, rests)
+    assert [rotation.kind for rotation in rotations] == ["rotation"] * 3
+    np.testing.assert_allclose(np.rad2deg([turn.path for turn in rotations]), [90.0, -180.0, -45.0], atol=0.2)
+    assert [turn.axis for turn in rotations] == [0, 2, 0]
+
+
+def test_a_steady_spin_is_no_rest_and_whole_turns_are_a_spin():
+    unit = Unit(rotations=(("inner", 3600.0), ("outer", 90.0)), dwell_s=40.0, rate_dps=30.0, sample_hz=20.0)
+    recording = recorded(unit)
+    rests = find_rests(recording)
+    assert len(rests) == 3
+    spin, rotation = find_rotations(recording, rests)
+    assert (spin.kind, rotation.kind) == ("spin", "rotation")
+    assert np.rad2deg(spin.path) == pytest.approx(3600.0, abs=0.5)
+
+
+def test_a_large_bias_is_not_taken_for_a_rotation():
+    unit = Unit(
+        rotations=(("outer", 90.0),), dwell_s=40.0, sample_hz=20.0, gyro_bias=np.array([0.02, 0.0, -0.01])
+    )
+    assert len(find_rests(recorded(unit))) == 2
+
+
+def test_disturbed_parts_of_a_rest_are_left_out():
+    unit = Unit(rotations=(), dwell_s=200.0, sample_hz=20.0)
+    recording = recorded(unit)
+    shake = np.sin(np.arange(100) * 0.7)[:, np.newaxis]
+    recording.angle[2000:2100] += 2e-4 * shake
+    recording.velocity[2000:2100] += 0.01 * shake
+    first, second = find_rests(recording)
+    assert first.end <= 2000 < 2100 <= second.begin
+    assert (first.end - first.begin) + (second.end - second.begin) > 3800
+    (moved,) = find_rotations(recording, (first, second))
+    assert moved.kind == "disturbance"
+
+
+def test_a_unit_that_does_not_rest_is_refused():
+    unit = Unit(rotations=(("outer", 3600.0),), dwell_s=5.0, sample_hz=20.0)
+    with pytest.raises(MeasurementError, match="at least 60 s are needed"):
+        find_rests(recorded(unit))
+
+
+def test_the_noise_is_that_of_the_sensors():
+    unit = Unit(rotations=(("outer", 90.0),) * 3, dwell_s=120.0, sample_hz=20.0)
+    noise = Noise(white_angle=1e-6)
+    recording = recorded(unit, noise)
+    measured = measure_noise([recording], [find_rests(recording)])
+    assert measured.angle_random_walk == pytest.approx(noise.angle_random_walk, rel=0.35)
+    assert measured.white_angle == pytest.approx(1e-6, rel=0.1)
+    assert measured.velocity_random_walk == pytest.approx(noise.velocity_random_walk, rel=0.25)
+    assert measured.white_velocity == pytest.approx(1e-4, rel=0.1)
+
+
+def test_a_sensor_that_never_changes_is_refused():
+    unit = Unit(rotations=(), dwell_s=100.0, sample_hz=20.0)
+    recording = recorded(unit)
+    recording.velocity[:, 1] = 0.0
+    with pytest.raises(MeasurementError, match="velocity increments of axis y never change"):
+        measure_noise([recording], [find_rests(recording)])

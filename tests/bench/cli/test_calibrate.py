@@ -1,0 +1,117 @@
+"""Coefficients from a log of rates or increments."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gyrobench.bench.navigation.error_model import Site
+from tests.bench.calibration.rotated_unit import EIGHTEEN, Noise, Unit
+from tests.bench.command_line import gyrobench
+
+LN100 = Path(__file__).parents[4] / "shared" / "data" / "ln100"
+MAP = """
+unit: "7"
+text: {separator: comma}
+time: {column: t, unit: ms}
+gyro: {unit: GYRO, x: gx, y: {column: gy, sign: -1}, z: gz}
+calibration:
+  accelerometers: {unit: FORCE, x: ax, y: ay, z: {column: az, sign: -1}}
+  latitude_deg: 45
+"""
+
+
+def unit(**changes):
+    return Unit(
+        **{
+            "rotations": EIGHTEEN[:9],
+            "dwell_s": 40.0,
+            "sample_hz": 20.0,
+            "gravity": Site(np.deg2rad(45.0)).gravity,
+            "gyro_matrix": np.diag([50e-6, -30e-6, 20e-6]),
+            "force_bias": np.array([5e-4, -3e-4, 2e-4]),
+        }
+        | changes
+    )
+
+
+def write_log(folder, unit, gyro="urad", force="m/s"):
+    """A log with y gyro and z accelerometer upside down, and its map."""
+    dt = 1.0 / unit.sample_hz
+    angle, velocity = Noise().added(*unit.increments(), dt, np.random.default_rng(2))
+    angle *= {"urad": 1e6, "deg/s": 180.0 / np.pi / dt}[gyro]
+    velocity *= {"m/s": 1.0, "mg": 1e3 / 9.80665 / dt}[force]
+    time_ms = 1000.0 * dt * np.arange(1, len(angle) + 1)
+    columns = np.column_stack([time_ms, angle * [1, -1, 1], velocity * [1, 1, -1]])
+    np.savetxt(folder / "log.csv", columns, "%.12g", ",", header="t,gx,gy,gz,ax,ay,az", comments="")
+    (folder / "map.yaml").write_text(MAP.replace("GYRO", gyro).replace("FORCE", force))
+
+
+@pytest.mark.parametrize("units", [("urad", "m/s"), ("deg/s", "mg")])
+def test_a_log_gives_a_table_of_coefficients_with_their_uncertainties(tmp_path, units):
+    write_log(tmp_path, unit(), *units)
+    result = gyrobench("calibrate", "log.csv", "--map", "map.yaml", "--out", "found", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert "10 rests and 9 rotations" in " ".join(result.stdout.split())
+    with (tmp_path / "found/coefficients.csv").open() as table:
+        rows = {(row["coefficient"], row["axis"]): row for row in csv.DictReader(table)}
+    assert len(rows) == 21
+    for axis, ppm in zip("xyz", (50.0, -30.0, 20.0), strict=True):
+        row = rows["gyro_scale_factor", axis]
+        assert row["unit"] == "ppm"
+        assert abs(float(row["value"]) - ppm) < 4.0 * float(row["sigma"]) < 20.0
+    row = rows["accelerometer_bias", "x"]
+    assert abs(float(row["value"]) - 5e-4 / 9.80665e-6) < 4.0 * float(row["sigma"])
+    with (tmp_path / "found/correlations.csv").open() as table:
+        correlations = list(csv.DictReader(table))
+    assert [float(row[row["coefficient"]]) for row in correlations] == [1.0] * 21
+    assert json.loads((tmp_path / "found/calibration.json").read_text())["fit"]["p_value"] > 1e-4
+
+
+def test_what_the_data_leave_open_is_no_number(tmp_path):
+    write_log(tmp_path, unit(rotations=(), dwell_s=200.0))
+    result = gyrobench("calibrate", "log.csv", "--map", "map.yaml", "--json", cwd=tmp_path)
+    record = json.loads(result.stdout)
+    assert {row["finding"] for row in record["coefficients"]} == {"not observable"}
+    assert {row["value"] for row in record["coefficients"]} == {None}
+    (rest,) = record["rests"]
+    assert abs(rest["rate_dph"] - 15.041) < 0.1
+    assert abs(rest["up_rate_dph"] - record["earth_rate_up_dph"]) < 4.0 * rest["up_sigma_dph"] + 0.001
+    text = gyrobench("calibrate", "log.csv", "--map", "map.yaml", cwd=tmp_path).stdout
+    assert "the unit was not turned" in " ".join(text.split())
+
+
+def test_missing_samples_divide_the_log(tmp_path):
+    write_log(tmp_path, unit(rotations=(), dwell_s=200.0))
+    lines = (tmp_path / "log.csv").read_text().splitlines()
+    del lines[2000:2010]
+    (tmp_path / "log.csv").write_text("\n".join(lines))
+    record = json.loads(gyrobench("calibrate", "log.csv", "--map", "map.yaml", "--json", cwd=tmp_path).stdout)
+    assert [round(rest["duration_s"]) for rest in record["rests"]] == [100, 100]
+
+
+def test_a_map_of_increments_or_without_windows_is_not_imported(tmp_path):
+    write_log(tmp_path, unit(rotations=(), dwell_s=100.0))
+    result = gyrobench("import", "log.csv", "--map", "map.yaml", cwd=tmp_path)
+    assert result.returncode == 2
+    assert "lacks 'temperatures', 'position', 'window_s'" in " ".join(result.stderr.split())
+
+
+def test_a_map_without_accelerometers_is_refused_with_the_missing_section(tmp_path):
+    write_log(tmp_path, unit(rotations=(), dwell_s=100.0))
+    result = gyrobench("calibrate", "log.csv", "--map", "tofupilot_imu", cwd=tmp_path)
+    assert result.returncode == 2
+    assert "has no section 'calibration'" in " ".join(result.stderr.split())
+
+
+@pytest.mark.skipif(not LN100.exists(), reason="the measured LN100 records are not beside the checkout")
+def test_a_measured_pair_at_rest_gives_the_earth_rate_and_says_what_it_does_not_show(tmp_path):
+    logs = [LN100 / f"x_LN100_{name}.ins" for name in ("down", "up")]
+    record = json.loads(gyrobench("calibrate", *logs, "--map", "ln100", "--json", cwd=tmp_path).stdout)
+    down, up = record["rests"]
+    half_sum = 0.5 * (down["up_rate_dph"] + up["up_rate_dph"])
+    assert abs(half_sum - record["earth_rate_up_dph"]) < 3.0 * up["up_sigma_dph"]
+    assert all(row["finding"] for row in record["coefficients"] if row["coefficient"] == "gyro_scale_factor")
+    assert record["fit"]["p_value"] > 1e-3
