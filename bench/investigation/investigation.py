@@ -181,7 +181,8 @@ class Investigator:
 
     def _with_block(self, stage: Stage, journal: Journal) -> tuple[Stage, tuple[str, str] | None]:
         """The stage with the best block that the bench can do, or why there is none."""
-        folder, scale, forecast = self._block_folder, stage.closure.noise_scale, Forecast(self._rows)
+        folder, scale = self._block_folder, stage.closure.noise_scale
+        forecast = Forecast(stage.closure.noise.weighted(self._rows))
         done = folder / _DONE
         decided = self._decided(stage, forecast)
         if decided is not None and done.exists():
