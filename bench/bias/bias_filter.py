@@ -29,7 +29,7 @@ from gyrobench.bench.bias.window_filter import WindowFilter
 from gyrobench.bench.foundations.arrays import FloatArray, IntArray, block_diagonal
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vectors
-from gyrobench.bench.navigation.earth import earth_rate_enu
+from gyrobench.bench.navigation.earth import EARTH_RATE, earth_rate_enu
 from gyrobench.bench.navigation.error_model import STATES, Site, integrate
 
 #: A rate of damping of which nothing is known beforehand, 1/s; and the least one that is reported: what a
@@ -37,7 +37,10 @@ from gyrobench.bench.navigation.error_model import STATES, Site, integrate
 _WIDE_DAMPING, _MIN_DAMPING = 1.0, 0.5 / 3600.0
 #: Share of its uncertainty in one dwell that is the same in all dwells of a unit.
 _COMMON_SHARE = 0.3
-#: The same of an acceleration, m/s^2; and the p-value above which accelerometers count as settled.
+#: A latitude error of which nothing is known beforehand, rad.
+_WIDE_LATITUDE = 0.1
+#: A change of an acceleration of which nothing is known beforehand, m/s^2; and the p-value above which
+#: accelerometers count as settled.
 _WIDE_ACCELERATION, _MAX_TRANSIENT_P_VALUE = 0.1, 0.01
 
 
@@ -114,7 +117,11 @@ class StateSpaceEstimate(BiasEstimate):
     #: Most significant step of the biases in the dwell; None in very short windows, or if not searched for.
     step: BiasStep | None
     damping: Damping  #: None in an INS that is free inertial, as the biases presume.
-    information: DwellInformation  #: For the joint solution of several dwells.
+    #: latitude_error, latitude_sigma: Of the latitude that the INS uses, rad, by these data alone.
+    latitude_error: float
+    latitude_sigma: float
+    #: For the joint solution of several dwells; None where only its result is kept.
+    information: DwellInformation | None
 
 
 class BiasFilter:
@@ -231,6 +238,7 @@ class BiasFilter:
         taken = _with_north_rate(unknowns, information)
         expansions = [each * shown[: each.shape[1]] for each in self._expansions]
         at_mean, acceleration = information.bias_at_mean, parameters.ACCELEROMETER_BIAS
+        latitude_error, latitude_sigma = self._latitude(information)
         return StateSpaceEstimate(
             bias_radps=at_mean @ unknowns,
             covariance=at_mean @ covariance @ at_mean.T,
@@ -242,6 +250,8 @@ class BiasFilter:
             if complete
             else None,
             damping=self._damping(information),
+            latitude_error=latitude_error,
+            latitude_sigma=latitude_sigma,
             information=information,
         )
 
@@ -275,6 +285,15 @@ class BiasFilter:
         unknowns, covariance = solve(information.rows, information.data, prior_root)
         sigma = math.sqrt(covariance[parameters.DAMPING, parameters.DAMPING])
         return Damping(float(unknowns[parameters.DAMPING]), sigma)
+
+    def _latitude(self, information: DwellInformation) -> tuple[float, float]:
+        prior = replace(self._prior, latitude=_WIDE_LATITUDE)
+        prior_root = parameters.prior_root(prior, len(self._windows), self._earth_rate)
+        unknowns, covariance = solve(information.rows, information.data, prior_root)
+        rates = parameters.NAVIGATION_RATE
+        of_latitude = np.array([self._earth_rate[2], -self._earth_rate[1]]) / EARTH_RATE**2
+        sigma = math.sqrt(of_latitude @ covariance[rates, rates] @ of_latitude)
+        return float(of_latitude @ unknowns[rates]), sigma
 
     def _from_first(self, gyro_c: FloatArray) -> FloatArray:
         if self._reference_c is None:

@@ -60,6 +60,7 @@ class DwellRows:
     rows: FloatArray
     data: FloatArray
     position: Position  #: Which body axis was vertical.
+    earth_rate: FloatArray  #: Shape (3,). ENU, rad/s.
 
     @classmethod
     def of(cls, information: DwellInformation, position: Position, prior: PriorKnowledge) -> DwellRows:
@@ -78,7 +79,7 @@ class DwellRows:
         rest = compress(stacked)[len(own) :, len(own) :]
         sizes = np.diagonal(root)[_SHOWN].copy()
         sizes[_BIAS] = sizes[_RATE] = _ANY_RATE
-        return cls(*_informative(rest[:, :-1], rest[:, -1], sizes), position)
+        return cls(*_informative(rest[:, :-1], rest[:, -1], sizes), position, information.earth_rate)
 
     def for_joint_unknowns(self, number: int, dwells: int) -> FloatArray:
         """Rows (n, 23 + 3 m) of dwell ``number`` out of m."""
@@ -159,7 +160,7 @@ class JointDwell:
 
     number: int  #: Of the dwell; no two dwells of a run have the same.
     position_name: str  #: Key of :data:`gyrobench.bench.navigation.positions.POSITIONS`.
-    information: DwellInformation  #: From its own estimate.
+    rows: DwellRows  #: Of the same prior knowledge as the solution.
     cycle: int = 1  #: Cycle of the temperature profile.
     chamber_set_c: float = math.nan  #: Set point of the chamber; NaN where there is none.
     #: Mean temperature of each gyro; NaN where not measured.
@@ -273,8 +274,8 @@ def solve_jointly(dwells: Sequence[JointDwell], prior: PriorKnowledge) -> JointS
     """
     if not dwells:
         raise MeasurementError("there is no dwell to solve; a joint solution needs at least one")
-    earth_rate = dwells[0].information.earth_rate
-    rows = [DwellRows.of(dwell.information, dwell.position, prior) for dwell in dwells]
+    earth_rate = dwells[0].rows.earth_rate
+    rows = [dwell.rows for dwell in dwells]
     root, free_root = declared_root(prior, earth_rate), north_free_root(prior, earth_rate)
     fit, north_free_fit = solve_together(rows, root), solve_together(rows, free_root)
     pairs = _pairs(dwells, north_free_fit, prior.bias_slope)
@@ -298,7 +299,7 @@ def pooled_up_rate(solutions: Sequence[JointSolution], prior: PriorKnowledge) ->
     agreeing = [each for each in solutions if each.agrees]
     if not agreeing:
         return None
-    earth_rate = agreeing[0].dwells[0].information.earth_rate
+    earth_rate = agreeing[0].dwells[0].rows.earth_rate
     return up_rate([each.pairs for each in agreeing], earth_rate, prior.latitude)
 
 

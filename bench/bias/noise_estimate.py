@@ -305,7 +305,31 @@ def compare_noise(estimate: NoiseEstimate, declared: NoiseModel) -> list[NoiseCo
     ]
 
 
-def estimate_noise(windows: Sequence[NavigationWindow], gravity: float) -> NoiseEstimate:
+@dataclass(frozen=True, eq=False)
+class RestMotion:
+    """What an INS at rest puts out in one window, as far as the noise estimate needs it."""
+
+    time_s: FloatArray  #: Shape (n,). On the clock of the INS.
+    velocity_mps: FloatArray  #: Shape (n, 2). East and North.
+    rotation_enu: FloatArray  #: Shape (n, 3). Rotation vector since the first epoch, rad.
+    turned_rad: FloatArray  #: Shape (n - 1,). Angle between neighbouring epochs.
+    C_nb: FloatArray  #: Shape (3, 3). Attitude at the first epoch.
+
+    @classmethod
+    def of(cls, window: NavigationWindow) -> RestMotion:
+        """Reduce a window to half its size."""
+        C_nb, first = window.C_nb, window.C_nb[0].copy()
+        steps = rotation_vector_enu(C_nb[1:] @ np.swapaxes(C_nb[:-1], 1, 2), np.eye(3))
+        return cls(
+            window.time_s,
+            window.velocity_enu_mps[:, :2].copy(),
+            rotation_vector_enu(C_nb, first),
+            np.linalg.norm(steps, axis=1),
+            first,
+        )
+
+
+def estimate_noise(windows: Sequence[NavigationWindow | RestMotion], gravity: float) -> NoiseEstimate:
     """Estimate the noise of an INS from its output at rest.
 
     ``windows``: of one or more dwells, of any attitude; missing epochs are allowed for. ``gravity``
@@ -314,11 +338,12 @@ def estimate_noise(windows: Sequence[NavigationWindow], gravity: float) -> Noise
     """
     if not windows:
         raise MeasurementError("no window to estimate noise from. Let the INS navigate at rest")
-    on_grids = [on_grid(window.time_s, _angles_and_velocities(window, gravity)) for window in windows]
+    motions = [each if isinstance(each, RestMotion) else RestMotion.of(each) for each in windows]
+    on_grids = [on_grid(motion.time_s, _angles_and_velocities(motion, gravity)) for motion in motions]
     interval = _common_interval([interval for interval, _ in on_grids])
     values = [grid for _, grid in on_grids]
-    attitude_step = _smallest([_attitude_changes(window) for window in windows])
-    velocity_step = _smallest([np.diff(window.velocity_enu_mps[:, :2], axis=0) for window in windows])
+    attitude_step = _smallest([motion.turned_rad for motion in motions])
+    velocity_step = _smallest([np.diff(motion.velocity_mps, axis=0) for motion in motions])
 
     def channel(columns: Sequence[int], step: float) -> ChannelNoise:
         return _channel([grid[:, column] for column in columns for grid in values], interval, step)
@@ -329,16 +354,15 @@ def estimate_noise(windows: Sequence[NavigationWindow], gravity: float) -> Noise
         heading=channel([3], attitude_step),
         acceleration=channel([4, 5], velocity_step),
         gravity=gravity,
-        duration_s=sum(window.duration_s for window in windows),
+        duration_s=sum(float(motion.time_s[-1] - motion.time_s[0]) for motion in motions),
     )
 
 
-def _angles_and_velocities(window: NavigationWindow, gravity: float) -> FloatArray:
+def _angles_and_velocities(motion: RestMotion, gravity: float) -> FloatArray:
     """Columns (n, 6): turned since the first epoch about x, y, z and Up; velocity E, N without feedback."""
-    rotation = rotation_vector_enu(window.C_nb, window.C_nb[0])
-    velocity = window.velocity_enu_mps[:, :2]
-    feedback = _integral(_integral(velocity, window.time_s), window.time_s) * gravity / MEAN_RADIUS
-    return np.hstack([rotation @ window.C_nb[0], rotation[:, 2:], velocity + feedback])
+    rotation, velocity, time_s = motion.rotation_enu, motion.velocity_mps, motion.time_s
+    feedback = _integral(_integral(velocity, time_s), time_s) * gravity / MEAN_RADIUS
+    return np.hstack([rotation @ motion.C_nb, rotation[:, 2:], velocity + feedback])
 
 
 def _integral(values: FloatArray, time_s: FloatArray) -> FloatArray:
@@ -369,12 +393,6 @@ def _common_interval(intervals: Sequence[float]) -> float:
             "Estimate the noise from windows of one output rate"
         )
     return float(np.mean(intervals))
-
-
-def _attitude_changes(window: NavigationWindow) -> FloatArray:
-    """Angle between neighbouring epochs, (n - 1,)."""
-    turns = window.C_nb[1:] @ np.swapaxes(window.C_nb[:-1], 1, 2)
-    return np.asarray(np.linalg.norm(rotation_vector_enu(turns, np.eye(3)), axis=1))
 
 
 def _smallest(changes: Sequence[FloatArray]) -> float:

@@ -114,6 +114,10 @@ class UpRate:
         """Whether the vertical biases are better off with the rate taken away."""
         return self.finding in (Finding.LATITUDE, Finding.LATITUDE_OFF, Finding.NOT_CONTRADICTED)
 
+    def exceeds(self, declared_latitude: float) -> bool:
+        """Whether the latitude is off by more than this uncertainty, rad, lets it be."""
+        return exceeds_declared(self.latitude_error, self.latitude_sigma, declared_latitude)
+
 
 def exceeds_declared(error: float, sigma: float, declared: float) -> bool:
     """Whether a latitude error is significant, and larger than its declared uncertainty lets it be."""

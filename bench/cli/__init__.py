@@ -27,6 +27,8 @@ from gyrobench.bench.foundations.errors import (
 
 # The matrices of this project are small: threads of the linear algebra slow each other down.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# Its tables are small too: a pool takes 4 MB in advance.
+os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
 
 #: Modules leave half a million objects that stay: to search them for cycles as often as Python does takes a
 #: fifth of the time to start.

@@ -11,12 +11,15 @@ from functools import partial
 import numpy as np
 
 from gyrobench.bench.bias.bias_filter import GoodnessOfFit, StateSpaceEstimate, estimate_state_space
+from gyrobench.bench.bias.bias_steps import BiasStep
 from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, TurnPath
 from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow
-from gyrobench.bench.bias.noise_estimate import estimate_noise
+from gyrobench.bench.bias.joint_solution import DwellRows
+from gyrobench.bench.bias.noise_estimate import RestMotion, estimate_noise
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.paper import estimate_paper
 from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.bias.vertical_pairs import exceeds_declared
 from gyrobench.bench.bias.window_filter import EPOCH_S
 from gyrobench.bench.dwells.marks import DwellMarks, WindowMark
 from gyrobench.bench.dwells.output_checks import OutputFault, exceeds_noise, output_faults
@@ -106,12 +109,13 @@ class MeasuredDwell:
     """A row for the table, what is behind it where there is a result, and how the frames came."""
 
     row: DwellRow
-    #: estimate, paper: By the full error model and by the paper's method.
+    #: estimate, paper: By the full error model, without its information, and by the paper's method.
     estimate: StateSpaceEstimate | None
     paper: BiasEstimate | None
+    shared: DwellRows | None  #: What it shows of the unknowns that the dwells of a plateau share.
     #: Navigation at rest, an epoch a second, for the noise estimate; empty where it is disturbed, and where
     #: :mod:`gyrobench.bench.dwells.run_dwells` does not keep it.
-    windows: tuple[NavigationWindow, ...]
+    windows: tuple[RestMotion, ...]
     counts: EpochCounts  #: How the frames came.
     doubts: tuple[str, ...]  #: Those flags that noise larger than declared would explain.
     #: Which sign or axis of the signal map is wrong; every further dwell would be invalid too.
@@ -134,9 +138,9 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
     A dwell that can't give a result gives a row without biases, flagged with the reason.
     """
     flags = list(marks.disturbances)
-    estimate, paper = None, None
+    estimate, paper, shared = None, None, None
     doubts: tuple[str, ...] = ()
-    windows: tuple[NavigationWindow, ...] = ()
+    windows: tuple[RestMotion, ...] = ()
     counts, temperatures, signal_fault = EpochCounts(), DwellTemperatures(), ""
     try:
         navigation = checked_navigation(marks, frames, setup, flags)
@@ -148,15 +152,18 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
         noise = setup.noise_in(dwell.windows)
         paper = _paper(dwell, setup.site, noise)
         estimate, found, doubts = estimate_dwell(dwell, setup, noise)
+        if estimate.information:
+            shared = DwellRows.of(estimate.information, dwell.position, setup.prior)
+            estimate = replace(estimate, information=None)
         flags += found
         if not flags:
-            windows = tuple(window.thinned(EPOCH_S) for window in dwell.windows)
+            windows = tuple(RestMotion.of(window.thinned(EPOCH_S)) for window in dwell.windows)
         flags += doubts
     except MeasurementError as error:
         flags.append(str(error))
         signal_fault = str(error) if isinstance(error, SignalMapError) else ""
     row = _row(marks, temperatures, estimate, paper, flags)
-    return MeasuredDwell(row, estimate, paper, windows, counts, doubts, signal_fault)
+    return MeasuredDwell(row, estimate, paper, shared, windows, counts, doubts, signal_fault)
 
 
 def estimate_dwell(
@@ -173,7 +180,7 @@ def estimate_dwell(
     doubts : tuple of str
         What another dwell would show as well: larger noise would explain it, or the INS is at fault.
     """
-    estimate = estimate_state_space(dwell, setup.site, noise, setup.prior)
+    estimate = _estimate(dwell, setup, noise)
     faults = setup.output_faults(dwell.windows, noise)
     flags, doubts = [fault.text for fault in faults if not fault.may_be_noise], _doubts(estimate)
     pulse_rad = math.sqrt(12.0) * noise.heading_white
@@ -183,14 +190,29 @@ def estimate_dwell(
             f"the resolution of the gyros limits this dwell: the attitude moves in steps of about "
             f"{math.degrees(pulse_rad) * 3600.0:.2g} arcsec. Measure with dithered gyros or finer pulses",
         )
-    step, others = estimate.step, (estimate.fit.p_value, estimate.steady_p_value, estimate.damping.p_value)
-    if step is not None and step.p_value < min(_MIN_STEP_P_VALUE, *others):
+    if (step := _step(estimate)) is not None:
         flags.append(
             f"a bias is not constant: that of the {AXES[step.gyro]} gyro seems to step by "
             f"{step.size_dph:.2g} deg/h at {step.time_s:.0f} s on the clock of the INS (p = "
             f"{step.p_value:.1g}, corrected for the search). Measure the dwell again"
         )
     return estimate, flags, (*(fault.text for fault in faults if fault.may_be_noise), *doubts)
+
+
+def _estimate(dwell: Dwell, setup: MeasurementSetup, noise: NoiseModel) -> StateSpaceEstimate:
+    """Biases with the latitude as well known as declared, unless another one alone explains the dwell."""
+    estimate = estimate_state_space(dwell, setup.site, noise, setup.prior)
+    error, prior = abs(estimate.latitude_error), setup.prior
+    if not exceeds_declared(error, estimate.latitude_sigma, prior.latitude):
+        return estimate
+    other = estimate_state_space(dwell, setup.site, noise, replace(prior, latitude=error))
+    return estimate if _doubts(other) or _step(other) else other
+
+
+def _step(estimate: StateSpaceEstimate) -> BiasStep | None:
+    """The step of a bias, where it is more probable than what else was tested."""
+    step, others = estimate.step, (estimate.fit.p_value, estimate.steady_p_value, estimate.damping.p_value)
+    return step if step is not None and step.p_value < min(_MIN_STEP_P_VALUE, *others) else None
 
 
 def checked_navigation(
@@ -297,16 +319,15 @@ def rest_output(
 
 def _check_navigating(navigation: NavigationData, inside: BoolArray) -> None:
     """Turns count as well: an INS that realigns in a turn starts with other errors after it."""
-    modes = set(navigation.mode[inside].tolist())
-    if not modes <= {InsMode.NAVIGATE, InsMode.UNKNOWN}:
+    if not np.isin(navigation.mode[inside], (InsMode.NAVIGATE, InsMode.UNKNOWN)).all():
         raise MeasurementError(
             "the INS left navigation during the dwell or its turn. Check its status in the raw CAN log"
         )
-    if len(set(navigation.alignment[inside].tolist())) > 1:
+    if len(np.unique(navigation.alignment[inside])) > 1:
         raise MeasurementError(
             "the INS reported another alignment during the dwell or its turn. Did it realign?"
         )
-    if len(set(navigation.segment[inside].tolist())) > 1:
+    if len(np.unique(navigation.segment[inside])) > 1:
         raise MeasurementError("the clock of the INS was reset during the dwell. Did it restart?")
     if not np.isfinite(navigation.attitude[inside]).all():
         raise MeasurementError(

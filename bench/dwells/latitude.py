@@ -31,7 +31,7 @@ def with_latitude(
 
     Where rates North and Up together confirm that the latitude is off by more than declared, biases and
     uncertainties of the vertical gyros are those of the joint solution without that rate. Where the rate
-    North alone leads to that, the dwells are flagged.
+    North leads to that, and no rate Up that agrees with it contradicts, the dwells are flagged.
 
     Parameters
     ----------
@@ -57,6 +57,8 @@ def with_latitude(
             )
         }
         return [_corrected(dwell, *corrected.get(dwell.row.dwell, ())) for dwell in dwells]
+    if rate is not None and rate.applies and not rate.exceeds(prior.latitude):
+        return list(dwells)
     flag = _north_flag(solutions, prior)
     numbers = {dwell.number for solution in solutions for dwell in solution.dwells}
     if not flag:
@@ -89,7 +91,7 @@ def _north_flag(solutions: Sequence[JointSolution], prior: PriorKnowledge) -> st
     if not agreeing:
         return ""
     rates, sigmas = np.array([each.north_rate for each in agreeing]).T
-    _, _, earth_up = agreeing[0].dwells[0].information.earth_rate
+    _, _, earth_up = agreeing[0].dwells[0].rows.earth_rate
     error = float((rates / sigmas**2).sum() / (1.0 / sigmas**2).sum() / earth_up)
     # What the misalignments of the gyros do is common to all plateaus.
     sigma = float(np.hypot((1.0 / sigmas**2).sum() ** -0.5, sigmas.min() / 2.0) / abs(earth_up))

@@ -279,14 +279,14 @@ def _joint_dwells(dwells: Sequence[MeasuredDwell]) -> list[JointDwell]:
         JointDwell(
             number=dwell.row.dwell,
             position_name=dwell.row.position,
-            information=dwell.estimate.information,
+            rows=dwell.shared,
             cycle=dwell.row.cycle,
             chamber_set_c=dwell.row.chamber_set_c,
             gyro_c=dwell.row.gyro_c,
             run=dwell.row.run,
         )
         for dwell in dwells
-        if dwell.estimate
+        if dwell.shared
     ]
 
 

@@ -63,6 +63,9 @@ ROWS = (
     Row("roll and pitch exchanged", _station(_EXCHANGED_ANGLES), "exchange"),
     Row("latitude 1 arcmin off", _latitude(1.0), "latitude"),
     Row("latitude -1 arcmin off", _latitude(-1.0), "latitude"),
+    Row("latitude -3 arcmin off", _latitude(-3.0), "latitude"),
+    Row("latitude 20 arcmin off", _latitude(20.0), "latitude"),
+    Row("latitude 1 deg off", _latitude(60.0), "latitude"),
     Row("deflection of the vertical by 8 arcsec", _latitude(8.0 / 60.0)),
     Row("deflection of the vertical by 20 arcsec", _latitude(20.0 / 60.0)),
     Row(
@@ -93,7 +96,7 @@ ROWS = (
         lambda case: _station({"ins.noise": "estimated"})(_unit(angle_random_walk=0.00078)(case)),
         "noise",
     ),
-    Row("bias step of 0.01 deg/h in mid-window", _unit(bias_step_dph=(0.01, 0.01, 0.01)), "bias"),
+    Row("bias step of 0.01 deg/h in mid-window", _unit(bias_step_dph=(0.01, 0.01, 0.01)), "bias", runs=10),
     Row("bias step of 0.02 deg/h of one gyro", _unit(bias_step_dph=(0.0, 0.02, 0.0)), "bias"),
     Row("accelerometer biases of 300 ug", _unit(accelerometer_bias_ug=(300.0, -300.0, 300.0))),
     Row("accelerometer biases of 500 ug", _unit(accelerometer_bias_ug=(500.0, 500.0, -500.0))),

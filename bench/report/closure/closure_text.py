@@ -25,6 +25,8 @@ _EVEN = 2.0 * math.log(2.0)
 _NEARLY_ALL, _ALL = 98.5, 100.0
 #: Largest probability that is written, and the smallest of an effect that a sentence names.
 _WORTH_STATING = 0.005
+#: Probability from which an effect is said to explain a part.
+_LIKELY = 0.5
 
 
 def residuals_dph(closure: Closure, model: Solution) -> FloatArray:
@@ -145,13 +147,27 @@ def verdict_sentence(closure: Closure) -> str:
             present = "An effect is present" if some >= EXPLAINED else likely
             return f"{present}, but {_unsettled(closure)}" if found else _undecided(closure)
         case _:
-            verb = "explains" if len(closure.effects) == 1 else "explain"
-            part = f" {found[0].upper()}{found[1:]} {verb} only a part." if found else ""
+            part = _part(closure)
             unknown = probability_text(closure.posterior.not_on_list)
+            noise = "; more noise than stated is likelier" if closure.posterior.not_on_list < 0.5 else ""
             return (
                 "The residual exceeds the noise, and no candidate effect explains it (something that is not "
-                f"on the list: {unknown}).{part}"
+                f"on the list: {unknown}{noise}).{part}"
             )
+
+
+def _part(closure: Closure) -> str:
+    """What the effects found are beside an unexplained residual."""
+    likely = [each for each in closure.effects if each.probability >= _LIKELY]
+    other = [
+        f"{each.effect.display_name} ({probability_text(each.probability)})"
+        for each in closure.effects
+        if each not in likely
+    ]
+    names = listed([each.effect.display_name for each in likely])
+    verb = "explains" if len(likely) == 1 else "explain"
+    part = f" {names[0].upper()}{names[1:]} {verb} only a part." if names else ""
+    return part + (f" Fitted, but not probable beside what is left: {listed(other)}." if other else "")
 
 
 def _not_excluded(closure: Closure) -> str:
@@ -205,7 +221,13 @@ def probability_sentence(closure: Closure) -> str:
     """Probabilities of the effects, of something that is not on the list, and of nothing."""
     weighed = closure.posterior
     likely = {name: p for name, p in weighed.of_effect.items() if p >= _WORTH_STATING}
-    parts = [f"{closure.label(name)} {probability_text(p)}" for name, p in likely.items()]
+    parts = []
+    for each in closure.effects:
+        likely.pop(each.effect.name, None)
+        general = [name for name in weighed.more_general.get(each.effect.name, ()) if likely.pop(name, None)]
+        law = f" (as such or as {labels(closure, general)})" if general else ""
+        parts.append(f"{each.effect.display_name} {probability_text(each.probability)}{law}")
+    parts += [f"{closure.label(name)} {probability_text(p)}" for name, p in likely.items()]
     follows = max(weighed.follows, key=lambda name: weighed.follows[name])
     unknown = f"something that is not on the list {probability_text(weighed.not_on_list)}"
     parts.append(f"{unknown} (it follows {follows})" if weighed.not_on_list >= 0.5 else unknown)
@@ -254,9 +276,12 @@ def rejection_sentences(closure: Closure) -> list[str]:
     for each in closure.evidence:
         if each.rejected and each.effect.name not in tied:
             reason, _, detail = each.rejected.partition(" (")
-            detail = detail.partition(",")[0].removesuffix(")") or f"{p_phrase(each.p_value)} alone"
-            by_reason.setdefault(reason, []).append(f"{each.effect.display_name} ({detail})")
-    return [f"Rejected, {reason}: {listed(names)}." for reason, names in by_reason.items()]
+            detail = f" ({detail.partition(',')[0].removesuffix(')')})" if detail else ""
+            by_reason.setdefault(reason, []).append(f"{each.effect.display_name}{detail}")
+    return [
+        f"Rejected although significant alone: {listed(names)}. Reason: {reason}."
+        for reason, names in by_reason.items()
+    ]
 
 
 def effect_sentences(closure: Closure) -> list[str]:
@@ -285,7 +310,8 @@ def _evidence_of(found: FoundEffect, is_one_cycle: bool) -> str:
 def alternative_sentence(closure: Closure) -> str:
     """The best other candidate and the odds against it; its share if no effect was found."""
     names = {each.effect.name for each in closure.effects}
-    others = [each for each in closure.evidence if not each.missing_input and each.effect.name not in names]
+    same = names.union(*(closure.posterior.more_general.get(name, ()) for name in names))
+    others = [each for each in closure.evidence if not each.missing_input and each.effect.name not in same]
     if not others or closure.verdict == "clean":
         return ""
     best = min(others, key=lambda each: each.log_odds_against)

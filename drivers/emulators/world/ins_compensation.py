@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 import zlib
+from array import array
 from enum import IntEnum
 
 import numpy as np
@@ -76,7 +77,7 @@ class TemperatureHistory:
         #: optics_c, electronics_c: Shape (3,). The last readings, one a second.
         self.optics_c = np.zeros(3)
         self.electronics_c = np.zeros(3)
-        self.record_c: list[FloatArray] = []  #: Optics every ten seconds, each of shape (3,).
+        self._record_c = array("d")
         self.seconds = 0
         self._filtered_c = np.zeros((2, 3))
 
@@ -85,9 +86,14 @@ class TemperatureHistory:
         self.optics_c, self.electronics_c = optics_c[-1], electronics_c[-1]
         if self.seconds == 0:
             self._filtered_c[:] = optics_c[0]
-        self.record_c.extend(optics_c[-self.seconds % _RECORD_EVERY_S :: _RECORD_EVERY_S].copy())
+        self._record_c.frombytes(optics_c[-self.seconds % _RECORD_EVERY_S :: _RECORD_EVERY_S].tobytes())
         self.seconds += len(optics_c)
         _filter(self._filtered_c, optics_c)
+
+    @property
+    def record_c(self) -> FloatArray:
+        """Optics every ten seconds, shape (n, 3)."""
+        return np.array(self._record_c).reshape(-1, 3)
 
     @property
     def rate_c_per_h(self) -> FloatArray:
@@ -114,9 +120,10 @@ class InsCompensation:
     def __init__(self, table: FloatArray, history: TemperatureHistory, up_body: FloatArray) -> None:
         self.checksum = checksum(table)  #: Checksum of the table.
         self._table = table.copy()
-        first_c = history.record_c[0] if history.record_c else history.optics_c
+        record_c = history.record_c
+        first_c = record_c[0] if len(record_c) else history.optics_c
         self._play_c = np.clip(first_c, table[:, Coefficient.LOW_C], table[:, Coefficient.HIGH_C])
-        for optics_c in history.record_c:
+        for optics_c in record_c:
             _follow(self._play_c, optics_c, self._table)
         self.update(history, up_body)
 

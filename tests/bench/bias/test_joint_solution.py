@@ -6,7 +6,7 @@ import pytest
 from scipy.stats import chi2
 
 from gyrobench.bench.bias.bias_filter import estimate_state_space
-from gyrobench.bench.bias.joint_solution import JointDwell, pooled_up_rate, solve_jointly
+from gyrobench.bench.bias.joint_solution import JointDwell, pooled_up_rate
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.bias.plateaus import group_plateaus
 from gyrobench.bench.bias.vertical_pairs import Finding
@@ -23,6 +23,7 @@ from tests.bench.bias.emulated_groups import (
     any_unit,
     follow_gravity,
     is_vertical,
+    joint_solution_of,
     measure,
 )
 
@@ -45,7 +46,7 @@ def wrong_latitude():
 @pytest.fixture(scope="module")
 def solutions(wrong_latitude):
     """Solutions of those with a latitude that is taken for right."""
-    return [solve_jointly(dwells, PRIOR) for _, dwells in wrong_latitude]
+    return [joint_solution_of(dwells, PRIOR) for _, dwells in wrong_latitude]
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +82,7 @@ def test_dwell_by_itself_is_its_own_estimate():
     )  # fmt: skip
     prior = SURVEYED
     estimate = estimate_state_space(dwell, site(), NOISE, prior)
-    single = solve_jointly([JointDwell(1, "y_down", estimate.information)], prior).single
+    single = joint_solution_of([JointDwell(1, "y_down", estimate.information)], prior).single
     np.testing.assert_allclose(
         single.bias_radps[0] * RADPS_TO_DPH, estimate.bias_dph, atol=1e-3 * estimate.sigma_dph.min()
     )
@@ -92,13 +93,13 @@ def test_without_noise_only_what_is_not_modelled_is_left():
     unit = Unit(
         any_unit(np.random.default_rng(27)).bias_dph, accelerometer_matrix=5.0 * ARCSEC * np.ones((3, 3))
     )
-    solution = solve_jointly(measure(unit, None), PRIOR)
+    solution = joint_solution_of(measure(unit, None), PRIOR)
     assert np.abs(errors(solution.together, unit)).max() * RADPS_TO_DPH < 1e-4
 
 
 def test_errors_of_the_joint_biases_are_those_of_their_covariance(wrong_latitude):
     total = sum(
-        squares(solve_jointly(dwells, ANY_LATITUDE).together, unit) for unit, dwells in wrong_latitude
+        squares(joint_solution_of(dwells, ANY_LATITUDE).together, unit) for unit, dwells in wrong_latitude
     )
     assert_explained(total, 18 * GROUPS)
 
@@ -106,7 +107,7 @@ def test_errors_of_the_joint_biases_are_those_of_their_covariance(wrong_latitude
 def test_accelerometer_biases_and_misalignments_are_found_with_their_uncertainty(wrong_latitude):
     total, dof = 0.0, 0
     for unit, dwells in wrong_latitude:
-        solution = solve_jointly(dwells, ANY_LATITUDE)
+        solution = joint_solution_of(dwells, ANY_LATITUDE)
         bias, sigma = solution.accelerometer_bias
         total += (((bias - unit.accelerometer_ug * UG) / sigma) ** 2).sum()
         matrix, sigma = solution.accelerometer_misalignment
@@ -130,18 +131,18 @@ def test_accelerometer_biases_and_misalignments_are_found_with_their_uncertainty
 )
 def test_joint_solution_is_nowhere_worse_than_dwell_by_dwell(right_latitude, prior):
     _, dwells = right_latitude
-    assert solve_jointly(dwells, prior).gain.min() > 1.0 - 1e-6
+    assert joint_solution_of(dwells, prior).gain.min() > 1.0 - 1e-6
 
 
 def test_gain_is_small_where_noise_alone_limits(right_latitude):
     _, dwells = right_latitude
-    gain = solve_jointly(dwells, SURVEYED).gain
+    gain = joint_solution_of(dwells, SURVEYED).gain
     assert gain.max() < 1.02
 
 
 def test_gain_is_large_for_vertical_gyros_where_the_latitude_is_not_known(right_latitude):
     _, dwells = right_latitude
-    gain = solve_jointly(dwells, ANY_LATITUDE).gain
+    gain = joint_solution_of(dwells, ANY_LATITUDE).gain
     assert gain[VERTICAL].min() > 1.4
     assert gain[~VERTICAL].max() < 1.02
 
@@ -154,7 +155,7 @@ def test_gain_is_large_for_level_gyros_where_their_axes_are_not_known(right_lati
         accelerometer_misalignment_arcsec=30.0,
         accelerometer_drift_ug_per_h=0.0,
     )
-    gain = solve_jointly(dwells, prior).gain
+    gain = joint_solution_of(dwells, prior).gain
     assert gain[~VERTICAL].max() > 1.8
     assert gain[VERTICAL].max() < 1.05
 
@@ -163,13 +164,13 @@ def test_bias_of_one_dwell_does_not_draw_those_of_the_others():
     random = np.random.default_rng(22)
     unit = any_unit(random)
     unit.bias_dph["y_up"][:] = 0.5, -0.5, 0.5
-    solution = solve_jointly(measure(unit, random), PRIOR)
+    solution = joint_solution_of(measure(unit, random), PRIOR)
     assert np.abs(errors(solution.together, unit) / solution.together.sigma_radps).max() < 4.0
 
 
 def test_dwells_that_share_what_they_should_agree(right_latitude):
     _, dwells = right_latitude
-    assert solve_jointly(dwells, PRIOR).fit.p_value > 0.01
+    assert joint_solution_of(dwells, PRIOR).fit.p_value > 0.01
 
 
 def test_accelerometer_biases_that_changed_between_dwells_are_noticed():
@@ -177,7 +178,7 @@ def test_accelerometer_biases_that_changed_between_dwells_are_noticed():
     before = any_unit(random)
     after = dataclasses.replace(before, accelerometer_ug=before.accelerometer_ug + 150.0)
     dwells = measure(before, random, ALL[:3]) + measure(after, random, ALL[3:], first=4)
-    assert solve_jointly(dwells, PRIOR).fit.p_value < 1e-4
+    assert joint_solution_of(dwells, PRIOR).fit.p_value < 1e-4
 
 
 def test_latitude_that_is_wrong_by_more_than_declared_is_noticed_and_distinguished_from_other_faults(
@@ -234,7 +235,7 @@ def test_pooled_correction_covers_what_other_temperatures_add(solutions):
 def test_biases_that_differ_up_and_down_are_left_alone():
     random = np.random.default_rng(24)
     unit = follow_gravity(any_unit(random), np.array([0.0, 0.006, -0.006]))
-    rate = solve_jointly(measure(unit, random), PRIOR).up_rate
+    rate = joint_solution_of(measure(unit, random), PRIOR).up_rate
     assert rate.finding is Finding.DIFFERENT
     assert not rate.applies
 
@@ -242,7 +243,7 @@ def test_biases_that_differ_up_and_down_are_left_alone():
 def test_bias_that_follows_gravity_alike_in_all_gyros_is_no_latitude_error():
     random = np.random.default_rng(25)
     unit = follow_gravity(any_unit(random), np.array([0.004, 0.004, 0.004]))
-    rate = solve_jointly(measure(unit, random), PRIOR).up_rate
+    rate = joint_solution_of(measure(unit, random), PRIOR).up_rate
     assert rate.finding is Finding.NOT_LATITUDE
     assert not rate.applies
 
@@ -250,7 +251,7 @@ def test_bias_that_follows_gravity_alike_in_all_gyros_is_no_latitude_error():
 def test_two_pairs_make_a_weaker_statement_and_one_none(wrong_latitude):
     _, dwells = wrong_latitude[0]
     three, two, one, none = (
-        solve_jointly([dwells[k] for k in chosen], PRIOR).up_rate
+        joint_solution_of([dwells[k] for k in chosen], PRIOR).up_rate
         for chosen in (range(6), range(4), (0, 1, 2, 4), (0, 2, 4))
     )
     assert (three.dof, two.dof, one.dof) == (2, 1, 0)
@@ -264,15 +265,15 @@ def test_two_pairs_make_a_weaker_statement_and_one_none(wrong_latitude):
 
 def test_without_a_pair_there_is_nothing_to_take_away(right_latitude):
     _, dwells = right_latitude
-    solution = solve_jointly(dwells[::2], PRIOR)
+    solution = joint_solution_of(dwells[::2], PRIOR)
     np.testing.assert_array_equal(solution.corrected().bias_radps, solution.north_free.bias_radps)
 
 
 def test_repeated_position_counts_as_one_half_of_its_pair(wrong_latitude):
     unit, dwells = wrong_latitude[0]
     again = measure(unit, np.random.default_rng(26), ("z_up",), first=7)
-    once = solve_jointly(dwells, PRIOR)
-    twice = solve_jointly([*dwells, *again], PRIOR)
+    once = joint_solution_of(dwells, PRIOR)
+    twice = joint_solution_of([*dwells, *again], PRIOR)
     assert twice.pairs.gyros == (0, 1, 2)
     assert twice.up_rate.sigma < once.up_rate.sigma
     assert twice.pairs.covariance[2, 2] == pytest.approx(0.75 * once.pairs.covariance[2, 2], rel=0.01)
@@ -283,7 +284,7 @@ def test_different_temperatures_up_and_down_widen_the_half_difference(right_lati
     warmer = [
         dataclasses.replace(each, gyro_c=(25.0, 25.0, 25.0 + 2.0 * (each.number == 2))) for each in dwells
     ]
-    plain, wide = (solve_jointly(each, PRIOR).pairs.covariance for each in (dwells, warmer))
+    plain, wide = (joint_solution_of(each, PRIOR).pairs.covariance for each in (dwells, warmer))
     np.testing.assert_allclose(wide - plain, np.diag([0.0, 0.0, (1.0 * PRIOR.bias_slope) ** 2]), atol=1e-22)
 
 
@@ -291,13 +292,13 @@ def test_temperatures_that_were_not_measured_count_as_equal(right_latitude):
     _, dwells = right_latitude
     unknown = [dataclasses.replace(each, gyro_c=(math.nan,) * 3) for each in dwells]
     np.testing.assert_array_equal(
-        solve_jointly(unknown, PRIOR).pairs.covariance, solve_jointly(dwells, PRIOR).pairs.covariance
+        joint_solution_of(unknown, PRIOR).pairs.covariance, joint_solution_of(dwells, PRIOR).pairs.covariance
     )
 
 
 def test_order_of_the_dwells_does_not_matter(right_latitude):
     _, dwells = right_latitude
-    there, back = solve_jointly(dwells, PRIOR), solve_jointly(dwells[::-1], PRIOR)
+    there, back = joint_solution_of(dwells, PRIOR), joint_solution_of(dwells[::-1], PRIOR)
     np.testing.assert_allclose(
         back.together.bias_radps[::-1],
         there.together.bias_radps,
@@ -319,7 +320,7 @@ def test_plateaus_are_dwells_in_a_row_of_one_cycle_and_set_point(right_latitude)
 
 def test_no_dwell_is_an_error():
     with pytest.raises(MeasurementError, match="no dwell"):
-        solve_jointly([], PRIOR)
+        joint_solution_of([], PRIOR)
 
 
 def test_power_ons_are_not_solved_together(right_latitude):

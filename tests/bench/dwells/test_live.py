@@ -11,7 +11,7 @@ import pytest
 
 from gyrobench.bench.bias import parameters
 from gyrobench.bench.bias.window_filter import whiten
-from gyrobench.bench.dwells.dwell import measure_dwell
+from gyrobench.bench.dwells.dwell import checked_navigation, dwell_at_rest, estimate_dwell, measure_dwell
 from gyrobench.bench.dwells.live import LiveEstimate, warm_up
 
 INS_STATUS = 0x010
@@ -69,7 +69,9 @@ def test_at_the_end_it_is_the_estimate_of_the_whole_dwell(recorded, replayed, st
 
 
 def test_the_biases_are_those_at_the_mean_temperature_so_far(recorded, replayed):
-    whole = measure_dwell(*recorded).estimate.information.bias_at_mean
+    marks, frames, setup = recorded
+    dwell = dwell_at_rest(marks, checked_navigation(marks, frames, setup, []), setup)
+    whole = estimate_dwell(dwell, setup, setup.noise)[0].information.bias_at_mean
     begin = recorded[0].windows[1].first_frame
     *_, last = [replayed.estimate_at(now) for now in stops(begin, end_of(recorded), (777,))]
     mean_k = np.diag(whole[:, parameters.GYRO_SLOPE])

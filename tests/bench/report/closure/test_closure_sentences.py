@@ -72,7 +72,7 @@ def test_an_effect_that_a_cycle_contradicts_is_said_to_depend_on_the_one_held_ou
 def test_rejected_effects_are_listed_by_reason():
     closure = explained()
     assert closure_text.rejection_sentences(closure) == [
-        "Rejected, not significant beside temperature rate: bias jump (p < 1e-9 alone)."
+        "Rejected although significant alone: bias jump. Reason: not significant beside temperature rate."
     ]
     beside = "not significant beside temperature rate (p = {}, required below 0.001)"
     reasons = [
@@ -87,8 +87,10 @@ def test_rejected_effects_are_listed_by_reason():
     )
     first, second, third = (each.effect.display_name for each in evidence[1:4])
     assert closure_text.rejection_sentences(replace(closure, evidence=evidence)) == [
-        f"Rejected, not significant beside temperature rate: {first} (p = 0.02) and {second} (p = 0.3).",
-        f"Rejected, it rests on dwell 7 alone: {third} (p = 0.1 without it).",
+        f"Rejected although significant alone: {first} (p = 0.02) and {second} (p = 0.3). "
+        "Reason: not significant beside temperature rate.",
+        f"Rejected although significant alone: {third} (p = 0.1 without it). "
+        "Reason: it rests on dwell 7 alone.",
     ]
 
 

@@ -6,7 +6,7 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from gyrobench.bench.bias.joint_solution import pooled_up_rate, solve_jointly
+from gyrobench.bench.bias.joint_solution import pooled_up_rate
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.foundations.arrays import RADPS_TO_DPH
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
@@ -19,7 +19,7 @@ from gyrobench.bench.runs.tables.joint_table import (
     read_joint_plateaus,
     write_joint,
 )
-from tests.bench.bias.emulated_groups import any_unit, follow_gravity, is_vertical, measure
+from tests.bench.bias.emulated_groups import any_unit, follow_gravity, is_vertical, joint_solution_of, measure
 
 # As the units of emulated_groups are: their mounts do not tilt.
 PRIOR = PriorKnowledge.from_datasheet(
@@ -32,7 +32,7 @@ SET_POINTS_C = (20.0, 50.0)
 def solved(unit, random):
     """Joint solutions of two temperatures, and the rate Up of both."""
     solutions = [
-        solve_jointly(measure(unit, random, first=1 + 6 * plateau, chamber_set_c=set_c), PRIOR)
+        joint_solution_of(measure(unit, random, first=1 + 6 * plateau, chamber_set_c=set_c), PRIOR)
         for plateau, set_c in enumerate(SET_POINTS_C)
     ]
     return solutions, pooled_up_rate(solutions, PRIOR)
@@ -223,7 +223,7 @@ def test_files_that_can_not_be_read_or_written_are_named(tmp_path):
 def test_a_chamber_without_set_point_has_an_empty_cell(tmp_path):
     unit = any_unit(np.random.default_rng(5))
     dwells = measure(unit, None, ("z_up", "z_down"), chamber_set_c=math.nan)
-    solution = solve_jointly(dwells, PRIOR)
+    solution = joint_solution_of(dwells, PRIOR)
     write_joint(tmp_path / "joint.csv", joint_plateau_rows([solution], solution.up_rate), JointPlateauRow)
     (row,) = read_joint_plateaus(tmp_path / "joint.csv")
     assert math.isnan(row.chamber_set_c)
