@@ -15,13 +15,15 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow, format_dwells, read_dwells, write_dwells
 from gyrobench.bench.closure.campaign import Campaign, campaign_of
+from gyrobench.bench.closure.effects import all_effects
+from gyrobench.bench.closure.effects.effect import Effect, searched_length_s
 from gyrobench.bench.closure.loop import Closure, close_loop, composed
 from gyrobench.bench.closure.search import MAX_EFFECTS
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
 from gyrobench.bench.foundations.files import make_folder, write_whole
 from gyrobench.bench.foundations.text import listed
-from gyrobench.bench.investigation.blocks import NEW_CYCLE, BlockPlanner
+from gyrobench.bench.investigation.blocks import NEW_CYCLE, Block, BlockPlanner
 from gyrobench.bench.investigation.external_bench import BlockPlan, BlockRefusedError
 from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.investigation.proposal import Outcome, Proposal, Rival, outcome_of, proposal_of, propose
@@ -34,11 +36,13 @@ SETTLED = 0.99
 _MIN_PROBABILITY = 1e-3
 _MAX_RIVALS = 6
 #: A block that is expected to remove less of the entropy, nats, is not worth its time.
-_MIN_GAIN = 0.02
+MIN_GAIN = 0.02
 #: The plan of a block, once it was approved, and its dwells, once they were checked.
 _PLAN, _DONE = "plan.json", "dwells.csv"
 #: Times that a kind of block is measured while the blocks bring only dwells with flags.
 _MAX_FLAGGED = 2
+#: Ageing is a hypothesis of dwells over more than this: its shortest time constant is a day.
+_MIN_AGEING_S = 26.0 * 3600.0
 #: A prediction is tested where it differs by this square from that without it, in units of its uncertainty.
 _ENOUGH = 60.0
 #: Purposes of a block.
@@ -177,7 +181,8 @@ class Investigator:
 
     def _with_block(self, stage: Stage, journal: Journal) -> tuple[Stage, tuple[str, str] | None]:
         """The stage with the best block that the bench can do, or why there is none."""
-        folder, scale, forecast = self._block_folder, stage.closure.noise_scale, Forecast(self._rows)
+        folder, scale = self._block_folder, stage.closure.noise_scale
+        forecast = Forecast(stage.closure.noise.weighted(self._rows))
         done = folder / _DONE
         decided = self._decided(stage, forecast)
         if decided is not None and done.exists():
@@ -189,11 +194,12 @@ class Investigator:
                 best, decided = decided, None
             else:
                 refused = [*self._refused, *idle]
-                found = propose(forecast, stage.rivals, scale, refused, left_h, self._planner)
+                measured = [each.proposal.block.kinds for each in self._stages if each.proposal]
+                found = propose(forecast, stage.rivals, scale, refused, left_h, self._planner, measured)
                 useful = [
                     each
                     for each in found
-                    if each.entropy - each.expected_entropy > _MIN_GAIN
+                    if each.entropy - each.expected_entropy > MIN_GAIN
                     and (stage.purpose != TEST_LAW or each.block.name == NEW_CYCLE)
                 ]
                 if not useful:
@@ -229,7 +235,8 @@ class Investigator:
     def _test(self, last: Stage, ended: str) -> Stage | None:
         """A stage whose block tests what an investigation ends with: its cause, or a composed law."""
         if ended == "settled":
-            cause = replace(last.rivals[0], probability=0.5)
+            found = tuple(each.candidate for each in last.closure.effects)
+            cause = Rival(tuple(sorted(each.effect.name for each in found)), found, 0.5)
             if cause.names and self._tested(CONFIRM, cause.names) is None:
                 return replace(last, rivals=(cause, Rival((), (), 0.5)), purpose=CONFIRM)
         is_tested = any(each.purpose == TEST_LAW and each.outcome for each in self._stages)
@@ -250,14 +257,13 @@ class Investigator:
         return next((each.outcome for each in reversed(tests) if each.outcome), None)
 
     def _searched(self) -> Stage:
-        closure = close_loop(self._campaign(self._rows), self._held_out)
+        closure = searched(self._campaign(self._rows), self._held_out)
         return Stage(self._spent_h, closure, rivals_of(closure))
 
     def _end(self, stage: Stage) -> tuple[str, str] | None:
         posterior = stage.closure.posterior
         names = tuple(sorted(each.effect.name for each in stage.closure.effects))
-        is_stated = stage.closure.verdict in ("explained", "clean")
-        if is_stated and posterior.of_all(names) >= SETTLED and not posterior.rivals(names):
+        if is_settled(stage.closure):
             tested = self._tested(CONFIRM, names)
             if tested is not None and tested.probabilities[0] < 0.5:
                 return ("refuted", f"A block contradicts what {' + '.join(names)} predicted for it.")
@@ -291,10 +297,10 @@ class Investigator:
         events = [entry["event"] for entry in entries]
         if not {"approved", "measured"} & set(events[-1:]):
             return None
-        name = next(entry["block"] for entry in reversed(entries) if entry["event"] == "proposed")
+        entry = next(entry for entry in reversed(entries) if entry["event"] == "proposed")
         plan = BlockPlan.model_validate_json((self._block_folder / _PLAN).read_text(encoding="utf-8"))
-        scale = stage.closure.noise_scale
-        return proposal_of(plan, name.split(", then "), forecast, stage.rivals, scale)
+        block = Block(tuple(entry["block"].split(", then ")), entry.get("what", entry["block"]), plan)
+        return proposal_of(forecast, block, stage.rivals, stage.closure.noise_scale)
 
     def _with_outcome(
         self, stage: Stage, forecast: Forecast, proposal: Proposal, rows: Sequence[DwellRow], journal: Journal
@@ -321,6 +327,29 @@ class Investigator:
             ],
         )
         return replace(stage, proposal=proposal, outcome=outcome)
+
+
+def searched(campaign: Campaign, held_out: Sequence[int]) -> Closure:
+    """Search with the effects that only the first dwells do not show, as far as they are long enough.
+
+    A single power cycle does not exclude ageing, so that a search leaves it out; the next block may have
+    another one.
+    """
+    effects = all_effects(*(Path(each.name) for each in campaign.tables))
+    if searched_length_s(campaign.holding_out(held_out)) > _MIN_AGEING_S:
+        effects = tuple(_in_one_power_cycle(each) if each.name == "ageing" else each for each in effects)
+    return close_loop(campaign, held_out, effects)
+
+
+def _in_one_power_cycle(effect: Effect) -> Effect:
+    return replace(effect, forms=tuple(replace(form, missing_input=lambda _: None) for form in effect.forms))
+
+
+def is_settled(closure: Closure) -> bool:
+    """Whether a search states its cause, or that there is nothing, with enough probability."""
+    names = [each.effect.name for each in closure.effects]
+    is_stated = closure.verdict in ("explained", "clean")
+    return is_stated and closure.posterior.of_all(names) >= SETTLED and not closure.posterior.rivals(names)
 
 
 def rivals_of(closure: Closure) -> tuple[Rival, ...]:
@@ -375,6 +404,7 @@ def proposed(proposal: Proposal, rivals: Sequence[Rival]) -> dict[str, Any]:
     """A proposal with its predictions, for the journal."""
     return {
         "block": proposal.block.name,
+        "what": proposal.block.what,
         "hours": proposal.block.plan.duration_h,
         "entropy": proposal.entropy,
         "expected_entropy": proposal.expected_entropy,

@@ -15,13 +15,13 @@ from gyrobench.bench.closure.problem import declared_problem
 from gyrobench.bench.foundations.arrays import BoolArray, rms
 from gyrobench.bench.investigation.blocks import AfterLastDwell, Block, BlockPlanner, catalogue
 from gyrobench.bench.investigation.choice import Prediction, entropy, expected_entropy, predict_dwells
-from gyrobench.bench.investigation.external_bench import BlockPlan
 from gyrobench.bench.investigation.forecast import Forecast
 
 #: Blocks of which pairs are tried.
 _PAIRED = 4
-#: Bias from one power-on to the next where the dwells are of a single one, in units of the noise.
-_UNKNOWN_RUN_SPREAD = 5.0
+#: Least spread of the bias from one power-on to the next, in units of the noise: the search takes nothing
+#: from the constant of a power-on, and a block must not be chosen for what it would say.
+_MIN_RUN_SPREAD = 30.0
 
 
 @dataclass(frozen=True)
@@ -52,11 +52,17 @@ class Proposal:
     predictions: tuple[Prediction, ...]  #: Of each rival, for the biases of these dwells.
     entropy: float  #: Of the rivals' probabilities, nats.
     expected_entropy: float  #: After the block.
+    #: How often its kinds were measured, the most of each, without settling the cause.
+    repeats: int = 0
 
     @property
     def gain_per_h(self) -> float:
-        """Expected fall of the entropy per hour on the bench, nats/h."""
-        return (self.entropy - self.expected_entropy) / self.block.plan.duration_h
+        """Expected fall of the entropy per hour on the bench, nats/h.
+
+        Halved each time that a kind did not settle the cause: its predictions are too narrow.
+        """
+        fall = (self.entropy - self.expected_entropy) / self.block.plan.duration_h
+        return fall * 0.5**self.repeats
 
     @property
     def difference(self) -> float:
@@ -73,6 +79,7 @@ def propose(
     refused: Collection[Sequence[str]] = (),
     max_h: float = np.inf,
     planner: BlockPlanner | None = None,
+    measured: Sequence[Sequence[str]] = (),
 ) -> list[Proposal]:
     """Blocks with their utilities, best first.
 
@@ -91,6 +98,8 @@ def propose(
         Longest block.
     planner : BlockPlanner, optional
         The bench; by default one that stays as it is after the last dwell.
+    measured : sequence of sequence of str
+        Kinds of the blocks measured since the first table.
     """
     rows, planner = forecast.measured, planner or AfterLastDwell()
     start = planner.start(rows)
@@ -100,8 +109,12 @@ def propose(
         timed = filter(None, map(planner.timed, asked))
         return [each for each in timed if each.plan.duration_h <= max_h]
 
+    def proposal(block: Block) -> Proposal:
+        repeats = max(sum(kind in kinds for kinds in measured) for kind in block.kinds)
+        return replace(proposal_of(forecast, block, rivals, noise_scale), repeats=repeats)
+
     paired = {kind for kinds in refused if len(kinds) > 1 for kind in kinds}
-    found = [_proposal(forecast, each, rivals, noise_scale) for each in usable(catalogue(rows, start=start))]
+    found = [proposal(each) for each in usable(catalogue(rows, start=start))]
     found.sort(key=lambda each: -each.gain_per_h)
     best = {each.block.name for each in found[:_PAIRED]}
     pairs = [
@@ -109,20 +122,12 @@ def propose(
         for each in catalogue(rows, pairs=True, start=start)
         if len(each.kinds) == 2 and set(each.kinds) <= best and not set(each.kinds) & paired
     ]
-    found += [_proposal(forecast, each, rivals, noise_scale) for each in usable(pairs)]
+    found += [proposal(each) for each in usable(pairs)]
     return sorted(found, key=lambda each: -each.gain_per_h)
 
 
-def proposal_of(
-    plan: BlockPlan, kinds: Sequence[str], forecast: Forecast, rivals: Sequence[Rival], noise_scale: float
-) -> Proposal:
-    """The proposal of a plan that was measured before, by the kinds of its block."""
-    whats = {each.name: each.what for each in catalogue(forecast.measured)}
-    block = Block(tuple(kinds), "; then ".join(whats.get(kind, kind) for kind in kinds), plan)
-    return _proposal(forecast, block, rivals, noise_scale)
-
-
-def _proposal(forecast: Forecast, block: Block, rivals: Sequence[Rival], noise_scale: float) -> Proposal:
+def proposal_of(forecast: Forecast, block: Block, rivals: Sequence[Rival], noise_scale: float) -> Proposal:
+    """The proposal of a block."""
     new = forecast.rows(block.plan)
     predictions = _predictions(forecast, new, rivals, noise_scale)
     probabilities = np.array([each.probability for each in rivals])
@@ -181,15 +186,7 @@ def _predictable(
 
 def _run_spread_dph(rows: Sequence[DwellRow], noise_scale: float) -> float:
     """Standard deviation of the bias from one power-on to the next."""
-    sigma_dph = noise_scale * float(np.nanmedian([row.sigma_dph for row in rows]))
-    good = [row for row in rows if not row.flags]
-    means = [
-        np.nanmean([row.bias_dph for row in good if row.run == run], axis=0)
-        for run in dict.fromkeys(row.run for row in good)
-    ]
-    if len(means) < 3:
-        return _UNKNOWN_RUN_SPREAD * sigma_dph
-    return max(float(np.std(means, axis=0, ddof=1).mean()), sigma_dph)
+    return _MIN_RUN_SPREAD * noise_scale * float(np.nanmedian([row.sigma_dph for row in rows]))
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,16 @@ class Course:
     optics_c: np.ndarray = field(default_factory=lambda: np.empty(0))
     board_c: np.ndarray = field(default_factory=lambda: np.empty(0))
     cooling: np.ndarray = field(default_factory=lambda: np.empty(0))  #: Demand of the chamber, K/h.
+    laws_steps: int = 0  #: Steps whose length and spread laws depend on; 0 for all. More may follow.
+
+    @property
+    def length_h(self) -> float:
+        """Time of these steps."""
+        return float(self.time_h[(self.laws_steps or len(self.time_h)) - 1])
+
+    def of_laws(self, values: np.ndarray) -> np.ndarray:
+        """Values of these steps."""
+        return values[: self.laws_steps or len(values)]
 
 
 class Schedule:
@@ -44,7 +54,7 @@ class Schedule:
         self.dwells: list[tuple[int, int, int, str]] = []  # first step, steps, cycle, position
         self._draw, self._design = draw, design
         self._now_c, self._order, self._steps = 22.0, list(UP), int(draw.choice([20, 30]))
-        self._headings = (0.0, 90.0, 180.0, 270.0) if design == "headings" else (0.0,)
+        self.headings = (0.0, 90.0, 180.0, 270.0) if design == "headings" else (0.0,)
         again = {"power cycles": int(draw.integers(1, 3)), "headings": 1}.get(design, cycles)
         profile = self._profile()
         for cycle in range(cycles):
@@ -113,7 +123,7 @@ class Schedule:
         names, azimuth_deg = np.array(["z_up"] * count, dtype="<U6"), np.zeros(count)
         for first, _, _, name in self.dwells:
             names[first:] = name
-            azimuth_deg[first:] = draw.choice(self._headings)
+            azimuth_deg[first:] = draw.choice(self.headings)
         on = np.array(self.power_on)
         since_h = time_h - STEP_H * on[np.searchsorted(on, np.arange(count), side="right") - 1]
         power = np.ones(count)
@@ -125,7 +135,7 @@ class Schedule:
         weather = np.cumsum(draw.standard_normal(count // 240 + 2))[np.arange(count) // 240]
         room_c = 22.0 + draw.uniform(0.5, 2.0) * (np.sin(day) + 0.2 * np.sin(2.0 * day + 1.0))
         room_c += 0.15 * lagged(weather[:, None], 3.0)[:, 0]
-        turns = {(name, azimuth) for name in UP for azimuth in self._headings}
+        turns = {(name, azimuth) for name in UP for azimuth in self.headings}
         north_of = {each: POSITIONS[each[0]].C_nb(math.radians(each[1]))[1] for each in turns}
         return Course(
             time_h=time_h,

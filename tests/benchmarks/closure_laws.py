@@ -35,7 +35,7 @@ def _temperature_rate(c, draw, own):
     rate = np.gradient(c.optics_c, STEP_H, axis=0)
     if own:
         return _law(draw, rate, own)
-    limit = draw.uniform(2.5, 6.0) * rate.std()
+    limit = draw.uniform(2.5, 6.0) * c.of_laws(rate).std()
     return _law(draw, limit * np.tanh(rate / limit) * (1.0 + draw.uniform(-0.1, 0.1) * c.optics_c / 50.0))
 
 
@@ -94,7 +94,7 @@ def _warm_up(c, draw, own):
 def _time_drift(c, draw, own):
     days = c.time_h / 24.0
     bend = 0.0 if own else draw.uniform(-0.06, 0.06)
-    return _law(draw, (days + bend * days * (days / days[-1] - 1.0))[:, None], own)
+    return _law(draw, (days + bend * days * (24.0 * days / c.length_h - 1.0))[:, None], own)
 
 
 def _g_sensitivity(c, draw, own):
@@ -118,7 +118,7 @@ def _chamber_state(c, draw, own):
 
 
 def _bias_jump(c, draw, own):
-    at_h = draw.uniform(0.12, 0.55) * c.time_h[-1]
+    at_h = draw.uniform(0.12, 0.55) * c.length_h
     settle_h = 1e-3 if own else draw.uniform(0.02, 0.4)
     after = np.where(c.time_h >= at_h, -np.expm1(-np.maximum(c.time_h - at_h, 0.0) / settle_h), 0.0)
     return _law(draw, after[:, None], own, (at_h * 3600.0,))
@@ -166,7 +166,7 @@ def _curve(c, draw, own):
 
 
 def _position_time(c, draw, own):
-    course = np.sin(2.0 * np.pi * c.time_h / (c.time_h[-1] * draw.uniform(0.6, 2.0)) + draw.uniform(0.0, 6.3))
+    course = np.sin(2.0 * np.pi * c.time_h / (c.length_h * draw.uniform(0.6, 2.0)) + draw.uniform(0.0, 6.3))
     return Law(np.repeat((c.up * course[:, None])[:, None, :], 3, axis=1), draw.normal(0.0, 1.0, (3, 3)))
 
 
@@ -208,7 +208,7 @@ def _composed(driver):
 
     def law(c, draw, own):
         state = _DRIVERS[driver](c)
-        middle, spread = np.median(state), np.std(state)
+        middle, spread = np.median(c.of_laws(state)), np.std(c.of_laws(state))
         if driver in ("gyro_c", "case_c", "chamber_c") and draw.random() < 0.5:
             wide = draw.random() < 0.5
             state = play(state, 0.4 * spread) if wide else lagged(state, draw.uniform(0.5, 2.0))

@@ -18,7 +18,7 @@ from tests.benchmarks.closure_laws import EFFECTS
 
 NOISES = ("stated", "understated", "outliers", "understated, outliers")
 #: An effect of which the declared model takes up more than this is scaled as if it took up this much.
-_MAX_TAKEN_UP = 0.95
+MAX_TAKEN_UP = 0.95
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ def make_unit(
     powers = np.stack([(course.optics_c / 50.0) ** degree for degree in (1, 2, 3)], axis=2)
     bias_dph = over_dwells(np.einsum("mgk,gk->mg", powers, coefficients)) + of_run[run]
     searched = cycle < cycle.max()
-    beside = _beside_declared(over_dwells(powers), run, searched)
+    beside = beside_declared(over_dwells(powers), run, searched)
     parts = []
     many = np.broadcast_to(np.asarray(sizes, dtype=float), (len(effects),))
     for place, (kind, size) in enumerate(zip(effects, many.tolist(), strict=True)):
@@ -119,7 +119,7 @@ def make_unit(
         seen = np.sqrt(np.mean(beside(shape) ** 2))
         # In units of one look: the effect is the same however long it is looked at.
         unit = size * math.sqrt(looks) * float(np.sqrt(np.mean(stated_dph**2)))
-        factor = unit / max(seen, (1.0 - _MAX_TAKEN_UP) * whole, 1e-12)
+        factor = unit / max(seen, (1.0 - MAX_TAKEN_UP) * whole, 1e-12)
         own = candidates_own and law.is_candidates_own
         parts.append(
             Part(kind, size, factor * shape, factor * law.gains if own else None, law.values if own else ())
@@ -184,7 +184,7 @@ def shape_known_error_dph(rows: Sequence[DwellRow], truth: Truth) -> float:
     return float(np.sqrt(np.mean(squares)))
 
 
-def _beside_declared(powers, run, searched):
+def beside_declared(powers, run, searched):
     """What remains of a bias in the dwells searched beside a cubic and a constant per power cycle."""
     of_run = (run[:, None] == np.unique(run[searched])) * 1.0
     bases = [np.linalg.qr(np.column_stack([powers[:, gyro], of_run])[searched])[0] for gyro in range(3)]
