@@ -115,3 +115,17 @@ def test_a_measured_pair_at_rest_gives_the_earth_rate_and_says_what_it_does_not_
     assert abs(half_sum - record["earth_rate_up_dph"]) < 3.0 * up["up_sigma_dph"]
     assert all(row["finding"] for row in record["coefficients"] if row["coefficient"] == "gyro_scale_factor")
     assert record["fit"]["p_value"] > 1e-3
+
+
+def test_plan_shows_what_a_list_of_rotations_will_show(tmp_path):
+    result = gyrobench("plan", "outer_axis", "--observability", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert "outer_axis: 8 rotations in 24 min" in result.stdout
+    assert "not observable" in result.stdout
+    record = json.loads(gyrobench("plan", "outer_axis", "--observability", "--json", cwd=tmp_path).stdout)
+    sigmas = {(row["coefficient"], row["axis"]): row["sigma"] for row in record["coefficients"]}
+    assert sigmas["gyro_scale_factor", "x"] < 0.6
+    assert sigmas["gyro_scale_factor", "z"] is None
+    refused = gyrobench("plan", "outer_axi", "--observability", cwd=tmp_path)
+    assert refused.returncode == 2
+    assert "Shipped rotations: eighteen_rotations" in " ".join(refused.stderr.split())
