@@ -29,11 +29,16 @@ def check(
     seed: SeedOption = 0,
     faults: FaultsOption = None,
     out: Annotated[Path, typer.Option(help="Folder for the run folder.")] = Path("runs"),
+    signs: Annotated[
+        bool,
+        typer.Option("--signs", help="Then measure one dwell, to test the signs and axes of the signal map."),
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Preflight check: is the bench ready? Moves nothing.
+    """Preflight check: is the bench ready? Moves nothing without --signs.
 
-    A unit that is off is switched on during the check.
+    A unit that is off is switched on during the check. With --signs the table turns: one dwell of half an
+    hour at room temperature.
 
     With --json: {"station", "fit", "checks": [{"subject", "what", "verdict", "found", "advice"}]}; a
     verdict is pass, fail or skipped.
@@ -42,19 +47,38 @@ def check(
 
     Example: gyrobench check my_bench.yaml --procedure six_position_fig7
     """
-    from gyrobench.bench.engine.preflight.bench_check import check_bench, no_instrument_answers
+    from gyrobench.bench.engine.job import prepare_job
+    from gyrobench.bench.engine.preflight.bench_check import (
+        SIGNAL_MAP_CHECK,
+        check_bench,
+        no_instrument_answers,
+        signal_map_check,
+    )
+    from gyrobench.bench.engine.run import run_job
+    from gyrobench.bench.monitor.terminal_view import observe_in_terminal
     from gyrobench.bench.report.terminal.tables import preflight_report
+    from gyrobench.bench.runs.folder import create_run_folder
     from gyrobench.bench.station.instruments import Emulation
     from gyrobench.bench.station.preflight_check import Verdict
 
-    checks = check_bench(station, procedure, Emulation(world, seed, faults or ""), out)
-    is_fit = all(each.verdict is not Verdict.FAIL for each in checks)
+    terminal, emulation = console(as_json), Emulation(world, seed, faults or "")
+
+    def is_fit() -> bool:
+        return all(each.verdict is not Verdict.FAIL for each in checks)
+
+    checks = check_bench(station, procedure, emulation, out)
+    if signs and is_fit():
+        job = prepare_job(SIGNAL_MAP_CHECK, station, emulation)
+        folder = create_run_folder(None, SIGNAL_MAP_CHECK, out)
+        with observe_in_terminal(terminal, job, False) as (progress, operator):
+            _, outcome = run_job(job, folder.path, progress, operator)
+        checks.append(signal_map_check(outcome, folder))
     if as_json:
         records = [{**asdict(each), "verdict": each.verdict.lower()} for each in checks]
-        print_json({"station": station, "fit": is_fit, "checks": records})
+        print_json({"station": station, "fit": is_fit(), "checks": records})
     else:
-        console().print(preflight_report(checks))
+        terminal.print(preflight_report(checks))
     if no_instrument_answers(checks):
         raise typer.Exit(EXIT_INSTRUMENT)
-    if not is_fit:
+    if not is_fit():
         raise typer.Exit(EXIT_NOT_FINISHED)

@@ -319,16 +319,15 @@ def rest_output(
 
 def _check_navigating(navigation: NavigationData, inside: BoolArray) -> None:
     """Turns count as well: an INS that realigns in a turn starts with other errors after it."""
-    modes = set(navigation.mode[inside].tolist())
-    if not modes <= {InsMode.NAVIGATE, InsMode.UNKNOWN}:
+    if not np.isin(navigation.mode[inside], (InsMode.NAVIGATE, InsMode.UNKNOWN)).all():
         raise MeasurementError(
             "the INS left navigation during the dwell or its turn. Check its status in the raw CAN log"
         )
-    if len(set(navigation.alignment[inside].tolist())) > 1:
+    if len(np.unique(navigation.alignment[inside])) > 1:
         raise MeasurementError(
             "the INS reported another alignment during the dwell or its turn. Did it realign?"
         )
-    if len(set(navigation.segment[inside].tolist())) > 1:
+    if len(np.unique(navigation.segment[inside])) > 1:
         raise MeasurementError("the clock of the INS was reset during the dwell. Did it restart?")
     if not np.isfinite(navigation.attitude[inside]).all():
         raise MeasurementError(

@@ -83,12 +83,12 @@ class RunFolder:
     report = PathInside("report.html")  #: The report.
 
 
-def create_run_folder(out: Path | None, name: str) -> RunFolder:
+def create_run_folder(out: Path | None, name: str, parent: Path = RUNS) -> RunFolder:
     """Make a run folder; when this returns, it is on the disk.
 
     ``out``: the folder, which must be absent or empty, or contain no more than a run interrupted before its
-    journal began; None for a new folder under ``runs/``. ``name``: name of the procedure, for a folder under
-    ``runs/``. Raises RunFolderError if the folder can't be made, or is not empty.
+    journal began; None for a new folder under ``parent``. ``name``: name of the procedure, for a new folder.
+    Raises RunFolderError if the folder can't be made, or is not empty.
     """
     if out is not None:
         make_folder(out)
@@ -101,7 +101,7 @@ def create_run_folder(out: Path | None, name: str) -> RunFolder:
             raise RunFolderError(f"{out}: is not empty. Choose another --out, or omit it for a new folder.")
         return RunFolder(out)
     safe_name = re.sub(r"[^A-Za-z0-9_-]+", "_", name)[:80]
-    candidates = (RUNS / f"{safe_name}-{number:03d}" for number in itertools.count(1))
+    candidates = (parent / f"{safe_name}-{number:03d}" for number in itertools.count(1))
     return RunFolder(next(candidate for candidate in candidates if make_new_folder(candidate)))
 
 

@@ -136,6 +136,8 @@ class Readout:
         sequence = self.euler_sequence(rows)
         for index, name in enumerate(EulerSequence):
             chosen = sequence == index
+            if chosen.all():
+                return attitude_matrices(name, roll, pitch, yaw)
             if chosen.any():
                 matrices[chosen] = attitude_matrices(name, roll[chosen], pitch[chosen], yaw[chosen])
         return matrices

@@ -8,6 +8,7 @@ import shutil
 from collections.abc import Iterable
 from pathlib import Path
 
+from gyrobench.bench.engine.observers import RunOutcome
 from gyrobench.bench.engine.preflight.ins import CanTraffic, ins_checks
 from gyrobench.bench.engine.preflight.instruments import ANSWERS, chamber_checks, table_checks
 from gyrobench.bench.foundations.clock import Clock
@@ -17,6 +18,7 @@ from gyrobench.bench.foundations.text import hours_minutes, listed, plain_name
 from gyrobench.bench.messages.delivery import read_secret
 from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.procedure.procedure_file import load_procedure
+from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.telemetry import COLUMNS
 from gyrobench.bench.station.instruments import Emulation, Outputs, open_ins
 from gyrobench.bench.station.locks import BenchLock
@@ -25,6 +27,8 @@ from gyrobench.bench.station.receivers import Receiver
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.ins.can_ins import CanIns
 
+#: The procedure of :func:`signal_map_check`.
+SIGNAL_MAP_CHECK = "signal_map_check"
 #: Of the raw log, compressed, and of the telemetry.
 _BYTES_PER_FRAME, _BYTES_PER_VALUE = 12.0, 8.0
 #: Reports, figures, copies of the inputs, journal.
@@ -81,6 +85,17 @@ def check_bench(
             disk_check(bench, folder, plan, traffic.frames_per_s),
             *map(_message_check, bench.file.messages),
         ]
+
+
+def signal_map_check(outcome: RunOutcome, folder: RunFolder) -> Check:
+    """What the dwell of a run of :data:`SIGNAL_MAP_CHECK` shows of the signs and axes of the signal map."""
+    dwell = next(iter(outcome.dwells), None)
+    is_good = dwell is not None and dwell.estimate is not None
+    if is_good:
+        found = "velocities and attitude agree with the tilt of the INS and the path of the table"
+    else:
+        found = dwell.flags if dwell else outcome.reason
+    return Check.of("INS", "signs and axes", is_good, f"{found} ({folder.path})", "")
 
 
 def no_instrument_answers(checks: Iterable[Check]) -> bool:

@@ -15,14 +15,22 @@ from gyrobench.bench.report.closure.closure_text import verdict_sentence
 from gyrobench.bench.report.figures.style import house_style, new_figure
 from gyrobench.bench.report.investigation import investigation_text as text
 from gyrobench.bench.report.page import Findings, Section, SectionFigure, SectionTable, write_findings
+from gyrobench.bench.report.verification.verification_page import residual_bars_figure
+from gyrobench.bench.report.verification.verification_text import SIZES, UNITS, outcome_sentence, total_rows
+from gyrobench.bench.verification.compensation_verification import VerificationResult
 
 _CURVES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 _MIN_DRAWN = 0.02
 _OTHERS = {"nothing": ("nothing beside the declared model", "#888888"), "": ("not on the list", "#222222")}
 
 
-def write_investigation_page(folder: Path, found: Investigation, source: str) -> Path:
-    """Write figures and page into a folder. Raises RunFolderError if a file can't be written."""
+def write_investigation_page(
+    folder: Path, found: Investigation, source: str, proof: VerificationResult | None = None
+) -> Path:
+    """Write figures and page into a folder, with the verification of the compensation if there is one.
+
+    Raises RunFolderError if a file can't be written.
+    """
     make_folder(folder)
     first = found.stages[0].closure.campaign
     findings = Findings(
@@ -36,7 +44,7 @@ def write_investigation_page(folder: Path, found: Investigation, source: str) ->
             "blocks": f"{len(found.stages) - 1}, {found.spent_h:.1f} h",
             "verdict": f"{found.closure.verdict}: {verdict_sentence(found.closure)}",
         },
-        sections=[_story(found), *_blocks(found), *closure_sections(found.closure)],
+        sections=[_story(found), *_blocks(found), *_proof(proof), *closure_sections(found.closure)],
     )
     return write_findings(folder / "investigation.html", findings)
 
@@ -92,6 +100,15 @@ def _blocks(found: Investigation) -> list[Section]:
             )
         )
     return sections
+
+
+def _proof(proof: VerificationResult | None) -> list[Section]:
+    if proof is None:
+        return []
+    caption = f"Remaining biases in new measurements, all plateaus, {UNITS}"
+    table = SectionTable(caption, ["compensation", *SIZES], total_rows(proof))
+    bars = SectionFigure("residuals", f"{caption}, by plateau.", partial(residual_bars_figure, proof))
+    return [Section("Compensation, before and after", [outcome_sentence(proof)], [bars], [table])]
 
 
 @house_style

@@ -44,3 +44,20 @@ def test_a_bench_of_which_nothing_answers_ends_with_three(check, tmp_path):
     code, text = check(tmp_path / "station.yaml", "--out", tmp_path)
     assert code == EXIT_INSTRUMENT
     assert "/dev/no_chamber" in text
+
+
+@pytest.mark.parametrize(
+    ("sign", "found"), [(1, "agree with the tilt"), (-1, "velocity_north has the wrong sign")]
+)
+def test_the_signs_of_the_signal_map_are_tested_by_a_dwell(check, tmp_path, sign, found):
+    text = find_document("stations", "emulated").read_text()
+    right = "velocity_north: VELOCITY_NE.VELOCITY_NORTH"
+    assert right in text
+    station = tmp_path / "station.yaml"
+    station.write_text(
+        text.replace(right, f"velocity_north: {{signal: VELOCITY_NE.VELOCITY_NORTH, sign: {sign}}}")
+    )
+    code, text = check(station, "--signs", "--out", tmp_path / "runs")
+    assert code == (0 if sign > 0 else EXIT_NOT_FINISHED)
+    assert found in " ".join(text.split())
+    assert (tmp_path / "runs" / "signal_map_check-001" / "journal.jsonl").exists()
