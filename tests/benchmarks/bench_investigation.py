@@ -118,7 +118,9 @@ class State:
         """All blocks with what the causes predict."""
         begin_s = time.process_time()
         rivals, scale = rivals_of(self.closure), self.closure.noise_scale
-        found = propose(Forecast(self.rows), rivals, scale, measured=self._measured)
+        found = propose(
+            Forecast(self.closure.noise.weighted(self.rows)), rivals, scale, measured=self._measured
+        )
         self.choice_s = time.process_time() - begin_s
         return found
 
