@@ -178,9 +178,9 @@ def g_sensitivity(optics, board, up, since_s):
     return up @ np.array([[1.0, 0.3, 0.1], [0.2, 0.8, 0.3], [0.1, 0.3, 1.0]])
 
 
-def resonance(optics, board, up, since_s):
+def resonance(centre_c):
     """On no list."""
-    return 3.0 / (1.0 + ((optics - 38.0) / 5.0) ** 2)
+    return lambda optics, board, up, since_s: 2.0 / (1.0 + ((board - centre_c) / 5.0) ** 2)
 
 
 #: Undeclared effects, each of about 1 in a usual campaign.
@@ -189,7 +189,8 @@ EFFECTS = {
     "thermal_gradient": lambda optics, board, up, since_s: (board - optics - 9.0) / 2.0,
     "attitude_thermal": attitude_thermal,
     "g_sensitivity": g_sensitivity,
-    "resonance": resonance,
+    "resonance": resonance(42.0),
+    "moved_resonance": resonance(25.0),
     "warm_up": lambda optics, board, up, since_s: of_all(2.0 * np.exp(-since_s / 3600.0 / 9.0)),
     "time_drift": lambda optics, board, up, since_s: of_all(STEP_H / 40.0 * np.arange(len(since_s))),
     "thermal_lag": lambda optics, board, up, since_s: (optics - lagged(optics, 0.8)) / 8.0,

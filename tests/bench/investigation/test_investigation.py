@@ -8,6 +8,7 @@ from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.investigation.external_bench import ExternalBench
 from gyrobench.bench.investigation.investigation import Investigator
+from gyrobench.bench.report.investigation.investigation_text import test_sentence
 from gyrobench.bench.runs.journal import read_journal
 from tests.bench.investigation import simulated_bench
 from tests.bench.investigation.simulated_bench import first_campaign, simulate
@@ -160,16 +161,34 @@ def test_a_bench_that_fails_leaves_what_was_measured(tmp_path):
     assert investigator(unit, folder).run(WallClock()).ended == "settled"
 
 
-class FlaggingBench:
-    """A unit whose dwells all have a flag."""
+class UnitBench:
+    """A unit that measures in this process; its dwells have flags."""
 
-    def __init__(self, unit):
-        self.unit, self.kinds = unit, []
+    def __init__(self, unit, *flags):
+        self.unit, self.flags = unit, flags
 
     def measure(self, plan, folder):
-        steps = [step.model_dump() for step in plan.steps]
-        rows = simulate(self.unit | {"steps": self.unit["steps"] + steps})
-        return [replace(row, flags=("moved",)) for row in rows if row.dwell >= plan.next_dwell]
+        self.unit["steps"] = self.unit["steps"] + [step.model_dump() for step in plan.steps]
+        return [replace(row, flags=self.flags) for row in simulate(self.unit) if row.dwell >= plan.next_dwell]
+
+
+@pytest.mark.parametrize(
+    ("law", "verdict", "probability"),
+    [("resonance", "confirms", 1.0), pytest.param("moved_resonance", "refutes", 0.0, marks=pytest.mark.long)],
+)
+def test_a_law_composed_for_what_is_on_no_list_is_tested_by_a_new_cycle(tmp_path, law, verdict, probability):
+    steps = first_campaign([45.0, 30.0, 10.0, -20.0], cycles=3)
+    unit = {"unit": "S1", "seed": 2, "effects": {"resonance": 0.03}, "steps": steps}
+    bench = UnitBench(unit | {"effects": {law: 0.03}})
+    found = Investigator(simulate(unit), tmp_path / law, bench, 60.0, lambda *_: True).run(WallClock())
+    assert found.ended == "not_on_list"
+    assert (found.test.purpose, found.test.proposal.block.name) == ("test_law", "new cycle")
+    assert found.test.rivals[0].names == ("composed_board_c_resonance",)
+    assert found.test.outcome.probabilities[0] == pytest.approx(probability, abs=1e-6)
+    assert f"{verdict} the composed law (the bias follows the electronics" in test_sentence(found)
+    events = [entry["event"] for entry in read_journal(tmp_path / law / "journal.jsonl")]
+    assert events.index("proposed") < events.index("measured")
+    assert events.count("measured") == 1
 
 
 def test_a_block_that_brings_flagged_dwells_alone_is_not_repeated_for_ever(tmp_path):
@@ -179,7 +198,7 @@ def test_a_block_that_brings_flagged_dwells_alone_is_not_repeated_for_ever(tmp_p
         proposed.append(proposal.block.kinds)
         return len(proposed) < 4
 
-    found = Investigator(simulate(unit), tmp_path / "flags", FlaggingBench(unit), 60.0, approve)
+    found = Investigator(simulate(unit), tmp_path / "flags", UnitBench(dict(unit), "moved"), 60.0, approve)
     found = found.run(WallClock())
     assert found.ended == "declined"
     assert max(map(proposed.count, proposed)) == 2
