@@ -353,7 +353,10 @@ def tie_sentences(closure: Closure) -> list[str]:
             )
     if sentences:
         return [*sentences, closure.separating_measurement or ""]
-    return ["No other candidate of those tried fits equally well."] if closure.effects else []
+    is_alone = closure.effects and not closure.posterior.rivals(
+        [each.effect.name for each in closure.effects]
+    )
+    return ["No other candidate of those tried fits equally well."] if is_alone else []
 
 
 def missing_input_sentences(closure: Closure) -> list[str]:

@@ -60,7 +60,8 @@ def _story(found: Investigation) -> Section:
         [
             SectionFigure(
                 "probabilities",
-                "Probability of each effect after each search, by the hours since the first table.",
+                "Probability of each effect after each search, by the hours since the first table; numbers: "
+                "the blocks of the table below.",
                 partial(probability_figure, found),
             )
         ],
@@ -143,17 +144,13 @@ def probability_figure(found: Investigation) -> Figure:
             color=colour or next(colours, "#AAAAAA"),
         )
     axes.axhline(0.99, color="#888888", linewidth=0.8, linestyle=":")
-    for stage, after in zip(found.stages[:-1], found.stages[1:], strict=True):
-        if stage.proposal is not None:
-            middle = 0.5 * (stage.spent_h + after.spent_h)
-            axes.annotate(
-                stage.proposal.block.name,
-                (middle, 1.03),
-                ha="center",
-                fontsize=7,
-                rotation=20,
-                annotation_clip=False,
-            )
+    for number, (stage, after) in enumerate(zip(found.stages[:-1], found.stages[1:], strict=True), start=1):
+        tint = "#EEEEEE" if number % 2 else "#FAFAFA"
+        axes.axvspan(stage.spent_h, after.spent_h, color=tint, linewidth=0.0, zorder=0)
+        middle = 0.5 * (stage.spent_h + after.spent_h)
+        axes.annotate(str(number), (middle, 1.04), ha="center", fontsize=7, annotation_clip=False)
+    if found.spent_h > 0.5 * found.repeated_campaign_h:
+        axes.axvline(found.repeated_campaign_h, color="#888888", linewidth=0.8, label="campaign repeated")
     axes.set(xlabel="hours on the bench since the first table", ylabel="probability", ylim=(-0.02, 1.02))
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure
