@@ -1,4 +1,5 @@
 # make run    install into .venv and run the paper's procedure on the emulated bench
+# make investigate  settle a hidden cause on the emulated bench, and verify its compensation
 # make test   install into .venv and run the test suite, but for what takes long
 # make test-long  whole campaigns, kills, fuzzing
 # make soak   kill, disturb and keep runs running for an hour; writes docs/reliability.md
@@ -14,11 +15,15 @@ export OPENBLAS_NUM_THREADS ?= 1
 # Hundreds of processes would each compile what they import, and each worker all tests.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run test test-long soak check docs audit benchmark install clean
+.PHONY: run investigate test test-long soak check docs audit benchmark install clean
 
 run: $(VENV)/.installed
 	$(BIN)/gyrobench run procedures/six_position_fig7.yaml
 	$(BIN)/gyrobench close "$$(ls -td runs/six_position_fig7-* | head -n 1)"
+
+investigate: $(VENV)/.installed
+	$(BIN)/gyrobench investigate quick_campaign --station quick --world quick_warm_up --approve auto \
+		--verification quick_verification
 
 # Four workers on two cores: two of them begin with tests that wait in real time.
 test: install

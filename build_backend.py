@@ -19,7 +19,17 @@ from hatchling.build import *  # noqa: F403 - the hooks that stay as they are
 _ROOT = Path(__file__).parent
 _PACKAGE = _ROOT / "src" / "gyrobench"
 #: Folders at the top that are links in the package; a source archive comes without the links.
-_LINKED = ("bench", "drivers", "procedures", "stations", "worlds", "faults", "imports", "schemas")
+_LINKED = (
+    "bench",
+    "drivers",
+    "procedures",
+    "stations",
+    "worlds",
+    "faults",
+    "imports",
+    "rotations",
+    "schemas",
+)
 
 
 def get_requires_for_build_wheel(config_settings: dict[str, Any] | None = None) -> list[str]:

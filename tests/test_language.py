@@ -7,7 +7,18 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 SUFFIXES = {".py", ".md", ".yaml", ".j2", ".js", ".dbc", ".toml", ".cff"}
-FOLDERS = ("bench", "drivers", "docs", "procedures", "stations", "worlds", "faults", "imports", "tests")
+FOLDERS = (
+    "bench",
+    "drivers",
+    "docs",
+    "procedures",
+    "stations",
+    "worlds",
+    "faults",
+    "imports",
+    "rotations",
+    "tests",
+)
 
 #: Words that an engineer would not write, as whole words and as parts of identifiers.
 WORDS = (

@@ -43,6 +43,7 @@ def test_the_wheel_holds_one_package(site):
         "worlds/gyro_a.yaml",
         "faults/every_kind.yaml",
         "imports/ln100.yaml",
+        "rotations/eighteen_rotations.yaml",
     ):
         assert f"gyrobench/{file}" in files
 
@@ -50,7 +51,7 @@ def test_the_wheel_holds_one_package(site):
 def test_it_ships_the_schemas_that_its_files_name(site):
     shipped = [
         path
-        for kind in ("procedures", "stations", "worlds", "faults", "imports")
+        for kind in ("procedures", "stations", "worlds", "faults", "imports", "rotations")
         for path in (site / "gyrobench" / kind).glob("*.yaml")
     ]
     assert len(shipped) > 20

@@ -16,6 +16,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from gyrobench.bench.calibration.rotation_list import RotationList
 from gyrobench.bench.closure.effects.effect_file import EffectFile
 from gyrobench.bench.exchange.import_map import LogMap
 from gyrobench.bench.foundations.documents import Document, Schema, StrictModel, json_schema
@@ -59,12 +60,12 @@ WORLD = FileKind(
 FAULTS = FileKind("faults", "gyrobench list of faults", "faults", frozenset({"faults", "log"}))
 IMPORT_MAP = _kind_of_model("import", "gyrobench map of a log", "imports", LogMap)
 EFFECT = _kind_of_model("effect", "gyrobench effect on the bias", "", EffectFile)
+ROTATION_LIST = _kind_of_model("rotation_list", "gyrobench list of rotations", "rotations", RotationList)
 COMPENSATION = _kind_of_model("compensation", "gyrobench compensation of an INS", "", CompensationFile)
 PLAN = _kind_of_model("plan", "gyrobench plan of a block of measurements", "", BlockPlan)
 
-KINDS = {
-    kind.name: kind for kind in (PROCEDURE, STATION, WORLD, FAULTS, IMPORT_MAP, EFFECT, COMPENSATION, PLAN)
-}  # fmt: skip
+_ALL = (PROCEDURE, STATION, WORLD, FAULTS, IMPORT_MAP, EFFECT, COMPENSATION, PLAN, ROTATION_LIST)
+KINDS = {kind.name: kind for kind in _ALL}
 
 
 def kind_of(document: Document) -> FileKind:

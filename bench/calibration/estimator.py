@@ -18,7 +18,7 @@ Symposium Gyro Technology, Stuttgart 1985.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -65,6 +65,8 @@ class CalibrationOptions:
     #: other rotation.
     whole_turns: float | None = None
     gravity: float | None = None  #: Local gravity, m/s^2; None: normal gravity of the site.
+    #: Random walks of gyros (rad/sqrt(s)) and accelerometers (m/s/sqrt(s)); None: as measured at rest.
+    walks: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +111,7 @@ class Calibration:
     #: delay of the accelerometers, s, with uncertainties; None if not estimated, NaN where not observed.
     lever_arms: tuple[FloatArray, FloatArray] | None
     delay: tuple[float, float] | None
-    noise: SensorNoise  #: As measured at rest.
+    noise: SensorNoise  #: As measured at rest or declared.
     recordings: tuple[IncrementRecording, ...]
     rests: tuple[tuple[Rest, ...], ...]  #: Of each recording.
     rotations: tuple[tuple[Rotation, ...], ...]  #: Of each recording.
@@ -145,6 +147,11 @@ def calibrate(
     rests = [find_rests(each) for each in recordings]
     rotations = [find_rotations(*each) for each in zip(recordings, rests, strict=True)]
     noise = measure_noise(recordings, rests)
+    if options.walks is not None:
+        walk, velocity_walk = options.walks
+        noise = replace(
+            noise, angle_random_walk=np.full(3, walk), velocity_random_walk=np.full(3, velocity_walk)
+        )
     sections = [_Section.between_rests(*each) for each in zip(recordings, rests, rotations, strict=True)]
     used = columns_of(options)
     common, first = np.zeros(COUNT + 10), SensorErrors(gyro_bias=_first_bias(recordings, rests))

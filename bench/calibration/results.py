@@ -12,6 +12,7 @@ import numpy as np
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, Coefficient
 from gyrobench.bench.calibration.estimator import Calibration
+from gyrobench.bench.calibration.rotation_list import Forecast
 from gyrobench.bench.foundations.arrays import (
     DEG_PER_SQRT_H_TO_SI,
     RADPS_TO_DPH,
@@ -80,6 +81,19 @@ def coefficient_rows(calibration: Calibration) -> list[CoefficientRow]:
             _row("accelerometer_delay", "", 1e3 * delay_s, 1e3 * sigma_s, "ms", bool(np.isfinite(sigma_s)))
         )
     return rows
+
+
+def forecast_rows(expected: Forecast) -> list[dict[str, Any]]:
+    """Expected standard uncertainty of each coefficient; None where not observable."""
+    return [
+        {
+            "coefficient": each.name,
+            "axis": each.axis,
+            "sigma": float(sigma) * each.per_si if is_observed else None,
+            "unit": each.unit,
+        }
+        for each, sigma, is_observed in zip(COEFFICIENTS, expected.sigmas, expected.is_observed, strict=True)
+    ]
 
 
 def rest_rates(calibration: Calibration) -> list[RestRate]:

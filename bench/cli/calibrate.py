@@ -45,11 +45,10 @@ def calibrate(
 
     Example: gyrobench calibrate rotations.csv --map my_imu.yaml --out calibration
     """
-    from gyrobench.bench.calibration.estimator import CalibrationOptions
     from gyrobench.bench.calibration.estimator import calibrate as estimate
     from gyrobench.bench.calibration.results import calibration_record, write_calibration
     from gyrobench.bench.exchange.import_map import load_log_map
-    from gyrobench.bench.exchange.increments import read_increments, site_of
+    from gyrobench.bench.exchange.increments import calibration_settings, read_increments
     from gyrobench.bench.foundations.files import file_sha256
     from gyrobench.bench.foundations.shipped import find_document
     from gyrobench.bench.report.terminal.calibration import calibration_summary
@@ -57,8 +56,8 @@ def calibrate(
     map_path = find_document("imports", mapping)
     log_map = load_log_map(map_path, for_calibration=True)
     recordings = [recording for path in logs for recording in read_increments(path, log_map)]
-    site, gravity, whole_turns = site_of(log_map)
-    found = estimate(recordings, site, CalibrationOptions(lever_arms, delay, whole_turns, gravity))
+    site, options = calibration_settings(log_map, lever_arms, delay)
+    found = estimate(recordings, site, options)
     origin = {
         "logs": [{"file": str(path), "sha256": file_sha256(path)} for path in logs],
         "map": {"file": str(map_path), "sha256": file_sha256(map_path)},

@@ -3,17 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from gyrobench.bench.cli.options import (
+    EMULATED,
+    STATION_HELP,
+    View,
+    ViewOption,
+    complete_procedure,
+    complete_station,
+    complete_world,
+)
 from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, JsonOption, console, print_json
 
 if TYPE_CHECKING:
+    from gyrobench.bench.engine.job import Job
+    from gyrobench.bench.engine.observers import RunObserver
+    from gyrobench.bench.engine.operator import Operator
+    from gyrobench.bench.investigation.investigation import Investigation
     from gyrobench.bench.investigation.proposal import Proposal, Rival
     from gyrobench.bench.monitor.terminal import RunConsole
+    from gyrobench.bench.verification.compensation_verification import VerificationResult
 
 
 class Approval(StrEnum):
@@ -24,15 +40,51 @@ class Approval(StrEnum):
 
 
 def investigate(
-    table: Annotated[Path, typer.Argument(metavar="TABLE", help="Dwell table of a unit.")],
-    bench: Annotated[
-        str, typer.Option(metavar="COMMAND", help="Measures a block: COMMAND PLAN.json NEW.csv.")
+    sources: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="PROCEDURE|RUN...|TABLE",
+            help="Procedure to measure first, or run folders of one unit; with --bench a dwell table.",
+            autocompletion=complete_procedure,
+        ),
     ],
-    budget_h: Annotated[float, typer.Option(min=0.1, help="Longest time on the bench, h.")] = 48.0,
+    bench: Annotated[
+        str | None,
+        typer.Option(metavar="COMMAND", help="Measures a block in place of the station: COMMAND PLAN NEW."),
+    ] = None,
+    station: Annotated[
+        str | None,
+        typer.Option(
+            help=f"{STATION_HELP} Default: the run's, or emulated.", autocompletion=complete_station
+        ),
+    ] = None,
+    world: Annotated[
+        str | None,
+        typer.Option(
+            help="World behind emulated instruments; default: the run's, or gyro_a.",
+            autocompletion=complete_world,
+        ),
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Seed of the emulated world; default: the run's, or 0.")
+    ] = None,
+    budget_h: Annotated[
+        float, typer.Option(min=0.1, help="Longest time on the bench for all blocks, h.")
+    ] = 48.0,
     approve: Annotated[Approval, typer.Option(help="Whether a person approves each block.")] = Approval.ASK,
+    verification: Annotated[
+        str,
+        typer.Option(
+            help="Procedure that verifies the compensation at the end, or none.",
+            autocompletion=complete_procedure,
+        ),
+    ] = "verify_compensation",
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder of the investigation; default: investigation, beside the table."),
+        typer.Option(
+            help="Folder of the investigation; default: investigation, in the first run or beside the table, "
+            "and runs/investigation_PROCEDURE."
+        ),
     ] = None,
     bench_time_limit_s: Annotated[
         float | None,
@@ -40,44 +92,119 @@ def investigate(
             min=1.0, help="Longest time that the command may take for a block, s; default: by the plan."
         ),
     ] = None,
+    view: ViewOption = View.LIVE,
     as_json: JsonOption = False,
 ) -> None:
-    """Choose and run measurements on another program's bench until the cause of a residual is settled.
+    """Choose and run measurements until the cause of a residual is settled, then verify its compensation.
 
     Each block is the one that is expected to distinguish most, per hour, what the search left open. What each
     hypothesis predicts is written to the journal before the block is measured. The same command continues an
     investigation that was interrupted. Exit code 1: ended without a settled cause.
 
-    With --json: {"ended", "reason", "folder", "report", "hours", "blocks", "verdict", "effects"}; ended is
-    settled, not_on_list, budget, no_block, declined, refuted or bench_failed.
+    With --json: {"ended", "reason", "folder", "report", "hours", "blocks", "verdict", "effects",
+    "verification"}; ended is settled, not_on_list, budget, no_block, declined, refuted or bench_failed;
+    verification is null, or a list with the columns of comparison.csv as keys.
 
-    Example: gyrobench investigate dwells.csv --bench "python my_bench.py" --approve auto
+    Example: gyrobench investigate quick_campaign --station quick --world quick --approve auto
     """
     from gyrobench.bench.bias.dwell_table import read_dwells
+    from gyrobench.bench.engine.investigation_runs import (
+        StationBench,
+        measure_campaign,
+        measure_verification,
+        verification_runs,
+    )
+    from gyrobench.bench.engine.job import emulation_of, job_in, prepare_job
     from gyrobench.bench.foundations.clock import WallClock
+    from gyrobench.bench.foundations.errors import DocumentError
     from gyrobench.bench.investigation.external_bench import ExternalBench
     from gyrobench.bench.investigation.investigation import Investigator
-    from gyrobench.bench.report.closure.closure_page import write_search
-    from gyrobench.bench.report.investigation.investigation_page import write_investigation_page
-    from gyrobench.bench.report.investigation.investigation_text import end_sentence, test_sentence
+    from gyrobench.bench.monitor.terminal_view import observe_in_terminal
+    from gyrobench.bench.report.run_report import write_report
+    from gyrobench.bench.report.verification.verification_text import LABELS
+    from gyrobench.bench.runs.folder import RUNS, RunFolder
+    from gyrobench.bench.station.instruments import Emulation
 
     terminal = console(as_json)
-    folder = out or table.parent / "investigation"
 
     def approved(proposal: Proposal, rivals: Sequence[Rival]) -> bool:
         _show(terminal, proposal, rivals)
         return approve is Approval.AUTO or typer.confirm("Measure it?", err=as_json)
 
-    investigator = Investigator(
-        read_dwells(table),
-        folder,
-        ExternalBench(bench, bench_time_limit_s, terminal.print),
-        budget_h,
-        approved,
-    )
-    found = investigator.run(WallClock())
+    if bench is not None:
+        if station or world or seed is not None or len(sources) > 1:
+            raise DocumentError("--bench goes with one table, without --station, --world and --seed")
+        table = Path(sources[0])
+        folder = out or table.parent / "investigation"
+        external = ExternalBench(bench, bench_time_limit_s, terminal.print)
+        found = Investigator(read_dwells(table), folder, external, budget_h, approved).run(WallClock())
+        _report(terminal, found, folder, sources, None, as_json)
+        return
+
+    def observe(job: Job) -> AbstractContextManager[tuple[RunObserver, Operator]]:
+        return observe_in_terminal(terminal, job, view is View.LIVE)
+
+    measured = [Path(source) for source in sources if (Path(source) / RunFolder.journal).exists()]
+    if measured and len(measured) == len(sources):
+        first = RunFolder(measured[0])
+        folder = out or first.path / "investigation"
+        clock = None
+        known = emulation_of(first)
+        chosen = Emulation(world or known.world, known.seed if seed is None else seed, known.faults)
+        job = job_in(first) if station is None else prepare_job(str(first.procedure), station)
+        job = replace(job, emulation=chosen)
+    else:
+        if len(sources) > 1 or sources[0].endswith(".csv"):
+            raise DocumentError(
+                f"{sources[0]}: is no run folder. Name a procedure, run folders, or a table with --bench"
+            )
+        job = prepare_job(sources[0], station or EMULATED, Emulation(world or Emulation.world, seed or 0))
+        folder = out or RUNS / f"investigation_{job.plan.procedure.procedure}"
+        first = RunFolder(folder / "campaign")
+        measured = [first.path]
+    allows = job.station.file.block_approval
+    if approve is Approval.AUTO and allows != "auto":
+        raise DocumentError(
+            f"{job.station.path}: does not allow blocks without approval. Set block_approval: auto, or leave "
+            "--approve auto out"
+        )
+    if measured == [folder / "campaign"]:
+        clock = measure_campaign(job, first, observe)
+        write_report(first)
+    own = StationBench(job, measured, folder, observe, clock)
+    found = Investigator(own.rows, folder, own, budget_h, approved, own, own.campaign).run(WallClock())
+    proof = None
+    if found.ended == "settled" and verification != "none":
+        runs = verification_runs(first, found.closure, verification, job, folder / "verification")
+        what = " and ".join(LABELS[name] for name in runs.selected)
+        hours = sum(runs.jobs[name].plan.duration_s for name in runs.selected) / 3600.0
+        terminal.print(f"Verification in {hours:.1f} h, with {what}.")
+        missing = [name for name in runs.selected if not runs.is_finished(name)]
+        if not missing or approve is Approval.AUTO or typer.confirm("Measure it?", err=as_json):
+            proof = measure_verification(runs, observe)
+    _report(terminal, found, folder, sources, proof, as_json)
+
+
+def _report(
+    terminal: RunConsole,
+    found: Investigation,
+    folder: Path,
+    sources: Sequence[str],
+    proof: VerificationResult | None,
+    as_json: bool,
+) -> None:
+    from gyrobench.bench.report.closure.closure_page import write_search
+    from gyrobench.bench.report.investigation.investigation_page import write_investigation_page
+    from gyrobench.bench.report.investigation.investigation_text import end_sentence, test_sentence
+    from gyrobench.bench.report.verification.verification_page import write_verification_page
+    from gyrobench.bench.report.verification.verification_text import outcome_sentence
+    from gyrobench.bench.verification.compensation_verification import table_records, write_verification_table
+
     write_search(found.closure, [folder / "dwells.csv"], folder / "closure")
-    page = write_investigation_page(folder, found, str(table))
+    page = write_investigation_page(folder, found, ", ".join(sources), proof)
+    if proof is not None:
+        write_verification_table(folder / "verification" / "comparison.csv", proof.results)
+        write_verification_page(folder / "verification", proof, folder / "dwells.csv")
     if as_json:
         print_json(
             {
@@ -89,11 +216,14 @@ def investigate(
                 "blocks": len(found.stages) - 1,
                 "verdict": found.closure.verdict,
                 "effects": found.closure.posterior.of_effect,
+                "verification": table_records(proof.results) if proof else None,
             }
         )
     else:
         for sentence in filter(None, [end_sentence(found), test_sentence(found)]):
             terminal.print(sentence)
+        if proof is not None:
+            terminal.print(outcome_sentence(proof))
         terminal.print(
             f"Report   {page}\nTable    {folder / 'dwells.csv'}\nFolder   {folder}", soft_wrap=True
         )

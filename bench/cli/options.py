@@ -30,6 +30,11 @@ complete_faults = _shipped("faults")
 complete_import_map = _shipped("imports")
 
 
+def complete_plan(incomplete: str) -> list[str]:
+    """Names of shipped procedures and lists of rotations."""
+    return [*complete_procedure(incomplete), *_shipped("rotations")(incomplete)]
+
+
 def complete_template(incomplete: str) -> list[str]:
     """Names of templates of a new procedure."""
     from gyrobench.bench.foundations.shipped import TEMPLATES, shipped_names

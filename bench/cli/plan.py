@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gyrobench.bench.cli.options import EMULATED, ProcedureArgument, StationOption
-from gyrobench.bench.cli.output import JsonOption, console, print_json
+from gyrobench.bench.cli.options import EMULATED, PROCEDURE_HELP, StationOption, complete_plan
+from gyrobench.bench.cli.output import JsonOption, console, print_json, print_result
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError, RunFolderError
 
 if TYPE_CHECKING:
@@ -16,7 +16,12 @@ if TYPE_CHECKING:
 
 
 def plan(
-    procedure: ProcedureArgument,
+    procedure: Annotated[
+        str,
+        typer.Argument(
+            help=f"{PROCEDURE_HELP} With --observability: a list of rotations.", autocompletion=complete_plan
+        ),
+    ],
     station: StationOption = EMULATED,
     figure: Annotated[
         Path | None, typer.Option(help="PNG file to write; default: plan_PROCEDURE.png.")
@@ -35,6 +40,17 @@ def plan(
             "effects and ties are those of the unit searched.",
         ),
     ] = None,
+    observability: Annotated[
+        bool,
+        typer.Option(
+            "--observability",
+            help="Show what a calibration over a list of rotations will know of each coefficient.",
+        ),
+    ] = False,
+    whole_turns_arcsec: Annotated[
+        float | None,
+        typer.Option(min=1e-3, help="With --observability: sigma of the table's return after whole turns."),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Show the steps and duration of a procedure. Uses no instrument.
@@ -45,8 +61,14 @@ def plan(
     With --json: {"procedure", "station", "duration_s", "dwells", "figure", "steps": [{"number", "step",
     "what", "start_s", "duration_s", "dwell", "cycle"}]}, times from the start of the plan.
 
+    With --observability, for a list of rotations: the expected uncertainty of each coefficient of the
+    sensors' error model; with --json {"rotation_list", "station", "duration_s", "coefficients"}.
+
     Example: gyrobench plan six_position_fig7 --figure plan.png
     """
+    if observability:
+        _show_observability(procedure, station, whole_turns_arcsec, as_json)
+        return
     from gyrobench.bench.engine.job import prepare_job
     from gyrobench.bench.procedure.timeline import timeline_rows
     from gyrobench.bench.report.figures.style import save_figure
@@ -67,6 +89,32 @@ def plan(
     typer.echo(f"Figure   {path}")
     if separability:
         _print_separability(job, target_dph, closure)
+
+
+def _show_observability(
+    name: str, station_name: str, whole_turns_arcsec: float | None, as_json: bool
+) -> None:
+    from math import pi
+
+    from gyrobench.bench.calibration.results import forecast_rows
+    from gyrobench.bench.calibration.rotation_list import expected_noise, forecast, load_rotation_list
+    from gyrobench.bench.foundations.shipped import find_document
+    from gyrobench.bench.report.terminal.calibration import forecast_summary
+    from gyrobench.bench.station.station import Station
+
+    rotations = load_rotation_list(find_document("rotations", name))
+    station = Station(find_document("stations", station_name))
+    noise = expected_noise(station.noise(0.0, 0.0))
+    whole_turns = None if whole_turns_arcsec is None else whole_turns_arcsec * pi / 648000.0
+    max_rate_dps = station.file.rate_table.limits.rate_dps
+    found = forecast(rotations, station.table, station.site, noise, max_rate_dps, whole_turns)
+    record = {
+        "rotation_list": rotations.rotation_list,
+        "station": station.file.station,
+        "duration_s": found.duration_s,
+        "coefficients": forecast_rows(found),
+    }
+    print_result(record, as_json, forecast_summary(rotations, found, noise))
 
 
 def _record(job: Job, figure: Path) -> dict[str, Any]:

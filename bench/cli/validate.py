@@ -26,6 +26,7 @@ class Kind(StrEnum):
     EFFECT = "effect"
     COMPENSATION = "compensation"
     PLAN = "plan"
+    ROTATION_LIST = "rotation_list"
 
 
 def validate(

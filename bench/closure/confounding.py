@@ -30,7 +30,7 @@ def confounding(campaign: Campaign, searched: BoolArray) -> tuple[str, ...]:
     elif _stretches(seen.position) == len(set(seen.position)):
         sentences.append(
             "Each attitude was measured once, in one stretch of time: attitude cannot be distinguished from "
-            "drift."
+            "drift, except by the form assumed for the drift."
         )
     elif _independent(campaign, searched, campaign.up_body, slow_time) < CONFOUNDED_SHARE:
         sentences.append(

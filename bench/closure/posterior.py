@@ -20,13 +20,15 @@ from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate, Hypothesis, stack
 from gyrobench.bench.closure.effects.effect import Effect, Parameter
 from gyrobench.bench.closure.problem import MIN_VISIBLE, Problem
-from gyrobench.bench.closure.remainder import remainder_of
+from gyrobench.bench.closure.remainder import TOGETHER, remainder_of
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray, rms
 
 #: Prior probability of so many effects; all sets of as many are equally probable.
 EFFECT_COUNT_PRIOR = (0.4, 0.35, 0.15, 0.1)
-#: Prior probability of a remainder beside any set, shared equally by its processes.
+#: Prior probability of a remainder beside any set, shared equally by its processes; all of them together
+#: have a share of that of one.
 REMAINDER_PRIOR = 0.05
+TOGETHER_SHARE = 0.1
 #: Magnitudes of a size, all equally probable: rms of a term in the dwells searched beside the
 #: declared model and the other effects, in units of the noise. An effect has about the same in all gyros,
 #: with this probability, or any smaller one in a gyro.
@@ -160,6 +162,8 @@ class Evidences:
         self._weights: dict[object, tuple[float, FloatArray]] = {}
         self._dof = np.array([basis.shape[0] - basis.shape[1] for basis in problem.bases], dtype=np.float64)
         self._remainder = remainder_of(problem)
+        shares = np.array([TOGETHER_SHARE if name == TOGETHER else 1.0 for name in self.processes])
+        self._log_process_prior = np.log(REMAINDER_PRIOR * shares / shares.sum())
 
     @property
     def processes(self) -> tuple[str, ...]:
@@ -221,7 +225,7 @@ class Evidences:
         with_process = self._with_processes(terms, best, alone, is_summed=is_summed)
         return (
             prior + math.log(1.0 - REMAINDER_PRIOR) + alone,
-            prior + math.log(REMAINDER_PRIOR / len(with_process)) + with_process,
+            prior + self._log_process_prior + with_process,
         )
 
     def _log_prior(self, of: Hypothesis) -> float:

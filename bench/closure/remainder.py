@@ -19,6 +19,8 @@ from gyrobench.bench.foundations.arrays import FloatArray
 #: Largest number of columns of a process, and of functions of time.
 RANK = 48
 _ORDERS = 30
+#: Name of the sum of all processes.
+TOGETHER = "several of these together"
 _MIN_POWER = 1e-6
 #: The set point moves, and the temperature has changed, from this on.
 _MIN_SLOPE_C, _MIN_CHANGE_C = 1e-4, 1.0
@@ -52,7 +54,7 @@ def remainder_of(problem: Problem) -> Remainder:
     rank = min(RANK, len(seen))
     directions[:, -1, :, :rank] = left[:, :, : -rank - 1 : -1]
     powers[:, -1, :rank] = np.maximum(lengths[:, : -rank - 1 : -1], 0.0)
-    return Remainder((*processes, "several of these together"), directions, powers)
+    return Remainder((*processes, TOGETHER), directions, powers)
 
 
 def _waves(values: FloatArray, count: int, length: float) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -152,14 +152,14 @@ class Search:
             is_simpler = each.parameter_count < found.parameter_count and is_as_probable
             if (is_simpler or self._is_special_case(each, found)) and not self._objections(each):
                 found = each
-        return found, replace(weighed, more_general=self._more_general(found, similar, weighed))
+        return found, replace(weighed, more_general=self._more_general(found, fitted, weighed))
 
     def _more_general(
-        self, found: Hypothesis, similar: Iterable[Hypothesis], weighed: Posterior
+        self, found: Hypothesis, fitted: Mapping[frozenset[str], Hypothesis], weighed: Posterior
     ) -> dict[str, frozenset[str]]:
         """By effect found: those that contain it and are improbable, or fitted no different from it."""
         general: dict[str, frozenset[str]] = {}
-        for each in similar:
+        for each in (fitted[names] for names in weighed.similar(found.names) if names in fitted):
             is_improbable = weighed.of_set(each.names, has_remainder=False) < RIVAL
             if self._is_special_case(found, each) and (
                 is_improbable or self._is_contained(each, [found.candidates])

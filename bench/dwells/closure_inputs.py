@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gyrobench.bench.bias.dwell_table import read_dwells
+from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
 from gyrobench.bench.closure.campaign import Campaign, Table, campaign_of
 from gyrobench.bench.closure.files import CLOSURE_FILE, read_held_out_cycles, read_tables
 from gyrobench.bench.closure.joined_tables import Source, joined
@@ -67,6 +67,32 @@ def _source(path: Path) -> Source:
         return Source(str(path), campaign_of(read_dwells(table), record), is_run, began_s)
     except MeasurementError as error:
         raise MeasurementError(f"{table}: {error}") from error
+
+
+def joined_rows(campaign: Campaign) -> list[DwellRow]:
+    """Rows of the tables of a campaign in the order of time, with its times, numbers and names of runs."""
+    whole, rows = campaign.whole, list[DwellRow]()
+    place = {dwell: index for index, dwell in enumerate(whole.dwell.tolist())}
+    for table in campaign.tables:
+        path = Path(table.name)
+        own = read_dwells(open_run_folder(path).dwells if path.is_dir() else path)
+        known = {row.dwell: place[row.dwell + table.added] for row in own if row.dwell + table.added in place}
+        first = next(row for row in own if row.dwell in known)
+        shift_s = float(whole.start_s[known[first.dwell]]) - first.start_s
+        cycles = int(whole.cycle[known[first.dwell]]) - first.cycle
+        names = {row.run: whole.run_names[whole.run[known[row.dwell]]] for row in own if row.dwell in known}
+        rows += [
+            replace(
+                row,
+                dwell=row.dwell + table.added,
+                cycle=row.cycle + cycles,
+                run=names.get(row.run, row.run),
+                start_s=row.start_s + shift_s,
+                end_s=row.end_s + shift_s,
+            )
+            for row in own
+        ]
+    return sorted(rows, key=lambda row: (row.start_s, row.dwell))
 
 
 def read_closure(folder: Path) -> Closure:

@@ -19,7 +19,7 @@ from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.notifications import RunNotifier
 from gyrobench.bench.engine.observers import ObservedOperator, ObserverGroup, RunObserver, RunOutcome
 from gyrobench.bench.engine.operator import CommandQueue, Operator
-from gyrobench.bench.engine.resume import ResumeState, Resumption
+from gyrobench.bench.engine.resume import ResumeState, Resumption, prepare_resumption
 from gyrobench.bench.engine.run_context import RunContext
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import GyrobenchError, InstrumentError, RunFolderError
@@ -29,7 +29,7 @@ from gyrobench.bench.messages.messenger import PATIENCE_S, Messenger
 from gyrobench.bench.runs.can_log import CanLog
 from gyrobench.bench.runs.compensation_file import write_compensation
 from gyrobench.bench.runs.folder import RUNS, RunFolder, create_run_folder
-from gyrobench.bench.runs.journal import Journal
+from gyrobench.bench.runs.journal import Journal, facts_of, read_journal
 from gyrobench.bench.runs.provenance import write_provenance
 from gyrobench.bench.runs.telemetry import Telemetry
 from gyrobench.bench.station.instruments import Instruments
@@ -92,6 +92,24 @@ def resume_run(
     outcome = RunOutcome(dwells=dwells, check_dwells=check_dwells)
     start = _Start(job, clock, resumption.state, outcome, lambda: folder, check_folder)
     return _execute(start, observer, operator)
+
+
+def is_whole(folder: RunFolder) -> bool:
+    """Whether a folder holds a run that is finished and evaluated."""
+    if not (folder.journal.exists() and folder.acceptance.exists()):
+        return False
+    return facts_of(read_journal(folder.journal)).ended == "finished"
+
+
+def run_or_resume(
+    job: Job, folder: RunFolder, observer: RunObserver, operator: Operator, after: EarlierRuns | None = None
+) -> tuple[RunFolder, RunOutcome]:
+    """Run a job into a folder, or resume the run of it that is there; raises what both do."""
+    if folder.journal.exists() and not folder.journal.stat().st_size:
+        folder.journal.unlink()  # of a process that was killed before anything moved
+    if not folder.journal.exists():
+        return run_job(job, folder.path, observer, operator, after)
+    return resume_run(prepare_resumption(folder.path), observer, operator, after.clock if after else None)
 
 
 def _finish(resumption: Resumption) -> RunOutcome:

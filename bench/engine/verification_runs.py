@@ -17,7 +17,7 @@ from gyrobench.bench.dwells.run_dwells import replay
 from gyrobench.bench.engine.job import Job, emulation_of, prepare_job
 from gyrobench.bench.engine.observers import RunObserver, RunOutcome
 from gyrobench.bench.engine.operator import Operator
-from gyrobench.bench.engine.run import run_job
+from gyrobench.bench.engine.run import run_or_resume
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
 from gyrobench.bench.runs.compensation_file import read_compensation
 from gyrobench.bench.runs.folder import RunFolder
@@ -93,30 +93,29 @@ class VerificationRuns:
     def is_finished(self, name: str) -> bool:
         """Whether the run with a compensation is finished, with the same job.
 
-        Raises RunFolderError if its folder holds another run, or an unfinished one.
+        Raises RunFolderError if its folder holds another run.
         """
         folder = RunFolder(self.folder / name)
         if name in self._measured:
             return True
         if not folder.path.exists():
             return False
-        if not folder.journal.is_file() or not _is_run_of(folder, self.jobs[name]):
+        if not folder.journal.is_file():
+            return False
+        if not is_run_of(folder, self.jobs[name]):
             raise RunFolderError(
                 f"{folder.path}: holds a run of another model, procedure or world. Remove it, or choose "
                 "another --out"
             )
-        if facts_of(read_journal(folder.journal)).ended != "finished":
-            raise RunFolderError(
-                f"{folder.path}: holds an unfinished run. Finish it with: gyrobench resume {folder.path}"
-            )
-        return True
+        return facts_of(read_journal(folder.journal)).ended == "finished"
 
     def measure(self, name: str, observer: RunObserver, operator: Operator) -> tuple[RunFolder, RunOutcome]:
-        """Run the procedure with one compensation.
+        """Run the procedure with one compensation, or resume its run.
 
-        Raises InstrumentError or RunFolderError as :func:`gyrobench.bench.engine.run.run_job`.
+        Raises InstrumentError or RunFolderError as :func:`gyrobench.bench.engine.run.run_or_resume`.
         """
-        folder, outcome = run_job(self.jobs[name], self.folder / name, observer, operator)
+        run = RunFolder(self.folder / name)
+        folder, outcome = run_or_resume(self.jobs[name], run, observer, operator)
         if outcome.ended == "finished":
             self._measured[name] = (outcome.dwells, outcome.check_dwells)
         return folder, outcome
@@ -204,7 +203,7 @@ def _check_new(run: RunFolder, job: Job) -> None:
         )
 
 
-def _is_run_of(folder: RunFolder, job: Job) -> bool:
+def is_run_of(folder: RunFolder, job: Job) -> bool:
     """Whether a run has the same procedure, world and compensation as a job."""
     options = read_provenance(folder).get("options", {})
     same_world = all(options.get(key) == value for key, value in job.emulated_world().items())

@@ -313,6 +313,13 @@ class CalibrationAccelerometers(StrictModel):
     z: AxisColumn = Field(description="column of the z accelerometer, with its sign")
 
 
+class CalibrationNoise(StrictModel):
+    """Noise known from a data sheet or a long record."""
+
+    angle_random_walk_deg_per_sqrt_h: Positive = Field(description="of each gyro, deg/sqrt(h)")
+    velocity_random_walk_ug_per_sqrt_hz: Positive = Field(description="of each accelerometer, ug/sqrt(Hz)")
+
+
 class CalibrationLog(StrictModel):
     """What ``gyrobench calibrate`` needs beside the gyros; it ignores temperatures, position and windows."""
 
@@ -321,6 +328,9 @@ class CalibrationLog(StrictModel):
     height_m: float = Field(default=0.0, ge=-1000.0, le=10000.0, description="above the ellipsoid, m")
     gravity_mps2: float | None = Field(
         default=None, ge=9.7, le=9.9, description="local gravity; default: normal gravity of the place"
+    )
+    noise: CalibrationNoise | None = Field(
+        default=None, description="random walks, where rests are too short to show them; default: measured"
     )
     whole_turns_arcsec: Positive | None = Field(
         default=None,

@@ -7,10 +7,17 @@ from pathlib import Path
 
 import numpy as np
 
+from gyrobench.bench.calibration.estimator import CalibrationOptions
 from gyrobench.bench.calibration.recording import MIN_REST_TOTAL_S, IncrementRecording
 from gyrobench.bench.exchange.import_map import LogMap
 from gyrobench.bench.exchange.log_windows import FORCES, RATES, Quantity, SampleReader
-from gyrobench.bench.foundations.arrays import STANDARD_GRAVITY, BoolArray, FloatArray
+from gyrobench.bench.foundations.arrays import (
+    DEG_PER_SQRT_H_TO_SI,
+    STANDARD_GRAVITY,
+    UG_PER_SQRT_HZ_TO_SI,
+    BoolArray,
+    FloatArray,
+)
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
 from gyrobench.bench.navigation.error_model import Site
 
@@ -82,14 +89,18 @@ def _pieces(time_s: FloatArray, valid: BoolArray) -> Iterator[slice]:
             yield slice(int(first), int(last) + 1)
 
 
-def site_of(log_map: LogMap) -> tuple[Site, float | None, float | None]:
-    """Place, local gravity (m/s^2) and uncertainty of whole turns (rad), the last two if given."""
+def calibration_settings(log_map: LogMap, lever_arms: bool, delay: bool) -> tuple[Site, CalibrationOptions]:
+    """Place and options of a calibration; ``lever_arms``, ``delay``: whether they are estimated."""
     section = log_map.calibration
     if section is None:
         raise DocumentError(_NO_SECTION)
-    turns = section.whole_turns_arcsec
-    return (
-        Site(float(np.deg2rad(section.latitude_deg)), section.height_m),
-        section.gravity_mps2,
-        None if turns is None else turns * _ANGLES["arcsec"],
-    )
+    turns, noise = section.whole_turns_arcsec, section.noise
+    walks = None
+    if noise is not None:
+        walks = (
+            noise.angle_random_walk_deg_per_sqrt_h * DEG_PER_SQRT_H_TO_SI,
+            noise.velocity_random_walk_ug_per_sqrt_hz * UG_PER_SQRT_HZ_TO_SI,
+        )
+    site = Site(float(np.deg2rad(section.latitude_deg)), section.height_m)
+    whole_turns = None if turns is None else turns * _ANGLES["arcsec"]
+    return site, CalibrationOptions(lever_arms, delay, whole_turns, section.gravity_mps2, walks)

@@ -24,12 +24,13 @@ from gyrobench.bench.navigation.positions import POSITIONS
 
 _S_PER_H = 3600.0
 _SWITCH_S = 60.0
-_OFF_H = 1.0
 #: Time off for a power-on that only begins a block.
 _SHORTLY_OFF_H = 5.0 / 3600.0
-#: Ramp rates of the blocks, degC/h.
-_USUAL_RAMP_C_PER_H, _SLOW_RAMP_C_PER_H, _FAST_RAMP_C_PER_H = 60.0, 15.0, 120.0
-_SOAK_H, _LONG_SOAK_H, _REPEAT_H = 2.0, 12.0, 6.0
+#: Slow and fast ramps, relative to the usual one.
+_SLOW, _FAST = 0.25, 2.0
+#: Unit and campaign for which blocks have their usual times.
+_USUAL_CONSTANT_S, _USUAL_CAMPAIGN_H = 2400.0, 46.0
+_MAX_FASTER = 4.0
 _REVERSAL_C = 15.0
 _LESS_POWER = 0.7
 _SAME_C = 0.5
@@ -52,12 +53,37 @@ class Block:
 
 
 @dataclass(frozen=True)
+class BlockTimes:
+    """Times and ramps of blocks."""
+
+    off_h: float = 1.0  #: Off in a power cycle.
+    soak_h: float = 2.0  #: At a temperature before dwells.
+    wait_h: float = 6.0  #: Before a repetition.
+    long_wait_h: float = 12.0  #: After a power-on.
+    ramp_c_per_h: float = 60.0
+
+    @classmethod
+    def on_bench(cls, time_constant_s: float, campaign_h: float) -> BlockTimes:
+        """Times for a unit with this time constant behind the chamber, and a campaign of this length."""
+        usual, lag = cls(), min(time_constant_s / _USUAL_CONSTANT_S, 1.0)
+        share = min(campaign_h / _USUAL_CAMPAIGN_H, 1.0)
+        return cls(
+            lag * usual.off_h,
+            lag * usual.soak_h,
+            share * usual.wait_h,
+            share * usual.long_wait_h,
+            min(1.0 / lag, _MAX_FASTER) * usual.ramp_c_per_h,
+        )
+
+
+@dataclass(frozen=True)
 class BlockStart:
     """When and in which state a block begins on a bench that switches the unit off and on for it."""
 
     time_s: float  #: On the time axis of the table.
     state: BenchState
     power_ons: int  #: How often the unit was switched on.
+    times: BlockTimes
 
 
 class BlockPlanner(Protocol):
@@ -85,7 +111,8 @@ class AfterLastDwell:
 class Timeline:
     """Steps as they are added one after the other, from the state after the last dwell of a table.
 
-    With ``start``, they begin there with a power-on.
+    With ``start``, they begin there: the chamber returns to the last dwell's temperature, and the unit is
+    switched off and on.
     """
 
     rows: Sequence[DwellRow]  #: The dwells measured, in the order of time.
@@ -101,17 +128,19 @@ class Timeline:
         self._next_dwell = self.next_dwell = 1 + max(row.dwell for row in self.rows)
         self.next_cycle = 1 + max(row.cycle for row in self.rows)
         self._power_ons = len({row.run for row in self.rows})
+        self.times = self.start.times if self.start else BlockTimes()
         self._is_ready = self.start is None
         if self.start is not None:
             self.start_s = self.now_s = self.start.time_s
             self._power_ons = self.start.power_ons
-            if self.start.state.chamber_c is not None:
-                self.chamber_c = self.start.state.chamber_c
+            at_c = self.start.state.chamber_c
+            span_s = 0.0 if at_c is None else abs(self.chamber_c - at_c) / self.times.ramp_c_per_h * _S_PER_H
+            self._to(self.chamber_c, self.times.ramp_c_per_h, span_s)
 
-    def off_and_on(self, hours: float = _OFF_H) -> None:
+    def off_and_on(self, hours: float | None = None) -> None:
         """Switch the unit off, let it cool, and switch it on: a new run."""
         self._is_ready = True
-        self._add(PowerStep(on=False, **self._span(hours * _S_PER_H)))
+        self._add(PowerStep(on=False, **self._span((hours or self.times.off_h) * _S_PER_H)))
         self._power_ons += 1
         self.run = f"{self.rows[-1].run.rsplit('-', 1)[0]}-{self._power_ons}"
         self.dissipation(1.0)
@@ -121,18 +150,18 @@ class Timeline:
         self._switch_on()
         self._add(PowerStep(on=True, factor=factor, **self._span(_SWITCH_S)))
 
-    def ramp(self, to_c: float, rate_c_per_h: float = _USUAL_RAMP_C_PER_H) -> None:
-        """Ramp the chamber, unless it is there."""
+    def ramp(self, to_c: float, relative: float = 1.0) -> None:
+        """Ramp the chamber at ``relative`` times the usual rate, unless it is there."""
+        rate_c_per_h = relative * self.times.ramp_c_per_h
         self._switch_on()
         if abs(to_c - self.chamber_c) > _SAME_C:
             span_s = abs(to_c - self.chamber_c) / rate_c_per_h * _S_PER_H
-            self._add(ChamberStep(to_c=float(to_c), ramp_c_per_h=rate_c_per_h, **self._span(span_s)))
-            self.chamber_c = to_c
+            self._to(to_c, rate_c_per_h, span_s)
 
-    def soak(self, hours: float = _SOAK_H) -> None:
+    def soak(self, hours: float | None = None) -> None:
         """Wait."""
         self._switch_on()
-        self._add(SoakStep(**self._span(hours * _S_PER_H)))
+        self._add(SoakStep(**self._span((hours or self.times.soak_h) * _S_PER_H)))
 
     def dwells(self, positions: Iterable[str], azimuth_deg: float = 0.0, length: float = 1.0) -> None:
         """Measure dwells, each ``length`` times as long as those of the table."""
@@ -149,6 +178,10 @@ class Timeline:
                 )
             )
             self._next_dwell += 1
+
+    def _to(self, to_c: float, rate_c_per_h: float, span_s: float) -> None:
+        self._add(ChamberStep(to_c=float(to_c), ramp_c_per_h=rate_c_per_h, **self._span(span_s)))
+        self.chamber_c = to_c
 
     def _switch_on(self) -> None:
         if not self._is_ready:
@@ -200,7 +233,8 @@ class _Kind:
     add: Callable[[Timeline], None]
 
 
-def _kinds(rows: Sequence[DwellRow]) -> list[_Kind]:
+def _kinds(rows: Sequence[DwellRow], times: BlockTimes) -> list[_Kind]:
+    off = f"switch the unit off for {_span(times.off_h)}"
     low_c, middle_c, high_c = np.quantile(chamber_c(rows), [0.0, 0.5, 1.0]).tolist()
     measured = [name for name in POSITIONS if any(row.position == name for row in rows)]
     pair = [name for name in ("z_up", "z_down") if name in measured] or measured[:2]
@@ -209,7 +243,7 @@ def _kinds(rows: Sequence[DwellRow]) -> list[_Kind]:
     def from_side(start_c: float) -> Callable[[Timeline], None]:
         def add(timeline: Timeline) -> None:
             timeline.ramp(start_c)
-            timeline.soak(1.0)
+            timeline.soak(0.5 * timeline.times.soak_h)
             timeline.dwells(pair[:1])  # the table alone shows how far the temperature went
             timeline.ramp(middle_c)
             timeline.soak()
@@ -217,15 +251,16 @@ def _kinds(rows: Sequence[DwellRow]) -> list[_Kind]:
 
         return add
 
-    def on_ramp(rate_c_per_h: float) -> Callable[[Timeline], None]:
+    def on_ramp(relative: float) -> Callable[[Timeline], None]:
         """Dwells without a pause while the chamber ramps in steps of one dwell."""
 
         def add(timeline: Timeline) -> None:
             to_c = low_c if abs(timeline.chamber_c - low_c) > abs(timeline.chamber_c - high_c) else high_c
+            rate_c_per_h = relative * timeline.times.ramp_c_per_h
             step_c = np.sign(to_c - timeline.chamber_c) * rate_c_per_h * timeline.dwell_s / _S_PER_H
             for position in every:
                 if abs(to_c - timeline.chamber_c) > abs(step_c):
-                    timeline.ramp(timeline.chamber_c + float(step_c), rate_c_per_h)
+                    timeline.ramp(timeline.chamber_c + float(step_c), relative)
                 timeline.dwells([position])
 
         return add
@@ -238,7 +273,7 @@ def _kinds(rows: Sequence[DwellRow]) -> list[_Kind]:
         timeline.ramp(away_c)
         timeline.dwells(pair[:1])
         timeline.ramp(middle_c)
-        timeline.soak(1.0)
+        timeline.soak(0.5 * timeline.times.soak_h)
         timeline.dwells(pair)
 
     def power_cycle(timeline: Timeline) -> None:
@@ -248,7 +283,7 @@ def _kinds(rows: Sequence[DwellRow]) -> list[_Kind]:
     def power_cycle_then_long(timeline: Timeline) -> None:
         timeline.off_and_on()
         timeline.dwells(pair)
-        timeline.soak(_LONG_SOAK_H)
+        timeline.soak(timeline.times.long_wait_h)
         timeline.dwells(pair)
 
     def less_power(timeline: Timeline) -> None:
@@ -270,7 +305,7 @@ def _kinds(rows: Sequence[DwellRow]) -> list[_Kind]:
         return add
 
     def after_hours(timeline: Timeline) -> None:
-        timeline.soak(_REPEAT_H)
+        timeline.soak(timeline.times.wait_h)
         timeline.dwells(every)
 
     def longer(timeline: Timeline) -> None:
@@ -294,34 +329,38 @@ def _kinds(rows: Sequence[DwellRow]) -> list[_Kind]:
             "cool, return to the middle temperature and measure after a soak",
             from_side(low_c),
         ),
-        _Kind("slow ramp", "measure while the temperature changes slowly", on_ramp(_SLOW_RAMP_C_PER_H)),
-        _Kind("fast ramp", "measure while the temperature changes fast", on_ramp(_FAST_RAMP_C_PER_H)),
+        _Kind("slow ramp", "measure while the temperature changes slowly", on_ramp(_SLOW)),
+        _Kind("fast ramp", "measure while the temperature changes fast", on_ramp(_FAST)),
         _Kind(
             "reversal", "leave the middle temperature, return to it, and measure before and after", reversal
         ),
-        _Kind("power cycle", "switch the unit off for an hour, then measure from power-on", power_cycle),
+        _Kind("power cycle", f"{off}, then measure from power-on", power_cycle),
         _Kind(
             "power cycle and long wait",
-            "switch the unit off for an hour, measure from power-on and again 12 h later",
+            f"{off}, measure from power-on and again {_span(times.long_wait_h)} later",
             power_cycle_then_long,
         ),
         _Kind("power step", "reduce the unit's dissipation and measure after a soak", less_power),
         _Kind("four headings", "measure one position at four headings", headings),
         _Kind("cold, six positions", "measure all positions at the lowest temperature", inverted(low_c)),
         _Kind("hot, six positions", "measure all positions at the highest temperature", inverted(high_c)),
-        _Kind("repeat after hours", "wait, then measure all positions again", after_hours),
-        _Kind("longer dwells", "measure two positions in long dwells", longer),
         _Kind(
-            NEW_CYCLE,
-            "switch the unit off for an hour, then measure all positions at three temperatures",
-            new_cycle,
+            "repeat after hours",
+            f"wait for {_span(times.wait_h)}, then measure all positions again",
+            after_hours,
         ),
+        _Kind("longer dwells", "measure two positions in long dwells", longer),
+        _Kind(NEW_CYCLE, f"{off}, then measure all positions at three temperatures", new_cycle),
     ]
+
+
+def _span(hours: float) -> str:
+    return f"{60.0 * hours:.0f} min" if hours < 1.0 else f"{hours:.2g} h"
 
 
 def catalogue(rows: Sequence[DwellRow], pairs: bool = False, start: BlockStart | None = None) -> list[Block]:
     """Blocks that can follow dwells in the order of time, from ``start``; with ``pairs``, two in sequence."""
-    kinds = _kinds(rows)
+    kinds = _kinds(rows, start.times if start else BlockTimes())
     sequences: list[tuple[_Kind, ...]] = [(each,) for each in kinds]
     if pairs:
         sequences += list(itertools.permutations(kinds, 2))

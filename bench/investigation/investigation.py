@@ -23,7 +23,7 @@ from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
 from gyrobench.bench.foundations.files import make_folder, write_whole
 from gyrobench.bench.foundations.text import listed
-from gyrobench.bench.investigation.blocks import NEW_CYCLE, BlockPlanner
+from gyrobench.bench.investigation.blocks import NEW_CYCLE, Block, BlockPlanner
 from gyrobench.bench.investigation.external_bench import BlockPlan, BlockRefusedError
 from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.investigation.proposal import Outcome, Proposal, Rival, outcome_of, proposal_of, propose
@@ -181,7 +181,8 @@ class Investigator:
 
     def _with_block(self, stage: Stage, journal: Journal) -> tuple[Stage, tuple[str, str] | None]:
         """The stage with the best block that the bench can do, or why there is none."""
-        folder, scale, forecast = self._block_folder, stage.closure.noise_scale, Forecast(self._rows)
+        folder, scale = self._block_folder, stage.closure.noise_scale
+        forecast = Forecast(stage.closure.noise.weighted(self._rows))
         done = folder / _DONE
         decided = self._decided(stage, forecast)
         if decided is not None and done.exists():
@@ -296,10 +297,10 @@ class Investigator:
         events = [entry["event"] for entry in entries]
         if not {"approved", "measured"} & set(events[-1:]):
             return None
-        name = next(entry["block"] for entry in reversed(entries) if entry["event"] == "proposed")
+        entry = next(entry for entry in reversed(entries) if entry["event"] == "proposed")
         plan = BlockPlan.model_validate_json((self._block_folder / _PLAN).read_text(encoding="utf-8"))
-        scale = stage.closure.noise_scale
-        return proposal_of(plan, name.split(", then "), forecast, stage.rivals, scale)
+        block = Block(tuple(entry["block"].split(", then ")), entry.get("what", entry["block"]), plan)
+        return proposal_of(forecast, block, stage.rivals, stage.closure.noise_scale)
 
     def _with_outcome(
         self, stage: Stage, forecast: Forecast, proposal: Proposal, rows: Sequence[DwellRow], journal: Journal
@@ -403,6 +404,7 @@ def proposed(proposal: Proposal, rivals: Sequence[Rival]) -> dict[str, Any]:
     """A proposal with its predictions, for the journal."""
     return {
         "block": proposal.block.name,
+        "what": proposal.block.what,
         "hours": proposal.block.plan.duration_h,
         "entropy": proposal.entropy,
         "expected_entropy": proposal.expected_entropy,

@@ -15,13 +15,13 @@ from gyrobench.bench.closure.problem import declared_problem
 from gyrobench.bench.foundations.arrays import BoolArray, rms
 from gyrobench.bench.investigation.blocks import AfterLastDwell, Block, BlockPlanner, catalogue
 from gyrobench.bench.investigation.choice import Prediction, entropy, expected_entropy, predict_dwells
-from gyrobench.bench.investigation.external_bench import BlockPlan
 from gyrobench.bench.investigation.forecast import Forecast
 
 #: Blocks of which pairs are tried.
 _PAIRED = 4
-#: Bias from one power-on to the next where the dwells are of a single one, in units of the noise.
-_UNKNOWN_RUN_SPREAD = 5.0
+#: Least spread of the bias from one power-on to the next, in units of the noise: the search takes nothing
+#: from the constant of a power-on, and a block must not be chosen for what it would say.
+_MIN_RUN_SPREAD = 30.0
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ def propose(
 
     def proposal(block: Block) -> Proposal:
         repeats = max(sum(kind in kinds for kinds in measured) for kind in block.kinds)
-        return replace(_proposal(forecast, block, rivals, noise_scale), repeats=repeats)
+        return replace(proposal_of(forecast, block, rivals, noise_scale), repeats=repeats)
 
     paired = {kind for kinds in refused if len(kinds) > 1 for kind in kinds}
     found = [proposal(each) for each in usable(catalogue(rows, start=start))]
@@ -126,16 +126,8 @@ def propose(
     return sorted(found, key=lambda each: -each.gain_per_h)
 
 
-def proposal_of(
-    plan: BlockPlan, kinds: Sequence[str], forecast: Forecast, rivals: Sequence[Rival], noise_scale: float
-) -> Proposal:
-    """The proposal of a plan that was measured before, by the kinds of its block."""
-    whats = {each.name: each.what for each in catalogue(forecast.measured)}
-    block = Block(tuple(kinds), "; then ".join(whats.get(kind, kind) for kind in kinds), plan)
-    return _proposal(forecast, block, rivals, noise_scale)
-
-
-def _proposal(forecast: Forecast, block: Block, rivals: Sequence[Rival], noise_scale: float) -> Proposal:
+def proposal_of(forecast: Forecast, block: Block, rivals: Sequence[Rival], noise_scale: float) -> Proposal:
+    """The proposal of a block."""
     new = forecast.rows(block.plan)
     predictions = _predictions(forecast, new, rivals, noise_scale)
     probabilities = np.array([each.probability for each in rivals])
@@ -194,15 +186,7 @@ def _predictable(
 
 def _run_spread_dph(rows: Sequence[DwellRow], noise_scale: float) -> float:
     """Standard deviation of the bias from one power-on to the next."""
-    sigma_dph = noise_scale * float(np.nanmedian([row.sigma_dph for row in rows]))
-    good = [row for row in rows if not row.flags]
-    means = [
-        np.nanmean([row.bias_dph for row in good if row.run == run], axis=0)
-        for run in dict.fromkeys(row.run for row in good)
-    ]
-    if len(means) < 3:
-        return _UNKNOWN_RUN_SPREAD * sigma_dph
-    return max(float(np.std(means, axis=0, ddof=1).mean()), sigma_dph)
+    return _MIN_RUN_SPREAD * noise_scale * float(np.nanmedian([row.sigma_dph for row in rows]))
 
 
 @dataclass(frozen=True)

@@ -113,9 +113,12 @@ class Station:
             **self.file.ins.uncertainty.model_dump(),
         )
 
-    def plan(self, document: Document, procedure: Procedure) -> Plan:
-        """Plan a checked procedure; a DocumentError lists all that this station can't run, with places."""
-        plan = expand(document, procedure, self.bench_at_rest())
+    def plan(self, document: Document, procedure: Procedure, bench: BenchEstimate | None = None) -> Plan:
+        """Plan a checked procedure; a DocumentError lists all that this station can't run, with places.
+
+        ``bench``: state at the start; by default at rest.
+        """
+        plan = expand(document, procedure, bench or self.bench_at_rest())
         check(document, plan, self.limits())
         return plan
 

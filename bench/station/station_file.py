@@ -255,6 +255,11 @@ class StationFile(StrictModel):
     ins: InsSection = Field(description="the INS and its CAN bus")
     unit: UnitSection = Field(description="the unit under test")
     safe_state: SafeState = Field(description="state of the bench at any end of a run")
+    block_approval: Literal["ask", "auto"] = Field(
+        "ask",
+        description="auto: `gyrobench investigate --approve auto` may measure here what it proposes, without "
+        "a person's approval",
+    )
     guard: GuardSection = Field(
         GuardSection(), description="the process that makes the bench safe when the engine can't"
     )

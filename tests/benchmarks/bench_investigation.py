@@ -1,18 +1,23 @@
 """Hours on the bench until a tie is settled, by several ways of choosing the next block.
 
 Units whose first campaign ends with several causes, of other physics than the search
-(:mod:`tests.benchmarks.investigation_units`). As a script it prints the table of
-docs/decisions/14-next-measurement.md; ``--criteria`` adds the criteria of GPdoemd::
+(:mod:`tests.benchmarks.investigation_units`). As a script it prints the tables of
+docs/decisions/14-next-measurement.md; ``--criteria`` compares the first block that other criteria choose::
 
+    python -m tests.benchmarks.bench_investigation
     python -m tests.benchmarks.bench_investigation --criteria
 """
 
+import argparse
 import copy
 import functools
+import itertools
+import statistics
 import time
 from dataclasses import dataclass
 
 import numpy as np
+import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.investigation.forecast import Forecast
@@ -21,10 +26,9 @@ from gyrobench.bench.investigation.proposal import propose
 from tests.benchmarks.closure_laws import ON_THE_LIST
 from tests.benchmarks.investigation_units import SimulatedUnit
 
-#: Seeds of units of which the first campaign ends tied: all of a range, none left out.
-SEEDS = range(80)
+#: The units of 41 examined (0 to 7, 17 to 39, 45, 57 to 65) whose first campaign ends tied.
+SEEDS = (0, 3, 4, 5, 6, 18, 24, 32, 35, 36, 39, 45, 57, 61, 62)
 _MAX_BLOCKS = 8
-_RANDOM_DRAWS = 2
 
 
 @dataclass(frozen=True)
@@ -65,9 +69,14 @@ class Tie:
         self._known = {(): State(unit, unit.rows, self._held_out, ())}
 
     @property
+    def first(self):
+        """The state after the first campaign."""
+        return self._known[()]
+
+    @property
     def closure(self):
         """Search of the first campaign."""
-        return self._known[()].closure
+        return self.first.closure
 
     def settle(self, value):
         """Measure blocks of largest ``value`` until a cause is settled, for at most one campaign."""
@@ -109,7 +118,9 @@ class State:
         """All blocks with what the causes predict."""
         begin_s = time.process_time()
         rivals, scale = rivals_of(self.closure), self.closure.noise_scale
-        found = propose(Forecast(self.rows), rivals, scale, measured=self._measured)
+        found = propose(
+            Forecast(self.closure.noise.weighted(self.rows)), rivals, scale, measured=self._measured
+        )
         self.choice_s = time.process_time() - begin_s
         return found
 
@@ -126,7 +137,158 @@ def by_d_optimality(proposal, state):
     return (determinant - 2.0 * np.sum(np.log(sigma_dph))) / proposal.block.plan.duration_h
 
 
-def by_chance(seed):
-    """Blocks of one kind in random order."""
-    draw = np.random.default_rng([seed, 31])
-    return lambda proposal, state: draw.random() - 2.0 * (len(proposal.block.kinds) > 1)
+def by_chance(proposal, state):
+    """Blocks of one kind in random order, another one for each unit."""
+    name, seed = proposal.block.name.encode(), int(state.rows[0].unit[1:])
+    draw = np.random.default_rng([seed, 31, len(state.rows), *name])
+    return draw.random() - 2.0 * (len(proposal.block.kinds) > 1)
+
+
+def by_hunter_reiner(proposal, state):
+    """Sum of the squared differences of the means (1965)."""
+    return sum(float(apart @ apart) for apart, *_ in _pairs(proposal)) / proposal.block.plan.duration_h
+
+
+def by_box_hill(proposal, state):
+    """Upper bound of the expected information (1967)."""
+    total = 0.0
+    for apart, first, second, weight in _pairs(proposal, state):
+        one, other = np.linalg.inv(first), np.linalg.inv(second)
+        total += weight * np.trace(first @ other + second @ one - 2.0 * np.eye(len(apart)))
+        total += weight * apart @ (one + other) @ apart
+    return 0.5 * total / proposal.block.plan.duration_h
+
+
+def by_buzzi_ferraris(proposal, state):
+    """Differences in units of their uncertainty (1990)."""
+    noise = np.diag(
+        (state.closure.noise_scale * np.array([row.sigma_dph for row in proposal.rows]).T.ravel()) ** 2
+    )
+    total = 0.0
+    for apart, first, second, _ in _pairs(proposal):
+        inverse = np.linalg.inv(first + second)
+        total += np.trace(noise @ inverse) + apart @ inverse @ apart
+    return total / proposal.block.plan.duration_h
+
+
+def by_akaike_weights(proposal, state):
+    """Expected Akaike weight of the true cause, above that without a measurement (Michalik 2010)."""
+    predictions, probabilities = proposal.predictions, _probabilities(state)
+    expected = -1.0 / len(predictions)
+    for truth, probability in zip(predictions, probabilities, strict=True):
+        inverse = np.linalg.inv(truth.covariance)
+        apart = [truth.mean_dph - each.mean_dph for each in predictions]
+        expected += probability / sum(np.exp(-0.5 * each @ inverse @ each) for each in apart)
+    return expected / proposal.block.plan.duration_h
+
+
+def by_jensen_renyi(proposal, state):
+    """Quadratic Jensen-Renyi divergence (Olofsson 2019)."""
+    predictions, probabilities = proposal.predictions, _probabilities(state)
+
+    def overlap(one, other):
+        covariance = one.covariance + other.covariance
+        apart = one.mean_dph - other.mean_dph
+        return -0.5 * (apart @ np.linalg.solve(covariance, apart) + np.linalg.slogdet(covariance)[1])
+
+    mixed = [
+        np.log(first * second) + overlap(one, other)
+        for one, first in zip(predictions, probabilities, strict=True)
+        for other, second in zip(predictions, probabilities, strict=True)
+    ]
+    alone = sum(p * overlap(each, each) for each, p in zip(predictions, probabilities, strict=True))
+    return (alone - np.logaddexp.reduce(mixed)) / proposal.block.plan.duration_h
+
+
+def _probabilities(state):
+    return [each.probability for each in rivals_of(state.closure)]
+
+
+def _pairs(proposal, state=None):
+    """Difference of the means, both covariances, and the product of the probabilities of all pairs."""
+    weights = _probabilities(state) if state else [1.0] * len(proposal.predictions)
+    for one, other in itertools.combinations(range(len(weights)), 2):
+        first, second = proposal.predictions[one], proposal.predictions[other]
+        apart = first.mean_dph - second.mean_dph
+        yield apart, first.covariance, second.covariance, weights[one] * weights[other]
+
+
+WAYS = {"entropy per hour": by_entropy, "D-optimal": by_d_optimality, "random": by_chance}
+CRITERIA = {
+    "Hunter-Reiner": by_hunter_reiner, "Box-Hill": by_box_hill, "Buzzi-Ferraris": by_buzzi_ferraris,
+    "Akaike weights": by_akaike_weights, "Jensen-Renyi": by_jensen_renyi, "D-optimal": by_d_optimality,
+}  # fmt: skip
+
+
+def settled(seeds):
+    """Outcome of each way for each tie, and the hours of the ties' first campaigns."""
+    ties = [Tie(seed) for seed in seeds]
+    assert all(is_tied(tie.closure) for tie in ties)
+    return {name: [tie.settle(value) for tie in ties] for name, value in WAYS.items()}, [
+        tie.campaign_h for tie in ties
+    ]
+
+
+def table(found, campaigns_h):
+    """Lines of a table of what was settled, and in which time."""
+    yield "| blocks by | settled | right | hours, median | share of the first campaign, median |"
+    yield "|---|---|---|---|---|"
+    for name, ends in found.items():
+        done = [each for each in ends if each.is_settled]
+        shares = [each.hours / whole_h for each, whole_h in zip(ends, campaigns_h, strict=True)]
+        yield (
+            f"| {name} | {len(done)} of {len(ends)} | {sum(each.is_right for each in done)} of {len(done)} | "
+            f"{statistics.median(each.hours for each in ends):.1f} | {statistics.median(shares):.2f} |"
+        )
+
+
+def criteria_table(seeds):
+    """Lines of a table: how often a criterion chooses the same first block, and what its choice is worth."""
+    states = [Tie(seed).first for seed in seeds]
+    yield "| criterion per hour | same first block | entropy per hour of its block over the largest, median |"
+    yield "|---|---|---|"
+    for name, value in CRITERIA.items():
+        shares = []
+        for state in states:
+            chosen = max(state.proposals, key=lambda each, state=state: value(each, state))
+            shares.append(chosen.gain_per_h / max(each.gain_per_h for each in state.proposals))
+        same = sum(share == 1.0 for share in shares)
+        yield f"| {name} | {same} of {len(shares)} | {statistics.median(shares):.2f} |"
+
+
+@pytest.fixture(scope="module")
+def ends():
+    found, campaigns_h = settled(SEEDS)
+    print("\n" + "\n".join(table(found, campaigns_h)))
+    return found, campaigns_h
+
+
+@pytest.mark.timeout(3600)
+def test_ties_are_settled_in_a_quarter_of_a_campaign(ends):
+    found, campaigns_h = ends
+    own = found["entropy per hour"]
+    print(f"longest choice of a block: {max(each.choice_s for each in own):.1f} s of processor time")
+    assert sum(each.is_settled for each in own) >= 0.9 * len(own)
+    shares = [each.hours / whole_h for each, whole_h in zip(own, campaigns_h, strict=True)]
+    assert statistics.median(shares) <= 0.25
+    assert max(each.choice_s for each in own) <= 10.0
+
+
+@pytest.mark.xfail(reason="an ageing of another law than the candidate's is named with a drift", strict=True)
+def test_every_settled_cause_is_right(ends):
+    own = ends[0]["entropy per hour"]
+    assert all(each.is_right for each in own if each.is_settled)
+
+
+@pytest.mark.xfail(reason="where any new dwells settle a tie, short blocks of any kind do", strict=False)
+def test_other_ways_need_longer(ends):
+    own, optimal, random = (statistics.median(each.hours for each in ends[0][name]) for name in WAYS)
+    assert own <= optimal
+    assert own <= 0.5 * random
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--criteria", action="store_true")
+    lines = criteria_table(SEEDS) if parser.parse_args().criteria else table(*settled(SEEDS))
+    print("\n".join(lines))

@@ -1,4 +1,7 @@
-"""Speed and memory of whole runs and commands, and the physical limits, each in processes of its own."""
+"""Speed and memory of whole runs and commands, and the physical limits, each in a separate process.
+
+With ``GYROBENCH_BEFORE``, the path of an older version's ``gyrobench``, that version is measured beside it.
+"""
 
 import os
 import shutil
@@ -17,6 +20,8 @@ from gyrobench.bench.runs.journal import read_journal
 from tests.benchmarks.fleet_runs import PROCEDURE as SHORT_DWELLS
 
 GYROBENCH = [sys.executable, "-c", "from gyrobench.bench.cli import main; main()"]
+#: An older version to compare with; empty for none.
+BEFORE = [path] if (path := os.environ.get("GYROBENCH_BEFORE", "")) else []
 #: Samples of the simulated INS in a second.
 SAMPLE_RATE = 100
 #: Dwells of two runs whose peak memory is compared.
@@ -74,32 +79,41 @@ def limits_s(samples, frames, folder):
     }
 
 
-def row(what, value, limit=""):
-    print(f"| {what:<62} | {value:>15} | {limit:<26} |", flush=True)
+def row(what, value, before="", limit=""):
+    print(f"| {what:<62} | {before:>12} | {value:>12} | {limit:<26} |", flush=True)
+
+
+def compared(what, unit, measure, limit=""):
+    """Print a row of what ``measure(program)`` gives, with the older version and with this one."""
+    earlier = measure(BEFORE) if BEFORE else None
+    value = measure(GYROBENCH)
+    ratio = f"{value / earlier:.2f} of the older" if earlier else ""
+    before = f"{earlier:.2f} {unit}" if earlier else ""
+    row(what, f"{value:.2f} {unit}", before, "; ".join(each for each in (ratio, limit) if each))
 
 
 def test_table(tmp_path):
     """The table of docs/performance.md."""
     run("ten_minute_check", tmp_path / "warm")  # compiles the simulated INS once
     print()
-    row("what", "measured", "limit in the same run")
-    row("---", "---:", "---")
-    fig7 = tmp_path / "fig7"
-    cpu_s, peak_kb, bench_h, frames = run("six_position_fig7", fig7)
+    row("what", "this version", "older", "ratio, and limit in this run")
+    row("---", "---:", "---:", "---")
+    folders = {"".join(BEFORE): tmp_path / "before", "".join(GYROBENCH): tmp_path / "fig7"}
+    earlier = processor(*BEFORE, "run", "six_position_fig7", "--out", tmp_path / "before") if BEFORE else None
+    cpu_s, peak_kb, bench_h, frames = run("six_position_fig7", tmp_path / "fig7")
     limits = limits_s(round(bench_h * 3600 * SAMPLE_RATE), frames, tmp_path)
     floor_s = sum(limits.values())
     row(
         f"Fig. 7, {bench_h:.2f} h, {frames / 1e6:.2f} million frames, processor time",
         f"{cpu_s:.1f} s",
+        f"{earlier[0]:.1f} s" if earlier else "",
         f"{floor_s:.1f} s: {cpu_s / floor_s:.1f} times",
     )
     row("Fig. 7, times real time", f"{bench_h * 3600 / cpu_s:.0f}")
     row("Fig. 7, per frame, all parts of the run", f"{1e6 * cpu_s / frames:.2f} us")
     for name, limit_s in limits.items():
-        row(f"limit: {name}", f"{limit_s:.2f} s", f"{cpu_s / limit_s:.0f} times")
-    shift_s, _, shift_h, _ = run("three_temperature_shift", tmp_path / "shift")
-    row(f"three_temperature_shift, {shift_h:.2f} h, processor time", f"{shift_s:.1f} s")
-    row("Fig. 7, peak memory", f"{peak_kb / 1024:.0f} MB")
+        row(f"limit: {name}", f"{limit_s:.2f} s", limit=f"{cpu_s / limit_s:.0f} times")
+    row("Fig. 7, peak memory", f"{peak_kb / 1024:.0f} MB", f"{earlier[1] / 1024:.0f} MB" if earlier else "")
     quick = ("--station", "quick", "--world", "quick")
     peaks_kb = [
         run(many_dwells(tmp_path / f"{dwells}.yaml", dwells), tmp_path / str(dwells), *quick)[1]
@@ -109,15 +123,29 @@ def test_table(tmp_path):
         f"peak memory, growth from {FEW} to {MANY} dwells",
         f"{(peaks_kb[1] - peaks_kb[0]) / (MANY - FEW):.1f} kB/dwell",
     )
-    processor(*GYROBENCH, "close", fig7)
-    row("gyrobench close on Fig. 7, processor time", f"{least(*GYROBENCH, 'close', fig7):.2f} s")
-    shutil.rmtree(fig7)
-    checks_s = [run("ten_minute_check", tmp_path / f"check{number}")[0] for number in range(COMMANDS)]
-    row("gyrobench run ten_minute_check, processor time", f"{min(checks_s):.2f} s")
-    bare_s = least(sys.executable, "-c", "pass")
-    row("gyrobench --help, processor time", f"{least(*GYROBENCH, '--help'):.2f} s", f"python: {bare_s:.2f} s")
+
+    def of_run(procedure):
+        def measure(program):
+            shutil.rmtree(tmp_path / "run", ignore_errors=True)
+            return processor(*program, "run", procedure, "--out", tmp_path / "run")[0]
+
+        return measure
+
+    compared("three_temperature_shift, 7.75 h, processor time", "s", of_run("three_temperature_shift"))
+    compared("gyrobench run ten_minute_check, processor time", "s", least(of_run("ten_minute_check")))
+    compared(
+        "gyrobench close on Fig. 7, processor time", "s",
+        least(lambda program: processor(*program, "close", folders["".join(program)])[0]),
+    )  # fmt: skip
+    bare_s = least(lambda program: processor(*program, "-c", "pass")[0])([sys.executable])
+    for name in ("--help", "schema"):
+        compared(
+            f"gyrobench {name}, processor time", "s",
+            least(lambda program, option=name: processor(*program, option)[0]),
+            limit=f"python: {bare_s:.2f} s",
+        )  # fmt: skip
 
 
-def least(*command):
-    """Least processor time of a command over some calls, s."""
-    return min(processor(*command)[0] for _ in range(COMMANDS))
+def least(measure):
+    """The same measurement, repeated for its smallest value."""
+    return lambda program: min(measure(program) for _ in range(COMMANDS))

@@ -25,6 +25,8 @@ _EVEN = 2.0 * math.log(2.0)
 _NEARLY_ALL, _ALL = 98.5, 100.0
 #: Largest probability that is written, and the smallest of an effect that a sentence names.
 _WORTH_STATING = 0.005
+#: Probability from which an effect is said to explain a part.
+_LIKELY = 0.5
 
 
 def residuals_dph(closure: Closure, model: Solution) -> FloatArray:
@@ -145,13 +147,27 @@ def verdict_sentence(closure: Closure) -> str:
             present = "An effect is present" if some >= EXPLAINED else likely
             return f"{present}, but {_unsettled(closure)}" if found else _undecided(closure)
         case _:
-            verb = "explains" if len(closure.effects) == 1 else "explain"
-            part = f" {found[0].upper()}{found[1:]} {verb} only a part." if found else ""
+            part = _part(closure)
             unknown = probability_text(closure.posterior.not_on_list)
+            noise = "; more noise than stated is likelier" if closure.posterior.not_on_list < 0.5 else ""
             return (
                 "The residual exceeds the noise, and no candidate effect explains it (something that is not "
-                f"on the list: {unknown}).{part}"
+                f"on the list: {unknown}{noise}).{part}"
             )
+
+
+def _part(closure: Closure) -> str:
+    """What the effects found are beside an unexplained residual."""
+    likely = [each for each in closure.effects if each.probability >= _LIKELY]
+    other = [
+        f"{each.effect.display_name} ({probability_text(each.probability)})"
+        for each in closure.effects
+        if each not in likely
+    ]
+    names = listed([each.effect.display_name for each in likely])
+    verb = "explains" if len(likely) == 1 else "explain"
+    part = f" {names[0].upper()}{names[1:]} {verb} only a part." if names else ""
+    return part + (f" Fitted, but not probable beside what is left: {listed(other)}." if other else "")
 
 
 def _not_excluded(closure: Closure) -> str:
@@ -337,7 +353,10 @@ def tie_sentences(closure: Closure) -> list[str]:
             )
     if sentences:
         return [*sentences, closure.separating_measurement or ""]
-    return ["No other candidate of those tried fits equally well."] if closure.effects else []
+    is_alone = closure.effects and not closure.posterior.rivals(
+        [each.effect.name for each in closure.effects]
+    )
+    return ["No other candidate of those tried fits equally well."] if is_alone else []
 
 
 def missing_input_sentences(closure: Closure) -> list[str]:

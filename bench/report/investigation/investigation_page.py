@@ -15,14 +15,22 @@ from gyrobench.bench.report.closure.closure_text import verdict_sentence
 from gyrobench.bench.report.figures.style import house_style, new_figure
 from gyrobench.bench.report.investigation import investigation_text as text
 from gyrobench.bench.report.page import Findings, Section, SectionFigure, SectionTable, write_findings
+from gyrobench.bench.report.verification.verification_page import residual_bars_figure
+from gyrobench.bench.report.verification.verification_text import SIZES, UNITS, outcome_sentence, total_rows
+from gyrobench.bench.verification.compensation_verification import VerificationResult
 
 _CURVES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 _MIN_DRAWN = 0.02
 _OTHERS = {"nothing": ("nothing beside the declared model", "#888888"), "": ("not on the list", "#222222")}
 
 
-def write_investigation_page(folder: Path, found: Investigation, source: str) -> Path:
-    """Write figures and page into a folder. Raises RunFolderError if a file can't be written."""
+def write_investigation_page(
+    folder: Path, found: Investigation, source: str, proof: VerificationResult | None = None
+) -> Path:
+    """Write figures and page into a folder, with the verification of the compensation if there is one.
+
+    Raises RunFolderError if a file can't be written.
+    """
     make_folder(folder)
     first = found.stages[0].closure.campaign
     findings = Findings(
@@ -36,7 +44,7 @@ def write_investigation_page(folder: Path, found: Investigation, source: str) ->
             "blocks": f"{len(found.stages) - 1}, {found.spent_h:.1f} h",
             "verdict": f"{found.closure.verdict}: {verdict_sentence(found.closure)}",
         },
-        sections=[_story(found), *_blocks(found), *closure_sections(found.closure)],
+        sections=[_story(found), *_blocks(found), *_proof(proof), *closure_sections(found.closure)],
     )
     return write_findings(folder / "investigation.html", findings)
 
@@ -52,7 +60,8 @@ def _story(found: Investigation) -> Section:
         [
             SectionFigure(
                 "probabilities",
-                "Probability of each effect after each search, by the hours since the first table.",
+                "Probability of each effect after each search, by the hours since the first table; numbers: "
+                "the blocks of the table below.",
                 partial(probability_figure, found),
             )
         ],
@@ -94,6 +103,15 @@ def _blocks(found: Investigation) -> list[Section]:
     return sections
 
 
+def _proof(proof: VerificationResult | None) -> list[Section]:
+    if proof is None:
+        return []
+    caption = f"Remaining biases in new measurements, all plateaus, {UNITS}"
+    table = SectionTable(caption, ["compensation", *SIZES], total_rows(proof))
+    bars = SectionFigure("residuals", f"{caption}, by plateau.", partial(residual_bars_figure, proof))
+    return [Section("Compensation, before and after", [outcome_sentence(proof)], [bars], [table])]
+
+
 @house_style
 def probability_figure(found: Investigation) -> Figure:
     """Draw the probability of each effect, of nothing and of what is on no list over the hours."""
@@ -126,17 +144,13 @@ def probability_figure(found: Investigation) -> Figure:
             color=colour or next(colours, "#AAAAAA"),
         )
     axes.axhline(0.99, color="#888888", linewidth=0.8, linestyle=":")
-    for stage, after in zip(found.stages[:-1], found.stages[1:], strict=True):
-        if stage.proposal is not None:
-            middle = 0.5 * (stage.spent_h + after.spent_h)
-            axes.annotate(
-                stage.proposal.block.name,
-                (middle, 1.03),
-                ha="center",
-                fontsize=7,
-                rotation=20,
-                annotation_clip=False,
-            )
+    for number, (stage, after) in enumerate(zip(found.stages[:-1], found.stages[1:], strict=True), start=1):
+        tint = "#EEEEEE" if number % 2 else "#FAFAFA"
+        axes.axvspan(stage.spent_h, after.spent_h, color=tint, linewidth=0.0, zorder=0)
+        middle = 0.5 * (stage.spent_h + after.spent_h)
+        axes.annotate(str(number), (middle, 1.04), ha="center", fontsize=7, annotation_clip=False)
+    if found.spent_h > 0.5 * found.repeated_campaign_h:
+        axes.axvline(found.repeated_campaign_h, color="#888888", linewidth=0.8, label="campaign repeated")
     axes.set(xlabel="hours on the bench since the first table", ylabel="probability", ylim=(-0.02, 1.02))
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure

@@ -10,13 +10,16 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from gyrobench.bench.calibration.estimator import MIN_P_VALUE, Calibration
+from gyrobench.bench.calibration.recording import SensorNoise
 from gyrobench.bench.calibration.results import (
     NOT_OBSERVABLE,
     CoefficientRow,
     coefficient_rows,
+    forecast_rows,
     rest_rates,
     strongest_correlations,
 )
+from gyrobench.bench.calibration.rotation_list import Forecast, RotationList
 from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, RADPS_TO_DPH, UG_PER_SQRT_HZ_TO_SI
 from gyrobench.bench.foundations.text import counted, decimals_of, listed, plain_name
 from gyrobench.bench.navigation.earth import earth_rate_enu
@@ -38,6 +41,31 @@ def calibration_summary(calibration: Calibration, site: Site) -> RenderableType:
         Text(),
         topics(_topics(calibration, site)),
     )
+
+
+def forecast_summary(rotations: RotationList, expected: Forecast, noise: SensorNoise) -> RenderableType:
+    """What a calibration over a list of rotations will know of each coefficient."""
+    rows = [
+        (
+            plain_name(row["coefficient"]),
+            row["axis"],
+            row["unit"],
+            NOT_OBSERVABLE if row["sigma"] is None else f"{row['sigma']:.{decimals_of(row['sigma'])}f}",
+        )
+        for row in forecast_rows(expected)
+    ]
+    title = (
+        f"{rotations.rotation_list}: {counted(len(rotations.rotations), 'rotation')} in "
+        f"{expected.duration_s / 60.0:.0f} min, expected uncertainties"
+    )
+    walk = noise.angle_random_walk[0] / DEG_PER_SQRT_H_TO_SI
+    velocity_walk = noise.velocity_random_walk[0] / UG_PER_SQRT_HZ_TO_SI
+    basis = (
+        f"Noise: angle random walk {walk:.2g} deg/sqrt(h), velocity random walk {velocity_walk:.2g} "
+        f"ug/sqrt(Hz), velocity at rest {1e3 * noise.white_velocity[0]:.2g} mm/s at 1 Hz."
+    )
+    headers = ("Coefficient", "Axis", "Unit", "Standard uncertainty")
+    return Group(Text(title, style="bold"), plain_table(headers, 3, rows, fold=False), Text(), Text(basis))
 
 
 def _cells(row: CoefficientRow) -> tuple[str, ...]:

@@ -83,6 +83,22 @@ def test_what_the_data_leave_open_is_no_number(tmp_path):
     assert "the unit was not turned" in " ".join(text.split())
 
 
+def test_quiet_stretches_of_a_disturbed_record_give_the_earth_rate(tmp_path):
+    write_log(tmp_path, unit(rotations=(), dwell_s=1847.0))
+    table = np.loadtxt(tmp_path / "log.csv", delimiter=",", skiprows=1)
+    for begin, column in ((8000, 1), (15000, 2), (27000, 3)):
+        table[begin : begin + 600, column] += 300.0 * np.sin(0.9 * np.arange(600))
+    np.savetxt(tmp_path / "log.csv", table, "%.12g", ",", header="t,gx,gy,gz,ax,ay,az", comments="")
+    record = json.loads(gyrobench("calibrate", "log.csv", "--map", "map.yaml", "--json", cwd=tmp_path).stdout)
+    assert [turn["kind"] for turn in record["rotations"]] == ["disturbance"] * 3
+    assert len(record["rests"]) == 4
+    assert sum(rest["duration_s"] for rest in record["rests"]) > 1847.0 - 3 * 35.0
+    for rest in record["rests"]:
+        assert abs(rest["up_rate_dph"] - record["earth_rate_up_dph"]) < 4.0 * rest["up_sigma_dph"] + 0.001
+    walk = np.array(record["noise"]["angle_random_walk_deg_per_sqrt_h"])
+    assert walk == pytest.approx(0.0006, rel=0.3)
+
+
 def test_missing_samples_divide_the_log(tmp_path):
     write_log(tmp_path, unit(rotations=(), dwell_s=200.0))
     lines = (tmp_path / "log.csv").read_text().splitlines()
@@ -115,3 +131,17 @@ def test_a_measured_pair_at_rest_gives_the_earth_rate_and_says_what_it_does_not_
     assert abs(half_sum - record["earth_rate_up_dph"]) < 3.0 * up["up_sigma_dph"]
     assert all(row["finding"] for row in record["coefficients"] if row["coefficient"] == "gyro_scale_factor")
     assert record["fit"]["p_value"] > 1e-3
+
+
+def test_plan_shows_what_a_list_of_rotations_will_show(tmp_path):
+    result = gyrobench("plan", "outer_axis", "--observability", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert "outer_axis: 8 rotations in 24 min" in result.stdout
+    assert "not observable" in result.stdout
+    record = json.loads(gyrobench("plan", "outer_axis", "--observability", "--json", cwd=tmp_path).stdout)
+    sigmas = {(row["coefficient"], row["axis"]): row["sigma"] for row in record["coefficients"]}
+    assert sigmas["gyro_scale_factor", "x"] < 0.6
+    assert sigmas["gyro_scale_factor", "z"] is None
+    refused = gyrobench("plan", "outer_axi", "--observability", cwd=tmp_path)
+    assert refused.returncode == 2
+    assert "Shipped rotations: eighteen_rotations" in " ".join(refused.stderr.split())

@@ -1,11 +1,14 @@
 """A user's effect in YAML, on the emulated bench: found, and loaded into the INS as far as it has terms."""
 
+import json
+
 import numpy as np
 import pytest
 
 from gyrobench.bench.closure.loadable_model import declared_model, model_with_effects
 from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.dwells.closure_inputs import read_campaign
+from gyrobench.bench.runs.compensation_file import read_compensation
 from tests.bench.closure.campaigns import EFFECTS, run_campaign
 from tests.bench.command_line import gyrobench
 from tests.docs.pages import DOCS, blocks
@@ -20,6 +23,10 @@ def test_it_is_found_by_its_file_alone_and_verified(tmp_path):
     (tmp_path / "effects").mkdir()
     (tmp_path / "effects" / "loose_clamp.yaml").write_text(block.text)
 
+    closed = gyrobench("close", str(run.path), cwd=tmp_path)
+    assert closed.returncode == 0, closed.stderr
+    [written] = json.loads((run.path / "closure" / "closure.json").read_text())["effects"]
+    assert written["effect"] == "loose_clamp"
     closure = close_loop(read_campaign(run.path))
     [found] = closure.effects
     assert found.effect.name == "loose_clamp"
@@ -38,4 +45,6 @@ def test_it_is_found_by_its_file_alone_and_verified(tmp_path):
         run.path / "verify" / "comparison.csv", delimiter=",", names=True, dtype=None, encoding="utf-8"
     )
     over_all = {row["compensation"]: row["bias_rms_dph"] for row in table if row["stop"] == 0}
+    loaded = read_compensation(run.path / "verify" / "effect" / "compensation.yaml")
+    assert loaded.sigma["polynomial_dph"].shape == (3, 6)
     assert over_all["effect"] < over_all["declared"] < over_all["none"]

@@ -1,0 +1,207 @@
+"""Rotation lists, and what a calibration over one will know of each coefficient.
+
+The unit rests, is turned about an axis of the table, rests, and so on. Ideal increments of that motion give
+the responses, and these, whitened by the expected noise, the Fisher information: no measurement is needed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from gyrobench.bench.bias.noise_model import NoiseModel
+from gyrobench.bench.calibration.coefficients import COUNT
+from gyrobench.bench.calibration.estimator import (
+    EPOCH_S,
+    CalibrationOptions,
+    Information,
+    columns_of,
+    side_by_side,
+)
+from gyrobench.bench.calibration.recording import SensorNoise
+from gyrobench.bench.calibration.strapdown import integrate
+from gyrobench.bench.calibration.whitening import white_rows
+from gyrobench.bench.foundations.arrays import (
+    DEG_PER_SQRT_H_TO_SI,
+    UG_PER_SQRT_HZ_TO_SI,
+    BoolArray,
+    FloatArray,
+)
+from gyrobench.bench.foundations.documents import StrictModel, read_document, validate
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vectors
+from gyrobench.bench.navigation.earth import earth_rate_enu
+from gyrobench.bench.navigation.error_model import Site
+from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.navigation.table_axes import Angles, TwoAxisTable
+
+PositionName = Literal["z_up", "z_down", "y_up", "y_down", "x_up", "x_down"]
+
+#: Time between two ideal increments, s, and the time in which an axis reaches its rate.
+_STEP_S, _RAMP_S = 0.05, 1.0
+_WHOLE_TURN_DEG = 360.0
+#: Noise of the velocity at rest, m/s; angle and velocity random walk of a typical unit, SI, and that noise.
+_MIN_WHITE_VELOCITY = 1e-3
+_TYPICAL = (0.0006 * DEG_PER_SQRT_H_TO_SI, 5.0 * UG_PER_SQRT_HZ_TO_SI, _MIN_WHITE_VELOCITY)
+
+
+class TableRotation(StrictModel):
+    """One rotation about an axis of the table."""
+
+    axis: Literal["outer", "inner"] = Field(
+        description="axis of the table; the outer one carries the inner one"
+    )
+    angle_deg: float = Field(ge=-36000.0, le=36000.0, description="angle; whole turns are multiples of 360")
+    rate_dps: float | None = Field(
+        default=None, gt=0.0, le=1000.0, description="rate, deg/s; default: that of the list"
+    )
+
+
+class RotationList(StrictModel):
+    """A list of rotations with rests before, between and after them."""
+
+    rotation_list: str = Field(min_length=1, description="name")
+    description: str = Field(default="", description="purpose, free text")
+    start: PositionName = Field(default="z_up", description="position of the first rest, at azimuth 0")
+    dwell_s: float = Field(ge=5.0, le=86400.0, description="length of each rest, s")
+    rate_dps: float = Field(gt=0.0, le=1000.0, description="rate of the rotations, deg/s")
+    rotations: list[TableRotation] = Field(min_length=1, max_length=500, description="in their order")
+
+    def seconds(self, rotation: TableRotation) -> float:
+        """Time that a rotation takes."""
+        return abs(rotation.angle_deg) / (rotation.rate_dps or self.rate_dps) + _RAMP_S
+
+    @property
+    def duration_s(self) -> float:
+        """Length of the list from the first rest to the last."""
+        return (len(self.rotations) + 1) * self.dwell_s + sum(map(self.seconds, self.rotations))
+
+
+def load_rotation_list(path: Path) -> RotationList:
+    """Read a rotation list. Raises DocumentError, which lists everything that is wrong with it."""
+    return validate(read_document(path), RotationList)
+
+
+def expected_noise(declared: NoiseModel | None) -> SensorNoise:
+    """Noise of a unit as its station declares it; of a navigation-grade unit where it is to be estimated.
+
+    The velocity at rest counts with at least 1 mm/s, for vibration of the table.
+    """
+    walk, velocity_walk, white = (
+        _TYPICAL
+        if declared is None
+        else (declared.angle_random_walk, declared.velocity_random_walk, declared.velocity_white)
+    )
+    white = max(white, _MIN_WHITE_VELOCITY)
+    return SensorNoise(np.full(3, walk), np.zeros(3), np.full(3, velocity_walk), np.full(3, white))
+
+
+@dataclass(frozen=True, eq=False)
+class Forecast:
+    """What a calibration over a list of rotations will know."""
+
+    duration_s: float
+    sigmas: (
+        FloatArray  #: Shape (21,). Expected standard uncertainties, SI; without meaning where not observed.
+    )
+    is_observed: BoolArray  #: Shape (21,).
+
+
+def forecast(
+    rotations: RotationList,
+    table: TwoAxisTable,
+    site: Site,
+    noise: SensorNoise,
+    max_rate_dps: float,
+    whole_turns: float | None = None,
+) -> Forecast:
+    """Expected uncertainties by Fisher information.
+
+    ``max_rate_dps``: limit of the table. ``whole_turns``: standard uncertainty, rad, of its return after
+    whole turns. Raises DocumentError if the table can't do the rotations.
+    """
+    start = table.angles(POSITIONS[rotations.start].C_nb())
+    _check(rotations, table, start, max_rate_dps)
+    attitude, at_rest, spins = _motion(rotations, table, start)
+    angle, velocity = _ideal_increments(attitude, site)
+    size = round(EPOCH_S / _STEP_S)
+    ends = np.arange(size, len(angle) + 1, size, dtype=np.int64)
+    trajectory = integrate(angle, velocity, _STEP_S, ends, attitude[0], site.latitude, site.gravity)
+    turns = [(first // size, -(-last // size)) for first, last in spins]
+    part = white_rows(
+        trajectory,
+        np.full(len(ends), EPOCH_S),
+        at_rest[ends],
+        turns if whole_turns is not None else [],
+        noise,
+        site.latitude,
+        whole_turns or 0.0,
+    )
+    used = columns_of(CalibrationOptions())
+    blocks = side_by_side([part], np.zeros(COUNT + 10), used)
+    _, covariance, is_observed = Information.of(blocks, used).solve()
+    return Forecast(rotations.duration_s, np.sqrt(np.diag(covariance))[:COUNT], is_observed[:COUNT])
+
+
+def _check(rotations: RotationList, table: TwoAxisTable, start: Angles, max_rate_dps: float) -> None:
+    angles = dict(zip(("outer", "inner"), start, strict=True))
+    limits = {"outer": table.outer_limits_deg, "inner": table.inner_limits_deg}
+    for number, rotation in enumerate(rotations.rotations, 1):
+        name = f"{rotations.rotation_list}: rotation {number} ({rotation.axis} {rotation.angle_deg:+g} deg)"
+        rate_dps = rotation.rate_dps or rotations.rate_dps
+        if rate_dps > max_rate_dps:
+            raise DocumentError(f"{name}: {rate_dps:g} deg/s; the table turns at most {max_rate_dps:g} deg/s")
+        angles[rotation.axis] += rotation.angle_deg
+        low, high = limits[rotation.axis]
+        if not low <= angles[rotation.axis] <= high:
+            raise DocumentError(
+                f"{name} leads to {angles[rotation.axis]:g} deg; the limits of that axis are {low:g} "
+                f"to {high:g} deg. Turn it the other way, or begin in another position"
+            )
+
+
+def _motion(
+    rotations: RotationList, table: TwoAxisTable, start: Angles
+) -> tuple[FloatArray, BoolArray, list[tuple[int, int]]]:
+    """Attitudes (n, 3, 3) at the edges of increments, which of them rest, and edges around whole turns."""
+    rest = round(rotations.dwell_s / _STEP_S)
+    angles = {"outer": [np.full(rest + 1, start[0])], "inner": [np.full(rest + 1, start[1])]}
+    resting, spins, count = [np.ones(rest + 1, bool)], [], rest + 1
+    for rotation in rotations.rotations:
+        steps = round(rotations.seconds(rotation) / _STEP_S)
+        time_s = _STEP_S * np.arange(1.0, steps + 1.0)
+        moved = rotation.angle_deg * _course(time_s, steps * _STEP_S)
+        for axis, parts in angles.items():
+            now = parts[-1][-1]
+            way = now + moved if axis == rotation.axis else np.full(steps, now)
+            parts += [way, np.full(rest, way[-1])]
+        resting += [np.zeros(steps, bool), np.ones(rest, bool)]
+        if rotation.angle_deg and rotation.angle_deg % _WHOLE_TURN_DEG == 0.0:
+            spins.append((count - 1, count - 1 + steps))
+        count += steps + rest
+    outer, inner = (np.deg2rad(np.concatenate(angles[axis])) for axis in ("outer", "inner"))
+    turned = (
+        rotation_matrices(outer[:, np.newaxis] * table.outer_axis_enu)
+        @ rotation_matrices(inner[:, np.newaxis] * table.inner_axis_enu)
+        @ table.C_mount
+    )
+    return turned, np.concatenate(resting), spins
+
+
+def _course(time_s: FloatArray, duration_s: float) -> FloatArray:
+    """Share of the way with a constant acceleration at both ends."""
+    rate = 1.0 / (duration_s - _RAMP_S)
+    early, late = np.minimum(time_s, _RAMP_S), np.minimum(duration_s - time_s, _RAMP_S)
+    started = 0.5 * rate * early**2 / _RAMP_S + rate * (time_s - early)
+    return np.asarray(started - 0.5 * rate * (_RAMP_S - late) ** 2 / _RAMP_S)
+
+
+def _ideal_increments(attitude: FloatArray, site: Site) -> tuple[FloatArray, FloatArray]:
+    earth = rotation_matrices(earth_rate_enu(site.latitude) * _STEP_S)
+    before, after = attitude[:-1], attitude[1:]
+    angle = rotation_vectors(before.transpose(0, 2, 1) @ earth @ after)
+    return angle, 0.5 * site.gravity * _STEP_S * (before[:, 2] + after[:, 2])

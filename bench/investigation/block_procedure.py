@@ -1,0 +1,134 @@
+"""A block of measurements as a procedure: its file, and its times by the planner."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from gyrobench.bench.foundations.documents import Document, parse_document
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.investigation.blocks import Block
+from gyrobench.bench.investigation.external_bench import AnyStep, BlockPlan, ChamberStep, DwellStep, PowerStep
+from gyrobench.bench.procedure.plan import Plan, PlannedStep
+from gyrobench.bench.procedure.steps import GoTo, Navigate, PowerOn
+
+#: A unit that is off for less is switched off and on by the power-on itself.
+SHORTLY_S = 30.0
+_SETTLE_S = 60.0
+
+#: Plans a document that starts from the state of a block; raises DocumentError if the bench can't run it.
+Planner = Callable[[Document, BlockPlan], Plan]
+
+
+@dataclass(frozen=True)
+class DwellPattern:
+    """How a campaign measures a dwell; blocks measure theirs alike."""
+
+    go_to: dict[str, Any]  #: Keys of the step that goes to the position, without position and azimuth.
+    steps: tuple[PlannedStep, ...]  #: The steps of one dwell.
+    length_s: float  #: From its first navigation to the end of its last one.
+    settle_s: float  #: Wait after a power-on.
+
+    @classmethod
+    def of(cls, plan: Plan) -> DwellPattern:
+        """The most frequent dwell of a plan. Raises DocumentError if it has none that measures a bias."""
+        measuring = [each for each in plan.steps if each.dwell and not each.is_calibration_check]
+        if not measuring:
+            raise DocumentError(f"{plan.procedure.procedure}: has no dwells that blocks could repeat")
+        dwells = [tuple(steps) for _, steps in groupby(measuring, key=lambda each: each.dwell)]
+        texts = [json.dumps([_entry(each) for each in steps]) for steps in dwells]
+        chosen = dwells[texts.index(Counter(texts).most_common(1)[0][0])]
+        navigations = _navigations(chosen)
+        goes = [each.step for each in plan.steps[: chosen[0].number] if isinstance(each.step, GoTo)]
+        ons = [each.step.settle_s for each in plan.steps if isinstance(each.step, PowerOn)]
+        return cls(
+            goes[-1].model_dump(exclude={"position", "azimuth_deg"}, exclude_unset=True) if goes else {},
+            chosen,
+            navigations[-1].end_s - navigations[0].start_s,
+            ons[0] if ons else _SETTLE_S,
+        )
+
+    def entries(self, step: DwellStep) -> Iterator[dict[str, Any]]:
+        """Steps of a dwell as in a procedure file, its navigations longer if it is."""
+        yield {"go_to": {"position": step.position, "azimuth_deg": step.azimuth_deg, **self.go_to}}
+        longer = max((step.end_s - step.start_s) / self.length_s, 1.0)
+        for planned in self.steps:
+            entry = _entry(planned)
+            if isinstance(planned.step, Navigate) and longer > 1.2:
+                keys = entry["navigate"]
+                for key in {"duration_s", "at_most_s"} & keys.keys():
+                    keys[key] = round(longer * keys[key])
+            yield entry
+
+
+@dataclass(frozen=True)
+class BlockProcedure:
+    """A block as a procedure file."""
+
+    text: str  #: YAML.
+    counts: tuple[int, ...]  #: How many of its steps each step of the block became.
+
+    def timed(self, block: Block, plan: Planner) -> Block:
+        """The block with the times of the planner. Raises DocumentError if the bench can't run it."""
+        planned = plan(parse_document(self.text, Path(f"{block.name}.yaml")), block.plan)
+        steps, first, now_s = list[AnyStep](), 0, 0.0
+        for step, count in zip(block.plan.steps, self.counts, strict=True):
+            mine = planned.steps[first : first + count]
+            first += count
+            begin_s, now_s = now_s, mine[-1].end_s if mine else now_s
+            ends_s = begin_s, now_s
+            if isinstance(step, DwellStep):
+                navigations = _navigations(mine)
+                ends_s = navigations[0].start_s, navigations[-1].end_s
+            start_s, end_s = (block.plan.start_s + each for each in ends_s)
+            steps.append(step.model_copy(update={"start_s": start_s, "end_s": end_s}))
+        return replace(block, plan=block.plan.model_copy(update={"steps": steps}))
+
+
+def block_procedure(plan: BlockPlan, pattern: DwellPattern) -> BlockProcedure:
+    """Write a block as a procedure. Raises DocumentError if no procedure can do it."""
+    entries, counts, is_on = list[Any](), list[int](), False
+    for step in plan.steps:
+        new = list(_entries(step, pattern, is_on))
+        is_on = step.on if isinstance(step, PowerStep) else is_on
+        entries += new
+        counts.append(len(new))
+    content = {
+        "procedure": f"cycle_{plan.next_cycle}",
+        "description": "Block of an investigation, as its plan.json says.",
+        "steps": [{"repeat": {"over": {"cycle": [plan.next_cycle]}, "steps": entries}}],
+    }
+    return BlockProcedure(yaml.safe_dump(content, sort_keys=False, default_flow_style=None), tuple(counts))
+
+
+def _entries(step: AnyStep, pattern: DwellPattern, is_on: bool) -> Iterator[Any]:
+    duration_s = round(step.end_s - step.start_s)
+    if isinstance(step, DwellStep):
+        yield from pattern.entries(step)
+    elif isinstance(step, ChamberStep):
+        rate_c_per_min = round(step.ramp_c_per_h / 60.0, 4)
+        yield {"chamber": {"temperature_c": round(step.to_c, 3), "ramp_c_per_min": rate_c_per_min}}
+    elif not isinstance(step, PowerStep):
+        yield {"soak": {"for_s": duration_s}}
+    elif (step.factor or 1.0) != 1.0:
+        raise DocumentError("no step of a procedure changes the dissipation of the unit")
+    elif step.on and not is_on:
+        yield {"power_on": {"settle_s": pattern.settle_s}}
+    elif not step.on and duration_s > SHORTLY_S:
+        yield "power_off"
+        yield {"wait": {"duration_s": duration_s}}
+
+
+def _entry(planned: PlannedStep) -> dict[str, Any]:
+    return {planned.step.name: planned.step.model_dump(mode="json", exclude_unset=True)}
+
+
+def _navigations(steps: Sequence[PlannedStep]) -> list[PlannedStep]:
+    return [each for each in steps if isinstance(each.step, Navigate)]

@@ -1,0 +1,77 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.investigation.blocks import catalogue
+from gyrobench.bench.investigation.forecast import Forecast
+from gyrobench.bench.investigation.investigation import rivals_of, searched
+from gyrobench.bench.investigation.proposal import outcome_of, propose
+from tests.bench.investigation.simulated_bench import first_campaign, simulate
+
+UNIT = {"unit": "S1", "seed": 4, "effects": {"g_sensitivity": 0.004}}
+UNIT["steps"] = first_campaign([45.0, 10.0, -20.0])
+
+
+@pytest.fixture(scope="module")
+def rows():
+    return simulate(UNIT)
+
+
+@pytest.fixture(scope="module")
+def closure(rows):
+    return searched(campaign_of(rows), [2])
+
+
+def test_an_effect_whose_input_only_a_block_has_is_predicted_for_that_block(rows, closure):
+    gravity, magnetic = (
+        next(each for each in rivals_of(closure) if each.names == (name,))
+        for name in ("g_sensitivity", "magnetic_sensitivity")
+    )
+    assert [each.name for each in magnetic.unfitted] == ["magnetic_sensitivity"]
+    pair = [replace(gravity, probability=0.5), replace(magnetic, probability=0.5)]
+    found = {each.block.name: each for each in propose(Forecast(rows), pair, closure.noise_scale)}
+    headings, cycle = found["four headings"], found["power cycle"]
+    assert cycle.expected_entropy == pytest.approx(cycle.entropy, abs=1e-6)
+    assert headings.expected_entropy < headings.entropy - 0.05
+    assert np.allclose(cycle.predictions[0].mean_dph, cycle.predictions[1].mean_dph)
+
+
+def test_a_kind_that_was_measured_is_worth_half_of_what_is_expected(rows, closure):
+    rivals, forecast = rivals_of(closure), Forecast(rows)
+    before = {each.block.name: each for each in propose(forecast, rivals, 1.0)}
+    measured = [("four headings",), ("power cycle", "four headings")]
+    for name, each in {
+        each.block.name: each for each in propose(forecast, rivals, 1.0, measured=measured)
+    }.items():
+        if name in ("four headings", "power cycle", "slow ramp"):
+            repeats = {"four headings": 2, "power cycle": 1}.get(name, 0)
+            assert each.gain_per_h == pytest.approx(before[name].gain_per_h * 0.5**repeats)
+
+
+def test_an_effect_whose_input_the_new_dwells_lack_is_predicted_with_its_size_as_scatter(rows):
+    unit = UNIT | {"effects": {"thermal_gradient": 0.01}}
+    warm = simulate(unit)
+    closure = searched(campaign_of(warm), [2])
+    rival = next(each for each in rivals_of(closure) if "thermal_gradient" in each.names)
+    forecast = Forecast([replace(row, board_c=(np.nan,) * 3, case_c=np.nan) for row in warm])
+    proposal = next(
+        each
+        for each in propose(forecast, [replace(rival, probability=1.0)], closure.noise_scale)
+        if each.block.name == "four headings"
+    )
+    assert np.isfinite(proposal.predictions[0].covariance).all()
+
+
+def test_new_dwells_without_electronics_are_compared_with_those_forecast(rows, closure):
+    steps = next(each.plan for each in catalogue(rows) if each.name == "hot, six positions").steps
+    new = simulate(UNIT | {"steps": UNIT["steps"] + [step.model_dump() for step in steps]})[len(rows) :]
+    forecast, rivals = Forecast(rows), rivals_of(closure)
+    proposal = next(
+        each for each in propose(forecast, rivals, 1.0) if each.block.name == "hot, six positions"
+    )
+    bare = [replace(row, board_c=(np.nan,) * 3) for row in new]
+    outcome = outcome_of(forecast, proposal, bare, rivals, closure.noise_scale)
+    assert np.isfinite(outcome.error_dph).all()
+    assert sum(outcome.probabilities) == pytest.approx(1.0)
