@@ -27,6 +27,7 @@ from gyrobench.bench.foundations.errors import (
 )
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.navigation.table_axes import Angles, TurnOrMove
+from gyrobench.bench.procedure.rotations import RotatingStep
 from gyrobench.bench.procedure.steps import (
     Align,
     AskOperator,
@@ -36,7 +37,6 @@ from gyrobench.bench.procedure.steps import (
     Navigate,
     PowerOff,
     PowerOn,
-    RotatingStep,
     Soak,
     Step,
     Turn,

@@ -13,6 +13,7 @@ from gyrobench.bench.foundations.documents import Document, Location, Problem
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.navigation.table_axes import TurnOrMove, turn_text
 from gyrobench.bench.procedure.plan import Plan, PlannedStep, turn_steps_after, turns_of
+from gyrobench.bench.procedure.rotations import RotatingStep, Spin
 from gyrobench.bench.procedure.steps import (
     MIN_NAVIGATION_S,
     Align,
@@ -20,9 +21,7 @@ from gyrobench.bench.procedure.steps import (
     GoTo,
     Navigate,
     PowerOn,
-    RotatingStep,
     Soak,
-    Spin,
     Turn,
     Wait,
 )

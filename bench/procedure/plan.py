@@ -12,17 +12,8 @@ from gyrobench.bench.foundations.documents import Document, Location
 from gyrobench.bench.navigation.table_axes import TurnOrMove
 from gyrobench.bench.procedure.estimate import BenchEstimate
 from gyrobench.bench.procedure.procedure_file import Procedure, ResolvedStep, resolve
-from gyrobench.bench.procedure.steps import (
-    Align,
-    GoTo,
-    Navigate,
-    Rotate,
-    RotatingStep,
-    Spin,
-    Step,
-    Turn,
-    Wait,
-)
+from gyrobench.bench.procedure.rotations import Rotate, RotatingStep, Spin
+from gyrobench.bench.procedure.steps import Align, GoTo, Navigate, Step, Turn, Wait
 
 
 class Phase(StrEnum):

@@ -5,8 +5,9 @@ from pydantic import ValidationError
 
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.procedure.estimate import BenchEstimate, ThermalEstimate
+from gyrobench.bench.procedure.procedure_file import STEP_KINDS
+from gyrobench.bench.procedure.rotations import Rotate, Rotation, Spin
 from gyrobench.bench.procedure.steps import (
-    STEP_KINDS,
     Align,
     AskOperator,
     Chamber,
@@ -15,10 +16,7 @@ from gyrobench.bench.procedure.steps import (
     Navigate,
     PowerOff,
     PowerOn,
-    Rotate,
-    Rotation,
     Soak,
-    Spin,
     Step,
     Turn,
     Until,
