@@ -23,8 +23,8 @@ from gyrobench.bench.foundations.documents import Document, Schema, StrictModel,
 from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError
 from gyrobench.bench.foundations.shipped import shipped_folders
 from gyrobench.bench.investigation.external_bench import BlockPlan
-from gyrobench.bench.procedure.procedure_file import VARIABLE_PATTERN, Procedure, Repeat
-from gyrobench.bench.procedure.steps import STEP_KINDS, Step
+from gyrobench.bench.procedure.procedure_file import STEP_KINDS, VARIABLE_PATTERN, Procedure, Repeat
+from gyrobench.bench.procedure.steps import Step
 from gyrobench.bench.runs.compensation_file import CompensationFile
 from gyrobench.bench.station.station_file import StationFile
 

@@ -28,8 +28,8 @@ from gyrobench.bench.closure.effects.effect_file import EffectFile
 from gyrobench.bench.foundations.documents import Schema, parse_document, read_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import TEMPLATES, find_document
-from gyrobench.bench.procedure.procedure_file import checked_procedure, resolve
-from gyrobench.bench.procedure.steps import STEP_KINDS, Step
+from gyrobench.bench.procedure.procedure_file import STEP_KINDS, checked_procedure, resolve
+from gyrobench.bench.procedure.steps import Step
 from gyrobench.bench.station.station_file import StationFile
 
 _WIDTH = 100

@@ -33,6 +33,7 @@ from gyrobench.bench.dwells.temperatures import (
 )
 from gyrobench.bench.foundations.arrays import UG_TO_MPS2, BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError, SignalMapError
+from gyrobench.bench.navigation.earth import earth_rate_enu
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.navigation.table_axes import TwoAxisTable
@@ -200,13 +201,21 @@ def estimate_dwell(
 
 
 def _estimate(dwell: Dwell, setup: MeasurementSetup, noise: NoiseModel) -> StateSpaceEstimate:
-    """Biases with the latitude as well known as declared, unless another one alone explains the dwell."""
+    """Biases with the latitude as declared, unless another alone explains what would be flagged.
+
+    All dwells of a run decide on the latitude: until then the vertical bias is uncertain by its whole error.
+    """
     estimate = estimate_state_space(dwell, setup.site, noise, setup.prior)
     error, prior = abs(estimate.latitude_error), setup.prior
-    if not exceeds_declared(error, estimate.latitude_sigma, prior.latitude):
+    is_sound = not (_doubts(estimate) or _step(estimate))
+    if is_sound or not exceeds_declared(error, estimate.latitude_sigma, prior.latitude):
         return estimate
     other = estimate_state_space(dwell, setup.site, noise, replace(prior, latitude=error))
-    return estimate if _doubts(other) or _step(other) else other
+    if _doubts(other) or _step(other):
+        return estimate
+    _, north_rate, _ = earth_rate_enu(setup.site.latitude)
+    up_radps = error * north_rate * dwell.windows[0].C_nb[0, 2]
+    return replace(other, covariance=other.covariance + np.outer(up_radps, up_radps))
 
 
 def _step(estimate: StateSpaceEstimate) -> BiasStep | None:

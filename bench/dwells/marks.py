@@ -69,6 +69,8 @@ class DwellMarks:
     #: Whether it checks a calibration: one window straight from the alignment.
     is_calibration_check: bool = False
     align_s: float = 0.0  #: How long the alignment took.
+    #: Whether the unit was rotated about the table's axes between the windows: it gives no bias by itself.
+    is_rotated: bool = False
     #: What went wrong while it lasted; a disturbed dwell is kept out of the bins.
     disturbances: tuple[str, ...] = ()
 
@@ -81,6 +83,8 @@ class DwellMarks:
         """Plain data for the journal."""
         data = asdict(self)
         data[_CHECK_IN_JOURNAL] = data.pop("is_calibration_check")
+        if not self.is_rotated:
+            del data["is_rotated"]
         return data
 
     @classmethod
@@ -93,7 +97,7 @@ class DwellMarks:
                 f"{'.'.join(map(str, each['loc']))}: {each['msg']}" for each in error.errors()
             )
             raise RunFolderError(f"damaged marks of a dwell: {problems}") from error
-        lacking = [each.name for each in fields(cls) if each.name not in _named(data)]
+        lacking = {each.name for each in fields(cls)} - {"is_rotated"} - set(_named(data))
         ends = [frame for window in marks.windows for frame in (window.first_frame, window.end_frame)]
         if lacking or marks.position not in POSITIONS or min(ends, default=0) < 0 or ends != sorted(ends):
             raise RunFolderError(

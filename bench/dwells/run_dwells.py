@@ -61,7 +61,7 @@ def replay(folder: RunFolder, setup: MeasurementSetup) -> tuple[list[MeasuredDwe
 
 
 def _recorded(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:
-    finished = finished_marks(folder)
+    finished = [marks for marks in finished_marks(folder) if not marks.is_rotated]
     parts = [marks.log_part for marks in finished if marks.windows]
     if len(set(parts)) < len(parts):
         raise RunFolderError(f"{folder.journal}: damaged: it places two dwells in one part of the log")
@@ -242,7 +242,7 @@ def planned_dwells(plan: Plan) -> list[PlannedDwell]:
     """Dwells of a plan that measure biases, in order, at the temperatures estimated for their beginning."""
     first: dict[int, PlannedStep] = {}
     for step in plan.steps:
-        if step.dwell is not None and not step.is_calibration_check:
+        if step.dwell is not None and not (step.is_calibration_check or step.is_rotated):
             first.setdefault(step.dwell, step)
     return [
         PlannedDwell(

@@ -26,7 +26,8 @@ from gyrobench.bench.foundations.errors import (
     RunStoppedError,
 )
 from gyrobench.bench.navigation.positions import POSITIONS
-from gyrobench.bench.navigation.table_axes import Angles
+from gyrobench.bench.navigation.table_axes import Angles, TurnOrMove
+from gyrobench.bench.procedure.rotations import RotatingStep
 from gyrobench.bench.procedure.steps import (
     Align,
     AskOperator,
@@ -71,7 +72,7 @@ class StepContext:
         self.recorder = recorder
         self.retries = 0  #: How often a failed exchange is tried again in the step in progress.
         #: The turns until the next position: the table is positioned so that they stay within its limits.
-        self.next_turns_deg: Sequence[float] = ()
+        self.next_turns_deg: Sequence[TurnOrMove] = ()
 
 
 @singledispatch
@@ -190,6 +191,16 @@ def _align(step: Align, context: StepContext) -> Ticks:
 
 @perform.register
 def _navigate(step: Navigate, context: StepContext) -> Ticks:
+    yield from _navigation_begun(context)
+    yield from _table_read(context)
+    context.recorder.begin_window()
+    yield from _navigating(step, context)
+    yield from _table_read(context)
+    context.recorder.end_window()
+
+
+def _navigation_begun(context: StepContext) -> Ticks:
+    """Let the INS navigate; that it has stopped since the last window disturbs the dwell."""
     instruments = context.bench.instruments
     status = context.bench.ins_status()
     if status.mode is not InsMode.NAVIGATE and context.recorder.has_window:
@@ -200,11 +211,6 @@ def _navigate(step: Navigate, context: StepContext) -> Ticks:
                 "the INS has not aligned, so it can't navigate. Increase the duration of align."
             )
         yield from tried(context, lambda: instruments.ins.navigate())
-    yield from _table_read(context)
-    context.recorder.begin_window()
-    yield from _navigating(step, context)
-    yield from _table_read(context)
-    context.recorder.end_window()
 
 
 def _navigating(step: Navigate, context: StepContext) -> Ticks:
@@ -241,6 +247,31 @@ def _turn(step: Turn, context: StepContext) -> Ticks:
     context.recorder.end_turn()
     state.position_reached(state.at.position, state.at.azimuth_deg + step.angle_deg)
     yield from _lasting(context.bench, step.settle_s)
+
+
+@perform.register
+def _rotating(step: RotatingStep, context: StepContext) -> Ticks:
+    """Rest, and rest again after each rotation; the encoders are read at the begin of each rest."""
+    bench = context.bench
+    yield from _resting(step, context)
+    for move, rate_dps in step.moves():
+        if bench.state.at.angles_deg is None:
+            raise FaultError("rate table", "a rotation needs a position first. Put go_to before it.")
+        outer_deg, inner_deg = bench.state.at.angles_deg
+        context.recorder.begin_turn()
+        yield from _moved(context, (outer_deg + move[0], inner_deg + move[1]), rate_dps)
+        context.recorder.end_turn()
+        yield from _lasting(bench, step.settle_s)
+        yield from _resting(step, context)
+
+
+def _resting(step: RotatingStep, context: StepContext) -> Ticks:
+    yield from _navigation_begun(context)
+    yield from _table_read(context)
+    context.recorder.begin_window()
+    yield from _lasting(context.bench, step.rest_s)
+    yield from _table_read(context)
+    context.recorder.end_window()
 
 
 @perform.register

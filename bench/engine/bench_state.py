@@ -48,6 +48,7 @@ class RunPosition:
     dwell: int = 0  #: number in the plan; 0 outside
     cycle: int = 1  #: temperature cycle
     is_calibration_check: bool = False  #: the dwell checks a calibration
+    is_rotated: bool = False  #: the dwell rotates about the table's axes
     unit: str = ""  #: serial number of the INS; empty before it is known
     power_ons: int = 0  #: how often the INS was switched on
     powered_s: float = 0.0  #: when it was switched on last, on the run's clock
@@ -99,6 +100,7 @@ class BenchState:
             dwell=planned.dwell or 0,
             cycle=planned.cycle,
             is_calibration_check=planned.is_calibration_check,
+            is_rotated=planned.is_rotated,
         )
 
     # chamber

@@ -23,6 +23,9 @@ from gyrobench.bench.navigation.positions import AXES, POSITIONS
 #: Angles of the outer and the inner axis, deg.
 Angles = tuple[float, float]
 
+#: A turn about Up, or a change of the angles of outer and inner axis, deg.
+TurnOrMove = float | Angles
+
 #: Range of an axis with slip rings.
 UNLIMITED = (-np.inf, np.inf)
 
@@ -66,16 +69,16 @@ class TwoAxisTable:
         )
         return outer @ inner @ self.C_mount
 
-    def angles(self, C_nb: FloatArray, turns_deg: Sequence[float] = ()) -> Angles:
+    def angles(self, C_nb: FloatArray, turns_deg: Sequence[TurnOrMove] = ()) -> Angles:
         """Axis angles that give an attitude.
 
         Parameters
         ----------
         C_nb : ndarray, shape (3, 3)
             Attitude wanted.
-        turns_deg : sequence of float
-            Turns about Up that will follow one another; of equivalent angles those are taken that
-            leave room for them within the limits (see :meth:`turn`).
+        turns_deg : sequence of float or pair
+            Turns about Up, and moves of both axes, that will follow one another; of equivalent angles those
+            are taken that leave room for them within the limits (see :meth:`turn`).
 
         Returns
         -------
@@ -91,7 +94,7 @@ class TwoAxisTable:
         for start in _nearest_first(outer, inner):
             if self._allows(start) and self._has_room(start, turns_deg):
                 return start
-        turns = ", ".join(f"{turn_deg:g}" for turn_deg in turns_deg)
+        turns = ", ".join(map(turn_text, turns_deg))
         room = f" and have room for turns of {turns} deg" if turns else ""
         raise DocumentError(
             f"the table can't reach outer {outer:g} deg, inner {inner:g} deg within the limits "
@@ -133,13 +136,16 @@ class TwoAxisTable:
         inner_turn = rotation_matrix(self.outer_axis_enu, -np.deg2rad(outer)) @ from_zero
         return outer, _angle_deg(self.inner_axis_enu, self.outer_axis_enu, inner_turn @ self.outer_axis_enu)
 
-    def _has_room(self, start: Angles, turns_deg: Sequence[float]) -> bool:
+    def _has_room(self, start: Angles, turns_deg: Sequence[TurnOrMove]) -> bool:
         angles: Angles | None = start
         for turn_deg in turns_deg:
             angles = angles and self._turned(angles, turn_deg)
         return angles is not None
 
-    def _turned(self, start: Angles, angle_deg: float) -> Angles | None:
+    def _turned(self, start: Angles, angle_deg: TurnOrMove) -> Angles | None:
+        if isinstance(angle_deg, tuple):
+            moved = (start[0] + angle_deg[0], start[1] + angle_deg[1])
+            return moved if self._allows(moved) else None
         principal = self._principal_angles(rotation_matrix(UP, np.deg2rad(angle_deg)) @ self.attitude(*start))
         inner_axis = rotation_matrix(self.outer_axis_enu, np.deg2rad(start[0])) @ self.inner_axis_enu
         outer_up, inner_up = (_upward(axis) for axis in (self.outer_axis_enu, inner_axis))
@@ -165,6 +171,13 @@ class TwoAxisTable:
             f"it. At azimuth 0 this mounting reaches {', '.join(reached) or 'none of the six positions'}; "
             "mount the unit another way for the rest"
         )
+
+
+def turn_text(turn: TurnOrMove) -> str:
+    """``90``, or ``outer 90`` for a move of one axis."""
+    if isinstance(turn, tuple):
+        return " ".join(f"{axis} {deg:g}" for axis, deg in zip(("outer", "inner"), turn, strict=True) if deg)
+    return f"{turn:g}"
 
 
 def named_direction(vector_enu: FloatArray) -> str:

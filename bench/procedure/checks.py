@@ -11,7 +11,9 @@ from functools import cache
 
 from gyrobench.bench.foundations.documents import Document, Location, Problem
 from gyrobench.bench.navigation.positions import POSITIONS
-from gyrobench.bench.procedure.plan import Plan, PlannedStep, turn_steps_after
+from gyrobench.bench.navigation.table_axes import TurnOrMove, turn_text
+from gyrobench.bench.procedure.plan import Plan, PlannedStep, turn_steps_after, turns_of
+from gyrobench.bench.procedure.rotations import RotatingStep, Spin
 from gyrobench.bench.procedure.steps import (
     MIN_NAVIGATION_S,
     Align,
@@ -36,7 +38,7 @@ class StationLimits:
     table_rate_max_dps: float  #: Fastest turn of either axis of the table.
     #: ``reachable(position, azimuth_deg, turns_deg)`` gives the reason why the table can't go there and then
     #: do these turns; None if it can.
-    reachable: Callable[[str, float, tuple[float, ...]], str | None]
+    reachable: Callable[[str, float, tuple[TurnOrMove, ...]], str | None]
     #: gyro_low_c, gyro_high_c: Temperatures of the gyros at which an interlock trips.
     gyro_low_c: float = -math.inf
     gyro_high_c: float = math.inf
@@ -71,12 +73,14 @@ def _order_problems(planned: PlannedStep) -> Iterator[Problem]:
     step, bench = planned.step, planned.before
     if isinstance(step, PowerOn) and bench.powered:
         yield Problem(planned.location, "the INS is already on here. Put power_off before this step")
-    needs_power = isinstance(step, Align | Navigate) or (isinstance(step, Soak) and step.for_s is None)
+    needs_power = isinstance(step, Align | Navigate | RotatingStep) or (
+        isinstance(step, Soak) and step.for_s is None
+    )
     if needs_power and not bench.powered:
         yield Problem(planned.location, f"{step.name} needs the INS on. Put power_on before this step")
     if isinstance(step, Align) and bench.position is None:
         yield Problem(planned.location, "align needs a position. Put go_to before this step")
-    if isinstance(step, Navigate | Turn) and not bench.aligned:
+    if isinstance(step, Navigate | Turn | RotatingStep) and not bench.aligned:
         yield Problem(
             planned.location,
             f"{step.name} needs an aligned INS. Put align before it, after the last go_to and power_on",
@@ -128,11 +132,17 @@ def _gyro_problems(plan: Plan, limits: StationLimits) -> Iterator[Problem]:
 
 
 def _table_problems(planned: PlannedStep, limits: StationLimits) -> Iterator[Problem]:
-    step = planned.step
-    if isinstance(step, GoTo | Turn) and step.rate_dps > limits.table_rate_max_dps:
+    step, key = planned.step, "rates_dps" if isinstance(planned.step, Spin) else "rate_dps"
+    if isinstance(step, GoTo | Turn):
+        fastest_dps = step.rate_dps
+    elif isinstance(step, RotatingStep):
+        fastest_dps = max(rate_dps for _, rate_dps in step.moves())
+    else:
+        return
+    if fastest_dps > limits.table_rate_max_dps:
         yield Problem(
-            planned.place_of("rate_dps"),
-            f"a rate of {step.rate_dps:g} deg/s is too fast for the table; "
+            planned.place_of(key),
+            f"a rate of {fastest_dps:g} deg/s is too fast for the table; "
             f"allowed: at most {limits.table_rate_max_dps:g} deg/s",
         )
 
@@ -148,6 +158,9 @@ def find_dwell_problems(plan: Plan) -> Iterator[Problem]:
         yield from itertools.chain.from_iterable(map(_navigation_time_problems, windows))
         if dwell is None:
             yield from _outside_dwells(windows)
+            continue
+        if group[0].is_rotated:
+            yield from _mixed_with_rotations(group)
             continue
         turns = [planned for planned in group if isinstance(planned.step, Turn)]
         kind_problems = _turned_check if group[0].is_calibration_check else _one_sided
@@ -176,6 +189,16 @@ def _outside_dwells(windows: Sequence[PlannedStep]) -> Iterator[Problem]:
             yield Problem(
                 window.location,
                 "this navigation belongs to no dwell: only navigate, turn and wait may follow align",
+            )
+
+
+def _mixed_with_rotations(dwell: Sequence[PlannedStep]) -> Iterator[Problem]:
+    for planned in dwell:
+        if isinstance(planned.step, Navigate | Turn):
+            yield Problem(
+                planned.location,
+                f"{planned.step.name} has no place beside rotate and spin, which have rests themselves. Put "
+                "go_to and align between them",
             )
 
 
@@ -317,7 +340,8 @@ def find_reach_problems(plan: Plan, planned: PlannedStep, limits: StationLimits)
     if not isinstance(step, GoTo):
         return
     turn_steps = turn_steps_after(plan, planned)
-    turns_deg = tuple(turn.step.angle_deg for turn in turn_steps if isinstance(turn.step, Turn))
+    placed = [(turn, each) for turn in turn_steps for each in turns_of(turn)]
+    turns_deg = tuple(each for _, each in placed)
     if limits.reachable(step.position, step.azimuth_deg, turns_deg) is None:
         return
     for count in range(len(turns_deg) + 1):
@@ -326,10 +350,14 @@ def find_reach_problems(plan: Plan, planned: PlannedStep, limits: StationLimits)
             what = ", then turns of ".join([f"azimuth {step.azimuth_deg:g}", *_listed(turns_deg[:count])])
             advice = _reach_advice(step, turns_deg, limits)
             yield Problem(
-                turn_steps[count - 1].place_of("angle_deg") if count else _place(planned, step, limits),
+                _turn_place(placed[count - 1][0]) if count else _place(planned, step, limits),
                 f"{step.position} at {what} deg can't be reached: {reason}{advice}",
             )
             return
+
+
+def _turn_place(planned: PlannedStep) -> Location:
+    return planned.place_of("angle_deg") if isinstance(planned.step, Turn) else planned.location
 
 
 def _place(planned: PlannedStep, step: GoTo, limits: StationLimits) -> Location:
@@ -337,7 +365,7 @@ def _place(planned: PlannedStep, step: GoTo, limits: StationLimits) -> Location:
     return planned.place_of("azimuth_deg" if another_would_do else "position")
 
 
-def _reach_advice(step: GoTo, turns_deg: tuple[float, ...], limits: StationLimits) -> str:
+def _reach_advice(step: GoTo, turns_deg: tuple[TurnOrMove, ...], limits: StationLimits) -> str:
     azimuths_deg = _azimuths_deg(step.position, limits)
     positions = [name for name in POSITIONS if limits.reachable(name, step.azimuth_deg, turns_deg) is None]
     advice = ""
@@ -353,5 +381,5 @@ def _azimuths_deg(position: str, limits: StationLimits) -> list[float]:
     return [each for each in _AZIMUTHS_DEG if limits.reachable(position, each, ()) is None]
 
 
-def _listed(turns_deg: tuple[float, ...]) -> list[str]:
-    return [", ".join(f"{turn:g}" for turn in turns_deg)] if turns_deg else []
+def _listed(turns_deg: tuple[TurnOrMove, ...]) -> list[str]:
+    return [", ".join(map(turn_text, turns_deg))] if turns_deg else []

@@ -9,8 +9,10 @@ from enum import StrEnum
 from types import MappingProxyType
 
 from gyrobench.bench.foundations.documents import Document, Location
+from gyrobench.bench.navigation.table_axes import TurnOrMove
 from gyrobench.bench.procedure.estimate import BenchEstimate
 from gyrobench.bench.procedure.procedure_file import Procedure, ResolvedStep, resolve
+from gyrobench.bench.procedure.rotations import Rotate, RotatingStep, Spin
 from gyrobench.bench.procedure.steps import Align, GoTo, Navigate, Step, Turn, Wait
 
 
@@ -21,12 +23,16 @@ class Phase(StrEnum):
     NAVIGATE = "navigate"
     TURN = "turn"
     PAUSE = "pause"
+    ROTATE = "rotate"
 
 
 #: Steps that a dwell may contain.
 _PHASES: Mapping[type[Step], Phase] = MappingProxyType(
-    {Align: Phase.ALIGN, Navigate: Phase.NAVIGATE, Turn: Phase.TURN, Wait: Phase.PAUSE}
-)
+    {
+        Align: Phase.ALIGN, Navigate: Phase.NAVIGATE, Turn: Phase.TURN, Wait: Phase.PAUSE,
+        Rotate: Phase.ROTATE, Spin: Phase.ROTATE,
+    }
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -51,6 +57,8 @@ class PlannedStep:
     window: int | None = None
     #: Whether its dwell verifies a calibration: one navigation straight from the alignment.
     is_calibration_check: bool = False
+    #: Whether its dwell rotates about the table's axes: it gives no bias of its own.
+    is_rotated: bool = False
     #: Places of the values that came from loop variables, by their keys.
     value_places: Mapping[Location, Location] = field(default_factory=dict, repr=False)
 
@@ -140,11 +148,16 @@ def _plateau(cycle: int | None, bench: BenchEstimate) -> str:
     return ", ".join(part for part in (of_cycle, of_chamber) if part)
 
 
+#: Steps in which the INS navigates.
+_NAVIGATING = (Navigate, RotatingStep)
+
+
 def _with_dwells(steps: Sequence[PlannedStep]) -> Iterator[PlannedStep]:
-    """Number the dwells: each from an alignment to the last navigation."""
+    """Number the dwells: each from an alignment to the last navigation or rotation."""
     dwells = itertools.count(1)
     for group in _groups(steps):
-        end = max((index for index, step in enumerate(group) if isinstance(step.step, Navigate)), default=0)
+        navigating = (index for index, each in enumerate(group) if isinstance(each.step, _NAVIGATING))
+        end = max(navigating, default=0)
         if end:
             yield from _as_dwell(group[: end + 1], next(dwells))
             yield from group[end + 1 :]
@@ -156,7 +169,8 @@ def _groups(steps: Sequence[PlannedStep]) -> Iterator[list[PlannedStep]]:
     """Split before each alignment and around all that can't belong to a dwell."""
     group: list[PlannedStep] = []
     for step in steps:
-        if group and not (isinstance(group[0].step, Align) and isinstance(step.step, Navigate | Turn | Wait)):
+        is_in_dwell = isinstance(step.step, tuple(_PHASES)) and not isinstance(step.step, Align)
+        if group and not (isinstance(group[0].step, Align) and is_in_dwell):
             yield group
             group = []
         group.append(step)
@@ -175,16 +189,26 @@ def _as_dwell(group: Sequence[PlannedStep], dwell: int) -> Iterator[PlannedStep]
             phase=_PHASES[type(planned.step)],
             window=next(windows) if isinstance(planned.step, Navigate) else None,
             is_calibration_check=verifies,
+            is_rotated=any(isinstance(step, RotatingStep) for step in steps),
         )
 
 
-def turns_after(plan: Plan, position: PlannedStep) -> tuple[float, ...]:
-    """Angles of the turns, in deg, between one step and the next that goes to a position."""
-    turns = (planned.step for planned in turn_steps_after(plan, position))
-    return tuple(turn.angle_deg for turn in turns if isinstance(turn, Turn))
+def turns_after(plan: Plan, position: PlannedStep) -> tuple[TurnOrMove, ...]:
+    """Turns and moves, in deg, between one step and the next that goes to a position."""
+    return tuple(itertools.chain.from_iterable(map(turns_of, turn_steps_after(plan, position))))
+
+
+def turns_of(planned: PlannedStep) -> list[TurnOrMove]:
+    """Turns of a step about Up, and its moves of the axes, in order, deg."""
+    match planned.step:
+        case Turn(angle_deg=angle_deg):
+            return [angle_deg]
+        case RotatingStep() as rotating:
+            return [move for move, _ in rotating.moves()]
+    return []
 
 
 def turn_steps_after(plan: Plan, position: PlannedStep) -> list[PlannedStep]:
     """Find the turns themselves; see :func:`turns_after`."""
     stay = itertools.takewhile(lambda each: not isinstance(each.step, GoTo), plan.later(position))
-    return [planned for planned in stay if isinstance(planned.step, Turn)]
+    return [planned for planned in stay if turns_of(planned)]

@@ -13,6 +13,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, PlainValidator, ValidationError
@@ -29,10 +30,37 @@ from gyrobench.bench.foundations.documents import (
     validate,
 )
 from gyrobench.bench.foundations.text import did_you_mean
-from gyrobench.bench.procedure.steps import STEP_KINDS, Celsius, Step, Until
+from gyrobench.bench.procedure.rotations import Rotate, Spin
+from gyrobench.bench.procedure.steps import (
+    Align,
+    AskOperator,
+    Celsius,
+    Chamber,
+    ChamberOff,
+    GoTo,
+    Navigate,
+    PowerOff,
+    PowerOn,
+    Soak,
+    Step,
+    Turn,
+    Until,
+    Wait,
+)
 
 #: A value that a loop variable can take.
 Value = float | int | str
+
+#: Every kind of step by its name in procedure files.
+STEP_KINDS: Mapping[str, type[Step]] = MappingProxyType(
+    {
+        kind.name: kind
+        for kind in (
+            PowerOn, PowerOff, Chamber, ChamberOff, Soak, GoTo, Align, Navigate, Turn, Rotate, Spin, Wait,
+            AskOperator,
+        )
+    }
+)  # fmt: skip
 
 #: Pattern of a reference to a loop variable.
 VARIABLE_PATTERN = r"\$([a-z][a-z0-9_]*)"

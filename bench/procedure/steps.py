@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from types import MappingProxyType
 from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, ConfigDict, Field, field_validator, model_validator
@@ -461,14 +460,3 @@ class AskOperator(Step):
     @override
     def describe(self) -> str:
         return f"ask: {self.question}"
-
-
-#: Every kind of step by its name in procedure files.
-STEP_KINDS: Mapping[str, type[Step]] = MappingProxyType(
-    {
-        kind.name: kind
-        for kind in (
-            PowerOn, PowerOff, Chamber, ChamberOff, Soak, GoTo, Align, Navigate, Turn, Wait, AskOperator,
-        )
-    }
-)  # fmt: skip

@@ -16,7 +16,7 @@ from gyrobench.bench.foundations.documents import Document, Problem
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import POSITIONS
-from gyrobench.bench.navigation.table_axes import Angles, SingleAxisTable, TwoAxisTable
+from gyrobench.bench.navigation.table_axes import Angles, SingleAxisTable, TurnOrMove, TwoAxisTable
 from gyrobench.bench.procedure.checks import StationLimits, check
 from gyrobench.bench.procedure.estimate import BenchEstimate, ThermalEstimate
 from gyrobench.bench.procedure.plan import Plan, expand
@@ -162,7 +162,9 @@ class Station:
         first, second = values
         return (first, second) if section.outer_axis_number < section.inner_axis_number else (second, first)
 
-    def _why_unreachable(self, position: str, azimuth_deg: float, turns_deg: tuple[float, ...]) -> str | None:
+    def _why_unreachable(
+        self, position: str, azimuth_deg: float, turns_deg: tuple[TurnOrMove, ...]
+    ) -> str | None:
         try:
             self.table.angles(POSITIONS[position].C_nb(np.deg2rad(azimuth_deg)), turns_deg)
         except DocumentError as error:

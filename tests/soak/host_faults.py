@@ -20,7 +20,7 @@ from unittest import mock
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.operator import ConsentingOperator, RunCommand
 from gyrobench.bench.procedure.plan import PlannedStep
-from gyrobench.bench.procedure.steps import STEP_KINDS
+from gyrobench.bench.procedure.procedure_file import STEP_KINDS
 from gyrobench.bench.runs.journal import read_journal
 from tests.soak.faults import FaultyRun, InjectedError, KindTally
 from tests.soak.truth import TruthWatcher

@@ -30,7 +30,7 @@ from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.resume import prepare_resumption, resume_state_of
 from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.procedure.steps import STEP_KINDS
+from gyrobench.bench.procedure.procedure_file import STEP_KINDS
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
 from gyrobench.bench.runs.journal import read_journal

@@ -12,6 +12,7 @@ from tests.benchmarks.closure_units import make_unit
 HARD = ("understated", "outliers", "understated, outliers")
 
 
+@pytest.mark.long
 def test_clean_units_with_noise_larger_than_stated_or_outliers_are_called_clean():
     """Of 30, at most one is not; on all the noise is named."""
     verdicts, named = [], []

@@ -8,9 +8,11 @@ from scipy.special import logsumexp
 from scipy.stats import invgamma, multivariate_normal
 
 from gyrobench.bench.closure import posterior
+from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.candidates import hypothesis
 from gyrobench.bench.closure.effects import all_effects, temperature_rate, time_drift
 from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter, fixed
+from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.closure.posterior import (
     MAGNITUDES,
     NOISE_PRIOR,
@@ -24,6 +26,8 @@ from gyrobench.bench.closure.problem import declared_problem
 from gyrobench.bench.closure.remainder import RANK, remainder_of
 from gyrobench.bench.closure.search import Search
 from tests.bench.closure.test_candidates import whole
+from tests.benchmarks.closure_calibration import drawn
+from tests.benchmarks.closure_units import make_unit
 
 
 def with_biases(problem, noise_units):
@@ -199,3 +203,12 @@ def test_a_remainder_of_the_stated_size_is_shown_in_nine_of_ten(problem):
         data = with_biases(clean, noise)
         shown.append(Evidences(data, []).posterior([hypothesis(data, [])]).not_on_list > 0.5)
     assert np.mean(shown) == pytest.approx(0.9, abs=0.12)
+
+
+def test_a_simpler_set_in_place_of_the_most_probable_has_its_own_ties():
+    """The most probable set has other neighbours than the simpler one that is found."""
+    _, options = drawn(55)
+    closure = close_loop(campaign_of(make_unit(55, **options)[0]))
+    found = {each.effect.name for each in closure.effects}
+    for names in closure.posterior.similar(frozenset(found)):
+        assert len(names & found) == len(found) - 1

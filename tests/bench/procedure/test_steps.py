@@ -5,8 +5,9 @@ from pydantic import ValidationError
 
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.procedure.estimate import BenchEstimate, ThermalEstimate
+from gyrobench.bench.procedure.procedure_file import STEP_KINDS
+from gyrobench.bench.procedure.rotations import Rotate, Rotation, Spin
 from gyrobench.bench.procedure.steps import (
-    STEP_KINDS,
     Align,
     AskOperator,
     Chamber,
@@ -40,6 +41,8 @@ EVERY_KIND: list[Step] = [
     Navigate(until=Until(bias_sigma_below_dph=0.002), at_most_s=900),
     Navigate(duration_s=600, purpose="calibration_check"),
     Turn(angle_deg=180),
+    Rotate(rotations=[Rotation(axis="outer", angle_deg=-90)]),
+    Spin(axis="inner", rates_dps=[5, 20], turns=2),
     Wait(duration_s=10),
     AskOperator(question="Is the cover closed?"),
 ]
