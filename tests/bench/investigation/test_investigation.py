@@ -23,8 +23,8 @@ def investigator(unit, folder, budget_h=60.0, approve=lambda proposal, rivals: T
     path = folder.parent / f"{folder.name}.json"
     if not path.exists():
         path.write_text(json.dumps(unit))
-    bench = ExternalBench(f"{before}{sys.executable} {simulated_bench.__file__} {path}")
-    return Investigator(simulate(unit), folder, bench, budget_h, approve)
+    bench = ExternalBench(f"{before}{sys.executable} {simulated_bench.__file__} {path}", simulate(unit))
+    return Investigator(bench.rows, folder, bench, budget_h, approve)
 
 
 @pytest.fixture(scope="module")
@@ -147,8 +147,9 @@ def test_measured_blocks_are_taken_from_the_folder_with_any_budget(settled):
 
 def test_the_folder_of_another_table_is_refused(settled):
     _, folder = settled
+    rows = simulate(unit_with({}, seed=9))
     with pytest.raises(RunFolderError, match="another table"):
-        Investigator(simulate(unit_with({}, seed=9)), folder, ExternalBench("x"), 1.0, lambda *_: True)
+        Investigator(rows, folder, ExternalBench("x", rows), 1.0, lambda *_: True)
 
 
 @pytest.mark.long
