@@ -47,8 +47,11 @@ EPOCH_S = 1.0
 _LEVER_ARM, _DELAY, _ATTITUDE_ERROR = 0.2, 0.01, 0.5
 #: An unknown is observed if sizes ten times as large let its uncertainty grow by less than this.
 _MAX_GROWTH = 1.1
-#: Rounds of linearisation; the last one changes the weighted sum of squares by less than this.
-_MAX_ROUNDS, _CONVERGED = 15, 0.1
+#: Rounds of linearisation; the last one changes the weighted sum of squares by less than this, and each
+#: observed unknown by less than this part of its standard uncertainty.
+_MAX_ROUNDS, _CONVERGED, _MAX_STEP = 15, 0.1, 0.05
+#: Scale factor errors and misalignments beyond this are wrong units, signs or axes.
+_MAX_ELEMENT = 0.25
 #: Below this probability the noise alone does not explain the residuals.
 MIN_P_VALUE = 1e-3
 #: Epochs at rest over which residuals are summed for the test of fit.
@@ -152,32 +155,12 @@ def calibrate(
         noise = replace(
             noise, angle_random_walk=np.full(3, walk), velocity_random_walk=np.full(3, velocity_walk)
         )
+    _check_force(recordings, rests, options.gravity or site.gravity)
     sections = [_Section.between_rests(*each) for each in zip(recordings, rests, rotations, strict=True)]
     used = columns_of(options)
-    common, first = np.zeros(COUNT + 10), SensorErrors(gyro_bias=_first_bias(recordings, rests))
-    common[:COUNT] = first.vector()
-    starts = [each.aligned(first) for each in sections]
-    origin, left = np.concatenate([common[used], np.zeros(3 * len(sections))]), np.inf
-    for _ in range(_MAX_ROUNDS):
-        parts = [
-            each.white_rows(common, start, noise, site, options)
-            for each, start in zip(sections, starts, strict=True)
-        ]
-        blocks = side_by_side(parts, common, used)
-        found = Information.of(blocks, used)
-        values, covariance, is_observed = found.solve(origin)
-        attitudes = values[len(used) :].reshape(-1, 3)
-        before, left = left, float(np.linalg.norm(found.data - found.rows @ values) ** 2)
-        common[used] = values[: len(used)]
-        origin[len(used) :] -= attitudes.ravel()
-        starts = [turn @ start for turn, start in zip(rotation_matrices(attitudes), starts, strict=True)]
-        if abs(left - before) < _CONVERGED:
-            break
-    else:
-        raise MeasurementError(
-            f"the estimate does not converge in {_MAX_ROUNDS} rounds: the increments do not follow from "
-            "rotations between rests at one place. Check signs, axes and units in the import map"
-        )
+    bias = _first_bias(recordings, rests)
+    values, covariance, is_observed, blocks = _solve(sections, bias, noise, site, options)
+    _check_size(values, is_observed)
     sums = np.vstack([_sums(each) for each in blocks])
     test = chi2_test(sums[:, -1] - sums[:, :-1] @ values, sums[:, :-1], covariance)
     if test.p_value < MIN_P_VALUE:
@@ -195,6 +178,76 @@ def calibrate(
         rests=tuple(map(tuple, rests)),
         rotations=tuple(map(tuple, rotations)),
         fit=test,
+    )
+
+
+def _check_force(
+    recordings: Sequence[IncrementRecording], rests: Sequence[Sequence[Rest]], gravity: float
+) -> None:
+    """Raise MeasurementError if the accelerometers are not in the unit that the map states."""
+    force = np.median(
+        [
+            np.linalg.norm(recording.velocity[rest.begin : rest.end].mean(axis=0)) / recording.interval_s
+            for recording, stretches in zip(recordings, rests, strict=True)
+            for rest in stretches
+        ]
+    )
+    if abs(force / gravity - 1.0) > _MAX_ELEMENT:
+        raise MeasurementError(
+            f"the specific force at rest is {force:.4g} m/s^2, gravity {gravity:.4g} m/s^2. Check "
+            "'calibration.accelerometers.unit' and 'time' in the import map"
+        )
+
+
+def _check_size(values: FloatArray, is_observed: BoolArray) -> None:
+    """Raise MeasurementError at elements of the matrices that no sensor has."""
+    for each, value, observed in zip(COEFFICIENTS, values[:COUNT], is_observed[:COUNT], strict=True):
+        if observed and each.kind != "bias" and abs(value) > _MAX_ELEMENT:
+            columns = "gyro" if each.sensor == "gyro" else "calibration.accelerometers"
+            raise MeasurementError(
+                f"{each.sensor} {each.kind.replace('_', ' ')} {each.axis} is {value:.3g}, at most "
+                f"{_MAX_ELEMENT:g} is possible. Check unit, signs and axes of '{columns}' in the import map"
+            )
+
+
+def _solve(
+    sections: Sequence[_Section],
+    bias: FloatArray,
+    noise: SensorNoise,
+    site: Site,
+    options: CalibrationOptions,
+) -> tuple[FloatArray, FloatArray, BoolArray, list[FloatArray]]:
+    """Values, covariance and observability of all unknowns, and the white rows, at the solution.
+
+    ``bias`` (3,): of the gyros, rad/s, where to begin. Raises MeasurementError if it does not converge.
+    """
+    used = columns_of(options)
+    common, first = np.zeros(COUNT + 10), SensorErrors(gyro_bias=bias)
+    common[:COUNT] = first.vector()
+    starts = [each.aligned(first) for each in sections]
+    origin, left = np.concatenate([common[used], np.zeros(3 * len(sections))]), np.inf
+    for _ in range(_MAX_ROUNDS):
+        parts = [
+            each.white_rows(common, start, noise, site, options)
+            for each, start in zip(sections, starts, strict=True)
+        ]
+        blocks = side_by_side(parts, common, used)
+        found = Information.of(blocks, used)
+        values, covariance, is_observed = found.solve(origin)
+        attitudes = values[len(used) :].reshape(-1, 3)
+        step = np.concatenate([values[: len(used)] - common[used], attitudes.ravel()])
+        before, left = left, float(np.linalg.norm(found.data - found.rows @ values) ** 2)
+        common[used] = values[: len(used)]
+        origin[len(used) :] -= attitudes.ravel()
+        starts = [turn @ start for turn, start in zip(rotation_matrices(attitudes), starts, strict=True)]
+        # Sizes count in units of the residuals where these exceed the noise.
+        excess = max(1.0, left / sum(map(len, blocks)))
+        is_still = np.abs(step) < _MAX_STEP * np.sqrt(excess * np.diag(covariance))
+        if abs(left - before) < _CONVERGED * excess and is_still[is_observed].all():
+            return values, covariance, is_observed, blocks
+    raise MeasurementError(
+        f"the estimate does not converge in {_MAX_ROUNDS} rounds: the increments do not follow from "
+        "rotations between rests at one place. Check signs, axes and units in the import map"
     )
 
 

@@ -228,9 +228,20 @@ class Investigator:
             return self._with_outcome(stage, forecast, best, rows, journal), None
 
     def _no_block(self, stage: Stage) -> tuple[str, str]:
-        not_on_list = stage.closure.posterior.not_on_list
-        if stage.closure.verdict == "unexplained" and not_on_list > 0.5:
+        closure, best = stage.closure, stage.rivals[0]
+        not_on_list = closure.posterior.not_on_list
+        if closure.verdict == "unexplained" and not_on_list > 0.5:
             return "not_on_list", f"Not on the list of effects: probability {not_on_list:.4f}."
+        rejected = {
+            each.effect.name: each.rejected for each in closure.evidence if each.effect.name in best.names
+        }
+        if closure.verdict == "unexplained" and any(rejected.values()) and best.probability >= SETTLED:
+            why = "; ".join(f"{closure.label(name)}: {each}" for name, each in rejected.items() if each)
+            what = listed(sorted(map(closure.label, best.names)))
+            return "not_on_list", (
+                f"Not on the list of effects: the most probable, {what} ({best.probability:.4f}), is not "
+                f"accepted ({why})."
+            )
         names = sorted({name for each in stage.rivals for name in each.names})
         effects = {each.effect.name: each.effect for each in stage.closure.evidence}
         experiments = "; ".join(

@@ -10,6 +10,7 @@ from gyrobench.bench.calibration import estimator
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, SensorErrors
 from gyrobench.bench.calibration.estimator import CalibrationOptions, calibrate
 from gyrobench.bench.calibration.recording import IncrementRecording, SensorNoise
+from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.error_model import Site
 from tests.bench.calibration.rotated_unit import EARTH, EIGHTEEN, Noise, Unit
 
@@ -196,3 +197,31 @@ def test_biases_far_above_the_earth_rate_are_found():
     found = calibrate([recorded(unit.increments(), 8, noise=noise)], SITE)
     truth = SensorErrors(unit.gyro_bias, unit.gyro_matrix, unit.force_bias, unit.force_matrix).vector()
     assert np.abs((found.values - truth) / found.sigmas)[found.is_observed].max() < 4.5
+
+
+@pytest.mark.parametrize("scale", [0.1, 0.2])
+def test_the_estimate_converges_from_large_scale_factor_errors(scale):
+    force_matrix = ERRORS["force_matrix"] + scale * np.eye(3)
+    angle, velocity = eighteen()
+    measured = velocity @ np.linalg.inv(np.eye(3) + ERRORS["force_matrix"]).T @ (np.eye(3) + force_matrix).T
+    truth = SensorErrors(**(ERRORS | {"force_matrix": force_matrix})).vector()
+    # The bias of a rest is measured before the change, too.
+    bias = np.linalg.solve(np.eye(3) + ERRORS["force_matrix"], ERRORS["force_bias"])
+    truth[12:15] = (np.eye(3) + force_matrix) @ bias
+    found = calibrate([recorded((angle, measured), 12)], SITE)
+    assert found.fit.p_value > 1e-3
+    assert np.abs((found.values - truth) / found.sigmas).max() < 4.0
+
+
+def test_specific_force_in_another_unit_than_declared_is_refused():
+    angle, velocity = eighteen()
+    with pytest.raises(
+        MeasurementError, match=r"is 96\.\d+ m/s\^2, gravity 9\.806 m/s\^2.*accelerometers\.unit"
+    ):
+        calibrate([recorded((angle, velocity * 9.80665), 13)], SITE)
+
+
+def test_a_scale_factor_that_no_sensor_has_is_refused():
+    angle, velocity = eighteen()
+    with pytest.raises(MeasurementError, match=r"accelerometer scale factor z is 0\.4.*'calibration\.acc"):
+        calibrate([recorded((angle, velocity * [1.0, 1.0, 1.4]), 13)], SITE)

@@ -8,10 +8,11 @@ from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.investigation.external_bench import ExternalBench
 from gyrobench.bench.investigation.investigation import Investigator
-from gyrobench.bench.report.investigation.investigation_text import test_sentence
+from gyrobench.bench.report.investigation import investigation_text
 from gyrobench.bench.runs.journal import read_journal
 from tests.bench.investigation import simulated_bench
 from tests.bench.investigation.simulated_bench import first_campaign, simulate
+from tests.benchmarks.bench_investigation import unit_of
 
 
 def unit_with(effects, seed=2, refuses=("factor",)):
@@ -186,7 +187,10 @@ def test_a_law_composed_for_what_is_on_no_list_is_tested_by_a_new_cycle(tmp_path
     assert (found.test.purpose, found.test.proposal.block.name) == ("test_law", "new cycle")
     assert found.test.rivals[0].names == ("composed_board_c_resonance",)
     assert found.test.outcome.probabilities[0] == pytest.approx(probability, abs=1e-6)
-    assert f"{verdict} the composed law (the bias follows the electronics" in test_sentence(found)
+    assert (
+        f"{verdict} the composed law (the bias follows the electronics"
+        in investigation_text.test_sentence(found)
+    )
     events = [entry["event"] for entry in read_journal(tmp_path / law / "journal.jsonl")]
     assert events.index("proposed") < events.index("measured")
     assert events.count("measured") == 1
@@ -205,3 +209,13 @@ def test_a_block_that_brings_flagged_dwells_alone_is_not_repeated_for_ever(tmp_p
     assert max(map(proposed.count, proposed)) == 2
     assert all(stage.outcome is None for stage in found.stages)
     assert found.spent_h > 0.0
+
+
+@pytest.mark.long
+def test_an_ageing_of_another_law_is_not_settled_as_two_effects(tmp_path):
+    """A logarithmic ageing: with a drift beside it, its time constant runs to the upper bound."""
+    unit = unit_of(5)
+    found = Investigator(unit.rows, tmp_path / "ageing", unit, 36.0, lambda *_: True).run(WallClock())
+    [law] = [stage for stage in found.stages if stage.purpose == "test_law"]
+    assert any(each.rejected for each in law.closure.evidence if each.effect.name == "ageing")
+    assert found.ended != "settled" or [each.effect.name for each in found.closure.effects] == ["ageing"]
