@@ -110,8 +110,8 @@ def forecast_sentence(found: Investigation) -> str:
     if not off_k:
         return ""
     return (
-        f"The gyro temperatures of block {listed([*off_k])} differ by up to {max(off_k.values()):.0f} K from the "
-        "forecast. Check that the bench carries out the steps of its plan."
+        f"The gyro temperatures of block {listed([*off_k])} differ by up to {max(off_k.values()):.0f} K from "
+        "the forecast. Check that the bench carries out the steps of its plan."
     )
 
 

@@ -7,7 +7,9 @@ import pytest
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.investigation.external_bench import ExternalBench
+from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.investigation.investigation import Investigator
+from gyrobench.bench.investigation.proposal import outcome_of
 from gyrobench.bench.report.investigation import investigation_text
 from gyrobench.bench.runs.journal import read_journal
 from tests.bench.investigation import simulated_bench
@@ -66,6 +68,34 @@ def test_predictions_stand_in_the_journal_before_the_block_is_measured(settled):
     assert len(first["predictions"][0]["bias_x_dph"]) == len(first["dwells"])
 
 
+def test_a_block_is_said_to_agree_only_where_it_does_and_with_the_cause_that_is_stated(settled):
+    found, _ = settled
+    assert "agrees with the cause" in investigation_text.test_sentence(found)
+
+    def sentence(closure=found.closure, **changes):
+        tested = replace(found.test, outcome=replace(found.test.outcome, **changes))
+        last = replace(found.stages[-1], closure=closure)
+        return investigation_text.test_sentence(replace(found, stages=(*found.stages[:-2], tested, last)))
+
+    assert "leaves open the cause" in sentence(probabilities=(0.7, 0.3))
+    assert "contradicts the cause" in sentence(probabilities=(0.001, 0.999))
+    assert "fits neither the declared model nor the cause" in sentence(p_value=(1e-9, 1e-12))
+    given_up = replace(found.closure, effects=())
+    assert "agrees with warm up, which is not stated by the last search" in sentence(given_up)
+
+
+def test_a_block_far_from_its_forecast_is_named_at_the_end(settled):
+    found, _ = settled
+    assert investigation_text.forecast_sentence(found) == ""
+    stage = found.stages[0]
+    cold = [replace(row, gyro_c=(-60.0, -60.0, -60.0)) for row in stage.proposal.rows]
+    forecast = Forecast(found.rows[: -sum(len(each.proposal.rows) for each in found.stages[:-1])])
+    outcome = outcome_of(forecast, stage.proposal, cold, stage.rivals, 1.0)
+    assert outcome.off_forecast_k > 10.0
+    idle = replace(found, stages=(replace(stage, outcome=outcome), *found.stages[1:]))
+    assert "of block 1 differ by up to" in investigation_text.forecast_sentence(idle)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("fails_at", [1, 2])
 def test_an_investigation_that_was_killed_decides_the_same_again(settled, tmp_path, fails_at):
@@ -103,7 +133,9 @@ def test_a_block_that_the_bench_refuses_is_replaced_by_another(tmp_path):
 
 def test_nothing_is_measured_for_a_unit_without_an_effect(tmp_path):
     found = investigator(unit_with({}, seed=5), tmp_path / "clean").run(WallClock())
-    assert (found.ended, found.spent_h, found.test) == ("settled", 0.0, None)
+    assert (found.ended, found.spent_h, found.test) == ("nothing_found", 0.0, None)
+    assert found.closure.posterior.nothing < 0.99
+    assert "above 0.5 but below 0.99" in found.reason
     assert found.closure.verdict == "clean"
 
 
@@ -131,6 +163,8 @@ def test_a_bench_that_refuses_all_is_asked_once_for_each_kind(tmp_path):
     refusing = f"{sys.executable} -c 'raise SystemExit(3)' "
     found = investigator(unit, tmp_path / "all", approve=approve, before=refusing).run(WallClock())
     assert found.ended == "no_block"
+    assert found.reason.startswith(f"The bench refused {', then '.join(asked[0])} (no reason was given)")
+    assert "Warm-up: " in found.reason
     assert asked
     assert len(asked) == len(set(asked))
 
