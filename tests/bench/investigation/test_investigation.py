@@ -164,7 +164,7 @@ def test_a_bench_that_refuses_all_is_asked_once_for_each_kind(tmp_path):
     found = investigator(unit, tmp_path / "all", approve=approve, before=refusing).run(WallClock())
     assert found.ended == "no_block"
     assert found.reason.startswith(f"The bench refused {', then '.join(asked[0])} (no reason was given)")
-    assert "Warm-up: " in found.reason
+    assert "; warm-up: reach the same" in found.reason
     assert asked
     assert len(asked) == len(set(asked))
 
