@@ -28,6 +28,8 @@ _PREFIXES = {"m": 1e-3, "u": 1e-6}
 _INCREMENTS = ("m/s", "mm/s")
 #: Longest time between two samples of one piece, as a multiple of the usual one.
 _MAX_GAP = 1.5
+#: Standard uncertainty of normal gravity, m/s^2: a usual anomaly of 30 mGal.
+_NORMAL_GRAVITY_SIGMA = 3e-4
 _NO_SECTION = "the import map has no section 'calibration'"
 
 
@@ -103,4 +105,9 @@ def calibration_settings(log_map: LogMap, lever_arms: bool, delay: bool) -> tupl
         )
     site = Site(float(np.deg2rad(section.latitude_deg)), section.height_m)
     whole_turns = None if turns is None else turns * _ANGLES["arcsec"]
-    return site, CalibrationOptions(lever_arms, delay, whole_turns, section.gravity_mps2, walks)
+    gravity_sigma = section.gravity_sigma_mps2
+    if gravity_sigma is None:
+        gravity_sigma = _NORMAL_GRAVITY_SIGMA if section.gravity_mps2 is None else 0.0
+    return site, CalibrationOptions(
+        lever_arms, delay, whole_turns, section.gravity_mps2, walks, gravity_sigma
+    )
