@@ -14,6 +14,7 @@ from gyrobench.bench.foundations.arrays import (
     DEG_PER_SQRT_H_TO_SI,
     STANDARD_GRAVITY,
     UG_PER_SQRT_HZ_TO_SI,
+    BoolArray,
     FloatArray,
     IntArray,
 )
@@ -99,7 +100,7 @@ def _pieces(time_s: FloatArray, values: FloatArray) -> list[IntArray]:
     first, last = np.maximum(at - _NEAR, 0), np.minimum(at + _NEAR, count)
     jump = (total[last] - total[at]) / (last - at) - (total[at] - total[first]) / (at - first)
     is_gap = (np.abs(jump) > 0.5 * usual) & (np.abs(np.diff(time_s[kept]) - usual) > _MIN_STEP_ERROR * usual)
-    valid = np.isfinite(values[kept]).all(axis=1)
+    valid: BoolArray = np.asarray(np.isfinite(values[kept]).all(axis=1))
     joined = valid[1:] & valid[:-1] & ~is_gap
     edges = np.flatnonzero(np.diff(np.concatenate([[False], joined, [False]]).astype(np.int8)))
     return [kept[begin : end + 1] for begin, end in edges.reshape(-1, 2)]
