@@ -47,8 +47,15 @@ EPOCH_S = 1.0
 _LEVER_ARM, _DELAY, _ATTITUDE_ERROR = 0.2, 0.01, 0.5
 #: An unknown is observed if sizes ten times as large let its uncertainty grow by less than this.
 _MAX_GROWTH = 1.1
-#: Rounds of linearisation; the last one changes the weighted sum of squares by less than this.
-_MAX_ROUNDS, _CONVERGED = 15, 0.1
+#: Rounds of linearisation; the last one changes the weighted sum of squares by less than this, and each
+#: observed unknown by less than this part of its standard uncertainty.
+_MAX_ROUNDS, _CONVERGED, _MAX_STEP = 15, 0.1, 0.05
+#: Scale factor errors and misalignments beyond this are wrong units, signs or axes.
+_MAX_ELEMENT = 0.25
+#: Sample rates of recordings that count as one.
+_MAX_RATE_RATIO = 1.01
+#: The opposite latitude is named where it reduces chi2 to this part; largest factor on the uncertainties.
+_OPPOSITE, _MAX_WIDENING = 0.1, 10.0
 #: Below this probability the noise alone does not explain the residuals.
 MIN_P_VALUE = 1e-3
 #: Epochs at rest over which residuals are summed for the test of fit.
@@ -67,11 +74,12 @@ class CalibrationOptions:
     gravity: float | None = None  #: Local gravity, m/s^2; None: normal gravity of the site.
     #: Random walks of gyros (rad/sqrt(s)) and accelerometers (m/s/sqrt(s)); None: as measured at rest.
     walks: tuple[float, float] | None = None
+    gravity_sigma: float = 0.0  #: Standard uncertainty of gravity, m/s^2.
 
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """What white rows say of the coefficients and of what else is unknown."""
+    """White rows as a function of the coefficients and of all other unknowns."""
 
     rows: FloatArray  #: Shape (m, 21 + k), at most 22 + k of them. SI.
     data: FloatArray  #: Shape (m,).
@@ -115,6 +123,7 @@ class Calibration:
     recordings: tuple[IncrementRecording, ...]
     rests: tuple[tuple[Rest, ...], ...]  #: Of each recording.
     rotations: tuple[tuple[Rotation, ...], ...]  #: Of each recording.
+    gravity: tuple[float, float]  #: Assumed gravity and its standard uncertainty, m/s^2.
     #: Test that the noise explains what the coefficients leave of the velocity. Where it does not, the
     #: uncertainties are larger by the root of chi2 over its degrees of freedom.
     fit: Chi2Test
@@ -141,9 +150,16 @@ def calibrate(
     """Estimate all coefficients.
 
     ``recordings``: of one unit, at one sample rate. Raises MeasurementError if the unit does not rest long
-    enough, or no coefficients explain the increments.
+    enough, sample rates differ, or no coefficients explain the increments.
     """
     options = options or CalibrationOptions()
+    gravity = options.gravity or site.gravity
+    rates_hz = [1.0 / each.interval_s for each in recordings]
+    if max(rates_hz) > _MAX_RATE_RATIO * min(rates_hz):
+        raise MeasurementError(
+            f"the sample rates of the recordings differ: {min(rates_hz):.4g} to {max(rates_hz):.4g} Hz. "
+            "Calibrate recordings of one rate together"
+        )
     rests = [find_rests(each) for each in recordings]
     rotations = [find_rotations(*each) for each in zip(recordings, rests, strict=True)]
     noise = measure_noise(recordings, rests)
@@ -152,9 +168,97 @@ def calibrate(
         noise = replace(
             noise, angle_random_walk=np.full(3, walk), velocity_random_walk=np.full(3, velocity_walk)
         )
+    _check_force(recordings, rests, gravity)
     sections = [_Section.between_rests(*each) for each in zip(recordings, rests, rotations, strict=True)]
     used = columns_of(options)
-    common, first = np.zeros(COUNT + 10), SensorErrors(gyro_bias=_first_bias(recordings, rests))
+    bias = _first_bias(recordings, rests)
+    values, covariance, is_observed, blocks = _solve(sections, bias, noise, site, options)
+    _check_size(values, is_observed)
+    test = _test_fit(values, covariance, blocks)
+    if test.p_value < MIN_P_VALUE:
+        opposite = replace(site, latitude=-site.latitude)
+        try:
+            other_values, other_covariance, _, rows = _solve(sections, bias, noise, opposite, options)
+            other = _test_fit(other_values, other_covariance, rows)
+        except MeasurementError:
+            other = test
+        if other.chi2 < _OPPOSITE * test.chi2:
+            raise MeasurementError(
+                f"chi2 is {test.chi2:.3g}, and {other.chi2:.3g} at the opposite latitude. Correct either "
+                "'calibration.latitude_deg' or the signs of all accelerometers in the import map"
+            )
+        widening = float(np.sqrt(test.chi2 / test.dof))
+        if widening > _MAX_WIDENING:
+            raise MeasurementError(
+                f"the residuals are {widening:.3g} times the noise, at most {_MAX_WIDENING:g} times is "
+                "accepted. Try --lever-arms and --delay; check latitude, signs and time in the import map, "
+                "and whether the unit drifts or moves at rest"
+            )
+        covariance = covariance * widening**2
+    if all(turn.kind == "disturbance" for turns in rotations for turn in turns):
+        is_observed[:COUNT] &= [each.sensor != "gyro" or each.kind == "bias" for each in COEFFICIENTS]
+    # An error of gravity is one of all three scale factors, which the residuals do not show.
+    is_scale = [each.name == "accelerometer_scale_factor" for each in COEFFICIENTS]
+    by_gravity = np.where(is_scale, options.gravity_sigma / gravity, 0.0)
+    beyond = np.where(is_observed, values, np.nan)[COUNT : len(used)]
+    uncertainty = np.where(is_observed, np.sqrt(np.diag(covariance)), np.nan)[COUNT : len(used)]
+    return Calibration(
+        values=values[:COUNT],
+        covariance=covariance[:COUNT, :COUNT] + np.outer(by_gravity, by_gravity),
+        is_observed=is_observed[:COUNT],
+        lever_arms=(beyond[:6].reshape(2, 3), uncertainty[:6].reshape(2, 3)) if options.lever_arms else None,
+        delay=(float(beyond[-1]), float(uncertainty[-1])) if options.delay else None,
+        noise=noise,
+        recordings=tuple(recordings),
+        rests=tuple(map(tuple, rests)),
+        rotations=tuple(map(tuple, rotations)),
+        gravity=(gravity, options.gravity_sigma),
+        fit=test,
+    )
+
+
+def _check_force(
+    recordings: Sequence[IncrementRecording], rests: Sequence[Sequence[Rest]], gravity: float
+) -> None:
+    """Raise MeasurementError if the accelerometers are not in the unit that the map states."""
+    force = np.median(
+        [
+            np.linalg.norm(recording.velocity[rest.begin : rest.end].mean(axis=0)) / recording.interval_s
+            for recording, stretches in zip(recordings, rests, strict=True)
+            for rest in stretches
+        ]
+    )
+    if abs(force / gravity - 1.0) > _MAX_ELEMENT:
+        raise MeasurementError(
+            f"the specific force at rest is {force:.4g} m/s^2, gravity {gravity:.4g} m/s^2. Check "
+            "'calibration.accelerometers.unit' and 'time' in the import map"
+        )
+
+
+def _check_size(values: FloatArray, is_observed: BoolArray) -> None:
+    """Raise MeasurementError at elements of the matrices that no sensor has."""
+    for each, value, observed in zip(COEFFICIENTS, values[:COUNT], is_observed[:COUNT], strict=True):
+        if observed and each.kind != "bias" and abs(value) > _MAX_ELEMENT:
+            columns = "gyro" if each.sensor == "gyro" else "calibration.accelerometers"
+            raise MeasurementError(
+                f"{each.sensor} {each.kind.replace('_', ' ')} {each.axis} is {value:.3g}, at most "
+                f"{_MAX_ELEMENT:g} is possible. Check unit, signs and axes of '{columns}' in the import map"
+            )
+
+
+def _solve(
+    sections: Sequence[_Section],
+    bias: FloatArray,
+    noise: SensorNoise,
+    site: Site,
+    options: CalibrationOptions,
+) -> tuple[FloatArray, FloatArray, BoolArray, list[FloatArray]]:
+    """Values, covariance and observability of all unknowns, and the white rows, at the solution.
+
+    ``bias`` (3,): of the gyros, rad/s, where to begin. Raises MeasurementError if it does not converge.
+    """
+    used = columns_of(options)
+    common, first = np.zeros(COUNT + 10), SensorErrors(gyro_bias=bias)
     common[:COUNT] = first.vector()
     starts = [each.aligned(first) for each in sections]
     origin, left = np.concatenate([common[used], np.zeros(3 * len(sections))]), np.inf
@@ -167,34 +271,19 @@ def calibrate(
         found = Information.of(blocks, used)
         values, covariance, is_observed = found.solve(origin)
         attitudes = values[len(used) :].reshape(-1, 3)
+        step = np.concatenate([values[: len(used)] - common[used], attitudes.ravel()])
         before, left = left, float(np.linalg.norm(found.data - found.rows @ values) ** 2)
         common[used] = values[: len(used)]
         origin[len(used) :] -= attitudes.ravel()
         starts = [turn @ start for turn, start in zip(rotation_matrices(attitudes), starts, strict=True)]
-        if abs(left - before) < _CONVERGED:
-            break
-    else:
-        raise MeasurementError(
-            f"the estimate does not converge in {_MAX_ROUNDS} rounds: the increments do not follow from "
-            "rotations between rests at one place. Check signs, axes and units in the import map"
-        )
-    sums = np.vstack([_sums(each) for each in blocks])
-    test = chi2_test(sums[:, -1] - sums[:, :-1] @ values, sums[:, :-1], covariance)
-    if test.p_value < MIN_P_VALUE:
-        covariance = covariance * test.chi2 / test.dof
-    beyond = np.where(is_observed, values, np.nan)[COUNT : len(used)]
-    uncertainty = np.where(is_observed, np.sqrt(np.diag(covariance)), np.nan)[COUNT : len(used)]
-    return Calibration(
-        values=values[:COUNT],
-        covariance=covariance[:COUNT, :COUNT],
-        is_observed=is_observed[:COUNT],
-        lever_arms=(beyond[:6].reshape(2, 3), uncertainty[:6].reshape(2, 3)) if options.lever_arms else None,
-        delay=(float(beyond[-1]), float(uncertainty[-1])) if options.delay else None,
-        noise=noise,
-        recordings=tuple(recordings),
-        rests=tuple(map(tuple, rests)),
-        rotations=tuple(map(tuple, rotations)),
-        fit=test,
+        # Sizes count in units of the residuals where these exceed the noise.
+        excess = max(1.0, left / sum(map(len, blocks)))
+        is_still = np.abs(step) < _MAX_STEP * np.sqrt(excess * np.diag(covariance))
+        if abs(left - before) < _CONVERGED * excess and is_still[is_observed].all():
+            return values, covariance, is_observed, blocks
+    raise MeasurementError(
+        f"the estimate does not converge in {_MAX_ROUNDS} rounds: the increments do not follow from "
+        "rotations between rests at one place. Check signs, axes and units in the import map"
     )
 
 
@@ -300,6 +389,12 @@ def _first_bias(recordings: Sequence[IncrementRecording], rests: Sequence[Sequen
     ]
     mean = np.mean(rates, axis=0)
     return np.asarray(mean if np.linalg.norm(mean) > 3.0 * EARTH_RATE else np.zeros(3))
+
+
+def _test_fit(values: FloatArray, covariance: FloatArray, blocks: Sequence[FloatArray]) -> Chi2Test:
+    """Test that the noise explains the residuals, summed over minutes."""
+    sums = np.vstack([_sums(each) for each in blocks])
+    return chi2_test(sums[:, -1] - sums[:, :-1] @ values, sums[:, :-1], covariance)
 
 
 def _sums(rows: FloatArray) -> FloatArray:

@@ -149,6 +149,8 @@ def calibration_record(calibration: Calibration, site: Site, origin: Mapping[str
             "velocity_random_walk_ug_per_sqrt_hz": noise.velocity_random_walk / UG_PER_SQRT_HZ_TO_SI,
             "white_velocity_mmps": noise.white_velocity * 1e3,
         },
+        "gravity_mps2": calibration.gravity[0],
+        "gravity_sigma_mps2": calibration.gravity[1],
         "earth_rate_up_dph": earth_rate_enu(site.latitude)[2] * RADPS_TO_DPH,
         "rests": [vars(rest) for rest in rest_rates(calibration)],
         "rotations": [

@@ -61,7 +61,7 @@ def white_rows(
 
 
 def _returned(trajectory: Trajectory, a: int, b: int) -> FloatArray:
-    """What the computed attitude says of whole turns, which lead back to where they started."""
+    """Error (3,) of the computed attitude, negated, after whole turns, which return to where they started."""
     turn = trajectory.attitude[b] @ trajectory.attitude[a].T
     return np.asarray(-rotation_vectors(turn[np.newaxis])[0])
 

@@ -41,7 +41,8 @@ def calibrate(
     rotations are found in the logs; what the data do not determine is stated. Missing samples divide a log.
 
     With --out: coefficients.csv, correlations.csv, calibration.json, which is also what --json prints:
-    {"logs", "map", "coefficients", "noise", "earth_rate_up_dph", "rests", "rotations", "fit"}.
+    {"logs", "map", "coefficients", "noise", "gravity_mps2", "gravity_sigma_mps2", "earth_rate_up_dph",
+    "rests", "rotations", "fit"}.
 
     Example: gyrobench calibrate rotations.csv --map my_imu.yaml --out calibration
     """

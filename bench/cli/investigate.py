@@ -73,12 +73,13 @@ def investigate(
     ] = 48.0,
     approve: Annotated[Approval, typer.Option(help="Whether a person approves each block.")] = Approval.ASK,
     verification: Annotated[
-        str,
+        str | None,
         typer.Option(
-            help="Procedure that verifies the compensation at the end, or none.",
+            help="Procedure that verifies the compensation at the end, or none; default: "
+            "verify_compensation. Not with --bench.",
             autocompletion=complete_procedure,
         ),
-    ] = "verify_compensation",
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -99,11 +100,11 @@ def investigate(
 
     Each block is the one that is expected to distinguish most, per hour, what the search left open. What each
     hypothesis predicts is written to the journal before the block is measured. The same command continues an
-    investigation that was interrupted. Exit code 1: ended without a settled cause.
+    investigation that was interrupted. Exit code 0: the cause is settled, or nothing was found; 1: neither.
 
     With --json: {"ended", "reason", "folder", "report", "hours", "blocks", "verdict", "effects",
-    "verification"}; ended is settled, not_on_list, budget, no_block, declined, refuted or bench_failed;
-    verification is null, or a list with the columns of comparison.csv as keys.
+    "verification"}; ended is settled, nothing_found, not_on_list, budget, no_block, declined, refuted or
+    bench_failed; verification is null, or a list with the columns of comparison.csv as keys.
 
     Example: gyrobench investigate quick_campaign --station quick --world quick --approve auto
     """
@@ -132,12 +133,14 @@ def investigate(
         return approve is Approval.AUTO or typer.confirm("Measure it?", err=as_json)
 
     if bench is not None:
-        if station or world or seed is not None or len(sources) > 1:
-            raise DocumentError("--bench goes with one table, without --station, --world and --seed")
+        if station or world or seed is not None or verification or len(sources) > 1:
+            raise DocumentError(
+                "--bench goes with one table, without --station, --world, --seed and --verification"
+            )
         table = Path(sources[0])
         folder = out or table.parent / "investigation"
-        external = ExternalBench(bench, bench_time_limit_s, terminal.print)
-        found = Investigator(read_dwells(table), folder, external, budget_h, approved).run(WallClock())
+        external = ExternalBench(bench, read_dwells(table), bench_time_limit_s, terminal.print)
+        found = Investigator(external.rows, folder, external, budget_h, approved).run(WallClock())
         _report(terminal, found, folder, sources, None, as_json)
         return
 
@@ -174,8 +177,9 @@ def investigate(
     own = StationBench(job, measured, folder, observe, clock)
     found = Investigator(own.rows, folder, own, budget_h, approved, own, own.campaign).run(WallClock())
     proof = None
-    if found.ended == "settled" and verification != "none":
-        runs = verification_runs(first, found.closure, verification, job, folder / "verification")
+    if found.is_conclusive and verification != "none":
+        procedure = verification or "verify_compensation"
+        runs = verification_runs(first, found.closure, procedure, job, folder / "verification")
         what = " and ".join(LABELS[name] for name in runs.selected)
         hours = sum(runs.jobs[name].plan.duration_s for name in runs.selected) / 3600.0
         terminal.print(f"Verification in {hours:.1f} h, with {what}.")
@@ -195,7 +199,7 @@ def _report(
 ) -> None:
     from gyrobench.bench.report.closure.closure_page import write_search
     from gyrobench.bench.report.investigation.investigation_page import write_investigation_page
-    from gyrobench.bench.report.investigation.investigation_text import end_sentence, test_sentence
+    from gyrobench.bench.report.investigation.investigation_text import closing_sentences
     from gyrobench.bench.report.verification.verification_page import write_verification_page
     from gyrobench.bench.report.verification.verification_text import outcome_sentence
     from gyrobench.bench.verification.compensation_verification import table_records, write_verification_table
@@ -220,14 +224,14 @@ def _report(
             }
         )
     else:
-        for sentence in filter(None, [end_sentence(found), test_sentence(found)]):
+        for sentence in closing_sentences(found):
             terminal.print(sentence)
         if proof is not None:
             terminal.print(outcome_sentence(proof))
         terminal.print(
             f"Report   {page}\nTable    {folder / 'dwells.csv'}\nFolder   {folder}", soft_wrap=True
         )
-    if found.ended != "settled":
+    if not found.is_conclusive:
         raise typer.Exit(EXIT_NOT_FINISHED)
 
 

@@ -329,6 +329,12 @@ class CalibrationLog(StrictModel):
     gravity_mps2: float | None = Field(
         default=None, ge=9.7, le=9.9, description="local gravity; default: normal gravity of the place"
     )
+    gravity_sigma_mps2: float | None = Field(
+        default=None,
+        ge=0.0,
+        le=0.1,
+        description="standard uncertainty of gravity; default: 0 with 'gravity_mps2', else 3e-4",
+    )
     noise: CalibrationNoise | None = Field(
         default=None, description="random walks, where rests are too short to show them; default: measured"
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +16,7 @@ from gyrobench.bench.foundations.arrays import (
     UG_PER_SQRT_HZ_TO_SI,
     BoolArray,
     FloatArray,
+    IntArray,
 )
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
 from gyrobench.bench.navigation.error_model import Site
@@ -26,8 +26,11 @@ _ANGLES = {"rad": 1.0, "deg": np.pi / 180.0, "arcsec": np.pi / 648000.0}
 _VELOCITIES = {"m/s2": 1.0, "g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY, "m/s": 1.0, "mm/s": 1e-3}
 _PREFIXES = {"m": 1e-3, "u": 1e-6}
 _INCREMENTS = ("m/s", "mm/s")
-#: Longest time between two samples of one piece, as a multiple of the usual one.
-_MAX_GAP = 1.5
+#: Samples over which the usual interval is measured, and on each side of a gap; a gap's step differs from the
+#: usual interval by at least this part.
+_LAG, _NEAR, _MIN_STEP_ERROR = 100, 16, 0.3
+#: Standard uncertainty of normal gravity, m/s^2: a usual anomaly of 30 mGal.
+_NORMAL_GRAVITY_SIGMA = 3e-4
 _NO_SECTION = "the import map has no section 'calibration'"
 
 
@@ -53,20 +56,23 @@ def read_increments(path: Path, log_map: LogMap) -> list[IncrementRecording]:
     samples = {name: np.concatenate([each[name] for each in batches]) for name in batches[0]}
     time_s = samples["time_s"]
     angle, velocity = (np.column_stack([samples[name] for name in names]) for names in (RATES, FORCES))
-    recordings = []
-    for part in _pieces(time_s, np.isfinite(angle).all(axis=1) & np.isfinite(velocity).all(axis=1)):
-        interval_s = float((time_s[part][-1] - time_s[part][0]) / (len(time_s[part]) - 1))
+    recordings, found = [], _pieces(time_s, np.hstack([angle, velocity]))
+    for part in found:
+        if (duration_s := float(time_s[part[-1]] - time_s[part[0]])) < MIN_REST_TOTAL_S:
+            continue
+        interval_s = duration_s / (len(part) - 1)
         recordings.append(
             IncrementRecording(
                 interval_s,
                 angle[part] * (1.0 if angles_are_increments else interval_s),
                 velocity[part] * (1.0 if section.accelerometers.unit in _INCREMENTS else interval_s),
-                reader.first_s + float(time_s[part][0]) - interval_s,
+                reader.first_s + float(time_s[part[0]]) - interval_s,
             )
         )
     if not recordings:
         raise MeasurementError(
-            f"{path}: no {MIN_REST_TOTAL_S:g} s without a missing sample. Check the log and 'time' in its map"
+            f"{path}: no {MIN_REST_TOTAL_S:g} s without a missing sample; gaps cut the log into "
+            f"{len(found)} parts. Check the log and 'time' in its map"
         )
     return recordings
 
@@ -78,15 +84,26 @@ def _angle_unit(unit: str) -> tuple[float, bool]:
     return size / (3600.0 if per == "h" else 1.0), not per
 
 
-def _pieces(time_s: FloatArray, valid: BoolArray) -> Iterator[slice]:
-    """Parts of a log, by valid samples, that are long enough and evenly sampled."""
-    steps = np.diff(time_s)
-    usual = float(np.median(steps)) if steps.size else 0.0
-    joined = valid[1:] & valid[:-1] & (steps < _MAX_GAP * usual) if steps.size else np.zeros(0, bool)
+def _pieces(time_s: FloatArray, values: FloatArray) -> list[IntArray]:
+    """Samples of each part of a log without a missing one; repeated rows are left out.
+
+    Gaps are jumps of the time against the sample's number, which jitter of the time stamps averages out of.
+    """
+    lag = min(_LAG, len(time_s) - 1)
+    if lag < 1:
+        return []
+    usual = float(np.median(time_s[lag:] - time_s[:-lag])) / lag
+    is_repeated = (np.diff(time_s) < 0.5 * usual) & (values[1:] == values[:-1]).all(axis=1)
+    kept = np.flatnonzero(np.concatenate([[True], ~is_repeated]))
+    at, count = np.arange(1, len(kept)), len(kept)
+    total = np.concatenate([[0.0], np.cumsum(time_s[kept] - usual * np.arange(count))])
+    first, last = np.maximum(at - _NEAR, 0), np.minimum(at + _NEAR, count)
+    jump = (total[last] - total[at]) / (last - at) - (total[at] - total[first]) / (at - first)
+    is_gap = (np.abs(jump) > 0.5 * usual) & (np.abs(np.diff(time_s[kept]) - usual) > _MIN_STEP_ERROR * usual)
+    valid: BoolArray = np.asarray(np.isfinite(values[kept]).all(axis=1))
+    joined = valid[1:] & valid[:-1] & ~is_gap
     edges = np.flatnonzero(np.diff(np.concatenate([[False], joined, [False]]).astype(np.int8)))
-    for first, last in edges.reshape(-1, 2):
-        if (last - first) * usual >= MIN_REST_TOTAL_S:
-            yield slice(int(first), int(last) + 1)
+    return [kept[begin : end + 1] for begin, end in edges.reshape(-1, 2)]
 
 
 def calibration_settings(log_map: LogMap, lever_arms: bool, delay: bool) -> tuple[Site, CalibrationOptions]:
@@ -103,4 +120,9 @@ def calibration_settings(log_map: LogMap, lever_arms: bool, delay: bool) -> tupl
         )
     site = Site(float(np.deg2rad(section.latitude_deg)), section.height_m)
     whole_turns = None if turns is None else turns * _ANGLES["arcsec"]
-    return site, CalibrationOptions(lever_arms, delay, whole_turns, section.gravity_mps2, walks)
+    gravity_sigma = section.gravity_sigma_mps2
+    if gravity_sigma is None:
+        gravity_sigma = _NORMAL_GRAVITY_SIGMA if section.gravity_mps2 is None else 0.0
+    return site, CalibrationOptions(
+        lever_arms, delay, whole_turns, section.gravity_mps2, walks, gravity_sigma
+    )

@@ -36,8 +36,13 @@ class Prediction:
     def log_likelihood(self, outcomes_dph: FloatArray) -> FloatArray:
         """Logarithm of the density of outcomes (s, q), shape (s,)."""
         factor = np.linalg.cholesky(self.covariance)
+        return np.asarray(-0.5 * self.chi2(outcomes_dph) - np.sum(np.log(np.diag(factor))))
+
+    def chi2(self, outcomes_dph: FloatArray) -> FloatArray:
+        """Sum of squares of outcomes (s, q) in units of their uncertainty, shape (s,)."""
+        factor = np.linalg.cholesky(self.covariance)
         white = np.linalg.solve(factor, (outcomes_dph - self.mean_dph).T)
-        return np.asarray(-0.5 * np.sum(white**2, axis=0) - np.sum(np.log(np.diag(factor))))
+        return np.asarray(np.sum(white**2, axis=0))
 
     def draw(self, normals: FloatArray) -> FloatArray:
         """Outcomes (s, q) from standard normal values (s, q)."""

@@ -9,17 +9,21 @@ import os
 import shlex
 import signal
 import subprocess
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import Field
 
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
+from gyrobench.bench.closure.plausibility import implausible
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError
 from gyrobench.bench.foundations.files import write_whole
+from gyrobench.bench.navigation.positions import AXES
 
 #: Exit code of a bench that can't do the block.
 REFUSED = 3
@@ -28,6 +32,8 @@ _TIMEOUT_FACTOR, _TIMEOUT_MARGIN_S = 1.5, 600.0
 #: Time for a command that is ended to switch its bench off.
 _TERMINATION_S = 10.0
 _S_PER_H = 3600.0
+#: Sigmas this many times those of the first table, or a fraction of them, are wrong.
+_MAX_SIGMA_RATIO = 5.0
 
 
 class TimedStep(StrictModel):
@@ -126,6 +132,7 @@ class ExternalBench:
     """A bench behind a command.
 
     ``command`` is split like a shell does and gets the paths of plan and table as its last two arguments.
+    ``rows`` are the dwells of the first table.
     ``time_limit_s``: how long it may take for a block; by default by the plan, as on a real bench.
     ``notice``: gets what a person has to know.
 
@@ -133,6 +140,7 @@ class ExternalBench:
     """
 
     command: str
+    rows: Sequence[DwellRow]
     time_limit_s: float | None = None
     notice: Callable[[str], None] = lambda text: None  # noqa: ARG005
 
@@ -153,11 +161,11 @@ class ExternalBench:
         slow, or writes something else than the dwells of the plan.
         """
         asked, answered, log = (folder / name for name in ("plan.json", "new.csv", "bench.log"))
-        if answered.exists() and (rows := _whole(plan, answered)):
+        if answered.exists() and (rows := self._whole(plan, answered)):
             return rows
         if log.exists():
             self.notice(
-                f"{folder}: this block was interrupted before all dwells were there. It is measured again."
+                f"{folder}: this block was interrupted, or its table was refused. It is measured again."
             )
         answered.unlink(missing_ok=True)
         write_whole(asked, plan.text().encode())
@@ -175,7 +183,15 @@ class ExternalBench:
                 f"{self.command}: ended with exit code {code}: {message or 'no message'}. "
                 "What was measured before is kept"
             )
-        return checked_rows(read_dwells(answered), plan, answered)
+        return checked_rows(read_dwells(answered), plan, answered, self.rows)
+
+    def _whole(self, plan: BlockPlan, table: Path) -> list[DwellRow]:
+        """Dwells of a table that has all of a plan; none otherwise."""
+        try:
+            rows = checked_rows(read_dwells(table), plan, table, self.rows)
+        except GyrobenchError:
+            return []
+        return rows if len(rows) == len(plan.dwells) else []
 
     def _run(self, arguments: Sequence[str], limit_s: float, log: Path) -> int:
         """Exit code; standard error goes to a file. A command that is too slow or interrupted is ended."""
@@ -204,15 +220,6 @@ class ExternalBench:
                 _end(process)
 
 
-def _whole(plan: BlockPlan, table: Path) -> list[DwellRow]:
-    """Dwells of a table that has all of a plan; none otherwise."""
-    try:
-        rows = checked_rows(read_dwells(table), plan, table)
-    except GyrobenchError:
-        return []
-    return rows if len(rows) == len(plan.dwells) else []
-
-
 def _end(process: subprocess.Popen[bytes]) -> None:
     """End a command and all processes that it started, after time to switch the bench off."""
     for name in ("SIGTERM", "SIGKILL"):
@@ -224,13 +231,16 @@ def _end(process: subprocess.Popen[bytes]) -> None:
             process.wait(_TERMINATION_S)
 
 
-def checked_rows(rows: Sequence[DwellRow], plan: BlockPlan, table: Path) -> list[DwellRow]:
-    """New rows of a block, in order.
+def checked_rows(
+    rows: Sequence[DwellRow], plan: BlockPlan, table: Path, first: Sequence[DwellRow]
+) -> list[DwellRow]:
+    """New rows of a block, in order; ``first`` are the dwells before the first block.
 
-    Raises DocumentError if they are not the dwells of the plan; some of them may be missing.
+    Raises DocumentError if they are not the dwells of the plan, or implausible; some of them may be missing.
     """
     asked = {step.dwell: step for step in plan.dwells}
     problems = [problem for row in rows for problem in _problems(row, asked.get(row.dwell), plan)]
+    problems = problems or implausible([*first, *rows]) or [*_wrong_sigmas(rows, first)][:1]
     if not rows:
         problems.append("has no dwells")
     if problems:
@@ -256,3 +266,21 @@ def _problems(row: DwellRow, step: DwellStep | None, plan: BlockPlan) -> list[st
     if math.isfinite(azimuth) and abs(azimuth) > 1.0:
         found.append(f"dwell {row.dwell} has the azimuth {row.azimuth_deg:g} deg, not {step.azimuth_deg:g}")
     return found
+
+
+def _wrong_sigmas(rows: Sequence[DwellRow], first: Sequence[DwellRow]) -> Iterator[str]:
+    """Dwells without flags the sigmas of which do not match those of the first table."""
+    usual = np.nanmedian([_sigma_of_a_second(row) for row in first if not row.flags], axis=0)
+    for row in rows:
+        ratios = _sigma_of_a_second(row) / usual
+        for axis, sigma_dph, ratio in zip(AXES, row.sigma_dph, ratios, strict=True):
+            if not row.flags and (ratio > _MAX_SIGMA_RATIO or ratio < 1.0 / _MAX_SIGMA_RATIO):
+                yield (
+                    f"dwell {row.dwell} has sigma_{axis}_dph {sigma_dph:.3g}, {ratio:.2g} times that of the "
+                    f"first table for its duration, outside 1/{_MAX_SIGMA_RATIO:g} to {_MAX_SIGMA_RATIO:g}. "
+                    "Correct the value or its unit"
+                )
+
+
+def _sigma_of_a_second(row: DwellRow) -> FloatArray:
+    return np.array(row.sigma_dph) * math.sqrt(max(row.end_s - row.start_s, 0.0))

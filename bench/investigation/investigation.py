@@ -18,6 +18,7 @@ from gyrobench.bench.closure.campaign import Campaign, campaign_of
 from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.effect import Effect, searched_length_s
 from gyrobench.bench.closure.loop import Closure, close_loop, composed
+from gyrobench.bench.closure.posterior import CLEAN, RIVAL
 from gyrobench.bench.closure.search import MAX_EFFECTS
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
@@ -70,11 +71,17 @@ class Investigation:
     """Outcome of an investigation."""
 
     stages: tuple[Stage, ...]  #: In the order of time; the last one has no block.
-    #: "settled", "not_on_list", "budget", "no_block", "declined", "refuted" or "bench_failed".
+    #: "settled", "nothing_found", "not_on_list", "budget", "no_block", "declined", "refuted" or
+    #: "bench_failed".
     ended: str
     reason: str  #: Why it ended.
     rows: tuple[DwellRow, ...]  #: All dwells.
     refused: Mapping[tuple[str, ...], str]  #: Reasons of the bench by the kinds of a block.
+
+    @property
+    def is_conclusive(self) -> bool:
+        """Whether the cause is settled, or nothing was found."""
+        return self.ended in ("settled", "nothing_found")
 
     @property
     def test(self) -> Stage | None:
@@ -221,14 +228,30 @@ class Investigator:
             return self._with_outcome(stage, forecast, best, rows, journal), None
 
     def _no_block(self, stage: Stage) -> tuple[str, str]:
-        not_on_list = stage.closure.posterior.not_on_list
-        if stage.closure.verdict == "unexplained" and not_on_list > 0.5:
+        closure, best = stage.closure, stage.rivals[0]
+        not_on_list = closure.posterior.not_on_list
+        if closure.verdict == "unexplained" and not_on_list > 0.5:
             return "not_on_list", f"Not on the list of effects: probability {not_on_list:.4f}."
+        rejected = {
+            each.effect.name: each.rejected for each in closure.evidence if each.effect.name in best.names
+        }
+        if closure.verdict == "unexplained" and any(rejected.values()) and best.probability >= SETTLED:
+            why = "; ".join(f"{closure.label(name)}: {each}" for name, each in rejected.items() if each)
+            what = listed(sorted(map(closure.label, best.names)))
+            return "not_on_list", (
+                f"Not on the list of effects: the most probable, {what} ({best.probability:.4f}), is not "
+                f"accepted ({why})."
+            )
         names = sorted({name for each in stage.rivals for name in each.names})
         effects = {each.effect.name: each.effect for each in stage.closure.evidence}
-        experiments = "; ".join(effects[name].experiment for name in names if name in effects)
+        experiments = "; ".join(
+            f"{stage.closure.label(name)}: {effects[name].experiment}" for name in names if name in effects
+        )
+        refused = "; ".join(f"{', then '.join(kinds)} ({why})" for kinds, why in self._refused.items())
+        refused = refused and f"The bench refused {refused}. "
         return "no_block", (
-            "No block of this bench is expected to distinguish what is left. What would: "
+            f"{refused}No {'other ' * bool(refused)}block of this bench is expected to distinguish what is "
+            "left. What would: "
             f"{experiments or 'a measurement of other quantities'}."
         )
 
@@ -265,10 +288,16 @@ class Investigator:
         names = tuple(sorted(each.effect.name for each in stage.closure.effects))
         if is_settled(stage.closure):
             tested = self._tested(CONFIRM, names)
-            if tested is not None and tested.probabilities[0] < 0.5:
+            if tested is not None and tested.probabilities[0] <= 1.0 - SETTLED:
                 return ("refuted", f"A block contradicts what {' + '.join(names)} predicted for it.")
             what = listed(sorted(map(stage.closure.label, names))) or "nothing beside the declared model"
             return "settled", f"{what.capitalize()}: probability {stage.closure.probability:.4f}."
+        is_listed = posterior.not_on_list <= 1.0 - SETTLED
+        if stage.closure.verdict == "clean" and is_listed and not posterior.rivals(()):
+            return "nothing_found", (
+                f"Nothing found: the declared model alone has the probability {posterior.nothing:.4f}, above "
+                f"{CLEAN:g} but below {SETTLED:g}, and no effect one of {RIVAL:g}."
+            )
         if posterior.not_on_list >= SETTLED:
             return "not_on_list", f"Not on the list of effects: probability {posterior.not_on_list:.4f}."
         if self._spent_h >= self._budget_h and not (self._block_folder / _DONE).exists():
@@ -318,6 +347,7 @@ class Investigator:
             hours=hours,
             dwells=len(rows),
             noise_dph=outcome.noise_dph if outcome else None,
+            off_forecast_k=outcome.off_forecast_k if outcome else None,
             hypotheses=outcome
             and [
                 {"hypothesis": rival.title, "probability": probability, "error_dph": error_dph}
@@ -349,7 +379,7 @@ def is_settled(closure: Closure) -> bool:
     """Whether a search states its cause, or that there is nothing, with enough probability."""
     names = [each.effect.name for each in closure.effects]
     is_stated = closure.verdict in ("explained", "clean")
-    return is_stated and closure.posterior.of_all(names) >= SETTLED and not closure.posterior.rivals(names)
+    return is_stated and closure.probability >= SETTLED and not closure.posterior.rivals(names)
 
 
 def rivals_of(closure: Closure) -> tuple[Rival, ...]:

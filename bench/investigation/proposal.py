@@ -6,6 +6,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import chdtrc
 
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.closure.campaign import Campaign, campaign_of
@@ -22,6 +23,8 @@ _PAIRED = 4
 #: Least spread of the bias from one power-on to the next, in units of the noise: the search takes nothing
 #: from the constant of a power-on, and a block must not be chosen for what it would say.
 _MIN_RUN_SPREAD = 30.0
+#: Temperatures of dwells that differ by less from the forecast are not worth a notice.
+_MIN_OFF_K = 10.0
 
 
 @dataclass(frozen=True)
@@ -197,6 +200,10 @@ class Outcome:
     #: Rms of measured minus predicted bias, deg/h, for each rival; of a new power-on without the mean.
     error_dph: tuple[float, ...]
     noise_dph: float  #: Rms of the noise of the new dwells.
+    p_value: tuple[float, ...]  #: Of a chi2 test of the dwells against the prediction of each rival.
+    #: Largest difference of a dwell's temperature from its forecast, K; zero unless it is above 10 K and half
+    #: of what the block changes it by.
+    off_forecast_k: float
 
 
 def outcome_of(
@@ -227,7 +234,21 @@ def outcome_of(
             error_dph[runs == run] -= error_dph[runs == run].mean(axis=0)
         errors.append(rms(error_dph))
     sigma_dph = noise_scale * np.array([row.sigma_dph for row in good])
-    return Outcome(tuple((shares / shares.sum()).tolist()), tuple(errors), rms(sigma_dph))
+    chi2 = [each.chi2(bias_dph.T.ravel()[np.newaxis])[0] for each in predictions]
+    return Outcome(
+        tuple((shares / shares.sum()).tolist()),
+        tuple(errors),
+        rms(sigma_dph),
+        tuple(chdtrc(bias_dph.size, chi2).tolist()),
+        _off_forecast_k(forecast.measured[-1], proposal.rows, good),
+    )
+
+
+def _off_forecast_k(last: DwellRow, expected: Sequence[DwellRow], measured: Sequence[DwellRow]) -> float:
+    forecast_c = {row.dwell: float(np.mean(row.gyro_c)) for row in expected}
+    change_k = float(np.ptp([np.mean(last.gyro_c), *forecast_c.values()]))
+    off_k = max(abs(float(np.mean(row.gyro_c)) - forecast_c[row.dwell]) for row in measured)
+    return off_k if off_k > max(_MIN_OFF_K, 0.5 * change_k) else 0.0
 
 
 def _with_electronics(row: DwellRow, expected: DwellRow) -> DwellRow:

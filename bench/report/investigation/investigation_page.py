@@ -37,8 +37,8 @@ def write_investigation_page(
         title="Investigation",
         source=source,
         judgement=text.GISTS[found.ended],
-        colour="finished" if found.ended == "settled" else "stopped",
-        sentence=" ".join(filter(None, [text.end_sentence(found), text.test_sentence(found)])),
+        colour="finished" if found.is_conclusive else "stopped",
+        sentence=" ".join(text.closing_sentences(found)),
         facts={
             "first table": f"{len(first)} dwells, {found.repeated_campaign_h:.1f} h",
             "blocks": f"{len(found.stages) - 1}, {found.spent_h:.1f} h",

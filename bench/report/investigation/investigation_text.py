@@ -13,6 +13,7 @@ from gyrobench.bench.navigation.positions import AXES
 #: Gist of each end.
 GISTS = {
     "settled": "settled",
+    "nothing_found": "nothing found",
     "not_on_list": "not on the list of effects",
     "budget": "not settled within the budget",
     "no_block": "not settled on this bench",
@@ -22,6 +23,8 @@ GISTS = {
 }
 #: Hypotheses below this probability are ruled out.
 _RULED_OUT = 0.01
+#: Dwells with a lower p-value do not fit a prediction.
+_MIN_P_VALUE = 1e-4
 
 
 def title_of(rival: Rival) -> str:
@@ -76,19 +79,45 @@ def test_sentence(found: Investigation) -> str:
     if stage is None or stage.outcome is None:
         return ""
     after, before = stage.outcome.error_dph
-    probability = stage.outcome.probabilities[0]
+    probability, tested = stage.outcome.probabilities[0], stage.rivals[0]
+    words = ("agrees with", "contradicts")
     if stage.purpose == CONFIRM:
-        subject, held = "the cause", "agrees with" if probability >= 0.5 else "contradicts"
+        is_stated = set(tested.names) == {each.effect.name for each in found.closure.effects}
+        subject = "the cause" if is_stated else f"{title_of(tested)}, which is not stated by the last search"
     else:
-        law = stage.rivals[0].candidates[-1].effect
-        subject = f"the composed law ({law.statement})"
-        held = "leaves open"
-        if probability >= 1.0 - _RULED_OUT or probability <= _RULED_OUT:
-            held = "confirms" if probability > 0.5 else "refutes"
+        subject, words = (
+            f"the composed law ({tested.candidates[-1].effect.statement})",
+            ("confirms", "refutes"),
+        )
+    held = "leaves open"
+    if max(stage.outcome.p_value) < _MIN_P_VALUE:
+        held = "fits neither the declared model nor"
+    elif probability >= 1.0 - _RULED_OUT or probability <= _RULED_OUT:
+        held = words[0] if probability > 0.5 else words[1]
     return (
         f"A block predicted before it was measured {held} {subject}: rms error {1e3 * before:.2f} x 0.001 "
         f"deg/h without it, {1e3 * after:.2f} with it, noise {1e3 * stage.outcome.noise_dph:.2f}."
     )
+
+
+def forecast_sentence(found: Investigation) -> str:
+    """Blocks whose temperatures are far from their forecast; empty without any."""
+    off_k = {
+        str(number): stage.outcome.off_forecast_k
+        for number, stage in enumerate(found.stages, start=1)
+        if stage.outcome and stage.outcome.off_forecast_k
+    }
+    if not off_k:
+        return ""
+    return (
+        f"The gyro temperatures of block {listed([*off_k])} differ by up to {max(off_k.values()):.0f} K from "
+        "the forecast. Check that the bench carries out the steps of its plan."
+    )
+
+
+def closing_sentences(found: Investigation) -> list[str]:
+    """How the investigation ended, what its test says, and what to check."""
+    return [*filter(None, [end_sentence(found), test_sentence(found), forecast_sentence(found)])]
 
 
 def block_rows(found: Investigation) -> list[list[str]]:

@@ -62,7 +62,8 @@ def forecast_summary(rotations: RotationList, expected: Forecast, noise: SensorN
     velocity_walk = noise.velocity_random_walk[0] / UG_PER_SQRT_HZ_TO_SI
     basis = (
         f"Noise: angle random walk {walk:.2g} deg/sqrt(h), velocity random walk {velocity_walk:.2g} "
-        f"ug/sqrt(Hz), velocity at rest {1e3 * noise.white_velocity[0]:.2g} mm/s at 1 Hz."
+        f"ug/sqrt(Hz), velocity at rest {1e3 * noise.white_velocity[0]:.2g} mm/s at 1 Hz. "
+        "Accelerometer scale factors: relative to gravity, whose error adds to them."
     )
     headers = ("Coefficient", "Axis", "Unit", "Standard uncertainty")
     return Group(Text(title, style="bold"), plain_table(headers, 3, rows, fold=False), Text(), Text(basis))
@@ -88,6 +89,12 @@ def _topics(calibration: Calibration, site: Site) -> Iterator[tuple[str, str]]:
         f"x, y, z: angle random walk {_three(noise.angle_random_walk / DEG_PER_SQRT_H_TO_SI)} deg/sqrt(h), "
         f"white angle {_three(1e6 * noise.white_angle)} urad, velocity random walk "
         f"{_three(noise.velocity_random_walk / UG_PER_SQRT_HZ_TO_SI)} ug/sqrt(Hz)",
+    )
+    gravity, sigma = calibration.gravity
+    yield (
+        "Gravity",
+        f"{gravity:.5f} ± {sigma:.1g} m/s^2: {1e6 * sigma / gravity:.2g} ppm of the accelerometer scale "
+        "factors, included",
     )
     up_dph = earth_rate_enu(site.latitude)[2] * RADPS_TO_DPH
     if len(rests) <= _MAX_RESTS:

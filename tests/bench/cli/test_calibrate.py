@@ -67,7 +67,11 @@ def test_a_log_gives_a_table_of_coefficients_with_their_uncertainties(tmp_path, 
     with (tmp_path / "found/correlations.csv").open() as table:
         correlations = list(csv.DictReader(table))
     assert [float(row[row["coefficient"]]) for row in correlations] == [1.0] * 21
-    assert json.loads((tmp_path / "found/calibration.json").read_text())["fit"]["p_value"] > 1e-4
+    record = json.loads((tmp_path / "found/calibration.json").read_text())
+    assert record["fit"]["p_value"] > 1e-4
+    assert record["gravity_sigma_mps2"] == 3e-4
+    assert float(rows["accelerometer_scale_factor", "z"]["sigma"]) > 30.0
+    assert "31 ppm of the accelerometer scale factors" in " ".join(result.stdout.split())
 
 
 def test_what_the_data_leave_open_is_no_number(tmp_path):

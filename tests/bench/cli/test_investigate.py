@@ -14,13 +14,13 @@ def table_of(tmp_path, effects, seed):
     return f"{sys.executable} {simulated_bench.__file__} {tmp_path / 'unit.json'}"
 
 
-def test_a_unit_without_an_effect_is_settled_without_a_block(tmp_path):
+def test_a_unit_without_an_effect_ends_without_a_block(tmp_path):
     command = table_of(tmp_path, {}, 5)
     options = ("--bench", command, "--approve", "auto", "--json")
     answer = gyrobench("investigate", "dwells.csv", *options, cwd=tmp_path)
     assert answer.returncode == 0, answer.stderr
     found = json.loads(answer.stdout)
-    assert (found["ended"], found["blocks"], found["verdict"]) == ("settled", 0, "clean")
+    assert (found["ended"], found["blocks"], found["verdict"]) == ("nothing_found", 0, "clean")
     assert (tmp_path / "investigation" / "investigation.html").exists()
     assert (tmp_path / "investigation" / "closure" / "closure.json").exists()
 
@@ -49,6 +49,13 @@ def test_a_bench_that_fails_is_reported_with_what_was_measured(tmp_path):
     assert (found["ended"], found["hours"], found["blocks"]) == ("bench_failed", 0.0, 0)
     assert "chamber door open" in found["reason"]
     assert (tmp_path / "investigation" / "investigation.html").exists()
+
+
+def test_a_verification_is_not_ignored_with_a_bench(tmp_path):
+    options = ("--bench", "true", "--verification", "none")
+    answer = gyrobench("investigate", "dwells.csv", *options, cwd=tmp_path)
+    assert answer.returncode == 2
+    assert "--verification" in answer.stderr
 
 
 def test_an_open_quotation_mark_is_wrong_input(tmp_path):

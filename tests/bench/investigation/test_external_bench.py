@@ -1,10 +1,11 @@
 import json
 import sys
+from dataclasses import replace
 
 import psutil
 import pytest
 
-from gyrobench.bench.bias.dwell_table import read_dwells
+from gyrobench.bench.bias.dwell_table import read_dwells, write_dwells
 from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError
 from gyrobench.bench.investigation.blocks import catalogue
 from gyrobench.bench.investigation.external_bench import BlockPlan, BlockRefusedError, ExternalBench
@@ -23,10 +24,10 @@ def plan_of(rows, kind):
     return next(each.plan for each in catalogue(rows) if each.kinds == (kind,))
 
 
-def bench_that(tmp_path, code):
+def bench_that(tmp_path, code, rows=()):
     script = tmp_path / "bench.py"
     script.write_text(f"import json, sys\nplan = json.load(open(sys.argv[1]))\n{code}\n")
-    return ExternalBench(f"{sys.executable} {script}", time_limit_s=100.0)
+    return ExternalBench(f"{sys.executable} {script}", rows, time_limit_s=100.0)
 
 
 def test_the_plan_is_a_file_with_the_documented_keys(rows):
@@ -61,7 +62,7 @@ def test_a_refused_block_is_an_error_with_the_bench_s_reason(rows, tmp_path):
 def test_a_bench_that_fails_or_hangs_ends_the_block(rows, tmp_path, code, message):
     bench = bench_that(tmp_path, code)
     if "sleep" in code:
-        bench = ExternalBench(bench.command, time_limit_s=0.5)
+        bench = ExternalBench(bench.command, rows, time_limit_s=0.5)
     with pytest.raises(GyrobenchError, match=message):
         bench.measure(plan_of(rows, "reversal"), tmp_path)
 
@@ -72,7 +73,7 @@ import subprocess, time
 child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(1000)"])
 open({str(tmp_path / "child")!r}, "w").write(str(child.pid))
 time.sleep(1000)"""
-    bench = ExternalBench(bench_that(tmp_path, code).command, time_limit_s=3.0)
+    bench = ExternalBench(bench_that(tmp_path, code).command, rows, time_limit_s=3.0)
     with pytest.raises(GyrobenchError, match="did not end"):
         bench.measure(plan_of(rows, "reversal"), tmp_path)
     process = psutil.Process(int((tmp_path / "child").read_text())) if (tmp_path / "child").exists() else None
@@ -82,7 +83,7 @@ time.sleep(1000)"""
 @pytest.mark.parametrize(("command", "message"), [("python 'my bench.py", "quotation"), ("  ", "is empty")])
 def test_a_command_that_can_not_be_split_is_refused_at_once(command, message):
     with pytest.raises(GyrobenchError, match=message):
-        ExternalBench(command)
+        ExternalBench(command, ())
 
 
 @pytest.mark.parametrize("lost", [0, 1])
@@ -90,18 +91,34 @@ def test_a_table_that_the_command_finished_is_taken_and_a_part_is_measured_again
     plan, notices = plan_of(rows, "four headings"), []
     (tmp_path / "unit.json").write_text(json.dumps(UNIT))
     command = f"{sys.executable} {simulated_bench.__file__} {tmp_path / 'unit.json'}"
-    whole = ExternalBench(command, notice=notices.append).measure(plan, tmp_path)
+    whole = ExternalBench(command, rows, notice=notices.append).measure(plan, tmp_path)
     assert not notices
     lines = (tmp_path / "new.csv").read_text().splitlines(keepends=True)
     (tmp_path / "new.csv").write_text("".join(lines[: len(lines) - lost]))
-    again = ExternalBench(command if lost else "/no/such/bench", notice=notices.append)
+    again = ExternalBench(command if lost else "/no/such/bench", rows, notice=notices.append)
     assert again.measure(plan, tmp_path) == whole
     assert ["measured again" in each for each in notices] == [True] * lost
 
 
+def test_dwells_that_overlap_are_refused_and_the_next_call_measures_the_block_again(rows, tmp_path):
+    plan = plan_of(rows, "four headings")
+    (tmp_path / "unit.json").write_text(json.dumps(UNIT))
+    honest = f"{sys.executable} {simulated_bench.__file__} {tmp_path / 'unit.json'}"
+    whole = ExternalBench(honest, rows).measure(plan, tmp_path)
+    same = [replace(row, start_s=whole[0].start_s) for row in whole]
+    (tmp_path / "new.csv").unlink()
+    write_dwells(tmp_path / "same.csv", same)
+    code = f"import shutil\nshutil.copy({str(tmp_path / 'same.csv')!r}, sys.argv[2])"
+    with pytest.raises(DocumentError, match=r"new.csv: 4 of \d+ dwells start at"):
+        bench_that(tmp_path, code, rows).measure(plan, tmp_path)
+    notices = []
+    assert ExternalBench(honest, rows, notice=notices.append).measure(plan, tmp_path) == whole
+    assert "measured again" in notices[0]
+
+
 def test_a_command_that_does_not_exist_is_reported(rows, tmp_path):
     with pytest.raises(GyrobenchError, match=r"can't be started"):
-        ExternalBench("/no/such/bench").measure(plan_of(rows, "reversal"), tmp_path)
+        ExternalBench("/no/such/bench", rows).measure(plan_of(rows, "reversal"), tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -113,6 +130,9 @@ def test_a_command_that_does_not_exist_is_reported(rows, tmp_path):
         (("run", "B-7"), "run B-7, not B-1"),
         (("start_s", "5.0"), "before its block"),
         (("azimuth_deg", "33.0"), "azimuth 33 deg"),
+        (("sigma_x_dph", "1e-12"), r"new.csv: dwell .* has sigma_x_dph 1e-12, .* outside 1/5 to 5"),
+        (("sigma_z_dph", "0.1"), "sigma_z_dph 0.1"),
+        (("gyro_y_c", "300.0"), "gyro_y_c is 300 degC"),
     ],
 )
 def test_rows_that_are_not_the_plan_s_are_refused(rows, tmp_path, change, message):
@@ -130,7 +150,7 @@ with open(sys.argv[2], "w", newline="") as file:
     writer = csv.DictWriter(file, list(row)); writer.writeheader(); writer.writerow(row)
 """
     with pytest.raises(DocumentError, match=message):
-        bench_that(tmp_path, code).measure(plan, tmp_path)
+        bench_that(tmp_path, code, rows).measure(plan, tmp_path)
     assert len(read_dwells(tmp_path / "new.csv")) == 1
 
 
@@ -138,7 +158,7 @@ def test_the_dwells_of_the_plan_come_back(rows, tmp_path):
     plan = plan_of(rows, "four headings")
     unit = tmp_path / "unit.json"
     unit.write_text(json.dumps(UNIT))
-    bench = ExternalBench(f"{sys.executable} {simulated_bench.__file__} {unit}")
+    bench = ExternalBench(f"{sys.executable} {simulated_bench.__file__} {unit}", rows)
     measured = bench.measure(plan, tmp_path)
     assert [row.dwell for row in measured] == [step.dwell for step in plan.dwells]
     assert json.loads((tmp_path / "plan.json").read_text())["next_dwell"] == measured[0].dwell

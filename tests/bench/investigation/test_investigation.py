@@ -7,11 +7,14 @@ import pytest
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.investigation.external_bench import ExternalBench
+from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.investigation.investigation import Investigator
-from gyrobench.bench.report.investigation.investigation_text import test_sentence
+from gyrobench.bench.investigation.proposal import outcome_of
+from gyrobench.bench.report.investigation import investigation_text
 from gyrobench.bench.runs.journal import read_journal
 from tests.bench.investigation import simulated_bench
 from tests.bench.investigation.simulated_bench import first_campaign, simulate
+from tests.benchmarks.bench_investigation import unit_of
 
 
 def unit_with(effects, seed=2, refuses=("factor",)):
@@ -23,8 +26,8 @@ def investigator(unit, folder, budget_h=60.0, approve=lambda proposal, rivals: T
     path = folder.parent / f"{folder.name}.json"
     if not path.exists():
         path.write_text(json.dumps(unit))
-    bench = ExternalBench(f"{before}{sys.executable} {simulated_bench.__file__} {path}")
-    return Investigator(simulate(unit), folder, bench, budget_h, approve)
+    bench = ExternalBench(f"{before}{sys.executable} {simulated_bench.__file__} {path}", simulate(unit))
+    return Investigator(bench.rows, folder, bench, budget_h, approve)
 
 
 @pytest.fixture(scope="module")
@@ -65,6 +68,34 @@ def test_predictions_stand_in_the_journal_before_the_block_is_measured(settled):
     assert len(first["predictions"][0]["bias_x_dph"]) == len(first["dwells"])
 
 
+def test_a_block_is_said_to_agree_only_where_it_does_and_with_the_cause_that_is_stated(settled):
+    found, _ = settled
+    assert "agrees with the cause" in investigation_text.test_sentence(found)
+
+    def sentence(closure=found.closure, **changes):
+        tested = replace(found.test, outcome=replace(found.test.outcome, **changes))
+        last = replace(found.stages[-1], closure=closure)
+        return investigation_text.test_sentence(replace(found, stages=(*found.stages[:-2], tested, last)))
+
+    assert "leaves open the cause" in sentence(probabilities=(0.7, 0.3))
+    assert "contradicts the cause" in sentence(probabilities=(0.001, 0.999))
+    assert "fits neither the declared model nor the cause" in sentence(p_value=(1e-9, 1e-12))
+    given_up = replace(found.closure, effects=())
+    assert "agrees with warm up, which is not stated by the last search" in sentence(given_up)
+
+
+def test_a_block_far_from_its_forecast_is_named_at_the_end(settled):
+    found, _ = settled
+    assert investigation_text.forecast_sentence(found) == ""
+    stage = found.stages[0]
+    cold = [replace(row, gyro_c=(-60.0, -60.0, -60.0)) for row in stage.proposal.rows]
+    forecast = Forecast(found.rows[: -sum(len(each.proposal.rows) for each in found.stages[:-1])])
+    outcome = outcome_of(forecast, stage.proposal, cold, stage.rivals, 1.0)
+    assert outcome.off_forecast_k > 10.0
+    idle = replace(found, stages=(replace(stage, outcome=outcome), *found.stages[1:]))
+    assert "of block 1 differ by up to" in investigation_text.forecast_sentence(idle)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("fails_at", [1, 2])
 def test_an_investigation_that_was_killed_decides_the_same_again(settled, tmp_path, fails_at):
@@ -102,7 +133,9 @@ def test_a_block_that_the_bench_refuses_is_replaced_by_another(tmp_path):
 
 def test_nothing_is_measured_for_a_unit_without_an_effect(tmp_path):
     found = investigator(unit_with({}, seed=5), tmp_path / "clean").run(WallClock())
-    assert (found.ended, found.spent_h, found.test) == ("settled", 0.0, None)
+    assert (found.ended, found.spent_h, found.test) == ("nothing_found", 0.0, None)
+    assert found.closure.posterior.nothing < 0.99
+    assert "above 0.5 but below 0.99" in found.reason
     assert found.closure.verdict == "clean"
 
 
@@ -130,6 +163,8 @@ def test_a_bench_that_refuses_all_is_asked_once_for_each_kind(tmp_path):
     refusing = f"{sys.executable} -c 'raise SystemExit(3)' "
     found = investigator(unit, tmp_path / "all", approve=approve, before=refusing).run(WallClock())
     assert found.ended == "no_block"
+    assert found.reason.startswith(f"The bench refused {', then '.join(asked[0])} (no reason was given)")
+    assert "; warm-up: reach the same" in found.reason
     assert asked
     assert len(asked) == len(set(asked))
 
@@ -147,8 +182,9 @@ def test_measured_blocks_are_taken_from_the_folder_with_any_budget(settled):
 
 def test_the_folder_of_another_table_is_refused(settled):
     _, folder = settled
+    rows = simulate(unit_with({}, seed=9))
     with pytest.raises(RunFolderError, match="another table"):
-        Investigator(simulate(unit_with({}, seed=9)), folder, ExternalBench("x"), 1.0, lambda *_: True)
+        Investigator(rows, folder, ExternalBench("x", rows), 1.0, lambda *_: True)
 
 
 @pytest.mark.long
@@ -185,7 +221,10 @@ def test_a_law_composed_for_what_is_on_no_list_is_tested_by_a_new_cycle(tmp_path
     assert (found.test.purpose, found.test.proposal.block.name) == ("test_law", "new cycle")
     assert found.test.rivals[0].names == ("composed_board_c_resonance",)
     assert found.test.outcome.probabilities[0] == pytest.approx(probability, abs=1e-6)
-    assert f"{verdict} the composed law (the bias follows the electronics" in test_sentence(found)
+    assert (
+        f"{verdict} the composed law (the bias follows the electronics"
+        in investigation_text.test_sentence(found)
+    )
     events = [entry["event"] for entry in read_journal(tmp_path / law / "journal.jsonl")]
     assert events.index("proposed") < events.index("measured")
     assert events.count("measured") == 1
@@ -204,3 +243,13 @@ def test_a_block_that_brings_flagged_dwells_alone_is_not_repeated_for_ever(tmp_p
     assert max(map(proposed.count, proposed)) == 2
     assert all(stage.outcome is None for stage in found.stages)
     assert found.spent_h > 0.0
+
+
+@pytest.mark.long
+def test_an_ageing_of_another_law_is_not_settled_as_two_effects(tmp_path):
+    """A logarithmic ageing: with a drift beside it, its time constant runs to the upper bound."""
+    unit = unit_of(5)
+    found = Investigator(unit.rows, tmp_path / "ageing", unit, 36.0, lambda *_: True).run(WallClock())
+    [law] = [stage for stage in found.stages if stage.purpose == "test_law"]
+    assert any(each.rejected for each in law.closure.evidence if each.effect.name == "ageing")
+    assert found.ended != "settled" or [each.effect.name for each in found.closure.effects] == ["ageing"]
