@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -90,6 +91,13 @@ class Campaign:
     def whole(self) -> Campaign:
         """The campaign including the dwells without a result; their biases may be NaN."""
         return self if self.part_of is None else self.part_of[0]
+
+    @property
+    def fingerprints(self) -> list[str]:
+        """Each dwell by its biases and temperatures, as they remain in a copied, joined or renamed table."""
+        rows = np.concatenate([self.bias_dph, self.gyro_c], axis=1).tolist()
+        texts = (" ".join(f"{value:.5f}" for value in row) for row in rows)
+        return [f"d{hashlib.sha256(text.encode()).hexdigest()[:10]}" for text in texts]
 
     @property
     def cycles(self) -> list[int]:

@@ -193,6 +193,7 @@ def _law(
         factor=factor,  # type: ignore[arg-type]
         bounds=bounds,
         composed_from=list(campaign.run_names),
+        composed_from_dwells=campaign.fingerprints,
     )
 
 

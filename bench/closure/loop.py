@@ -159,6 +159,8 @@ class Closure:
     model_draws: Draws
     composed: Composed | None = None  #: Laws composed from the grammar; None if that was not asked for.
     rotation: tuple[Turn, ...] = ()  #: Each cycle held out in turn; empty if that was not asked for.
+    #: Names of the laws found that were composed from held-out dwells, which can't confirm them.
+    circular: tuple[str, ...] = ()
 
     @property
     def noise_scale(self) -> float:
@@ -256,6 +258,8 @@ def close_loop(
         measured_minus(campaign, searched, each)[~searched] for each in (declared, model)
     )
     noise_dph = campaign.sigma_dph[~searched] * problem.noise_scale
+    held_out = campaign.part(~searched)
+    circular = tuple(each.effect.name for each in found.candidates if _is_circular(each.effect, held_out))
     return Closure(
         campaign=campaign,
         searched=searched,
@@ -263,9 +267,9 @@ def close_loop(
             found,
             after,
             weighed,
-            is_confirmed=is_confirmed(before_dph, after_dph, noise_dph)
-            and not _is_circular(campaign, searched, found),
+            is_confirmed=is_confirmed(before_dph, after_dph, noise_dph) and not circular,
         ),
+        circular=circular,
         posterior=weighed,
         not_accepted=selected.not_accepted,
         detectable_dph=detectable_dph(selected.with_effects),
@@ -348,10 +352,11 @@ def _verdict(found: Hypothesis, after: LackOfFit, weighed: Posterior, *, is_conf
     return "explained" if is_settled and is_confirmed else "ambiguous"
 
 
-def _is_circular(campaign: Campaign, searched: BoolArray, found: Hypothesis) -> bool:
-    """Whether a law composed from the held-out runs themselves is among the effects found."""
-    held_out = {campaign.run_names[run] for run in campaign.run[~searched]}
-    return any(held_out & set(each.effect.composed_from) for each in found.candidates)
+def _is_circular(effect: Effect, held_out: Campaign) -> bool:
+    """Whether a law was composed from held-out dwells, or from their runs if its dwells are not known."""
+    if effect.composed_from_dwells:
+        return not set(effect.composed_from_dwells).isdisjoint(held_out.fingerprints)
+    return not {held_out.run_names[run] for run in held_out.run}.isdisjoint(effect.composed_from)
 
 
 def _found_effects(

@@ -101,7 +101,9 @@ class Effect:
     compensation: Callable[[FittedForm], InsTerms] = NO_INS_TERM  #: How the INS compensates it.
     label: str = ""  #: Displayed in place of the name; by default the name with spaces.
     may_imitate: Callable[[Campaign], bool] = always  #: In which campaigns it may imitate another effect.
-    composed_from: tuple[str, ...] = ()  #: Runs that an empirical law was composed from.
+    #: Runs that an empirical law was composed from, and the fingerprints of their dwells; empty if not known.
+    composed_from: tuple[str, ...] = ()
+    composed_from_dwells: tuple[str, ...] = ()
 
     @property
     def display_name(self) -> str:

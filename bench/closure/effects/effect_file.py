@@ -57,8 +57,11 @@ class EffectFile(StrictModel):
     imitated_by: list[str] = Field(
         [], description="effects that may be present in its place where they can't be fitted"
     )
-    composed_from: list[str] = Field(
-        [], description="runs that the law was composed from: it is confirmed by held-out dwells of others"
+    composed_from: list[str] = Field([], description="runs that the law was composed from")
+    composed_from_dwells: list[str] = Field(
+        [],
+        description="fingerprints of the dwells that the law was composed from: it is confirmed by other "
+        "held-out dwells; without them by dwells of other runs",
     )
 
     @model_validator(mode="after")
@@ -116,6 +119,7 @@ class EffectFile(StrictModel):
             partial(ins_terms, laws),
             self.label,
             composed_from=tuple(self.composed_from),
+            composed_from_dwells=tuple(self.composed_from_dwells),
         )
 
 

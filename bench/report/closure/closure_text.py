@@ -193,6 +193,11 @@ def _unsettled(closure: Closure) -> str:
     if rivals:
         others = listed([_with_probability(closure, name) for name in rivals])
         return f"it is not settled whether it is {found}) alone, or with or in place of it {others}."
+    if closure.circular:
+        verb = "was" if len(closure.circular) == 1 else "were"
+        return (
+            f"{labels(closure, closure.circular)} {verb} composed from the held-out dwells: measure others."
+        )
     return f"{found}) does not predict the held-out cycle better by more than chance, and within the noise."
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrobench.bench.bias.dwell_table import write_dwells
+from gyrobench.bench.bias.dwell_table import read_dwells, write_dwells
 from gyrobench.bench.closure import posterior
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.compose import _laws
@@ -109,9 +109,13 @@ def test_a_composed_law_is_confirmed_only_by_another_run(tmp_path):
     assert [each["effect"] for each in again["effects"]] == ["composed_board_c_resonance"]
     assert again["verdict"] != "explained"
 
-    rows = table(striction, power_on_each_cycle=True, seed=1, cycles=4)
-    new = [row if row.run in ("R1", "R2", "R3") else type(row)(**{**vars(row), "run": "N1"}) for row in rows]
-    write_dwells(tmp_path / "dwells.csv", new)
+    old = read_dwells(tmp_path / "dwells.csv")
+    write_dwells(tmp_path / "dwells.csv", [replace(row, run=f"{row.run} renamed") for row in old])
+    renamed = gyrobench("close", "dwells.csv", cwd=tmp_path).stdout
+    assert "was composed from the held-out dwells" in " ".join(renamed.split())
+
+    # New dwells under the names of the runs that the law was composed from.
+    write_dwells(tmp_path / "dwells.csv", table(striction, power_on_each_cycle=True, seed=1))
     confirmed = json.loads(gyrobench("close", "dwells.csv", "--json", cwd=tmp_path).stdout)["closure"]
     assert [each["effect"] for each in confirmed["effects"]] == ["composed_board_c_resonance"]
     assert confirmed["verdict"] == "explained"

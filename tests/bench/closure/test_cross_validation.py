@@ -145,3 +145,35 @@ def test_effects_are_confirmed_by_held_out_dwells_that_follow_them(held_out, is_
 def test_an_effect_that_predicts_nothing_in_the_held_out_dwells_is_not_confirmed():
     measured = np.random.default_rng(3).standard_normal((40, 3))
     assert not is_confirmed(measured, measured, np.ones((40, 3)))
+
+
+def share_confirmed(predicted, size, *, outliers=0.0):
+    """Share of 50 held-out cycles that confirm a prediction (n, 3) of this true size, or one per gyro."""
+    random = np.random.default_rng(5)
+    confirmed = 0
+    for _ in range(50):
+        noise = random.standard_normal(predicted.shape)
+        noise += 30.0 * (random.random(predicted.shape) < outliers)
+        measured = size * predicted + noise
+        confirmed += is_confirmed(measured, measured - predicted, np.ones(predicted.shape))
+    return confirmed / 50.0
+
+
+@pytest.mark.parametrize("sigmas", [2.0, 8.0, 30.0, 1000.0])
+@pytest.mark.parametrize("shown", ["by all gyros", "by one gyro", "in few dwells"])
+def test_effects_of_any_size_are_refuted_if_absent_or_reversed_and_confirmed_beside_outliers(sigmas, shown):
+    predicted = sigmas * np.random.default_rng(4).standard_normal((45, 3))
+    if shown == "by one gyro":
+        predicted[:, 1:] = 0.0
+    elif shown == "in few dwells":
+        predicted[12:] = 0.0
+    assert share_confirmed(predicted, 0.0) < 0.01
+    assert share_confirmed(predicted, -1.0) < 0.01
+    assert share_confirmed(predicted, 3.0) < 0.01
+    assert share_confirmed(predicted, 1.0) > 0.95
+    assert share_confirmed(predicted, 1.0, outliers=0.02) > 0.95
+
+
+def test_an_effect_that_one_of_three_gyros_refutes_is_not_confirmed():
+    predicted = 4.0 * np.random.default_rng(4).standard_normal((45, 3))
+    assert share_confirmed(predicted, np.array([1.0, 1.0, 0.0])) < 0.01
