@@ -173,6 +173,8 @@ def calibrate(
     used = columns_of(options)
     bias = _first_bias(recordings, rests)
     values, covariance, is_observed, blocks = _solve(sections, bias, noise, site, options)
+    if all(turn.kind == "disturbance" for turns in rotations for turn in turns):
+        is_observed[:COUNT] &= [each.sensor != "gyro" or each.kind == "bias" for each in COEFFICIENTS]
     _check_size(values, is_observed)
     test = _test_fit(values, covariance, blocks)
     if test.p_value < MIN_P_VALUE:
@@ -188,15 +190,13 @@ def calibrate(
                 "'calibration.latitude_deg' or the signs of all accelerometers in the import map"
             )
         widening = float(np.sqrt(test.chi2 / test.dof))
-        if widening > _MAX_WIDENING:
+        if widening > _MAX_WIDENING and is_observed[:COUNT].any():
             raise MeasurementError(
                 f"the residuals are {widening:.3g} times the noise, at most {_MAX_WIDENING:g} times is "
                 "accepted. Try --lever-arms and --delay; check latitude, signs and time in the import map, "
                 "and whether the unit drifts or moves at rest"
             )
         covariance = covariance * widening**2
-    if all(turn.kind == "disturbance" for turns in rotations for turn in turns):
-        is_observed[:COUNT] &= [each.sensor != "gyro" or each.kind == "bias" for each in COEFFICIENTS]
     # An error of gravity is one of all three scale factors, which the residuals do not show.
     is_scale = [each.name == "accelerometer_scale_factor" for each in COEFFICIENTS]
     by_gravity = np.where(is_scale, options.gravity_sigma / gravity, 0.0)
