@@ -60,21 +60,21 @@ def test_a_navigation_ends_as_soon_as_the_biases_are_known_well_enough(measured)
     dwell, watcher = measured(until(0.004, "at_most_s: 600"), "gyro_a")
     *before, last = largest_sigmas_dph(watcher)
     assert last < 0.004 <= min(before)
-    assert 60.0 <= dwell.windows[1].duration_s < 300.0
+    assert 60.0 <= np.ptp(dwell.windows[1].time_s) < 300.0
     assert max(dwell.row.sigma_dph) < 0.004
     assert np.abs(errors_in_sigmas(dwell, watcher)).max() < 4.0
 
 
 def test_a_navigation_whose_biases_stay_unknown_ends_after_its_maximum_time(measured):
     dwell, watcher = measured(until(0.00001, "at_most_s: 95"), "gyro_a")
-    assert dwell.windows[1].duration_s == pytest.approx(95.0, abs=1.5)
+    assert np.ptp(dwell.windows[1].time_s) == pytest.approx(95.0, abs=1.5)
     assert min(largest_sigmas_dph(watcher)) > 0.00001
     assert max(dwell.row.sigma_dph) < 0.01
 
 
 def test_a_navigation_lasts_its_minimum_time_however_well_the_biases_are_known(measured):
     dwell, watcher = measured(until(1, "at_least_s: 90, at_most_s: 400"), "gyro_a")
-    assert dwell.windows[1].duration_s == pytest.approx(90.0, abs=1.5)
+    assert np.ptp(dwell.windows[1].time_s) == pytest.approx(90.0, abs=1.5)
     assert max(largest_sigmas_dph(watcher)) < 1.0
 
 
@@ -94,7 +94,7 @@ def test_four_azimuths_give_the_bias_better_than_two(measured, world):
     two, _ = measured(half_turn(), world)
     four, watcher = measured(FOUR_AZIMUTHS, world)
     assert len(four.windows) == 4
-    headings = [np.degrees(np.arctan2(*window.C_nb[0][:2, 1])) for window in four.windows]
+    headings = [np.degrees(np.arctan2(*window.C_nb[:2, 1])) for window in four.windows]
     np.testing.assert_allclose(np.diff(headings) % 360.0, 270.0, atol=0.1)  # about Up, so against the compass
     assert (four.estimate.sigma_dph < 0.8 * two.estimate.sigma_dph).all()
     # Without noise, rounding is left.
