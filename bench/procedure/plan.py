@@ -57,7 +57,7 @@ class PlannedStep:
     window: int | None = None
     #: Whether its dwell verifies a calibration: one navigation straight from the alignment.
     is_calibration_check: bool = False
-    #: Whether its dwell rotates about the table's axes: it gives no bias of its own.
+    #: Whether its dwell rotates about the table's axes: it gives no bias.
     is_rotated: bool = False
     #: Places of the values that came from loop variables, by their keys.
     value_places: Mapping[Location, Location] = field(default_factory=dict, repr=False)
