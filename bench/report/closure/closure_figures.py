@@ -189,7 +189,7 @@ def closure_effect_figure(closure: Closure, found: FoundEffect) -> Figure:
         axis: _MainTerm(closure, found, columns, axis) for axis, gyro in enumerate(AXES) if gyro in found.axes
     }
     scale = scale_of_errors(closure)
-    figure = new_figure(3.1, left_in=0.72, right_in=0.07, bottom_in=0.6, top_in=0.5)
+    figure = new_figure(3.1, right_in=0.07, bottom_in=0.6, top_in=0.5)
     all_axes = figure.subplots(1, len(AXES), sharey=True)
     for axis, (axes, gyro) in enumerate(zip(all_axes, AXES, strict=True)):
         axes.set_title(gyro_label(gyro))

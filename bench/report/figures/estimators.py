@@ -37,7 +37,7 @@ def estimators_figure(dwells: Iterable[DwellRow], marked_c: Sequence[float] = ()
     both = with_both(dwells)
     pairs = [pair for row in both for pair in differences_dph(row)]
     scale = BiasScale.of(*(zip(*pairs, strict=True) if pairs else ((), ())))
-    figure = new_figure(3.6, left_in=0.8)
+    figure = new_figure(3.6, left_in=0.85)
     panels = figure.subplots(1, len(AXES), sharex=True, sharey=True)
     for axis, (gyro, axes) in enumerate(zip(AXES, panels, strict=True)):
         axes.set_title(gyro_label(gyro))

@@ -41,7 +41,7 @@ def noise_figure(estimate: NoiseEstimate, declared: NoiseModel | None) -> Figure
     Lines of slope -1/2 are the random walks, fitted and declared; thin lines the complete fit.
     Channels whose noise is below the resolution are faint and have no error bars.
     """
-    figure = new_figure(6.4, left_in=0.72)
+    figure = new_figure(6.4)
     gyros, accelerometers = figure.subplots(2, 1)
     for axis, channel in zip(AXES, estimate.gyros, strict=True):
         colour, _, marker = GYRO_STYLES[axis]

@@ -94,7 +94,7 @@ GYRO_STYLES: Mapping[str, tuple[str, str, str]] = MappingProxyType(
 def new_figure(
     height_in: float,
     *,
-    left_in: float = 0.62,
+    left_in: float = 0.7,
     right_in: float = 0.12,
     bottom_in: float = 0.47,
     top_in: float = 0.3,
