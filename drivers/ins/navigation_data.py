@@ -66,9 +66,7 @@ def decode_navigation(block: FrameBlock, signal_map: SignalMap, codec: DbcCodec)
     reader = BlockReader(block, codec)
     readout = Readout(reader, signal_map, bind_signals(signal_map, codec))
     epochs = find_epochs(reader, readout)
-    messages = {
-        each.message for path, each in readout.signals.items() if not path.startswith("increments.")
-    }
+    messages = {each.message for path, each in readout.signals.items() if not path.startswith("increments.")}
     return NavigationData(
         ins_time_s=epochs.ins_time_s,
         timestamp_s=epochs.arrival_s,
@@ -93,6 +91,7 @@ class Increments:
     angle: FloatArray
     velocity: FloatArray
     follows: BoolArray  #: Shape (n,). Whether no sample is missing before it.
+    interval_s: float  #: Time between samples.
 
 
 def decode_increments(block: FrameBlock, signal_map: SignalMap, codec: DbcCodec) -> Increments | None:
@@ -101,7 +100,8 @@ def decode_increments(block: FrameBlock, signal_map: SignalMap, codec: DbcCodec)
     if mapped is None:
         return None
     reader = BlockReader(block, codec)
-    signals = {path: b for path, b in bind_signals(signal_map, codec).items() if path.startswith("increments")}
+    bound = bind_signals(signal_map, codec)
+    signals = {path: each for path, each in bound.items() if path.startswith("increments.")}
     readout = Readout(reader, signal_map, signals)
     rows = reader.rows(max((b.message for b in signals.values()), key=codec.arbitration_id))
     angle, velocity = (
@@ -116,7 +116,8 @@ def decode_increments(block: FrameBlock, signal_map: SignalMap, codec: DbcCodec)
         )
     else:
         steps = np.rint(np.diff(block.timestamp_s[rows]) / mapped.period_s)
-    return Increments(rows, angle, velocity, np.concatenate([[False], steps == 1.0])[: len(rows)])
+    follows = np.concatenate([[False], steps == 1.0])[: len(rows)]
+    return Increments(rows, angle, velocity, follows, mapped.period_s)
 
 
 def _temperatures(reader: BlockReader, readout: Readout, epochs: Epochs) -> Temperatures:

@@ -276,7 +276,9 @@ class SignalMap(StrictModel):
                 source = SignalSource(signal=source) if isinstance(source, str) else source
                 found[".".join(location)] = Quantity(location, source, dimension)
 
-        measured = {(name,): (getattr(self, name), dimension) for name, dimension in _MEASURED.items()}
+        measured: dict[tuple[str, ...], tuple[Any, Dimension]] = {
+            (name,): (getattr(self, name), dimension) for name, dimension in _MEASURED.items()
+        }
         if self.increments is not None:
             for name, dimension in _INCREMENTS.items():
                 measured["increments", name] = getattr(self.increments, name), dimension
