@@ -16,7 +16,6 @@ from gyrobench.bench.bias.joint_solution import (
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.calibration.coefficients import COUNT, LOWER, CoefficientEstimate
 
-
 #: Sizes, SI, of accelerometer biases and of elements of the matrices that are large for a unit whose INS
 #: compensates them; a coefficient is observed if the data leave less than this part of its size.
 _BIAS, _ELEMENT, _MAX_LEFT = 0.1, 1e-3, 0.2
