@@ -24,7 +24,7 @@ from functools import cached_property
 import numpy as np
 
 from gyrobench.bench.bias.statistics import Chi2Test, chi2_test, compress, solve
-from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, SensorErrors
+from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, CoefficientEstimate, SensorErrors
 from gyrobench.bench.calibration.recording import (
     IncrementRecording,
     Rest,
@@ -144,14 +144,9 @@ class Information:
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration:
-    """Coefficients of one unit with their uncertainties."""
+class Calibration(CoefficientEstimate):
+    """Coefficients of one unit from its recordings, and what they rest on."""
 
-    #: values, covariance, is_observed: Shapes (21,), (21, 21), (21,). Of
-    #: :data:`~gyrobench.bench.calibration.coefficients.COEFFICIENTS`, SI; without meaning where not observed.
-    values: FloatArray
-    covariance: FloatArray
-    is_observed: BoolArray
     #: lever_arms, delay: Places of the y and z accelerometers relative to the x accelerometer, (2, 3), m, and
     #: delay of the accelerometers, s, with uncertainties; None if not estimated, NaN where not observed.
     lever_arms: tuple[FloatArray, FloatArray] | None
@@ -164,21 +159,6 @@ class Calibration:
     #: Test that the noise explains what the coefficients leave of the velocity. Where it does not, the
     #: uncertainties are larger by the root of chi2 over its degrees of freedom.
     fit: Chi2Test
-
-    @property
-    def sigmas(self) -> FloatArray:
-        """Standard uncertainties (21,), SI."""
-        return np.asarray(np.sqrt(np.diag(self.covariance)))
-
-    @property
-    def correlations(self) -> FloatArray:
-        """Correlation coefficients (21, 21)."""
-        return np.asarray(self.covariance / np.outer(self.sigmas, self.sigmas))
-
-    @property
-    def errors(self) -> SensorErrors:
-        """The coefficients as matrices."""
-        return SensorErrors.from_vector(np.where(self.is_observed, self.values, 0.0))
 
 
 def calibrate(
