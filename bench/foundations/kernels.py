@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from functools import partial
 from typing import Any, TypeVar, overload
@@ -55,7 +54,7 @@ def _environment(module: str, constants: Any, name: str) -> Any:
     """Environment of loaded code. It reads no globals, so the modules of numba behind it are not imported."""
     found = environment.lookup_environment(name)  # type: ignore[no-untyped-call]
     if found is None:
-        found = environment.Environment(vars(sys.modules.get(module, sys)))
+        found = environment.Environment({"__name__": module})
         found.consts[:], found.env_name = constants, name
         environment.Environment._memo[name] = found  # noqa: SLF001
     return found
@@ -63,7 +62,7 @@ def _environment(module: str, constants: Any, name: str) -> Any:
 
 if _IS_TESTED:
     nrtdynmod.compile_nrt_functions = _array_allocation
-    environment._rebuild_env = _environment  # type: ignore[assignment]  # noqa: SLF001
+    environment._rebuild_env = _environment  # noqa: SLF001
 
 
 @overload
