@@ -91,6 +91,13 @@ class View(StrEnum):
     LINES = "lines"
 
 
+class FailOn(StrEnum):
+    """What makes a finished run fail."""
+
+    REJECTED = "rejected"
+    FLAGGED = "flagged"
+
+
 PROCEDURE_HELP = "Procedure file, or the name of a shipped one."
 
 ProcedureArgument = Annotated[str, typer.Argument(help=PROCEDURE_HELP, autocompletion=complete_procedure)]
@@ -105,4 +112,8 @@ FaultsOption = Annotated[
     ),
 ]
 RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.", autocompletion=complete_run)]
+FailOnOption = Annotated[
+    FailOn | None,
+    typer.Option(help="Exit with 1 if the unit is rejected; with flagged also if a dwell has flags."),
+]
 ViewOption = Annotated[View, typer.Option(help="Live view of the run on a terminal, or lines as in a file.")]

@@ -9,6 +9,7 @@ import typer
 
 from gyrobench.bench.cli.options import (
     EMULATED,
+    FailOnOption,
     FaultsOption,
     ProcedureArgument,
     SeedOption,
@@ -35,6 +36,7 @@ def run(
         Path | None, typer.Option(help="Compensation file to load into the INS after each power-on.")
     ] = None,
     faults: FaultsOption = None,
+    fail_on: FailOnOption = None,
     view: ViewOption = View.LIVE,
     as_json: JsonOption = False,
 ) -> None:
@@ -56,4 +58,4 @@ def run(
     job = prepare_job(procedure, station, Emulation(world, seed, faults or ""), calibration, loaded)
     with observe_in_terminal(terminal, job, view is View.LIVE) as (progress, operator):
         folder, outcome = run_job(job, out, progress, operator)
-    print_end(terminal, folder, outcome, as_json)
+    print_end(terminal, folder, outcome, as_json, fail_on)
