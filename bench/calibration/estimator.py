@@ -174,11 +174,15 @@ class Calibration(CoefficientEstimate):
 
 
 def calibrate(
-    recordings: Sequence[IncrementRecording], site: Site, options: CalibrationOptions | None = None
+    recordings: Sequence[IncrementRecording],
+    site: Site,
+    options: CalibrationOptions | None = None,
+    rests: Sequence[Sequence[Rest]] | None = None,
 ) -> Calibration:
     """Estimate all coefficients.
 
-    ``recordings``: of one unit, at one sample rate. Raises MeasurementError if the unit does not rest long
+    ``recordings``: of one unit, at one sample rate. ``rests``: of each recording; by default those found in
+    it. Raises MeasurementError if the unit does not rest long
     enough, sample rates differ, or no coefficients explain the increments.
     """
     options = options or CalibrationOptions()
@@ -189,7 +193,7 @@ def calibrate(
             f"the sample rates of the recordings differ: {min(rates_hz):.4g} to {max(rates_hz):.4g} Hz. "
             "Calibrate recordings of one rate together"
         )
-    rests = [find_rests(each) for each in recordings]
+    rests = [find_rests(each) for each in recordings] if rests is None else rests
     rotations = [find_rotations(*each) for each in zip(recordings, rests, strict=True)]
     noise = measure_noise(recordings, rests)
     if options.walks is not None:
@@ -332,7 +336,8 @@ class Section:
             if rotation.is_spin
         ]
         angle, velocity = recording.angle[offset:], recording.velocity[offset:]
-        return cls(recording.interval_s, angle, velocity, rests[0].end - offset, Epochs(ends, at_rest, spins))
+        epochs = Epochs(ends, at_rest, spins, recording.has_vertical)
+        return cls(recording.interval_s, angle, velocity, rests[0].end - offset, epochs)
 
     def aligned(self, errors: SensorErrors) -> FloatArray:
         """Attitude (3, 3) at the start by gravity and the Earth's rate in the first rest."""
@@ -372,6 +377,7 @@ def _first_bias(recordings: Sequence[IncrementRecording], rests: Sequence[Sequen
 def _test_fit(values: FloatArray, covariance: FloatArray, blocks: Sequence[FloatArray]) -> Chi2Test:
     """Test that the noise explains the residuals, summed over minutes."""
     sums = np.vstack([_sums(each) for each in blocks])
+    sums = sums[sums.any(axis=1)]  # without those of what is not measured
     return chi2_test(sums[:, -1] - sums[:, :-1] @ values, sums[:, :-1], covariance)
 
 

@@ -54,6 +54,7 @@ class Epochs:
     at_rest: BoolArray  #: Shape (n,). Whether the unit rests at the end of each.
     #: Epochs, counted from 0 at the start, in the rests before and after whole turns.
     spins: Sequence[tuple[int, int]]
+    has_vertical: bool = True  #: Whether the vertical velocity is measured; otherwise its rows are zero.
 
 
 def white_rows(
@@ -92,7 +93,8 @@ def white_rows(
     turn = (whole_turns or 0.0) ** 2 + 2.0 * float(np.mean(noise.white_angle**2)) + _MIN_ANGLE**2
     stacked = np.concatenate([np.array(rows), np.array(data)[:, :, np.newaxis]], axis=2)
     transition, covariance = _intervals(trajectory, lengths_s, noise, latitude)
-    whitened = _whiten(transition, covariance, stacked, epochs.at_rest, starts, ends, white, turn)
+    measured = 3 if epochs.has_vertical else 2
+    whitened = _whiten(transition, covariance, stacked, epochs.at_rest, starts, ends, white, turn, measured)
     return whitened[:, :COLUMNS], whitened[:, COLUMNS]
 
 
@@ -266,10 +268,10 @@ def _intervals(
 @compiled
 def _whiten(
     transition: FloatArray, covariance: FloatArray, stacked: FloatArray, at_rest: BoolArray,
-    starts: IntArray, ends: IntArray, white: float, turn: float,
+    starts: IntArray, ends: IntArray, white: float, turn: float, measured: int,
 ) -> FloatArray:  # fmt: skip
     n, columns = len(transition), stacked.shape[2]
-    rows = np.empty((3 * len(stacked), columns))
+    rows = np.zeros((3 * len(stacked), columns))
     used = 0
     X, P = np.zeros((9, columns)), np.zeros((9, 9))
     # The velocity at the start is as uncertain as any that is measured.
@@ -284,14 +286,14 @@ def _whiten(
             P[:6] = F @ P[:6]
             P[:6, :6] += Q
             if at_rest[epoch - 1]:
-                for i in range(3):
+                for i in range(measured):
                     gain = P[:, 3 + i] / (P[3 + i, 3 + i] + white)
                     scale = 1.0 / np.sqrt(P[3 + i, 3 + i] + white)
                     innovation = stacked[epoch - 1, i] - X[3 + i]
                     X += np.outer(gain, innovation)
                     P -= np.outer(gain, P[3 + i].copy())
-                    rows[used] = innovation * scale
-                    used += 1
+                    rows[used + i] = innovation * scale
+                used += 3
         if ends[epoch] >= 0:
             for i in range(3):
                 spread = P[:, i] - P[:, 6 + i]
