@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from gyrobench.bench.calibration.coefficients import COEFFICIENTS, Coefficient
+from gyrobench.bench.calibration.coefficients import COEFFICIENTS, Coefficient, CoefficientEstimate
 from gyrobench.bench.calibration.estimator import Calibration
 from gyrobench.bench.calibration.rotation_list import Forecast
 from gyrobench.bench.foundations.arrays import (
@@ -53,34 +53,21 @@ class RestRate:
     force_mps2: float  #: Size of the mean specific force.
 
 
-def coefficient_rows(calibration: Calibration) -> list[CoefficientRow]:
+def coefficient_rows(estimate: CoefficientEstimate) -> list[CoefficientRow]:
     """Rows of ``coefficients.csv``."""
-    rows = [
-        _row(each.name, each.axis, value * each.per_si, sigma * each.per_si, each.unit, is_observed)
+    return [
+        CoefficientRow(
+            each.name,
+            each.axis,
+            float(value) * each.per_si if is_observed else None,
+            float(sigma) * each.per_si if is_observed else None,
+            each.unit,
+            "" if is_observed else NOT_OBSERVABLE,
+        )
         for each, value, sigma, is_observed in zip(
-            COEFFICIENTS, calibration.values, calibration.sigmas, calibration.is_observed, strict=True
+            estimate.coefficients, estimate.values, estimate.sigmas, estimate.is_observed, strict=True
         )
     ]
-    if calibration.lever_arms is not None:
-        arms, sigmas = calibration.lever_arms
-        rows += [
-            _row(
-                "accelerometer_lever_arm",
-                f"{sensor}{axis}",
-                1e3 * arm,
-                1e3 * sigma,
-                "mm",
-                bool(np.isfinite(sigma)),
-            )
-            for sensor, places, spreads in zip("yz", arms, sigmas, strict=True)
-            for axis, arm, sigma in zip(AXES, places, spreads, strict=True)
-        ]
-    if calibration.delay is not None:
-        delay_s, sigma_s = calibration.delay
-        rows.append(
-            _row("accelerometer_delay", "", 1e3 * delay_s, 1e3 * sigma_s, "ms", bool(np.isfinite(sigma_s)))
-        )
-    return rows
 
 
 def forecast_rows(expected: Forecast) -> list[dict[str, Any]]:
@@ -129,7 +116,7 @@ def strongest_correlations(
     correlations = calibration.correlations
     seen = np.flatnonzero(calibration.is_observed)
     pairs = [
-        (COEFFICIENTS[i], COEFFICIENTS[j], float(correlations[i, j]))
+        (calibration.coefficients[i], calibration.coefficients[j], float(correlations[i, j]))
         for i in seen
         for j in seen[seen > i]
         if abs(correlations[i, j]) >= least
@@ -173,14 +160,9 @@ def write_calibration(folder: Path, calibration: Calibration, record: Mapping[st
 
     Raises RunFolderError if a file can't be written.
     """
-    names = [f"{each.name}_{each.axis}" for each in COEFFICIENTS]
-    seen = np.outer(calibration.is_observed, calibration.is_observed)
-    correlations = np.where(seen, calibration.correlations, np.nan)
-    lines = [",".join(["coefficient", *names])]
-    lines += [",".join([name, *_cells(row)]) for name, row in zip(names, correlations, strict=True)]
     texts = {
         "coefficients.csv": format_rows(list(CoefficientRow.__annotations__), coefficient_rows(calibration)),
-        "correlations.csv": "\n".join(lines) + "\n",
+        "correlations.csv": correlations_table(calibration),
         "calibration.json": json.dumps(record, indent=1, ensure_ascii=False) + "\n",
     }
     make_folder(folder)
@@ -189,11 +171,15 @@ def write_calibration(folder: Path, calibration: Calibration, record: Mapping[st
     return [folder / name for name in texts]
 
 
+def correlations_table(estimate: CoefficientEstimate) -> str:
+    """Text of ``correlations.csv``; empty cells where a coefficient is not observed."""
+    names = [f"{each.name}_{each.axis}" for each in estimate.coefficients]
+    seen = np.outer(estimate.is_observed, estimate.is_observed)
+    correlations = np.where(seen, estimate.correlations, np.nan)
+    lines = [",".join(["coefficient", *names])]
+    lines += [",".join([name, *_cells(row)]) for name, row in zip(names, correlations, strict=True)]
+    return "\n".join(lines) + "\n"
+
+
 def _cells(values: FloatArray) -> list[str]:
     return [format_number(round(float(value), 4)) if np.isfinite(value) else "" for value in values]
-
-
-def _row(name: str, axis: str, value: float, sigma: float, unit: str, is_observed: bool) -> CoefficientRow:
-    if is_observed:
-        return CoefficientRow(name, axis, float(value), float(sigma), unit, "")
-    return CoefficientRow(name, axis, None, None, unit, NOT_OBSERVABLE)
