@@ -84,9 +84,11 @@ def _sigmas(rows: Sequence[DwellRow], quantity: Quantity) -> Iterator[str]:
         if not np.isfinite(sigma).any():
             continue
         spread, stated = float(np.nanstd(bias)), float(np.nanmedian(sigma))
-        column = f"sigma_{axis}_dph" if quantity.is_gyro_bias else f"the uncertainty of {name}"
+        column, values = f"the uncertainty of {name}", "values"
+        if quantity.is_gyro_bias:
+            column, values = f"sigma_{axis}_dph", "biases of that gyro"
         if stated > _MAX_SIGMA_TO_SPREAD * spread:
             yield (
-                f"{column} is {stated:.2g} {quantity.unit}, although all values lie within "
+                f"{column} is {stated:.2g} {quantity.unit}, although all {values} lie within "
                 f"{spread:.2g} {quantity.unit} rms: correct its values or their unit"
             )
