@@ -12,6 +12,7 @@ deviation by 3 % over two windows of 10 min and is left out, and so is the noise
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -24,7 +25,7 @@ from gyrobench.bench.navigation.earth import MEAN_RADIUS
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """Declared noise of the INS, the same for all axes.
+    """Noise of the INS, the same for all axes; declared, or estimated from its output.
 
     Raises
     ------
@@ -36,9 +37,11 @@ class NoiseModel:
     velocity_random_walk: float = 0.0  #: White noise of the accelerations, m/s/sqrt(s).
     velocity_white: float = 0.0  #: Noise of each velocity output, independent from epoch to epoch, m/s.
     heading_white: float = 0.0  #: The same of the attitude outputs, rad.
+    #: Degrees of freedom of the four: infinite where declared.
+    dof: tuple[float, float, float, float] = (math.inf,) * 4
 
     def __post_init__(self) -> None:
-        for field in fields(self):
+        for field in fields(self)[:4]:
             value = getattr(self, field.name)
             if not (np.isfinite(value) and value >= 0.0):
                 raise DocumentError(f"noise of the INS: {field.name} must not be negative; found {value}")
