@@ -325,10 +325,8 @@ class BiasFilter:
             self._reference_c = gyro_c[0].copy()
         return gyro_c - self._reference_c
 
-    def _through_turn(
-        self, time_s: float, turn: TurnPath, count: int
-    ) -> tuple[WindowChange, FloatArray]:
-        """What the state before a turn with the noise, and each parameter (6, count), make of that after it."""
+    def _through_turn(self, time_s: float, turn: TurnPath, count: int) -> tuple[WindowChange, FloatArray]:
+        """What state before a turn and noise, and each parameter (6, count), make of the state after it."""
         last = self._windows[-1]
         through, state, by_walk = np.eye(STATES), np.zeros((STATES, count)), np.zeros((2, STATES, STATES))
         # At rest until the turn begins, and again when it is over; the INS's own attitude before the

@@ -10,8 +10,8 @@ each output.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -37,6 +37,10 @@ class ErrorPart:
     def covariance(self) -> FloatArray:
         """Covariance of the three biases by this source, shape (3, 3), (rad/s)^2."""
         return self.columns @ self.columns.T
+
+    def scaled(self, factors: FloatArray) -> ErrorPart:
+        """The same with the error of each gyro multiplied by a factor (3,)."""
+        return replace(self, columns=self.columns * factors[:, np.newaxis])
 
 
 def prior_parts(
@@ -120,16 +124,6 @@ def noise_parts(
         name: ErrorPart(_root(covariance), sigma, dof)
         for (name, covariance), sigma, dof in zip(covariances.items(), sigmas, noise.dof, strict=True)
     }
-
-
-def scaled(part: ErrorPart, factors: FloatArray) -> ErrorPart:
-    """The part with the error of each gyro multiplied by a factor (3,)."""
-    return ErrorPart(part.columns * factors[:, np.newaxis], part.sigma, part.dof)
-
-
-def total_covariance(parts: Mapping[str, ErrorPart]) -> FloatArray:
-    """Covariance of the three biases by all parts, shape (3, 3), (rad/s)^2."""
-    return np.sum([part.covariance for part in parts.values()], axis=0)
 
 
 def weights_of(

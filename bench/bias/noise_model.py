@@ -70,6 +70,22 @@ class NoiseModel:
             float(np.hypot(heading_lsb_rad / np.sqrt(12.0), heading_output_rad)),
         )
 
+    def at_least(self, velocity_white: float, heading_white: float) -> NoiseModel:
+        """The same with noise of the outputs not below these values, m/s and rad, which count as declared."""
+        arw_dof, vrw_dof, velocity_dof, heading_dof = self.dof
+        return NoiseModel(
+            self.angle_random_walk,
+            self.velocity_random_walk,
+            max(self.velocity_white, velocity_white),
+            max(self.heading_white, heading_white),
+            (
+                arw_dof,
+                vrw_dof,
+                velocity_dof if self.velocity_white > velocity_white else math.inf,
+                heading_dof if self.heading_white > heading_white else math.inf,
+            ),
+        )
+
     def velocity_variance(self, time: FloatArray, weights: FloatArray, gravity: float) -> FloatArray:
         """Variance of weighted sums of one horizontal velocity.
 
