@@ -23,7 +23,9 @@ def estimate(measured, noise=NOISE, prior=PRIOR):
     return estimate_state_space(measured, site(), noise, prior)
 
 
-@pytest.mark.parametrize("stops_deg", [(0.0, 180.0), (0.0, 180.0, 0.0, 180.0)], ids=["one_turn", "three_turns"])
+@pytest.mark.parametrize(
+    "stops_deg", [(0.0, 180.0), (0.0, 180.0, 0.0, 180.0)], ids=["one_turn", "three_turns"]
+)
 @pytest.mark.parametrize("position", POSITIONS)
 def test_the_parts_add_up_to_the_covariance(position, stops_deg):
     found = estimate(dwell(position, stops_deg=stops_deg, window_s=300.0))
@@ -54,7 +56,9 @@ def test_a_part_is_what_the_least_covariance_grows_by_with_its_variance(part, na
 
     def covariance(factor):
         noise, known = (
-            replace(each, **{name: getattr(each, name) * factor**0.5 for name in names if hasattr(each, name)})
+            replace(
+                each, **{name: getattr(each, name) * factor**0.5 for name in names if hasattr(each, name)}
+            )
             for each in (NOISE, prior)
         )
         return estimate(measured, noise, known).covariance
@@ -72,5 +76,3 @@ def test_each_part_holds_the_uncertainty_it_follows_from():
     assert parts["heading_output"].sigma == pytest.approx(NOISE.heading_white)
     assert parts["latitude"].sigma == PRIOR.latitude
     assert "accelerometer_settling" not in parts
-
-
