@@ -73,6 +73,8 @@ class RunFolder:
     budget = PathInside("budget.csv")  #: Uncertainty budget of each dwell and bin.
     joint_biases = PathInside("joint_biases.csv")  #: Biases of the dwells of each plateau solved together.
     joint = PathInside("joint.csv")  #: Parameters common to the dwells of each plateau.
+    coefficients = PathInside("coefficients.csv")  #: Coefficients of the sensors at each plateau.
+    correlations = PathInside("correlations.csv")  #: Their correlations.
     noise = PathInside("noise.json")  #: Noise of the INS.
     acceptance = PathInside(ACCEPTANCE)  #: Verdict on the unit.
     calibration = PathInside("calibration.csv")  #: The dwell table of the calibration that was checked.
