@@ -122,6 +122,7 @@ def print_biases(
 def print_end(console: Console, folder: RunFolder, outcome: RunOutcome, as_json: bool = False) -> None:
     """Report the end of a run, with ``as_json`` also as JSON; exits with an error if it did not finish."""
     from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN
+    from gyrobench.bench.report.characteristics import characteristics_tables
     from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.report.statements import latitude_sentence
     from gyrobench.bench.report.terminal.tables import durations_table
@@ -134,6 +135,8 @@ def print_end(console: Console, folder: RunFolder, outcome: RunOutcome, as_json:
     report = write_report(folder)
     results = outcome.results
     print_biases(console, results.bins, results.calibration_check, results.acceptance)
+    if results.characteristics:
+        console.print(characteristics_tables(results.characteristics))
     rate = results.up_rate
     if rate is not None and (
         text := latitude_sentence(

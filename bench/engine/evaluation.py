@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells, write_dwells
@@ -34,6 +35,9 @@ def evaluate_run(
     results = evaluate(
         dwells, setup, procedure.bin_width_c, procedure.acceptance, planned_dwells(plan), check
     )
+    if procedure.tests:
+        rows = [dwell.row for dwell in results.dwells]
+        results = replace(results, characteristics=procedure.tests.evaluate(rows))
     if results.dwells:
         write_dwells(folder.dwells, [dwell.row for dwell in results.dwells])
     write_results(folder, results)

@@ -34,6 +34,7 @@ from gyrobench.bench.report.bias_sections import (
     gyro_section,
 )
 from gyrobench.bench.report.calibration_check import dwells_text, verification_section, verification_sentence
+from gyrobench.bench.report.characteristics import characteristics_sections
 from gyrobench.bench.report.content import Entry, RunContent, read_run
 from gyrobench.bench.report.estimator_sections import (
     estimators_note,
@@ -114,7 +115,14 @@ def write_report(
 def _figures_key(content: RunContent, before: RunContent | None, marked_c: Sequence[float]) -> str:
     """Hash of what the figures show and of the code that draws them."""
     code = sorted(file_sha256(each) for each in Path(__file__).parent.rglob("*.py"))
-    tables = content.dwells, content.bins, content.acceptance, content.noise, before.bins if before else None
+    tables = (
+        content.dwells,
+        content.bins,
+        content.acceptance,
+        content.noise,
+        content.characteristics,
+        before.bins if before else None,
+    )
     programs = __version__, matplotlib.__version__
     with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
         inputs = repr((tables, content.station, marked_c, code, programs, list(content.telemetry)))
@@ -179,6 +187,7 @@ def _with_hashes(folder: RunFolder) -> tuple[RunContent, list[DataHash]]:
 def _analysis_sections(content: RunContent, marked_c: Sequence[float]) -> list[Section]:
     """Sections that this run has data for."""
     sections = [
+        *characteristics_sections(content.characteristics),
         estimators_section(content.dwells, marked_c),
         fit_section(content.dwells),
         joint_section(content.joint_biases, content.joint_plateaus),

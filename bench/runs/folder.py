@@ -73,6 +73,7 @@ class RunFolder:
     joint_biases = PathInside("joint_biases.csv")  #: Biases of the dwells of each plateau solved together.
     joint = PathInside("joint.csv")  #: Parameters common to the dwells of each plateau.
     noise = PathInside("noise.json")  #: Noise of the INS.
+    characteristics = PathInside("characteristics.json")  #: Results of the procedure's tests.
     acceptance = PathInside(ACCEPTANCE)  #: Verdict on the unit.
     calibration = PathInside("calibration.csv")  #: The dwell table of the calibration that was checked.
     compensation = PathInside(COMPENSATION)  #: The compensation that was loaded into the INS.
