@@ -19,11 +19,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from gyrobench.bench.bias.statistics import Chi2Test, chi2_test, compress, solve
-from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, SensorErrors
+from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, CoefficientEstimate, SensorErrors
 from gyrobench.bench.calibration.recording import (
     IncrementRecording,
     Rest,
@@ -33,9 +34,8 @@ from gyrobench.bench.calibration.recording import (
     find_rotations,
     measure_noise,
 )
-from gyrobench.bench.calibration.strapdown import ATTITUDE, DELAY, LEVER_ARMS, integrate
-from gyrobench.bench.calibration.whitening import white_rows
-from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
+from gyrobench.bench.calibration.strapdown import ATTITUDE, DELAY, LEVER_ARMS, Epochs, white_rows
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import rotation_matrices
 from gyrobench.bench.navigation.earth import EARTH_RATE
@@ -76,22 +76,59 @@ class CalibrationOptions:
     walks: tuple[float, float] | None = None
     gravity_sigma: float = 0.0  #: Standard uncertainty of gravity, m/s^2.
 
+    @property
+    def columns(self) -> list[int]:
+        """Which columns are common to all recordings; the x accelerometer's place is the origin."""
+        arms = range(LEVER_ARMS.start + 3, LEVER_ARMS.stop) if self.lever_arms else ()
+        return [*range(COUNT), *arms, *([DELAY] if self.delay else [])]
+
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """White rows as a function of the coefficients and of all other unknowns."""
+    """White rows as a function of the coefficients and of all other unknowns, at assumed values of them."""
 
-    rows: FloatArray  #: Shape (m, 21 + k), at most 22 + k of them. SI.
-    data: FloatArray  #: Shape (m,).
+    #: Rows (m, 21 + k + 1) of each recording, the data last. SI. They give the values, not corrections to the
+    #: assumed ones, but of attitudes at the start.
+    blocks: list[FloatArray]
     sizes: FloatArray  #: Shape (21 + k,). Large values of the unknowns, SI.
 
     @classmethod
-    def of(cls, blocks: Sequence[FloatArray], used: Sequence[int]) -> Information:
-        """From the rows of all recordings, see :func:`side_by_side`."""
-        stacked = compress(np.vstack([compress(each) for each in blocks]))
+    def of(
+        cls,
+        sections: Sequence[Section],
+        starts: Sequence[FloatArray],
+        common: FloatArray,
+        noise: SensorNoise,
+        site: Site,
+        options: CalibrationOptions,
+    ) -> Information:
+        """Integrate increments from attitudes (3, 3) at the ``starts``, with the values ``common`` (31,)."""
+        used, blocks = options.columns, []
+        for number, (section, start) in enumerate(zip(sections, starts, strict=True)):
+            freed = section.freed(SensorErrors.from_vector(common[:COUNT]), common)
+            rows, data = white_rows(
+                *freed,
+                section.interval_s,
+                section.epochs,
+                start,
+                noise,
+                site.latitude,
+                options.gravity or site.gravity,
+                options.whole_turns,
+            )
+            block = np.zeros((len(rows), len(used) + 3 * len(sections) + 1))
+            block[:, : len(used)] = rows[:, used]
+            block[:, len(used) + 3 * number :][:, :3] = rows[:, ATTITUDE]
+            block[:, -1] = data + rows[:, used] @ common[used]
+            blocks.append(block)
         sizes = [each.size for each in COEFFICIENTS] + [_LEVER_ARM] * 9 + [_DELAY]
-        attitudes = [_ATTITUDE_ERROR] * (stacked.shape[1] - 1 - len(used))
-        return cls(stacked[:, :-1], stacked[:, -1], np.array([*(sizes[each] for each in used), *attitudes]))
+        attitudes = [_ATTITUDE_ERROR] * (3 * len(sections))
+        return cls(blocks, np.array([*(sizes[each] for each in used), *attitudes]))
+
+    @cached_property
+    def root(self) -> FloatArray:
+        """Fewest rows (m, 21 + k + 1) with the same normal equations; data last."""
+        return compress(np.vstack([compress(each) for each in self.blocks]))
 
     def solve(self, origin: FloatArray | None = None) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Values (21 + k,), their covariance, and which of them the data determine.
@@ -99,22 +136,17 @@ class Information:
         What the data leave open stays near ``origin`` (21 + k,), or zero.
         """
         centre = np.zeros(len(self.sizes)) if origin is None else origin
-        left = self.data - self.rows @ centre
-        values, covariance = solve(self.rows, left, np.diag(self.sizes))
-        _, wide = solve(self.rows, left, np.diag(10.0 * self.sizes))
+        rows, left = self.root[:, :-1], self.root[:, -1] - self.root[:, :-1] @ centre
+        values, covariance = solve(rows, left, np.diag(self.sizes))
+        _, wide = solve(rows, left, np.diag(10.0 * self.sizes))
         growth = np.sqrt(np.diag(wide) / np.diag(covariance))
         return centre + values, covariance, np.asarray(growth < _MAX_GROWTH)
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration:
-    """Coefficients of one unit with their uncertainties."""
+class Calibration(CoefficientEstimate):
+    """Coefficients of one unit from its recordings, and what they rest on."""
 
-    #: values, covariance, is_observed: Shapes (21,), (21, 21), (21,). Of
-    #: :data:`~gyrobench.bench.calibration.coefficients.COEFFICIENTS`, SI; without meaning where not observed.
-    values: FloatArray
-    covariance: FloatArray
-    is_observed: BoolArray
     #: lever_arms, delay: Places of the y and z accelerometers relative to the x accelerometer, (2, 3), m, and
     #: delay of the accelerometers, s, with uncertainties; None if not estimated, NaN where not observed.
     lever_arms: tuple[FloatArray, FloatArray] | None
@@ -128,28 +160,17 @@ class Calibration:
     #: uncertainties are larger by the root of chi2 over its degrees of freedom.
     fit: Chi2Test
 
-    @property
-    def sigmas(self) -> FloatArray:
-        """Standard uncertainties (21,), SI."""
-        return np.asarray(np.sqrt(np.diag(self.covariance)))
-
-    @property
-    def correlations(self) -> FloatArray:
-        """Correlation coefficients (21, 21)."""
-        return np.asarray(self.covariance / np.outer(self.sigmas, self.sigmas))
-
-    @property
-    def errors(self) -> SensorErrors:
-        """The coefficients as matrices."""
-        return SensorErrors.from_vector(np.where(self.is_observed, self.values, 0.0))
-
 
 def calibrate(
-    recordings: Sequence[IncrementRecording], site: Site, options: CalibrationOptions | None = None
+    recordings: Sequence[IncrementRecording],
+    site: Site,
+    options: CalibrationOptions | None = None,
+    rests: Sequence[Sequence[Rest]] | None = None,
 ) -> Calibration:
     """Estimate all coefficients.
 
-    ``recordings``: of one unit, at one sample rate. Raises MeasurementError if the unit does not rest long
+    ``recordings``: of one unit, at one sample rate. ``rests``: of each recording; by default those found in
+    it. Raises MeasurementError if the unit does not rest long
     enough, sample rates differ, or no coefficients explain the increments.
     """
     options = options or CalibrationOptions()
@@ -160,7 +181,7 @@ def calibrate(
             f"the sample rates of the recordings differ: {min(rates_hz):.4g} to {max(rates_hz):.4g} Hz. "
             "Calibrate recordings of one rate together"
         )
-    rests = [find_rests(each) for each in recordings]
+    rests = [find_rests(each) for each in recordings] if rests is None else rests
     rotations = [find_rotations(*each) for each in zip(recordings, rests, strict=True)]
     noise = measure_noise(recordings, rests)
     if options.walks is not None:
@@ -169,8 +190,8 @@ def calibrate(
             noise, angle_random_walk=np.full(3, walk), velocity_random_walk=np.full(3, velocity_walk)
         )
     _check_force(recordings, rests, gravity)
-    sections = [_Section.between_rests(*each) for each in zip(recordings, rests, rotations, strict=True)]
-    used = columns_of(options)
+    sections = [Section.between_rests(*each) for each in zip(recordings, rests, rotations, strict=True)]
+    used = options.columns
     bias = _first_bias(recordings, rests)
     values, covariance, is_observed, blocks = _solve(sections, bias, noise, site, options)
     if all(turn.kind == "disturbance" for turns in rotations for turn in turns):
@@ -247,85 +268,52 @@ def _check_size(values: FloatArray, is_observed: BoolArray) -> None:
 
 
 def _solve(
-    sections: Sequence[_Section],
-    bias: FloatArray,
-    noise: SensorNoise,
-    site: Site,
-    options: CalibrationOptions,
+    sections: Sequence[Section], bias: FloatArray, noise: SensorNoise, site: Site, options: CalibrationOptions
 ) -> tuple[FloatArray, FloatArray, BoolArray, list[FloatArray]]:
     """Values, covariance and observability of all unknowns, and the white rows, at the solution.
 
     ``bias`` (3,): of the gyros, rad/s, where to begin. Raises MeasurementError if it does not converge.
     """
-    used = columns_of(options)
+    used = options.columns
     common, first = np.zeros(COUNT + 10), SensorErrors(gyro_bias=bias)
     common[:COUNT] = first.vector()
     starts = [each.aligned(first) for each in sections]
     origin, left = np.concatenate([common[used], np.zeros(3 * len(sections))]), np.inf
     for _ in range(_MAX_ROUNDS):
-        parts = [
-            each.white_rows(common, start, noise, site, options)
-            for each, start in zip(sections, starts, strict=True)
-        ]
-        blocks = side_by_side(parts, common, used)
-        found = Information.of(blocks, used)
+        found = Information.of(sections, starts, common, noise, site, options)
         values, covariance, is_observed = found.solve(origin)
         attitudes = values[len(used) :].reshape(-1, 3)
         step = np.concatenate([values[: len(used)] - common[used], attitudes.ravel()])
-        before, left = left, float(np.linalg.norm(found.data - found.rows @ values) ** 2)
+        before, left = left, float(np.linalg.norm(found.root @ [*values, -1.0]) ** 2)
         common[used] = values[: len(used)]
         origin[len(used) :] -= attitudes.ravel()
         starts = [turn @ start for turn, start in zip(rotation_matrices(attitudes), starts, strict=True)]
         # Sizes count in units of the residuals where these exceed the noise.
-        excess = max(1.0, left / sum(map(len, blocks)))
+        excess = max(1.0, left / sum(map(len, found.blocks)))
         is_still = np.abs(step) < _MAX_STEP * np.sqrt(excess * np.diag(covariance))
         if abs(left - before) < _CONVERGED * excess and is_still[is_observed].all():
-            return values, covariance, is_observed, blocks
+            return values, covariance, is_observed, found.blocks
     raise MeasurementError(
         f"the estimate does not converge in {_MAX_ROUNDS} rounds: the increments do not follow from "
         "rotations between rests at one place. Check signs, axes and units in the import map"
     )
 
 
-def columns_of(options: CalibrationOptions) -> list[int]:
-    """Which columns are common to all recordings; the x accelerometer's place is the origin."""
-    arms = range(LEVER_ARMS.start + 3, LEVER_ARMS.stop) if options.lever_arms else ()
-    return [*range(COUNT), *arms, *([DELAY] if options.delay else [])]
-
-
-def side_by_side(
-    parts: Sequence[tuple[FloatArray, FloatArray]], common: FloatArray, used: Sequence[int]
-) -> list[FloatArray]:
-    """White rows of each recording with the columns of all: common ones, attitudes at the starts, data.
-
-    ``parts``: rows (m, 34) and data (m,) of each recording, at the values ``common`` (31,). The data returned
-    are those of the values themselves, not of what they differ from the assumed ones.
-    """
-    blocks = []
-    for number, (rows, data) in enumerate(parts):
-        block = np.zeros((len(rows), len(used) + 3 * len(parts) + 1))
-        block[:, : len(used)] = rows[:, used]
-        block[:, len(used) + 3 * number :][:, :3] = rows[:, ATTITUDE]
-        block[:, -1] = data + rows[:, used] @ common[used]
-        blocks.append(block)
-    return blocks
-
-
 @dataclass(frozen=True, eq=False)
-class _Section:
-    """A recording from its first rest to its last, in epochs."""
+class Section:
+    """Increments from a first rest to a last one, in epochs."""
 
-    recording: IncrementRecording
-    offset: int  #: First sample.
-    first: int  #: Samples of the first rest.
-    ends: IntArray  #: Shape (n,). Samples up to the end of each epoch.
-    at_rest: BoolArray  #: Shape (n,). Whether the unit rests at the end of each.
-    spins: list[tuple[int, int]]  #: Epochs before and after whole turns.
+    interval_s: float
+    angle: FloatArray  #: Shape (k, 3). Rad.
+    velocity: FloatArray  #: Shape (k, 3). M/s.
+    first: int  #: Increments of the first rest.
+    epochs: Epochs
 
     @classmethod
     def between_rests(
         cls, recording: IncrementRecording, rests: Sequence[Rest], rotations: Sequence[Rotation]
-    ) -> _Section:
+    ) -> Section:
+        """From a recording, with what was found in it."""
         offset, size = rests[0].begin, max(1, round(EPOCH_S / recording.interval_s))
         ends = np.arange(size, rests[-1].end - offset + 1, size, dtype=np.int64)
         at_rest = np.zeros(len(ends), bool)
@@ -336,39 +324,22 @@ class _Section:
             for before, after, rotation in zip(rests, rests[1:], rotations, strict=False)
             if rotation.is_spin
         ]
-        return cls(recording, offset, rests[0].end - offset, ends, at_rest, spins)
+        angle, velocity = recording.angle[offset:], recording.velocity[offset:]
+        epochs = Epochs(ends, at_rest, spins, recording.has_vertical)
+        return cls(recording.interval_s, angle, velocity, rests[0].end - offset, epochs)
 
     def aligned(self, errors: SensorErrors) -> FloatArray:
         """Attitude (3, 3) at the start by gravity and the Earth's rate in the first rest."""
-        rate, force = (each[: self.first].mean(axis=0) for each in self._freed(errors, None))
+        rate, force = (each[: self.first].mean(axis=0) for each in self.freed(errors, None))
         up = force / np.linalg.norm(force)
         east = np.cross(rate, up)
         east /= np.linalg.norm(east)
         return np.stack([east, np.cross(up, east), up])
 
-    def white_rows(
-        self,
-        common: FloatArray,
-        C_nb: FloatArray,
-        noise: SensorNoise,
-        site: Site,
-        options: CalibrationOptions,
-    ) -> tuple[FloatArray, FloatArray]:
-        """Rows (m, 34) and data (m,) at the values ``common`` (31,) and an attitude at the start."""
-        interval_s = self.recording.interval_s
-        angle, velocity = self._freed(SensorErrors.from_vector(common[:COUNT]), common)
-        gravity = options.gravity or site.gravity
-        trajectory = integrate(angle, velocity, interval_s, self.ends, C_nb, site.latitude, gravity)
-        lengths_s = np.diff(self.ends, prepend=0) * interval_s
-        turns = options.whole_turns
-        spins = [] if turns is None else self.spins
-        return white_rows(trajectory, lengths_s, self.at_rest, spins, noise, site.latitude, turns or 0.0)
-
-    def _freed(self, errors: SensorErrors, common: FloatArray | None) -> tuple[FloatArray, FloatArray]:
-        part, interval_s = slice(self.offset, None), self.recording.interval_s
-        angle, velocity = errors.removed(
-            self.recording.angle[part], self.recording.velocity[part], interval_s
-        )
+    def freed(self, errors: SensorErrors, common: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+        """Increments (k, 3) without errors of the sensors, lever arms and delay: ``common`` (31,), SI."""
+        interval_s = self.interval_s
+        angle, velocity = errors.removed(self.angle, self.velocity, interval_s)
         if common is not None and common[COUNT:].any():
             rate = angle / interval_s
             turning = np.gradient(rate, axis=0)
@@ -394,6 +365,7 @@ def _first_bias(recordings: Sequence[IncrementRecording], rests: Sequence[Sequen
 def _test_fit(values: FloatArray, covariance: FloatArray, blocks: Sequence[FloatArray]) -> Chi2Test:
     """Test that the noise explains the residuals, summed over minutes."""
     sums = np.vstack([_sums(each) for each in blocks])
+    sums = sums[sums.any(axis=1)]  # without those of what is not measured
     return chi2_test(sums[:, -1] - sums[:, :-1] @ values, sums[:, :-1], covariance)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from gyrobench.bench.calibration.coefficients import COEFFICIENTS, Coefficient
+from gyrobench.bench.calibration.coefficients import COEFFICIENTS, Coefficient, CoefficientEstimate
 from gyrobench.bench.calibration.estimator import Calibration
 from gyrobench.bench.calibration.rotation_list import Forecast
 from gyrobench.bench.foundations.arrays import (
@@ -53,14 +53,20 @@ class RestRate:
     force_mps2: float  #: Size of the mean specific force.
 
 
-def coefficient_rows(calibration: Calibration) -> list[CoefficientRow]:
+def coefficient_rows(estimate: CoefficientEstimate) -> list[CoefficientRow]:
     """Rows of ``coefficients.csv``."""
     rows = [
         _row(each.name, each.axis, value * each.per_si, sigma * each.per_si, each.unit, is_observed)
         for each, value, sigma, is_observed in zip(
-            COEFFICIENTS, calibration.values, calibration.sigmas, calibration.is_observed, strict=True
+            estimate.coefficients, estimate.values, estimate.sigmas, estimate.is_observed, strict=True
         )
     ]
+    return [*rows, *_rows_beside(estimate)] if isinstance(estimate, Calibration) else rows
+
+
+def _rows_beside(calibration: Calibration) -> list[CoefficientRow]:
+    """Rows of what is estimated beside the coefficients."""
+    rows = []
     if calibration.lever_arms is not None:
         arms, sigmas = calibration.lever_arms
         rows += [
@@ -173,20 +179,25 @@ def write_calibration(folder: Path, calibration: Calibration, record: Mapping[st
 
     Raises RunFolderError if a file can't be written.
     """
-    names = [f"{each.name}_{each.axis}" for each in COEFFICIENTS]
-    seen = np.outer(calibration.is_observed, calibration.is_observed)
-    correlations = np.where(seen, calibration.correlations, np.nan)
-    lines = [",".join(["coefficient", *names])]
-    lines += [",".join([name, *_cells(row)]) for name, row in zip(names, correlations, strict=True)]
     texts = {
         "coefficients.csv": format_rows(list(CoefficientRow.__annotations__), coefficient_rows(calibration)),
-        "correlations.csv": "\n".join(lines) + "\n",
+        "correlations.csv": correlations_table(calibration),
         "calibration.json": json.dumps(record, indent=1, ensure_ascii=False) + "\n",
     }
     make_folder(folder)
     for name, text in texts.items():
         write_text(folder / name, text)
     return [folder / name for name in texts]
+
+
+def correlations_table(estimate: CoefficientEstimate) -> str:
+    """Text of ``correlations.csv``; empty cells where a coefficient is not observed."""
+    names = [f"{each.name}_{each.axis}" for each in estimate.coefficients]
+    seen = np.outer(estimate.is_observed, estimate.is_observed)
+    correlations = np.where(seen, estimate.correlations, np.nan)
+    lines = [",".join(["coefficient", *names])]
+    lines += [",".join([name, *_cells(row)]) for name, row in zip(names, correlations, strict=True)]
+    return "\n".join(lines) + "\n"
 
 
 def _cells(values: FloatArray) -> list[str]:

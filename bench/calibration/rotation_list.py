@@ -15,16 +15,9 @@ from pydantic import Field
 
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.calibration.coefficients import COUNT
-from gyrobench.bench.calibration.estimator import (
-    EPOCH_S,
-    CalibrationOptions,
-    Information,
-    columns_of,
-    side_by_side,
-)
+from gyrobench.bench.calibration.estimator import EPOCH_S, CalibrationOptions, Information, Section
 from gyrobench.bench.calibration.recording import SensorNoise
-from gyrobench.bench.calibration.strapdown import integrate
-from gyrobench.bench.calibration.whitening import white_rows
+from gyrobench.bench.calibration.strapdown import Epochs
 from gyrobench.bench.foundations.arrays import (
     DEG_PER_SQRT_H_TO_SI,
     UG_PER_SQRT_HZ_TO_SI,
@@ -36,10 +29,8 @@ from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vectors
 from gyrobench.bench.navigation.earth import earth_rate_enu
 from gyrobench.bench.navigation.error_model import Site
-from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.navigation.positions import POSITIONS, PositionName
 from gyrobench.bench.navigation.table_axes import Angles, TwoAxisTable
-
-PositionName = Literal["z_up", "z_down", "y_up", "y_down", "x_up", "x_down"]
 
 #: Time between two ideal increments, s, and the time in which an axis reaches its rate.
 _STEP_S, _RAMP_S = 0.05, 1.0
@@ -130,20 +121,11 @@ def forecast(
     angle, velocity = _ideal_increments(attitude, site)
     size = round(EPOCH_S / _STEP_S)
     ends = np.arange(size, len(angle) + 1, size, dtype=np.int64)
-    trajectory = integrate(angle, velocity, _STEP_S, ends, attitude[0], site.latitude, site.gravity)
     turns = [(first // size, -(-last // size)) for first, last in spins]
-    part = white_rows(
-        trajectory,
-        np.full(len(ends), EPOCH_S),
-        at_rest[ends],
-        turns if whole_turns is not None else [],
-        noise,
-        site.latitude,
-        whole_turns or 0.0,
-    )
-    used = columns_of(CalibrationOptions())
-    blocks = side_by_side([part], np.zeros(COUNT + 10), used)
-    _, covariance, is_observed = Information.of(blocks, used).solve()
+    section = Section(_STEP_S, angle, velocity, len(angle), Epochs(ends, at_rest[ends], turns))
+    options = CalibrationOptions(whole_turns=whole_turns)
+    information = Information.of([section], [attitude[0]], np.zeros(COUNT + 10), noise, site, options)
+    _, covariance, is_observed = information.solve()
     return Forecast(rotations.duration_s, np.sqrt(np.diag(covariance))[:COUNT], is_observed[:COUNT])
 
 

@@ -1,4 +1,4 @@
-"""Strapdown integration of increments, and how its result depends on each coefficient of the sensors.
+"""Navigation errors at rest as white rows of a least-squares problem.
 
 The unit stays at one place. So the integral of the specific force and gravity in the navigation frame,
 
@@ -9,6 +9,12 @@ Attitude errors psi turn vectors of the true attitude to the computed one, ENU:
 
     ``psi' = -w_ie x psi + C_nb dw``,   ``u' = psi x C_nb f + C_nb df``.
 
+The same integration gives the response of psi and u to each coefficient. The noise of the sensors is
+integrated twice into u and correlates all epochs. A Kalman filter that knows this noise alone, with the
+states psi, u and the psi at the start of a spin, turns data and responses into innovations that are white
+with unit variance: generalised least squares without its large matrix, as in
+:mod:`gyrobench.bench.bias.window_filter`.
+
 References
 ----------
 Savage, "Strapdown Inertial Navigation Integration Algorithm Design", J. Guidance, Control, and Dynamics 21
@@ -18,14 +24,16 @@ Titterton and Weston, *Strapdown Inertial Navigation Technology*, 2nd ed., chapt
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from gyrobench.bench.calibration.coefficients import COUNT, LOWER
-from gyrobench.bench.foundations.arrays import FloatArray, IntArray
+from gyrobench.bench.calibration.recording import SensorNoise
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 from gyrobench.bench.foundations.kernels import compiled
-from gyrobench.bench.navigation.attitude import rotation_matrices
+from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vectors
 from gyrobench.bench.navigation.earth import earth_rate_enu
 
 #: Columns of the responses: the coefficients; inner lever arms of the accelerometers by rows, m; delay of the
@@ -33,10 +41,64 @@ from gyrobench.bench.navigation.earth import earth_rate_enu
 LEVER_ARMS, DELAY, ATTITUDE = slice(COUNT, COUNT + 9), COUNT + 9, slice(COUNT + 10, COUNT + 13)
 COLUMNS = COUNT + 13
 _ROWS, _COLUMNS = LOWER
+#: Noise of outputs without any, m/s and rad: far below what sensors resolve.
+_MIN_VELOCITY, _MIN_ANGLE = 1e-8, 1e-10
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class Epochs:
+    """Where in n epochs of increments the unit rests."""
+
+    ends: IntArray  #: Shape (n,). Number of increments up to the end of each epoch.
+    at_rest: BoolArray  #: Shape (n,). Whether the unit rests at the end of each.
+    #: Epochs, counted from 0 at the start, in the rests before and after whole turns.
+    spins: Sequence[tuple[int, int]]
+    has_vertical: bool = True  #: Whether the vertical velocity is measured; otherwise its rows are zero.
+
+
+def white_rows(
+    angle: FloatArray,
+    velocity: FloatArray,
+    interval_s: float,
+    epochs: Epochs,
+    C_nb: FloatArray,
+    noise: SensorNoise,
+    latitude: float,
+    gravity: float,
+    whole_turns: float | None,
+) -> tuple[FloatArray, FloatArray]:
+    """Rows (m, 34) and data (m,), white with unit variance, of a unit that begins at rest.
+
+    Parameters
+    ----------
+    angle, velocity : ndarray, shape (k, 3)
+        Increments, body axes, rad and m/s, freed of the errors known so far.
+    C_nb : ndarray, shape (3, 3)
+        Attitude at the start.
+    whole_turns : float, optional
+        Standard uncertainty, rad, of the table's return after whole turns; without it spins count as any
+        other rotation.
+    """
+    trajectory = _trajectory(angle, velocity, interval_s, epochs.ends, C_nb, latitude, gravity)
+    lengths_s = np.diff(epochs.ends, prepend=0) * interval_s
+    n, spins = len(lengths_s), [] if whole_turns is None else epochs.spins
+    starts, ends = np.zeros(n + 1, np.int64), np.full(n + 1, -1, np.int64)
+    turned = (trajectory.response[b, :3] - trajectory.response[a, :3] for a, b in spins)
+    rows = [*trajectory.response[1:, 3:], *turned]
+    data = [*-trajectory.integral[1:], *(_returned(trajectory, a, b) for a, b in spins)]
+    for number, (a, b) in enumerate(spins):
+        starts[a], ends[b] = 1, n + number
+    white = float(np.mean(noise.white_velocity**2)) + _MIN_VELOCITY**2
+    turn = (whole_turns or 0.0) ** 2 + 2.0 * float(np.mean(noise.white_angle**2)) + _MIN_ANGLE**2
+    stacked = np.concatenate([np.array(rows), np.array(data)[:, :, np.newaxis]], axis=2)
+    transition, covariance = _intervals(trajectory, lengths_s, noise, latitude)
+    measured = 3 if epochs.has_vertical else 2
+    whitened = _whiten(transition, covariance, stacked, epochs.at_rest, starts, ends, white, turn, measured)
+    return whitened[:, :COLUMNS], whitened[:, COLUMNS]
+
+
+@dataclass(frozen=True, eq=False)
+class _Trajectory:
     """Integrated increments at the ends of n epochs, and at the start."""
 
     attitude: FloatArray  #: Shape (n + 1, 3, 3). C_nb.
@@ -46,7 +108,7 @@ class Trajectory:
     response: FloatArray
 
 
-def integrate(
+def _trajectory(
     angle: FloatArray,
     velocity: FloatArray,
     interval_s: float,
@@ -54,18 +116,7 @@ def integrate(
     C_nb: FloatArray,
     latitude: float,
     gravity: float,
-) -> Trajectory:
-    """Integrate increments from rest.
-
-    Parameters
-    ----------
-    angle, velocity : ndarray, shape (m, 3)
-        Increments, body axes, rad and m/s, freed of the errors known so far.
-    ends : ndarray, shape (n,)
-        Number of increments up to the end of each epoch.
-    C_nb : ndarray, shape (3, 3)
-        Attitude at the start.
-    """
+) -> _Trajectory:
     rate = earth_rate_enu(latitude)
     earth = rotation_matrices(-rate * interval_s)
     half = rotation_matrices(-0.5 * rate * interval_s)
@@ -75,7 +126,7 @@ def integrate(
     attitude[0] = C_nb
     response[0, :3, ATTITUDE] = np.eye(3)
     _integrate(angle, velocity, interval_s, ends, earth, half, gravity, attitude, integral, force, response)
-    return Trajectory(attitude, integral, force, response)
+    return _Trajectory(attitude, integral, force, response)
 
 
 @compiled
@@ -180,3 +231,75 @@ def _integrate(
             responses[epoch + 1] = response
             force[:] = 0.0
             epoch += 1
+
+
+def _returned(trajectory: _Trajectory, a: int, b: int) -> FloatArray:
+    """Error (3,) of the computed attitude, negated, after whole turns, which return to where they started."""
+    turn = trajectory.attitude[b] @ trajectory.attitude[a].T
+    return np.asarray(-rotation_vectors(turn[np.newaxis])[0])
+
+
+def _intervals(
+    trajectory: _Trajectory, lengths_s: FloatArray, noise: SensorNoise, latitude: float
+) -> tuple[FloatArray, FloatArray]:
+    """Transition and noise (n, 6, 6) of psi and u over each epoch."""
+    n = len(lengths_s)
+    cross = np.cross(trajectory.force[:, np.newaxis, :], np.eye(3))  # cross @ psi = psi x force
+    C = 0.5 * (trajectory.attitude[1:] + trajectory.attitude[:-1])
+    gyro = C * noise.angle_random_walk**2 @ C.transpose(0, 2, 1)
+    force = C * noise.velocity_random_walk**2 @ C.transpose(0, 2, 1)
+    time = lengths_s[:, np.newaxis, np.newaxis]
+    transition, covariance = np.zeros((2, n, 6, 6))
+    transition[:, :3, :3] = rotation_matrices(-earth_rate_enu(latitude) * lengths_s[:, np.newaxis])
+    transition[:, 3:, :3] = cross
+    transition[:, 3:, 3:] = np.eye(3)
+    covariance[:, :3, :3] = gyro * time
+    covariance[:, 3:, :3] = 0.5 * cross @ gyro * time
+    covariance[:, :3, 3:] = covariance[:, 3:, :3].transpose(0, 2, 1)
+    covariance[:, 3:, 3:] = force * time + cross @ gyro @ cross.transpose(0, 2, 1) * time / 3.0
+    return transition, covariance
+
+
+@compiled
+def _whiten(
+    transition: FloatArray, covariance: FloatArray, stacked: FloatArray, at_rest: BoolArray,
+    starts: IntArray, ends: IntArray, white: float, turn: float, measured: int,
+) -> FloatArray:  # fmt: skip
+    n, columns = len(transition), stacked.shape[2]
+    rows = np.zeros((3 * len(stacked), columns))
+    used = 0
+    X, P = np.zeros((9, columns)), np.zeros((9, 9))
+    # The velocity at the start is as uncertain as any that is measured.
+    for i in range(3, 6):
+        P[i, i] = white
+    for epoch in range(n + 1):
+        if epoch > 0:
+            F, Q = transition[epoch - 1], covariance[epoch - 1]
+            X[:6] = F @ X[:6]
+            P[:6] = F @ P[:6]
+            P = P.T.copy()
+            P[:6] = F @ P[:6]
+            P[:6, :6] += Q
+            if at_rest[epoch - 1]:
+                for i in range(measured):
+                    gain = P[:, 3 + i] / (P[3 + i, 3 + i] + white)
+                    scale = 1.0 / np.sqrt(P[3 + i, 3 + i] + white)
+                    innovation = stacked[epoch - 1, i] - X[3 + i]
+                    X += np.outer(gain, innovation)
+                    P -= np.outer(gain, P[3 + i].copy())
+                    rows[used + i] = innovation * scale
+                used += 3
+        if ends[epoch] >= 0:
+            for i in range(3):
+                spread = P[:, i] - P[:, 6 + i]
+                variance = spread[i] - spread[6 + i] + turn
+                innovation = stacked[ends[epoch], i] - X[i] + X[6 + i]
+                X += np.outer(spread / variance, innovation)
+                P -= np.outer(spread / variance, spread)
+                rows[used] = innovation / np.sqrt(variance)
+                used += 1
+        if starts[epoch]:
+            X[6:] = X[:3]
+            P[6:] = P[:3]
+            P[:, 6:] = P[:, :3]
+    return rows[:used]

@@ -18,6 +18,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "Watch and report": (
         "monitor",
         "report",
+        "seal",
         "export",
         "bins",
         "close",

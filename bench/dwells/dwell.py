@@ -31,7 +31,7 @@ from gyrobench.bench.dwells.temperatures import (
     triple,
     valid_temperatures,
 )
-from gyrobench.bench.foundations.arrays import UG_TO_MPS2, BoolArray, FloatArray
+from gyrobench.bench.foundations.arrays import ARCSEC_TO_RAD, UG_TO_MPS2, BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError, SignalMapError
 from gyrobench.bench.navigation.earth import earth_rate_enu
 from gyrobench.bench.navigation.error_model import Site
@@ -40,7 +40,13 @@ from gyrobench.bench.navigation.table_axes import TwoAxisTable
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
-from gyrobench.drivers.ins.navigation_data import EpochCounts, NavigationData, decode_navigation
+from gyrobench.drivers.ins.navigation_data import (
+    EpochCounts,
+    Increments,
+    NavigationData,
+    decode_increments,
+    decode_navigation,
+)
 from gyrobench.drivers.ins.readout import InsMode
 from gyrobench.drivers.ins.resolution import ResolutionLimit, resolution_report
 
@@ -68,6 +74,9 @@ class MeasurementSetup:
     heading_lsb_rad: float
     resolution: tuple[ResolutionLimit, ...]  #: Which estimates it limits, and by how much.
     signs: SignCheck | None = None  #: Test of the signal map's signs and axes.
+    #: Frames to increments; None where none are mapped.
+    decode_increments: Callable[[FrameBlock], Increments | None] = lambda _: None
+    table_repeatability: float = ARCSEC_TO_RAD  #: Of the table's return to an angle, rad.
 
     def turn(
         self, before: WindowMark, after: WindowMark, navigation: NavigationData, first_frame: int = 0
@@ -402,4 +411,6 @@ def measurement_setup(station: Station) -> MeasurementSetup:
         prior=station.prior(),
         resolution=tuple(limits),
         signs=SignCheck(signals, decode, station.table, station.site, velocity_lsb_mps),
+        decode_increments=partial(decode_increments, signal_map=signals, codec=codec),
+        table_repeatability=station.file.rate_table.repeatability_arcsec * ARCSEC_TO_RAD,
     )

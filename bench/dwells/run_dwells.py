@@ -24,6 +24,7 @@ from gyrobench.bench.dwells.check_dwell import CheckDwell, measure_check_dwell
 from gyrobench.bench.dwells.dwell import MeasuredDwell, MeasurementSetup, measure_dwell
 from gyrobench.bench.dwells.latitude import with_latitude
 from gyrobench.bench.dwells.marks import DwellMarks
+from gyrobench.bench.dwells.plateau_calibration import PlateauCalibration
 from gyrobench.bench.dwells.temperatures import stuck_sensors
 from gyrobench.bench.foundations.errors import MeasurementError, RunFolderError
 from gyrobench.bench.foundations.files import remove
@@ -32,6 +33,7 @@ from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow, write_calibration_check
+from gyrobench.bench.runs.tables.coefficient_table import write_coefficients, write_correlations
 from gyrobench.bench.runs.tables.joint_table import (
     JointBiasRow,
     JointPlateauRow,
@@ -68,6 +70,13 @@ def _recorded(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:
         raise RunFolderError(f"{folder.journal}: damaged: it places two dwells in one part of the log")
     for marks in finished:
         yield marks, read_frames(folder, marks)
+
+
+def rotated(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:
+    """Finished dwells with rotations that nothing disturbed, in order; raises as :func:`replay`."""
+    for marks in finished_marks(folder):
+        if marks.is_rotated and not marks.disturbances:
+            yield marks, read_frames(folder, marks)
 
 
 def finished_marks(folder: RunFolder) -> list[DwellMarks]:
@@ -194,6 +203,8 @@ class RunResults:
     noise: NoiseEstimate | None = None  #: Of the INS, from its output; None where it is not observable.
     #: Biases that a calibration check measured, beside the calibrated ones.
     calibration_check: list[CalibrationCheckRow] = field(default_factory=list)
+    #: Coefficients of the sensors at each plateau with rotations.
+    coefficients: list[PlateauCalibration] = field(default_factory=list)
     #: Verdict on the unit by the limits of the procedure.
     acceptance: Acceptance = field(default_factory=Acceptance)
     #: Results of the tests in the procedure.
@@ -269,8 +280,16 @@ def write_results(folder: RunFolder, results: RunResults) -> None:
     write_joint(folder.joint_biases, joint_bias_rows(results.joint, results.up_rate), JointBiasRow)
     write_joint(folder.joint, joint_plateau_rows(results.joint, results.up_rate), JointPlateauRow)
     write_acceptance(folder.acceptance, results.acceptance)
-    for stale in (folder.noise, folder.calibration_check, folder.characteristics):
-        remove(stale)
+    stale = (
+        folder.noise, folder.calibration_check, folder.coefficients, folder.correlations, folder.characteristics
+    )  # fmt: skip
+    for path in stale:
+        remove(path)
+    if results.coefficients:
+        write_coefficients(folder.coefficients, [row for each in results.coefficients for row in each.rows()])
+        write_correlations(
+            folder.correlations, [(each.plateau, each.correlations) for each in results.coefficients]
+        )
     if results.noise is not None:
         write_noise(folder.noise, results.noise)
     if results.calibration_check:

@@ -30,7 +30,7 @@ from gyrobench.bench.runs.can_log import CanLog
 from gyrobench.bench.runs.compensation_file import write_compensation
 from gyrobench.bench.runs.folder import RUNS, RunFolder, create_run_folder
 from gyrobench.bench.runs.journal import Journal, facts_of, read_journal
-from gyrobench.bench.runs.provenance import write_provenance
+from gyrobench.bench.runs.provenance import operator_name, write_provenance
 from gyrobench.bench.runs.telemetry import Telemetry
 from gyrobench.bench.station.instruments import Instruments
 from gyrobench.bench.station.locks import BenchLock, RunLock
@@ -212,6 +212,7 @@ def _record_start(journal: Journal, start: _Start, setup: MeasurementSetup, obse
         station=job.station.file.station,
         next_step=left[0].number if left else None,
         options=job.options,
+        operator=operator_name(),
         **({"unit": state.unit, "power_ons": state.power_ons} if state.power_ons else {}),
     )
     journal.record("resolution", lines=[limit.text for limit in setup.resolution])

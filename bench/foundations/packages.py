@@ -30,6 +30,7 @@ _EXTRAS = {
     "pandas": "pandas",
     "pymavlink": "logs",
     "pyulog": "logs",
+    **dict.fromkeys(("cryptography", "lxml", "pyhanko", "signxml"), "certificate"),
 }
 
 ObjectT = TypeVar("ObjectT")

@@ -30,6 +30,7 @@ from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.investigation.proposal import Outcome, Proposal, Rival, outcome_of, proposal_of, propose
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.runs.journal import Journal, read_journal
+from gyrobench.bench.runs.provenance import operator_name
 
 #: A cause is settled at this probability.
 SETTLED = 0.99
@@ -317,7 +318,8 @@ class Investigator:
         if answer:
             make_folder(self._block_folder)
             write_whole(self._block_folder / _PLAN, proposal.block.plan.text().encode())
-        journal.record("approved" if answer else "declined", number=self._blocks + 1)
+        event = "approved" if answer else "declined"
+        journal.record(event, number=self._blocks + 1, operator=operator_name())
         return answer
 
     def _decided(self, stage: Stage, forecast: Forecast) -> Proposal | None:

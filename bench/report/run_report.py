@@ -50,6 +50,7 @@ from gyrobench.bench.report.page import Box, Section, SectionFigure, render_page
 from gyrobench.bench.report.statements import VERDICT_COLOURS, latitude_sentence, verdict_sentence
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.provenance import DataHash, data_hashes, note_preparer
+from gyrobench.bench.runs.seal import keep_sealed
 
 _PROGRAMS = ("gyrobench", "python", "platform")
 _TIME = "%Y-%m-%d %H:%M:%S"
@@ -73,7 +74,7 @@ def write_report(
     """Write ``report.html`` and the figures of a run, from what its folder holds; returns the report.
 
     The report names parts that are missing because the run failed or was interrupted, and replaces an
-    earlier one.
+    earlier one. A run that has ended is sealed with it.
 
     Parameters
     ----------
@@ -109,6 +110,8 @@ def write_report(
     )
     paths = [each.figure for each in own.figures if isinstance(each.figure, Path)]
     write_whole(into.report, render(content, paths, sections, hashes, by).encode())
+    if out is None:
+        keep_sealed(folder)
     return into.report
 
 

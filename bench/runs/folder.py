@@ -72,6 +72,8 @@ class RunFolder:
     bias_bins = PathInside(BIAS_BINS)  #: Bias per gyro, position and temperature bin.
     joint_biases = PathInside("joint_biases.csv")  #: Biases of the dwells of each plateau solved together.
     joint = PathInside("joint.csv")  #: Parameters common to the dwells of each plateau.
+    coefficients = PathInside("coefficients.csv")  #: Coefficients of the sensors at each plateau.
+    correlations = PathInside("correlations.csv")  #: Their correlations.
     noise = PathInside("noise.json")  #: Noise of the INS.
     characteristics = PathInside("characteristics.json")  #: Results of the procedure's tests.
     acceptance = PathInside(ACCEPTANCE)  #: Verdict on the unit.

@@ -1,7 +1,7 @@
 """Commands of the INS as CAN frames (the station file's ``ins.commands``), and the compensation they load.
 
-A command is a message of the DBC and the values of its signals; ``$sequence``, ``$axis``, ``$index`` and
-``$value`` stand for values that are known when it is sent.
+A command is a message of the DBC and the values of its signals; ``$sequence``, ``$on``, ``$axis``, ``$index``
+and ``$value`` stand for values that are known when it is sent.
 
 A compensation is what the INS subtracts from its gyros: a polynomial in temperature, and physical terms.
 With the temperature T of a gyro's optics, B of its electronics (board), and the unit vector Up in body
@@ -282,6 +282,9 @@ class CommandMap(StrictModel):
     set_euler_sequence: SequenceCommand | None = Field(
         None, description="chooses the sequence of the Euler angles"
     )
+    send_increments: Command | None = Field(
+        None, description="begins, `$on` 1, or stops, 0, to send the increments of signals.increments"
+    )
     clear_compensation: Command | None = Field(None, description="erases the compensation")
     load_compensation: CoefficientCommand | None = Field(
         None, description="loads one number of a compensation"
@@ -289,7 +292,11 @@ class CommandMap(StrictModel):
     apply_compensation: Command | None = Field(None, description="puts the loaded compensation into use")
 
 
-_GIVEN = {"set_euler_sequence": {"$sequence"}, "load_compensation": {"$axis", "$index", "$value"}}
+_GIVEN = {
+    "set_euler_sequence": {"$sequence"},
+    "send_increments": {"$on"},
+    "load_compensation": {"$axis", "$index", "$value"},
+}
 
 
 def check_commands(commands: CommandMap, codec: DbcCodec, at: Location = ()) -> list[Problem]:

@@ -186,7 +186,7 @@ class World:
             unit.advance(first + begin, rotation[begin : begin + step], velocity[begin : begin + step])
             for begin in range(0, seconds * count, step)
         ]
-        epochs = [part for part in parts if part is not None and len(part.sample)]
+        epochs = [part for part in parts if part is not None and (len(part.sample) or part.increments)]
         if not (self.on_epochs and epochs):
             return
         if readings and not normal.size:
