@@ -280,11 +280,9 @@ def write_results(folder: RunFolder, results: RunResults) -> None:
     write_joint(folder.joint_biases, joint_bias_rows(results.joint, results.up_rate), JointBiasRow)
     write_joint(folder.joint, joint_plateau_rows(results.joint, results.up_rate), JointPlateauRow)
     write_acceptance(folder.acceptance, results.acceptance)
-    stale = (
-        folder.noise, folder.calibration_check, folder.coefficients, folder.correlations, folder.characteristics
-    )  # fmt: skip
-    for path in stale:
-        remove(path)
+    optional = (folder.noise, folder.calibration_check, folder.coefficients, folder.correlations)
+    for stale in (*optional, folder.characteristics):
+        remove(stale)
     if results.coefficients:
         write_coefficients(folder.coefficients, [row for each in results.coefficients for row in each.rows()])
         write_correlations(
