@@ -10,10 +10,10 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta, timezone
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
 
 from gyrobench.bench import __version__
 from gyrobench.bench.bias.bins import BiasBin, compare_positions
@@ -51,6 +51,9 @@ from gyrobench.bench.report.statements import VERDICT_COLOURS, latitude_sentence
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.provenance import DataHash, data_hashes, note_preparer
 from gyrobench.bench.runs.seal import keep_sealed
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _PROGRAMS = ("gyrobench", "python", "platform")
 _TIME = "%Y-%m-%d %H:%M:%S"
