@@ -17,7 +17,9 @@ def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
     """
     from gyrobench.bench.bias.bins import read_bins
     from gyrobench.bench.bias.verdicts import read_acceptance
+    from gyrobench.bench.characteristics.results import read_characteristics
     from gyrobench.bench.engine.evaluation import recompute_run
+    from gyrobench.bench.report.characteristics import characteristics_tables
     from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.runs.tables.budget_table import budget_records, read_budget
     from gyrobench.bench.runs.tables.calibration_check_table import read_calibration_check
@@ -39,12 +41,15 @@ def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
         return
     terminal = console()
     print_biases(terminal, read_bins(folder.bias_bins), check, read_acceptance(folder.acceptance))
+    if folder.characteristics.exists():
+        terminal.print(characteristics_tables(read_characteristics(folder.characteristics)))
     results = (
         folder.bias_bins,
         folder.budget,
         folder.joint,
         folder.joint_biases,
         folder.noise,
+        folder.characteristics,
         folder.calibration_check,
         folder.acceptance,
     )
