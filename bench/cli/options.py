@@ -92,6 +92,13 @@ class View(StrEnum):
     LINES = "lines"
 
 
+class FailOn(StrEnum):
+    """What makes a finished run fail."""
+
+    REJECTED = "rejected"
+    FLAGGED = "flagged"
+
+
 def _name_operator(name: str) -> str:
     """Keep the name in the environment, also for processes that the command starts."""
     if name:
@@ -113,6 +120,10 @@ FaultsOption = Annotated[
     ),
 ]
 RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.", autocompletion=complete_run)]
+FailOnOption = Annotated[
+    FailOn | None,
+    typer.Option(help="Exit with 1 if the unit is rejected; with flagged also if a dwell has flags."),
+]
 OperatorOption = Annotated[
     str,
     typer.Option(

@@ -9,6 +9,7 @@ import typer
 
 from gyrobench.bench.cli.options import (
     EMULATED,
+    FailOnOption,
     FaultsOption,
     OperatorOption,
     ProcedureArgument,
@@ -36,6 +37,7 @@ def run(
         Path | None, typer.Option(help="Compensation file to load into the INS after each power-on.")
     ] = None,
     faults: FaultsOption = None,
+    fail_on: FailOnOption = None,
     operator: OperatorOption = "",  # noqa: ARG001 - read from the environment
     view: ViewOption = View.LIVE,
     as_json: JsonOption = False,
@@ -58,4 +60,4 @@ def run(
     job = prepare_job(procedure, station, Emulation(world, seed, faults or ""), calibration, loaded)
     with observe_in_terminal(terminal, job, view is View.LIVE) as (progress, answers):
         folder, outcome = run_job(job, out, progress, answers)
-    print_end(terminal, folder, outcome, as_json)
+    print_end(terminal, folder, outcome, as_json, fail_on)

@@ -46,6 +46,8 @@ def evaluate_run(
     rows = [dwell.row for dwell in results.dwells]
     coefficients = calibrate_plateaus(results.joint, rows, rotated(folder), setup)
     results = replace(results, coefficients=coefficients)
+    if procedure.tests:
+        results = replace(results, characteristics=procedure.tests.evaluate(rows))
     if results.dwells:
         write_dwells(folder.dwells, rows)
     write_results(folder, results)
