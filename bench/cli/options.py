@@ -113,6 +113,14 @@ FaultsOption = Annotated[
     ),
 ]
 RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.", autocompletion=complete_run)]
+AcknowledgeOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="INSTRUMENT",
+        help="Use an instrument although its calibration is past due (rate_table, chamber_sensors, "
+        "reference_clock), in the operator's name; may be repeated.",
+    ),
+]
 OperatorOption = Annotated[
     str,
     typer.Option(
