@@ -24,7 +24,13 @@ from typing import Self
 
 import numpy as np
 
-from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, UG_TO_MPS2, BoolArray, FloatArray
+from gyrobench.bench.foundations.arrays import (
+    RADPS_TO_DPH,
+    STANDARD_GRAVITY,
+    UG_TO_MPS2,
+    BoolArray,
+    FloatArray,
+)
 from gyrobench.bench.navigation.positions import AXES
 
 _RAD_TO_ARCSEC = 3600.0 * 180.0 / np.pi
@@ -37,7 +43,7 @@ class Coefficient:
     """One coefficient."""
 
     sensor: str  #: "gyro" or "accelerometer".
-    kind: str  #: "bias", "scale_factor" or "misalignment".
+    kind: str  #: "bias", "scale_factor" or "misalignment"; or what is estimated beside them.
     axis: str  #: "x"; of a misalignment the sensor and the axis that it senses: "xy".
     unit: str  #: Unit in tables.
     per_si: float  #: Value in that unit for a value of 1 in SI (rad/s, m/s^2, 1, rad).
@@ -80,6 +86,20 @@ def _coefficients(
 COEFFICIENTS = _coefficients(_ALL, _LOWER)
 #: The same in the body frame of the gyros.
 GYRO_FRAME_COEFFICIENTS = _coefficients(_LOWER, _ALL)
+#: What may be estimated beside them: places of the accelerometers in the unit, their delay against the gyros,
+#: and their quadratic terms, ``K2 f^2``.
+BESIDE = (
+    *(
+        Coefficient("accelerometer", "lever_arm", AXES[i] + AXES[j], "mm", 1e3, 0.2)
+        for i in range(3)
+        for j in range(3)
+    ),
+    Coefficient("accelerometer", "delay", "", "ms", 1e3, 0.01),
+    *(
+        Coefficient("accelerometer", "quadratic", axis, "ug/g2", STANDARD_GRAVITY**2 / UG_TO_MPS2, 1e-4)
+        for axis in AXES
+    ),
+)
 COUNT = len(COEFFICIENTS)
 _GYRO_BIAS, _GYRO_MATRIX = slice(0, 3), slice(3, 12)
 _FORCE_BIAS, _FORCE_MATRIX = slice(12, 15), slice(15, 21)
@@ -163,7 +183,7 @@ def _removed(measured: FloatArray, bias: FloatArray, matrix: FloatArray, interva
 class CoefficientEstimate:
     """Coefficients of one unit with their uncertainties."""
 
-    #: values, covariance, is_observed: Shapes (21,), (21, 21), (21,). Of the ``coefficients``, SI; without
+    #: values, covariance, is_observed: Shapes (n,), (n, n), (n,). Of the ``coefficients``, SI; without
     #: meaning where not observed.
     values: FloatArray
     covariance: FloatArray
@@ -172,34 +192,35 @@ class CoefficientEstimate:
 
     @property
     def sigmas(self) -> FloatArray:
-        """Standard uncertainties (21,), SI."""
+        """Standard uncertainties (n,), SI."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     @property
     def correlations(self) -> FloatArray:
-        """Correlation coefficients (21, 21)."""
+        """Correlation coefficients (n, n)."""
         return np.asarray(self.covariance / np.outer(self.sigmas, self.sigmas))
 
     @property
     def errors(self) -> SensorErrors:
         """The coefficients, in the accelerometers' body frame, as matrices."""
-        return SensorErrors.from_vector(np.where(self.is_observed, self.values, 0.0))
+        return SensorErrors.from_vector(np.where(self.is_observed, self.values, 0.0)[:COUNT])
 
     def in_gyro_frame(self) -> CoefficientEstimate:
-        """The same, from the accelerometers' body frame, in that of the gyros.
+        """The 21 coefficients, from the accelerometers' body frame, in that of the gyros.
 
         A coefficient is observed there if all those are that it depends on.
         """
-        values = np.where(self.is_observed, self.values, 0.0)
-        steps = _STEP * np.array([each.size for each in self.coefficients])
+        is_observed = self.is_observed[:COUNT]
+        values = np.where(is_observed, self.values[:COUNT], 0.0)
+        steps = _STEP * np.array([each.size for each in COEFFICIENTS])
         jacobian = np.column_stack(
             [
                 (_gyro_frame_vector(values + step) - _gyro_frame_vector(values - step)) / (2.0 * step.sum())
                 for step in np.diag(steps)
             ]
         )
-        rests_on_unseen = (np.abs(jacobian) > _MIN_SHARE)[:, ~self.is_observed].any(axis=1)
-        covariance = jacobian @ self.covariance @ jacobian.T
+        rests_on_unseen = (np.abs(jacobian) > _MIN_SHARE)[:, ~is_observed].any(axis=1)
+        covariance = jacobian @ self.covariance[:COUNT, :COUNT] @ jacobian.T
         return CoefficientEstimate(
             _gyro_frame_vector(values), covariance, ~rests_on_unseen, coefficients=GYRO_FRAME_COEFFICIENTS
         )

@@ -24,7 +24,13 @@ from functools import cached_property
 import numpy as np
 
 from gyrobench.bench.bias.statistics import Chi2Test, chi2_test, compress, solve
-from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, CoefficientEstimate, SensorErrors
+from gyrobench.bench.calibration.coefficients import (
+    BESIDE,
+    COEFFICIENTS,
+    COUNT,
+    CoefficientEstimate,
+    SensorErrors,
+)
 from gyrobench.bench.calibration.recording import (
     IncrementRecording,
     Rest,
@@ -34,7 +40,15 @@ from gyrobench.bench.calibration.recording import (
     find_rotations,
     measure_noise,
 )
-from gyrobench.bench.calibration.strapdown import ATTITUDE, DELAY, LEVER_ARMS, Epochs, white_rows
+from gyrobench.bench.calibration.strapdown import (
+    ATTITUDE,
+    DELAY,
+    LEVER_ARMS,
+    QUADRATIC,
+    UNKNOWNS,
+    Epochs,
+    white_rows,
+)
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import rotation_matrices
@@ -43,8 +57,8 @@ from gyrobench.bench.navigation.error_model import Site
 
 #: Time between two velocities at rest, s: closer ones would average noise of the output alone.
 EPOCH_S = 1.0
-#: Large sizes of what is not a coefficient, SI: lever arms, delay, attitude error at the start.
-_LEVER_ARM, _DELAY, _ATTITUDE_ERROR = 0.2, 0.01, 0.5
+#: Large attitude error at the start, rad.
+_ATTITUDE_ERROR = 0.5
 #: An unknown is observed if sizes ten times as large let its uncertainty grow by less than this.
 _MAX_GROWTH = 1.1
 #: Rounds of linearisation; the last one changes the weighted sum of squares by less than this, and each
@@ -68,6 +82,7 @@ class CalibrationOptions:
 
     lever_arms: bool = False  #: Places of the y and z accelerometers relative to the x accelerometer.
     delay: bool = False  #: Delay of the accelerometers against the gyros.
+    quadratic: bool = False  #: Quadratic terms of the accelerometers.
     #: Standard uncertainty, rad, with which the table returns after whole turns; None: spins count as any
     #: other rotation.
     whole_turns: float | None = None
@@ -80,7 +95,8 @@ class CalibrationOptions:
     def columns(self) -> list[int]:
         """Which columns are common to all recordings; the x accelerometer's place is the origin."""
         arms = range(LEVER_ARMS.start + 3, LEVER_ARMS.stop) if self.lever_arms else ()
-        return [*range(COUNT), *arms, *([DELAY] if self.delay else [])]
+        squares = range(QUADRATIC.start, QUADRATIC.stop) if self.quadratic else ()
+        return [*range(COUNT), *arms, *([DELAY] if self.delay else []), *squares]
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +118,7 @@ class Information:
         site: Site,
         options: CalibrationOptions,
     ) -> Information:
-        """Integrate increments from attitudes (3, 3) at the ``starts``, with the values ``common`` (31,)."""
+        """Integrate increments from attitudes (3, 3) at the ``starts``, with the values ``common`` (34,)."""
         used, blocks = options.columns, []
         for number, (section, start) in enumerate(zip(sections, starts, strict=True)):
             freed = section.freed(SensorErrors.from_vector(common[:COUNT]), common)
@@ -121,7 +137,7 @@ class Information:
             block[:, len(used) + 3 * number :][:, :3] = rows[:, ATTITUDE]
             block[:, -1] = data + rows[:, used] @ common[used]
             blocks.append(block)
-        sizes = [each.size for each in COEFFICIENTS] + [_LEVER_ARM] * 9 + [_DELAY]
+        sizes = [each.size for each in (*COEFFICIENTS, *BESIDE)]
         attitudes = [_ATTITUDE_ERROR] * (3 * len(sections))
         return cls(blocks, np.array([*(sizes[each] for each in used), *attitudes]))
 
@@ -147,10 +163,6 @@ class Information:
 class Calibration(CoefficientEstimate):
     """Coefficients of one unit from its recordings, and what they rest on."""
 
-    #: lever_arms, delay: Places of the y and z accelerometers relative to the x accelerometer, (2, 3), m, and
-    #: delay of the accelerometers, s, with uncertainties; None if not estimated, NaN where not observed.
-    lever_arms: tuple[FloatArray, FloatArray] | None
-    delay: tuple[float, float] | None
     noise: SensorNoise  #: As measured at rest or declared.
     recordings: tuple[IncrementRecording, ...]
     rests: tuple[tuple[Rest, ...], ...]  #: Of each recording.
@@ -219,16 +231,15 @@ def calibrate(
             )
         covariance = covariance * widening**2
     # An error of gravity is one of all three scale factors, which the residuals do not show.
-    is_scale = [each.name == "accelerometer_scale_factor" for each in COEFFICIENTS]
+    count, all_of_them = len(used), (*COEFFICIENTS, *BESIDE)
+    coefficients = tuple(all_of_them[each] for each in used)
+    is_scale = [each.name == "accelerometer_scale_factor" for each in coefficients]
     by_gravity = np.where(is_scale, options.gravity_sigma / gravity, 0.0)
-    beyond = np.where(is_observed, values, np.nan)[COUNT : len(used)]
-    uncertainty = np.where(is_observed, np.sqrt(np.diag(covariance)), np.nan)[COUNT : len(used)]
     return Calibration(
-        values=values[:COUNT],
-        covariance=covariance[:COUNT, :COUNT] + np.outer(by_gravity, by_gravity),
-        is_observed=is_observed[:COUNT],
-        lever_arms=(beyond[:6].reshape(2, 3), uncertainty[:6].reshape(2, 3)) if options.lever_arms else None,
-        delay=(float(beyond[-1]), float(uncertainty[-1])) if options.delay else None,
+        values=values[:count],
+        covariance=covariance[:count, :count] + np.outer(by_gravity, by_gravity),
+        is_observed=is_observed[:count],
+        coefficients=coefficients,
         noise=noise,
         recordings=tuple(recordings),
         rests=tuple(map(tuple, rests)),
@@ -275,7 +286,7 @@ def _solve(
     ``bias`` (3,): of the gyros, rad/s, where to begin. Raises MeasurementError if it does not converge.
     """
     used = options.columns
-    common, first = np.zeros(COUNT + 10), SensorErrors(gyro_bias=bias)
+    common, first = np.zeros(UNKNOWNS), SensorErrors(gyro_bias=bias)
     common[:COUNT] = first.vector()
     starts = [each.aligned(first) for each in sections]
     origin, left = np.concatenate([common[used], np.zeros(3 * len(sections))]), np.inf
@@ -337,7 +348,7 @@ class Section:
         return np.stack([east, np.cross(up, east), up])
 
     def freed(self, errors: SensorErrors, common: FloatArray | None) -> tuple[FloatArray, FloatArray]:
-        """Increments (k, 3) without errors of the sensors, lever arms and delay: ``common`` (31,), SI."""
+        """Increments (k, 3) without errors of the sensors and what is beside them: ``common`` (34,), SI."""
         interval_s = self.interval_s
         angle, velocity = errors.removed(self.angle, self.velocity, interval_s)
         if common is not None and common[COUNT:].any():
@@ -348,6 +359,7 @@ class Section:
                 moved = np.cross(turning, arm) + np.cross(rate, np.cross(rate, arm)) * interval_s
                 velocity[:, sensor] -= moved[:, sensor]
             velocity += common[DELAY] * np.cross(velocity, rate)
+            velocity -= common[QUADRATIC] * velocity**2 / interval_s
         return angle, velocity
 
 

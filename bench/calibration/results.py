@@ -55,38 +55,19 @@ class RestRate:
 
 def coefficient_rows(estimate: CoefficientEstimate) -> list[CoefficientRow]:
     """Rows of ``coefficients.csv``."""
-    rows = [
-        _row(each.name, each.axis, value * each.per_si, sigma * each.per_si, each.unit, is_observed)
+    return [
+        CoefficientRow(
+            each.name,
+            each.axis,
+            float(value) * each.per_si if is_observed else None,
+            float(sigma) * each.per_si if is_observed else None,
+            each.unit,
+            "" if is_observed else NOT_OBSERVABLE,
+        )
         for each, value, sigma, is_observed in zip(
             estimate.coefficients, estimate.values, estimate.sigmas, estimate.is_observed, strict=True
         )
     ]
-    return [*rows, *_rows_beside(estimate)] if isinstance(estimate, Calibration) else rows
-
-
-def _rows_beside(calibration: Calibration) -> list[CoefficientRow]:
-    """Rows of what is estimated beside the coefficients."""
-    rows = []
-    if calibration.lever_arms is not None:
-        arms, sigmas = calibration.lever_arms
-        rows += [
-            _row(
-                "accelerometer_lever_arm",
-                f"{sensor}{axis}",
-                1e3 * arm,
-                1e3 * sigma,
-                "mm",
-                bool(np.isfinite(sigma)),
-            )
-            for sensor, places, spreads in zip("yz", arms, sigmas, strict=True)
-            for axis, arm, sigma in zip(AXES, places, spreads, strict=True)
-        ]
-    if calibration.delay is not None:
-        delay_s, sigma_s = calibration.delay
-        rows.append(
-            _row("accelerometer_delay", "", 1e3 * delay_s, 1e3 * sigma_s, "ms", bool(np.isfinite(sigma_s)))
-        )
-    return rows
 
 
 def forecast_rows(expected: Forecast) -> list[dict[str, Any]]:
@@ -135,7 +116,7 @@ def strongest_correlations(
     correlations = calibration.correlations
     seen = np.flatnonzero(calibration.is_observed)
     pairs = [
-        (COEFFICIENTS[i], COEFFICIENTS[j], float(correlations[i, j]))
+        (calibration.coefficients[i], calibration.coefficients[j], float(correlations[i, j]))
         for i in seen
         for j in seen[seen > i]
         if abs(correlations[i, j]) >= least
@@ -202,9 +183,3 @@ def correlations_table(estimate: CoefficientEstimate) -> str:
 
 def _cells(values: FloatArray) -> list[str]:
     return [format_number(round(float(value), 4)) if np.isfinite(value) else "" for value in values]
-
-
-def _row(name: str, axis: str, value: float, sigma: float, unit: str, is_observed: bool) -> CoefficientRow:
-    if is_observed:
-        return CoefficientRow(name, axis, float(value), float(sigma), unit, "")
-    return CoefficientRow(name, axis, None, None, unit, NOT_OBSERVABLE)

@@ -17,7 +17,7 @@ from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.calibration.coefficients import COUNT
 from gyrobench.bench.calibration.estimator import EPOCH_S, CalibrationOptions, Information, Section
 from gyrobench.bench.calibration.recording import SensorNoise
-from gyrobench.bench.calibration.strapdown import Epochs
+from gyrobench.bench.calibration.strapdown import UNKNOWNS, Epochs
 from gyrobench.bench.foundations.arrays import (
     DEG_PER_SQRT_H_TO_SI,
     UG_PER_SQRT_HZ_TO_SI,
@@ -124,7 +124,7 @@ def forecast(
     turns = [(first // size, -(-last // size)) for first, last in spins]
     section = Section(_STEP_S, angle, velocity, len(angle), Epochs(ends, at_rest[ends], turns))
     options = CalibrationOptions(whole_turns=whole_turns)
-    information = Information.of([section], [attitude[0]], np.zeros(COUNT + 10), noise, site, options)
+    information = Information.of([section], [attitude[0]], np.zeros(UNKNOWNS), noise, site, options)
     _, covariance, is_observed = information.solve()
     return Forecast(rotations.duration_s, np.sqrt(np.diag(covariance))[:COUNT], is_observed[:COUNT])
 

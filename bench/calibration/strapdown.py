@@ -29,7 +29,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrobench.bench.calibration.coefficients import COUNT, LOWER
+from gyrobench.bench.calibration.coefficients import BESIDE, COUNT, LOWER
 from gyrobench.bench.calibration.recording import SensorNoise
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 from gyrobench.bench.foundations.kernels import compiled
@@ -37,9 +37,10 @@ from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vect
 from gyrobench.bench.navigation.earth import earth_rate_enu
 
 #: Columns of the responses: the coefficients; inner lever arms of the accelerometers by rows, m; delay of the
-#: accelerometers, s; initial attitude error, rad.
-LEVER_ARMS, DELAY, ATTITUDE = slice(COUNT, COUNT + 9), COUNT + 9, slice(COUNT + 10, COUNT + 13)
-COLUMNS = COUNT + 13
+#: accelerometers, s; their quadratic terms, s^2/m; initial attitude error, rad.
+LEVER_ARMS, DELAY, QUADRATIC = slice(COUNT, COUNT + 9), COUNT + 9, slice(COUNT + 10, COUNT + 13)
+UNKNOWNS = COUNT + len(BESIDE)
+ATTITUDE, COLUMNS = slice(UNKNOWNS, UNKNOWNS + 3), UNKNOWNS + 3
 _ROWS, _COLUMNS = LOWER
 #: Noise of outputs without any, m/s and rad: far below what sensors resolve.
 _MIN_VELOCITY, _MIN_ANGLE = 1e-8, 1e-10
@@ -67,7 +68,7 @@ def white_rows(
     gravity: float,
     whole_turns: float | None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Rows (m, 34) and data (m,), white with unit variance, of a unit that begins at rest.
+    """Rows (m, 37) and data (m,), white with unit variance, of a unit that begins at rest.
 
     Parameters
     ----------
@@ -104,7 +105,7 @@ class _Trajectory:
     attitude: FloatArray  #: Shape (n + 1, 3, 3). C_nb.
     integral: FloatArray  #: Shape (n + 1, 3). u, m/s, ENU; zero at rest if the sensors have no error.
     force: FloatArray  #: Shape (n, 3). Integral of the specific force over each epoch, m/s, ENU.
-    #: Shape (n + 1, 6, 34). Attitude (rad) and u (m/s) for each coefficient and the rest of the columns, SI.
+    #: Shape (n + 1, 6, 37). Attitude (rad) and u (m/s) for each coefficient and the rest of the columns, SI.
     response: FloatArray
 
 
@@ -215,6 +216,10 @@ def _integrate(
                     response[3 + i, c] += (
                         middle[i, 0] * delayed[0] + middle[i, 1] * delayed[1] + middle[i, 2] * delayed[2]
                     )
+            elif c < UNKNOWNS:
+                sensor = c - DELAY - 1
+                for i in range(3):
+                    response[3 + i, c] -= middle[i, sensor] * dv[sensor] ** 2 / interval_s
             a, b, d = response[0, c], response[1, c], response[2, c]
             for i in range(3):
                 response[i, c] = earth[i, 0] * a + earth[i, 1] * b + earth[i, 2] * d

@@ -16,7 +16,9 @@ def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
     """
     from gyrobench.bench.bias.bins import read_bins
     from gyrobench.bench.bias.verdicts import read_acceptance
+    from gyrobench.bench.characteristics.results import read_characteristics
     from gyrobench.bench.engine.evaluation import recompute_run
+    from gyrobench.bench.report.characteristics import characteristics_tables
     from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.runs.tables.calibration_check_table import read_calibration_check
 
@@ -36,11 +38,14 @@ def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
         return
     terminal = console()
     print_biases(terminal, read_bins(folder.bias_bins), check, read_acceptance(folder.acceptance))
+    if folder.characteristics.exists():
+        terminal.print(characteristics_tables(read_characteristics(folder.characteristics)))
     results = (
         folder.bias_bins,
         folder.joint,
         folder.joint_biases,
         folder.noise,
+        folder.characteristics,
         folder.calibration_check,
         folder.acceptance,
     )

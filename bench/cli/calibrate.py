@@ -33,6 +33,9 @@ def calibrate(
     delay: Annotated[
         bool, typer.Option("--delay", help="Estimate the delay of the accelerometers, too.")
     ] = False,
+    quadratic: Annotated[
+        bool, typer.Option("--quadratic", help="Estimate the quadratic terms of the accelerometers, too.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Estimate all sensor coefficients from rates or increments of a unit that is turned between rests.
@@ -57,7 +60,7 @@ def calibrate(
     map_path = find_document("imports", mapping)
     log_map = load_log_map(map_path, for_calibration=True)
     recordings = [recording for path in logs for recording in read_increments(path, log_map)]
-    site, options = calibration_settings(log_map, lever_arms, delay)
+    site, options = calibration_settings(log_map, lever_arms, delay, quadratic)
     found = estimate(recordings, site, options)
     origin = {
         "logs": [{"file": str(path), "sha256": file_sha256(path)} for path in logs],

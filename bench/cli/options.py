@@ -92,6 +92,13 @@ class View(StrEnum):
     LINES = "lines"
 
 
+class FailOn(StrEnum):
+    """What makes a finished run fail."""
+
+    REJECTED = "rejected"
+    FLAGGED = "flagged"
+
+
 def _name_operator(name: str) -> str:
     """Keep the name in the environment, also for processes that the command starts."""
     if name:
@@ -120,6 +127,10 @@ AcknowledgeOption = Annotated[
         help="Use an instrument although its calibration is past due (rate_table, chamber_sensors, "
         "reference_clock), in the operator's name; may be repeated.",
     ),
+]
+FailOnOption = Annotated[
+    FailOn | None,
+    typer.Option(help="Exit with 1 if the unit is rejected; with flagged also if a dwell has flags."),
 ]
 OperatorOption = Annotated[
     str,

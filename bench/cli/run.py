@@ -10,6 +10,7 @@ import typer
 from gyrobench.bench.cli.options import (
     EMULATED,
     AcknowledgeOption,
+    FailOnOption,
     FaultsOption,
     OperatorOption,
     ProcedureArgument,
@@ -41,6 +42,7 @@ def run(
     order: Annotated[str, typer.Option(help="Number of the order, for the certificate.")] = "",
     item: Annotated[str, typer.Option(help="Item of the order, for the certificate.")] = "",
     acknowledge: AcknowledgeOption = None,
+    fail_on: FailOnOption = None,
     operator: OperatorOption = "",  # noqa: ARG001 - read from the environment
     view: ViewOption = View.LIVE,
     as_json: JsonOption = False,
@@ -71,4 +73,4 @@ def run(
     )
     with observe_in_terminal(terminal, job, view is View.LIVE) as (progress, answers):
         folder, outcome = run_job(job, out, progress, answers)
-    print_end(terminal, folder, outcome, as_json)
+    print_end(terminal, folder, outcome, as_json, fail_on)

@@ -19,6 +19,7 @@ from gyrobench.bench.bias.noise_estimate import NoiseEstimate, estimate_noise
 from gyrobench.bench.bias.plateaus import PlannedDwell, group_plateaus
 from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits, write_acceptance
 from gyrobench.bench.bias.vertical_pairs import UpRate
+from gyrobench.bench.characteristics.results import TestResult, write_characteristics
 from gyrobench.bench.dwells.check_dwell import CheckDwell, measure_check_dwell
 from gyrobench.bench.dwells.dwell import MeasuredDwell, MeasurementSetup, measure_dwell
 from gyrobench.bench.dwells.latitude import with_latitude
@@ -206,6 +207,8 @@ class RunResults:
     coefficients: list[PlateauCalibration] = field(default_factory=list)
     #: Verdict on the unit by the limits of the procedure.
     acceptance: Acceptance = field(default_factory=Acceptance)
+    #: Results of the tests in the procedure.
+    characteristics: list[TestResult] = field(default_factory=list)
 
 
 def evaluate(
@@ -277,7 +280,8 @@ def write_results(folder: RunFolder, results: RunResults) -> None:
     write_joint(folder.joint_biases, joint_bias_rows(results.joint, results.up_rate), JointBiasRow)
     write_joint(folder.joint, joint_plateau_rows(results.joint, results.up_rate), JointPlateauRow)
     write_acceptance(folder.acceptance, results.acceptance)
-    for stale in (folder.noise, folder.calibration_check, folder.coefficients, folder.correlations):
+    optional = (folder.noise, folder.calibration_check, folder.coefficients, folder.correlations)
+    for stale in (*optional, folder.characteristics):
         remove(stale)
     if results.coefficients:
         write_coefficients(folder.coefficients, [row for each in results.coefficients for row in each.rows()])
@@ -288,6 +292,8 @@ def write_results(folder: RunFolder, results: RunResults) -> None:
         write_noise(folder.noise, results.noise)
     if results.calibration_check:
         write_calibration_check(folder.calibration_check, results.calibration_check)
+    if results.characteristics:
+        write_characteristics(folder.characteristics, results.characteristics)
 
 
 def _joint_dwells(dwells: Sequence[MeasuredDwell]) -> list[JointDwell]:

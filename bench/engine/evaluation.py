@@ -44,6 +44,9 @@ def evaluate_run(
         dwells, setup, procedure.bin_width_c, procedure.acceptance, planned_dwells(plan), check
     )
     results = replace(results, coefficients=calibrate_plateaus(rotated(folder), setup))
+    if procedure.tests:
+        rows = [dwell.row for dwell in results.dwells]
+        results = replace(results, characteristics=procedure.tests.evaluate(rows))
     if results.dwells:
         write_dwells(folder.dwells, [dwell.row for dwell in results.dwells])
     write_results(folder, results)

@@ -103,8 +103,10 @@ def _pieces(time_s: FloatArray, values: FloatArray) -> list[IntArray]:
     return [kept[begin : end + 1] for begin, end in edges.reshape(-1, 2)]
 
 
-def calibration_settings(log_map: LogMap, lever_arms: bool, delay: bool) -> tuple[Site, CalibrationOptions]:
-    """Place and options of a calibration; ``lever_arms``, ``delay``: whether they are estimated."""
+def calibration_settings(
+    log_map: LogMap, lever_arms: bool, delay: bool, quadratic: bool
+) -> tuple[Site, CalibrationOptions]:
+    """Place and options of a calibration; ``lever_arms``, ``delay``, ``quadratic``: what is estimated."""
     section = log_map.calibrated
     turns, noise = section.whole_turns_arcsec, section.noise
     walks = None
@@ -119,5 +121,5 @@ def calibration_settings(log_map: LogMap, lever_arms: bool, delay: bool) -> tupl
     if gravity_sigma is None:
         gravity_sigma = _NORMAL_GRAVITY_SIGMA if section.gravity_mps2 is None else 0.0
     return site, CalibrationOptions(
-        lever_arms, delay, whole_turns, section.gravity_mps2, walks, gravity_sigma
+        lever_arms, delay, quadratic, whole_turns, section.gravity_mps2, walks, gravity_sigma
     )

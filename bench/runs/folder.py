@@ -75,6 +75,7 @@ class RunFolder:
     coefficients = PathInside("coefficients.csv")  #: Coefficients of the sensors at each plateau.
     correlations = PathInside("correlations.csv")  #: Their correlations.
     noise = PathInside("noise.json")  #: Noise of the INS.
+    characteristics = PathInside("characteristics.json")  #: Results of the procedure's tests.
     acceptance = PathInside(ACCEPTANCE)  #: Verdict on the unit.
     calibration = PathInside("calibration.csv")  #: The dwell table of the calibration that was checked.
     compensation = PathInside(COMPENSATION)  #: The compensation that was loaded into the INS.

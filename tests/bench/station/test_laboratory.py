@@ -1,4 +1,4 @@
-"""Laboratory and calibrations in the station file; instruments past due are used only in the operator's name."""
+"""Laboratory and calibrations in the station file; instruments past due need an acknowledgement."""
 
 from datetime import UTC, date, datetime, timedelta
 
@@ -59,7 +59,7 @@ def test_an_instrument_is_past_due_the_day_after(station_file):
 def test_a_run_with_an_instrument_past_due_needs_the_operators_acknowledgement(station_file, monkeypatch):
     monkeypatch.setenv("GYROBENCH_OPERATOR", "A. Smith")
     station = station_file(today() - timedelta(days=9))
-    with pytest.raises(DocumentError, match="9 days ago.*run with --acknowledge rate_table"):
+    with pytest.raises(DocumentError, match=r"9 days ago.*run with --acknowledge rate_table"):
         prepare_job("ten_minute_check", str(station)).check_calibrations()
     prepare_job("ten_minute_check", str(station), acknowledged=["rate_table"]).check_calibrations()
     (check,) = calibration_checks(Station(station), [])
