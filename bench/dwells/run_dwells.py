@@ -206,7 +206,7 @@ class RunResults:
     noise: NoiseEstimate | None = None  #: Of the INS, from its output; None where it is not observable.
     #: Biases that a calibration check measured, beside the calibrated ones.
     calibration_check: list[CalibrationCheckRow] = field(default_factory=list)
-    #: Coefficients of the sensors at each plateau with rotations.
+    #: Coefficients of the sensors at each plateau.
     coefficients: list[PlateauCalibration] = field(default_factory=list)
     #: Verdict on the unit by the limits of the procedure.
     acceptance: Acceptance = field(default_factory=Acceptance)
@@ -295,7 +295,7 @@ def write_results(folder: RunFolder, results: RunResults) -> None:
     if results.coefficients:
         write_coefficients(folder.coefficients, [row for each in results.coefficients for row in each.rows()])
         write_correlations(
-            folder.correlations, [(each.plateau, each.correlations) for each in results.coefficients]
+            folder.correlations, [(each.number, each.correlations) for each in results.coefficients]
         )
     if results.noise is not None:
         write_noise(folder.noise, results.noise)

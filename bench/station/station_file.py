@@ -30,6 +30,7 @@ from gyrobench.bench.station.instrument_sections import (
     without_password,
 )
 from gyrobench.bench.station.interlocks import Interlocks
+from gyrobench.bench.station.laboratory import LaboratorySection, Traceability
 from gyrobench.bench.station.receivers import Receiver
 from gyrobench.drivers.ins.command_map import CommandMap
 from gyrobench.drivers.ins.signal_map import SignalMap
@@ -268,6 +269,10 @@ class StationFile(StrictModel):
     )
     interlocks: Interlocks = Field(
         Interlocks(), description="what is monitored, and how the run resumes after a trip"
+    )
+    laboratory: LaboratorySection | None = Field(None, description="the laboratory, for certificates")
+    traceability: Traceability = Field(
+        Traceability(), description="calibrations of the instruments that results are traced to"
     )
     messages: Annotated[list[Receiver], Field(max_length=20)] = Field(
         [], description="receivers of messages about a run, also of an emulated one"
