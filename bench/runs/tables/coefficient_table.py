@@ -54,6 +54,22 @@ def write_correlations(path: Path, plateaus: Sequence[tuple[int, FloatArray]]) -
     write_text(path, "\n".join(lines) + "\n")
 
 
+def read_correlations(path: Path) -> dict[int, FloatArray]:
+    """Read ``correlations.csv``: (21, 21) by number of plateau, NaN where not observed.
+
+    Raises DocumentError if the file can't be read or is wrong.
+    """
+    names = [f"{each.name}_{each.axis}" for each in COEFFICIENTS]
+    table = CsvTable(read_text(path), str(path), required=["plateau", "coefficient", *names])
+    plateaus: dict[int, FloatArray] = {}
+    for index in range(len(table)):
+        matrix = plateaus.setdefault(table.integer(index, "plateau"), np.full((len(names),) * 2, np.nan))
+        row = names.index(table.choice(index, "coefficient", names))
+        matrix[row] = [table.number(index, name, may_be_empty=True) for name in names]
+    table.raise_problems()
+    return plateaus
+
+
 def read_coefficients(path: Path) -> list[PlateauCoefficientRow]:
     """Read ``coefficients.csv``.
 
