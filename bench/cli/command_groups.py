@@ -97,6 +97,5 @@ class CommandGroups(TyperGroup):
 
 def _summary(name: str) -> str:
     callback = _callback(name)
-    if isinstance(callback, typer.Typer):
-        return str(_command(name).get_short_help_str(_MAX_HELP))
-    return str(TyperCommand(name, help=inspect.getdoc(callback)).get_short_help_str(_MAX_HELP))
+    text = callback.info.help if isinstance(callback, typer.Typer) else inspect.getdoc(callback)
+    return str(TyperCommand(name, help=text).get_short_help_str(_MAX_HELP))

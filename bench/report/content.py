@@ -13,6 +13,7 @@ from gyrobench.bench.bias.bins import DEFAULT_WIDTH_C, BiasBin, bin_biases, read
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
 from gyrobench.bench.bias.noise_estimate import NoiseEstimate
 from gyrobench.bench.bias.verdicts import Acceptance, read_acceptance
+from gyrobench.bench.characteristics.results import TestResult, read_characteristics
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.documents import read_document
 from gyrobench.bench.foundations.errors import GyrobenchError
@@ -56,6 +57,7 @@ class RunContent:
     joint_plateaus: list[JointPlateauRow] = field(default_factory=list)
     noise: NoiseEstimate | None = None
     verification: list[CalibrationCheckRow] = field(default_factory=list)
+    characteristics: list[TestResult] = field(default_factory=list)  #: Results of the procedure's tests.
     acceptance: Acceptance | None = None  #: Verdict on the unit, or None.
     #: Results of the search for effects and of the verification on these dwells.
     chapters: list[Findings] = field(default_factory=list)
@@ -121,6 +123,7 @@ def read_run(folder: RunFolder) -> RunContent:
         joint_plateaus=read(folder.joint, read_joint_plateaus, [], is_optional=True),
         noise=read(folder.noise, read_noise, None, is_optional=True),
         verification=verification,
+        characteristics=read(folder.characteristics, read_characteristics, [], is_optional=True),
         acceptance=read(folder.acceptance, read_acceptance, None, is_optional=True),
         chapters=_chapters(folder, problems),
         problems=problems,

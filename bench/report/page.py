@@ -10,10 +10,9 @@ import gc
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from matplotlib.figure import Figure
 from pydantic import ConfigDict, Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
@@ -52,7 +51,7 @@ class SectionFigure:
 
     name: Annotated[str, Field(pattern="^[a-z0-9_]{1,80}$")]
     caption: str
-    figure: Annotated[Callable[[], Figure] | Path | None, _NOT_SAVED] = None
+    figure: Annotated[Callable[[], Any] | Path | None, _NOT_SAVED] = None
 
 
 @dataclass(frozen=True, config=_CONFIG)

@@ -10,10 +10,10 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta, timezone
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
 
 from gyrobench.bench import __version__
 from gyrobench.bench.bias.bins import BiasBin, compare_positions
@@ -34,6 +34,7 @@ from gyrobench.bench.report.bias_sections import (
     gyro_section,
 )
 from gyrobench.bench.report.calibration_check import dwells_text, verification_section, verification_sentence
+from gyrobench.bench.report.characteristics import characteristics_sections
 from gyrobench.bench.report.content import Entry, RunContent, read_run
 from gyrobench.bench.report.estimator_sections import (
     estimators_note,
@@ -50,6 +51,9 @@ from gyrobench.bench.report.statements import VERDICT_COLOURS, latitude_sentence
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.provenance import DataHash, data_hashes, note_preparer
 from gyrobench.bench.runs.seal import keep_sealed
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _PROGRAMS = ("gyrobench", "python", "platform")
 _TIME = "%Y-%m-%d %H:%M:%S"
@@ -117,7 +121,14 @@ def write_report(
 def _figures_key(content: RunContent, before: RunContent | None, marked_c: Sequence[float]) -> str:
     """Hash of what the figures show and of the code that draws them."""
     code = sorted(file_sha256(each) for each in Path(__file__).parent.rglob("*.py"))
-    tables = content.dwells, content.bins, content.acceptance, content.noise, before.bins if before else None
+    tables = (
+        content.dwells,
+        content.bins,
+        content.acceptance,
+        content.noise,
+        content.characteristics,
+        before.bins if before else None,
+    )
     programs = __version__, matplotlib.__version__
     with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
         inputs = repr((tables, content.station, marked_c, code, programs, list(content.telemetry)))
@@ -182,6 +193,7 @@ def _with_hashes(folder: RunFolder) -> tuple[RunContent, list[DataHash]]:
 def _analysis_sections(content: RunContent, marked_c: Sequence[float]) -> list[Section]:
     """Sections that this run has data for."""
     sections = [
+        *characteristics_sections(content.characteristics),
         estimators_section(content.dwells, marked_c),
         fit_section(content.dwells),
         joint_section(content.joint_biases, content.joint_plateaus),
@@ -196,6 +208,10 @@ def verdict_boxes(content: RunContent) -> list[Box]:
     facts, acceptance = content.facts, content.acceptance
     is_safe = not any(action.get("problem") for action in facts.safe_state)
     notes = [f"Unfinished step: {open_step_of(content)}."] if open_step_of(content) else []
+    notes += [
+        f"{str(each.get('found')).capitalize()}; acknowledged by {each.get('operator')}."
+        for each in content.entries("past_due")
+    ]
     notes += [] if is_safe else ["The safe state was not fully reached; see the section Safe state."]
     colour = facts.ended if is_safe and facts.ended in ("finished", "stopped") else "failed"
     gist = f"The run {facts.ended}." if facts.ended else "The run has not ended."

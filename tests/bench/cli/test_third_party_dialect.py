@@ -58,9 +58,9 @@ def acme_station(tmp_path):
 def installed(site, monkeypatch):
     """The package as if it had been installed before this process began."""
     monkeypatch.syspath_prepend(site)
-    packages._entries.cache_clear()
+    packages._all_entries.cache_clear()
     yield site
-    packages._entries.cache_clear()
+    packages._all_entries.cache_clear()
 
 
 def test_a_run_goes_through_a_dialect_of_another_package(acme_station, site, tmp_path):
