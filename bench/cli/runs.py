@@ -109,20 +109,14 @@ def _trends(
         from gyrobench.bench.report.figures.style import save_figure
 
         save_figure(trend_figure(units[0], fitted), figure)
-    due: list[Recalibration | None] = (
-        [] if limit_dph is None else _recalibrations(index, selection, fitted, limit_dph)
-    )
-    content = {"unit": units[0], "trends": [_plain_trend(each) for each in fitted]}
-    if due:
+    due = None if limit_dph is None else _recalibrations(index, selection, fitted, limit_dph)
+    content: dict[str, Any] = {"unit": units[0], "trends": [_plain_trend(each) for each in fitted]}
+    if due is not None:
         content["recalibration"] = [
-            {
-                "gyro": each.quantity.gyro,
-                "bin_low_c": each.quantity.bin_low_c,
-                **(vars(until) if until else {}),
-            }
+            {**vars(each.quantity), **(vars(until) if until else {})}
             for each, until in zip(fitted, due, strict=True)
         ]
-    return content, trend_summary(units[0], fitted, mixed_origins(found), due)
+    return content, trend_summary(units[0], fitted, mixed_origins(found), due or [])
 
 
 def _recalibrations(

@@ -208,6 +208,10 @@ def verdict_boxes(content: RunContent) -> list[Box]:
     facts, acceptance = content.facts, content.acceptance
     is_safe = not any(action.get("problem") for action in facts.safe_state)
     notes = [f"Unfinished step: {open_step_of(content)}."] if open_step_of(content) else []
+    notes += [
+        f"{str(each.get('found')).capitalize()}; acknowledged by {each.get('operator')}."
+        for each in content.entries("past_due")
+    ]
     notes += [] if is_safe else ["The safe state was not fully reached; see the section Safe state."]
     colour = facts.ended if is_safe and facts.ended in ("finished", "stopped") else "failed"
     gist = f"The run {facts.ended}." if facts.ended else "The run has not ended."

@@ -58,7 +58,7 @@ def groups_table(by: str, groups: Sequence[Mapping[str, Any]]) -> RenderableType
 def trend_summary(
     unit: str, trends: Sequence[Trend], mixed: Sequence[str], due: Sequence[Recalibration | None] = ()
 ) -> RenderableType:
-    """Drift of a unit: a sentence, and a row for each gyro and bin, with the dates of recalibration if given."""
+    """Drift of a unit: a sentence, and a row for each gyro and bin; ``due`` adds dates of recalibration."""
     scale = BiasScale.of([each.bias_dph for each in trends], [each.sigma_dph for each in trends])
     columns = ("gyro", "bin °C", "runs", "bias", "scatter", "per month", "p", "p corr.")
     table = plain_table((*columns, *(["until"] if due else [])), words=2)
