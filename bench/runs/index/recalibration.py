@@ -1,9 +1,10 @@
 """When a bias leaves its limit: drift of a unit and its siblings over months, by a model with random effects.
 
 In run i of unit j, t months after its first run, the bias is y = a_j + b_j t + w_j(t) + r_ij + e_ij: a bias
-of the unit, a drift that is normal about the mean of all units, a random walk, a scatter between runs (turn-on),
-and the error of the measurement with its stated uncertainty. a_j and the mean drift have flat priors; the
-standard deviations of drift, walk and scatter are integrated over a grid by their restricted likelihood.
+of the unit, a drift that is normal about the mean of all units, a random walk, a scatter between runs
+(turn-on), and the error of the measurement with its stated uncertainty. a_j and the mean drift have flat
+priors; the standard deviations of drift, walk and scatter are integrated over a grid by their restricted
+likelihood.
 
 Source: Laird and Ware, Random-effects models for longitudinal data, Biometrics 38 (1982); for the restricted
 likelihood Harville, JASA 72 (1977).
