@@ -42,6 +42,8 @@ LEVER_ARMS, DELAY, QUADRATIC = slice(COUNT, COUNT + 9), COUNT + 9, slice(COUNT +
 UNKNOWNS = COUNT + len(BESIDE)
 ATTITUDE, COLUMNS = slice(UNKNOWNS, UNKNOWNS + 3), UNKNOWNS + 3
 _ROWS, _COLUMNS = LOWER
+#: Rotation, rad, after which the responses are brought up to date; their attitude in between is the mean.
+_MAX_TURN = 0.01
 #: Noise of outputs without any, m/s and rad: far below what sensors resolve.
 _MIN_VELOCITY, _MIN_ANGLE = 1e-8, 1e-10
 
@@ -118,9 +120,9 @@ def _trajectory(
     latitude: float,
     gravity: float,
 ) -> _Trajectory:
-    rate = earth_rate_enu(latitude)
-    earth = rotation_matrices(-rate * interval_s)
-    half = rotation_matrices(-0.5 * rate * interval_s)
+    steps = interval_s * np.arange(np.diff(ends, prepend=0).max() + 1.0)
+    earth = rotation_matrices(-earth_rate_enu(latitude) * steps[:, np.newaxis])
+    half = rotation_matrices(-0.5 * earth_rate_enu(latitude) * interval_s)
     attitude = np.empty((len(ends) + 1, 3, 3))
     integral, force = np.zeros((len(ends) + 1, 3)), np.empty((len(ends), 3))
     response = np.zeros((len(ends) + 1, 6, COLUMNS))
@@ -164,11 +166,16 @@ def _integrate(
     half: FloatArray, gravity: float, attitudes: FloatArray, integrals: FloatArray, forces: FloatArray,
     responses: FloatArray,
 ) -> None:  # fmt: skip
-    C = attitudes[0].copy()
+    C, begin = attitudes[0].copy(), attitudes[0].copy()
     u, force = np.zeros(3), np.zeros(3)
     response = responses[0].copy()
     tilt = np.empty(3)
-    epoch, count = 0, len(angle)
+    # Sums over the samples since the responses were last brought up to date: increments, velocity in ENU, and
+    # derivatives of the velocity increments by lever arms, delay and quadratic terms.
+    sums = np.zeros((8, 3))
+    angles, velocities, lifts, delayed, squares, arms = sums[0], sums[1], sums[2], sums[3], sums[4], sums[5:]
+    samples = epoch = 0
+    count = len(angle)
     for k in range(ends[-1]):
         before, after = max(k - 1, 0), min(k + 1, count - 1)
         theta, dv = angle[k], velocity[k]
@@ -176,41 +183,50 @@ def _integrate(
         turned = _cross(theta, dv)
         sculling = 0.5 * turned + _cross(theta, turned) / 6.0
         sculling += (_cross(angle[before], dv) + _cross(velocity[before], theta)) / 12.0
-        new = earth @ _turn(C, theta[0] + coning[0], theta[1] + coning[1], theta[2] + coning[2])
-        middle = 0.5 * (C + new)
+        new = earth[1] @ _turn(C, theta[0] + coning[0], theta[1] + coning[1], theta[2] + coning[2])
         lift = half @ (C @ (dv + sculling))
-        # Derivatives of the velocity increment by lever arms and delay.
-        delayed = _cross(dv, theta) / interval_s
         rate = theta / interval_s
         turning = (angle[after] - angle[before]) / (after - before) / interval_s
         square = rate[0] ** 2 + rate[1] ** 2 + rate[2] ** 2
+        for i in range(3):
+            for j in range(3):
+                arms[i, j] += rate[i] * rate[j] * interval_s
+            arms[i, i] -= square * interval_s
+            arms[i, (i + 1) % 3] -= turning[(i + 2) % 3]
+            arms[i, (i + 2) % 3] += turning[(i + 1) % 3]
+        delayed += _cross(dv, theta) / interval_s
+        squares += dv**2 / interval_s
+        angles += theta
+        velocities += dv
+        lifts += lift
+        C = new
+        u += lift
+        u[2] -= gravity * interval_s
+        force += lift
+        samples += 1
+        if k + 1 != ends[epoch] and angles[0] ** 2 + angles[1] ** 2 + angles[2] ** 2 < _MAX_TURN**2:
+            continue
+        middle, step, length_s = 0.5 * (begin + C), earth[samples], samples * interval_s
         for c in range(COLUMNS):
             for i in range(3):
                 tilt[i] = response[i, c]
             # Response of the true increments: those measured less the errors.
             if c < 3:
                 for i in range(3):
-                    response[i, c] -= middle[i, c] * interval_s
+                    response[i, c] -= middle[i, c] * length_s
             elif c < 12:
                 for i in range(3):
-                    response[i, c] -= middle[i, (c - 3) // 3] * theta[(c - 3) % 3]
+                    response[i, c] -= middle[i, (c - 3) // 3] * angles[(c - 3) % 3]
             elif c < 15:
                 for i in range(3):
-                    response[3 + i, c] -= middle[i, c - 12] * interval_s
+                    response[3 + i, c] -= middle[i, c - 12] * length_s
             elif c < COUNT:
                 for i in range(3):
-                    response[3 + i, c] -= middle[i, _ROWS[c - 15]] * dv[_COLUMNS[c - 15]]
+                    response[3 + i, c] -= middle[i, _ROWS[c - 15]] * velocities[_COLUMNS[c - 15]]
             elif c < DELAY:
                 sensor, arm = (c - COUNT) // 3, (c - COUNT) % 3
-                change = rate[sensor] * rate[arm] * interval_s
-                if sensor == arm:
-                    change -= square * interval_s
-                elif (arm - sensor) % 3 == 1:
-                    change -= turning[3 - sensor - arm]
-                else:
-                    change += turning[3 - sensor - arm]
                 for i in range(3):
-                    response[3 + i, c] -= middle[i, sensor] * change
+                    response[3 + i, c] -= middle[i, sensor] * arms[sensor, arm]
             elif c == DELAY:
                 for i in range(3):
                     response[3 + i, c] += (
@@ -219,18 +235,17 @@ def _integrate(
             elif c < UNKNOWNS:
                 sensor = c - DELAY - 1
                 for i in range(3):
-                    response[3 + i, c] -= middle[i, sensor] * dv[sensor] ** 2 / interval_s
+                    response[3 + i, c] -= middle[i, sensor] * squares[sensor]
             a, b, d = response[0, c], response[1, c], response[2, c]
             for i in range(3):
-                response[i, c] = earth[i, 0] * a + earth[i, 1] * b + earth[i, 2] * d
+                response[i, c] = step[i, 0] * a + step[i, 1] * b + step[i, 2] * d
                 tilt[i] = 0.5 * (tilt[i] + response[i, c])
-            response[3, c] += tilt[1] * lift[2] - tilt[2] * lift[1]
-            response[4, c] += tilt[2] * lift[0] - tilt[0] * lift[2]
-            response[5, c] += tilt[0] * lift[1] - tilt[1] * lift[0]
-        C = new
-        u += lift
-        u[2] -= gravity * interval_s
-        force += lift
+            response[3, c] += tilt[1] * lifts[2] - tilt[2] * lifts[1]
+            response[4, c] += tilt[2] * lifts[0] - tilt[0] * lifts[2]
+            response[5, c] += tilt[0] * lifts[1] - tilt[1] * lifts[0]
+        begin[:] = C
+        sums[:] = 0.0
+        samples = 0
         if k + 1 == ends[epoch]:
             attitudes[epoch + 1], integrals[epoch + 1], forces[epoch] = C, u, force
             responses[epoch + 1] = response
