@@ -253,6 +253,13 @@ def _integrate(
             epoch += 1
 
 
+def attitudes(
+    angle: FloatArray, interval_s: float, ends: IntArray, C_nb: FloatArray, latitude: float
+) -> FloatArray:
+    """Attitudes (n + 1, 3, 3) at the start and the ends of epochs, from increments of angle."""
+    return _trajectory(angle, np.zeros_like(angle), interval_s, ends, C_nb, latitude, 0.0).attitude
+
+
 def _returned(trajectory: _Trajectory, a: int, b: int) -> FloatArray:
     """Error (3,) of the computed attitude, negated, after whole turns, which return to where they started."""
     turn = trajectory.attitude[b] @ trajectory.attitude[a].T
