@@ -132,32 +132,53 @@ def _trajectory(
     return _Trajectory(attitude, integral, force, response)
 
 
+# Tuples stay in registers, where small arrays would be allocated for every sample.
+_Vector = tuple[float, float, float]
+
+
 @compiled
-def _turn(attitude: FloatArray, x: float, y: float, z: float) -> FloatArray:
-    """Attitude after a rotation by a vector in body axes."""
+def _set_turn(turn: FloatArray, vector: _Vector) -> None:
+    """Set ``turn`` (3, 3) to the rotation by a vector."""
+    x, y, z = vector
     square = x * x + y * y + z * z
     if square > 1e-8:
         angle = np.sqrt(square)
         sine, cosine = np.sin(angle) / angle, (1.0 - np.cos(angle)) / square
     else:
         sine, cosine = 1.0 - square / 6.0, 0.5 - square / 24.0
-    turn = np.empty((3, 3))
     turn[0, 0] = 1.0 - cosine * (y * y + z * z)
     turn[1, 1] = 1.0 - cosine * (x * x + z * z)
     turn[2, 2] = 1.0 - cosine * (x * x + y * y)
     turn[0, 1], turn[1, 0] = cosine * x * y - sine * z, cosine * x * y + sine * z
     turn[0, 2], turn[2, 0] = cosine * x * z + sine * y, cosine * x * z - sine * y
     turn[1, 2], turn[2, 1] = cosine * y * z - sine * x, cosine * y * z + sine * x
-    return attitude @ turn
 
 
 @compiled
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    product = np.empty(3)
-    product[0] = a[1] * b[2] - a[2] * b[1]
-    product[1] = a[2] * b[0] - a[0] * b[2]
-    product[2] = a[0] * b[1] - a[1] * b[0]
-    return product
+def _set_product(product: FloatArray, a: FloatArray, b: FloatArray) -> None:
+    """Set ``product`` (3, 3), neither of the others, to that of two matrices."""
+    for i in range(3):
+        for j in range(3):
+            product[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
+
+
+@compiled
+def _times(a: FloatArray, b: _Vector) -> _Vector:
+    return (
+        a[0, 0] * b[0] + a[0, 1] * b[1] + a[0, 2] * b[2],
+        a[1, 0] * b[0] + a[1, 1] * b[1] + a[1, 2] * b[2],
+        a[2, 0] * b[0] + a[2, 1] * b[1] + a[2, 2] * b[2],
+    )
+
+
+@compiled
+def _cross(a: _Vector, b: _Vector) -> _Vector:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@compiled
+def _sum(a: _Vector, b: _Vector, share: float) -> _Vector:
+    return a[0] + share * b[0], a[1] + share * b[1], a[2] + share * b[2]
 
 
 @compiled
@@ -176,33 +197,37 @@ def _integrate(
     angles, velocities, lifts, delayed, squares, arms = sums[0], sums[1], sums[2], sums[3], sums[4], sums[5:]
     samples = epoch = 0
     count = len(angle)
+    turn, turned = np.empty((3, 3)), np.empty((3, 3))
+    theta = dv = (0.0, 0.0, 0.0)
     for k in range(ends[-1]):
+        theta_before, dv_before = theta, dv
+        theta, dv = (angle[k, 0], angle[k, 1], angle[k, 2]), (velocity[k, 0], velocity[k, 1], velocity[k, 2])
+        if k == 0:
+            theta_before, dv_before = theta, dv
+        cross = _cross(theta, dv)
+        moved = _sum(_sum(dv, cross, 0.5), _cross(theta, cross), 1.0 / 6.0)
+        moved = _sum(_sum(moved, _cross(theta_before, dv), 1.0 / 12.0), _cross(dv_before, theta), 1.0 / 12.0)
+        lift = _times(half, _times(C, moved))
+        _set_turn(turn, _sum(theta, _cross(theta_before, theta), 1.0 / 12.0))
+        _set_product(turned, C, turn)
+        _set_product(C, earth[1], turned)
         before, after = max(k - 1, 0), min(k + 1, count - 1)
-        theta, dv = angle[k], velocity[k]
-        coning = _cross(angle[before], theta) / 12.0
-        turned = _cross(theta, dv)
-        sculling = 0.5 * turned + _cross(theta, turned) / 6.0
-        sculling += (_cross(angle[before], dv) + _cross(velocity[before], theta)) / 12.0
-        new = earth[1] @ _turn(C, theta[0] + coning[0], theta[1] + coning[1], theta[2] + coning[2])
-        lift = half @ (C @ (dv + sculling))
-        rate = theta / interval_s
-        turning = (angle[after] - angle[before]) / (after - before) / interval_s
-        square = rate[0] ** 2 + rate[1] ** 2 + rate[2] ** 2
+        per_s = 1.0 / ((after - before) * interval_s)
+        square = theta[0] ** 2 + theta[1] ** 2 + theta[2] ** 2
         for i in range(3):
+            angles[i] += theta[i]
+            velocities[i] += dv[i]
+            lifts[i] += lift[i]
+            u[i] += lift[i]
+            force[i] += lift[i]
+            delayed[i] -= cross[i] / interval_s
+            squares[i] += dv[i] ** 2 / interval_s
             for j in range(3):
-                arms[i, j] += rate[i] * rate[j] * interval_s
-            arms[i, i] -= square * interval_s
-            arms[i, (i + 1) % 3] -= turning[(i + 2) % 3]
-            arms[i, (i + 2) % 3] += turning[(i + 1) % 3]
-        delayed += _cross(dv, theta) / interval_s
-        squares += dv**2 / interval_s
-        angles += theta
-        velocities += dv
-        lifts += lift
-        C = new
-        u += lift
+                arms[i, j] += theta[i] * theta[j] / interval_s
+            arms[i, i] -= square / interval_s
+            arms[i, (i + 1) % 3] -= (angle[after, (i + 2) % 3] - angle[before, (i + 2) % 3]) * per_s
+            arms[i, (i + 2) % 3] += (angle[after, (i + 1) % 3] - angle[before, (i + 1) % 3]) * per_s
         u[2] -= gravity * interval_s
-        force += lift
         samples += 1
         if k + 1 != ends[epoch] and angles[0] ** 2 + angles[1] ** 2 + angles[2] ** 2 < _MAX_TURN**2:
             continue
