@@ -15,8 +15,9 @@ from pydantic import Field
 
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.calibration.coefficients import COUNT
-from gyrobench.bench.calibration.estimator import EPOCH_S, CalibrationOptions, Information, Section
+from gyrobench.bench.calibration.estimator import CalibrationOptions, Information
 from gyrobench.bench.calibration.recording import SensorNoise
+from gyrobench.bench.calibration.section import EPOCH_S, Section
 from gyrobench.bench.calibration.strapdown import UNKNOWNS, Epochs
 from gyrobench.bench.foundations.arrays import (
     DEG_PER_SQRT_H_TO_SI,
