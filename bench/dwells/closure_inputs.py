@@ -111,7 +111,7 @@ def _rows_of(rows: Sequence[DwellRow], quantity: Quantity, run: Path | None) -> 
 def _plateau_rows(
     rows: Sequence[DwellRow], coefficients: Sequence[PlateauCoefficientRow], quantity: Quantity
 ) -> list[DwellRow]:
-    """One row for each plateau with dwells: rates and times of these, with the coefficients of the plateau.
+    """One row for each plateau with dwells: times of these, temperatures and coefficients of the plateau.
 
     All get one position, since the coefficients of a plateau are those of all.
     """
@@ -133,7 +133,10 @@ def _plateau_rows(
                 name: tuple(np.mean([getattr(row, name) for row in dwells], axis=0).tolist())
                 for name in ("gyro_rate_c_per_h", "board_c")
             }
-            mean["gyro_c"] = tuple(known[f"gyro_bias_{axis}"].temperature_c for axis in AXES)
+            biases = [known[f"gyro_bias_{axis}"] for axis in AXES]
+            mean["gyro_c"] = tuple(each.temperature_c for each in biases)
+            if np.isfinite([each.gyro_rate_c_per_h for each in biases]).all():
+                mean["gyro_rate_c_per_h"] = tuple(each.gyro_rate_c_per_h for each in biases)
             whole = replace(dwells[0], end_s=dwells[-1].end_s, position=rows[0].position, **mean)
             pairs = [(known[name].value, known[name].sigma) for name in quantity.coefficients]
             found.append(_with_values(whole, np.array(pairs), quantity.sensors))

@@ -33,6 +33,8 @@ class PlateauCoefficientRow:
     finding: str  #: Empty, ``not observable``, or what is wrong with the plateau.
     #: Expected standard uncertainty if the INS sent specific forces; NaN where it does.
     sigma_with_force: float
+    #: Slope of the temperature of the gyro along the sensor's axis in the rotations; NaN without these.
+    gyro_rate_c_per_h: float
 
 
 _COLUMNS = [each.name for each in fields(PlateauCoefficientRow)]
@@ -93,6 +95,7 @@ def read_coefficients(path: Path) -> list[PlateauCoefficientRow]:
             table.text(index, "unit"),
             table.text(index, "finding"),
             number("sigma_with_force"),
+            number("gyro_rate_c_per_h"),
         )
 
     return table.rows(row)
