@@ -43,12 +43,13 @@ def evaluate_run(
     results = evaluate(
         dwells, setup, procedure.bin_width_c, procedure.acceptance, planned_dwells(plan), check
     )
-    results = replace(results, coefficients=calibrate_plateaus(rotated(folder), setup))
+    rows = [dwell.row for dwell in results.dwells]
+    coefficients = calibrate_plateaus(results.joint, rows, rotated(folder), setup)
+    results = replace(results, coefficients=coefficients)
     if procedure.tests:
-        rows = [dwell.row for dwell in results.dwells]
         results = replace(results, characteristics=procedure.tests.evaluate(rows))
     if results.dwells:
-        write_dwells(folder.dwells, [dwell.row for dwell in results.dwells])
+        write_dwells(folder.dwells, rows)
     write_results(folder, results)
     return results
 

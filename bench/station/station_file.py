@@ -155,6 +155,9 @@ class InsUncertainty(StrictModel):
     bias_slope_dph_per_c: NotNegative = Field(
         0.001, description="change of a gyro's bias with its temperature, deg/h/K"
     )
+    gyro_temperature_c: NotNegative | None = Field(
+        None, description="the gyros' temperature sensors, K; for the uncertainty budget"
+    )
 
 
 class InsSection(StrictModel):

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.csv_tables import CsvTable, format_rows, read_text, write_text
 from gyrobench.bench.foundations.text import format_number
 
@@ -20,7 +21,7 @@ _DECIMALS = 4
 class PlateauCoefficientRow:
     """One coefficient at one plateau; NaN where a number is not known."""
 
-    plateau: int  #: Number of the plateau among those with rotations, from 1.
+    plateau: int  #: Number of the plateau, from 1.
     cycle: int
     chamber_set_c: float
     temperature_c: float  #: Mean of the gyro, of an accelerometer that of the case.
@@ -29,7 +30,9 @@ class PlateauCoefficientRow:
     value: float  #: NaN where not observable.
     sigma: float  #: Standard uncertainty.
     unit: str
-    finding: str  #: Empty, or why there is no value.
+    finding: str  #: Empty, ``not observable``, or what is wrong with the plateau.
+    #: Expected standard uncertainty if the INS sent specific forces; NaN where it does.
+    sigma_with_force: float
 
 
 _COLUMNS = [each.name for each in fields(PlateauCoefficientRow)]
@@ -40,7 +43,7 @@ def write_coefficients(path: Path, rows: Sequence[PlateauCoefficientRow]) -> Non
     write_text(path, format_rows(_COLUMNS, rows))
 
 
-def write_correlations(path: Path, plateaus: Sequence[tuple[int, np.ndarray]]) -> None:
+def write_correlations(path: Path, plateaus: Sequence[tuple[int, FloatArray]]) -> None:
     """Write correlation coefficients (21, 21), by number of plateau; NaN where not observed."""
     names = [f"{each.name}_{each.axis}" for each in COEFFICIENTS]
     lines = [",".join(["plateau", "coefficient", *names])]
@@ -73,6 +76,7 @@ def read_coefficients(path: Path) -> list[PlateauCoefficientRow]:
             number("sigma"),
             table.text(index, "unit"),
             table.text(index, "finding"),
+            number("sigma_with_force"),
         )
 
     return table.rows(row)
