@@ -8,6 +8,7 @@ ISO/IEC 17025:2017, 7.8.2 and 7.8.4 (contents of a calibration certificate), 7.8
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,29 +22,27 @@ from gyrobench.bench.bias.bins import BiasBin
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.statistics import weighted_fit
 from gyrobench.bench.foundations.clock import WallClock, parsed_utc
-from gyrobench.bench.foundations.csv_tables import CsvTable, read_text
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
 from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.text import counted, hours_minutes, listed, plain_name
 from gyrobench.bench.navigation.positions import AXES
-from gyrobench.bench.report.content import RunContent, read_run
+from gyrobench.bench.report.content import SIMULATED, RunContent, read_run
 from gyrobench.bench.report.run_report import instruments_of, serial_number_of
 from gyrobench.bench.report.statements import verdict_sentence
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.seal import verify_seals
+from gyrobench.bench.runs.tables.budget_table import COMBINED, read_budget
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, read_coefficients
 from gyrobench.bench.station.station_file import StationFile, load_station_file
 
-#: Word on everything that a run on emulated instruments gives.
-SIMULATED = "SIMULATED"
 #: Coverage probability of all expanded uncertainties, and their factor without a budget.
 COVERAGE = 0.95
-_NORMAL_K = 1.959963984540054
+NORMAL_K = 1.959963984540054
 #: Polynomial of the bias over temperature: reference and scale of its variable, and degree.
 REFERENCE_C, SCALE_C, _DEGREE = 20.0, 50.0, 3
 _METHOD = (
     "Six-position calibration of the gyro bias: in each position the INS aligns and navigates at rest, is "
-    "turned by 180° about the vertical, and navigates again. The bias of each gyro is estimated from velocity "
+    "turned by 180° about the vertical, and navigates again. Each gyro's bias is estimated from velocity "
     "and heading before and after the turn by a state-space estimator of the INS errors. Source: Yu et al., "
     "The Six-Position Calibration Technique of Gyro Bias for Rotational Inertial Navigation System Based on "
     "Ring Laser Gyroscope."
@@ -56,8 +55,10 @@ _DECISION_RULE = (
 _UNCERTAINTY = (
     "U is the expanded uncertainty for a coverage probability of 95 %, k its coverage factor from the "
     "effective degrees of freedom (JCGM 100:2008, annex G). It holds for the power cycle measured and "
-    "contains no long-term drift."
+    "contains no long-term drift. The results relate only to the item calibrated. This certificate may be "
+    "reproduced only in full."
 )
+_UNIT = re.compile(r"_((deg|ug|mps|arcsec|ppm|dph)(_per_[a-z]+(_[a-z]+)?)?)$")
 _EVENTS = {
     "dwell_given_up": "repeated dwell",
     "dwell_skipped": "skipped dwell",
@@ -122,14 +123,9 @@ class Certificate:
     issued: date
 
     @property
-    def is_simulated(self) -> bool:
-        """Whether instruments were emulated."""
-        return is_simulated(self.run)
-
-    @property
     def number(self) -> str:
         """Number of the certificate."""
-        return f"{SIMULATED}-{self.order.number}" if self.is_simulated else self.order.number
+        return f"{SIMULATED}-{self.order.number}" if self.run.is_simulated else self.order.number
 
     @property
     def unit(self) -> str:
@@ -171,7 +167,7 @@ class Certificate:
             "address": lab.address if lab else "",
             "accreditation": lab.accreditation if lab else "",
             "operator": str(self.run.provenance.get("operator", "")),
-            "authorised by": "" if self.is_simulated else self.order.authorised_by,
+            "authorised by": "" if self.run.is_simulated else self.order.authorised_by,
         }
         return {name: text for name, text in facts.items() if text}
 
@@ -192,7 +188,7 @@ class Certificate:
         found += [f"{counted(flagged, 'dwell')} flagged and not used"] if flagged else []
         texts = [f"{listed(found)}."] if found else []
         texts += [
-            f"{str(entry.get('found', '')).capitalize()}; its use was acknowledged by {entry.get('operator')}."
+            f"{_sentence(entry.get('found', ''))}; acknowledged by {entry.get('operator')}."
             for entry in self.run.entries("past_due")
         ]
         if self.run.facts.ended != "finished":
@@ -202,16 +198,21 @@ class Certificate:
     @property
     def conditions(self) -> dict[str, str]:
         """Ambient conditions and location, as measured and as used."""
-        place, telemetry = self.station.location, self.run.telemetry
-        chamber = telemetry.get("chamber_c", np.array([math.nan]))
-        low, high = float(np.nanmin(chamber)), float(np.nanmax(chamber))
+        place, (low, high) = self.station.location, self.chamber_c
         return {
             "air in the chamber": f"{low:.1f} to {high:.1f} °C" if math.isfinite(low) else "not measured",
             "room": self.order.ambient or "not measured by the bench",
             "duration": f"{hours_minutes(self.run.facts.last_s)} h",
-            "latitude": f"{place.latitude_deg:g}°, standard uncertainty {place.latitude_uncertainty_arcmin:g}′",
+            "latitude": f"{place.latitude_deg:g}° ± {place.latitude_uncertainty_arcmin:g}′ (k = 1)",
             "height": f"{place.height_m:g} m above the ellipsoid",
         }
+
+    @cached_property
+    def chamber_c(self) -> tuple[float, float]:
+        """Lowest and highest temperature of the air in the chamber; NaN where not measured."""
+        readings = self.run.telemetry.get("chamber_c", np.array([]))
+        known = readings[np.isfinite(readings)]
+        return (float(known.min()), float(known.max())) if known.size else (math.nan, math.nan)
 
     @property
     def inputs(self) -> dict[str, str]:
@@ -219,7 +220,8 @@ class Certificate:
         sections: dict[str, Any] = self.station.ins.uncertainty.model_dump()
         noise = self.station.ins.noise
         declared = {"noise": noise} if isinstance(noise, str) else noise.model_dump()
-        return {_quantity(name): f"{value}" for name, value in {**declared, **sections}.items()}
+        values = {**declared, **sections}
+        return {_plain(name): f"{value}" for name, value in values.items() if value is not None}
 
     @property
     def traceability(self) -> list[tuple[str, ...]]:
@@ -246,23 +248,16 @@ class Certificate:
         return sentence, _DECISION_RULE.format(100.0 * found.limits.confidence)
 
 
-def is_simulated(run: RunContent) -> bool:
-    """Whether a run was made with emulated instruments: by its options, or as an instrument says."""
-    options = {**run.provenance.get("options", {}), **run.facts.options}
-    return "world" in options or any("emulator" in text for text in instruments_of(run).values())
-
-
 def certificate_of(folder: RunFolder, order: Order, *, simulated: bool = False) -> Certificate:
     """Read what a certificate of a run states.
 
     ``simulated``: whether one of an emulated run is wanted. Raises RunFolderError if the run is emulated and
-    that is not said, has no result, is not sealed, or has changed since. Raises DocumentError if the station
-    file lacks the laboratory, or nobody is named who authorises the certificate.
+    that is not stated, has no result, is not sealed, or has changed since. Raises DocumentError if the
+    station file lacks the laboratory, or no name of who authorises the certificate is given.
     """
     run = read_run(folder)
     _, station = load_station_file(folder.station)
-    emulated = is_simulated(run)
-    if emulated and not simulated:
+    if run.is_simulated and not simulated:
         raise RunFolderError(
             f"{folder.path}: its instruments were emulated. Add --simulated for a certificate that says so"
         )
@@ -271,15 +266,17 @@ def certificate_of(folder: RunFolder, order: Order, *, simulated: bool = False) 
         first = check.findings[0]
         raise RunFolderError(f"{folder.path}: changed since it was sealed: {first.path}: {first.text}")
     last = check.seals[-1]
-    if not emulated and station.laboratory is None:
+    if not run.is_simulated and station.laboratory is None:
         raise DocumentError(f"{folder.station}: has no section laboratory. Add it before the run")
-    if not emulated and not order.authorised_by:
+    if not run.is_simulated and not order.authorised_by:
         raise DocumentError("a certificate names who authorises it. Add --authorised-by NAME")
     results = list(_results(run.bins, _coverage(folder)))
     coefficients = folder.path / "coefficients.csv"
     digest = file_sha256(folder.path / last.where)
     options = {**run.provenance.get("options", {}), **run.facts.options}
-    given = {name: getattr(order, name) or str(options.get(name, "")) for name in ("customer", "order", "item")}
+    given = {
+        name: getattr(order, name) or str(options.get(name, "")) for name in ("customer", "order", "item")
+    }
     number = order.number or f"{serial_number_of(run)}-{run.name}-{digest[:8]}"
     certificate = Certificate(
         run=run,
@@ -296,23 +293,28 @@ def certificate_of(folder: RunFolder, order: Order, *, simulated: bool = False) 
     return certificate
 
 
-def _quantity(name: str) -> str:
-    return plain_name(name.replace("_per_", "/")).replace("/sqrt ", "/√")
+def _plain(name: str) -> str:
+    """Name of a quantity with its unit in brackets."""
+    match = _UNIT.search(name)
+    if match is None:
+        return plain_name(name)
+    unit = (
+        match[1].replace("_per_", "/").replace("/sqrt_", "/√").replace("mps", "m/s").replace("dph", "deg/h")
+    )
+    return f"{plain_name(name[: match.start()])} ({unit.replace('hz', 'Hz').replace('/c', '/K')})"
+
+
+def _sentence(text: object) -> str:
+    return f"{str(text)[:1].upper()}{str(text)[1:]}"
 
 
 def _coverage(folder: RunFolder) -> Mapping[tuple[str, str, float], tuple[float, float]]:
     """Coverage factor and expanded uncertainty in deg/h by gyro, position and bin, from ``budget.csv``."""
-    path = folder.path / "budget.csv"
-    if not path.exists():
-        return {}
-    required = ["result", "quantity", "axis", "position", "bin_low_c", "contribution", "k", "expanded"]
-    table = CsvTable(read_text(path), str(path), required=required)
-    found = {}
-    for index, row in enumerate(table.rows):
-        if (row["result"], row["quantity"], row["contribution"]) == ("bin", "gyro_bias", "combined"):
-            place = row["axis"], row["position"], table.number(index, "bin_low_c")
-            found[place] = table.number(index, "k"), table.number(index, "expanded")
-    return found
+    return {
+        (row.axis, row.position, row.bin_low_c): (row.k, row.expanded)
+        for row in (read_budget(folder.budget) if folder.budget.exists() else ())
+        if (row.result, row.quantity, row.contribution) == ("bin", "gyro_bias", COMBINED)
+    }
 
 
 def _results(
@@ -322,36 +324,28 @@ def _results(
         if each.is_empty:
             continue
         place = each.gyro, each.position, each.bin_low_c
-        k, expanded = coverage.get(place, (_NORMAL_K, _NORMAL_K * each.sigma_dph))
+        k, expanded = coverage.get(place, (NORMAL_K, NORMAL_K * each.sigma_dph))
         yield BiasResult(*place, each.bin_high_c, each.temperature_c, each.bias_dph, expanded, k)
 
 
 def _model(gyro: str, dwells: Sequence[DwellRow]) -> TemperatureModel | None:
     axis = AXES.index(gyro)
     rows = [row for row in dwells if not row.flags]
-    temperature_c = np.array([row.gyro_c[axis] for row in rows])
-    bias, sigma = (np.array([values(row)[axis] for row in rows]) for values in (_bias, _sigma))
+    columns = zip(*((row.gyro_c[axis], row.bias_dph[axis], row.sigma_dph[axis]) for row in rows), strict=True)
+    temperature_c, bias, sigma = (np.array(column) for column in columns) if rows else np.empty((3, 0))
     known = np.isfinite(temperature_c) & np.isfinite(bias) & (sigma > 0.0)
     if known.sum() <= _DEGREE + 1 or np.ptp(temperature_c[known]) < SCALE_C / 5.0:
         return None
-    powers = np.vander((temperature_c[known] - REFERENCE_C) / SCALE_C, _DEGREE + 1, increasing=True)
-    fit = weighted_fit(bias[known], sigma[known] ** 2, powers)
+    design = np.vander((temperature_c[known] - REFERENCE_C) / SCALE_C, _DEGREE + 1, increasing=True)
+    fit = weighted_fit(bias[known], sigma[known] ** 2, design)
     misfit = math.sqrt(fit.chi2 / fit.dof)
-    expanded = _NORMAL_K * max(misfit, 1.0) * np.sqrt(np.diag(fit.covariance))
+    expanded = NORMAL_K * max(misfit, 1.0) * np.sqrt(np.diag(fit.covariance))
     return TemperatureModel(
         gyro,
         float(temperature_c[known].min()),
         float(temperature_c[known].max()),
-        tuple(fit.unknowns.tolist()),
+        tuple(fit.values.tolist()),
         tuple(expanded.tolist()),
-        _NORMAL_K,
+        NORMAL_K,
         misfit,
     )
-
-
-def _bias(row: DwellRow) -> Sequence[float]:
-    return row.bias_dph
-
-
-def _sigma(row: DwellRow) -> Sequence[float]:
-    return row.sigma_dph
