@@ -22,10 +22,10 @@ import numpy as np
 from gyrobench.bench.bias import parameters, window_filter
 from gyrobench.bench.bias.bias_steps import BiasStep, WindowChange, find_bias_step
 from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, TurnPath
-from gyrobench.bench.bias.error_split import ErrorPart, noise_parts, prior_parts, weights_of
+from gyrobench.bench.bias.error_split import ErrorPart, noise_parts, prior_parts
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.parameters import PriorKnowledge
-from gyrobench.bench.bias.statistics import chi2_p_value, chi2_test, solve
+from gyrobench.bench.bias.statistics import GoodnessOfFit, chi2_p_value, goodness_of_fit, solve
 from gyrobench.bench.bias.window_filter import WindowFilter
 from gyrobench.bench.foundations.arrays import FloatArray, IntArray, block_diagonal
 from gyrobench.bench.foundations.errors import MeasurementError
@@ -267,18 +267,11 @@ class BiasFilter:
         expansions: list[FloatArray],
         covariance: FloatArray,
     ) -> dict[str, ErrorPart]:
+        at_mean, gain = information.bias_at_mean, covariance @ information.bias_at_mean.T
         prior_root = parameters.prior_root(self._prior, len(self._windows), self._earth_rate)
-        gain = covariance @ information.bias_at_mean.T
-        seen = information.rows.T @ (information.rows @ prior_root)
-        return noise_parts(
-            self._windows,
-            [(change.transition, change.by_walk) for change in self._changes],
-            weights_of(self._windows, expansions, gain),
-            self._site,
-            self._noise,
-        ) | prior_parts(
-            information.bias_at_mean @ prior_root - gain.T @ seen, self._prior, shown, len(self._windows)
-        )
+        by_prior = at_mean @ prior_root - gain.T @ information.rows.T @ information.rows @ prior_root
+        noise = noise_parts(self._windows, self._changes, expansions, gain, self._site, self._noise)
+        return noise | prior_parts(by_prior, self._prior, shown, len(self._windows))
 
     def goodness_of_fit(self) -> GoodnessOfFit:
         """Test whether the model explains what has been added, even a single window."""
@@ -468,44 +461,3 @@ def _expanded(rows: FloatArray, expansion: FloatArray, count: int) -> FloatArray
     result = np.zeros((len(rows), count))
     result[:, : expansion.shape[1]] = rows[:, : window_filter.DATA] @ expansion
     return result
-
-
-@dataclass(frozen=True, eq=False)
-class GoodnessOfFit:
-    """Chi-square test of the innovations."""
-
-    time_s: FloatArray  #: Shape (m,). Middle of each minute on the clock of the INS.
-    #: Shape (m, 3). Innovations of velocity East and North and of the heading summed over the minute, in
-    #: standard deviations of the sum; what the estimate explains is taken away.
-    residuals: FloatArray
-    #: chi2, dof: Their sum of squares weighted by their covariance, and its expectation.
-    chi2: float
-    dof: int
-    p_value: float  #: Probability of at least this chi2 if model and noise are true.
-
-    @property
-    def ratio(self) -> float:
-        """Size of the residuals over the expected one."""
-        return math.sqrt(self.chi2 / self.dof) if self.dof else math.nan
-
-
-def goodness_of_fit(
-    time_s: FloatArray, sums: FloatArray, responses: FloatArray, unknowns: FloatArray, covariance: FloatArray
-) -> GoodnessOfFit:
-    """Test the sums of innovations against an estimate made from the same data.
-
-    Parameters
-    ----------
-    time_s : ndarray, shape (m,)
-        Middle of each minute.
-    sums : ndarray, shape (m, 3)
-        White, with unit variance.
-    responses : ndarray, shape (m, 3, p)
-        Of the sums to the unknowns.
-    unknowns, covariance : ndarray, shape (p,), (p, p)
-        The estimate.
-    """
-    response = responses.reshape(-1, len(unknowns))
-    residuals = sums.ravel() - response @ unknowns
-    test = chi2_test(residuals, response, covariance)
-    return GoodnessOfFit(time_s, residuals.reshape(-1, 3), test.chi2, test.dof, test.p_value)

@@ -15,10 +15,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrobench.bench.bias import parameters, window_filter
+from gyrobench.bench.bias import parameters
+from gyrobench.bench.bias.bias_steps import WindowChange
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.parameters import PriorKnowledge
-from gyrobench.bench.bias.window_filter import MEASURED_STATES, WindowFilter
+from gyrobench.bench.bias.window_filter import DATA, MEASURED_STATES, WindowFilter
 from gyrobench.bench.foundations.arrays import FloatArray, IntArray
 from gyrobench.bench.foundations.kernels import compiled
 from gyrobench.bench.navigation.error_model import STATES, Site, integrate
@@ -82,8 +83,9 @@ def prior_parts(
 
 def noise_parts(
     windows: Sequence[WindowFilter],
-    changes: Sequence[tuple[FloatArray, FloatArray]],
-    weights: Sequence[FloatArray],
+    changes: Sequence[WindowChange],
+    expansions: Sequence[FloatArray],
+    gain: FloatArray,
     site: Site,
     noise: NoiseModel,
 ) -> dict[str, ErrorPart]:
@@ -91,27 +93,27 @@ def noise_parts(
 
     Parameters
     ----------
-    windows : sequence of WindowFilter
-        All windows of the dwell.
-    changes : sequence of (ndarray, ndarray), shapes (6, 6), (2, 6, 6)
-        From each window to the next: transition of the state, and the covariance that unit angle random walk
-        and unit velocity random walk add.
-    weights : sequence of ndarray, shape (n, 3, 3)
-        What the white innovations of each window count in the three biases.
+    windows, changes : sequences of WindowFilter and WindowChange
+        All windows of the dwell, and from each to the next.
+    expansions : sequence of ndarray, shape (c, p)
+        Each column of a window for a unit of each parameter.
+    gain : ndarray, shape (p, 3)
+        Covariance of the parameters with the biases.
     """
     walks, outputs, costate = np.zeros((2, 3, 3)), np.zeros((3, 3, 3)), np.zeros((STATES, 3))
     for number in reversed(range(len(windows))):
         epochs = windows[number].epochs_filtered
         durations = np.diff(epochs.time_s, prepend=epochs.time_s[0])
         by_walk = np.stack([integrate(site, durations, *unit).covariance for unit in np.eye(2)])
+        # What the white innovations count in the biases.
+        weights = epochs.rows[:, :, :DATA] @ (expansions[number] @ gain[: expansions[number].shape[1]])
         _backward(
-            np.ascontiguousarray(weights[number]), epochs.gains, epochs.scales, epochs.transition, by_walk,
+            weights, epochs.gains, epochs.scales, epochs.transition, by_walk,
             costate, walks, outputs,
         )  # fmt: skip
         if number:
-            transition, added = changes[number - 1]
-            walks += costate.T @ added @ costate
-            costate = np.ascontiguousarray(transition.T @ costate)
+            walks += costate.T @ changes[number - 1].by_walk @ costate
+            costate = np.ascontiguousarray(changes[number - 1].transition.T @ costate)
     variances = windows[0].output_variances
     covariances = {
         "angle_random_walk": noise.angle_random_walk**2 * walks[0],
@@ -124,24 +126,6 @@ def noise_parts(
         name: ErrorPart(_root(covariance), sigma, dof)
         for (name, covariance), sigma, dof in zip(covariances.items(), sigmas, noise.dof, strict=True)
     }
-
-
-def weights_of(
-    windows: Sequence[WindowFilter], expansions: Sequence[FloatArray], gain: FloatArray
-) -> list[FloatArray]:
-    """What the white innovations of each window count in the three biases, shapes (n, 3, 3).
-
-    Parameters
-    ----------
-    expansions : sequence of ndarray, shape (c, p)
-        Each column of a window for a unit of each parameter.
-    gain : ndarray, shape (p, 3)
-        Covariance of the parameters with the biases.
-    """
-    return [
-        window.epochs_filtered.rows[:, :, : window_filter.DATA] @ (expansion @ gain[: expansion.shape[1]])
-        for window, expansion in zip(windows, expansions, strict=True)
-    ]
 
 
 def _root(covariance: FloatArray) -> FloatArray:

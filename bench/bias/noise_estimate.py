@@ -98,7 +98,7 @@ class NoiseParameter:
         )
 
     def dof(self, value: float | None) -> float:
-        """Degrees of freedom of a value taken from this (JCGM 100, E.4.3); infinite where not measured."""
+        """Degrees of freedom of a value taken from this (JCGM 100, G.4.2); infinite where not measured."""
         return 2.0 * (value**2 / self.square_sigma) ** 2 if value and self.square_sigma > 0.0 else math.inf
 
     @property

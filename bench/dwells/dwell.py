@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from gyrobench.bench.bias.bias_filter import GoodnessOfFit, StateSpaceEstimate, estimate_state_space
+from gyrobench.bench.bias.bias_filter import StateSpaceEstimate, estimate_state_space
 from gyrobench.bench.bias.bias_steps import BiasStep
 from gyrobench.bench.bias.budget import BudgetInputs
 from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, TurnPath
@@ -20,6 +20,7 @@ from gyrobench.bench.bias.noise_estimate import RestMotion, estimate_noise
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.paper import estimate_paper
 from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.bias.statistics import GoodnessOfFit
 from gyrobench.bench.bias.vertical_pairs import exceeds_declared
 from gyrobench.bench.bias.window_filter import EPOCH_S
 from gyrobench.bench.dwells.marks import DwellMarks, WindowMark

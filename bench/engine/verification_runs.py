@@ -6,8 +6,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 
-import numpy as np
-
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
 from gyrobench.bench.closure.loadable_model import LoadableModel, declared_model, model_with_effects
 from gyrobench.bench.closure.loop import Closure
@@ -31,7 +29,7 @@ from gyrobench.bench.verification.compensation_verification import (
     VerificationResult,
     compensation_result,
 )
-from gyrobench.drivers.ins.command_map import NUMBERS, Compensation
+from gyrobench.drivers.ins.command_map import Compensation
 
 _AZIMUTH_TOLERANCE_DEG = 1.0
 
@@ -213,9 +211,7 @@ def is_run_of(folder: RunFolder, job: Job) -> bool:
     )
     if job.compensation is None or not folder.compensation.exists():
         return same_world and same_files and (job.compensation is None) == (not folder.compensation.exists())
-    loaded, required = read_compensation(folder.compensation), job.compensation
-    same_numbers = all(np.array_equal(getattr(loaded, name), getattr(required, name)) for name in NUMBERS)
-    return same_world and same_files and same_numbers
+    return same_world and same_files and read_compensation(folder.compensation).is_like(job.compensation)
 
 
 def _new_attitudes(fitted: Sequence[DwellRow], measured: Sequence[DwellRow]) -> int:

@@ -22,6 +22,7 @@ from gyrobench.bench.report.page import FINDINGS_FILE, Findings, read_findings_f
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import RunFacts, facts_of, read_journal
 from gyrobench.bench.runs.provenance import read_provenance
+from gyrobench.bench.runs.tables.budget_table import BudgetRow, read_budget
 from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow, read_calibration_check
 from gyrobench.bench.runs.tables.joint_table import (
     JointBiasRow,
@@ -59,6 +60,7 @@ class RunContent:
     joint_biases: list[JointBiasRow] = field(default_factory=list)
     joint_plateaus: list[JointPlateauRow] = field(default_factory=list)
     noise: NoiseEstimate | None = None
+    budget: list[BudgetRow] = field(default_factory=list)  #: Uncertainty budgets; empty where missing.
     verification: list[CalibrationCheckRow] = field(default_factory=list)
     characteristics: list[TestResult] = field(default_factory=list)  #: Results of the procedure's tests.
     acceptance: Acceptance | None = None  #: Verdict on the unit, or None.
@@ -131,6 +133,7 @@ def read_run(folder: RunFolder) -> RunContent:
         telemetry=read(folder.telemetry, read_telemetry, {}),
         joint_biases=read(folder.joint_biases, read_joint_biases, [], is_optional=True),
         joint_plateaus=read(folder.joint, read_joint_plateaus, [], is_optional=True),
+        budget=read(folder.budget, read_budget, [], is_optional=True),
         noise=read(folder.noise, read_noise, None, is_optional=True),
         verification=verification,
         characteristics=read(folder.characteristics, read_characteristics, [], is_optional=True),

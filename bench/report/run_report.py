@@ -34,6 +34,7 @@ from gyrobench.bench.report.bias_sections import (
     dwells_section,
     gyro_section,
 )
+from gyrobench.bench.report.budget_section import CAPTION, budget_box, budget_section, shares
 from gyrobench.bench.report.calibration_check import dwells_text, verification_section, verification_sentence
 from gyrobench.bench.report.characteristics import characteristics_sections
 from gyrobench.bench.report.content import SIMULATED, Entry, RunContent, read_run
@@ -45,6 +46,7 @@ from gyrobench.bench.report.estimator_sections import (
     noise_section,
 )
 from gyrobench.bench.report.figures.bias import bias_figure, bias_span_dph, position_difference_figure
+from gyrobench.bench.report.figures.budget import budget_figure
 from gyrobench.bench.report.figures.temperatures import Readings, temperature_figure
 from gyrobench.bench.report.journal_sections import durations_section, events_section
 from gyrobench.bench.report.page import Box, Section, SectionFigure, render_page, with_figure_files
@@ -107,6 +109,9 @@ def write_report(
     compared = [before_after_section(earlier, content, marked_c)] if earlier else []
     drawn = run_figures(content.telemetry, content.dwells, content.bins, content.acceptance, marked_c)
     figures = Section("", figures=[SectionFigure(name, "", figure) for name, figure in drawn])
+    if uncertainties := shares(content.budget):
+        first = SectionFigure("uncertainty_budget", "", partial(budget_figure, uncertainties))
+        figures = replace(figures, figures=[*figures.figures, first])
     [own, *sections] = with_figure_files(
         into.figures,
         [figures, *compared, *_analysis_sections(content, marked_c)],
@@ -128,6 +133,7 @@ def _figures_key(content: RunContent, before: RunContent | None, marked_c: Seque
         content.bins,
         content.acceptance,
         content.noise,
+        shares(content.budget),
         content.characteristics,
         before.bins if before else None,
     )
@@ -178,7 +184,13 @@ def render(
     title = f"Gyro bias of unit {unit}" if unit else "Gyro bias"
     started = f", started {facts['started']}" if "started" in facts else ""
     page = Section(
-        title, boxes=verdict_boxes(content), facts=facts, sections=[part for part in parts if part]
+        title,
+        boxes=verdict_boxes(content),
+        facts=facts,
+        figures=[
+            SectionFigure(name, CAPTION, drawn[name]) for name in ("uncertainty_budget",) if name in drawn
+        ],
+        sections=[part for part in parts if part],
     )
     source = f"Run {content.name}{started}"
     return render_page(page, source, f"{title}: {content.name}", prepared_by, _watermark(content))
@@ -201,6 +213,7 @@ def _analysis_sections(content: RunContent, marked_c: Sequence[float]) -> list[S
     """Sections that this run has data for."""
     sections = [
         *characteristics_sections(content.characteristics),
+        budget_section(content.budget),
         estimators_section(content.dwells, marked_c),
         fit_section(content.dwells),
         joint_section(content.joint_biases, content.joint_plateaus),
@@ -226,6 +239,8 @@ def verdict_boxes(content: RunContent) -> list[Box]:
     if acceptance:
         verdict = acceptance.verdict
         boxes.append(Box(VERDICT_COLOURS[verdict], f"Unit {verdict}.", verdict_sentence(acceptance)))
+    if found := budget_box(content.budget):
+        boxes.append(found)
     for last in content.joint_plateaus[-1:]:
         finding, error = Finding[last.finding.upper()], last.latitude_error_arcmin
         if text := latitude_sentence(finding, error, last.latitude_error_sigma_arcmin):

@@ -215,7 +215,7 @@ class World:
             _NONE_DPH if compensation is None else compensation.bias_dph,
             normal, count, _DT_S, self._walks, self._pulses, self._remainders,
         )  # fmt: skip
-        return measured
+        return measured if compensation is None else compensation.corrected(*measured, _DT_S)
 
     def _at_rest(self) -> tuple[FloatArray, FloatArray, FloatArray] | None:
         """Ideal increments of a second and Up in body axes while the table rests; None while it moves."""

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from gyrobench.bench.bias.bias_filter import GoodnessOfFit, estimate_state_space, goodness_of_fit
+from gyrobench.bench.bias.bias_filter import estimate_state_space
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.bias.statistics import GoodnessOfFit, goodness_of_fit
 from tests.bench.bias import disturbances
 from tests.bench.bias.emulated_dwells import emulate, noise_model, sensors, site, turned_about_up
 
