@@ -49,7 +49,7 @@ from gyrobench.bench.navigation.earth import EARTH_RATE
 from gyrobench.bench.navigation.error_model import Site
 
 #: Large attitude error at the start, rad.
-_ATTITUDE_ERROR = 0.5
+ATTITUDE_ERROR = 0.5
 #: An unknown is observed if sizes ten times as large let its uncertainty grow by less than this.
 _MAX_GROWTH = 1.1
 #: Rounds of linearisation; the last one changes the weighted sum of squares by less than this, and each
@@ -131,7 +131,7 @@ class Information:
             block[:, -1] = data + rows[:, used] @ common[used]
             blocks.append(block)
         sizes = [each.size for each in (*COEFFICIENTS, *BESIDE)]
-        attitudes = [_ATTITUDE_ERROR] * (3 * len(sections))
+        attitudes = [ATTITUDE_ERROR] * (3 * len(sections))
         return cls(blocks, np.array([*(sizes[each] for each in used), *attitudes]))
 
     @cached_property

@@ -285,6 +285,28 @@ def attitudes(
     return _trajectory(angle, np.zeros_like(angle), interval_s, ends, C_nb, latitude, 0.0).attitude
 
 
+def epoch_steps(
+    angle: FloatArray,
+    velocity: FloatArray,
+    interval_s: float,
+    ends: IntArray,
+    C_nb: FloatArray,
+    noise: SensorNoise,
+    latitude: float,
+    gravity: float,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Transition (n, 6, 6), noise (n, 6, 6) and drive (n, 6, 37) of psi and u over each epoch.
+
+    The response to the coefficients at the end of an epoch is that at its start times the transition, plus
+    the drive; :func:`white_rows` has the parameters.
+    """
+    trajectory = _trajectory(angle, velocity, interval_s, ends, C_nb, latitude, gravity)
+    transition, covariance = _intervals(trajectory, np.diff(ends, prepend=0) * interval_s, noise, latitude)
+    response = trajectory.response.copy()
+    response[:, :, ATTITUDE] = 0.0
+    return transition, covariance, response[1:] - transition @ response[:-1]
+
+
 def _returned(trajectory: _Trajectory, a: int, b: int) -> FloatArray:
     """Error (3,) of the computed attitude, negated, after whole turns, which return to where they started."""
     turn = trajectory.attitude[b] @ trajectory.attitude[a].T

@@ -159,6 +159,16 @@ def test_a_measured_pair_at_rest_gives_the_earth_rate_and_says_what_it_does_not_
     assert record["fit"]["p_value"] > 1e-3
 
 
+def test_plan_proposes_a_list_that_reaches_given_uncertainties(tmp_path):
+    reach = "gyro_misalignment_arcsec=1,gyro_scale_factor_ppm=1"
+    command = ("plan", "nineteen_positions", "--observability", "--reach", reach, "--json")
+    record = json.loads(gyrobench(*command, cwd=tmp_path).stdout)
+    reached = [row["sigma"] for row in record["coefficients"] if row["unit"] in ("arcsec", "ppm")][:9]
+    assert max(reached) <= 1.0
+    again = gyrobench("plan", record["file"], "--observability", "--json", cwd=tmp_path)
+    assert json.loads(again.stdout)["duration_s"] == record["duration_s"] < 2000.0
+
+
 def test_plan_shows_what_a_list_of_rotations_will_show(tmp_path):
     result = gyrobench("plan", "outer_axis", "--observability", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
