@@ -13,6 +13,7 @@ from gyrobench.bench.dwells.plateau_calibration import calibrate_plateaus
 from gyrobench.bench.dwells.run_dwells import (
     RunResults,
     evaluate,
+    noise_records,
     planned_dwells,
     replay,
     rotated,
@@ -46,7 +47,8 @@ def evaluate_run(
     results = replace(results, coefficients=calibrate_plateaus(rotated(folder), setup))
     if procedure.tests:
         rows = [dwell.row for dwell in results.dwells]
-        results = replace(results, characteristics=procedure.tests.evaluate(rows))
+        records = noise_records(folder, setup) if procedure.tests.allan_variance else []
+        results = replace(results, characteristics=procedure.tests.evaluate(rows, records))
     if results.dwells:
         write_dwells(folder.dwells, [dwell.row for dwell in results.dwells])
     write_results(folder, results)
