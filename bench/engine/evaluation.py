@@ -45,10 +45,9 @@ def evaluate_run(
         dwells, setup, procedure.bin_width_c, procedure.acceptance, planned_dwells(plan), check
     )
     results = replace(results, coefficients=calibrate_plateaus(rotated(folder), setup))
-    if procedure.tests:
-        rows = [dwell.row for dwell in results.dwells]
-        records = noise_records(folder, setup) if procedure.tests.allan_variance else []
-        results = replace(results, characteristics=procedure.tests.evaluate(rows, records))
+    rows = [dwell.row for dwell in results.dwells]
+    records = noise_records(folder, setup) if procedure.tests.allan_variance else []
+    results = replace(results, characteristics=procedure.tests.evaluate(rows, records))
     if results.dwells:
         write_dwells(folder.dwells, [dwell.row for dwell in results.dwells])
     write_results(folder, results)

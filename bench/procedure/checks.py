@@ -150,7 +150,7 @@ def _table_problems(planned: PlannedStep, limits: StationLimits) -> Iterator[Pro
 
 def _test_problems(plan: Plan) -> Iterator[Problem]:
     tests = plan.procedure.tests
-    if tests and tests.turn_on_repeatability:
+    if tests.turn_on_repeatability:
         least = tests.turn_on_repeatability.min_power_cycles
         power_ons = itertools.accumulate(isinstance(each.step, PowerOn) for each in plan.steps)
         cycles = {number for number, each in zip(power_ons, plan.steps, strict=True) if each.dwell}
