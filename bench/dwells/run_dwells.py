@@ -14,6 +14,7 @@ from typing import Any
 from gyrobench.bench.bias.acceptance import judge
 from gyrobench.bench.bias.bias_filter import Damping
 from gyrobench.bench.bias.bins import BiasBin, bin_biases, write_bins
+from gyrobench.bench.bias.budget import BiasBudget, BudgetedDwell, bias_budgets, with_budgets
 from gyrobench.bench.bias.joint_solution import JointDwell, JointSolution, pooled_up_rate, solve_jointly
 from gyrobench.bench.bias.noise_estimate import NoiseEstimate, estimate_noise
 from gyrobench.bench.bias.plateaus import PlannedDwell, group_plateaus
@@ -34,6 +35,7 @@ from gyrobench.bench.procedure.plan import Plan, PlannedStep
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.runs.tables.budget_table import budget_rows, write_budget
 from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow, write_calibration_check
 from gyrobench.bench.runs.tables.coefficient_table import write_coefficients, write_correlations
 from gyrobench.bench.runs.tables.joint_table import (
@@ -208,13 +210,14 @@ class RunResults:
     #: As given; biases of vertical gyros without the effect of a wrong latitude, or flagged with it.
     dwells: list[MeasuredDwell] = field(default_factory=list)
     bins: list[BiasBin] = field(default_factory=list)  #: Bias per gyro, position and temperature.
+    budgets: list[BiasBudget] = field(default_factory=list)  #: Uncertainty budgets of dwells and bins.
     joint: list[JointSolution] = field(default_factory=list)  #: One for each plateau.
     #: Rate Up fixed in the navigation frame, from all plateaus whose dwells agree; None without any.
     up_rate: UpRate | None = None
     noise: NoiseEstimate | None = None  #: Of the INS, from its output; None where it is not observable.
     #: Biases that a calibration check measured, beside the calibrated ones.
     calibration_check: list[CalibrationCheckRow] = field(default_factory=list)
-    #: Coefficients of the sensors at each plateau with rotations.
+    #: Coefficients of the sensors at each plateau.
     coefficients: list[PlateauCalibration] = field(default_factory=list)
     #: Verdict on the unit by the limits of the procedure.
     acceptance: Acceptance = field(default_factory=Acceptance)
@@ -252,9 +255,13 @@ def evaluate(
     rate = pooled_up_rate(joint, setup.prior)
     evaluated = with_latitude(dwells, joint, rate, setup.prior)
     rows = [dwell.row for dwell in evaluated if dwell.estimate and not dwell.row.flags]
+    bins = bin_biases(rows, bin_width_c)
+    parts = [BudgetedDwell(each.row, each.estimate.parts) for each in evaluated if each.estimate]
+    budgets = bias_budgets(parts, bins, setup.budget_inputs)
     return RunResults(
         dwells=evaluated,
-        bins=bin_biases(rows, bin_width_c),
+        bins=with_budgets(bins, budgets),
+        budgets=budgets,
         joint=joint,
         up_rate=rate,
         noise=_noise([dwell for dwell in dwells if not dwell.is_disturbed], setup),
@@ -292,12 +299,14 @@ def write_results(folder: RunFolder, results: RunResults) -> None:
     write_joint(folder.joint, joint_plateau_rows(results.joint, results.up_rate), JointPlateauRow)
     write_acceptance(folder.acceptance, results.acceptance)
     optional = (folder.noise, folder.calibration_check, folder.coefficients, folder.correlations)
-    for stale in (*optional, folder.characteristics):
+    for stale in (*optional, folder.budget, folder.characteristics):
         remove(stale)
+    if results.budgets:
+        write_budget(folder.budget, budget_rows(results.budgets))
     if results.coefficients:
         write_coefficients(folder.coefficients, [row for each in results.coefficients for row in each.rows()])
         write_correlations(
-            folder.correlations, [(each.plateau, each.correlations) for each in results.coefficients]
+            folder.correlations, [(each.number, each.correlations) for each in results.coefficients]
         )
     if results.noise is not None:
         write_noise(folder.noise, results.noise)

@@ -70,6 +70,7 @@ class RunFolder:
     telemetry = PathInside("telemetry")  #: Folder of the bench's readings.
     dwells = PathInside(DWELLS)  #: The dwell table.
     bias_bins = PathInside(BIAS_BINS)  #: Bias per gyro, position and temperature bin.
+    budget = PathInside("budget.csv")  #: Uncertainty budget of each dwell and bin.
     joint_biases = PathInside("joint_biases.csv")  #: Biases of the dwells of each plateau solved together.
     joint = PathInside("joint.csv")  #: Parameters common to the dwells of each plateau.
     coefficients = PathInside("coefficients.csv")  #: Coefficients of the sensors at each plateau.
