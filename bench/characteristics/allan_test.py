@@ -70,9 +70,9 @@ def allan_test(records: Sequence[RateRecord]) -> TestResult:
         fit = fit_rate_noise(allan, with_instability=True)
         for term, (name, unit, size) in _TERMS.items():
             low, high = square_interval(float(fit.terms[term]), float(fit.sigmas[term]))
-            root = np.sqrt([fit.terms[term], low, high]) / size
-            coefficients.append(coefficient(gyro, name, unit, *map(float, root)))
-        ramp, sigma = np.array(mean_ramp(segments, interval_s, fit)) / (DPH_TO_RADPS / _HOUR_S)
+            value, low, high = (np.sqrt(each) / size for each in (float(fit.terms[term]), low, high))
+            coefficients.append(coefficient(gyro, name, unit, float(value), float(low), float(high)))
+        ramp, sigma = (each * _HOUR_S / DPH_TO_RADPS for each in mean_ramp(segments, interval_s, fit))
         ends = ramp - _NORMAL_95 * sigma, ramp + _NORMAL_95 * sigma
         coefficients.append(coefficient(gyro, "rate ramp R", "deg/h/h", ramp, *ends))
         curves.append(_curve(gyro, allan, fit))
