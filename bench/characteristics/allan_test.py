@@ -86,8 +86,8 @@ def square_interval(square: float, sigma: float) -> tuple[float, float]:
     if square <= _NORMAL_95 * sigma:
         return 0.0, square + _NORMAL_95 * sigma
     edf = 2.0 * (square / sigma) ** 2
-    high, low = chi2.ppf([0.025, 0.975], edf)
-    return float(square * edf / low), float(square * edf / high)
+    low, high = (square * edf / float(chi2.ppf(level, edf)) for level in (0.975, 0.025))
+    return low, high
 
 
 def _curve(gyro: str, allan: AllanVariance, fit: RateNoise) -> Curve:
