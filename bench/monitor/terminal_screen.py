@@ -280,7 +280,7 @@ def _beside(blocks: Sequence[Sequence[Text]], widths: Sequence[int], height: int
 
 MAX_WIDTH, MAX_HEIGHT = 240, 80
 #: Least and most rows of what can be drawn larger or smaller.
-_PROFILE_ROWS, _DWELL_ROWS, _MIN_BIN_ROWS = (6, 22), (7, 18), 4
+_PROFILE_ROWS, _DWELL_ROWS, _MIN_BIN_ROWS = (5, 22), (6, 18), 4
 _MAX_MESSAGE_ROWS = 5
 
 
