@@ -12,14 +12,16 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from gyrobench.bench.bias.budget import Budget, coefficient_budget
 from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow, Triple
 from gyrobench.bench.bias.joint_solution import JointDwell, JointSolution
 from gyrobench.bench.bias.statistics import chi2_p_value
-from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, CoefficientEstimate
+from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, Coefficient, CoefficientEstimate
+from gyrobench.bench.calibration.error_split import rotation_parts
 from gyrobench.bench.calibration.estimator import Calibration, CalibrationOptions, calibrate
 from gyrobench.bench.calibration.joint_coefficients import joint_coefficients
 from gyrobench.bench.calibration.recording import MIN_REST_TOTAL_S, IncrementRecording, Rest
@@ -71,6 +73,8 @@ class PlateauCalibration:
     estimate: CoefficientEstimate | None  #: Of dwells and rotations together; None without either.
     finding: str = ""  #: Why the rotations give nothing, or that they contradict the dwells.
     rotations: PlateauRotations | None = None  #: None where there are none.
+    #: Declared standard uncertainties, SI, by key of :data:`gyrobench.bench.bias.budget.SOURCES`.
+    inputs: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def correlations(self) -> FloatArray:
@@ -79,6 +83,28 @@ class PlateauCalibration:
             return np.full((COUNT, COUNT), np.nan)
         seen = np.outer(self.estimate.is_observed, self.estimate.is_observed)
         return np.where(seen, self.estimate.correlations, np.nan)
+
+    @property
+    def budgets(self) -> list[tuple[Coefficient, Budget]]:
+        """Uncertainty budgets of the observed coefficients, in their units."""
+        if self.estimate is None:
+            return []
+        inputs, dof = dict(self.inputs), math.inf
+        if self.rotations is not None and self.rotations.calibration is not None:
+            noise, dof = vars(self.rotations.calibration.noise), float(self.rotations.calibration.fit.dof)
+            inputs |= {name: float(np.sqrt(np.mean(values**2))) for name, values in noise.items()}
+        return [
+            (
+                each,
+                coefficient_budget(
+                    {name: float(part[i, i]) * each.per_si**2 for name, part in self.estimate.parts.items()},
+                    inputs,
+                    dof,
+                ),
+            )
+            for i, each in enumerate(self.estimate.coefficients)
+            if self.estimate.is_observed[i]
+        ]
 
     def rows(self) -> list[PlateauCoefficientRow]:
         """Rows of ``coefficients.csv``; without values where there is no estimate."""
@@ -170,7 +196,10 @@ def _plateau(
         finding = f"dwells and rotations contradict each other (p = {p_value:.1g})"
     estimate = _combined(estimates) if estimates else None
     chamber_set_c = math.nan if set_c is None else set_c
-    return PlateauCalibration(number, cycle, chamber_set_c, gyro_c, case_c, estimate, finding, rotations)
+    inputs = {"latitude": setup.prior.latitude, "table_return": setup.table_repeatability}
+    return PlateauCalibration(
+        number, cycle, chamber_set_c, gyro_c, case_c, estimate, finding, rotations, inputs
+    )
 
 
 def _combined(estimates: Sequence[CoefficientEstimate]) -> CoefficientEstimate:
@@ -182,7 +211,13 @@ def _combined(estimates: Sequence[CoefficientEstimate]) -> CoefficientEstimate:
     covariance = np.linalg.inv(sum(weights))
     sums = sum(weight @ (each.values / sizes) for weight, each in zip(weights, estimates, strict=True))
     is_observed = np.any([each.is_observed for each in estimates], axis=0)
-    return CoefficientEstimate(sizes * (covariance @ sums), covariance * np.outer(sizes, sizes), is_observed)
+    parts: dict[str, FloatArray] = {}
+    for weight, each in zip(weights, estimates, strict=True):
+        gain = covariance @ weight * np.outer(sizes, 1.0 / sizes)
+        for name, part in each.parts.items():
+            parts[name] = parts.get(name, 0.0) + gain @ part @ gain.T
+    values = sizes * (covariance @ sums)
+    return CoefficientEstimate(values, covariance * np.outer(sizes, sizes), is_observed, parts=parts)
 
 
 def _agreement(one: CoefficientEstimate, other: CoefficientEstimate) -> float:
@@ -225,7 +260,7 @@ def calibrate_rotations(
     except MeasurementError as error:
         return replace(rotations, finding=f"the rotations give no coefficients: {error}")
     # The increments themselves are of no more use.
-    found = replace(found, recordings=())
+    found = replace(found, recordings=(), parts=rotation_parts(found, setup.site, options))
     return replace(rotations, calibration=found, sigmas_with_force=with_force)
 
 

@@ -33,7 +33,7 @@ from gyrobench.bench.procedure.plan import Plan, PlannedStep
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import read_journal
-from gyrobench.bench.runs.tables.budget_table import budget_rows, write_budget
+from gyrobench.bench.runs.tables.budget_table import budget_rows, coefficient_budget_rows, write_budget
 from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow, write_calibration_check
 from gyrobench.bench.runs.tables.coefficient_table import write_coefficients, write_correlations
 from gyrobench.bench.runs.tables.joint_table import (
@@ -290,8 +290,11 @@ def write_results(folder: RunFolder, results: RunResults) -> None:
     optional = (folder.noise, folder.calibration_check, folder.coefficients, folder.correlations)
     for stale in (*optional, folder.budget, folder.characteristics):
         remove(stale)
-    if results.budgets:
-        write_budget(folder.budget, budget_rows(results.budgets))
+    budgets = budget_rows(results.budgets)
+    for plateau in results.coefficients:
+        budgets += coefficient_budget_rows(plateau.number, plateau.budgets)
+    if budgets:
+        write_budget(folder.budget, budgets)
     if results.coefficients:
         write_coefficients(folder.coefficients, [row for each in results.coefficients for row in each.rows()])
         write_correlations(
