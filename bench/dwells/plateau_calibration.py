@@ -32,7 +32,7 @@ from gyrobench.bench.dwells.temperatures import dwell_temperatures, triple
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vectors
-from gyrobench.bench.navigation.earth import curvature_radii, earth_rate_enu
+from gyrobench.bench.navigation.earth import EARTH_RATE, curvature_radii
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow
@@ -319,7 +319,9 @@ def navigated_increments(navigation: NavigationData, site: Site) -> Increments:
     east, north = (0.5 * (velocity[1:] + velocity[:-1])).T
     meridian, across = curvature_radii(site.latitude, site.height)
     transport = np.stack([-north / meridian, east / across, east * np.tan(site.latitude) / across], axis=-1)
-    earth = earth_rate_enu(site.latitude)
+    # Where the INS takes itself to be: in hours its drift changes the Earth's rate that it subtracts.
+    latitude = site.latitude + np.cumsum(north) * interval_s / meridian
+    earth = EARTH_RATE * np.stack([np.zeros_like(latitude), np.cos(latitude), np.sin(latitude)], axis=-1)
     turned, half = (rotation_matrices(part * (earth + transport) * interval_s) for part in (1.0, 0.5))
     angle = rotation_vectors(C_nb[:-1].transpose(0, 2, 1) @ turned @ C_nb[1:])
     force = np.cross(2.0 * earth + transport, np.stack([east, north, np.zeros_like(east)], axis=-1))
