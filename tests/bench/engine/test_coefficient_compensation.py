@@ -134,3 +134,22 @@ def test_it_is_compensated_over_can_and_proved_on_new_measurements(folder, close
     assert worst["effect"] < worst["declared"] < worst["none"]
     page = (folder / "run/verify/verification.html").read_text()
     assert "A mission of a rotational INS" in page
+
+
+def test_an_accelerometer_bias_that_follows_attitude_is_found_with_its_true_size(tmp_path):
+    arcsec = {"xy": 30.0, "xz": -25.0, "yx": 0.0, "yz": 28.0, "zx": 0.0, "zy": -32.0}
+    write_world(tmp_path, accelerometer={"misalignment_arcsec": arcsec})
+    done = gyrobench(
+        *("run", "quick_campaign", "--station", "quick", "--world", "world.yaml"),
+        *("--seed", "3", "--out", "run", "--view", "lines"),
+        cwd=tmp_path,
+    )
+    assert done.returncode == 0, done.stderr
+    done = gyrobench("close", "run", "--coefficient", "accelerometer_bias", cwd=tmp_path)
+    assert done.stdout.startswith("Explained."), done.stdout
+    model = yaml.safe_load((tmp_path / "run/closure_accelerometer_bias/model.yaml").read_text())
+    [effect] = model["effects"]
+    assert effect["effect"] == "g_sensitivity"
+    for (sensor, sensed), true in arcsec.items():
+        ug = effect["terms_ug"][sensor][f"Up along {sensed}"]
+        assert ug == pytest.approx(true * 4.848, abs=3.0)
