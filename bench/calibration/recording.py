@@ -47,6 +47,9 @@ class IncrementRecording:
     start_s: float = 0.0  #: Beginning of the first increment on the log's clock.
     #: Whether the vertical part of the velocity is measured, not gravity in place of it.
     has_vertical: bool = True
+    #: Shape (n, 3, 3). Attitude of the table at the end of each increment, ENU, up to a constant rotation of
+    #: what it carries; None where it is not known.
+    table: FloatArray | None = None
 
     def __post_init__(self) -> None:
         for name, values in (("angle", self.angle), ("velocity", self.velocity)):
