@@ -51,6 +51,7 @@ class PlateauRotations:
     #: gyro_c, case_c: Mean temperatures of the gyros and of the case, degC; NaN where not measured.
     gyro_c: Triple = NOT_MEASURED
     case_c: float = math.nan
+    gyro_rate_c_per_h: Triple = NOT_MEASURED  #: Their slopes.
     calibration: Calibration | None = None  #: None where there is a ``finding``, which says why.
     finding: str = ""
     #: Shape (21,). Expected standard uncertainties, SI, if the INS sent specific forces; None where it does.
@@ -85,6 +86,7 @@ class PlateauCalibration:
         with_force = np.full(COUNT, np.nan)
         if self.rotations is not None and self.rotations.sigmas_with_force is not None:
             with_force = self.rotations.sigmas_with_force * [each.per_si for each in estimate.coefficients]
+        rates = NOT_MEASURED if self.rotations is None else self.rotations.gyro_rate_c_per_h
         return [
             PlateauCoefficientRow(
                 self.number,
@@ -98,6 +100,7 @@ class PlateauCalibration:
                 row.unit,
                 "; ".join(text for text in (row.finding, self.finding) if text),
                 sigma,
+                rates[AXES.index(row.axis[0])],
             )
             for row, sigma in zip(coefficient_rows(estimate), with_force.tolist(), strict=True)
         ]
@@ -201,7 +204,12 @@ def calibrate_rotations(
     try:
         measured = [_measured(marks, frames, setup) for marks, frames in dwells]
         temperatures_c = np.mean([each_c for _, each_c in measured], axis=0)
-        rotations = replace(rotations, gyro_c=triple(temperatures_c[:3]), case_c=float(temperatures_c[3]))
+        rotations = replace(
+            rotations,
+            gyro_c=triple(temperatures_c[:3]),
+            case_c=float(temperatures_c[3]),
+            gyro_rate_c_per_h=triple(temperatures_c[4:]),
+        )
         recordings = [recording for pieces, _ in measured for recording, _ in pieces]
         rests = [stretches for pieces, _ in measured for _, stretches in pieces]
         if not recordings:
@@ -224,7 +232,9 @@ def calibrate_rotations(
 def _measured(
     marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
 ) -> tuple[list[tuple[IncrementRecording, list[Rest]]], FloatArray]:
-    """Increments of a dwell in pieces without a gap, each with its rests; temperatures of gyros and case.
+    """Increments of a dwell in pieces without a gap, each with its rests; temperatures (7,).
+
+    These are of gyros and case, and slopes of those of the gyros.
 
     Raises MeasurementError if what the INS sent can't be used.
     """
@@ -248,7 +258,7 @@ def _measured(
             angle, velocity = increments.angle[part], increments.velocity[part]
             recording = IncrementRecording(increments.interval_s, angle, velocity, has_vertical=is_sent)
             pieces.append((recording, rests))
-    return pieces, np.array([*temperatures.gyro_c, temperatures.case_c])
+    return pieces, np.array([*temperatures.gyro_c, temperatures.case_c, *temperatures.gyro_rate_c_per_h])
 
 
 def navigated_increments(navigation: NavigationData, site: Site) -> Increments:

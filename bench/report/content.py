@@ -33,6 +33,9 @@ from gyrobench.bench.runs.tables.joint_table import (
 from gyrobench.bench.runs.tables.noise_file import read_noise
 from gyrobench.bench.runs.telemetry import read_telemetry
 
+#: Word across all that a run with emulated instruments gives.
+SIMULATED = "SIMULATED"
+
 T = TypeVar("T")
 Entry = Mapping[str, Any]
 
@@ -69,6 +72,13 @@ class RunContent:
     def facts(self) -> RunFacts:
         """Summary of the journal."""
         return facts_of(self.journal)
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether instruments were emulated: by the run's options, or an instrument's identification."""
+        options = {**self.provenance.get("options", {}), **self.facts.options}
+        identities = self.provenance.get("instruments", {}).values()
+        return "world" in options or any("emulator" in str(text) for text in identities)
 
     @property
     def marked_temperatures_c(self) -> list[float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import logging
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -36,7 +37,7 @@ from gyrobench.bench.report.bias_sections import (
 from gyrobench.bench.report.budget_section import CAPTION, budget_box, budget_section, shares
 from gyrobench.bench.report.calibration_check import dwells_text, verification_section, verification_sentence
 from gyrobench.bench.report.characteristics import characteristics_sections
-from gyrobench.bench.report.content import Entry, RunContent, read_run
+from gyrobench.bench.report.content import SIMULATED, Entry, RunContent, read_run
 from gyrobench.bench.report.estimator_sections import (
     estimators_note,
     estimators_section,
@@ -115,6 +116,7 @@ def write_report(
         into.figures,
         [figures, *compared, *_analysis_sections(content, marked_c)],
         _figures_key(content, earlier, marked_c),
+        _watermark(content),
     )
     paths = [each.figure for each in own.figures if isinstance(each.figure, Path)]
     write_whole(into.report, render(content, paths, sections, hashes, by).encode())
@@ -190,7 +192,12 @@ def render(
         ],
         sections=[part for part in parts if part],
     )
-    return render_page(page, f"Run {content.name}{started}", f"{title}: {content.name}", prepared_by)
+    source = f"Run {content.name}{started}"
+    return render_page(page, source, f"{title}: {content.name}", prepared_by, _watermark(content))
+
+
+def _watermark(content: RunContent) -> str:
+    return SIMULATED if content.is_simulated else ""
 
 
 def _with_hashes(folder: RunFolder) -> tuple[RunContent, list[DataHash]]:
@@ -222,7 +229,7 @@ def verdict_boxes(content: RunContent) -> list[Box]:
     is_safe = not any(action.get("problem") for action in facts.safe_state)
     notes = [f"Unfinished step: {open_step_of(content)}."] if open_step_of(content) else []
     notes += [
-        f"{str(each.get('found')).capitalize()}; acknowledged by {each.get('operator')}."
+        f"Past due: {each.get('found')}; acknowledged by {each.get('operator')}."
         for each in content.entries("past_due")
     ]
     notes += [] if is_safe else ["The safe state was not fully reached; see the section Safe state."]
@@ -375,11 +382,19 @@ _LACKING = (
 
 
 def write_pdf(page: Path, pdf: Path) -> Path:
-    """Convert a self-contained HTML page to PDF.
+    """Convert a page of :func:`write_report` to PDF; raises what :func:`pdf_of` does.
 
-    ``page``: a page of :func:`write_report`. ``pdf``: output file. Raises GyrobenchError if a system library
-    is missing. Raises MissingPackageError if weasyprint is not installed. Raises RunFolderError if the file
-    can't be written.
+    Raises RunFolderError if the file can't be written.
+    """
+    write_whole(pdf, pdf_of(page.read_text(encoding="utf-8")))
+    return pdf
+
+
+def pdf_of(page: str, attachments: Mapping[str, bytes] | None = None, variant: str | None = None) -> bytes:
+    """Convert a self-contained HTML page to PDF with tags.
+
+    ``attachments``: files inside the PDF, by name. ``variant``: as "pdf/a-3a"; default: plain PDF. Raises
+    GyrobenchError if a system library is missing, and MissingPackageError if weasyprint is not installed.
     """
     try:
         html, urls = require("weasyprint"), require("weasyprint.urls")
@@ -388,11 +403,12 @@ def write_pdf(page: Path, pdf: Path) -> Path:
     for name in ("weasyprint", "fontTools"):
         logging.getLogger(name).setLevel(logging.ERROR)
     # Pictures are embedded: no other address is fetched.
-    document = html.HTML(
-        string=page.read_text(encoding="utf-8"), url_fetcher=urls.URLFetcher(allowed_protocols=["data"])
-    )
-    write_whole(pdf, document.write_pdf())
-    return pdf
+    document = html.HTML(string=page, url_fetcher=urls.URLFetcher(allowed_protocols=["data"]))
+    added = [
+        html.Attachment(file_obj=io.BytesIO(content), name=name, relationship="Source")
+        for name, content in (attachments or {}).items()
+    ]
+    return document.write_pdf(pdf_variant=variant, pdf_tags=True, attachments=added)  # type: ignore[no-any-return]
 
 
 def run_figures(
