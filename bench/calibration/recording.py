@@ -30,6 +30,8 @@ _TURNING = np.deg2rad(0.1)
 _SIGMAS = 6.0
 #: Quartile of the sizes of differences of normal values, in standard deviations of one value.
 _QUARTILE = 0.3186 * np.sqrt(2.0)
+#: Noise of level axes over the mean of all, where gravity stands in place of the vertical force.
+_OF_LEVEL = 1.5
 #: Time between the samples of an Allan variance, s.
 _ALLAN_S = 0.2
 
@@ -191,7 +193,10 @@ def measure_noise(recordings: Sequence[IncrementRecording], rests: Sequence[Sequ
             fitted = fit_rate_noise(allan_variance(segments, size * interval_s))
             # A term that does not show may be as large as twice its uncertainty.
             least = np.where(fitted.terms > 2.0 * fitted.sigmas, 0.0, 2.0 * fitted.sigmas)
-            terms.append(np.sqrt(np.maximum(fitted.terms, least)[[RANDOM_WALK, WHITE_ANGLE]]))
+            variances = np.maximum(fitted.terms, least)[[RANDOM_WALK, WHITE_ANGLE]]
+            if name == "velocity" and not recordings[0].has_vertical:
+                variances = _OF_LEVEL * variances
+            terms.append(np.sqrt(variances))
     gyro, force = np.array(terms[:3]).T, np.array(terms[3:]).T
     return SensorNoise(gyro[0], gyro[1], force[0], force[1])
 

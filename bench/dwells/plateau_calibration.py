@@ -273,7 +273,10 @@ def navigated_increments(navigation: NavigationData, site: Site) -> Increments:
     east, north = (0.5 * (velocity[1:] + velocity[:-1])).T
     meridian, across = curvature_radii(site.latitude, site.height)
     transport = np.stack([-north / meridian, east / across, east * np.tan(site.latitude) / across], axis=-1)
-    earth = earth_rate_enu(site.latitude)
+    here = earth_rate_enu(site.latitude)
+    # The INS takes the Earth's rate at the latitude that it computes.
+    moved = np.cumsum(north) * interval_s / meridian
+    earth = here + np.outer(moved, [0.0, -here[2], here[1]])
     turned, half = (rotation_matrices(part * (earth + transport) * interval_s) for part in (1.0, 0.5))
     angle = rotation_vectors(C_nb[:-1].transpose(0, 2, 1) @ turned @ C_nb[1:])
     force = np.cross(2.0 * earth + transport, np.stack([east, north, np.zeros_like(east)], axis=-1))
@@ -281,11 +284,16 @@ def navigated_increments(navigation: NavigationData, site: Site) -> Increments:
     force[:, 2] = site.gravity
     in_body = np.einsum("nji,njk,nk->ni", C_nb[:-1], half, force * interval_s)
     turning = np.cross(angle, in_body)
+    sums = in_body - 0.5 * turning + np.cross(angle, turning) / 12.0
+    # Rotation vectors and velocities hold coning and sculling, which increments of sensors do not.
+    last = np.maximum(np.arange(len(angle)) - 1, 0)
+    coning = np.cross(angle[last], angle) / 12.0
+    sculling = (np.cross(angle[last], sums) + np.cross(sums[last], angle)) / 12.0
     steady = np.abs(np.diff(time_s) / interval_s - 1.0) < _MAX_STEP_ERROR
     return Increments(
         row=navigation.row[1:],
-        angle=angle,
-        velocity=in_body - 0.5 * turning + np.cross(angle, turning) / 6.0,
+        angle=angle - coning,
+        velocity=sums - sculling,
         follows=steady,
         interval_s=interval_s,
     )
