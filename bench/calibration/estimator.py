@@ -57,6 +57,9 @@ _MAX_GROWTH = 1.1
 _MAX_ROUNDS, _CONVERGED, _MAX_STEP = 15, 0.1, 0.05
 #: Scale factor errors and misalignments beyond this are wrong units, signs or axes.
 _MAX_ELEMENT = 0.25
+#: Size of the accelerometers' scale factor errors where gravity stands in place of the vertical specific
+#: force: their mean is not observed, and affects the other coefficients in second order.
+_SCALE = 1e-4
 #: Sample rates of recordings that count as one.
 _MAX_RATE_RATIO = 1.01
 #: The opposite latitude is named where it reduces chi2 to this part; largest factor on the uncertainties.
@@ -143,6 +146,11 @@ class Information:
             mean[0, np.flatnonzero(_IS_FORCE_SCALE)] = 1.0 / _COMMON_SCALE
             blocks.append(mean)
         sizes = [each.size for each in (*COEFFICIENTS, *BESIDE)]
+        if not all(each.epochs.has_vertical for each in sections):
+            sizes = [
+                _SCALE if each.name == "accelerometer_scale_factor" else each.size
+                for each in (*COEFFICIENTS, *BESIDE)
+            ]
         attitudes = [ATTITUDE_ERROR] * (3 * len(sections))
         return cls(blocks, np.array([*(sizes[each] for each in used), *attitudes]))
 
