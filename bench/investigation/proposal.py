@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.special import chdtrc
@@ -13,10 +15,13 @@ from gyrobench.bench.closure.campaign import Campaign, campaign_of
 from gyrobench.bench.closure.candidates import Candidate, best_start, solve_with
 from gyrobench.bench.closure.effects.effect import Effect
 from gyrobench.bench.closure.problem import declared_problem
-from gyrobench.bench.foundations.arrays import BoolArray, rms
-from gyrobench.bench.investigation.blocks import AfterLastDwell, Block, BlockPlanner, catalogue
-from gyrobench.bench.investigation.choice import Prediction, entropy, expected_entropy, predict_dwells
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms
+from gyrobench.bench.investigation.blocks import Block, BlockPlanner, catalogue
+from gyrobench.bench.investigation.choice import Linearized, Prediction, entropy, expected_entropy, linearized
+from gyrobench.bench.investigation.external_bench import AfterLastDwell
 from gyrobench.bench.investigation.forecast import Forecast
+from gyrobench.bench.investigation.profile import Calibration, Profile
+from gyrobench.bench.navigation.positions import AXES
 
 #: Blocks of which pairs are tried.
 _PAIRED = 4
@@ -57,6 +62,8 @@ class Proposal:
     expected_entropy: float  #: After the block.
     #: How often its kinds were measured, the most of each, without settling the cause.
     repeats: int = 0
+    #: Hours of a profile that the block replaces; see :meth:`~.profile.Calibration.replaced_h`.
+    replaced_h: float = 0.0
 
     @property
     def gain_per_h(self) -> float:
@@ -83,6 +90,8 @@ def propose(
     max_h: float = np.inf,
     planner: BlockPlanner | None = None,
     measured: Sequence[Sequence[str]] = (),
+    profile: Profile | None = None,
+    calibration: Calibration | None = None,
 ) -> list[Proposal]:
     """Blocks with their utilities, best first.
 
@@ -103,6 +112,10 @@ def propose(
         The bench; by default one that stays as it is after the last dwell.
     measured : sequence of sequence of str
         Kinds of the blocks measured since the first table.
+    profile : Profile, optional
+        Its dwells are blocks too.
+    calibration : Calibration, optional
+        Where given, information about the biases of the profile counts as well.
     """
     rows, planner = forecast.measured, planner or AfterLastDwell()
     start = planner.start(rows)
@@ -114,18 +127,18 @@ def propose(
 
     def proposal(block: Block) -> Proposal:
         repeats = max(sum(kind in kinds for kinds in measured) for kind in block.kinds)
-        return replace(proposal_of(forecast, block, rivals, noise_scale), repeats=repeats)
+        found = replace(proposal_of(forecast, block, rivals, noise_scale), repeats=repeats)
+        if calibration is None:
+            return found
+        after = _next_pass(forecast, calibration.whole, found.rows, rivals, noise_scale)
+        return replace(found, replaced_h=calibration.replaced_h(after))
 
+    more = profile.kinds() if profile else ()
     paired = {kind for kinds in refused if len(kinds) > 1 for kind in kinds}
-    found = [proposal(each) for each in usable(catalogue(rows, start=start))]
+    found = [proposal(each) for each in usable(catalogue(rows, start=start, more=more))]
     found.sort(key=lambda each: -each.gain_per_h)
     best = {each.block.name for each in found[:_PAIRED]}
-    pairs = [
-        each
-        for each in catalogue(rows, pairs=True, start=start)
-        if len(each.kinds) == 2 and set(each.kinds) <= best and not set(each.kinds) & paired
-    ]
-    found += [proposal(each) for each in usable(pairs)]
+    found += [proposal(each) for each in usable(catalogue(rows, best - paired, start, more))]
     return sorted(found, key=lambda each: -each.gain_per_h)
 
 
@@ -143,10 +156,105 @@ def proposal_of(forecast: Forecast, block: Block, rivals: Sequence[Rival], noise
     )
 
 
+def proposed(proposal: Proposal, rivals: Sequence[Rival]) -> dict[str, Any]:
+    """A proposal with its predictions, for the journal."""
+    return {
+        "block": proposal.block.name,
+        "what": proposal.block.what,
+        "hours": proposal.block.plan.duration_h,
+        "entropy": proposal.entropy,
+        "expected_entropy": proposal.expected_entropy,
+        "dwells": [row.dwell for row in proposal.rows],
+        "predictions": [
+            {
+                "hypothesis": rival.title,
+                "probability": rival.probability,
+                **{
+                    f"bias_{axis}_dph": prediction.mean_dph.reshape(3, -1)[gyro].tolist()
+                    for gyro, axis in enumerate(AXES)
+                },
+                **{
+                    f"sigma_{axis}_dph": np.sqrt(np.diag(prediction.covariance)).reshape(3, -1)[gyro].tolist()
+                    for gyro, axis in enumerate(AXES)
+                },
+            }
+            for rival, prediction in zip(rivals, proposal.predictions, strict=True)
+        ],
+    }
+
+
+def calibration_of(
+    forecast: Forecast,
+    profile: Profile,
+    rivals: Sequence[Rival],
+    noise_scale: float,
+    planner: BlockPlanner | None = None,
+) -> Calibration:
+    """What the dwells measured determine of the biases of a profile."""
+    start = (planner or AfterLastDwell()).start(forecast.measured)
+    whole = tuple(forecast.rows(profile.whole(forecast.measured, start)))
+    return Calibration(
+        profile.duration_h,
+        whole,
+        np.array([each.probability for each in rivals]),
+        np.array(_next_pass(forecast, whole, (), rivals, noise_scale)),
+        np.array(_next_pass(forecast, whole, whole, rivals, noise_scale, is_alone=True)),
+    )
+
+
+def _next_pass(
+    forecast: Forecast,
+    whole: Sequence[DwellRow],
+    new: Sequence[DwellRow],
+    rivals: Sequence[Rival],
+    noise_scale: float,
+    *,
+    is_alone: bool = False,
+) -> list[FloatArray]:
+    """Variances of the biases of the dwells of a profile after new ones, for each rival.
+
+    The power-on is the one that is known best. ``is_alone``: the new dwells are all that is measured.
+    """
+    runs = Counter(row.run for row in (new if is_alone else forecast.measured))
+    [(run, _)] = runs.most_common(1)
+    later_s = max(new[-1].end_s - whole[0].start_s, 0.0) if new else 0.0
+    number = 1 + max(row.dwell for row in [*whole, *new])
+    rows = [
+        replace(
+            row,
+            dwell=number + index,
+            run=run,
+            start_s=row.start_s + later_s,
+            end_s=row.end_s + later_s,
+            since_power_on_s=row.since_power_on_s + later_s,
+        )
+        for index, row in enumerate(whole)
+    ]
+    found = []
+    for each, _ in _linearized(forecast, [*new, *rows], rivals, noise_scale):
+        place = np.arange(len(each.sigma_dph) // 3) - len(each.sigma_dph) // 3 + len(rows)
+        known = (place < 0) & ((place >= -len(new)) | (not is_alone))
+        found.append(np.diag(each.covariance(known, place >= 0)))
+    return found
+
+
 def _predictions(
     forecast: Forecast, new: Sequence[DwellRow], rivals: Sequence[Rival], noise_scale: float
 ) -> list[Prediction]:
     """What each rival, fitted to dwells, predicts for new ones at their temperatures."""
+    found = []
+    for each, variance in _linearized(forecast, new, rivals, noise_scale):
+        is_new = np.arange(len(each.sigma_dph) // 3) >= len(each.sigma_dph) // 3 - len(new)
+        prediction = each.prediction(~is_new, is_new)
+        more = variance * np.eye(len(prediction.mean_dph))
+        found.append(Prediction(prediction.mean_dph, prediction.covariance + more))
+    return found
+
+
+def _linearized(
+    forecast: Forecast, new: Sequence[DwellRow], rivals: Sequence[Rival], noise_scale: float
+) -> list[tuple[Linearized, float]]:
+    """Each rival linearized about its fit to the dwells, and the variance of what it can't predict."""
     rows, known = forecast.measured, forecast.campaign
     campaign = campaign_of([*rows, *new])
     measured = ~np.isin(campaign.dwell, [row.dwell for row in new])
@@ -159,9 +267,8 @@ def _predictions(
     found = []
     for each in rivals:
         candidates, unknown_dph = _predictable(each, campaign, measured, known)
-        prediction = predict_dwells(campaign, measured, candidates, noise_scale, spread_dph)
-        more = (each.remainder_dph**2 + unknown_dph**2) * np.eye(len(prediction.mean_dph))
-        found.append(Prediction(prediction.mean_dph, prediction.covariance + more))
+        linear = linearized(campaign, measured, candidates, noise_scale, spread_dph)
+        found.append((linear, each.remainder_dph**2 + unknown_dph**2))
     return found
 
 

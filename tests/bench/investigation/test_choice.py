@@ -3,7 +3,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.investigation.choice import Prediction, entropy, expected_entropy, predict_dwells
+from gyrobench.bench.investigation.choice import Prediction, entropy, expected_entropy, linearized
 from tests.bench.investigation.simulated_bench import first_campaign, simulate
 
 
@@ -55,7 +55,7 @@ def test_the_declared_model_predicts_the_last_cycle_of_a_unit_without_effects():
         )
         campaign = campaign_of(rows)
         measured = campaign.cycle < campaign.cycle.max()
-        found = predict_dwells(campaign, measured, (), 1.0, 0.005)
+        found = linearized(campaign, measured, (), 1.0, 0.005).prediction(measured, ~measured)
         error = campaign.bias_dph[~measured].T.ravel() - found.mean_dph
         squares += float(error @ np.linalg.solve(found.covariance, error))
         count += len(error)

@@ -1,0 +1,141 @@
+"""The temperatures and positions of a procedure, which an adaptive campaign has to determine as well."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.closure.planned_campaign import PlannedUnit, planned_campaign
+from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.investigation.blocks import BlockStart, Kind, Timeline
+from gyrobench.bench.investigation.external_bench import BlockPlan
+from gyrobench.bench.procedure.plan import Plan
+
+_S_PER_H = 3600.0
+#: Soak before dwells of the procedure, in usual soaks of a block.
+_SOAK = 0.75
+#: Dwells of a block at one temperature, in those of the table.
+_LONG = 2.0
+
+
+@dataclass(frozen=True)
+class Visit:
+    """The dwells of a procedure at one set point, in order."""
+
+    set_c: float  #: Set point of the chamber.
+    positions: tuple[str, ...]  #: Of the dwells.
+
+
+@dataclass(frozen=True)
+class Profile:
+    """What a procedure measures, and in which time."""
+
+    visits: tuple[Visit, ...]  #: In the order of time.
+    ramp_c_per_h: float  #: Its fastest ramp.
+    duration_h: float  #: Of the whole procedure.
+
+    @classmethod
+    def of(cls, plan: Plan) -> Profile:
+        """The profile of a plan.
+
+        Raises DocumentError if it has fewer than two temperatures, and MeasurementError without dwells.
+        """
+        campaign = planned_campaign(plan, PlannedUnit())
+        places = list(zip(campaign.cycle.tolist(), campaign.set_c.tolist(), campaign.position, strict=True))
+        visits = [
+            Visit(set_c, tuple(position for *_, position in members))
+            for (_, set_c), members in groupby(places, key=lambda each: each[:2])
+        ]
+        if len({each.set_c for each in visits if np.isfinite(each.set_c)}) < 2:
+            raise DocumentError(
+                f"{plan.procedure.procedure}: has fewer than two temperatures. Leave --adaptive out"
+            )
+        ramps = [each.after.ramp_c_per_s for each in plan.steps]
+        return cls(tuple(visits), max(ramps) * _S_PER_H, plan.duration_s / _S_PER_H)
+
+    @property
+    def set_points_c(self) -> list[float]:
+        """Each temperature, the highest first."""
+        return sorted({each.set_c for each in self.visits}, reverse=True)
+
+    @property
+    def positions(self) -> list[str]:
+        """Each position, in the order of the procedure."""
+        return list(dict.fromkeys(position for each in self.visits for position in each.positions))
+
+    @property
+    def opening(self) -> tuple[tuple[float, ...], ...]:
+        """Set points of the cycles of the first campaign: extremes and middle, and the extremes again."""
+        points = self.set_points_c
+        middle = points[1:-1][len(points) // 2 - 1 : len(points) // 2]
+        return (points[0], points[-1], *middle), (points[0], points[-1])
+
+    def kinds(self) -> list[Kind]:
+        """Blocks of dwells at each temperature, which begin when the ramp ends and last while it settles."""
+
+        def leg(to_c: float, length: float) -> Any:
+            def add(timeline: Timeline) -> None:
+                timeline.ramp(to_c, self.ramp_c_per_h / timeline.times.ramp_c_per_h)
+                timeline.dwells(self.positions[:: -1 if timeline.next_cycle % 2 else 1], length=length)
+
+            return add
+
+        return [
+            Kind(
+                f"{words} at {to_c:g} degC",
+                f"measure all positions at {to_c:g} degC{more}",
+                leg(to_c, length),
+            )
+            for to_c in self.set_points_c
+            for words, more, length in (
+                ("dwells", " without a soak", 1.0),
+                ("long dwells", " in long dwells", _LONG),
+            )
+        ]
+
+    def whole(self, rows: Sequence[DwellRow], start: BlockStart | None) -> BlockPlan:
+        """The procedure measured after these dwells, from a power-on."""
+        timeline = Timeline(rows, start=start)
+        timeline.off_and_on()
+        for visit in self.visits:
+            timeline.ramp(visit.set_c, self.ramp_c_per_h / timeline.times.ramp_c_per_h)
+            timeline.soak(_SOAK * timeline.times.soak_h)
+            timeline.dwells(visit.positions)
+        return timeline.plan()
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What the dwells determine of the biases of m more, those of a profile, for each of k hypotheses."""
+
+    whole_h: float  #: Hours of the whole procedure.
+    whole: tuple[DwellRow, ...]  #: Its m dwells, as if they were measured next.
+    probabilities: FloatArray  #: Shape (k,).
+    variances: FloatArray  #: Shape (k, 3 m), (deg/h)^2.
+    reference: (
+        FloatArray  #: Shape (k, 3 m). If the whole procedure had been measured in place of these dwells.
+    )
+
+    @property
+    def ratio(self) -> float:
+        """Largest ratio of a standard uncertainty to that by the whole procedure, of all gyros and dwells."""
+        return float(np.min(self._precision(self.variances)) ** -0.5)
+
+    def replaced_h(self, after: Sequence[FloatArray]) -> float:
+        """Hours of the procedure that more dwells replace.
+
+        Precision grows with the hours; none is wanted beyond that by the whole procedure. ``after``: the
+        variances with these dwells.
+        """
+        before, more = (np.minimum(self._precision(each), 1.0) for each in (self.variances, np.array(after)))
+        return self.whole_h * float(np.mean(more - before))
+
+    def _precision(self, variances: FloatArray) -> FloatArray:
+        """Precision of each bias over that by the whole procedure."""
+        return np.asarray(self.probabilities @ self.reference / (self.probabilities @ variances))
