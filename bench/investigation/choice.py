@@ -117,14 +117,25 @@ def linearized(
     return Linearized(design, _solved(design[known], data[known], sigma[known], precision), sigma, precision)
 
 
-def expected_entropy(predictions: Sequence[Prediction], probabilities: FloatArray, seed: int = 0) -> float:
-    """Expected entropy, nats, of the probabilities (k,) of k hypotheses after a block was measured.
+@dataclass(frozen=True)
+class Expected:
+    """What is expected of the probabilities of hypotheses after a block was measured."""
+
+    entropy: float  #: Nats.
+    unsettled: float  #: Probability that no hypothesis is settled.
+    unsettled_entropy: float  #: Part of the entropy from outcomes after which none is.
+
+
+def expected_after(
+    predictions: Sequence[Prediction], probabilities: FloatArray, settled: float, seed: int = 0
+) -> Expected:
+    """Expected entropy of the probabilities (k,) of k hypotheses, one of which is settled from a value on.
 
     ``predictions``: of each hypothesis for the same dwells. The normal values are the same for each block, so
     that blocks are compared without the noise of the draws.
     """
     normals = np.random.default_rng(seed).standard_normal((_DRAWS, len(predictions[0].mean_dph)))
-    expected = 0.0
+    expected = np.zeros(3)
     for truth, probability in zip(predictions, probabilities, strict=True):
         outcomes = truth.draw(normals)
         logs = np.stack([each.log_likelihood(outcomes) for each in predictions], axis=1) + np.log(
@@ -132,8 +143,9 @@ def expected_entropy(predictions: Sequence[Prediction], probabilities: FloatArra
         )
         posterior = np.exp(logs - logs.max(axis=1, keepdims=True))
         posterior /= posterior.sum(axis=1, keepdims=True)
-        expected += float(probability * np.mean([entropy(each) for each in posterior]))
-    return expected
+        entropies, is_open = np.array([entropy(each) for each in posterior]), posterior.max(axis=1) < settled
+        expected += probability * np.mean([entropies, is_open, entropies * is_open], axis=1)
+    return Expected(*expected.tolist())
 
 
 def entropy(probabilities: FloatArray) -> float:

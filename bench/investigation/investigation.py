@@ -29,10 +29,12 @@ from gyrobench.bench.investigation.external_bench import BlockPlan, BlockRefused
 from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.investigation.profile import Calibration, Profile
 from gyrobench.bench.investigation.proposal import (
+    SETTLED,
     Outcome,
     Proposal,
     Rival,
     calibration_of,
+    hours_left,
     outcome_of,
     proposal_of,
     propose,
@@ -40,8 +42,6 @@ from gyrobench.bench.investigation.proposal import (
 )
 from gyrobench.bench.runs.journal import Journal, read_journal
 
-#: A cause is settled at this probability.
-SETTLED = 0.99
 #: Hypotheses less probable than this, and more than so many, are not predicted.
 _MIN_PROBABILITY = 1e-3
 _MAX_RIVALS = 6
@@ -249,12 +249,13 @@ class Investigator:
                 useful = [
                     each
                     for each in found
-                    if max(each.entropy - each.expected_entropy, each.replaced_h) > MIN_GAIN
+                    if max(each.fall, each.replaced_h) > MIN_GAIN
                     and (stage.purpose != TEST_LAW or each.block.name == NEW_CYCLE)
                 ]
                 if not useful:
                     return stage, self._no_block(stage)
-                best = max(useful, key=_test_per_h if stage.is_test else _worth_per_h(stage, useful))
+                hours = hours_left(useful, is_settled=stage.purpose == CALIBRATE)
+                best = max(useful, key=_test_per_h) if stage.is_test else min(useful, key=hours)
                 if not self._is_approved(best, stage, journal):
                     return stage, ("declined", "The proposed block was declined.")
             try:
@@ -454,16 +455,6 @@ def _remainder_dph(closure: Closure) -> float:
     residual_dph = (closure.campaign.bias_dph - closure.model.bias_dph)[closure.searched]
     variance = float(np.mean(residual_dph**2)) - closure.noise_dph**2
     return float(max(np.sqrt(max(variance, 0.0)), 0.5 * closure.noise_dph))
-
-
-def _worth_per_h(stage: Stage, proposals: Sequence[Proposal]) -> Callable[[Proposal], float]:
-    """Hours that a block saves of those that are left, per hour.
-
-    To settle the cause they are the entropy over its fastest fall; without a profile nothing else is left.
-    """
-    fastest = max(each.gain_per_h for each in proposals)
-    share = 0.0 if stage.purpose == CALIBRATE or fastest <= 0.0 else 1.0 / fastest
-    return lambda each: share * each.gain_per_h + each.replaced_h / each.block.plan.duration_h
 
 
 def _test_per_h(proposal: Proposal) -> float:

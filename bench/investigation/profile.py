@@ -71,10 +71,22 @@ class Profile:
 
     @property
     def opening(self) -> tuple[tuple[float, ...], ...]:
-        """Set points of the cycles of the first campaign: extremes and middle, and the extremes again."""
+        """Set points of the cycles of the first campaign: extremes and middle, and the lowest again.
+
+        At the lowest, effects of gravity and temperature are largest, and the next block can stay there.
+        """
         points = self.set_points_c
         middle = points[1:-1][len(points) // 2 - 1 : len(points) // 2]
-        return (points[0], points[-1], *middle), (points[0], points[-1])
+        return (points[-1], points[0], *middle), (points[-1],)
+
+    @property
+    def means(self) -> FloatArray:
+        """Means over the dwells of each set point and position, gyro by gyro, (3 m, 3 n)."""
+        places = [(each.set_c, position) for each in self.visits for position in each.positions]
+        of_dwell = np.array(
+            [[one == other for other in places] for one in dict.fromkeys(places)], dtype=float
+        )
+        return np.kron(np.eye(3), of_dwell / of_dwell.sum(axis=1, keepdims=True))
 
     def kinds(self) -> list[Kind]:
         """Blocks of dwells at each temperature, which begin when the ramp ends and last while it settles."""
@@ -112,29 +124,34 @@ class Profile:
 
 @dataclass(frozen=True)
 class Calibration:
-    """What the dwells determine of the biases of m more, those of a profile, for each of k hypotheses."""
+    """What the dwells determine of the biases of a profile, for each of k hypotheses.
+
+    There is one bias for each gyro, set point and position, m in all: the mean of its dwells.
+    """
 
     whole_h: float  #: Hours of the whole procedure.
-    whole: tuple[DwellRow, ...]  #: Its m dwells, as if they were measured next.
+    whole: tuple[DwellRow, ...]  #: The dwells of the profile, as if they were measured next.
+    means: FloatArray  #: Shape (m, 3 n). The biases from those of these n dwells, gyro by gyro.
     probabilities: FloatArray  #: Shape (k,).
-    variances: FloatArray  #: Shape (k, 3 m), (deg/h)^2.
-    reference: (
-        FloatArray  #: Shape (k, 3 m). If the whole procedure had been measured in place of these dwells.
-    )
+    variances: FloatArray  #: Shape (k, m), (deg/h)^2.
+    #: Shape (k, m). If the whole procedure had been measured in place of these dwells.
+    reference: FloatArray
 
     @property
     def ratio(self) -> float:
-        """Largest ratio of a standard uncertainty to that by the whole procedure, of all gyros and dwells."""
+        """Largest ratio of the standard uncertainty of a bias to that by the whole procedure."""
         return float(np.min(self._precision(self.variances)) ** -0.5)
 
-    def replaced_h(self, after: Sequence[FloatArray]) -> float:
-        """Hours of the procedure that more dwells replace.
+    def missing_h(self, variances: FloatArray) -> float:
+        """Hours of the procedure that are missing with some variances of the biases.
 
-        Precision grows with the hours; none is wanted beyond that by the whole procedure. ``after``: the
-        variances with these dwells.
+        Precision grows with the hours; none is wanted beyond that by the whole procedure.
         """
-        before, more = (np.minimum(self._precision(each), 1.0) for each in (self.variances, np.array(after)))
-        return self.whole_h * float(np.mean(more - before))
+        return self.whole_h * float(np.mean(1.0 - np.minimum(self._precision(variances), 1.0)))
+
+    def is_enough(self, after: FloatArray) -> bool:
+        """Whether all biases are as certain as by the whole procedure with the variances ``after``."""
+        return bool(np.min(self._precision(after)) >= 1.0)
 
     def _precision(self, variances: FloatArray) -> FloatArray:
         """Precision of each bias over that by the whole procedure."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,7 +17,14 @@ from gyrobench.bench.closure.effects.effect import Effect
 from gyrobench.bench.closure.problem import declared_problem
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms
 from gyrobench.bench.investigation.blocks import Block, BlockPlanner, catalogue
-from gyrobench.bench.investigation.choice import Linearized, Prediction, entropy, expected_entropy, linearized
+from gyrobench.bench.investigation.choice import (
+    Expected,
+    Linearized,
+    Prediction,
+    entropy,
+    expected_after,
+    linearized,
+)
 from gyrobench.bench.investigation.external_bench import AfterLastDwell
 from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.investigation.profile import Calibration, Profile
@@ -30,6 +37,8 @@ _PAIRED = 4
 _MIN_RUN_SPREAD = 30.0
 #: Temperatures of dwells that differ by less from the forecast are not worth a notice.
 _MIN_OFF_K = 10.0
+#: A cause is settled at this probability.
+SETTLED = 0.99
 
 
 @dataclass(frozen=True)
@@ -59,11 +68,13 @@ class Proposal:
     rows: tuple[DwellRow, ...]  #: Its dwells with forecast temperatures.
     predictions: tuple[Prediction, ...]  #: Of each rival, for the biases of these dwells.
     entropy: float  #: Of the rivals' probabilities, nats.
-    expected_entropy: float  #: After the block.
+    expected: Expected  #: After the block.
     #: How often its kinds were measured, the most of each, without settling the cause.
     repeats: int = 0
-    #: Hours of a profile that the block replaces; see :meth:`~.profile.Calibration.replaced_h`.
+    #: Hours of a profile that the block replaces; see :meth:`~.profile.Calibration.missing_h`.
     replaced_h: float = 0.0
+    missing_h: float = 0.0  #: Hours of a profile that are missing after the block.
+    is_enough: bool = True  #: Whether all biases of a profile are certain enough after the block.
 
     @property
     def gain_per_h(self) -> float:
@@ -71,8 +82,17 @@ class Proposal:
 
         Halved each time that a kind did not settle the cause: its predictions are too narrow.
         """
-        fall = (self.entropy - self.expected_entropy) / self.block.plan.duration_h
-        return fall * 0.5**self.repeats
+        return self.fall * self.trust / self.block.plan.duration_h
+
+    @property
+    def fall(self) -> float:
+        """Expected fall of the entropy, nats."""
+        return self.entropy - self.expected.entropy
+
+    @property
+    def trust(self) -> float:
+        """Share of what is expected that counts."""
+        return 1.0 / 2.0**self.repeats
 
     @property
     def difference(self) -> float:
@@ -130,8 +150,10 @@ def propose(
         found = replace(proposal_of(forecast, block, rivals, noise_scale), repeats=repeats)
         if calibration is None:
             return found
-        after = _next_pass(forecast, calibration.whole, found.rows, rivals, noise_scale)
-        return replace(found, replaced_h=calibration.replaced_h(after))
+        after = _next_pass(forecast, calibration.whole, calibration.means, found.rows, rivals, noise_scale)
+        missing_h, enough = calibration.missing_h(after), calibration.is_enough(after)
+        replaced_h = calibration.missing_h(calibration.variances) - missing_h
+        return replace(found, replaced_h=replaced_h, missing_h=missing_h, is_enough=enough)
 
     more = profile.kinds() if profile else ()
     paired = {kind for kinds in refused if len(kinds) > 1 for kind in kinds}
@@ -140,6 +162,29 @@ def propose(
     best = {each.block.name for each in found[:_PAIRED]}
     found += [proposal(each) for each in usable(catalogue(rows, best - paired, start, more))]
     return sorted(found, key=lambda each: -each.gain_per_h)
+
+
+def hours_left(proposals: Sequence[Proposal], *, is_settled: bool = False) -> Callable[[Proposal], float]:
+    """Expected hours until the cause is settled and the biases are certain enough, by the next block.
+
+    Afterwards the entropy and what is missing of a profile fall at the rates of the best blocks of today,
+    and where anything is left at least the shortest block follows. ``is_settled``: the cause is.
+    """
+    fastest = max(each.gain_per_h for each in proposals)
+    replacing = max(each.replaced_h / each.block.plan.duration_h for each in proposals)
+    shortest_h = min(each.block.plan.duration_h for each in proposals)
+
+    def left(each: Proposal) -> float:
+        hours, doubt = each.block.plan.duration_h, 1.0 - each.trust
+        if not is_settled:
+            entropy_left = each.trust * each.expected.unsettled_entropy + doubt * each.entropy
+            unsettled = each.trust * each.expected.unsettled + doubt
+            hours += max(entropy_left / max(fastest, 1e-9), unsettled * shortest_h)
+        if not each.is_enough:
+            hours += max(each.missing_h / max(replacing, 1e-9), shortest_h)
+        return hours
+
+    return left
 
 
 def proposal_of(forecast: Forecast, block: Block, rivals: Sequence[Rival], noise_scale: float) -> Proposal:
@@ -152,7 +197,7 @@ def proposal_of(forecast: Forecast, block: Block, rivals: Sequence[Rival], noise
         tuple(new),
         tuple(predictions),
         entropy(probabilities),
-        expected_entropy(predictions, probabilities),
+        expected_after(predictions, probabilities, SETTLED),
     )
 
 
@@ -163,7 +208,7 @@ def proposed(proposal: Proposal, rivals: Sequence[Rival]) -> dict[str, Any]:
         "what": proposal.block.what,
         "hours": proposal.block.plan.duration_h,
         "entropy": proposal.entropy,
-        "expected_entropy": proposal.expected_entropy,
+        "expected_entropy": proposal.expected.entropy,
         "dwells": [row.dwell for row in proposal.rows],
         "predictions": [
             {
@@ -193,25 +238,28 @@ def calibration_of(
     """What the dwells measured determine of the biases of a profile."""
     start = (planner or AfterLastDwell()).start(forecast.measured)
     whole = tuple(forecast.rows(profile.whole(forecast.measured, start)))
+    means = profile.means
     return Calibration(
         profile.duration_h,
         whole,
+        means,
         np.array([each.probability for each in rivals]),
-        np.array(_next_pass(forecast, whole, (), rivals, noise_scale)),
-        np.array(_next_pass(forecast, whole, whole, rivals, noise_scale, is_alone=True)),
+        _next_pass(forecast, whole, means, (), rivals, noise_scale),
+        _next_pass(forecast, whole, means, whole, rivals, noise_scale, is_alone=True),
     )
 
 
 def _next_pass(
     forecast: Forecast,
     whole: Sequence[DwellRow],
+    means: FloatArray,
     new: Sequence[DwellRow],
     rivals: Sequence[Rival],
     noise_scale: float,
     *,
     is_alone: bool = False,
-) -> list[FloatArray]:
-    """Variances of the biases of the dwells of a profile after new ones, for each rival.
+) -> FloatArray:
+    """Variances of means of the dwells of a profile after new ones, for each rival, (k, m).
 
     The power-on is the one that is known best. ``is_alone``: the new dwells are all that is measured.
     """
@@ -234,8 +282,8 @@ def _next_pass(
     for each, _ in _linearized(forecast, [*new, *rows], rivals, noise_scale):
         place = np.arange(len(each.sigma_dph) // 3) - len(each.sigma_dph) // 3 + len(rows)
         known = (place < 0) & ((place >= -len(new)) | (not is_alone))
-        found.append(np.diag(each.covariance(known, place >= 0)))
-    return found
+        found.append(np.diag(means @ each.covariance(known, place >= 0) @ means.T))
+    return np.array(found)
 
 
 def _predictions(

@@ -90,7 +90,7 @@ class Tie:
             useful = [
                 each
                 for each in state.proposals
-                if each.entropy - each.expected_entropy > MIN_GAIN and each.block.plan.duration_h <= left_h
+                if each.fall > MIN_GAIN and each.block.plan.duration_h <= left_h
             ]
             choice_s = max(choice_s, state.choice_s)
             if not useful or len(blocks) == _MAX_BLOCKS:

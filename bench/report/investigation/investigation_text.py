@@ -41,7 +41,7 @@ def proposal_sentences(proposal: Proposal, rivals: Sequence[Rival], limit: int =
     yield (
         f"{what[:1].upper()}{what[1:]}: {counted(len(plan.dwells), 'dwell')} in {plan.duration_h:.1f} h. The "
         f"entropy of the probabilities is expected to fall from {proposal.entropy:.2f} to "
-        f"{proposal.expected_entropy:.2f} nats.{biases if proposal.replaced_h else ''}"
+        f"{proposal.expected.entropy:.2f} nats.{biases if proposal.replaced_h else ''}"
     )
     for rival, prediction in list(zip(rivals, proposal.predictions, strict=True))[:limit]:
         mean_dph = prediction.mean_dph.reshape(3, -1)
