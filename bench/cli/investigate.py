@@ -26,8 +26,9 @@ if TYPE_CHECKING:
     from gyrobench.bench.engine.job import Job
     from gyrobench.bench.engine.observers import RunObserver
     from gyrobench.bench.engine.operator import Operator
+    from gyrobench.bench.investigation.choice import Rival
     from gyrobench.bench.investigation.investigation import Investigation
-    from gyrobench.bench.investigation.proposal import Proposal, Rival
+    from gyrobench.bench.investigation.proposal import Proposal
     from gyrobench.bench.monitor.terminal import RunConsole
     from gyrobench.bench.verification.compensation_verification import VerificationResult
 

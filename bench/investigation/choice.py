@@ -14,6 +14,7 @@ import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate
+from gyrobench.bench.closure.effects.effect import Effect
 from gyrobench.bench.closure.problem import DEGREE, declared_columns
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 
@@ -24,6 +25,25 @@ _DRAWS = 96
 _MAX_SIZE = 300.0
 _PARAMETER_SHARE = 0.3
 _STEP_SHARE = 0.02
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A hypothesis that may be the cause."""
+
+    names: tuple[str, ...]  #: Its effects; empty for none.
+    candidates: tuple[Candidate, ...]  #: As fitted.
+    probability: float  #: Of all rivals together 1.
+    #: Rms of something that is not on the list beside the effects, deg/h; zero for none.
+    remainder_dph: float = 0.0
+    #: Effects among them that were not fitted, since the dwells lack an input; what imitates them was.
+    unfitted: tuple[Effect, ...] = ()
+
+    @property
+    def title(self) -> str:
+        """Its effects by name: "warm_up + time_drift", "nothing", "... + not on the list"."""
+        names = " + ".join(self.names) or "nothing"
+        return f"{names} + not on the list" if self.remainder_dph else names
 
 
 @dataclass(frozen=True)

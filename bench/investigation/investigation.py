@@ -25,6 +25,7 @@ from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
 from gyrobench.bench.foundations.files import make_folder, write_whole
 from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.investigation.blocks import NEW_CYCLE, Block, BlockPlanner
+from gyrobench.bench.investigation.choice import Rival
 from gyrobench.bench.investigation.external_bench import BlockPlan, BlockRefusedError
 from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.investigation.profile import Calibration, Profile
@@ -32,7 +33,6 @@ from gyrobench.bench.investigation.proposal import (
     SETTLED,
     Outcome,
     Proposal,
-    Rival,
     calibration_of,
     hours_left,
     outcome_of,
@@ -216,8 +216,9 @@ class Investigator:
                     test, failed = self._with_block(test, journal)
                     stage = test if failed is None else stage
                     ended = failed and (failed if failed[0] == "bench_failed" else ended)
-                elif ended and ended[0] in _CONCLUSIVE and stage.is_uncertain:
-                    stage, failed = self._with_block(replace(stage, purpose=CALIBRATE), journal)
+                elif ended and ended[0] in _CONCLUSIVE and stage.is_uncertain and stage.calibration:
+                    stage = replace(stage, purpose=CALIBRATE, rivals=stage.calibration.rivals)
+                    stage, failed = self._with_block(stage, journal)
                     ended = failed and (failed if failed[0] in ("bench_failed", "declined") else ended)
                 self._stages.append(stage)
             journal.record("investigation_ended", ended=ended[0], reason=ended[1])
@@ -252,6 +253,11 @@ class Investigator:
                     if max(each.fall, each.replaced_h) > MIN_GAIN
                     and (stage.purpose != TEST_LAW or each.block.name == NEW_CYCLE)
                 ]
+                if not useful and stage.is_uncertain:
+                    return stage, (
+                        "budget",
+                        f"No block is short enough for the {left_h:.1f} h that are left.",
+                    )
                 if not useful:
                     return stage, self._no_block(stage)
                 hours = hours_left(useful, is_settled=stage.purpose == CALIBRATE)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import groupby
 from typing import Any
 
@@ -14,6 +15,7 @@ from gyrobench.bench.closure.planned_campaign import PlannedUnit, planned_campai
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.investigation.blocks import BlockStart, Kind, Timeline
+from gyrobench.bench.investigation.choice import Rival
 from gyrobench.bench.investigation.external_bench import BlockPlan
 from gyrobench.bench.procedure.plan import Plan
 
@@ -79,14 +81,12 @@ class Profile:
         middle = points[1:-1][len(points) // 2 - 1 : len(points) // 2]
         return (points[-1], points[0], *middle), (points[-1],)
 
-    @property
+    @cached_property
     def means(self) -> FloatArray:
-        """Means over the dwells of each set point and position, gyro by gyro, (3 m, 3 n)."""
+        """Means over the n dwells of each of m set points and positions, gyro by gyro, (3 m, 3 n)."""
         places = [(each.set_c, position) for each in self.visits for position in each.positions]
-        of_dwell = np.array(
-            [[one == other for other in places] for one in dict.fromkeys(places)], dtype=float
-        )
-        return np.kron(np.eye(3), of_dwell / of_dwell.sum(axis=1, keepdims=True))
+        found = np.array([[one == other for other in places] for one in dict.fromkeys(places)], dtype=float)
+        return np.kron(np.eye(3), found / found.sum(axis=1, keepdims=True))
 
     def kinds(self) -> list[Kind]:
         """Blocks of dwells at each temperature, which begin when the ramp ends and last while it settles."""
@@ -129,30 +129,29 @@ class Calibration:
     There is one bias for each gyro, set point and position, m in all: the mean of its dwells.
     """
 
-    whole_h: float  #: Hours of the whole procedure.
+    profile: Profile
     whole: tuple[DwellRow, ...]  #: The dwells of the profile, as if they were measured next.
-    means: FloatArray  #: Shape (m, 3 n). The biases from those of these n dwells, gyro by gyro.
-    probabilities: FloatArray  #: Shape (k,).
+    rivals: tuple[Rival, ...]  #: The k hypotheses.
     variances: FloatArray  #: Shape (k, m), (deg/h)^2.
     #: Shape (k, m). If the whole procedure had been measured in place of these dwells.
     reference: FloatArray
 
     @property
     def ratio(self) -> float:
-        """Largest ratio of the standard uncertainty of a bias to that by the whole procedure."""
-        return float(np.min(self._precision(self.variances)) ** -0.5)
+        """Largest ratio, of the gyros, of the rms standard uncertainty to that by the whole procedure."""
+        return float(self._precision(self.variances) ** -0.5)
 
     def missing_h(self, variances: FloatArray) -> float:
         """Hours of the procedure that are missing with some variances of the biases.
 
         Precision grows with the hours; none is wanted beyond that by the whole procedure.
         """
-        return self.whole_h * float(np.mean(1.0 - np.minimum(self._precision(variances), 1.0)))
+        return self.profile.duration_h * max(1.0 - self._precision(variances), 0.0)
 
-    def is_enough(self, after: FloatArray) -> bool:
-        """Whether all biases are as certain as by the whole procedure with the variances ``after``."""
-        return bool(np.min(self._precision(after)) >= 1.0)
-
-    def _precision(self, variances: FloatArray) -> FloatArray:
-        """Precision of each bias over that by the whole procedure."""
-        return np.asarray(self.probabilities @ self.reference / (self.probabilities @ variances))
+    def _precision(self, variances: FloatArray) -> float:
+        """Precision of the biases of the least certain gyro, over that by the whole procedure."""
+        probabilities = np.array([each.probability for each in self.rivals])
+        own, whole = (
+            (probabilities @ each).reshape(3, -1).mean(axis=1) for each in (variances, self.reference)
+        )
+        return float(np.min(whole / own))

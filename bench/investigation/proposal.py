@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
@@ -13,7 +14,6 @@ from scipy.special import chdtrc
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.closure.campaign import Campaign, campaign_of
 from gyrobench.bench.closure.candidates import Candidate, best_start, solve_with
-from gyrobench.bench.closure.effects.effect import Effect
 from gyrobench.bench.closure.problem import declared_problem
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms
 from gyrobench.bench.investigation.blocks import Block, BlockPlanner, catalogue
@@ -21,6 +21,7 @@ from gyrobench.bench.investigation.choice import (
     Expected,
     Linearized,
     Prediction,
+    Rival,
     entropy,
     expected_after,
     linearized,
@@ -42,25 +43,6 @@ SETTLED = 0.99
 
 
 @dataclass(frozen=True)
-class Rival:
-    """A hypothesis that may be the cause."""
-
-    names: tuple[str, ...]  #: Its effects; empty for none.
-    candidates: tuple[Candidate, ...]  #: As fitted.
-    probability: float  #: Of all rivals together 1.
-    #: Rms of something that is not on the list beside the effects, deg/h; zero for none.
-    remainder_dph: float = 0.0
-    #: Effects among them that were not fitted, since the dwells lack an input; what imitates them was.
-    unfitted: tuple[Effect, ...] = ()
-
-    @property
-    def title(self) -> str:
-        """Its effects by name: "warm_up + time_drift", "nothing", "... + not on the list"."""
-        names = " + ".join(self.names) or "nothing"
-        return f"{names} + not on the list" if self.remainder_dph else names
-
-
-@dataclass(frozen=True)
 class Proposal:
     """A block with its utility and what each rival predicts."""
 
@@ -74,7 +56,6 @@ class Proposal:
     #: Hours of a profile that the block replaces; see :meth:`~.profile.Calibration.missing_h`.
     replaced_h: float = 0.0
     missing_h: float = 0.0  #: Hours of a profile that are missing after the block.
-    is_enough: bool = True  #: Whether all biases of a profile are certain enough after the block.
 
     @property
     def gain_per_h(self) -> float:
@@ -150,10 +131,11 @@ def propose(
         found = replace(proposal_of(forecast, block, rivals, noise_scale), repeats=repeats)
         if calibration is None:
             return found
-        after = _next_pass(forecast, calibration.whole, calibration.means, found.rows, rivals, noise_scale)
-        missing_h, enough = calibration.missing_h(after), calibration.is_enough(after)
+        whole, means = calibration.whole, calibration.profile.means
+        after = _next_pass(forecast, whole, means, found.rows, calibration.rivals, noise_scale)
+        missing_h = calibration.missing_h(after)
         replaced_h = calibration.missing_h(calibration.variances) - missing_h
-        return replace(found, replaced_h=replaced_h, missing_h=missing_h, is_enough=enough)
+        return replace(found, replaced_h=replaced_h, missing_h=missing_h)
 
     more = profile.kinds() if profile else ()
     paired = {kind for kinds in refused if len(kinds) > 1 for kind in kinds}
@@ -180,7 +162,7 @@ def hours_left(proposals: Sequence[Proposal], *, is_settled: bool = False) -> Ca
             entropy_left = each.trust * each.expected.unsettled_entropy + doubt * each.entropy
             unsettled = each.trust * each.expected.unsettled + doubt
             hours += max(entropy_left / max(fastest, 1e-9), unsettled * shortest_h)
-        if not each.is_enough:
+        if each.missing_h:
             hours += max(each.missing_h / max(replacing, 1e-9), shortest_h)
         return hours
 
@@ -238,15 +220,22 @@ def calibration_of(
     """What the dwells measured determine of the biases of a profile."""
     start = (planner or AfterLastDwell()).start(forecast.measured)
     whole = tuple(forecast.rows(profile.whole(forecast.measured, start)))
-    means = profile.means
+    means, rivals = profile.means, _leading(rivals)
     return Calibration(
-        profile.duration_h,
+        profile,
         whole,
-        means,
-        np.array([each.probability for each in rivals]),
+        rivals,
         _next_pass(forecast, whole, means, (), rivals, noise_scale),
         _next_pass(forecast, whole, means, whole, rivals, noise_scale, is_alone=True),
     )
+
+
+def _leading(rivals: Sequence[Rival]) -> tuple[Rival, ...]:
+    """The most probable rivals, of together :data:`SETTLED`, as if there were no others."""
+    before = np.cumsum([0.0, *(each.probability for each in rivals)])[:-1]
+    kept = list(itertools.compress(rivals, before < SETTLED))
+    total = sum(each.probability for each in kept)
+    return tuple(replace(each, probability=each.probability / total) for each in kept)
 
 
 def _next_pass(

@@ -124,7 +124,7 @@ def found_by(unit, rows, hours, closure):
     """Outcome of a campaign."""
     rivals = rivals_of(closure)
     known = calibration_of(Forecast(closure.noise.weighted(rows)), PROFILE, rivals, closure.noise_scale)
-    variance = known.probabilities @ known.variances
+    variance = np.array([each.probability for each in known.rivals]) @ known.variances
     set_c = unit._set_c[-1]
     hours += abs(set_c - _END_C) / _END_C_PER_H
     causes = frozenset(each.effect.name for each in closure.effects)

@@ -6,8 +6,9 @@ from collections.abc import Iterator, Sequence
 
 from gyrobench.bench.closure.loop import Closure
 from gyrobench.bench.foundations.text import counted, listed, plain_name, probability_number
+from gyrobench.bench.investigation.choice import Rival
 from gyrobench.bench.investigation.investigation import CONFIRM, Investigation, Stage, rivals_of
-from gyrobench.bench.investigation.proposal import Proposal, Rival
+from gyrobench.bench.investigation.proposal import Proposal
 from gyrobench.bench.navigation.positions import AXES
 
 #: Gist of each end.
@@ -80,8 +81,8 @@ def calibration_sentence(found: Investigation) -> str:
     if found.calibration is None:
         return ""
     return (
-        "The standard uncertainty of a bias predicted for the next pass is at most "
-        f"{found.calibration.ratio:.2f} times that by the whole procedure."
+        "The rms standard uncertainty of the biases of a gyro, predicted for the procedure, is at most "
+        f"{found.calibration.ratio:.2f} times that of measuring it."
     )
 
 
