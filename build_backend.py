@@ -29,6 +29,7 @@ _LINKED = (
     "imports",
     "rotations",
     "schemas",
+    "conformance",
 )
 
 

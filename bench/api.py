@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from gyrobench.bench.closure.loop import Closure
-    from gyrobench.bench.engine.observers import RunObserver
+    from gyrobench.bench.engine.observers import FailOn, RunObserver
     from gyrobench.bench.engine.operator import Operator
     from gyrobench.drivers.frames import FrameBlock
     from gyrobench.drivers.ins.navigation_data import NavigationData
@@ -75,6 +75,11 @@ class Run:
     def bias_bins(self) -> pd.DataFrame:
         """Bias per gyro, position and temperature bin, as in ``bias_bins.csv``."""
         return _csv_frame(self.folder.bias_bins)
+
+    @cached_property
+    def budget(self) -> pd.DataFrame:
+        """Uncertainty budget of each dwell and bin, as in ``budget.csv``."""
+        return _csv_frame(self.folder.budget)
 
     @cached_property
     def telemetry(self) -> pd.DataFrame:
@@ -152,9 +157,11 @@ def run(
     *,
     world: str = "gyro_a",
     seed: int = 0,
+    faults: str = "",
     out: str | Path | None = None,
     operator: Operator | None = None,
     observer: RunObserver | None = None,
+    fail_on: FailOn | None = None,
 ) -> Run:
     """Run a procedure, as ``gyrobench run`` does.
 
@@ -164,6 +171,8 @@ def run(
         Files by path, or shipped ones by name; the world is that of emulated instruments.
     seed : int
         Of the emulated instruments' noise.
+    faults : str, optional
+        Faults of the emulated instruments: a file by path, or a shipped one by name.
     out : str or Path, optional
         The run folder, absent or empty; by default a new one under ``runs/``.
     operator : Operator, optional
@@ -171,6 +180,8 @@ def run(
         has to be given.
     observer : optional
         Who watches the run.
+    fail_on : {"rejected", "flagged"}, optional
+        Raise if the unit is rejected; with "flagged" also if a dwell has flags.
 
     Raises
     ------
@@ -179,7 +190,8 @@ def run(
     InstrumentError, BenchInUseError, RunFolderError
         The run can't begin.
     MeasurementError
-        The run ended before its procedure did; what it measured is in the run folder.
+        The run ended before its procedure did, or is what ``fail_on`` says; what it measured is in the run
+        folder.
     """
     from gyrobench.bench.engine.job import prepare_job
     from gyrobench.bench.engine.observers import RunObserver
@@ -189,7 +201,7 @@ def run(
 
     if seed < 0:
         raise DocumentError(f"seed must not be negative; found {seed}")
-    job = prepare_job(procedure, station, Emulation(world, seed, ""))
+    job = prepare_job(procedure, station, Emulation(world, seed, faults))
     if operator is None:
         if not job.is_virtual:
             raise DocumentError(
@@ -199,6 +211,8 @@ def run(
     folder, outcome = run_job(job, None if out is None else Path(out), observer or RunObserver(), operator)
     if outcome.ended != "finished":
         raise MeasurementError(f"{folder.path}: the run {outcome.ended}: {outcome.reason}")
+    if shortcoming := outcome.shortcoming(fail_on):
+        raise MeasurementError(f"{folder.path}: {shortcoming}")
     return Run(folder.path)
 
 

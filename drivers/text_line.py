@@ -1,8 +1,8 @@
 """Lines of text to and from an instrument, one reply after each request.
 
 A reply does not name its request. So after a failed exchange nothing is sent until the line has been
-silent for the reply time-out. A reply later than twice the reply time-out can't be distinguished from
-the reply to the next request.
+silent for the reply time-out, and the next reply counts only if no further one follows it: an instrument
+answers in the order of the requests.
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ from gyrobench.drivers.serial_line import SerialLine
 
 _MAX_REPLY_BYTES = 256
 _SHOWN_BYTES = 60
+#: After a late reply, that to the present request begins within this time.
+_NEXT_REPLY_S = 0.5
 _NUMBER = re.compile(rb"[-+]?(?:[0-9]{1,15}(?:\.[0-9]{0,15})?|\.[0-9]{1,15})(?:[eE][-+]?[0-9]{1,3})?")
 
 LINE_ENDINGS = {"cr": b"\r", "crlf": b"\r\n", "lf": b"\n"}
@@ -36,6 +38,7 @@ class TextLine:
         self._end_of_reply = end_of_reply
         self._reply_timeout_s = reply_timeout_s
         self._out_of_step = False
+        self._awaits_late_reply = False
 
     def send(self, request: str) -> None:
         """Send a request; input that arrived before is discarded."""
@@ -59,6 +62,7 @@ class TextLine:
             try:
                 byte, begun = begun or self.line.read(1, deadline), b""
             except NoReplyError as error:
+                self._awaits_late_reply = True
                 part = f", only {_shown(reply)}" if reply else ""
                 raise NoReplyError(
                     self.line.instrument,
@@ -76,8 +80,10 @@ class TextLine:
 
     def ask(self, request: str) -> bytes:
         """Send a request and wait for its reply; raises what :meth:`receive` raises."""
+        may_be_late, self._awaits_late_reply = self._awaits_late_reply, False
         self.send(request)
-        return self.receive(request)
+        reply = self.receive(request)
+        return (may_be_late and self.more(request, _NEXT_REPLY_S)) or reply
 
     def more(self, request: str, within_s: float, *, may_be_empty: bool = False) -> bytes | None:
         """Wait for a further reply that begins within a time, else None; raises as :meth:`receive`."""

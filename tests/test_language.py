@@ -17,6 +17,7 @@ FOLDERS = (
     "faults",
     "imports",
     "rotations",
+    "conformance",
     "tests",
 )
 

@@ -5,7 +5,8 @@ and M the matrix of scale factor errors (diagonal) and misalignments: the paper'
 how much sensor i senses of axis j. These are 24 coefficients in a body frame given from outside, as by a
 case or a table. Increments alone know no such frame: here body x is the input axis of the x accelerometer,
 and that of the y accelerometer lies in the plane of x and y. Then the accelerometers' matrix is lower
-triangular, and 21 coefficients are independent.
+triangular, and 21 coefficients are independent. Gyros may fix the body frame in the same way instead; any
+other frame, as of a case, follows by :meth:`SensorErrors.turned`.
 
 References
 ----------
@@ -17,12 +18,19 @@ Symposium Gyro Technology, Stuttgart 1985: body frame fixed to the accelerometer
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Self
 
 import numpy as np
 
-from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, UG_TO_MPS2, FloatArray
+from gyrobench.bench.foundations.arrays import (
+    RADPS_TO_DPH,
+    STANDARD_GRAVITY,
+    UG_TO_MPS2,
+    BoolArray,
+    FloatArray,
+)
 from gyrobench.bench.navigation.positions import AXES
 
 _RAD_TO_ARCSEC = 3600.0 * 180.0 / np.pi
@@ -35,7 +43,7 @@ class Coefficient:
     """One coefficient."""
 
     sensor: str  #: "gyro" or "accelerometer".
-    kind: str  #: "bias", "scale_factor" or "misalignment".
+    kind: str  #: "bias", "scale_factor" or "misalignment"; or what is estimated beside them.
     axis: str  #: "x"; of a misalignment the sensor and the axis that it senses: "xy".
     unit: str  #: Unit in tables.
     per_si: float  #: Value in that unit for a value of 1 in SI (rad/s, m/s^2, 1, rad).
@@ -59,12 +67,38 @@ def _element(sensor: str, i: int, j: int) -> Coefficient:
     return Coefficient(sensor, "misalignment", AXES[i] + AXES[j], "arcsec", _RAD_TO_ARCSEC, 0.01)
 
 
-#: The 21 independent coefficients, in the order of vectors.
-COEFFICIENTS: tuple[Coefficient, ...] = (
-    *(_bias("gyro", axis) for axis in AXES),
-    *(_element("gyro", i, j) for i in range(3) for j in range(3)),
-    *(_bias("accelerometer", axis) for axis in AXES),
-    *(_element("accelerometer", int(i), int(j)) for i, j in zip(*LOWER, strict=True)),
+_ALL = tuple((i, j) for i in range(3) for j in range(3))
+_LOWER = tuple((int(i), int(j)) for i, j in zip(*LOWER, strict=True))
+
+
+def _coefficients(
+    gyro: Sequence[tuple[int, int]], force: Sequence[tuple[int, int]]
+) -> tuple[Coefficient, ...]:
+    return (
+        *(_bias("gyro", axis) for axis in AXES),
+        *(_element("gyro", *place) for place in gyro),
+        *(_bias("accelerometer", axis) for axis in AXES),
+        *(_element("accelerometer", *place) for place in force),
+    )
+
+
+#: The 21 independent coefficients in the body frame of the accelerometers, in the order of vectors.
+COEFFICIENTS = _coefficients(_ALL, _LOWER)
+#: The same in the body frame of the gyros.
+GYRO_FRAME_COEFFICIENTS = _coefficients(_LOWER, _ALL)
+#: What may be estimated beside them: places of the accelerometers in the unit, their delay against the gyros,
+#: and their quadratic terms, ``K2 f^2``.
+BESIDE = (
+    *(
+        Coefficient("accelerometer", "lever_arm", AXES[i] + AXES[j], "mm", 1e3, 0.2)
+        for i in range(3)
+        for j in range(3)
+    ),
+    Coefficient("accelerometer", "delay", "", "ms", 1e3, 0.01),
+    *(
+        Coefficient("accelerometer", "quadratic", axis, "ug/g2", STANDARD_GRAVITY**2 / UG_TO_MPS2, 1e-4)
+        for axis in AXES
+    ),
 )
 COUNT = len(COEFFICIENTS)
 _GYRO_BIAS, _GYRO_MATRIX = slice(0, 3), slice(3, 12)
@@ -105,14 +139,14 @@ class SensorErrors:
         )
 
     def in_accelerometer_frame(self) -> tuple[SensorErrors, FloatArray]:
-        """The same sensors in the body frame fixed to the accelerometers, and the rotation (3, 3) to it.
+        """The same sensors in the body frame fixed to the accelerometers, and the rotation (3, 3) to it."""
+        rotation = _rotation_to_lower(self.force_matrix)
+        return self.turned(rotation), rotation
 
-        With ``I + M = L Q``, L lower triangular, the accelerometers measure ``L (Q f)``: Q turns vectors of
-        the given frame into the accelerometers' one.
-        """
-        upper = np.linalg.qr((np.eye(3) + self.force_matrix).T)
-        signs = np.sign(np.diag(upper.R))
-        return self.turned((upper.Q * signs).T), (upper.Q * signs).T
+    def in_gyro_frame(self) -> tuple[SensorErrors, FloatArray]:
+        """The same sensors in the body frame fixed to the gyros, and the rotation (3, 3) to it."""
+        rotation = _rotation_to_lower(self.gyro_matrix)
+        return self.turned(rotation), rotation
 
     def turned(self, rotation: FloatArray) -> SensorErrors:
         """The same sensors in another body frame, to which ``rotation`` (3, 3) turns vectors of this one."""
@@ -131,5 +165,73 @@ class SensorErrors:
         )
 
 
+def _rotation_to_lower(matrix: FloatArray) -> FloatArray:
+    """Rotation (3, 3) to the body frame in which a triad's matrix is lower triangular.
+
+    With ``I + M = L Q``, L lower triangular, the triad measures ``L (Q v)``: Q turns vectors of the given
+    frame into the triad's.
+    """
+    upper = np.linalg.qr((np.eye(3) + matrix).T)
+    return np.asarray((upper.Q * np.sign(np.diag(upper.R))).T)
+
+
 def _removed(measured: FloatArray, bias: FloatArray, matrix: FloatArray, interval_s: float) -> FloatArray:
     return np.ascontiguousarray((measured - bias * interval_s) @ np.linalg.inv(np.eye(3) + matrix).T)
+
+
+@dataclass(frozen=True, eq=False)
+class CoefficientEstimate:
+    """Coefficients of one unit with their uncertainties."""
+
+    #: values, covariance, is_observed: Shapes (n,), (n, n), (n,). Of the ``coefficients``, SI; without
+    #: meaning where not observed.
+    values: FloatArray
+    covariance: FloatArray
+    is_observed: BoolArray
+    coefficients: tuple[Coefficient, ...] = field(default=COEFFICIENTS, kw_only=True)
+
+    @property
+    def sigmas(self) -> FloatArray:
+        """Standard uncertainties (n,), SI."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def correlations(self) -> FloatArray:
+        """Correlation coefficients (n, n)."""
+        return np.asarray(self.covariance / np.outer(self.sigmas, self.sigmas))
+
+    @property
+    def errors(self) -> SensorErrors:
+        """The coefficients, in the accelerometers' body frame, as matrices."""
+        return SensorErrors.from_vector(np.where(self.is_observed, self.values, 0.0)[:COUNT])
+
+    def in_gyro_frame(self) -> CoefficientEstimate:
+        """The 21 coefficients, from the accelerometers' body frame, in that of the gyros.
+
+        A coefficient is observed there if all those are that it depends on.
+        """
+        is_observed = self.is_observed[:COUNT]
+        values = np.where(is_observed, self.values[:COUNT], 0.0)
+        steps = _STEP * np.array([each.size for each in COEFFICIENTS])
+        jacobian = np.column_stack(
+            [
+                (_gyro_frame_vector(values + step) - _gyro_frame_vector(values - step)) / (2.0 * step.sum())
+                for step in np.diag(steps)
+            ]
+        )
+        rests_on_unseen = (np.abs(jacobian) > _MIN_SHARE)[:, ~is_observed].any(axis=1)
+        covariance = jacobian @ self.covariance[:COUNT, :COUNT] @ jacobian.T
+        return CoefficientEstimate(
+            _gyro_frame_vector(values), covariance, ~rests_on_unseen, coefficients=GYRO_FRAME_COEFFICIENTS
+        )
+
+
+#: Step of a numerical derivative, in sizes of the coefficients; smaller derivatives are of second order.
+_STEP, _MIN_SHARE = 1e-3, 0.1
+
+
+def _gyro_frame_vector(values: FloatArray) -> FloatArray:
+    there, _ = SensorErrors.from_vector(values).in_gyro_frame()
+    return np.concatenate(
+        [there.gyro_bias, there.gyro_matrix[LOWER], there.force_bias, there.force_matrix.ravel()]
+    )

@@ -19,11 +19,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from gyrobench.bench.bias.statistics import Chi2Test, chi2_test, compress, solve
-from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, SensorErrors
+from gyrobench.bench.calibration.coefficients import (
+    BESIDE,
+    COEFFICIENTS,
+    COUNT,
+    CoefficientEstimate,
+    SensorErrors,
+)
 from gyrobench.bench.calibration.recording import (
     IncrementRecording,
     Rest,
@@ -33,18 +40,16 @@ from gyrobench.bench.calibration.recording import (
     find_rotations,
     measure_noise,
 )
-from gyrobench.bench.calibration.strapdown import ATTITUDE, DELAY, LEVER_ARMS, integrate
-from gyrobench.bench.calibration.whitening import white_rows
-from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
+from gyrobench.bench.calibration.section import Section
+from gyrobench.bench.calibration.strapdown import ATTITUDE, DELAY, LEVER_ARMS, QUADRATIC, UNKNOWNS, white_rows
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import rotation_matrices
 from gyrobench.bench.navigation.earth import EARTH_RATE
 from gyrobench.bench.navigation.error_model import Site
 
-#: Time between two velocities at rest, s: closer ones would average noise of the output alone.
-EPOCH_S = 1.0
-#: Large sizes of what is not a coefficient, SI: lever arms, delay, attitude error at the start.
-_LEVER_ARM, _DELAY, _ATTITUDE_ERROR = 0.2, 0.01, 0.5
+#: Large attitude error at the start, rad.
+ATTITUDE_ERROR = 0.5
 #: An unknown is observed if sizes ten times as large let its uncertainty grow by less than this.
 _MAX_GROWTH = 1.1
 #: Rounds of linearisation; the last one changes the weighted sum of squares by less than this, and each
@@ -58,6 +63,8 @@ _MAX_RATE_RATIO = 1.01
 _OPPOSITE, _MAX_WIDENING = 0.1, 10.0
 #: Below this probability the noise alone does not explain the residuals.
 MIN_P_VALUE = 1e-3
+#: Smallest relative error of the time that is looked for.
+_MIN_TIME_ERROR = 3e-4
 #: Epochs at rest over which residuals are summed for the test of fit.
 _FIT_EPOCHS = 60
 
@@ -68,6 +75,7 @@ class CalibrationOptions:
 
     lever_arms: bool = False  #: Places of the y and z accelerometers relative to the x accelerometer.
     delay: bool = False  #: Delay of the accelerometers against the gyros.
+    quadratic: bool = False  #: Quadratic terms of the accelerometers.
     #: Standard uncertainty, rad, with which the table returns after whole turns; None: spins count as any
     #: other rotation.
     whole_turns: float | None = None
@@ -76,22 +84,60 @@ class CalibrationOptions:
     walks: tuple[float, float] | None = None
     gravity_sigma: float = 0.0  #: Standard uncertainty of gravity, m/s^2.
 
+    @property
+    def columns(self) -> list[int]:
+        """Which columns are common to all recordings; the x accelerometer's place is the origin."""
+        arms = range(LEVER_ARMS.start + 3, LEVER_ARMS.stop) if self.lever_arms else ()
+        squares = range(QUADRATIC.start, QUADRATIC.stop) if self.quadratic else ()
+        return [*range(COUNT), *arms, *([DELAY] if self.delay else []), *squares]
+
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """White rows as a function of the coefficients and of all other unknowns."""
+    """White rows as a function of the coefficients and of all other unknowns, at assumed values of them."""
 
-    rows: FloatArray  #: Shape (m, 21 + k), at most 22 + k of them. SI.
-    data: FloatArray  #: Shape (m,).
+    #: Rows (m, 21 + k + 1) of each recording, the data last. SI. They give the values, not corrections to the
+    #: assumed ones, but of attitudes at the start.
+    blocks: list[FloatArray]
     sizes: FloatArray  #: Shape (21 + k,). Large values of the unknowns, SI.
 
     @classmethod
-    def of(cls, blocks: Sequence[FloatArray], used: Sequence[int]) -> Information:
-        """From the rows of all recordings, see :func:`side_by_side`."""
-        stacked = compress(np.vstack([compress(each) for each in blocks]))
-        sizes = [each.size for each in COEFFICIENTS] + [_LEVER_ARM] * 9 + [_DELAY]
-        attitudes = [_ATTITUDE_ERROR] * (stacked.shape[1] - 1 - len(used))
-        return cls(stacked[:, :-1], stacked[:, -1], np.array([*(sizes[each] for each in used), *attitudes]))
+    def of(
+        cls,
+        sections: Sequence[Section],
+        starts: Sequence[FloatArray],
+        common: FloatArray,
+        noise: SensorNoise,
+        site: Site,
+        options: CalibrationOptions,
+    ) -> Information:
+        """Integrate increments from attitudes (3, 3) at the ``starts``, with the values ``common`` (34,)."""
+        used, blocks = options.columns, []
+        for number, (section, start) in enumerate(zip(sections, starts, strict=True)):
+            freed = section.freed(SensorErrors.from_vector(common[:COUNT]), common)
+            rows, data = white_rows(
+                *freed,
+                section.interval_s,
+                section.epochs,
+                start,
+                noise,
+                site.latitude,
+                options.gravity or site.gravity,
+                options.whole_turns,
+            )
+            block = np.zeros((len(rows), len(used) + 3 * len(sections) + 1))
+            block[:, : len(used)] = rows[:, used]
+            block[:, len(used) + 3 * number :][:, :3] = rows[:, ATTITUDE]
+            block[:, -1] = data + rows[:, used] @ common[used]
+            blocks.append(block)
+        sizes = [each.size for each in (*COEFFICIENTS, *BESIDE)]
+        attitudes = [ATTITUDE_ERROR] * (3 * len(sections))
+        return cls(blocks, np.array([*(sizes[each] for each in used), *attitudes]))
+
+    @cached_property
+    def root(self) -> FloatArray:
+        """Fewest rows (m, 21 + k + 1) with the same normal equations; data last."""
+        return compress(np.vstack([compress(each) for each in self.blocks]))
 
     def solve(self, origin: FloatArray | None = None) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Values (21 + k,), their covariance, and which of them the data determine.
@@ -99,26 +145,17 @@ class Information:
         What the data leave open stays near ``origin`` (21 + k,), or zero.
         """
         centre = np.zeros(len(self.sizes)) if origin is None else origin
-        left = self.data - self.rows @ centre
-        values, covariance = solve(self.rows, left, np.diag(self.sizes))
-        _, wide = solve(self.rows, left, np.diag(10.0 * self.sizes))
+        rows, left = self.root[:, :-1], self.root[:, -1] - self.root[:, :-1] @ centre
+        values, covariance = solve(rows, left, np.diag(self.sizes))
+        _, wide = solve(rows, left, np.diag(10.0 * self.sizes))
         growth = np.sqrt(np.diag(wide) / np.diag(covariance))
         return centre + values, covariance, np.asarray(growth < _MAX_GROWTH)
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration:
-    """Coefficients of one unit with their uncertainties."""
+class Calibration(CoefficientEstimate):
+    """Coefficients of one unit from its recordings, and what they rest on."""
 
-    #: values, covariance, is_observed: Shapes (21,), (21, 21), (21,). Of
-    #: :data:`~gyrobench.bench.calibration.coefficients.COEFFICIENTS`, SI; without meaning where not observed.
-    values: FloatArray
-    covariance: FloatArray
-    is_observed: BoolArray
-    #: lever_arms, delay: Places of the y and z accelerometers relative to the x accelerometer, (2, 3), m, and
-    #: delay of the accelerometers, s, with uncertainties; None if not estimated, NaN where not observed.
-    lever_arms: tuple[FloatArray, FloatArray] | None
-    delay: tuple[float, float] | None
     noise: SensorNoise  #: As measured at rest or declared.
     recordings: tuple[IncrementRecording, ...]
     rests: tuple[tuple[Rest, ...], ...]  #: Of each recording.
@@ -127,29 +164,21 @@ class Calibration:
     #: Test that the noise explains what the coefficients leave of the velocity. Where it does not, the
     #: uncertainties are larger by the root of chi2 over its degrees of freedom.
     fit: Chi2Test
-
-    @property
-    def sigmas(self) -> FloatArray:
-        """Standard uncertainties (21,), SI."""
-        return np.asarray(np.sqrt(np.diag(self.covariance)))
-
-    @property
-    def correlations(self) -> FloatArray:
-        """Correlation coefficients (21, 21)."""
-        return np.asarray(self.covariance / np.outer(self.sigmas, self.sigmas))
-
-    @property
-    def errors(self) -> SensorErrors:
-        """The coefficients as matrices."""
-        return SensorErrors.from_vector(np.where(self.is_observed, self.values, 0.0))
+    sections: tuple[Section, ...]  #: Of each recording, between rests.
+    starts: tuple[FloatArray, ...]  #: Attitude ``C_nb`` (3, 3) at the start of each.
+    unknowns: FloatArray  #: Shape (34,). Values that the increments are freed of, observed or not.
 
 
 def calibrate(
-    recordings: Sequence[IncrementRecording], site: Site, options: CalibrationOptions | None = None
+    recordings: Sequence[IncrementRecording],
+    site: Site,
+    options: CalibrationOptions | None = None,
+    rests: Sequence[Sequence[Rest]] | None = None,
 ) -> Calibration:
     """Estimate all coefficients.
 
-    ``recordings``: of one unit, at one sample rate. Raises MeasurementError if the unit does not rest long
+    ``recordings``: of one unit, at one sample rate. ``rests``: of each recording; by default those found in
+    it. Raises MeasurementError if the unit does not rest long
     enough, sample rates differ, or no coefficients explain the increments.
     """
     options = options or CalibrationOptions()
@@ -160,7 +189,7 @@ def calibrate(
             f"the sample rates of the recordings differ: {min(rates_hz):.4g} to {max(rates_hz):.4g} Hz. "
             "Calibrate recordings of one rate together"
         )
-    rests = [find_rests(each) for each in recordings]
+    rests = [find_rests(each) for each in recordings] if rests is None else rests
     rotations = [find_rotations(*each) for each in zip(recordings, rests, strict=True)]
     noise = measure_noise(recordings, rests)
     if options.walks is not None:
@@ -169,26 +198,18 @@ def calibrate(
             noise, angle_random_walk=np.full(3, walk), velocity_random_walk=np.full(3, velocity_walk)
         )
     _check_force(recordings, rests, gravity)
-    sections = [_Section.between_rests(*each) for each in zip(recordings, rests, rotations, strict=True)]
-    used = columns_of(options)
-    bias = _first_bias(recordings, rests)
-    values, covariance, is_observed, blocks = _solve(sections, bias, noise, site, options)
+    sections = [Section.between_rests(*each) for each in zip(recordings, rests, rotations, strict=True)]
+    used, bias = options.columns, _first_bias(recordings, rests)
+    found = _solve(sections, bias, noise, site, options)
+    is_observed = found.is_observed
     if all(turn.kind == "disturbance" for turns in rotations for turn in turns):
         is_observed[:COUNT] &= [each.sensor != "gyro" or each.kind == "bias" for each in COEFFICIENTS]
-    _check_size(values, is_observed)
-    test = _test_fit(values, covariance, blocks)
+    _check_size(found.values, is_observed)
+    if found.fit.p_value < MIN_P_VALUE and options.whole_turns is not None:
+        found = _with_uneven_turns(found, sections, bias, noise, site, options)
+    covariance, test = found.covariance, found.fit
     if test.p_value < MIN_P_VALUE:
-        opposite = replace(site, latitude=-site.latitude)
-        try:
-            other_values, other_covariance, _, rows = _solve(sections, bias, noise, opposite, options)
-            other = _test_fit(other_values, other_covariance, rows)
-        except MeasurementError:
-            other = test
-        if other.chi2 < _OPPOSITE * test.chi2:
-            raise MeasurementError(
-                f"chi2 is {test.chi2:.3g}, and {other.chi2:.3g} at the opposite latitude. Correct either "
-                "'calibration.latitude_deg' or the signs of all accelerometers in the import map"
-            )
+        _check_alternatives(found, sections, bias, noise, site, options)
         widening = float(np.sqrt(test.chi2 / test.dof))
         if widening > _MAX_WIDENING and is_observed[:COUNT].any():
             raise MeasurementError(
@@ -198,23 +219,90 @@ def calibrate(
             )
         covariance = covariance * widening**2
     # An error of gravity is one of all three scale factors, which the residuals do not show.
-    is_scale = [each.name == "accelerometer_scale_factor" for each in COEFFICIENTS]
+    count, all_of_them = len(used), (*COEFFICIENTS, *BESIDE)
+    coefficients = tuple(all_of_them[each] for each in used)
+    is_scale = [each.name == "accelerometer_scale_factor" for each in coefficients]
     by_gravity = np.where(is_scale, options.gravity_sigma / gravity, 0.0)
-    beyond = np.where(is_observed, values, np.nan)[COUNT : len(used)]
-    uncertainty = np.where(is_observed, np.sqrt(np.diag(covariance)), np.nan)[COUNT : len(used)]
     return Calibration(
-        values=values[:COUNT],
-        covariance=covariance[:COUNT, :COUNT] + np.outer(by_gravity, by_gravity),
-        is_observed=is_observed[:COUNT],
-        lever_arms=(beyond[:6].reshape(2, 3), uncertainty[:6].reshape(2, 3)) if options.lever_arms else None,
-        delay=(float(beyond[-1]), float(uncertainty[-1])) if options.delay else None,
+        values=found.values[:count],
+        covariance=covariance[:count, :count] + np.outer(by_gravity, by_gravity),
+        is_observed=is_observed[:count],
+        coefficients=coefficients,
         noise=noise,
         recordings=tuple(recordings),
         rests=tuple(map(tuple, rests)),
         rotations=tuple(map(tuple, rotations)),
         gravity=(gravity, options.gravity_sigma),
         fit=test,
+        sections=tuple(sections),
+        starts=tuple(found.starts),
+        unknowns=found.common,
     )
+
+
+def _check_alternatives(
+    found: _Solution,
+    sections: Sequence[Section],
+    bias: FloatArray,
+    noise: SensorNoise,
+    site: Site,
+    options: CalibrationOptions,
+) -> None:
+    """Raise MeasurementError if a mistake in the map explains what the noise does not."""
+    alternatives = [
+        (
+            sections,
+            replace(site, latitude=-site.latitude),
+            "at the opposite latitude. Correct either 'calibration.latitude_deg' or the signs of all "
+            "accelerometers in the import map",
+        )
+    ]
+    # A wrong interval makes all accelerometers' scale factors seem alike of increments, the gyros' of rates.
+    for sensor, of_rates in (("accelerometer", False), ("gyro", True)):
+        chosen = [each.name == f"{sensor}_scale_factor" for each in COEFFICIENTS]
+        scale = 1.0 + float(found.values[:COUNT][chosen].mean())
+        factor = 1.0 / scale if of_rates else scale
+        if abs(factor - 1.0) > _MIN_TIME_ERROR:
+            text = (
+                f"if samples are {sections[0].interval_s * factor:.4g} s apart and not "
+                f"{sections[0].interval_s:.4g} s. Correct 'time' in the import map"
+            )
+            alternatives.append(([each.retimed(factor, of_rates) for each in sections], site, text))
+    for others, place, text in alternatives:
+        try:
+            other = _solve(others, bias, noise, place, options)
+        except MeasurementError:
+            continue
+        if other.fit.chi2 < _OPPOSITE * found.fit.chi2:
+            raise MeasurementError(f"chi2 is {found.fit.chi2:.3g}, and {other.fit.chi2:.3g} {text}")
+
+
+def _with_uneven_turns(
+    found: _Solution,
+    sections: Sequence[Section],
+    bias: FloatArray,
+    noise: SensorNoise,
+    site: Site,
+    options: CalibrationOptions,
+) -> _Solution:
+    """The same with whole turns as uncertain as gyros of constant scale factors leave them.
+
+    A scale factor that depends on the rate is no fault of the rests.
+    """
+    alone = _solve(sections, bias, noise, site, replace(options, whole_turns=None))
+    spins = [
+        spin
+        for section, start in zip(sections, alone.starts, strict=True)
+        for spin in section.spin_errors(start, alone.common, site)
+    ]
+    if alone.fit.p_value < MIN_P_VALUE or not spins:
+        return found
+    left = []
+    for axis in {spin.axis for spin in spins}:
+        error, path = np.array([(each.error, each.path) for each in spins if each.axis == axis]).T
+        left += list(error - path * (path @ error) / (path @ path))
+    turns = float(np.hypot(options.whole_turns or 0.0, np.sqrt(np.mean(np.square(left)))))
+    return _solve(sections, bias, noise, site, replace(options, whole_turns=turns))
 
 
 def _check_force(
@@ -246,138 +334,48 @@ def _check_size(values: FloatArray, is_observed: BoolArray) -> None:
             )
 
 
+@dataclass(frozen=True, eq=False)
+class _Solution:
+    #: values, covariance, is_observed: Of all unknowns, attitudes at the starts included.
+    values: FloatArray
+    covariance: FloatArray
+    is_observed: BoolArray
+    common: FloatArray  #: Shape (34,).
+    starts: list[FloatArray]
+    fit: Chi2Test
+
+
 def _solve(
-    sections: Sequence[_Section],
-    bias: FloatArray,
-    noise: SensorNoise,
-    site: Site,
-    options: CalibrationOptions,
-) -> tuple[FloatArray, FloatArray, BoolArray, list[FloatArray]]:
-    """Values, covariance and observability of all unknowns, and the white rows, at the solution.
+    sections: Sequence[Section], bias: FloatArray, noise: SensorNoise, site: Site, options: CalibrationOptions
+) -> _Solution:
+    """Estimate all unknowns.
 
     ``bias`` (3,): of the gyros, rad/s, where to begin. Raises MeasurementError if it does not converge.
     """
-    used = columns_of(options)
-    common, first = np.zeros(COUNT + 10), SensorErrors(gyro_bias=bias)
+    used = options.columns
+    common, first = np.zeros(UNKNOWNS), SensorErrors(gyro_bias=bias)
     common[:COUNT] = first.vector()
     starts = [each.aligned(first) for each in sections]
     origin, left = np.concatenate([common[used], np.zeros(3 * len(sections))]), np.inf
     for _ in range(_MAX_ROUNDS):
-        parts = [
-            each.white_rows(common, start, noise, site, options)
-            for each, start in zip(sections, starts, strict=True)
-        ]
-        blocks = side_by_side(parts, common, used)
-        found = Information.of(blocks, used)
+        found = Information.of(sections, starts, common, noise, site, options)
         values, covariance, is_observed = found.solve(origin)
         attitudes = values[len(used) :].reshape(-1, 3)
         step = np.concatenate([values[: len(used)] - common[used], attitudes.ravel()])
-        before, left = left, float(np.linalg.norm(found.data - found.rows @ values) ** 2)
+        before, left = left, float(np.linalg.norm(found.root @ [*values, -1.0]) ** 2)
         common[used] = values[: len(used)]
         origin[len(used) :] -= attitudes.ravel()
         starts = [turn @ start for turn, start in zip(rotation_matrices(attitudes), starts, strict=True)]
         # Sizes count in units of the residuals where these exceed the noise.
-        excess = max(1.0, left / sum(map(len, blocks)))
+        excess = max(1.0, left / sum(map(len, found.blocks)))
         is_still = np.abs(step) < _MAX_STEP * np.sqrt(excess * np.diag(covariance))
         if abs(left - before) < _CONVERGED * excess and is_still[is_observed].all():
-            return values, covariance, is_observed, blocks
+            fit = _test_fit(values, covariance, found.blocks)
+            return _Solution(values, covariance, is_observed, common, starts, fit)
     raise MeasurementError(
         f"the estimate does not converge in {_MAX_ROUNDS} rounds: the increments do not follow from "
         "rotations between rests at one place. Check signs, axes and units in the import map"
     )
-
-
-def columns_of(options: CalibrationOptions) -> list[int]:
-    """Which columns are common to all recordings; the x accelerometer's place is the origin."""
-    arms = range(LEVER_ARMS.start + 3, LEVER_ARMS.stop) if options.lever_arms else ()
-    return [*range(COUNT), *arms, *([DELAY] if options.delay else [])]
-
-
-def side_by_side(
-    parts: Sequence[tuple[FloatArray, FloatArray]], common: FloatArray, used: Sequence[int]
-) -> list[FloatArray]:
-    """White rows of each recording with the columns of all: common ones, attitudes at the starts, data.
-
-    ``parts``: rows (m, 34) and data (m,) of each recording, at the values ``common`` (31,). The data returned
-    are those of the values themselves, not of what they differ from the assumed ones.
-    """
-    blocks = []
-    for number, (rows, data) in enumerate(parts):
-        block = np.zeros((len(rows), len(used) + 3 * len(parts) + 1))
-        block[:, : len(used)] = rows[:, used]
-        block[:, len(used) + 3 * number :][:, :3] = rows[:, ATTITUDE]
-        block[:, -1] = data + rows[:, used] @ common[used]
-        blocks.append(block)
-    return blocks
-
-
-@dataclass(frozen=True, eq=False)
-class _Section:
-    """A recording from its first rest to its last, in epochs."""
-
-    recording: IncrementRecording
-    offset: int  #: First sample.
-    first: int  #: Samples of the first rest.
-    ends: IntArray  #: Shape (n,). Samples up to the end of each epoch.
-    at_rest: BoolArray  #: Shape (n,). Whether the unit rests at the end of each.
-    spins: list[tuple[int, int]]  #: Epochs before and after whole turns.
-
-    @classmethod
-    def between_rests(
-        cls, recording: IncrementRecording, rests: Sequence[Rest], rotations: Sequence[Rotation]
-    ) -> _Section:
-        offset, size = rests[0].begin, max(1, round(EPOCH_S / recording.interval_s))
-        ends = np.arange(size, rests[-1].end - offset + 1, size, dtype=np.int64)
-        at_rest = np.zeros(len(ends), bool)
-        for rest in rests:
-            at_rest |= (ends >= rest.begin - offset) & (ends <= rest.end - offset)
-        spins = [
-            ((before.end - offset) // size, -(-(after.begin - offset) // size))
-            for before, after, rotation in zip(rests, rests[1:], rotations, strict=False)
-            if rotation.is_spin
-        ]
-        return cls(recording, offset, rests[0].end - offset, ends, at_rest, spins)
-
-    def aligned(self, errors: SensorErrors) -> FloatArray:
-        """Attitude (3, 3) at the start by gravity and the Earth's rate in the first rest."""
-        rate, force = (each[: self.first].mean(axis=0) for each in self._freed(errors, None))
-        up = force / np.linalg.norm(force)
-        east = np.cross(rate, up)
-        east /= np.linalg.norm(east)
-        return np.stack([east, np.cross(up, east), up])
-
-    def white_rows(
-        self,
-        common: FloatArray,
-        C_nb: FloatArray,
-        noise: SensorNoise,
-        site: Site,
-        options: CalibrationOptions,
-    ) -> tuple[FloatArray, FloatArray]:
-        """Rows (m, 34) and data (m,) at the values ``common`` (31,) and an attitude at the start."""
-        interval_s = self.recording.interval_s
-        angle, velocity = self._freed(SensorErrors.from_vector(common[:COUNT]), common)
-        gravity = options.gravity or site.gravity
-        trajectory = integrate(angle, velocity, interval_s, self.ends, C_nb, site.latitude, gravity)
-        lengths_s = np.diff(self.ends, prepend=0) * interval_s
-        turns = options.whole_turns
-        spins = [] if turns is None else self.spins
-        return white_rows(trajectory, lengths_s, self.at_rest, spins, noise, site.latitude, turns or 0.0)
-
-    def _freed(self, errors: SensorErrors, common: FloatArray | None) -> tuple[FloatArray, FloatArray]:
-        part, interval_s = slice(self.offset, None), self.recording.interval_s
-        angle, velocity = errors.removed(
-            self.recording.angle[part], self.recording.velocity[part], interval_s
-        )
-        if common is not None and common[COUNT:].any():
-            rate = angle / interval_s
-            turning = np.gradient(rate, axis=0)
-            arms = common[LEVER_ARMS].reshape(3, 3)
-            for sensor, arm in enumerate(arms):
-                moved = np.cross(turning, arm) + np.cross(rate, np.cross(rate, arm)) * interval_s
-                velocity[:, sensor] -= moved[:, sensor]
-            velocity += common[DELAY] * np.cross(velocity, rate)
-        return angle, velocity
 
 
 def _first_bias(recordings: Sequence[IncrementRecording], rests: Sequence[Sequence[Rest]]) -> FloatArray:
@@ -394,6 +392,7 @@ def _first_bias(recordings: Sequence[IncrementRecording], rests: Sequence[Sequen
 def _test_fit(values: FloatArray, covariance: FloatArray, blocks: Sequence[FloatArray]) -> Chi2Test:
     """Test that the noise explains the residuals, summed over minutes."""
     sums = np.vstack([_sums(each) for each in blocks])
+    sums = sums[sums.any(axis=1)]  # without those of what is not measured
     return chi2_test(sums[:, -1] - sums[:, :-1] @ values, sums[:, :-1], covariance)
 
 

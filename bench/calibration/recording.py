@@ -45,6 +45,8 @@ class IncrementRecording:
     angle: FloatArray  #: Shape (n, 3). Since the sample before, body axes, rad.
     velocity: FloatArray  #: Shape (n, 3). Integral of the specific force since the sample before, m/s.
     start_s: float = 0.0  #: Beginning of the first increment on the log's clock.
+    #: Whether the vertical part of the velocity is measured, not gravity in place of it.
+    has_vertical: bool = True
 
     def __post_init__(self) -> None:
         for name, values in (("angle", self.angle), ("velocity", self.velocity)):

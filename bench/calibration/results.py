@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from gyrobench.bench.calibration.coefficients import COEFFICIENTS, Coefficient
+from gyrobench.bench.calibration.coefficients import COEFFICIENTS, Coefficient, CoefficientEstimate
 from gyrobench.bench.calibration.estimator import Calibration
 from gyrobench.bench.calibration.rotation_list import Forecast
+from gyrobench.bench.calibration.spins import SpinScaleFactor
 from gyrobench.bench.foundations.arrays import (
     DEG_PER_SQRT_H_TO_SI,
     RADPS_TO_DPH,
@@ -27,6 +28,9 @@ from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import AXES
 
 NOT_OBSERVABLE = "not observable"
+
+#: Scale factors of three sensors count as one above this, and within this part of it.
+_MIN_COMMON_PPM, _MAX_SPREAD = 500.0, 0.3
 
 
 @dataclass(frozen=True)
@@ -53,34 +57,21 @@ class RestRate:
     force_mps2: float  #: Size of the mean specific force.
 
 
-def coefficient_rows(calibration: Calibration) -> list[CoefficientRow]:
+def coefficient_rows(estimate: CoefficientEstimate) -> list[CoefficientRow]:
     """Rows of ``coefficients.csv``."""
-    rows = [
-        _row(each.name, each.axis, value * each.per_si, sigma * each.per_si, each.unit, is_observed)
+    return [
+        CoefficientRow(
+            each.name,
+            each.axis,
+            float(value) * each.per_si if is_observed else None,
+            float(sigma) * each.per_si if is_observed else None,
+            each.unit,
+            "" if is_observed else NOT_OBSERVABLE,
+        )
         for each, value, sigma, is_observed in zip(
-            COEFFICIENTS, calibration.values, calibration.sigmas, calibration.is_observed, strict=True
+            estimate.coefficients, estimate.values, estimate.sigmas, estimate.is_observed, strict=True
         )
     ]
-    if calibration.lever_arms is not None:
-        arms, sigmas = calibration.lever_arms
-        rows += [
-            _row(
-                "accelerometer_lever_arm",
-                f"{sensor}{axis}",
-                1e3 * arm,
-                1e3 * sigma,
-                "mm",
-                bool(np.isfinite(sigma)),
-            )
-            for sensor, places, spreads in zip("yz", arms, sigmas, strict=True)
-            for axis, arm, sigma in zip(AXES, places, spreads, strict=True)
-        ]
-    if calibration.delay is not None:
-        delay_s, sigma_s = calibration.delay
-        rows.append(
-            _row("accelerometer_delay", "", 1e3 * delay_s, 1e3 * sigma_s, "ms", bool(np.isfinite(sigma_s)))
-        )
-    return rows
 
 
 def forecast_rows(expected: Forecast) -> list[dict[str, Any]]:
@@ -129,7 +120,7 @@ def strongest_correlations(
     correlations = calibration.correlations
     seen = np.flatnonzero(calibration.is_observed)
     pairs = [
-        (COEFFICIENTS[i], COEFFICIENTS[j], float(correlations[i, j]))
+        (calibration.coefficients[i], calibration.coefficients[j], float(correlations[i, j]))
         for i in seen
         for j in seen[seen > i]
         if abs(correlations[i, j]) >= least
@@ -137,7 +128,18 @@ def strongest_correlations(
     return sorted(pairs, key=lambda pair: -abs(pair[2]))
 
 
-def calibration_record(calibration: Calibration, site: Site, origin: Mapping[str, Any]) -> dict[str, Any]:
+def common_scale_ppm(calibration: Calibration, sensor: str) -> float | None:
+    """Scale factor of three sensors that have about the same one, as a wrong time or gravity makes it."""
+    chosen = [each.name == f"{sensor}_scale_factor" for each in calibration.coefficients]
+    values = 1e6 * calibration.values[chosen]
+    mean = float(values.mean())
+    is_common = abs(mean) > _MIN_COMMON_PPM and np.ptp(values) < _MAX_SPREAD * abs(mean)
+    return mean if is_common and calibration.is_observed[chosen].all() else None
+
+
+def calibration_record(
+    calibration: Calibration, site: Site, spins: Sequence[SpinScaleFactor], origin: Mapping[str, Any]
+) -> dict[str, Any]:
     """Everything, as one JSON object."""
     noise = calibration.noise
     return {
@@ -164,6 +166,7 @@ def calibration_record(calibration: Calibration, site: Site, origin: Mapping[str
             for recording, rotations in zip(calibration.recordings, calibration.rotations, strict=True)
             for rotation in rotations
         ],
+        "spins": [asdict(each) for each in spins],
         "fit": vars(calibration.fit),
     }
 
@@ -173,14 +176,9 @@ def write_calibration(folder: Path, calibration: Calibration, record: Mapping[st
 
     Raises RunFolderError if a file can't be written.
     """
-    names = [f"{each.name}_{each.axis}" for each in COEFFICIENTS]
-    seen = np.outer(calibration.is_observed, calibration.is_observed)
-    correlations = np.where(seen, calibration.correlations, np.nan)
-    lines = [",".join(["coefficient", *names])]
-    lines += [",".join([name, *_cells(row)]) for name, row in zip(names, correlations, strict=True)]
     texts = {
         "coefficients.csv": format_rows(list(CoefficientRow.__annotations__), coefficient_rows(calibration)),
-        "correlations.csv": "\n".join(lines) + "\n",
+        "correlations.csv": correlations_table(calibration),
         "calibration.json": json.dumps(record, indent=1, ensure_ascii=False) + "\n",
     }
     make_folder(folder)
@@ -189,11 +187,15 @@ def write_calibration(folder: Path, calibration: Calibration, record: Mapping[st
     return [folder / name for name in texts]
 
 
+def correlations_table(estimate: CoefficientEstimate) -> str:
+    """Text of ``correlations.csv``; empty cells where a coefficient is not observed."""
+    names = [f"{each.name}_{each.axis}" for each in estimate.coefficients]
+    seen = np.outer(estimate.is_observed, estimate.is_observed)
+    correlations = np.where(seen, estimate.correlations, np.nan)
+    lines = [",".join(["coefficient", *names])]
+    lines += [",".join([name, *_cells(row)]) for name, row in zip(names, correlations, strict=True)]
+    return "\n".join(lines) + "\n"
+
+
 def _cells(values: FloatArray) -> list[str]:
     return [format_number(round(float(value), 4)) if np.isfinite(value) else "" for value in values]
-
-
-def _row(name: str, axis: str, value: float, sigma: float, unit: str, is_observed: bool) -> CoefficientRow:
-    if is_observed:
-        return CoefficientRow(name, axis, float(value), float(sigma), unit, "")
-    return CoefficientRow(name, axis, None, None, unit, NOT_OBSERVABLE)

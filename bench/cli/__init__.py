@@ -29,6 +29,8 @@ from gyrobench.bench.foundations.errors import (
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # Its tables are small too: a pool takes 4 MB in advance.
 os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
+# To look for plugins of pydantic, it reads the metadata of all packages.
+os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
 
 #: Modules leave half a million objects that stay: to search them for cycles as often as Python does takes a
 #: fifth of the time to start.

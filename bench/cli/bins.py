@@ -9,15 +9,19 @@ from gyrobench.bench.cli.output import JsonOption, console, print_biases, print_
 def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
     """Recompute the tables of a run from its raw CAN log.
 
-    With --json: {"folder", "report", "bins", "verification", "acceptance"}; bins and verification are
-    lists with the columns of their tables as keys, acceptance is what acceptance.json holds.
+    With --json: {"folder", "report", "bins", "budget", "verification", "acceptance"}; bins and verification
+    are lists with the columns of their tables as keys, acceptance is what acceptance.json holds. The budget
+    has an object for each dwell and bin, with its sum and its contributions by name.
 
     Example: gyrobench bins runs/six_position_fig7-001
     """
     from gyrobench.bench.bias.bins import read_bins
     from gyrobench.bench.bias.verdicts import read_acceptance
+    from gyrobench.bench.characteristics.results import read_characteristics
     from gyrobench.bench.engine.evaluation import recompute_run
+    from gyrobench.bench.report.characteristics import characteristics_tables
     from gyrobench.bench.report.run_report import write_report
+    from gyrobench.bench.runs.tables.budget_table import budget_records, read_budget
     from gyrobench.bench.runs.tables.calibration_check_table import read_calibration_check
 
     folder = recompute_run(run_folder)
@@ -29,6 +33,7 @@ def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
                 "folder": folder.path,
                 "report": write_report(folder),
                 "bins": read_bins(folder.bias_bins),
+                "budget": budget_records(read_budget(folder.budget) if folder.budget.exists() else []),
                 "verification": check,
                 "acceptance": read_acceptance(folder.acceptance),
             }
@@ -36,11 +41,15 @@ def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
         return
     terminal = console()
     print_biases(terminal, read_bins(folder.bias_bins), check, read_acceptance(folder.acceptance))
+    if folder.characteristics.exists():
+        terminal.print(characteristics_tables(read_characteristics(folder.characteristics)))
     results = (
         folder.bias_bins,
+        folder.budget,
         folder.joint,
         folder.joint_biases,
         folder.noise,
+        folder.characteristics,
         folder.calibration_check,
         folder.acceptance,
     )

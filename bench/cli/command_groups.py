@@ -18,6 +18,8 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "Watch and report": (
         "monitor",
         "report",
+        "seal",
+        "certificate",
         "export",
         "bins",
         "close",
@@ -96,6 +98,5 @@ class CommandGroups(TyperGroup):
 
 def _summary(name: str) -> str:
     callback = _callback(name)
-    if isinstance(callback, typer.Typer):
-        return str(_command(name).get_short_help_str(_MAX_HELP))
-    return str(TyperCommand(name, help=inspect.getdoc(callback)).get_short_help_str(_MAX_HELP))
+    text = callback.info.help if isinstance(callback, typer.Typer) else inspect.getdoc(callback)
+    return str(TyperCommand(name, help=text).get_short_help_str(_MAX_HELP))

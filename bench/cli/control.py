@@ -2,28 +2,32 @@
 
 from __future__ import annotations
 
-import os
 from typing import Annotated
 
 import typer
 
-from gyrobench.bench.cli.options import RunArgument
+from gyrobench.bench.cli.options import OperatorOption, RunArgument
 from gyrobench.bench.engine.operator import RunCommand
 from gyrobench.bench.foundations.errors import MissingRunError, RunFolderError
 
 _CommandArgument = Annotated[RunCommand, typer.Argument(help="Command to the run.")]
 
 
-def control(run_folder: RunArgument, command: _CommandArgument) -> None:
+def control(
+    run_folder: RunArgument,
+    command: _CommandArgument,
+    operator: OperatorOption = "",  # noqa: ARG001 - read from the environment
+) -> None:
     """Control a run in progress: pause, continue, hold at this temperature, skip the dwell, or abort.
 
-    The same commands can be typed in the terminal of the run.
+    The same commands can be typed in the terminal of the run. The journal keeps who gave each.
 
     Example: gyrobench control runs/six_position_fig7-001 hold
     """
     import socket
 
-    from gyrobench.bench.engine.operator import COMMAND_MEANINGS, COMMAND_SIGNALS
+    from gyrobench.bench.engine.operator import COMMAND_MEANINGS, send_command
+    from gyrobench.bench.runs.provenance import operator_name
     from gyrobench.bench.station.locks import holder_of, is_held_by
 
     if not run_folder.is_dir():
@@ -38,9 +42,8 @@ def control(run_folder: RunArgument, command: _CommandArgument) -> None:
             f"{run_folder}: its lock names process {holder.pid}, which does not hold it. No signal was sent; "
             "type the command in the run's terminal"
         )
-    number = next(number for number, each in COMMAND_SIGNALS.items() if each is command)
     try:
-        os.kill(holder.pid, number)
+        send_command(run_folder, command, holder.pid, operator_name())
     except OSError as error:
         raise RunFolderError(
             f"{run_folder}: process {holder.pid} can't be signalled: {error.strerror}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable
 from enum import StrEnum
 from pathlib import Path
@@ -91,6 +92,20 @@ class View(StrEnum):
     LINES = "lines"
 
 
+class FailOn(StrEnum):
+    """What makes a finished run fail."""
+
+    REJECTED = "rejected"
+    FLAGGED = "flagged"
+
+
+def _name_operator(name: str) -> str:
+    """Keep the name in the environment, also for processes that the command starts."""
+    if name:
+        os.environ["GYROBENCH_OPERATOR"] = name
+    return name
+
+
 PROCEDURE_HELP = "Procedure file, or the name of a shipped one."
 
 ProcedureArgument = Annotated[str, typer.Argument(help=PROCEDURE_HELP, autocompletion=complete_procedure)]
@@ -105,4 +120,25 @@ FaultsOption = Annotated[
     ),
 ]
 RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.", autocompletion=complete_run)]
+AcknowledgeOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="INSTRUMENT",
+        help="Use an instrument although its calibration is past due (rate_table, chamber_sensors, "
+        "reference_clock), in the operator's name; may be repeated.",
+    ),
+]
+FailOnOption = Annotated[
+    FailOn | None,
+    typer.Option(help="Exit with 1 if the unit is rejected; with flagged also if a dwell has flags."),
+]
+OperatorOption = Annotated[
+    str,
+    typer.Option(
+        "--operator",
+        metavar="NAME",
+        callback=_name_operator,
+        help="Name of the operator, for the audit trail; default: GYROBENCH_OPERATOR, else the login name.",
+    ),
+]
 ViewOption = Annotated[View, typer.Option(help="Live view of the run on a terminal, or lines as in a file.")]

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from gyrobench.bench.bias.bins import BiasBin
     from gyrobench.bench.bias.verdicts import Acceptance
+    from gyrobench.bench.cli.options import FailOn
     from gyrobench.bench.engine.observers import RunOutcome
     from gyrobench.bench.monitor.terminal import RunConsole
     from gyrobench.bench.runs.folder import RunFolder
@@ -119,9 +120,19 @@ def print_biases(
     console.print(acceptance_summary(acceptance))
 
 
-def print_end(console: Console, folder: RunFolder, outcome: RunOutcome, as_json: bool = False) -> None:
-    """Report the end of a run, with ``as_json`` also as JSON; exits with an error if it did not finish."""
+def print_end(
+    console: Console,
+    folder: RunFolder,
+    outcome: RunOutcome,
+    as_json: bool = False,
+    fail_on: FailOn | None = None,
+) -> None:
+    """Report the end of a run, with ``as_json`` also as JSON.
+
+    Exits with an error if it did not finish, or is what ``fail_on`` says.
+    """
     from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN
+    from gyrobench.bench.report.characteristics import characteristics_tables
     from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.report.statements import latitude_sentence
     from gyrobench.bench.report.terminal.tables import durations_table
@@ -134,6 +145,8 @@ def print_end(console: Console, folder: RunFolder, outcome: RunOutcome, as_json:
     report = write_report(folder)
     results = outcome.results
     print_biases(console, results.bins, results.calibration_check, results.acceptance)
+    if results.characteristics:
+        console.print(characteristics_tables(results.characteristics))
     rate = results.up_rate
     if rate is not None and (
         text := latitude_sentence(
@@ -149,6 +162,9 @@ def print_end(console: Console, folder: RunFolder, outcome: RunOutcome, as_json:
         print_json(_end_record(folder, outcome, report))
     if not is_finished:
         console.print(f"Resume   gyrobench resume {folder.path}", soft_wrap=True)
+        raise typer.Exit(EXIT_NOT_FINISHED)
+    if shortcoming := outcome.shortcoming(fail_on.value if fail_on else None):
+        console.print(shortcoming, soft_wrap=True, style="bold red")
         raise typer.Exit(EXIT_NOT_FINISHED)
 
 

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from gyrobench.bench.cli.options import RunArgument, View, ViewOption
+from gyrobench.bench.cli.options import FailOnOption, OperatorOption, RunArgument, View, ViewOption
 from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, JsonOption, console, print_end
 
 
@@ -24,6 +24,8 @@ def resume(
             "--give-up-damaged", help="Put damaged files aside, and measure the dwells again that they held."
         ),
     ] = False,
+    fail_on: FailOnOption = None,
+    operator: OperatorOption = "",  # noqa: ARG001 - read from the environment
     view: ViewOption = View.LIVE,
     as_json: JsonOption = False,
 ) -> None:
@@ -56,6 +58,6 @@ def resume(
         resumption = prepare_resumption(run_folder, anyway)
         terminal.print(resumption.describe(), soft_wrap=True)
     job = resumption.job
-    with observe_in_terminal(terminal, job, view is View.LIVE) as (progress, operator):
-        folder, outcome = resume_run(resumption, progress, operator)
-    print_end(terminal, folder, outcome, as_json)
+    with observe_in_terminal(terminal, job, view is View.LIVE) as (progress, answers):
+        folder, outcome = resume_run(resumption, progress, answers)
+    print_end(terminal, folder, outcome, as_json, fail_on)

@@ -251,8 +251,13 @@ def _turn(step: Turn, context: StepContext) -> Ticks:
 
 @perform.register
 def _rotating(step: RotatingStep, context: StepContext) -> Ticks:
-    """Rest, and rest again after each rotation; the encoders are read at the begin of each rest."""
+    """Rest, and rest again after each rotation; the encoders are read at the begin of each rest.
+
+    An INS that sends its increments on command sends them meanwhile.
+    """
     bench = context.bench
+    yield from _navigation_begun(context)
+    yield from _increments_sent(context, True)
     yield from _resting(step, context)
     for move, rate_dps in step.moves():
         if bench.state.at.angles_deg is None:
@@ -262,11 +267,18 @@ def _rotating(step: RotatingStep, context: StepContext) -> Ticks:
         yield from _moved(context, (outer_deg + move[0], inner_deg + move[1]), rate_dps)
         context.recorder.end_turn()
         yield from _lasting(bench, step.settle_s)
+        yield from _navigation_begun(context)
         yield from _resting(step, context)
+    yield from _increments_sent(context, False)
+
+
+def _increments_sent(context: StepContext, on: bool) -> Ticks:
+    instruments = context.bench.instruments
+    if instruments.ins.supports("send_increments"):
+        yield from tried(context, lambda: instruments.ins.send_increments(on))
 
 
 def _resting(step: RotatingStep, context: StepContext) -> Ticks:
-    yield from _navigation_begun(context)
     yield from _table_read(context)
     context.recorder.begin_window()
     yield from _lasting(context.bench, step.rest_s)

@@ -7,7 +7,7 @@ they held is measured again. The damaged files stay in the run folder under othe
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,8 +19,8 @@ from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import cant_be_written, read_limited, sync_folder, write_whole
 from gyrobench.bench.foundations.text import counted, listed
 from gyrobench.bench.runs.folder import RunFolder, part_path
-from gyrobench.bench.runs.journal import MAX_JOURNAL_BYTES, Journal, intact_lines
-from gyrobench.bench.runs.provenance import read_provenance, start_of, write_provenance
+from gyrobench.bench.runs.journal import BROKEN_LINKS, MAX_JOURNAL_BYTES, Journal, broken_links, intact_lines
+from gyrobench.bench.runs.provenance import operator_name, read_provenance, start_of, write_provenance
 from gyrobench.bench.runs.telemetry import damaged_telemetry
 
 _SUFFIX = ".damaged"
@@ -52,7 +52,8 @@ class Damage:
     def give_up(self, folder: RunFolder, clock: Callable[[], Clock]) -> None:
         """Rename the damaged files and record what was given up; provenance is written again.
 
-        The journal keeps its intact lines. Each damage is found again until it is recorded. ``clock`` gives
+        The journal keeps its intact lines, and names those whose link to the line before is lost. Each damage
+        is found again until it is recorded. ``clock`` gives
         the run's clock, which is read from its intact files. Raises RunFolderError if a file can't be
         written.
         """
@@ -74,19 +75,27 @@ class Damage:
             self._record(folder.journal, clock())
             return
         whole = folder.journal.with_name(folder.journal.name + ".whole")
-        write_whole(whole, b"".join(line + b"\n" for line in lines if _is_sound(line)))
-        self._record(whole, clock())
+        kept = b"".join(line + b"\n" for line in lines if _is_sound(line))
+        write_whole(whole, kept)
+        self._record(whole, clock(), broken_links(kept))
         try:
             whole.replace(folder.journal)
             sync_folder(folder.path)
         except OSError as error:
             raise cant_be_written(folder.journal, error) from error
 
-    def _record(self, path: Path, clock: Clock) -> None:
+    def _record(self, path: Path, clock: Clock, broken: Sequence[int] = ()) -> None:
         names = [each.name for each in self.files]
         again = f"; measured again: dwell {listed(list(map(str, self.dwells)))}" if self.dwells else ""
         with Journal(path, clock) as journal:
-            journal.record("data_given_up", files=names, lines=self.lines, dwells=list(self.dwells))
+            journal.record(
+                "data_given_up",
+                files=names,
+                lines=self.lines,
+                dwells=list(self.dwells),
+                operator=operator_name(),
+                **({BROKEN_LINKS: list(broken)} if broken else {}),
+            )
             journal.record("note", text=f"damaged files were given up: {listed(names)}{again}")
 
 

@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells, write_dwells
 from gyrobench.bench.dwells.check_dwell import CheckDwell
 from gyrobench.bench.dwells.dwell import MeasuredDwell, MeasurementSetup, measurement_setup
-from gyrobench.bench.dwells.run_dwells import RunResults, evaluate, planned_dwells, replay, write_results
+from gyrobench.bench.dwells.plateau_calibration import calibrate_plateaus
+from gyrobench.bench.dwells.run_dwells import (
+    RunResults,
+    evaluate,
+    planned_dwells,
+    replay,
+    rotated,
+    write_results,
+)
 from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
@@ -34,8 +43,13 @@ def evaluate_run(
     results = evaluate(
         dwells, setup, procedure.bin_width_c, procedure.acceptance, planned_dwells(plan), check
     )
+    rows = [dwell.row for dwell in results.dwells]
+    coefficients = calibrate_plateaus(results.joint, rows, rotated(folder), setup)
+    results = replace(results, coefficients=coefficients)
+    if procedure.tests:
+        results = replace(results, characteristics=procedure.tests.evaluate(rows))
     if results.dwells:
-        write_dwells(folder.dwells, [dwell.row for dwell in results.dwells])
+        write_dwells(folder.dwells, rows)
     write_results(folder, results)
     return results
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 from gyrobench.bench.engine.interlocks.watch import Trip, TrippedError, text_of_trips
-from gyrobench.bench.engine.operator import GivenCommand, RunCommand
+from gyrobench.bench.engine.operator import GivenCommand, RunCommand, take_sender
 from gyrobench.bench.engine.run_context import RunContext
 from gyrobench.bench.foundations.errors import InstrumentError, RunStoppedError
 from gyrobench.bench.foundations.text import listed
+from gyrobench.bench.runs.provenance import operator_name
 
 #: A calendar that differs by so much more than before was set, or corrected over a long time.
 _CALENDAR_STEP_S = 1.0
@@ -18,6 +19,8 @@ _CALENDAR_STEP_S = 1.0
 _ASK_AGAIN_S = 60.0
 #: In the journal, the source of a continuation without an operator.
 _ITSELF = "itself"
+#: Source of a command that was typed where the run shows its progress.
+_TERMINAL = "the terminal"
 
 
 class Heartbeat:
@@ -49,11 +52,15 @@ class Heartbeat:
         run = self._run
         typed = run.operator.command()
         if typed:
-            run.commands.give(typed, "the terminal")
+            run.commands.give(typed, _TERMINAL)
         given = run.commands.take()
         if given is None:
             return None
-        run.journal.record("ordered", order=given.command, by=given.by)
+        if given.by == _TERMINAL:
+            name = operator_name()
+        elif name := take_sender(run.folder.path, given.command):
+            given = replace(given, by=f"{name} ({given.by})")
+        run.journal.record("ordered", order=given.command, by=given.by, operator=name)
         if given.command is RunCommand.ABORT:
             raise RunStoppedError(f"stopped by {given.by}")
         return given
@@ -100,7 +107,8 @@ class Holding:
         if by == _ITSELF:
             run.state.resumes.update(names)
         held_s = self._bench.clock.now() - begin_s
-        run.journal.record("continued", by=by, after=names, held_s=round(held_s, 3))
+        who = {} if by == _ITSELF else {"operator": operator_name()}
+        run.journal.record("continued", by=by, after=names, held_s=round(held_s, 3), **who)
         run.observers.noted(f"Continued by {by}")
 
     def _wait(self, why: str, trips: Sequence[Trip], after_s: float | None) -> str:

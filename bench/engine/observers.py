@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from typing import Literal
 
 from gyrobench.bench.bias.bias_filter import StateSpaceEstimate
 from gyrobench.bench.bias.dwell_table import DwellRow
@@ -16,6 +17,9 @@ from gyrobench.bench.engine.operator import Operator, RunCommand
 from gyrobench.bench.procedure.plan import PlannedStep
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.station.safe_state import SafeAction
+
+#: What makes a finished run fail for the caller.
+FailOn = Literal["rejected", "flagged"]
 
 
 @dataclass
@@ -37,6 +41,20 @@ class RunOutcome:
     def is_safe(self) -> bool:
         """Whether every action at the end succeeded."""
         return not any(action.problem for action in self.safe_state)
+
+    def shortcoming(self, fail_on: FailOn | None) -> str:
+        """Why a run that finished counts as failed; empty where it does not.
+
+        "rejected": its unit is rejected. "flagged": that, or it has a dwell with flags.
+        """
+        flagged = [dwell.row for dwell in self.dwells if dwell.row.flags]
+        if fail_on and self.results.acceptance.verdict == "rejected":
+            return "The unit is rejected: acceptance.json has the judgements."
+        if fail_on == "flagged" and flagged:
+            names = "; ".join(f"dwell {row.dwell}: {row.flags}" for row in flagged[:3])
+            flags = f"{len(flagged)} of {len(self.dwells)} dwells are flagged: {names}"
+            return f"{flags}. dwells.csv has all of them."
+        return ""
 
     def fail(self, reason: str) -> None:
         """Note a failure, unless there is one already."""

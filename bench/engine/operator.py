@@ -5,16 +5,20 @@ Commands come from the terminal or as signals: pause, continue, hold, skip, abor
 
 from __future__ import annotations
 
+import json
+import os
 import signal
 import threading
 from collections import deque
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from pathlib import Path
 from types import FrameType, MappingProxyType
 from typing import Protocol
 
-from gyrobench.bench.foundations.errors import GyrobenchError
+from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
+from gyrobench.bench.foundations.files import parse_json, read_limited, write_whole
 
 
 class RunCommand(StrEnum):
@@ -52,6 +56,7 @@ COMMAND_SIGNALS: Mapping[signal.Signals, RunCommand] = MappingProxyType(
     }
 )
 
+_MAX_SENDER_BYTES = 10_000
 _TERMINAL_SIGNALS = (signal.SIGTTIN, signal.SIGTTOU)
 
 
@@ -61,6 +66,31 @@ class GivenCommand:
 
     command: RunCommand
     by: str
+
+
+def send_command(run_folder: Path, command: RunCommand, pid: int, sender: str) -> None:
+    """Signal a command to the process of a run, with its sender's name for the journal.
+
+    Raises OSError if the process can't be signalled, and RunFolderError if the name can't be written.
+    """
+    number = next(number for number, each in COMMAND_SIGNALS.items() if each is command)
+    write_whole(_sender_file(run_folder, command), json.dumps({"pid": pid, "operator": sender}).encode())
+    os.kill(pid, number)
+
+
+def take_sender(run_folder: Path, command: RunCommand) -> str:
+    """Name of who sent a command to this process by `gyrobench control`; empty for other signals."""
+    path = _sender_file(run_folder, command)
+    try:
+        sent = parse_json(read_limited(path, _MAX_SENDER_BYTES, RunFolderError))
+        path.unlink()
+        return str(sent["operator"]) if sent["pid"] == os.getpid() else ""
+    except (RunFolderError, OSError, ValueError, KeyError, TypeError):
+        return ""
+
+
+def _sender_file(run_folder: Path, command: RunCommand) -> Path:
+    return run_folder / f".sent-{command}"
 
 
 class CommandReceivedError(GyrobenchError):

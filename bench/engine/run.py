@@ -30,7 +30,7 @@ from gyrobench.bench.runs.can_log import CanLog
 from gyrobench.bench.runs.compensation_file import write_compensation
 from gyrobench.bench.runs.folder import RUNS, RunFolder, create_run_folder
 from gyrobench.bench.runs.journal import Journal, facts_of, read_journal
-from gyrobench.bench.runs.provenance import write_provenance
+from gyrobench.bench.runs.provenance import operator_name, write_provenance
 from gyrobench.bench.runs.telemetry import Telemetry
 from gyrobench.bench.station.instruments import Instruments
 from gyrobench.bench.station.locks import BenchLock, RunLock
@@ -55,9 +55,10 @@ def run_job(
 
     ``out`` is the run folder, by default a new one under ``runs/``; ``after`` are runs that this one
     continues. Raises BenchInUseError if another run holds the bench. Raises InstrumentError if an instrument
-    can't be reached; nothing has moved and there is no run folder. Raises RunFolderError if the run folder
-    can't be written.
+    can't be reached; nothing has moved and there is no run folder. Raises DocumentError if an instrument is
+    past due and not acknowledged, and RunFolderError if the run folder can't be written.
     """
+    job.check_calibrations()
     clock = after.clock if after else job.station.new_clock()
     start = _Start(
         job,
@@ -212,8 +213,12 @@ def _record_start(journal: Journal, start: _Start, setup: MeasurementSetup, obse
         station=job.station.file.station,
         next_step=left[0].number if left else None,
         options=job.options,
+        operator=operator_name(),
         **({"unit": state.unit, "power_ons": state.power_ons} if state.power_ons else {}),
     )
+    for name, found in job.past_due().items():
+        journal.record("past_due", instrument=name, found=found, operator=operator_name())
+        observer.noted(f"Warning: {found}")
     journal.record("resolution", lines=[limit.text for limit in setup.resolution])
     for limit in setup.resolution:
         if not limit.sufficient:

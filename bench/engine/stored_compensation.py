@@ -13,6 +13,7 @@ from gyrobench.bench.engine.operator import ask_operator
 from gyrobench.bench.engine.resume import UNKNOWN_CHECKSUM
 from gyrobench.bench.engine.run_context import RunContext
 from gyrobench.bench.foundations.errors import RefusedError, RunStoppedError
+from gyrobench.bench.runs.provenance import operator_name
 from gyrobench.drivers.ins.can_bus import INSTRUMENT
 from gyrobench.drivers.ins.ins_status import InsStatus
 
@@ -86,7 +87,7 @@ class StoredCompensation:
         if answer not in answers:
             answer = yield from ask_operator(run.operator, question, answers)
             answered[which] = answer
-            run.journal.record("compensation_decided", which=which, answer=answer)
+            run.journal.record("compensation_decided", which=which, answer=answer, operator=operator_name())
         if answer == _STOP:
             raise RunStoppedError(f"the operator answered '{answer}' to: {question}")
         if answer == _KEEP:

@@ -67,8 +67,8 @@ def read_log(path: Path, log_map: LogMap) -> ReadLog:
     MeasurementError if time goes back.
     """
     reader = SampleReader(path, log_map)
-    windows = list(cut_windows(reader.batches(), log_map.window_s, log_map.skip_s))
-    expected = round((windows[-1].end_s - windows[0].start_s) / log_map.window_s) if windows else 0
+    windows = list(cut_windows(reader.batches(), log_map.averages.window_s, log_map.skip_s))
+    expected = round((windows[-1].end_s - windows[0].start_s) / log_map.averages.window_s) if windows else 0
     reasons = reasons_against(windows, log_map) if windows else []
     return ReadLog(path, reader, windows, reasons, expected - len(windows))
 
@@ -131,7 +131,7 @@ def _offsets_s(logs: Sequence[ReadLog], log_map: LogMap) -> list[float]:
             offset = end_s
         else:
             offset = log.reader.first_s - logs[0].reader.first_s
-            if offsets and offset < end_s - log_map.window_s:
+            if offsets and offset < end_s - log_map.averages.window_s:
                 raise MeasurementError(
                     f"{log.path}: begins {offset:.1f} s after {logs[0].path}, before the log "
                     "ahead of it ends. Give the logs in the order of time; if each is a separate power-on, "
@@ -162,7 +162,7 @@ def _cycles(
 
 
 def _position(window: Window, log_map: LogMap) -> str:
-    rule = log_map.position
+    rule = log_map.averages.position
     if rule.constant is not None:
         return rule.constant
     if rule.column is not None:
@@ -171,7 +171,7 @@ def _position(window: Window, log_map: LogMap) -> str:
 
 
 def _gyro_temperatures(window: Window, log_map: LogMap) -> tuple[Triple, Triple]:
-    constant = log_map.temperatures.constant_c
+    constant = log_map.averages.temperatures.constant_c
     if constant is not None:
         return (constant, constant, constant), (0.0, 0.0, 0.0)
     x, y, z = (window.slopes_per_h[f"gyro_{axis}_c"] for axis in AXES)

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, Literal, Self, get_args
+from typing import Annotated, Any, Literal, NamedTuple, Self, cast, get_args
 
 from pydantic import BeforeValidator, Field, model_validator
 
 from gyrobench.bench.foundations.csv_tables import COLDEST_C, HOTTEST_C
 from gyrobench.bench.foundations.documents import StrictModel, read_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.navigation.positions import AXES
+from gyrobench.bench.navigation.positions import AXES, PositionName
 from gyrobench.drivers import ins
 
 _SHIPPED_DBC = Path(ins.__file__).parent
@@ -27,7 +27,6 @@ Factor = Annotated[float, Field(ge=-1e12, le=1e12)]
 NotNegative = Annotated[float, Field(ge=0.0, le=1e12)]
 #: A spreadsheet that opens the table must not take it for a formula.
 Name = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^=+@\t\r\n-]")]
-PositionName = Literal["z_up", "z_down", "y_up", "y_down", "x_up", "x_down"]
 
 
 def _plain(key: str, alone: Any, model: type[StrictModel]) -> BeforeValidator:
@@ -44,11 +43,6 @@ def _require_one(model: Any, *names: str) -> None:
         quoted = ", ".join(f"'{name}'" for name in names)
         found = " and ".join(f"'{name}'" for name in given) or "none of them"
         raise ValueError(f"give exactly one of {quoted}; there is {found}")
-
-
-def _missing() -> Any:
-    """Value of a key that an import requires and a calibration ignores: see :func:`load_log_map`."""
-    return None
 
 
 class TextFormat(StrictModel):
@@ -142,7 +136,15 @@ AxisColumn = Annotated[SignedColumn, _plain("column", Column, SignedColumn)]
 _PER_TIME = ("/s", "/h", "dps")
 
 
-class GyroColumns(StrictModel):
+class AxisColumns(StrictModel):
+    """Columns of three sensors along the body axes."""
+
+    x: AxisColumn = Field(description="column of the x sensor, with its sign")
+    y: AxisColumn = Field(description="column of the y sensor, with its sign")
+    z: AxisColumn = Field(description="column of the z sensor, with its sign")
+
+
+class GyroColumns(AxisColumns):
     """Which column measures the rate about which body axis."""
 
     unit: Literal[
@@ -163,9 +165,6 @@ class GyroColumns(StrictModel):
         "mdeg",
         "arcsec",
     ] = Field(description="unit of the rates; an angle: increments since the sample before, to calibrate")
-    x: AxisColumn = Field(description="column of the x gyro, with its sign")
-    y: AxisColumn = Field(description="column of the y gyro, with its sign")
-    z: AxisColumn = Field(description="column of the z gyro, with its sign")
     full_scale: Positive | None = Field(
         default=None, description="measuring range of the gyros, in the unit above"
     )
@@ -237,12 +236,9 @@ class StatusRule(StrictModel):
     good: list[str | int] = Field(min_length=1, description="values of a valid sample")
 
 
-class Accelerometers(StrictModel):
+class Accelerometers(AxisColumns):
     """Accelerometers that indicate the position; their unit does not matter."""
 
-    x: AxisColumn = Field(description="column of the x accelerometer, with its sign")
-    y: AxisColumn = Field(description="column of the y accelerometer, with its sign")
-    z: AxisColumn = Field(description="column of the z accelerometer, with its sign")
     tolerance_deg: float = Field(
         default=10.0, gt=0.0, le=45.0, description="windows tilted more are left out"
     )
@@ -302,15 +298,12 @@ class EarthRate(StrictModel):
     )
 
 
-class CalibrationAccelerometers(StrictModel):
+class CalibrationAccelerometers(AxisColumns):
     """Specific force or its increments; positive up at rest."""
 
     unit: Literal["m/s2", "g", "mg", "m/s", "mm/s"] = Field(
         description="unit; a velocity: increments since the sample before"
     )
-    x: AxisColumn = Field(description="column of the x accelerometer, with its sign")
-    y: AxisColumn = Field(description="column of the y accelerometer, with its sign")
-    z: AxisColumn = Field(description="column of the z accelerometer, with its sign")
 
 
 class CalibrationNoise(StrictModel):
@@ -345,6 +338,14 @@ class CalibrationLog(StrictModel):
     )
 
 
+class Averages(NamedTuple):
+    """How the samples of a log become dwells."""
+
+    temperatures: TemperatureColumns
+    position: PositionRule
+    window_s: float
+
+
 class LogMap(StrictModel):
     """The columns of a log and how they are averaged."""
 
@@ -360,12 +361,12 @@ class LogMap(StrictModel):
     signals: SignalFormat | None = Field(default=None, description="the log holds named signals")
     time: TimeRule = Field(description="how the samples are timed")
     gyro: GyroColumns = Field(description="which columns are the rates")
-    temperatures: TemperatureColumns = Field(
-        default_factory=_missing, description="which columns are temperatures; required without 'calibration'"
+    temperatures: TemperatureColumns | None = Field(
+        default=None, description="which columns are temperatures; required without 'calibration'"
     )
     status: StatusRule | None = Field(default=None, description="which samples are valid")
-    position: Annotated[PositionRule, _plain("constant", PositionName, PositionRule)] = Field(
-        default_factory=_missing, description="position of the unit; required without 'calibration'"
+    position: Annotated[PositionRule, _plain("constant", PositionName, PositionRule)] | None = Field(
+        default=None, description="position of the unit; required without 'calibration'"
     )
     cycle: Annotated[CycleRule, _plain("constant", int, CycleRule)] = Field(
         default=CycleRule(constant=1), description="cycle of each window; a cycle can be held out"
@@ -373,8 +374,8 @@ class LogMap(StrictModel):
     earth_rate: EarthRate | None = Field(
         default=None, description="without it the Earth's rotation remains in the biases"
     )
-    window_s: float = Field(
-        default_factory=_missing,
+    window_s: float | None = Field(
+        default=None,
         ge=1e-3,
         le=1e12,
         description="length of the windows that are averaged; required without 'calibration'",
@@ -389,18 +390,33 @@ class LogMap(StrictModel):
     )
 
     @property
-    def import_problem(self) -> str:
-        """Why the log can be calibrated and not imported; empty if it can be imported."""
-        missing = [name for name in ("temperatures", "position", "window_s") if getattr(self, name) is None]
+    def averages(self) -> Averages:
+        """What an import requires and a calibration ignores; DocumentError where it is missing."""
+        required = self.temperatures, self.position, self.window_s
+        missing = [name for name, each in zip(Averages._fields, required, strict=True) if each is None]
         if missing:
-            return f"the import map lacks {', '.join(repr(name) for name in missing)}"
-        return "" if self.gyro.unit.endswith(_PER_TIME) else f"'gyro.unit: {self.gyro.unit}' is no rate"
+            raise DocumentError(f"the import map lacks {', '.join(map(repr, missing))}")
+        if not self.gyro.unit.endswith(_PER_TIME):
+            raise DocumentError(f"'gyro.unit: {self.gyro.unit}' is no rate")
+        return Averages(*cast(Any, required))
+
+    @property
+    def calibrated(self) -> CalibrationLog:
+        """What a calibration requires; DocumentError where it is missing."""
+        if self.calibration is None:
+            raise DocumentError(
+                "the import map has no section 'calibration' with the accelerometers and the latitude. Add it"
+            )
+        return self.calibration
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
         _require_one(self, "text", "records", "signals")
-        if self.calibration is None and self.import_problem:
-            raise ValueError(f"{self.import_problem}; only a map with 'calibration' may")
+        if self.calibration is None:
+            try:
+                _ = self.averages
+            except DocumentError as error:
+                raise ValueError(f"{error}; only a map with 'calibration' may") from error
         if self.cycle.block_s is not None and self.window_s and self.cycle.block_s < self.window_s:
             raise ValueError(f"'cycle.block_s' is shorter than 'window_s' ({self.window_s:g} s)")
         return self
@@ -412,12 +428,10 @@ def load_log_map(path: Path, for_calibration: bool = False) -> LogMap:
     Raises DocumentError, which lists everything that is wrong with it, each with its place.
     """
     log_map = validate(read_document(path), LogMap)
-    if for_calibration and log_map.calibration is None:
-        raise DocumentError(
-            f"{path}: has no section 'calibration' with the accelerometers and the latitude. Add it"
-        )
-    if not for_calibration and log_map.import_problem:
-        raise DocumentError(f"{path}: {log_map.import_problem}: the log can't be imported")
+    try:
+        _ = log_map.calibrated if for_calibration else log_map.averages
+    except DocumentError as error:
+        raise DocumentError(f"{path}: {error}") from error
     if log_map.signals is None or log_map.signals.dbc is None:
         return log_map
     name = log_map.signals.dbc

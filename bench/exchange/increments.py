@@ -18,7 +18,7 @@ from gyrobench.bench.foundations.arrays import (
     FloatArray,
     IntArray,
 )
-from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
+from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.error_model import Site
 
 #: SI units of angle and velocity, and of their rates, by the names in maps.
@@ -31,7 +31,6 @@ _INCREMENTS = ("m/s", "mm/s")
 _LAG, _NEAR, _MIN_STEP_ERROR = 100, 16, 0.3
 #: Standard uncertainty of normal gravity, m/s^2: a usual anomaly of 30 mGal.
 _NORMAL_GRAVITY_SIGMA = 3e-4
-_NO_SECTION = "the import map has no section 'calibration'"
 
 
 def read_increments(path: Path, log_map: LogMap) -> list[IncrementRecording]:
@@ -40,9 +39,7 @@ def read_increments(path: Path, log_map: LogMap) -> list[IncrementRecording]:
     Rates and specific forces count as means since the sample before. Raises DocumentError if the log can't be
     read, or does not fit the map. Raises MeasurementError if no piece is long enough.
     """
-    section = log_map.calibration
-    if section is None:
-        raise DocumentError(_NO_SECTION)
+    section = log_map.calibrated
     angle_unit, angles_are_increments = _angle_unit(log_map.gyro.unit)
     quantities: dict[str, Quantity] = {}
     for names, columns, unit in (
@@ -106,11 +103,11 @@ def _pieces(time_s: FloatArray, values: FloatArray) -> list[IntArray]:
     return [kept[begin : end + 1] for begin, end in edges.reshape(-1, 2)]
 
 
-def calibration_settings(log_map: LogMap, lever_arms: bool, delay: bool) -> tuple[Site, CalibrationOptions]:
-    """Place and options of a calibration; ``lever_arms``, ``delay``: whether they are estimated."""
-    section = log_map.calibration
-    if section is None:
-        raise DocumentError(_NO_SECTION)
+def calibration_settings(
+    log_map: LogMap, lever_arms: bool, delay: bool, quadratic: bool
+) -> tuple[Site, CalibrationOptions]:
+    """Place and options of a calibration; ``lever_arms``, ``delay``, ``quadratic``: what is estimated."""
+    section = log_map.calibrated
     turns, noise = section.whole_turns_arcsec, section.noise
     walks = None
     if noise is not None:
@@ -124,5 +121,5 @@ def calibration_settings(log_map: LogMap, lever_arms: bool, delay: bool) -> tupl
     if gravity_sigma is None:
         gravity_sigma = _NORMAL_GRAVITY_SIGMA if section.gravity_mps2 is None else 0.0
     return site, CalibrationOptions(
-        lever_arms, delay, whole_turns, section.gravity_mps2, walks, gravity_sigma
+        lever_arms, delay, quadratic, whole_turns, section.gravity_mps2, walks, gravity_sigma
     )

@@ -76,7 +76,7 @@ def import_logs(logs: Sequence[Path], mapping: str) -> LogImport:
     if not windows:
         reasons = "; ".join(f"{count}: {reason}" for reason, count in left_out.items())
         raise MeasurementError(
-            f"{', '.join(map(str, logs))}: no window of {log_map.window_s:g} s is valid. "
+            f"{', '.join(map(str, logs))}: no window of {log_map.averages.window_s:g} s is valid. "
             f"{reasons or 'The log is shorter than skip_s and one window'}. Correct the log or the import map"
         )
     with _named(logs):
@@ -150,7 +150,7 @@ def _origin(
     resolutions = {
         f"gyro_{axis}": temperature_resolution_c(windows, f"gyro_{axis}_c")
         for axis in AXES
-        if log_map.temperatures.constant_c is None
+        if log_map.averages.temperatures.constant_c is None
     }
     return {
         "logs": [

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrobench.bench.bias.raw_rate import RateRecording
-from gyrobench.bench.exchange.import_map import Column, LogMap, TextFormat
+from gyrobench.bench.exchange.import_map import Column, LogMap, PositionRule, TextFormat
 from gyrobench.bench.exchange.log_files import Batch, RecordLog, TextLog
 from gyrobench.bench.exchange.signal_logs import SignalLog
 from gyrobench.bench.foundations.arrays import (
@@ -29,13 +29,13 @@ from gyrobench.bench.foundations.csv_tables import COLDEST_C, HOTTEST_C
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
-#: Quantities of some samples by name, each of shape (n,): ``time_s``, ``rate_x_dph``, ``gyro_x_c``, ...,
+#: Quantities of some samples by name, each of shape (n,): ``time_s``, ``rate_x`` (deg/h), ``gyro_x_c``, ...,
 #: ``force_x``, ``position`` (index in POSITIONS), ``cycle``; NaN where not measured.
 Samples = dict[str, FloatArray]
 #: Column of a quantity, and the scale and offset that convert it.
 Quantity = tuple[Column, float, float]
 
-RATES = tuple(f"rate_{axis}_dph" for axis in AXES)
+RATES = tuple(f"rate_{axis}" for axis in AXES)
 FORCES = tuple(f"force_{axis}" for axis in AXES)
 
 #: Larger values and times count as NaN: no sensor measures them, no log is as long.
@@ -51,7 +51,7 @@ _TIME_RESOLUTION_S = 1e-6
 class SampleReader:
     """Reads one log by its import map, and counts samples left out for their status or without a time.
 
-    ``quantities`` replaces those of the import map, and leaves the position out.
+    ``quantities`` replaces those of the import map, in units of the caller, and leaves the position out.
 
     ``first_s`` is the reading of the log's clock at its first sample, from the first batch on; 0 without a
     time column.
@@ -65,7 +65,7 @@ class SampleReader:
     def __init__(self, path: Path, log_map: LogMap, quantities: Mapping[str, Quantity] | None = None) -> None:
         self._path = path
         self._map = log_map
-        self._position = None if quantities else log_map.position
+        self._position = None if quantities else log_map.averages.position
         self._log: RecordLog | SignalLog | TextLog
         if log_map.records:
             self._log = RecordLog(path, log_map.records)
@@ -152,16 +152,16 @@ class SampleReader:
             for name in RATES:
                 samples[name] = np.where(valid, samples[name], np.nan)
         if position is not None and position.column is not None:
-            samples["position"] = self._positions(batch[position.column])
+            samples["position"] = self._positions(position, batch[position.column])
         return samples
 
-    def _positions(self, texts: NDArray[np.str_]) -> FloatArray:
+    def _positions(self, rule: PositionRule, texts: NDArray[np.str_]) -> FloatArray:
         names, which = np.unique(_words(texts), return_inverse=True)
-        values = {_word(text): name for text, name in self._map.position.values.items()}
+        values = {_word(text): name for text, name in rule.values.items()}
         unknown = [name for name in names if name and name not in values]
         if unknown:
             raise DocumentError(
-                f"{self._path}: column {self._map.position.column} holds '{unknown[0]}', which is none of "
+                f"{self._path}: column {rule.column} holds '{unknown[0]}', which is none of "
                 f"{', '.join(values)}. Add it to 'position.values' in the import map"
             )
         order = list(POSITIONS)
@@ -199,13 +199,13 @@ def read_recording(path: Path, log_map: LogMap) -> RateRecording:
 
 def _quantities(log_map: LogMap) -> dict[str, Quantity]:
     """Column, scale and offset of each number that is read."""
-    gyro, temperatures = log_map.gyro, log_map.temperatures
+    gyro, (temperatures, position, _) = log_map.gyro, log_map.averages
     to_dph = _rate_dph(gyro.unit)
     quantities: dict[str, Quantity] = {}
     for name, axis in zip(RATES, (gyro.x, gyro.y, gyro.z), strict=True):
         quantities[name] = (axis.column, axis.sign * axis.scale * to_dph, 0.0)
     quantities |= temperatures.by_quantity()
-    if (force := log_map.position.accelerometers) is not None:
+    if (force := position.accelerometers) is not None:
         for name, axis in zip(FORCES, (force.x, force.y, force.z), strict=True):
             quantities[name] = (axis.column, axis.sign * axis.scale, 0.0)
     if log_map.cycle.column is not None:

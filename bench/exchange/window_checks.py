@@ -75,7 +75,7 @@ def max_gap_s_of(windows: Sequence[Window], log_map: LogMap) -> float:
     """Longest time between samples of a valid window."""
     if log_map.max_gap_s is not None:
         return log_map.max_gap_s
-    return max(5.0 * sample_interval_s(windows), 0.01 * log_map.window_s)
+    return max(5.0 * sample_interval_s(windows), 0.01 * log_map.averages.window_s)
 
 
 def reasons_against(windows: Sequence[Window], log_map: LogMap) -> list[str]:
@@ -102,13 +102,13 @@ def temperature_warnings(rows: Sequence[DwellRow], windows: Sequence[Window], lo
 
     Raises MeasurementError if they swing too little, or in too few steps, for a curve over temperature.
     """
-    if log_map.temperatures.constant_c is not None:
+    if log_map.averages.temperatures.constant_c is not None:
         return ["all rows have the constant temperature of the import map: no curve over temperature"]
     warnings: dict[str, None] = {}
     for index, (axis, name) in enumerate(zip(AXES, _GYRO_TEMPERATURES, strict=True)):
         temperatures = np.array([row.gyro_c[index] for row in rows])
         swing = float(np.ptp(temperatures))
-        min_swing = log_map.temperatures.min_swing_c
+        min_swing = log_map.averages.temperatures.min_swing_c
         if swing < min_swing:
             raise MeasurementError(
                 f"the temperature of gyro {axis} is between {temperatures.min():.2f} and "
@@ -140,7 +140,7 @@ def _reason_of_samples(window: Window, log_map: LogMap, interval_s: float, gap_s
     total = window.samples + window.dropped
     if total < MIN_SAMPLES:
         return f"fewer than {MIN_SAMPLES} samples (are 'window_s' and the unit of time right?)"
-    if window.covered_s + interval_s < _MIN_PART * log_map.window_s:
+    if window.covered_s + interval_s < _MIN_PART * log_map.averages.window_s:
         return "not recorded to the end"
     if window.max_step_s > gap_s:
         return f"over a gap of more than {gap_s:.3g} s"
@@ -161,7 +161,7 @@ def _reason_of_rates(window: Window, saturation: FloatArray) -> str:
 
 
 def _reason_of_temperatures(window: Window, log_map: LogMap, is_stuck: bool) -> str:
-    if log_map.temperatures.constant_c is not None:
+    if log_map.averages.temperatures.constant_c is not None:
         return ""
     if any(np.isnan(window.slopes_per_h[name]) for name in _GYRO_TEMPERATURES):
         return "no temperature"
@@ -175,10 +175,10 @@ def _reason_of_place(window: Window, log_map: LogMap) -> str:
                 return f"no {name}"
             if window.spans[name] > 0.0:
                 return f"{name} changed"
-    if log_map.position.accelerometers is not None:
+    if (rule := log_map.averages.position.accelerometers) is not None:
         _, tilt_deg = nearest_position(window.force)
-        if not tilt_deg <= log_map.position.accelerometers.tolerance_deg:
-            return f"over {log_map.position.accelerometers.tolerance_deg:g} deg from the nearest position"
+        if not tilt_deg <= rule.tolerance_deg:
+            return f"over {rule.tolerance_deg:g} deg from the nearest position"
     return ""
 
 
@@ -210,7 +210,7 @@ def _stuck_temperature(windows: Sequence[Window], log_map: LogMap) -> list[bool]
         begin = 0
         for value, group in itertools.groupby(same):
             count = len(list(group))
-            long = count >= _STUCK_WINDOWS and count * log_map.window_s >= _STUCK_S
+            long = count >= _STUCK_WINDOWS and count * log_map.averages.window_s >= _STUCK_S
             if long and not isinstance(value, tuple):
                 stuck[begin : begin + count] = [True] * count
             begin += count

@@ -20,7 +20,7 @@ from gyrobench.bench.fleet.batch import FALSE_ALARM, EffectSize, QuantityStatist
 from gyrobench.bench.foundations.files import make_folder, write_whole
 from gyrobench.bench.foundations.text import bin_label, counted, listed
 from gyrobench.bench.navigation.positions import AXES, gyro_label, position_label
-from gyrobench.bench.report.figures.style import common_legend, house_style, new_figure, say_empty
+from gyrobench.bench.report.figures.style import common_legend, fitted_figure, house_style, say_empty
 from gyrobench.bench.report.number_format import BiasScale, dph_with_sigma, p_text
 from gyrobench.bench.report.page import Findings, Section, SectionFigure, SectionTable, write_findings
 from gyrobench.bench.report.terminal.tables import plain_table
@@ -126,7 +126,7 @@ _WIDTH = 0.62
 @house_style
 def batch_figure(batch: Sequence[QuantityStatistics], *, of_positions: bool) -> Figure:
     """Draw levels or position differences: a panel a gyro, a band for each bin or position in a bin."""
-    figure = new_figure(9.2 if of_positions else 7.6)
+    figure = fitted_figure(9.2 if of_positions else 7.6)
     panels = figure.subplots(len(AXES), 1, sharex=False)
     out = list(dict.fromkeys(unit.unit for _, unit in outliers(batch)))[: len(_COLOURS)]
     colours = dict(zip(out, _COLOURS, strict=False))
@@ -149,7 +149,7 @@ def batch_figure(batch: Sequence[QuantityStatistics], *, of_positions: bool) -> 
             panel.set_xticks(range(len(mine)), labels, rotation=90 if of_positions else 0, fontsize=8)
         else:
             say_empty(panel, "measured on too few units")
-    common_legend(figure, panels, "outside upper center", ncols=5)
+    common_legend(figure, panels, "upper center", ncols=5)
     return figure
 
 

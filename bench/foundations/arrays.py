@@ -16,6 +16,8 @@ STANDARD_GRAVITY = 9.80665
 DPH_TO_RADPS = np.pi / 180.0 / 3600.0
 #: One rad/s in degrees per hour.
 RADPS_TO_DPH = 1.0 / DPH_TO_RADPS
+#: One arcsec in rad.
+ARCSEC_TO_RAD = np.pi / 180.0 / 3600.0
 #: One rad in arcmin.
 RAD_TO_ARCMIN = 60.0 * 180.0 / np.pi
 #: One degree per root hour (angle random walk) in rad/sqrt(s).
@@ -30,6 +32,12 @@ def rms(values: ArrayLike) -> float:
     """Root mean square of all values; NaN of none."""
     squares = np.square(np.asarray(values, dtype=np.float64))
     return float(np.sqrt(np.mean(squares))) if squares.size else np.nan
+
+
+def rms_of_known(values: ArrayLike) -> float:
+    """Root mean square of the values that are not NaN; NaN of none."""
+    values = np.asarray(values, dtype=np.float64)
+    return rms(values[~np.isnan(values)])
 
 
 def block_diagonal(*blocks: FloatArray) -> FloatArray:

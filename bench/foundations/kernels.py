@@ -7,6 +7,7 @@ from functools import partial
 from typing import Any, TypeVar, overload
 
 import numba
+from numba.core import environment
 from numba.core.caching import Cache, FunctionCache, make_library_cache
 from numba.core.dispatcher import Dispatcher
 from numba.core.runtime import nrtdynmod
@@ -49,8 +50,19 @@ def _array_allocation(target_context: Any) -> Any:
     return library
 
 
+def _environment(module: str, constants: Any, name: str) -> Any:
+    """Environment of loaded code. It reads no globals, so the modules of numba behind it are not imported."""
+    found = environment.lookup_environment(name)  # type: ignore[no-untyped-call]
+    if found is None:
+        found = environment.Environment({"__name__": module})
+        found.consts[:], found.env_name = constants, name
+        environment.Environment._memo[name] = found  # noqa: SLF001
+    return found
+
+
 if _IS_TESTED:
     nrtdynmod.compile_nrt_functions = _array_allocation
+    environment._rebuild_env = _environment  # noqa: SLF001
 
 
 @overload

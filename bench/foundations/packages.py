@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import importlib
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint, EntryPoints, entry_points
 from typing import Any, TypeVar
 
 from gyrobench.bench.foundations.errors import DocumentError, MissingPackageError
@@ -28,8 +28,10 @@ _EXTRAS = {
     "weasyprint": "pdf",
     "asammdf": "mf4",
     "pandas": "pandas",
+    "prometheus_client": "metrics",
     "pymavlink": "logs",
     "pyulog": "logs",
+    **dict.fromkeys(("cryptography", "lxml", "pyhanko", "signxml"), "certificate"),
 }
 
 ObjectT = TypeVar("ObjectT")
@@ -99,9 +101,12 @@ def load(group: str, name: str, kind: type[ObjectT]) -> ObjectT:
     return loaded
 
 
-@cache
-def _entries(group: str) -> tuple[EntryPoint, ...]:
-    return tuple(entry_points(group=group))
+#: Entry points of all packages, read once.
+_all_entries = cache(entry_points)
+
+
+def _entries(group: str) -> EntryPoints:
+    return _all_entries().select(group=group)
 
 
 def _package(entry: EntryPoint) -> str:

@@ -41,6 +41,7 @@ from gyrobench.bench.investigation.proposal import (
     proposed,
 )
 from gyrobench.bench.runs.journal import Journal, read_journal
+from gyrobench.bench.runs.provenance import operator_name
 
 #: Hypotheses less probable than this, and more than so many, are not predicted.
 _MIN_PROBABILITY = 1e-3
@@ -372,7 +373,8 @@ class Investigator:
         if answer:
             make_folder(self._block_folder)
             write_whole(self._block_folder / _PLAN, proposal.block.plan.text().encode())
-        journal.record("approved" if answer else "declined", number=self._blocks + 1)
+        event = "approved" if answer else "declined"
+        journal.record(event, number=self._blocks + 1, operator=operator_name())
         return answer
 
     def _decided(self, stage: Stage, forecast: Forecast) -> Proposal | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import secrets
 from collections.abc import Callable, Mapping, Sequence
@@ -13,11 +14,13 @@ from urllib.parse import quote, unquote, urlsplit
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
+from gyrobench.bench.foundations.errors import GyrobenchError, MissingPackageError, RunFolderError
 from gyrobench.bench.foundations.files import read_limited
 from gyrobench.bench.foundations.text import hours_minutes
 from gyrobench.bench.monitor.attitude_drawing import axes_drawing
 from gyrobench.bench.monitor.charts import bias_charts, profile_chart, window_charts
+from gyrobench.bench.monitor.metrics import CONTENT_TYPE as METRICS_TYPE
+from gyrobench.bench.monitor.metrics import metrics_text
 from gyrobench.bench.monitor.page_content import (
     Freshness,
     ListRow,
@@ -154,6 +157,8 @@ class Site:
             path = unquote(urlsplit(target).path, errors="strict")
         except ValueError:
             return refusal(HTTPStatus.BAD_REQUEST, "Invalid address.")
+        if path == "/metrics":
+            return self._metrics()
         if is_run(self._root):
             return self._of_run(self._root, path.removeprefix("/"), "")
         if path in ("/", f"/{_FRAGMENT}"):
@@ -192,6 +197,20 @@ class Site:
             return problem_fragment(run.absolute().name, str(error), home)
         freshness = freshness_of(snapshot.state, snapshot.updated_utc, self._utc())
         return run_fragment(snapshot, freshness, records_of(run), home)
+
+    def _metrics(self) -> Response:
+        """Metrics of the run, or of the newest runs of the folder; those that can't be read are left out."""
+        runs = [self._root] if is_run(self._root) else self._runs()[:_MAX_SNAPSHOTS]
+        found = []
+        for run in runs:
+            with contextlib.suppress(GyrobenchError):
+                snapshot = self._snapshots.of(run)
+                age_s = freshness_of(snapshot.state, snapshot.updated_utc, self._utc()).age_s
+                found.append((run, snapshot, age_s))
+        try:
+            return Response(HTTPStatus.OK, metrics_text(found), METRICS_TYPE)
+        except MissingPackageError as error:
+            return refusal(HTTPStatus.NOT_IMPLEMENTED, str(error))
 
     def _list(self) -> str:
         try:

@@ -13,12 +13,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Literal
 
 import numpy as np
 
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.attitude import UP, rotation_matrix
 
+#: Names of the six positions in files.
+PositionName = Literal["z_up", "z_down", "y_up", "y_down", "x_up", "x_down"]
 #: Body axes, in the order of arrays.
 AXES = ("x", "y", "z")
 

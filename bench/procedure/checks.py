@@ -64,6 +64,7 @@ def find_problems(plan: Plan, limits: StationLimits | None = None) -> list[Probl
         if limits is not None:
             problems += [*_chamber_problems(planned, limits), *_table_problems(planned, limits)]
             problems += find_reach_problems(plan, planned, limits)
+    problems += _test_problems(plan)
     if limits is not None:
         problems += _gyro_problems(plan, limits)
     return problems
@@ -145,6 +146,20 @@ def _table_problems(planned: PlannedStep, limits: StationLimits) -> Iterator[Pro
             f"a rate of {fastest_dps:g} deg/s is too fast for the table; "
             f"allowed: at most {limits.table_rate_max_dps:g} deg/s",
         )
+
+
+def _test_problems(plan: Plan) -> Iterator[Problem]:
+    tests = plan.procedure.tests
+    if tests and tests.turn_on_repeatability:
+        least = tests.turn_on_repeatability.min_power_cycles
+        power_ons = itertools.accumulate(isinstance(each.step, PowerOn) for each in plan.steps)
+        cycles = {number for number, each in zip(power_ons, plan.steps, strict=True) if each.dwell}
+        if len(cycles) < least:
+            yield Problem(
+                ("tests", "turn_on_repeatability"),
+                f"the plan has dwells in {len(cycles)} power cycles; the test needs {least}. Repeat "
+                "power_on, a dwell and power_off",
+            )
 
 
 _INSEPARABLE = "biases and initial errors can't be separated"

@@ -194,9 +194,13 @@ class _Gathered:
             "dwell_finished": self._finished,
             "dwell_skipped": lambda entry: self._add(entry, "dwell skipped", f"dwell {entry.get('dwell')}"),
             "ordered": lambda entry: self._add(
-                entry, "command", str(entry.get("order")), f"by {entry.get('by')}"
+                entry, "command", str(entry.get("order")), f"by {_who(entry)}"
             ),
+            "run_started": self._started,
             "run_resumed": self._resumed,
+            "compensation_decided": lambda entry: self._add(
+                entry, "command", f"compensation {entry.get('which')}: {entry.get('answer')}", _by(entry)
+            ),
             "run_ended": self._ended,
             "note": lambda entry: self._add(entry, "note", str(entry.get("text"))),
             "journal_repaired": lambda entry: self._add(
@@ -233,7 +237,7 @@ class _Gathered:
     def _continued(self, entry: Entry) -> None:
         held_s = _seconds(entry.get("held_s"))
         after = f" after {clock_time(held_s)}" if held_s is not None else ""
-        self._close("hold", None, f"continued by {entry.get('by')}{after}")
+        self._close("hold", None, f"continued by {_who(entry)}{after}")
 
     def _retry(self, entry: Entry) -> None:
         instrument = entry.get("instrument")
@@ -253,14 +257,29 @@ class _Gathered:
         if flags:
             self._add(entry, "dwell flagged", f"dwell {dwell}: {flags}", "excluded from the bins")
 
+    def _started(self, entry: Entry) -> None:
+        if entry.get("operator"):
+            self._add(entry, "command", "start", _by(entry))
+
     def _resumed(self, entry: Entry) -> None:
         next_step = entry.get("next_step")
         self._close("hold", None, "the run ended during the hold")
-        self._add(entry, "resumed", "The run was interrupted and resumed.", f"from step {next_step}")
+        by = f" by {entry['operator']}" if entry.get("operator") else ""
+        self._add(entry, "resumed", f"The run was interrupted and resumed{by}.", f"from step {next_step}")
 
     def _ended(self, entry: Entry) -> None:
         if entry.get("ended") != "finished":
             self._add(entry, "ended", f"The run {entry.get('ended')}: {entry.get('reason')}")
+
+
+def _by(entry: Entry) -> str:
+    return f"by {entry['operator']}" if entry.get("operator") else ""
+
+
+def _who(entry: Entry) -> str:
+    """Source of a command, with the operator's name where it is known and not in the source."""
+    by, operator = str(entry.get("by")), str(entry.get("operator") or "")
+    return f"{operator} ({by})" if operator and operator not in by else by
 
 
 def _seconds(value: object) -> float | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import math
 import os
@@ -22,13 +23,18 @@ from gyrobench.bench.foundations.files import cant_be_written, parse_json, read_
 #: Some hundred times the journal of a run of 1000 h.
 MAX_JOURNAL_BYTES = 500_000_000
 _SHOWN_CHARACTERS = 60
+#: Key of an entry that links it to the line before: SHA-256 of that line, empty for the first.
+_LINK = "previous_sha256"
+#: Of an entry: the lines whose link is broken because damaged lines before them were given up.
+BROKEN_LINKS = "broken_links"
 
 
 class Journal:
     """Append-only JSON lines; each is on the disk when :meth:`record` returns.
 
-    Every entry has ``time_s`` (the run's clock), ``utc`` and ``event``. An existing journal is continued. If
-    its last line was cut off, that line is removed and an entry ``journal_repaired`` added. Raises
+    Every entry has ``time_s`` (the run's clock), ``utc``, ``event`` and the SHA-256 of the line before, so
+    that no line can be changed alone. An existing journal is continued. If its last line was cut off, that
+    line is removed and an entry ``journal_repaired`` added. Raises
     RunFolderError if the file can't be written, another process writes it, or it is damaged before its last
     line.
     """
@@ -43,7 +49,7 @@ class Journal:
             raise cant_be_written(path, error) from error
         try:
             self._lock()
-            self._sound_bytes, cut_off = self._find_end()
+            self._sound_bytes, self._last_line, cut_off = self._find_end()
         except BaseException:
             self.close()
             raise
@@ -73,7 +79,9 @@ class Journal:
 
     def _write(self, content: dict[str, Any]) -> None:
         entry = {"time_s": round(self._clock.now(), 6), "utc": self._clock.utc().isoformat()}
-        line = json.dumps(_finite(entry | content), allow_nan=False).encode() + b"\n"
+        link = {_LINK: _sha256(self._last_line) if self._last_line else ""}
+        text = json.dumps(_finite(entry | content | link), allow_nan=False).encode()
+        line = text + b"\n"
         try:
             self._drop_half_line()
             written = os.write(self._descriptor, line)
@@ -85,6 +93,7 @@ class Journal:
                 self._drop_half_line()
             raise cant_be_written(self._path, error) from error
         self._sound_bytes += len(line)
+        self._last_line = text
 
     def _lock(self) -> None:
         try:
@@ -96,14 +105,16 @@ class Journal:
                 f"{self._path}: another process is writing this run. Wait for its end, or stop it."
             )
 
-    def _find_end(self) -> tuple[int, bytes]:
+    def _find_end(self) -> tuple[int, bytes, bytes]:
+        """Number of intact bytes, the last intact line, and what follows it."""
         try:
             sync_folder(self._path.parent)
             content = self._path.read_bytes()
         except OSError as error:
             raise cant_be_written(self._path, error) from error
         sound_bytes = sum(size_bytes for _, size_bytes in _parse(self._path, content))
-        return sound_bytes, content[sound_bytes:]
+        last_line = content[:sound_bytes].removesuffix(b"\n").rpartition(b"\n")[2]
+        return sound_bytes, last_line, content[sound_bytes:]
 
     def _drop_half_line(self) -> None:
         if os.fstat(self._descriptor).st_size != self._sound_bytes:
@@ -130,6 +141,40 @@ def intact_lines(content: bytes) -> tuple[list[bytes], int]:
     return intact, len(lines) - len(intact)
 
 
+def is_linked(path: Path) -> bool:
+    """Whether the first line of a journal has a link, as those of this version have."""
+    try:
+        with path.open("rb") as stream:
+            return _LINK in (_entry(stream.readline()) or {})
+    except OSError:
+        return False
+
+
+def broken_links(content: bytes) -> list[int]:
+    """Numbers, from 1, of the lines whose link does not fit the line before; empty for an intact journal.
+
+    Journals without links are intact. Links that an entry ``data_given_up`` names are left out.
+    """
+    broken, explained, is_linked = [], set(), False
+    before = b""
+    for number, line in enumerate(content.split(b"\n")[:-1], start=1):
+        entry = _entry(line) or {}
+        link = entry.get(_LINK)
+        if link is None:
+            broken += [number] if is_linked else []
+        elif link != (_sha256(before) if before else ""):
+            broken.append(number)
+        is_linked = is_linked or link is not None
+        given_up = entry.get(BROKEN_LINKS)
+        explained.update(given_up if isinstance(given_up, list) else [])
+        before = line
+    return [number for number in broken if number not in explained]
+
+
+def _sha256(line: bytes) -> str:
+    return hashlib.sha256(line).hexdigest()
+
+
 def _entry(line: bytes) -> dict[str, Any] | None:
     try:
         entry = parse_json(line)
@@ -145,6 +190,7 @@ def _parse(path: str | Path, content: bytes) -> Iterator[tuple[dict[str, Any], i
     for number, line in enumerate(lines, start=1):
         entry = _entry(line)
         if entry is not None:
+            entry.pop(_LINK, None)
             yield entry, len(line) + 1
         elif number < len(lines):
             raise RunFolderError(f"{path}:{number}: damaged entry: {_shown(line)!r}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import getpass
 import hashlib
 import json
+import os
 import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,6 +21,9 @@ from gyrobench.bench.runs.folder import RunFolder
 
 _PACKAGES = ("numpy", "scipy", "pyserial", "python-can", "cantools", "pymodbus", "pydantic", "pyarrow")
 
+#: Environment variable with the operator's name.
+OPERATOR_VARIABLE = "GYROBENCH_OPERATOR"
+_MAX_NAME_CHARACTERS = 100
 _MAX_BYTES = 10_000_000
 _OBJECTS = ("instruments", "options", "files_sha256", "packages")
 
@@ -33,7 +37,8 @@ def write_provenance(
         "gyrobench": __version__,
         "started_utc": started.isoformat(),
         "utc_offset_s": _utc_offset_s(started),
-        "operator": _user(),
+        "operator": operator_name(),
+        "login": login_name(),
         "host": platform.node(),
         "instruments": dict(identities),
         "options": dict(options),
@@ -111,7 +116,12 @@ def _utc_offset_s(moment: datetime) -> float:
     return 0.0 if offset is None else offset.total_seconds()
 
 
-def _user() -> str:
+def operator_name() -> str:
+    """Name of the operator: of the option --operator or GYROBENCH_OPERATOR, else the login name."""
+    return os.environ.get(OPERATOR_VARIABLE, "").strip()[:_MAX_NAME_CHARACTERS] or login_name()
+
+
+def login_name() -> str:
     """Login name of the user; unknown in some containers."""
     try:
         return getpass.getuser()

@@ -208,6 +208,9 @@ class RateTableSection(DialectSection):
     inner_axis: Direction = Field(description="direction of the inner axis, angles at zero")
     mounting: Mounting = Field(description="directions of the unit's body axes, angles at zero")
     limits: TableLimits = Field(description="limits of the table")
+    repeatability_arcsec: NotNegative = Field(
+        1.0, description="standard uncertainty with which an axis returns to an angle, arcsec"
+    )
 
     @model_validator(mode="after")
     def _one_or_two_axes(self) -> Self:

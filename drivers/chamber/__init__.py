@@ -64,8 +64,8 @@ class Chamber(RunsProfiles, Protocol):
         """Command a temperature, approached at that rate, or as fast as possible with None.
 
         Both are rounded to the controller's resolution. Raises RefusedError if a value is not finite or
-        outside the controller's limits, the controller has a profile or other settings than when it was
-        opened, or it does not keep what was written.
+        outside the controller's limits, a rate is given to one that can't ramp, the controller has a profile
+        or other settings than when it was opened, or it does not keep what was written.
         """
 
     def set_point_c(self) -> float:

@@ -168,6 +168,10 @@ class CanIns:
             "set_euler_sequence", path, lambda status: status.euler_sequence is sequence, timeout_s, given
         )
 
+    def send_increments(self, on: bool) -> None:
+        """Begin or stop to send increments, without confirmation; raises as :meth:`align`."""
+        self._command("send_increments", "", lambda _: True, 0.0, {"$on": float(on)})
+
     def clear_compensation(self, timeout_s: float = REPLY_TIMEOUT_S) -> None:
         """Erase the compensation in the INS; waits and raises as :meth:`align`."""
         self._command(

@@ -66,7 +66,7 @@ def decode_navigation(block: FrameBlock, signal_map: SignalMap, codec: DbcCodec)
     reader = BlockReader(block, codec)
     readout = Readout(reader, signal_map, bind_signals(signal_map, codec))
     epochs = find_epochs(reader, readout)
-    messages = {bound.message for bound in readout.signals.values()}
+    messages = {each.message for path, each in readout.signals.items() if not path.startswith("increments.")}
     return NavigationData(
         ins_time_s=epochs.ins_time_s,
         timestamp_s=epochs.arrival_s,
@@ -80,6 +80,44 @@ def decode_navigation(block: FrameBlock, signal_map: SignalMap, codec: DbcCodec)
         counts=epochs.counts,
         short_frames=sum(codec.count_short(block, message) for message in messages),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class Increments:
+    """Output of the inertial sensors, sample by sample, in body axes."""
+
+    row: IntArray  #: Shape (n,). Row of the sample's last frame in the block.
+    #: angle, velocity: Shape (n, 3). Increments since the sample before, rad and m/s; NaN where saturated.
+    angle: FloatArray
+    velocity: FloatArray
+    follows: BoolArray  #: Shape (n,). Whether no sample is missing before it.
+    interval_s: float  #: Time between samples.
+
+
+def decode_increments(block: FrameBlock, signal_map: SignalMap, codec: DbcCodec) -> Increments | None:
+    """Decode the increments in a block, or the rates as increments; None if the map has neither."""
+    mapped = signal_map.increments
+    if mapped is None:
+        return None
+    reader = BlockReader(block, codec)
+    bound = bind_signals(signal_map, codec)
+    signals = {path: each for path, each in bound.items() if path.startswith("increments.")}
+    readout = Readout(reader, signal_map, signals)
+    rows = reader.rows(max((b.message for b in signals.values()), key=codec.arbitration_id))
+    angle, velocity = (
+        readout.axes(f"increments.{total}", rows)
+        if getattr(mapped, total) is not None
+        else mapped.period_s * readout.axes(f"increments.{mean}", rows)
+        for total, mean in (("angle", "rate"), ("velocity", "specific_force"))
+    )
+    if mapped.counter is not None:
+        steps = _nearest(
+            np.diff(readout.value("increments.counter", rows)), _modulus(readout, "increments.counter"), 1.0
+        )
+    else:
+        steps = np.rint(np.diff(block.timestamp_s[rows]) / mapped.period_s)
+    follows = np.concatenate([[False], steps == 1.0])[: len(rows)]
+    return Increments(rows, angle, velocity, follows, mapped.period_s)
 
 
 def _temperatures(reader: BlockReader, readout: Readout, epochs: Epochs) -> Temperatures:

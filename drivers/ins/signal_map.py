@@ -17,7 +17,7 @@ import numpy as np
 from cantools.database.can import Signal
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, STANDARD_GRAVITY, FloatArray
 from gyrobench.bench.foundations.documents import Location, Problem, StrictModel
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.drivers.ins.dbc_codec import DbcCodec
@@ -29,6 +29,8 @@ class Dimension(StrEnum):
     TIME = "time"
     SPEED = "speed"
     ANGLE = "angle"
+    ANGULAR_RATE = "angular rate"
+    ACCELERATION = "acceleration"
     TEMPERATURE = "temperature"
     NUMBER = "number"
 
@@ -173,6 +175,30 @@ class AlignmentMap(StrictModel):
     fine: Values = Field(description="raw values that mean fine")
 
 
+class IncrementsMap(StrictModel):
+    """Output of the inertial sensors in body axes, against inertial space, at an even rate.
+
+    Increments since the sample before, or means over that time. Frames of one sample come in the order of
+    their identifiers.
+    """
+
+    period_s: float = Field(gt=0.0, le=1.0, description="time between samples, s")
+    angle: AxesMap | None = Field(None, description="increments of angle")
+    rate: AxesMap | None = Field(None, description="angular rates, in place of increments")
+    velocity: AxesMap | None = Field(None, description="increments of velocity: integral of specific force")
+    specific_force: AxesMap | None = Field(None, description="specific forces, in place of increments")
+    counter: Source | None = Field(
+        None, description="counter of samples; without it lost samples show by the arrival of the others"
+    )
+
+    @model_validator(mode="after")
+    def _one_of_each(self) -> IncrementsMap:
+        for one, other in (("angle", "rate"), ("velocity", "specific_force")):
+            if (getattr(self, one) is None) == (getattr(self, other) is None):
+                raise ValueError(f"expected either {one} or {other}")
+        return self
+
+
 @dataclass(frozen=True)
 class Quantity:
     """A mapped quantity with its location in the map."""
@@ -203,6 +229,7 @@ class SignalMap(StrictModel):
         None, description="temperatures of the gyros' electronics"
     )
     case_temperature: Source | None = Field(None, description="temperature of the case")
+    increments: IncrementsMap | None = Field(None, description="output of gyros and accelerometers")
     mode: ModeMap | None = Field(None, description="mode of the INS; other values count as booting")
     alignment: AlignmentMap | None = Field(
         None, description="progress of alignment; other values count as none"
@@ -249,13 +276,18 @@ class SignalMap(StrictModel):
                 source = SignalSource(signal=source) if isinstance(source, str) else source
                 found[".".join(location)] = Quantity(location, source, dimension)
 
-        for name, dimension in _MEASURED.items():
-            mapped = getattr(self, name)
+        measured: dict[tuple[str, ...], tuple[Any, Dimension]] = {
+            (name,): (getattr(self, name), dimension) for name, dimension in _MEASURED.items()
+        }
+        if self.increments is not None:
+            for name, dimension in _INCREMENTS.items():
+                measured["increments", name] = getattr(self.increments, name), dimension
+        for path, (mapped, dimension) in measured.items():
             if isinstance(mapped, AxesMap):
                 for axis in "xyz":
-                    add(getattr(mapped, axis), dimension, name, axis)
+                    add(getattr(mapped, axis), dimension, *path, axis)
             else:
-                add(mapped, dimension, name)
+                add(mapped, dimension, *path)
         euler, quaternion = self.attitude.euler, self.attitude.quaternion
         if euler is not None:
             for name in ("roll", "pitch", "yaw"):
@@ -286,7 +318,13 @@ _MEASURED = {
     "gyro_electronics_temperature": Dimension.TEMPERATURE,
     "case_temperature": Dimension.TEMPERATURE,
 }
-
+_INCREMENTS = {
+    "angle": Dimension.ANGLE,
+    "rate": Dimension.ANGULAR_RATE,
+    "velocity": Dimension.SPEED,
+    "specific_force": Dimension.ACCELERATION,
+    "counter": Dimension.NUMBER,
+}
 
 _KNOT_MPS = 1852.0 / 3600.0
 _DEGREE_RAD = np.pi / 180.0
@@ -308,6 +346,17 @@ _UNITS: dict[Dimension, dict[str, tuple[float, float]]] = {
     Dimension.ANGLE: {
         **dict.fromkeys(("rad", "radian"), (1.0, 0.0)),
         **dict.fromkeys(("deg", "degree", "degrees", "°"), (_DEGREE_RAD, 0.0)),
+        "arcsec": (_DEGREE_RAD / 3600.0, 0.0),
+    },
+    Dimension.ANGULAR_RATE: {
+        "rad/s": (1.0, 0.0),
+        **dict.fromkeys(("deg/s", "°/s"), (_DEGREE_RAD, 0.0)),
+        **dict.fromkeys(("deg/h", "°/h"), (DPH_TO_RADPS, 0.0)),
+    },
+    Dimension.ACCELERATION: {
+        **dict.fromkeys(("m/s2", "m/s^2", "m/s²"), (1.0, 0.0)),
+        "g": (STANDARD_GRAVITY, 0.0),
+        "mg": (1e-3 * STANDARD_GRAVITY, 0.0),
     },
     Dimension.TEMPERATURE: {
         **dict.fromkeys(("degC", "deg C", "°C", "C"), (1.0, 0.0)),
@@ -467,7 +516,9 @@ def _bind_one(quantity: Quantity, codec: DbcCodec) -> BoundSignal:
         )
     if bits is not None and signal.conversion.is_float:
         raise DocumentError(f"the signal {quantity.source.signal} is floating-point and has no bit fields")
-    saturates = bits is None and quantity.dimension in (Dimension.SPEED, Dimension.TEMPERATURE)
+    is_sensor = quantity.location[0] == "increments" and quantity.dimension is not Dimension.NUMBER
+    is_limited = is_sensor or quantity.dimension in (Dimension.SPEED, Dimension.TEMPERATURE)
+    saturates = bits is None and is_limited
     return BoundSignal(message, signal, factor * gain, factor * offset, saturates, bits)
 
 

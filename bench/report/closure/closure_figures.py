@@ -8,12 +8,11 @@ from textwrap import fill
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 
 from gyrobench.bench.closure.loop import Closure, FoundEffect
 from gyrobench.bench.closure.search import SIGNIFICANCE
-from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms
-from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms_of_known
+from gyrobench.bench.navigation.positions import AXES, POSITIONS, position_label
 from gyrobench.bench.report.closure.closure_text import (
     held_out_cycles,
     is_noise_only,
@@ -24,12 +23,20 @@ from gyrobench.bench.report.closure.closure_text import (
     scale_of_errors,
     share_text,
 )
-from gyrobench.bench.report.figures.style import GYRO_STYLES, house_style, new_figure, say_empty
+from gyrobench.bench.report.figures.style import (
+    GYRO_STYLES,
+    common_legend,
+    house_style,
+    new_figure,
+    say_empty,
+    text_width_in,
+)
 from gyrobench.bench.report.number_format import BiasScale
 
 #: Bars before and after; candidates that are found, tied, or neither.
 BEFORE_COLOUR, AFTER_COLOUR = "#AAAAAA", "#0072B2"
 FOUND_COLOUR, TIED_COLOUR, OTHER_COLOUR = "#0072B2", "#E69F00", "#CCCCCC"
+_KIND_COLOURS = {"found": FOUND_COLOUR, "tied": TIED_COLOUR, "others": OTHER_COLOUR}
 NOTE_COLOUR, NOISE_COLOUR, BAND_COLOUR = "#666666", "#222222", "#E3E3E3"
 _HELD_OUT_COLOUR = "#D55E00"
 _S_PER_H, _PERCENT = 3600.0, 100.0
@@ -38,6 +45,8 @@ _MARGIN, _POINT_SIZE, _BAR_HEIGHT_IN, _MAX_POWER = 1.1, 2.2, 0.27, 12.0
 _SPREAD = 0.7
 #: Characters in a line of a label below one of three panels.
 _LABEL_WIDTH = 32
+#: And of a note beside the candidates' bars.
+_NOTE_WIDTH = 68
 _BINS_C, _MAX_BINS = (5.0, 10.0, 20.0, 50.0), 12
 
 
@@ -72,24 +81,14 @@ def closure_residual_figure(closure: Closure, gyro: str) -> Figure:
     """
     axis = AXES.index(gyro)
     residuals = {name: residuals_dph(closure, model)[:, axis] for name, model in models_of(closure).items()}
-    noise = rms(noise_dph(closure)[:, axis])
+    noise = rms_of_known(noise_dph(closure)[:, axis])
     scale = scale_of_errors(closure)
     against = _against(closure, axis)
-    largest = _MARGIN * scale.factor * max(float(np.abs(each).max()) for each in residuals.values())
-    # To compute the margins of eight panels takes longer than to draw them.
-    figure = new_figure(0.8 + 1.75 * len(residuals), layout=None)
-    height_in = figure.get_figheight()
-    margins = {"left": 0.09, "right": 0.99, "bottom": 0.95 / height_in, "top": 1.0 - 0.3 / height_in}
-    grid = figure.subplots(
-        len(residuals),
-        len(against),
-        sharex="col",
-        sharey=True,
-        squeeze=False,
-        gridspec_kw=margins | {"wspace": 0.06, "hspace": 0.22},
-    )
+    largest = _MARGIN * scale.factor * max(float(np.nanmax(np.abs(each))) for each in residuals.values())
+    figure = new_figure(0.8 + 1.75 * len(residuals), right_in=0.07, bottom_in=0.65, hspace=0.22)
+    grid = figure.subplots(len(residuals), len(against), sharex="col", sharey=True, squeeze=False)
     for row, (name, values_dph) in zip(grid, residuals.items(), strict=True):
-        row[0].set_title(f"{gyro_label(gyro)}, {name}")
+        row[0].set_title(f"{closure.quantity.headings[axis]}, {name}")
         row[0].set_ylim(-largest, largest)
         for axes, along in zip(row, against.values(), strict=True):
             draw_dwells(axes, along, values_dph * scale.factor, closure.searched, gyro, size=_POINT_SIZE)
@@ -101,7 +100,7 @@ def closure_residual_figure(closure: Closure, gyro: str) -> Figure:
     names = _positions(closure)
     grid[-1, -1].set_xticks(range(len(names)), list(map(position_label, names)), fontsize=7, rotation=90)
     figure.supylabel(f"residual / ({scale.unit})", x=0.005, fontsize=9)
-    figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="lower center", ncols=3)
+    common_legend(figure, grid[0, :1])
     return figure
 
 
@@ -133,23 +132,24 @@ def closure_evidence_figure(closure: Closure) -> Figure:
 
     Without excess variance the bars show the p-values, on a logarithmic scale.
     """
-    figure = new_figure(1.5 + _BAR_HEIGHT_IN * len(closure.evidence))
+    names = [each.effect.display_name for each in closure.evidence]
+    figure = new_figure(1.5 + _BAR_HEIGHT_IN * len(names), left_in=0.15 + text_width_in(names, 9))
     axes = figure.add_subplot()
     found = {each.effect.name for each in closure.effects}
     tied = {name for each in closure.effects for name in each.tied_with}
     by_p_value = is_noise_only(closure)
     for place, each in enumerate(closure.evidence):
         name = each.effect.name
-        colour = FOUND_COLOUR if name in found else TIED_COLOUR if name in tied else OTHER_COLOUR
+        kind = "found" if name in found else "tied" if name in tied else "others"
         if each.missing_input is None:
             power = min(-math.log10(max(each.p_value, 1e-300)), _MAX_POWER)
             length = power if by_p_value else _PERCENT * min(max(each.share, 0.0), 1.0)
             share = "" if by_p_value else f"{share_text(each.share)}, "
-            axes.barh(place, length, color=colour, height=0.7)
+            axes.barh(place, length, color=_KIND_COLOURS[kind], height=0.7, label=kind)
             _note(axes, length, place, share + p_phrase(each.p_value))
         else:
-            _note(axes, 0.0, place, f"not fitted; missing: {each.missing_input}")
-    axes.set_yticks(range(len(closure.evidence)), [each.effect.display_name for each in closure.evidence])
+            _note(axes, 0.0, place, fill(f"not fitted; missing: {each.missing_input}", _NOTE_WIDTH))
+    axes.set_yticks(range(len(names)), names)
     for label, each in zip(axes.get_yticklabels(), closure.evidence, strict=True):
         label.set_color(NOTE_COLOUR if each.missing_input else "black")
     axes.set_ylim(len(closure.evidence) - 0.4, -0.6)
@@ -165,11 +165,8 @@ def closure_evidence_figure(closure: Closure) -> Figure:
             title="Each effect alone", xlabel="share of excess variance explained / %", xlim=(0.0, 132.0)
         )
         axes.set_xticks([0, 20, 40, 60, 80, 100])
-    parts = {"found": (found, FOUND_COLOUR), "tied": (tied, TIED_COLOUR)}
-    handles = [Patch(color=colour, label=label) for label, (names, colour) in parts.items() if names]
-    if handles:
-        handles.append(Patch(color=OTHER_COLOUR, label="others"))
-        figure.legend(handles=handles, loc="outside lower center", ncols=3)
+    if found or tied:
+        common_legend(figure, [axes])
     return figure
 
 
@@ -189,24 +186,25 @@ def closure_effect_figure(closure: Closure, found: FoundEffect) -> Figure:
     columns = found.candidate.columns(closure.campaign)
     rest_dph = residuals_dph(closure, closure.model)
     parts = {
-        axis: _MainTerm(closure, found, columns, axis) for axis, gyro in enumerate(AXES) if gyro in found.axes
+        axis: _MainTerm(closure, found, columns, axis)
+        for axis, name in enumerate(closure.quantity.axes)
+        if name in found.axes
     }
     scale = scale_of_errors(closure)
-    figure = new_figure(3.1, layout=None)
-    margins = {"left": 0.1, "right": 0.99, "bottom": 0.29, "top": 0.84, "wspace": 0.06}
-    all_axes = figure.subplots(1, len(AXES), sharey=True, gridspec_kw=margins)
+    figure = new_figure(3.1, right_in=0.07, bottom_in=0.6, top_in=0.5)
+    all_axes = figure.subplots(1, len(AXES), sharey=True)
     for axis, (axes, gyro) in enumerate(zip(all_axes, AXES, strict=True)):
-        axes.set_title(gyro_label(gyro))
+        axes.set_title(closure.quantity.headings[axis])
         if axis not in parts:
             say_empty(axes, "not significant")
             axes.set_xticks([])
             continue
-        noise = rms(noise_dph(closure)[:, axis])
+        noise = rms_of_known(noise_dph(closure)[:, axis])
         _draw(axes, parts[axis], rest_dph[:, axis], noise, scale, closure.searched, gyro)
     figure.supylabel(f"partial residual / ({scale.unit})", x=0.005, fontsize=9)
     first = all_axes[min(parts)]
     figure.suptitle(found.effect.display_name.capitalize(), fontsize=9)
-    figure.legend(*first.get_legend_handles_labels(), loc="lower center", ncols=4)
+    common_legend(figure, [first])
     return figure
 
 
@@ -254,12 +252,11 @@ def closure_error_figure(closure: Closure) -> Figure:
     """
     held_out = ~closure.searched
     scale = scale_of_errors(closure)
-    figure = new_figure(4.6, layout=None)
-    margins = {"left": 0.09, "right": 0.99, "bottom": 0.17, "top": 0.93, "hspace": 0.25}
-    upper, lower = figure.subplots(2, 1, sharey=True, gridspec_kw=margins)
+    figure = new_figure(4.6)
+    upper, lower = figure.subplots(2, 1, sharey=True)
     groups = {
-        gyro_label(gyro): np.asarray(held_out[:, np.newaxis] & (np.arange(len(AXES)) == axis))
-        for axis, gyro in enumerate(AXES)
+        heading: np.asarray(held_out[:, np.newaxis] & (np.arange(len(AXES)) == axis))
+        for axis, heading in enumerate(closure.quantity.headings)
     }
     for name in POSITIONS:
         chosen = held_out & (np.array(closure.campaign.position) == name)
@@ -272,7 +269,7 @@ def closure_error_figure(closure: Closure) -> Figure:
     lower.set_xlabel("gyro temperature / °C")
     for axes in (upper, lower):
         axes.set_ylabel(f"rms / ({scale.unit})")
-    figure.legend(*upper.get_legend_handles_labels(), loc="lower center", ncols=3)
+    common_legend(figure, [upper])
     return figure
 
 
@@ -297,9 +294,9 @@ def _bars(axes: Axes, closure: Closure, groups: dict[str, BoolArray], scale: Bia
     colours = (BEFORE_COLOUR, AFTER_COLOUR)
     for number, ((label, model), colour) in enumerate(zip(models.items(), colours, strict=False)):
         errors_dph = residuals_dph(closure, model)
-        heights = [rms(errors_dph[chosen]) * scale.factor for chosen in groups.values()]
+        heights = [rms_of_known(errors_dph[chosen]) * scale.factor for chosen in groups.values()]
         axes.bar(places - 0.4 + (number + 0.5) * width, heights, width, color=colour, label=label)
-    noise = [rms(noise_dph(closure)[chosen]) * scale.factor for chosen in groups.values()]
+    noise = [rms_of_known(noise_dph(closure)[chosen]) * scale.factor for chosen in groups.values()]
     axes.hlines(noise, places - 0.45, places + 0.45, color=NOISE_COLOUR, linewidth=1.4, label="noise")
     axes.set_xticks(places, list(groups), fontsize=7)
     axes.grid(visible=False, axis="x")

@@ -224,7 +224,7 @@ def position_difference_figure(
         if limit_dph is not None:
             _mark_limit(axes, limit_dph * scale.factor)
         mark_temperatures(axes, "x", marked_c)
-        figure.legend(loc="outside upper center", ncols=len(AXES))
+        common_legend(figure, [axes], "upper center", ncols=len(AXES))
     else:
         say_empty(axes, "no bin has dwells in two positions")
     return figure

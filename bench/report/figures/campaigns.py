@@ -15,7 +15,7 @@ from matplotlib.patches import Rectangle
 from gyrobench.bench.closure.separability import Separability
 from gyrobench.bench.foundations.text import bin_label
 from gyrobench.bench.navigation.positions import AXES, gyro_label
-from gyrobench.bench.report.figures.style import house_style, new_figure, say_empty
+from gyrobench.bench.report.figures.style import fitted_figure, house_style, say_empty
 from gyrobench.bench.report.number_format import BiasScale, p_text
 from gyrobench.bench.runs.index.run_biases import Trend, months_since_first
 
@@ -27,7 +27,7 @@ _INCH_A_ROW = 0.42
 def separability_figure(separability: Separability, target_dph: float, name: str) -> Figure:
     """Draw the correlations of effects, framed for pairs not distinguished at the target size in rms."""
     names = [each.effect.name for each in separability.detections if each.missing_input is None]
-    figure = new_figure(2.0 + _INCH_A_ROW * max(len(names), 3))
+    figure = fitted_figure(2.0 + _INCH_A_ROW * max(len(names), 3))
     axes = figure.subplots()
     axes.grid(False)
     axes.set_title(f"Correlation of effects in {name}")
@@ -75,7 +75,7 @@ def trend_figure(unit: str, trends: Sequence[Trend]) -> Figure:
 
     Significant slopes have a solid line, others a dotted one.
     """
-    figure = new_figure(7.2)
+    figure = fitted_figure(7.2)
     panels = figure.subplots(len(AXES), 1, sharex=True)
     scale = BiasScale.of([each.bias_dph for each in trends], [each.sigma_dph for each in trends])
     lows_c = sorted({each.quantity.bin_low_c for each in trends})

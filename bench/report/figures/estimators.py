@@ -37,7 +37,7 @@ def estimators_figure(dwells: Iterable[DwellRow], marked_c: Sequence[float] = ()
     both = with_both(dwells)
     pairs = [pair for row in both for pair in differences_dph(row)]
     scale = BiasScale.of(*(zip(*pairs, strict=True) if pairs else ((), ())))
-    figure = new_figure(3.6)
+    figure = new_figure(3.6, left_in=0.85)
     panels = figure.subplots(1, len(AXES), sharex=True, sharey=True)
     for axis, (gyro, axes) in enumerate(zip(AXES, panels, strict=True)):
         axes.set_title(gyro_label(gyro))
@@ -104,7 +104,7 @@ def fit_figure(dwells: Iterable[DwellRow]) -> Figure:
     Dwells with flags are crossed out. Few dwells have no distribution: see :func:`has_distribution`.
     """
     tested = _tested(dwells)
-    figure = new_figure(3.4)
+    figure = new_figure(3.4, wspace=0.22)
     ratios = [1.5, 1.0] if has_distribution(tested) else [1.0]
     panels = figure.subplots(1, len(ratios), width_ratios=ratios, squeeze=False)[0]
     panels[0].set(title="Size of residuals", xlabel="dwell", ylabel="residual / expected")
@@ -114,7 +114,7 @@ def fit_figure(dwells: Iterable[DwellRow]) -> Figure:
     _draw_ratios(panels[0], tested)
     for axes in panels[1:]:
         _draw_distribution(axes, [row.fit_p_value for row in tested])
-    figure.legend(loc="outside lower center", ncols=len(POSITIONS) + 1)
+    common_legend(figure, panels, ncols=len(POSITIONS) + 1)
     return figure
 
 

@@ -11,7 +11,14 @@ from gyrobench.bench.bias.noise_estimate import ChannelNoise, NoiseEstimate, Noi
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, DPH_TO_RADPS, UG_PER_SQRT_HZ_TO_SI
 from gyrobench.bench.navigation.positions import AXES, gyro_label
-from gyrobench.bench.report.figures.style import GYRO_STYLES, house_style, new_figure, say_empty
+from gyrobench.bench.report.figures.style import (
+    GYRO_STYLES,
+    WIDTH_IN,
+    house_style,
+    new_figure,
+    say_empty,
+    text_width_in,
+)
 
 _ARW = ("deg/√h", DEG_PER_SQRT_H_TO_SI)
 _VRW = ("µg/√Hz", UG_PER_SQRT_HZ_TO_SI)
@@ -24,6 +31,7 @@ _LEVEL = "#555555"
 _WIDEST_BAR = 0.9  # of the value: an error bar down to zero would reach to the end of a log axis
 _MARGIN = 1.3
 _FEW_DECADES = 50.0
+_KEY_IN = 0.55  # of a legend: its lines and edges
 
 
 @house_style
@@ -48,6 +56,8 @@ def noise_figure(estimate: NoiseEstimate, declared: NoiseModel | None) -> Figure
     accelerometers.set(
         title="Noise of the accelerometers", ylabel="Allan deviation / µg", xlabel="averaging time / s"
     )
+    texts = [text for panel in figure.axes for text in panel.get_legend_handles_labels()[1]]
+    figure.subplots_adjust(right=1.0 - (_KEY_IN + text_width_in(texts, 8)) / WIDTH_IN)
     return figure
 
 

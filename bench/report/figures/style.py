@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Literal
+from typing import Any, Literal
 
 import matplotlib.style
 from matplotlib.artist import Artist
@@ -22,6 +23,9 @@ WIDTH_IN = 7.2
 _PNG_DPI = 160
 #: Takes half as long as the default level, for 6 % larger files.
 _PNG = {"compress_level": 3}
+_POINTS_PER_INCH, _LEGEND_PT = 72.0, 8
+#: Width of a character and height of a legend's row in parts of the size of the font.
+_CHARACTER, _LEGEND_ROW = 0.58, 1.75
 #: Name of the text of a PNG file that holds the key, near its beginning.
 _KEY, _KEY_WITHIN_BYTES = "Inputs", 1000
 
@@ -43,7 +47,7 @@ house_style = matplotlib.style.context(
             "axes.spines.top": False,
             "axes.spines.right": False,
             "legend.frameon": False,
-            "legend.fontsize": 8,
+            "legend.fontsize": _LEGEND_PT,
             "lines.linewidth": 1.2,
         },
     ]
@@ -87,11 +91,45 @@ GYRO_STYLES: Mapping[str, tuple[str, str, str]] = MappingProxyType(
 )
 
 
-def new_figure(height_in: float, layout: Literal["constrained"] | None = "constrained") -> Figure:
-    """Make an empty figure that is drawn without a display."""
-    figure = Figure(figsize=(WIDTH_IN, height_in), layout=layout)
+def new_figure(
+    height_in: float,
+    *,
+    left_in: float = 0.7,
+    right_in: float = 0.12,
+    bottom_in: float = 0.47,
+    top_in: float = 0.3,
+    wspace: float = 0.06,
+    hspace: float = 0.25,
+) -> Figure:
+    """Make an empty figure with fixed margins, drawn without a display.
+
+    To compute margins takes longer than to draw a figure. The default ones hold a title, labels of ticks and
+    of both axes; ``wspace`` and ``hspace`` between panels are parts of a panel's size.
+    """
+    figure = Figure(figsize=(WIDTH_IN, height_in))
+    FigureCanvasAgg(figure)
+    figure.subplots_adjust(
+        left_in / WIDTH_IN,
+        bottom_in / height_in,
+        1.0 - right_in / WIDTH_IN,
+        1.0 - top_in / height_in,
+        wspace,
+        hspace,
+    )
+    return figure
+
+
+def fitted_figure(height_in: float) -> Figure:
+    """Make an empty figure whose margins are computed from its texts when it is drawn."""
+    figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
+
+
+def text_width_in(texts: Iterable[str], size: float) -> float:
+    """Width in inch of the longest line of texts in a font of this size in points, rounded up."""
+    lines = (line for text in texts for line in text.splitlines())
+    return _CHARACTER * size / _POINTS_PER_INCH * max(map(len, lines), default=0)
 
 
 def say_empty(axes: Axes, message: str) -> None:
@@ -102,16 +140,30 @@ def say_empty(axes: Axes, message: str) -> None:
 def common_legend(
     figure: Figure,
     panels: Iterable[Axes],
-    side: Literal["outside lower center", "outside upper center"] = "outside lower center",
+    side: Literal["lower center", "upper center"] = "lower center",
     ncols: int = 0,
 ) -> None:
-    """Draw one legend for several panels, each label once, by default in one row; none without labels."""
+    """Draw one legend for several panels, each label once, by default in one row; none without labels.
+
+    It widens the lower or upper margin.
+    """
     handles: dict[str, Artist] = {}
     for panel in panels:
         for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):
             handles.setdefault(label, handle)
-    if handles:
-        figure.legend(handles.values(), handles, loc=side, ncols=ncols or len(handles))
+    if not handles:
+        return
+    ncols = ncols or len(handles)
+    if figure.get_layout_engine():
+        side = f"outside {side}"  # type: ignore[assignment]
+    else:
+        row_in, rows = _LEGEND_ROW * _LEGEND_PT / _POINTS_PER_INCH, math.ceil(len(handles) / ncols)
+        room = (0.5 + rows) * row_in / figure.get_figheight()
+        at = figure.subplotpars
+        figure.subplots_adjust(
+            **{"bottom": at.bottom + room} if side == "lower center" else {"top": at.top - room}
+        )
+    figure.legend(handles.values(), handles, loc=side, ncols=ncols)
 
 
 def mark_temperatures(axes: Axes, along: Literal["x", "y"], marked_c: Sequence[float]) -> None:
@@ -143,6 +195,13 @@ def png_bytes(figure: Figure, key: str = "") -> bytes:
     FigureCanvasAgg(figure).print_png(buffer, metadata=metadata, pil_kwargs=_PNG)  # type: ignore[no-untyped-call]
     figure.set_dpi(dpi)
     return buffer.getvalue()
+
+
+def stamp(figure: Figure, word: str) -> None:
+    """Write a word across a figure; nothing if it is empty."""
+    if word:
+        style: Mapping[str, Any] = {"size": 44, "weight": "bold", "color": "#b3261e", "alpha": 0.16}
+        figure.text(0.5, 0.5, word, rotation=20, ha="center", va="center", **style)
 
 
 def save_figure(figure: Figure, path: Path, key: str = "") -> None:

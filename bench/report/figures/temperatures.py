@@ -25,6 +25,7 @@ from gyrobench.bench.navigation.positions import POSITIONS, gyro_label, position
 from gyrobench.bench.report.figures.style import (
     GYRO_STYLES,
     POSITION_STYLES,
+    common_legend,
     house_style,
     mark_temperatures,
     new_figure,
@@ -62,7 +63,7 @@ def temperature_figure(
     """
     bands = [_Band(row.start_s, row.end_s, row.position, bool(row.flags)) for row in dwells]
     time_s = telemetry.get("time_s", np.empty(0))
-    figure = new_figure(4.8)
+    figure = new_figure(4.8, hspace=0.07)
     title = "Temperatures and positions" if bands else "Temperatures"
     ends_s = [*time_s[-1:], *(band.end_s for band in bands)]
     axes, unit_s = _time_axes(figure, title, ends_s, with_positions=bool(bands))
@@ -91,7 +92,7 @@ def plan_figure(plan: Plan) -> Figure:
     from gyrobench.bench.procedure.timeline import position_spans, temperature_profile
 
     time_s, chamber_c, gyro_c = temperature_profile(plan)
-    figure = new_figure(4.8)
+    figure = new_figure(4.8, hspace=0.07)
     axes, unit_s = _time_axes(figure, f"Plan of {plan.procedure.procedure}", [plan.duration_s])
     _draw_bands(figure, [_Band(*span) for span in position_spans(plan)], unit_s)
     axes.plot(time_s / unit_s, chamber_c, label="chamber, ramped set point", color="#777777", linewidth=1.6)
@@ -139,7 +140,7 @@ def _draw_bands(figure: Figure, bands: Iterable[_Band], unit_s: float) -> None:
 
 def _finish_temperatures(figure: Figure, axes: Axes, marked_c: Sequence[float]) -> None:
     if axes.lines:
-        figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=4)
+        common_legend(figure, [axes], "upper center", ncols=4)
         mark_temperatures(axes, "y", marked_c)
     else:
         say_empty(axes, "no temperatures recorded")

@@ -12,7 +12,7 @@ from gyrobench.bench.foundations.text import plain_name, probability_number
 from gyrobench.bench.investigation.investigation import CALIBRATE, CONFIRM, TEST_LAW, Investigation
 from gyrobench.bench.report.closure.closure_page import closure_sections
 from gyrobench.bench.report.closure.closure_text import verdict_sentence
-from gyrobench.bench.report.figures.style import house_style, new_figure
+from gyrobench.bench.report.figures.style import fitted_figure, house_style
 from gyrobench.bench.report.investigation import investigation_text as text
 from gyrobench.bench.report.page import Findings, Section, SectionFigure, SectionTable, write_findings
 from gyrobench.bench.report.verification.verification_page import residual_bars_figure
@@ -128,7 +128,7 @@ def probability_figure(found: Investigation) -> Figure:
             posterior = stage.closure.posterior
             values = posterior.of_effect | {"nothing": posterior.nothing, "": posterior.not_on_list}
             course.append(values.get(name, 0.0))
-    figure = new_figure(3.4)
+    figure = fitted_figure(3.4)
     axes = figure.subplots()
     shown = sorted(
         (each for each in curves if max(curves[each]) > _MIN_DRAWN), key=lambda each: -max(curves[each])

@@ -16,6 +16,7 @@ from gyrobench.bench.foundations.text import counted, listed
 from gyrobench.bench.report.closure.closure_text import verdict_sentence
 from gyrobench.bench.report.figures.style import common_legend, house_style, new_figure, say_empty
 from gyrobench.bench.report.page import Findings, Section, SectionFigure, SectionTable, write_findings
+from gyrobench.bench.report.verification.coefficient_sections import coefficient_parts
 from gyrobench.bench.report.verification.verification_text import (
     CONFIRMED,
     IMPROVED,
@@ -56,7 +57,7 @@ _PANELS = (
 @house_style
 def residual_bars_figure(result: VerificationResult) -> Figure:
     """Draw the sizes at all plateaus as bars, one for each compensation, with the noise as a line."""
-    figure = new_figure(5.6)
+    figure = new_figure(5.6, wspace=0.24, hspace=0.42)
     for axes, (title, unit, size, noise, factor) in zip(figure.subplots(2, 2).ravel(), _PANELS, strict=True):
         _bars(axes, result, size, noise, factor)
         axes.set_title(title, fontsize=9)
@@ -77,7 +78,7 @@ def day_figure(result: VerificationResult) -> Figure:
         )
         if any(days)
     ]
-    figure = new_figure(1.0 + 1.7 * max(len(plateaus), 1))
+    figure = new_figure(1.0 + 1.7 * max(len(plateaus), 1), hspace=0.2)
     panels = figure.subplots(max(len(plateaus), 1), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     if not plateaus:
         say_empty(panels[0], "no plateau with all six positions")
@@ -172,6 +173,7 @@ def verification_sections(result: VerificationResult) -> list[Section]:
         Section(
             "A day of a rotational INS", figures=[SectionFigure("day", _DAY, partial(day_figure, result))]
         ),
+        *coefficient_parts(result),
         Section("Definitions", reading_sentences(result)),
     ]
 

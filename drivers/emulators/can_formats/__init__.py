@@ -59,6 +59,8 @@ def execute_command(unit: InertialUnit, command: int, argument: int = 0) -> None
             unit.clear_compensation()
         case 6:
             unit.apply_compensation()
+        case 7 if argument in (0, 1):
+            unit.sends_increments = argument == 1
 
 
 def empty_frames(

@@ -1,8 +1,8 @@
 """The frames of gyrobench_ins.dbc.
 
 Each navigation epoch is three frames (velocity, roll and pitch, heading with the epoch counter);
-each whole second starts with the time, status and temperature frames. They are encoded here without the
-DBC, as an independent check of its layout.
+each whole second starts with the time, status and temperature frames. On command each sample of the sensors
+is two frames more. They are encoded here without the DBC, as an independent check of its layout.
 """
 
 from __future__ import annotations
@@ -17,7 +17,13 @@ from typing_extensions import override
 
 from gyrobench.bench.foundations.arrays import FloatArray, IntArray
 from gyrobench.bench.foundations.kernels import compiled
-from gyrobench.drivers.emulators.can_formats import FRAME_S, CanFormat, execute_command
+from gyrobench.drivers.emulators.can_formats import (
+    FRAME_S,
+    CanFormat,
+    empty_frames,
+    execute_command,
+    in_order,
+)
 from gyrobench.drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs, Mode
 from gyrobench.drivers.emulators.world.ins_compensation import COEFFICIENTS, checksum
 from gyrobench.drivers.emulators.world.strapdown import euler_output
@@ -27,6 +33,7 @@ SYSTEM_TIME, VELOCITY_NE, HEIGHT_VELOCITY_D, ROLL_PITCH, HEADING = 0x001, 0x004,
 INS_STATUS, INS_IDENTITY, OPTICS_TEMPERATURE, ELECTRONICS_TEMPERATURE = 0x010, 0x011, 0x020, 0x021
 COMPENSATION_STATUS = 0x012
 INS_COMMAND, COMPENSATION_NUMBER = 0x200, 0x201
+ANGLE_INCREMENT, VELOCITY_INCREMENT = 0x008, 0x009
 
 _FIRMWARE, _HARDWARE = 103, 1
 #: The frames of a whole second, in order of sending, and their data.
@@ -38,6 +45,8 @@ _SLOW_DATA = struct.Struct("<II ii BBHBBH IHH II hhhH hhhh")
 _FAST_IDS = VELOCITY_NE, ROLL_PITCH, HEADING
 _SLOW_FRAMES, _FAST_FRAMES = len(_SLOW_IDS), len(_FAST_IDS)
 _VELOCITY_LSB_PER_MPS, _ANGLE_LSB_PER_RAD = 1e4, math.degrees(1e6)
+#: Resolution of angle and velocity increments, and largest number in their 20 bits.
+_INCREMENT_LSB, _MAX_INCREMENT = np.array([math.radians(0.004 / 3600.0), 5e-7]), 2**19 - 1
 _FULL_TURN = 360_000_000
 _INT32_MIN, _INT32_MAX = -(2**31), 2**31 - 1
 
@@ -49,7 +58,8 @@ class GyrobenchFormat(CanFormat):
 
     @override
     def reset_counters(self) -> None:
-        self._epoch_counter = self._status_counter = 0
+        self._epoch_counter = self._status_counter = self._increment_counter = 0
+        self._rounded_off = np.zeros((2, 3))
 
     @override
     def skip_epochs(self, count: int) -> None:
@@ -78,7 +88,24 @@ class GyrobenchFormat(CanFormat):
         )  # fmt: skip
         self._status_counter = (self._status_counter + seconds) & 0xFFFF
         self.skip_epochs(count)
-        return frames
+        return frames if epochs.increments is None else in_order(frames.rows, self._sent(*epochs.increments))
+
+    def _sent(self, first: int, rotation: FloatArray, velocity: FloatArray) -> NDArray[np.void]:
+        """Frames (n, 2) of the increments of n samples, behind those of an epoch at the same time."""
+        time_s = self._epoch_unix_s + np.arange(first + 1, first + 1 + len(rotation)) / SAMPLE_RATE_HZ
+        rows = empty_frames(
+            time_s + (_SLOW_FRAMES + _FAST_FRAMES) * FRAME_S, (ANGLE_INCREMENT, VELOCITY_INCREMENT), 8
+        )
+        counters = (self._increment_counter + np.arange(len(rotation))) & 0xF
+        self._increment_counter += len(rotation)
+        for kind, increments in enumerate((rotation, velocity)):
+            total = np.cumsum(increments / _INCREMENT_LSB[kind], axis=0) + self._rounded_off[kind]
+            whole = np.rint(total)
+            self._rounded_off[kind] = total[-1] - whole[-1]
+            numbers = np.diff(whole, axis=0, prepend=0.0).clip(-_MAX_INCREMENT, _MAX_INCREMENT)
+            x, y, z = numbers.astype(np.int64).T & 0xFFFFF
+            rows["data"][:, kind] = (x | y << 20 | z << 40 | counters << 60).view(np.uint8).reshape(-1, 8)
+        return rows
 
     def _slow_data(self, epochs: Epochs) -> NDArray[np.uint8]:
         """Data of the slow frames of a second, shape (56,), without times, counters and temperatures."""

@@ -59,6 +59,8 @@ class Epochs(NamedTuple):
     #: temperature sensors, at the k epochs that are whole seconds.
     align_time_s: FloatArray
     read_c: FloatArray = np.empty((0, 7))
+    #: First sample and measured increments, (m, 3) rad and m/s, where the unit sends them.
+    increments: tuple[int, FloatArray, FloatArray] | None = None
 
 
 class InertialUnit:
@@ -68,10 +70,10 @@ class InertialUnit:
 
     Attributes
     ----------
-    loaded_table : ndarray, shape (3, 28)
+    loaded_table : ndarray, shape (3, 84)
         The compensation table as loaded so far.
     compensation : InsCompensation or None
-        The applied compensation, subtracted from the gyros' output.
+        The applied compensation of the sensors' output.
     """
 
     def __init__(self, behaviour: InsBehaviour, latitude: float, height: float) -> None:
@@ -91,6 +93,7 @@ class InertialUnit:
         self.alignment = Alignment.INVALID
         self.pitch_first = False
         self.never_aligns = False  #: Alignment never reaches a result.
+        self.sends_increments = False  #: Whether epochs come with the increments while it navigates.
         self.clear_compensation()
         self._reset_state()
 
@@ -115,7 +118,7 @@ class InertialUnit:
             self.powered = on
             self._boot_samples = round(self._behaviour.boot_s * SAMPLE_RATE_HZ)
             self.mode = Mode.OFF
-            self.pitch_first = False
+            self.pitch_first = self.sends_increments = False
             self._temperatures = TemperatureHistory()
             self.clear_compensation()
             self._reset_state()
@@ -198,7 +201,10 @@ class InertialUnit:
             states = np.empty((len(samples), STATE_SIZE))
             states[:] = self._state
         seconds = (first_sample + n) // SAMPLE_RATE_HZ - first_sample // SAMPLE_RATE_HZ
-        return Epochs(samples, states, self.mode, self.alignment, np.full(seconds, self.align_time_s))
+        epochs = Epochs(samples, states, self.mode, self.alignment, np.full(seconds, self.align_time_s))
+        if self.sends_increments and self.mode is Mode.NAVIGATE:
+            return epochs._replace(increments=(first_sample, rotation, velocity))
+        return epochs
 
     def _reset_state(self) -> None:
         self._sums[:] = 0.0

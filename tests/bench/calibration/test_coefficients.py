@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, SensorErrors
+from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, CoefficientEstimate, SensorErrors
 
 
 @pytest.fixture
@@ -54,3 +54,32 @@ def test_errors_are_removed_from_increments(errors):
     angle, velocity = (np.array(each) * interval_s for each in zip(*sensed, strict=True))
     freed = errors.removed(angle, velocity, interval_s)
     np.testing.assert_allclose(freed, [rates * interval_s, forces * interval_s], atol=1e-16)
+
+
+def test_an_estimate_in_the_gyros_frame_has_the_covariance_of_converted_values(errors):
+    random = np.random.default_rng(8)
+    root = 1e-6 * random.normal(0.0, 1.0, (21, 21))
+    estimate = CoefficientEstimate(errors.vector(), root @ root.T, np.full(21, True))
+    converted = estimate.in_gyro_frame()
+    there, _ = errors.in_gyro_frame()
+    assert np.abs(there.gyro_matrix[np.triu_indices(3, 1)]).max() < 1e-15
+    names = [(each.name, each.axis) for each in converted.coefficients]
+    np.testing.assert_allclose(
+        converted.values[names.index(("accelerometer_misalignment", "xy"))], there.force_matrix[0, 1]
+    )
+    drawn = [
+        CoefficientEstimate(each, root, np.full(21, True)).in_gyro_frame().values
+        for each in errors.vector() + random.normal(0.0, 1.0, (400, 21)) @ root.T
+    ]
+    np.testing.assert_allclose(np.std(drawn, axis=0), converted.sigmas, rtol=0.15)
+
+
+def test_what_rests_on_coefficients_not_observed_is_not_observed_in_the_gyros_frame(errors):
+    is_observed = np.array([each.sensor == "accelerometer" for each in COEFFICIENTS])
+    converted = CoefficientEstimate(errors.vector(), 1e-12 * np.eye(21), is_observed).in_gyro_frame()
+    seen = {
+        each.name
+        for each, is_seen in zip(converted.coefficients, converted.is_observed, strict=True)
+        if is_seen
+    }
+    assert seen == {"accelerometer_bias", "accelerometer_scale_factor"}

@@ -153,6 +153,34 @@ ATTITUDES = [(0, 0, 0), (0, 0, 180), (0, 0, 90), (0, 0, -90), (0, 90, 0), (0, -9
 ATTITUDES += [(0, 0, 45), (0, 45, 0), (90, 45, 20), (30, -45, 30), (0, 30, 135), (20, -30, -135)]
 
 
+def test_a_tumble_gives_the_quadratic_terms_of_the_accelerometers():
+    square = np.array([30.0, -20.0, 10.0]) * 9.80665e-6 / 9.80665**2
+    turns = [Rotation.from_euler("zyx", each, degrees=True) for each in ATTITUDES]
+    logs = []
+    for number, turn in enumerate(turns):
+        angle, velocity = rotated_unit(rotations=(), dwell_s=120.0, start=turn).increments()
+        logs.append(recorded((angle, velocity + 20.0 * square * velocity**2), number))
+    found = calibrate(logs, SITE, CalibrationOptions(quadratic=True))
+    terms = slice(21, 24)
+    assert found.is_observed[terms].all()
+    assert np.abs((found.values[terms] - square) / found.sigmas[terms]).max() < 4.0
+    in_tables = found.sigmas[terms] * [each.per_si for each in found.coefficients[terms]]
+    assert in_tables.max() < 5.0
+    deviations = ((found.values[:21] - TRUTH) / found.sigmas[:21])[12:]
+    assert np.abs(deviations).max() < 4.0
+    # Without them the accelerometers contradict the noise.
+    assert calibrate(logs, SITE).fit.p_value < 1e-3
+
+
+def test_up_and_down_alone_do_not_show_quadratic_terms():
+    logs = [
+        recorded(rotated_unit(rotations=(), start=Rotation.from_euler("x", turn)).increments(), 3)
+        for turn in (0.0, np.pi)
+    ]
+    found = calibrate(logs, SITE, CalibrationOptions(quadratic=True))
+    assert not found.is_observed[21:].any()
+
+
 def test_whole_turns_against_the_table_give_the_scale_factor_to_a_tenth_of_a_ppm():
     spins = (("inner", 3600.0), ("inner", -3600.0))
     unit = rotated_unit(rotations=(*EIGHTEEN[:9], *spins), rate_dps=60.0, sample_hz=50.0)
@@ -179,12 +207,10 @@ def test_lever_arms_and_delay_are_estimated_where_asked_for():
     unit = rotated_unit(rate_dps=30.0, sample_hz=50.0, arms=arms, delay_s=0.002)
     log = recorded(unit.increments(), 7, 50.0)
     found = calibrate([log], SITE, CalibrationOptions(lever_arms=True, delay=True))
-    places, sigmas = found.lever_arms
-    assert np.abs((places - (arms[1:] - arms[0])) / sigmas).max() < 4.0
-    assert sigmas.max() < 2e-3
-    delay_s, sigma_s = found.delay
-    assert abs(delay_s - 0.002) < 4.0 * sigma_s
-    assert np.abs((found.values - TRUTH) / found.sigmas).max() < 4.0
+    truth = np.concatenate([TRUTH, (arms[1:] - arms[0]).ravel(), [0.002]])
+    assert [each.kind for each in found.coefficients[21:]] == ["lever_arm"] * 6 + ["delay"]
+    assert np.abs((found.values - truth) / found.sigmas).max() < 4.0
+    assert found.sigmas[21:27].max() < 2e-3
     # Without them the velocity at rest contradicts the noise by far.
     with pytest.raises(MeasurementError, match=r"times the noise.*Try --lever-arms and --delay"):
         calibrate([log], SITE)
@@ -233,6 +259,17 @@ def test_a_wrong_hemisphere_or_accelerometers_upside_down_are_named():
             MeasurementError, match=r"Correct either 'calibration\.latitude_deg' or the signs"
         ):
             calibrate([recorded((angle, force), 14)], Site(latitude))
+
+
+@pytest.mark.parametrize("of_rates", [False, True])
+def test_a_sample_interval_that_is_wrong_by_a_hundredth_is_named(of_rates):
+    log = recorded(eighteen(), 14)
+    scale = 1.01 if of_rates else 1.0
+    wrong = IncrementRecording(log.interval_s * 1.01, log.angle * scale, log.velocity * scale)
+    with pytest.raises(
+        MeasurementError, match=r"if samples are 0\.0(4999|5) s apart and not 0\.0505 s\. Correct 'time'"
+    ):
+        calibrate([wrong], SITE)
 
 
 def test_residuals_far_beyond_the_noise_give_no_table():

@@ -2,7 +2,9 @@
 
 import os
 import re
+import shutil
 import subprocess
+from pathlib import Path
 
 import pytest
 
@@ -11,107 +13,7 @@ from gyrobench.bench.foundations import packages
 from gyrobench.bench.foundations.shipped import find_document
 from tests.bench.command_line import PROCESS, WIDTH, gyrobench
 
-DIALECT = '''
-"""The Acme Frost: "T?" asks for the air, "S?" for the set point, "O?" for its outputs; "S25.5" sets."""
-
-from pydantic import Field
-
-from gyrobench.bench.foundations.documents import StrictModel
-from gyrobench.bench.foundations.errors import RefusedError, ReplyError
-from gyrobench.drivers.chamber import ChamberReading
-from gyrobench.drivers.chamber import ChamberDialect
-from gyrobench.drivers.serial_line import LineDefaults
-from gyrobench.drivers.text_line import TextLine
-
-
-class Frost:
-    def __init__(self, line, shelf):
-        self._text, self._line, self._shelf = TextLine(line, b"\\n"), line, shelf
-
-    def identify(self):
-        return f"Acme Frost, shelf {self._shelf}"
-
-    def read(self):
-        return ChamberReading(self._number("T?"), self.set_point_c(), self.is_event_on(1))
-
-    def alarms(self):
-        return []
-
-    def clear_alarms(self):
-        pass
-
-    def limits_c(self):
-        raise RefusedError("chamber", "unknown request")
-
-    def set_temperature(self, temperature_c, rate_c_per_min):
-        self._text.ask(f"R{rate_c_per_min or 0:g}")
-        self._text.ask(f"S{temperature_c:g}")
-
-    def set_point_c(self):
-        return self._number("S?")
-
-    def switch(self, on):
-        self.switch_event(1, on)
-
-    def switch_event(self, number, on):
-        self._text.ask(f"{'+' if on else '-'}{number}")
-
-    def is_event_on(self, number):
-        return bool(int(self._number("O?")) >> number & 1)
-
-    def close(self):
-        self._line.close()
-
-    def _number(self, query):
-        return self._text.number(query, self._text.ask(query))
-
-
-class FrostOptions(StrictModel):
-    shelf: int = Field(ge=1, le=9, description="shelf that the unit stands on")
-
-
-DIALECT = ChamberDialect(
-    lambda line, options: Frost(line, options.shelf), FrostOptions, LineDefaults(tcp_port=77)
-)
-'''
-
-EMULATOR = """
-from gyrobench.drivers.emulators.dialect import ChamberEmulation
-
-
-class FrostEmulator:
-    latency_s = 0.01
-
-    def __init__(self, air, on_event):
-        self._air, self._on_event, self._outputs, self._buffer = air, on_event, 0, b""
-
-    def feed(self, data, now_s):
-        *requests, self._buffer = (self._buffer + data).split(b"\\n")
-        return b"".join(self._answer(request.decode()).encode() + b"\\n" for request in requests)
-
-    def _answer(self, request):
-        kind, value = request[:1], request[1:]
-        if value == "?":
-            answers = {"T": self._air.air_c, "S": self._air.set_point_c, "O": self._outputs}
-            return f"{answers[kind]:.2f}"
-        if kind == "S":
-            self._air.set_point_c = float(value)
-        elif kind == "R":
-            self._air.ramp_rate_c_per_min = float(value) or None
-        else:
-            self._switch(int(value), kind == "+")
-        return "ok"
-
-    def _switch(self, number, on):
-        self._outputs = self._outputs | 1 << number if on else self._outputs & ~(1 << number)
-        if number == 1:
-            self._air.running = on
-        self._on_event(number, on)
-
-
-DIALECT = ChamberEmulation(FrostEmulator)
-"""
-
+PACKAGE = Path(__file__).parents[3] / "docs/examples/laboratory/acme_frost"
 METADATA = "Metadata-Version: 2.1\nName: acme-frost\nVersion: 1.2\n"
 ENTRY_POINTS = """
 [gyrobench.chambers]
@@ -128,11 +30,8 @@ def site(tmp_path_factory):
     """A folder with the package as pip would leave it."""
     folder = tmp_path_factory.mktemp("site")
     package, metadata = folder / "acme_frost", folder / "acme_frost-1.2.dist-info"
-    package.mkdir()
+    shutil.copytree(PACKAGE, package)
     metadata.mkdir()
-    (package / "__init__.py").touch()
-    (package / "chamber.py").write_text(DIALECT)
-    (package / "emulator.py").write_text(EMULATOR)
     (package / "broken.py").write_text("import a_library_that_is_not_installed\n")
     (metadata / "METADATA").write_text(METADATA)
     (metadata / "entry_points.txt").write_text(ENTRY_POINTS)
@@ -159,9 +58,9 @@ def acme_station(tmp_path):
 def installed(site, monkeypatch):
     """The package as if it had been installed before this process began."""
     monkeypatch.syspath_prepend(site)
-    packages._entries.cache_clear()
+    packages._all_entries.cache_clear()
     yield site
-    packages._entries.cache_clear()
+    packages._all_entries.cache_clear()
 
 
 def test_a_run_goes_through_a_dialect_of_another_package(acme_station, site, tmp_path):

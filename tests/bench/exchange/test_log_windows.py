@@ -6,7 +6,7 @@ from gyrobench.bench.exchange.log_windows import cut_windows, max_consecutive
 def batches(count, size):
     random = np.random.default_rng(0)
     time_s = np.arange(count) * 0.5
-    rates = {f"rate_{axis}_dph": random.standard_normal(count) for axis in "xyz"}
+    rates = {f"rate_{axis}": random.standard_normal(count) for axis in "xyz"}
     samples = {"time_s": time_s, **rates, "gyro_x_c": 20.0 + time_s}
     return [
         {name: values[begin : begin + size] for name, values in samples.items()}

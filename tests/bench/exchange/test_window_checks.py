@@ -42,7 +42,7 @@ SAMPLES = RATE_HZ * WINDOW_S
 
 def windows(rates, window_s=WINDOW_S):
     time_s = np.arange(len(rates)) / RATE_HZ
-    samples = {f"rate_{axis}_dph": rates[:, index] for index, axis in enumerate("xyz")}
+    samples = {f"rate_{axis}": rates[:, index] for index, axis in enumerate("xyz")}
     return list(cut_windows([{"time_s": time_s, **samples}], window_s, 0.0))
 
 

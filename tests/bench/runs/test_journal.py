@@ -1,3 +1,5 @@
+import hashlib
+import json
 import os
 import subprocess
 import sys
@@ -8,7 +10,7 @@ from hypothesis import strategies as st
 
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.runs.journal import Journal, RunFacts, facts_of, read_journal
+from gyrobench.bench.runs.journal import Journal, RunFacts, broken_links, facts_of, read_journal
 
 
 def test_entries_come_back_in_order_with_their_time(tmp_path):
@@ -209,3 +211,33 @@ def test_entries_that_are_not_as_they_should_be_are_reported_as_far_as_they_go()
         ]
     )
     assert facts == RunFacts(procedure="7", ended="5", safe_state=({"what": "chamber off"},))
+
+
+def test_each_line_carries_the_hash_of_the_line_before_also_after_a_cut(tmp_path):
+    path = tmp_path / "journal.jsonl"
+    with Journal(path, VirtualClock()) as journal:
+        journal.record("a")
+        journal.record("b")
+    path.write_bytes(path.read_bytes() + b'{"event": "c", "ha')
+    with Journal(path, VirtualClock()) as journal:
+        journal.record("d")
+    content = path.read_bytes()
+    lines = content.splitlines()
+    assert json.loads(lines[2])["previous_sha256"] == hashlib.sha256(lines[1]).hexdigest()
+    assert broken_links(content) == []
+    assert broken_links(content.replace(b'"b"', b'"x"')) == [3]
+    assert broken_links(b"\n".join([*lines[:1], *lines[2:], b""])) == [2]
+    assert broken_links(b"\n".join([*lines[1:], b""])) == [1]
+    assert all("previous_sha256" not in entry for entry in read_journal(path))
+
+
+def test_an_old_journal_is_linked_from_where_it_is_continued(tmp_path):
+    path = tmp_path / "journal.jsonl"
+    path.write_text('{"event": "a"}\n{"event": "b"}\n')
+    assert broken_links(path.read_bytes()) == []
+    with Journal(path, VirtualClock()) as journal:
+        journal.record("c")
+        journal.record("d")
+    content = path.read_bytes()
+    assert broken_links(content) == []
+    assert broken_links(content.replace(b'"b"', b'"x"')) == [3]

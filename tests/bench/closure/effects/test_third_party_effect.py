@@ -38,9 +38,9 @@ def installed(tmp_path, monkeypatch):
     (site / "acme_effects-1.2.dist-info" / "METADATA").write_text(METADATA)
     (site / "acme_effects-1.2.dist-info" / "entry_points.txt").write_text(ENTRY_POINTS)
     monkeypatch.syspath_prepend(site)
-    packages._entries.cache_clear()
+    packages._all_entries.cache_clear()
     yield
-    packages._entries.cache_clear()
+    packages._all_entries.cache_clear()
 
 
 @pytest.fixture

@@ -206,6 +206,23 @@ def test_other_data_give_another_file(dwells: list[DwellRow], bins: list[BiasBin
     assert png_bytes(bias_figure("x", dwells, bins)) != png_bytes(bias_figure("y", dwells, bins))
 
 
+def is_cut(figure: Figure) -> bool:
+    """Whether anything reaches beyond the edge of a figure."""
+    box = figure.get_tightbbox()
+    width, height = figure.get_size_inches()
+    return min(box.x0, box.y0) < 0.0 or box.x1 > width or box.y1 > height
+
+
+def test_figures_have_room_for_their_labels(
+    telemetry: Telemetry, dwells: list[DwellRow], bins: list[BiasBin]
+) -> None:
+    cut = {name: is_cut(draw()) for name, draw in run_figures(telemetry, dwells, bins)}
+    wide = [replace(each, bias_dph=100.0 * each.bias_dph) for each in bins]
+    for gyro in "xyz":
+        cut[gyro] = is_cut(bias_figure(gyro, dwells, wide))
+    assert cut == dict.fromkeys(cut, False)
+
+
 def test_figures_are_saved_for_what_there_are_data_for(
     tmp_path: Path, telemetry: Telemetry, dwells: list[DwellRow], bins: list[BiasBin]
 ) -> None:

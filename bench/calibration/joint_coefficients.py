@@ -1,0 +1,48 @@
+"""The coefficients that a joint solution of several positions determines, in the body frame of the others."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gyrobench.bench.bias.joint_solution import (
+    ACCELEROMETER_BIAS,
+    ACCELEROMETER_MATRIX,
+    GYRO_MATRIX,
+    SHARED,
+    JointSolution,
+    declared_root,
+    solve_together,
+)
+from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.calibration.coefficients import COUNT, LOWER, CoefficientEstimate
+
+#: Sizes, SI, of accelerometer biases and of elements of the matrices that are large for a unit whose INS
+#: compensates them; a coefficient is observed if the data leave less than this part of its size.
+_BIAS, _ELEMENT, _MAX_LEFT = 0.1, 1e-3, 0.2
+
+
+def joint_coefficients(solution: JointSolution, prior: PriorKnowledge) -> CoefficientEstimate:
+    """Coefficients of the dwells of one plateau, by their navigation output, in the accelerometers' frame.
+
+    Matrices are as the data alone give them: what is known beforehand of misalignments and scale factors of
+    the gyros is left out, what is known of latitude, mount and drift of the accelerometers is not. A gyro's
+    bias is the mean of the dwells. ``prior``: as for the solution.
+    """
+    rows = [dwell.rows for dwell in solution.dwells]
+    sizes = np.full(SHARED, _ELEMENT)
+    sizes[ACCELEROMETER_BIAS] = _BIAS
+    # Nothing above the diagonal: the body frame is that of the accelerometers.
+    sizes[ACCELEROMETER_MATRIX] *= np.tril(np.ones((3, 3))).ravel()
+    root = declared_root(prior, rows[0].earth_rate)
+    for part in (ACCELEROMETER_BIAS, ACCELEROMETER_MATRIX, GYRO_MATRIX):
+        root[part, part] = np.diag(sizes[part])
+    fit = solve_together(rows, root)
+    shared = np.arange(SHARED)
+    lower = np.ravel_multi_index(LOWER, (3, 3))
+    chosen = [*shared[GYRO_MATRIX], *shared[ACCELEROMETER_BIAS], *shared[ACCELEROMETER_MATRIX][lower]]
+    to_coefficients = np.zeros((COUNT, len(fit.unknowns)))
+    to_coefficients[:3, SHARED:] = np.tile(np.eye(3), len(rows)) / len(rows)
+    to_coefficients[np.arange(3, COUNT), chosen] = 1.0
+    covariance = to_coefficients @ fit.covariance @ to_coefficients.T
+    is_observed = np.sqrt(np.diag(covariance)) < _MAX_LEFT * np.array([np.inf] * 3 + list(sizes[chosen]))
+    return CoefficientEstimate(to_coefficients @ fit.unknowns, covariance, is_observed)

@@ -1,0 +1,99 @@
+"""`gyrobench seal`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gyrobench.bench.cli.options import OperatorOption, complete_run
+from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, JsonOption, console, print_json
+from gyrobench.bench.foundations.errors import DocumentError
+
+
+def seal(
+    run_folder: Annotated[
+        Path | None, typer.Argument(metavar="RUN", help="Run folder.", autocompletion=complete_run)
+    ] = None,
+    verify: Annotated[
+        bool, typer.Option("--verify", help="Compare the folder with its seals; writes nothing.")
+    ] = False,
+    key: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Key that signs, or with --verify the public key that must have signed (PEM); default: "
+            "GYROBENCH_SEAL_KEY, for --verify any.",
+        ),
+    ] = None,
+    accept_changes: Annotated[
+        bool, typer.Option("--accept-changes", help="Seal although measured data or inputs were changed.")
+    ] = False,
+    new_key: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Make a key FILE, and FILE.pub beside it.")
+    ] = None,
+    operator: OperatorOption = "",  # noqa: ARG001 - read from the environment
+    as_json: JsonOption = False,
+) -> None:
+    """Seal a run folder, or verify its seals.
+
+    A run is sealed at its end, and again by each command that adds to its folder: the hashes of all files,
+    who, when and by which command. --verify names the first byte that changed in each file: exactly where
+    one byte of a block of 4 KiB changed, else the block or line.
+
+    With --json and --verify: {"folder", "intact", "seals", "changes": [{"path", "text", "start", "end"}],
+    "not_sealed"}.
+
+    Exit codes: 0 sealed or unchanged; 1 changed.
+
+    Example: gyrobench seal --verify runs/six_position_fig7-001
+    """
+    from gyrobench.bench.foundations.clock import WallClock
+    from gyrobench.bench.runs import seal as seals
+    from gyrobench.bench.runs.folder import open_run_folder
+    from gyrobench.bench.station.locks import RunLock
+
+    terminal = console(as_json)
+    if new_key is not None:
+        public = seals.new_key(new_key)
+        terminal.print(f"Secret key  {new_key}\nPublic key  {public}", soft_wrap=True)
+        return
+    if run_folder is None:
+        raise DocumentError("no run folder is given. Name one, or make a key with --new-key FILE")
+    if not verify:
+        folder = open_run_folder(run_folder)
+        with RunLock(folder.path, WallClock()):
+            made = seals.seal_run(folder, key, accept_changes=accept_changes)
+        text = "Nothing has changed since the last seal." if made is None else made.describe()
+        terminal.print(text, soft_wrap=True)
+        return
+    check = seals.verify_seals(run_folder, key)
+    if as_json:
+        kept = [{name: getattr(each, name) for name in _SHOWN} for each in check.seals]
+        print_json(
+            {
+                "folder": run_folder,
+                "intact": check.is_intact,
+                "seals": kept,
+                "changes": check.findings,
+                "not_sealed": check.not_sealed,
+            }
+        )
+    for each in check.seals:
+        terminal.print(each.describe(), soft_wrap=True)
+        if each.journal_broken_links:
+            lines = ", ".join(map(str, each.journal_broken_links))
+            terminal.print(f"   The journal was sealed with lines that do not fit: {lines}", soft_wrap=True)
+    for path in check.not_sealed:
+        terminal.print(f"Not sealed: {path}", soft_wrap=True)
+    for finding in check.findings:
+        terminal.print(f"Changed: {finding.path}: {finding.text}", soft_wrap=True, style="bold red")
+    if not check.is_intact:
+        raise typer.Exit(EXIT_NOT_FINISHED)
+    size_mb = sum(each.size_bytes for each in check.seals[-1].files.values()) / 1e6
+    terminal.print(f"Unchanged: {len(check.seals[-1].files)} files, {size_mb:.1f} MB.")
+
+
+#: Attributes of a seal that --json gives.
+_SHOWN = ("number", "operator", "login", "host", "utc", "command", "program", "changes", "key", "unsigned")

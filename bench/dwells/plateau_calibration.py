@@ -1,0 +1,291 @@
+"""All coefficients of the sensors at each plateau, from its dwells and its rotations together.
+
+The dwells of a plateau show gyro biases and, through their half turns, parts of the matrices
+(:mod:`gyrobench.bench.calibration.joint_coefficients`). Rotations between rests show all coefficients, from
+the increments of the INS. Where it sends none they follow from its navigation output: the change of attitude
+and velocity from epoch to epoch is what its sensors measured, but for the vertical specific force, which an
+INS of fixed altitude does not show. Gravity stands in its place, and says nothing.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow, Triple
+from gyrobench.bench.bias.joint_solution import JointDwell, JointSolution
+from gyrobench.bench.bias.statistics import chi2_p_value
+from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, CoefficientEstimate
+from gyrobench.bench.calibration.estimator import Calibration, CalibrationOptions, calibrate
+from gyrobench.bench.calibration.joint_coefficients import joint_coefficients
+from gyrobench.bench.calibration.recording import MIN_REST_TOTAL_S, IncrementRecording, Rest
+from gyrobench.bench.calibration.results import coefficient_rows
+from gyrobench.bench.dwells.dwell import MeasurementSetup, checked_navigation
+from gyrobench.bench.dwells.marks import DwellMarks
+from gyrobench.bench.dwells.temperatures import dwell_temperatures, triple
+from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vectors
+from gyrobench.bench.navigation.earth import curvature_radii, earth_rate_enu
+from gyrobench.bench.navigation.error_model import Site
+from gyrobench.bench.navigation.positions import AXES
+from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow
+from gyrobench.drivers.frames import FrameBlock
+from gyrobench.drivers.ins.navigation_data import Increments, NavigationData
+
+#: Part of the usual interval by which the time between two epochs may differ from it.
+_MAX_STEP_ERROR = 0.5
+#: Dwells and rotations contradict each other where chance gives the difference less often than this.
+_MIN_P_VALUE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class PlateauRotations:
+    """What the rotations of one plateau show."""
+
+    marks: DwellMarks  #: Of the first dwell with rotations.
+    #: gyro_c, case_c: Mean temperatures of the gyros and of the case, degC; NaN where not measured.
+    gyro_c: Triple = NOT_MEASURED
+    case_c: float = math.nan
+    gyro_rate_c_per_h: Triple = NOT_MEASURED  #: Their slopes.
+    calibration: Calibration | None = None  #: None where there is a ``finding``, which says why.
+    finding: str = ""
+    #: Shape (21,). Expected standard uncertainties, SI, if the INS sent specific forces; None where it does.
+    sigmas_with_force: FloatArray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class PlateauCalibration:
+    """Coefficients of the sensors at one plateau, in the body frame of the accelerometers."""
+
+    number: int  #: Number of the plateau, from 1.
+    cycle: int
+    chamber_set_c: float  #: NaN where the chamber is not controlled.
+    #: gyro_c, case_c: As of the rotations, or where there are none of the dwells.
+    gyro_c: Triple
+    case_c: float
+    estimate: CoefficientEstimate | None  #: Of dwells and rotations together; None without either.
+    finding: str = ""  #: Why the rotations give nothing, or that they contradict the dwells.
+    rotations: PlateauRotations | None = None  #: None where there are none.
+
+    @property
+    def correlations(self) -> FloatArray:
+        """Correlation coefficients (21, 21); NaN where not observed."""
+        if self.estimate is None:
+            return np.full((COUNT, COUNT), np.nan)
+        seen = np.outer(self.estimate.is_observed, self.estimate.is_observed)
+        return np.where(seen, self.estimate.correlations, np.nan)
+
+    def rows(self) -> list[PlateauCoefficientRow]:
+        """Rows of ``coefficients.csv``; without values where there is no estimate."""
+        estimate = self.estimate or CoefficientEstimate(np.zeros(COUNT), np.eye(COUNT), np.zeros(COUNT, bool))
+        with_force = np.full(COUNT, np.nan)
+        if self.rotations is not None and self.rotations.sigmas_with_force is not None:
+            with_force = self.rotations.sigmas_with_force * [each.per_si for each in estimate.coefficients]
+        rates = NOT_MEASURED if self.rotations is None else self.rotations.gyro_rate_c_per_h
+        return [
+            PlateauCoefficientRow(
+                self.number,
+                self.cycle,
+                self.chamber_set_c,
+                self.gyro_c[AXES.index(row.axis[0])] if row.coefficient.startswith("gyro") else self.case_c,
+                row.coefficient,
+                row.axis,
+                math.nan if row.value is None else row.value,
+                math.nan if row.sigma is None else row.sigma,
+                row.unit,
+                "; ".join(text for text in (row.finding, self.finding) if text),
+                sigma,
+                rates[AXES.index(row.axis[0])],
+            )
+            for row, sigma in zip(coefficient_rows(estimate), with_force.tolist(), strict=True)
+        ]
+
+
+def calibrate_plateaus(
+    solutions: Sequence[JointSolution],
+    rows: Iterable[DwellRow],
+    rotated: Iterable[tuple[DwellMarks, FrameBlock]],
+    setup: MeasurementSetup,
+) -> list[PlateauCalibration]:
+    """Coefficients plateau by plateau, in the order of time.
+
+    Parameters
+    ----------
+    solutions : sequence of JointSolution
+        Of the plateaus with dwells.
+    rows : iterable of DwellRow
+        Of these dwells.
+    rotated : iterable of (DwellMarks, FrameBlock)
+        Dwells with rotations, in the order of time; those of one plateau are held at once.
+    """
+    groups = itertools.groupby(rotated, lambda each: _key(each[0]))
+    rotations = [calibrate_rotations(list(group), setup) for _, group in groups]
+    cases_c = {row.dwell: row.case_c for row in rows}
+    places: list[tuple[int, JointSolution | None, PlateauRotations | None]] = []
+    for solution in solutions:
+        first = solution.dwells[0]
+        found = next((each for each in rotations if _key(each.marks) == _key(first)), None)
+        rotations = [each for each in rotations if each is not found]
+        places.append((first.number, solution, found))
+    places += [(each.marks.dwell, None, each) for each in rotations]
+    return [
+        _plateau(number, solution, found, cases_c, setup)
+        for number, (_, solution, found) in enumerate(sorted(places, key=lambda each: each[0]), 1)
+    ]
+
+
+def _key(member: DwellMarks | JointDwell) -> tuple[str, int, float | None]:
+    """What all dwells of a plateau share: power cycle, cycle and set point."""
+    set_c = member.chamber_set_c
+    return member.run, member.cycle, None if set_c is None or math.isnan(set_c) else round(set_c, 3)
+
+
+def _plateau(
+    number: int,
+    solution: JointSolution | None,
+    rotations: PlateauRotations | None,
+    cases_c: Mapping[int, float],
+    setup: MeasurementSetup,
+) -> PlateauCalibration:
+    estimates, finding = [], ""
+    gyro_c, case_c = NOT_MEASURED, math.nan
+    cycle, set_c = 0, None
+    if solution is not None:
+        estimates.append(joint_coefficients(solution, setup.prior))
+        cycle, set_c = solution.dwells[0].cycle, solution.dwells[0].chamber_set_c
+        gyro_c = triple(np.mean([each.gyro_c for each in solution.dwells], axis=0))
+        case_c = float(np.mean([cases_c[each.number] for each in solution.dwells]))
+    if rotations is not None:
+        cycle, set_c = rotations.marks.cycle, rotations.marks.chamber_set_c
+        finding = rotations.finding
+        if rotations.calibration is not None:
+            estimates.append(rotations.calibration)
+            gyro_c, case_c = rotations.gyro_c, rotations.case_c
+    if len(estimates) > 1 and (p_value := _agreement(*estimates)) < _MIN_P_VALUE:
+        finding = f"dwells and rotations contradict each other (p = {p_value:.1g})"
+    estimate = _combined(estimates) if estimates else None
+    chamber_set_c = math.nan if set_c is None else set_c
+    return PlateauCalibration(number, cycle, chamber_set_c, gyro_c, case_c, estimate, finding, rotations)
+
+
+def _combined(estimates: Sequence[CoefficientEstimate]) -> CoefficientEstimate:
+    """Mean of estimates from separate data, weighted by their covariances."""
+    if len(estimates) == 1:
+        return estimates[0]
+    sizes = np.array([each.size for each in COEFFICIENTS])
+    weights = [np.linalg.inv(each.covariance / np.outer(sizes, sizes)) for each in estimates]
+    covariance = np.linalg.inv(sum(weights))
+    sums = sum(weight @ (each.values / sizes) for weight, each in zip(weights, estimates, strict=True))
+    is_observed = np.any([each.is_observed for each in estimates], axis=0)
+    return CoefficientEstimate(sizes * (covariance @ sums), covariance * np.outer(sizes, sizes), is_observed)
+
+
+def _agreement(one: CoefficientEstimate, other: CoefficientEstimate) -> float:
+    """Probability of at least this difference of two estimates from separate data."""
+    both = one.is_observed & other.is_observed
+    difference = (one.values - other.values)[both]
+    covariance = (one.covariance + other.covariance)[np.ix_(both, both)]
+    roots = np.sqrt(np.diag(covariance))
+    scaled = difference / roots
+    chi2 = float(scaled @ np.linalg.solve(covariance / np.outer(roots, roots), scaled))
+    return chi2_p_value(int(both.sum()), chi2)
+
+
+def calibrate_rotations(
+    dwells: Sequence[tuple[DwellMarks, FrameBlock]], setup: MeasurementSetup
+) -> PlateauRotations:
+    """Coefficients from all dwells with rotations at one plateau."""
+    rotations = PlateauRotations(dwells[0][0])
+    try:
+        measured = [_measured(marks, frames, setup) for marks, frames in dwells]
+        temperatures_c = np.mean([each_c for _, each_c in measured], axis=0)
+        rotations = replace(
+            rotations,
+            gyro_c=triple(temperatures_c[:3]),
+            case_c=float(temperatures_c[3]),
+            gyro_rate_c_per_h=triple(temperatures_c[4:]),
+        )
+        recordings = [recording for pieces, _ in measured for recording, _ in pieces]
+        rests = [stretches for pieces, _ in measured for _, stretches in pieces]
+        if not recordings:
+            raise MeasurementError("too many increments are missing in the rotations. Check the CAN bus")
+        noise = setup.noise
+        walks = None if noise is None else (noise.angle_random_walk, noise.velocity_random_walk)
+        options = CalibrationOptions(whole_turns=setup.table_repeatability, walks=walks)
+        found = calibrate(recordings, setup.site, options, rests)
+        with_force = None
+        if not all(each.has_vertical for each in recordings):
+            assumed = [replace(each, has_vertical=True) for each in recordings]
+            with_force = calibrate(assumed, setup.site, options, rests).sigmas
+    except MeasurementError as error:
+        return replace(rotations, finding=f"the rotations give no coefficients: {error}")
+    # The increments themselves are of no more use.
+    found = replace(found, recordings=())
+    return replace(rotations, calibration=found, sigmas_with_force=with_force)
+
+
+def _measured(
+    marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
+) -> tuple[list[tuple[IncrementRecording, list[Rest]]], FloatArray]:
+    """Increments of a dwell in pieces without a gap, each with its rests; temperatures (7,).
+
+    These are of gyros and case, and slopes of those of the gyros.
+
+    Raises MeasurementError if what the INS sent can't be used.
+    """
+    navigation = checked_navigation(marks, frames, setup, [])
+    first, end = marks.windows[0].first_frame, marks.windows[-1].end_frame
+    temperatures = dwell_temperatures(navigation, first, end)
+    increments = setup.decode_increments(frames)
+    is_sent = increments is not None and len(increments.row) > 0
+    if increments is None or not is_sent:
+        increments = navigated_increments(navigation, setup.site)
+    begin, stop = np.searchsorted(increments.row, [first, end])
+    gaps = begin + 1 + np.flatnonzero(~increments.follows[begin + 1 : stop])
+    pieces = []
+    for part in itertools.starmap(slice, itertools.pairwise([begin, *gaps.tolist(), stop])):
+        ends = [
+            np.searchsorted(increments.row[part], [each.first_frame, each.end_frame])
+            for each in marks.windows
+        ]
+        rests = [Rest(int(a), int(b)) for a, b in ends if b > a]
+        if sum(rest.end - rest.begin for rest in rests) * increments.interval_s >= MIN_REST_TOTAL_S:
+            angle, velocity = increments.angle[part], increments.velocity[part]
+            recording = IncrementRecording(increments.interval_s, angle, velocity, has_vertical=is_sent)
+            pieces.append((recording, rests))
+    return pieces, np.array([*temperatures.gyro_c, temperatures.case_c, *temperatures.gyro_rate_c_per_h])
+
+
+def navigated_increments(navigation: NavigationData, site: Site) -> Increments:
+    """What the sensors of an INS measured from epoch to epoch, by its attitude and velocity.
+
+    The navigation frame turns with the Earth and with the velocity that the INS computes; to that belong the
+    Coriolis acceleration and, in place of the vertical specific force, gravity.
+    """
+    time_s, C_nb = navigation.ins_time_s, navigation.attitude
+    velocity = navigation.velocity_enu_mps[:, :2]
+    interval_s = float(np.median(np.diff(time_s)))
+    east, north = (0.5 * (velocity[1:] + velocity[:-1])).T
+    meridian, across = curvature_radii(site.latitude, site.height)
+    transport = np.stack([-north / meridian, east / across, east * np.tan(site.latitude) / across], axis=-1)
+    earth = earth_rate_enu(site.latitude)
+    turned, half = (rotation_matrices(part * (earth + transport) * interval_s) for part in (1.0, 0.5))
+    angle = rotation_vectors(C_nb[:-1].transpose(0, 2, 1) @ turned @ C_nb[1:])
+    force = np.cross(2.0 * earth + transport, np.stack([east, north, np.zeros_like(east)], axis=-1))
+    force[:, :2] += np.diff(velocity, axis=0) / interval_s
+    force[:, 2] = site.gravity
+    in_body = np.einsum("nji,njk,nk->ni", C_nb[:-1], half, force * interval_s)
+    turning = np.cross(angle, in_body)
+    steady = np.abs(np.diff(time_s) / interval_s - 1.0) < _MAX_STEP_ERROR
+    return Increments(
+        row=navigation.row[1:],
+        angle=angle,
+        velocity=in_body - 0.5 * turning + np.cross(angle, turning) / 6.0,
+        follows=steady,
+        interval_s=interval_s,
+    )

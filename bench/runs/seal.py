@@ -1,0 +1,383 @@
+"""Seals of a run folder: the hashes of all its files, chained, and signed with an Ed25519 key.
+
+The first seal is made at the end of a run; what is added later, as a search or a certificate, is in a further
+seal with who, when and by which command. A seal is a file ``seals/001.jsonl`` of two lines: the seal, and its
+signature. Signing needs the extra ``certificate``; a seal without a signature proves only that nothing
+changed by mistake.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import os
+import platform
+import shlex
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gyrobench.bench import __version__
+from gyrobench.bench.foundations.clock import WallClock
+from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError, MissingRunError, RunFolderError
+from gyrobench.bench.foundations.files import file_sha256, make_folder, parse_json, read_limited, write_whole
+from gyrobench.bench.foundations.packages import require
+from gyrobench.bench.foundations.text import counted, listed
+from gyrobench.bench.runs.fingerprint import find_change, fingerprint_of
+from gyrobench.bench.runs.folder import JOURNAL, RunFolder
+from gyrobench.bench.runs.journal import MAX_JOURNAL_BYTES, broken_links, facts_of, is_linked, read_journal
+from gyrobench.bench.runs.provenance import login_name, operator_name
+
+if TYPE_CHECKING:
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+#: Environment variables: file of the key that signs seals (PEM), and its password if it has one.
+KEY_VARIABLE, PASSWORD_VARIABLE = "GYROBENCH_SEAL_KEY", "GYROBENCH_KEY_PASSWORD"
+_SEALS = "seals"
+#: Not sealed: what processes and live views use while a run is under way.
+_TRANSIENT = ("live.json",)
+#: What was measured, and its inputs; everything else can be computed again.
+_EVIDENCE_FOLDERS = ("can", "telemetry")
+_EVIDENCE = (JOURNAL, "procedure.yaml", "station.yaml", "calibration.csv", "compensation.yaml")
+_MAX_BYTES = 500_000_000
+_MAX_COMMAND_CHARACTERS = 300
+
+
+@dataclass(frozen=True)
+class SealedFile:
+    """A file as it was sealed; the fingerprint is empty where an earlier seal has the same content."""
+
+    size_bytes: int
+    sha256: str
+    fingerprint: str = ""
+
+
+@dataclass(frozen=True)
+class Changes:
+    """Paths that differ between two seals, by kind."""
+
+    added: Sequence[str] = ()
+    extended: Sequence[str] = ()  #: Of the journal, with all that was sealed still at its beginning.
+    replaced: Sequence[str] = ()
+    removed: Sequence[str] = ()
+
+    def __bool__(self) -> bool:
+        return any(asdict(self).values())
+
+    @property
+    def evidence(self) -> list[str]:
+        """Measured data and inputs among what was replaced or removed."""
+        return [path for path in (*self.replaced, *self.removed) if _is_evidence(path)]
+
+    def describe(self) -> str:
+        """One phrase: what was added, replaced, ..."""
+        kinds = {kind: paths for kind, paths in asdict(self).items() if paths}
+        return "; ".join(
+            f"{kind}: {listed(list(paths)) if len(paths) <= 5 else counted(len(paths), 'file')}"
+            for kind, paths in kinds.items()
+        )
+
+
+@dataclass(frozen=True)
+class Seal:
+    """One seal of a run folder."""
+
+    number: int
+    operator: str
+    login: str
+    host: str
+    utc: str  #: ISO 8601.
+    command: str
+    program: str
+    previous_sha256: str  #: Of the file of the seal before; empty for the first.
+    changes: Changes  #: Since the seal before.
+    journal_broken_links: Sequence[int]  #: Lines of the journal that do not fit the line before.
+    files: Mapping[str, SealedFile]
+    key: str = field(default="", compare=False)  #: Identity of the key that signed; empty without signature.
+    unsigned: str = field(default="", compare=False)  #: Why it is not signed.
+    problem: str = field(default="", compare=False)  #: What is wrong with the seal; empty if nothing.
+
+    @property
+    def where(self) -> str:
+        """Its path in the run folder."""
+        return f"{_SEALS}/{self.number:03d}.jsonl"
+
+    def describe(self) -> str:
+        """Who sealed what when, and by which key."""
+        signed = f"signed by {self.key}" if self.key else f"not signed: {self.unsigned}"
+        who = self.operator if self.operator == self.login else f"{self.operator} ({self.login})"
+        return (
+            f"{self.number}  {self.utc[:19].replace('T', ' ')} UTC, {who} on {self.host}, {self.command}; "
+            f"{self.changes.describe()}; {signed}"
+        )
+
+
+@dataclass(frozen=True)
+class SealFinding:
+    """A file that differs from its seal: the first byte, or range of bytes, that may differ."""
+
+    path: str
+    text: str
+    start: int | None = None
+    end: int | None = None
+
+
+@dataclass(frozen=True)
+class SealCheck:
+    """Result of the verification of a run folder."""
+
+    seals: Sequence[Seal]
+    findings: Sequence[SealFinding]  #: In the order of the paths; empty if nothing changed.
+    not_sealed: Sequence[str]  #: Files that were added after the last seal.
+
+    @cached_property
+    def is_intact(self) -> bool:
+        """Whether nothing that was sealed has changed."""
+        return not self.findings
+
+
+def seal_run(folder: RunFolder, key: Path | None = None, *, accept_changes: bool = False) -> Seal | None:
+    """Seal a run folder, or add a seal with what has changed; None where nothing has.
+
+    ``key``: PEM file of an Ed25519 key, by default that of GYROBENCH_SEAL_KEY; without either the seal is not
+    signed. Raises RunFolderError if measured data or inputs have changed since the last seal, unless
+    ``accept_changes``; or if a file can't be read or written. Raises DocumentError if the key can't be used.
+    """
+    seals = _read_seals(folder.path)
+    last = seals[-1] if seals else None
+    sealed = last.files if last else {}
+    files = {}
+    for path in _paths(folder.path):
+        at, digest = folder.path / path, file_sha256(folder.path / path)
+        is_known = path in sealed and sealed[path].sha256 == digest
+        files[path] = SealedFile(at.stat().st_size, digest, "" if is_known else fingerprint_of(at))
+    changes = _changes(folder.path, sealed, files)
+    if last and not changes:
+        return None
+    if last and changes.evidence and not accept_changes:
+        raise RunFolderError(
+            f"{folder.path}: {listed(changes.evidence)} changed since seal {last.number}. "
+            "Restore them, or seal with --accept-changes, which keeps that on record"
+        )
+    content = read_limited(folder.journal, MAX_JOURNAL_BYTES, RunFolderError)
+    seal = Seal(
+        number=last.number + 1 if last else 1,
+        operator=operator_name(),
+        login=login_name(),
+        host=platform.node(),
+        utc=WallClock().utc().isoformat(),
+        command=shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])[:_MAX_COMMAND_CHARACTERS],
+        program=f"gyrobench {__version__}",
+        previous_sha256=file_sha256(folder.path / last.where) if last else "",
+        changes=changes,
+        journal_broken_links=broken_links(content),
+        files=files,
+    )
+    record = {name: value for name, value in asdict(seal).items() if name not in _NOT_WRITTEN}
+    text = json.dumps(record).encode()
+    signature = {"sha256": hashlib.sha256(text).hexdigest(), **_signature(text, key)}
+    make_folder(folder.path / _SEALS)
+    write_whole(folder.path / seal.where, text + b"\n" + json.dumps(signature).encode() + b"\n")
+    return _read_seal(folder.path / seal.where, None)
+
+
+def keep_sealed(folder: RunFolder) -> None:
+    """Seal a run that has ended, with what was added to it; where the key can't be used, without signature.
+
+    Runs of versions without seals are left as they are.
+    """
+    try:
+        ended = facts_of(read_journal(folder.journal)).ended
+    except RunFolderError:
+        return  # damaged: a seal would confirm it
+    is_due = (folder.path / _SEALS).exists() or is_linked(folder.journal)
+    if ended and is_due:
+        seal_run(folder, accept_changes=True)
+
+
+def verify_seals(folder: Path, trusted_key: Path | None = None) -> SealCheck:
+    """Compare a run folder with its seals.
+
+    ``trusted_key``: PEM file of the public key that must have signed all seals. Raises MissingRunError if the
+    folder has no seal, and DocumentError if the key can't be read.
+    """
+    seals = _read_seals(folder, trusted_key)
+    if not seals:
+        raise MissingRunError(f"{folder}: has no seal. Make one with: gyrobench seal {folder}")
+    findings = [SealFinding(seal.where, seal.problem) for seal in seals if seal.problem]
+    previous = ""
+    for number, seal in enumerate(seals, start=1):
+        if seal.number != number or (seal.previous_sha256 != previous and not seal.problem):
+            findings.append(SealFinding(seal.where, f"does not follow seal {number - 1}"))
+        previous = file_sha256(folder / seal.where)
+    files = seals[-1].files
+    for path, sealed in sorted(files.items()):
+        if finding := _finding(folder, path, sealed, seals):
+            findings.append(finding)
+    extra = [path for path in _paths(folder) if path not in files]
+    findings += [SealFinding(path, "was added after the last seal") for path in extra if _is_evidence(path)]
+    return SealCheck(seals, findings, [path for path in extra if not _is_evidence(path)])
+
+
+def new_key(path: Path) -> Path:
+    """Make an Ed25519 key for seals: a secret one, which only its owner can read, and FILE.pub beside it.
+
+    Returns the path of the public key. Raises RunFolderError if a file exists or can't be written.
+    """
+    ed25519 = require("cryptography.hazmat.primitives.asymmetric.ed25519")
+    serialization = require("cryptography.hazmat.primitives.serialization")
+    public = path.with_name(path.name + ".pub")
+    if path.exists() or public.exists():
+        raise RunFolderError(f"{path}: a key of this name exists. Choose another name")
+    secret = ed25519.Ed25519PrivateKey.generate()
+    pem = serialization.Encoding.PEM
+    try:
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    except OSError as error:
+        raise RunFolderError(f"{path}: can't be written: {error.strerror}") from error
+    with open(descriptor, "wb") as stream:  # noqa: PTH123 - a descriptor
+        stream.write(
+            secret.private_bytes(pem, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
+        )
+    form = serialization.PublicFormat.SubjectPublicKeyInfo
+    write_whole(public, secret.public_key().public_bytes(pem, form))
+    return public
+
+
+#: Attributes of a seal that are not part of its record.
+_NOT_WRITTEN = ("key", "unsigned", "problem")
+
+
+def _is_evidence(path: str) -> bool:
+    return path in _EVIDENCE or path.startswith(tuple(f"{name}/" for name in _EVIDENCE_FOLDERS))
+
+
+def _paths(root: Path, below: str = "") -> Iterator[str]:
+    """Paths of the files to be sealed, relative to the run folder, in order."""
+    try:
+        found = sorted((root / below).iterdir(), key=lambda each: each.name)
+    except OSError as error:
+        raise RunFolderError(f"{root / below}: can't be read: {error.strerror}") from error
+    for each in found:
+        path = f"{below}{each.name}"
+        if each.name.startswith(".") or path in _TRANSIENT or path == _SEALS or each.is_symlink():
+            continue
+        if not each.is_dir():
+            yield path
+        elif not (each / _SEALS).exists():  # another run, with its seals
+            yield from _paths(root, f"{path}/")
+
+
+def _changes(root: Path, before: Mapping[str, SealedFile], files: Mapping[str, SealedFile]) -> Changes:
+    changed = [path for path in files if path in before and files[path].sha256 != before[path].sha256]
+    extended = [path for path in changed if path == JOURNAL and _starts_with(root / path, before[path])]
+    return Changes(
+        added=[path for path in files if path not in before],
+        extended=extended,
+        replaced=[path for path in changed if path not in extended],
+        removed=[path for path in before if path not in files],
+    )
+
+
+def _starts_with(path: Path, sealed: SealedFile) -> bool:
+    content = read_limited(path, MAX_JOURNAL_BYTES, RunFolderError)[: sealed.size_bytes]
+    return hashlib.sha256(content).hexdigest() == sealed.sha256
+
+
+def _finding(root: Path, path: str, sealed: SealedFile, seals: Sequence[Seal]) -> SealFinding | None:
+    at = root / path
+    if not at.is_file():
+        return SealFinding(path, "is missing")
+    if file_sha256(at) == sealed.sha256:
+        return None
+    same = (seal.files[path] for seal in seals if path in seal.files)
+    known = [each.fingerprint for each in same if each.sha256 == sealed.sha256 and each.fingerprint]
+    change = find_change(at, known[0]) if known else None
+    if change is None:
+        return SealFinding(path, "differs; where is not known")
+    return SealFinding(path, change.text, change.start, change.end)
+
+
+def _read_seals(root: Path, trusted_key: Path | None = None) -> list[Seal]:
+    trusted = _public_bytes(trusted_key) if trusted_key else None
+    return [_read_seal(path, trusted) for path in sorted((root / _SEALS).glob("*.jsonl"))]
+
+
+def _read_seal(path: Path, trusted: bytes | None) -> Seal:
+    """Read a seal and verify its signature. Raises RunFolderError if it is damaged beyond reading."""
+    text, _, rest = read_limited(path, _MAX_BYTES, RunFolderError).partition(b"\n")
+    try:
+        record, signature = parse_json(text), parse_json(rest)
+        files = {name: SealedFile(**each) for name, each in record.pop("files").items()}
+        seal = Seal(**{**record, "files": files, "changes": Changes(**record["changes"])})
+        key = base64.b64decode(signature.get("public_key", ""))
+        problem = _problem_of(text, signature, key, trusted)
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        raise RunFolderError(f"{path}: this seal is damaged: {error}. Restore it from a copy") from error
+    identity = f"Ed25519 key {hashlib.sha256(key).hexdigest()[:16]}" if key else ""
+    values = {name: getattr(seal, name) for name in seal.__dataclass_fields__}
+    return Seal(**{**values, "key": identity, "unsigned": signature.get("unsigned", ""), "problem": problem})
+
+
+def _problem_of(text: bytes, signature: Mapping[str, Any], key: bytes, trusted: bytes | None) -> str:
+    if hashlib.sha256(text).hexdigest() != signature["sha256"]:
+        return "was changed: its hash does not fit"
+    if trusted is not None and key != trusted:
+        return "is not signed by the trusted key"
+    if not key:
+        return ""
+    invalid = require("cryptography.exceptions").InvalidSignature
+    ed25519 = require("cryptography.hazmat.primitives.asymmetric.ed25519")
+    try:
+        ed25519.Ed25519PublicKey.from_public_bytes(key).verify(base64.b64decode(signature["signature"]), text)
+    except invalid:
+        return "was changed: its signature does not fit"
+    return ""
+
+
+def _signature(text: bytes, key: Path | None) -> dict[str, str]:
+    configured = os.environ.get(KEY_VARIABLE, "")
+    if key is None and not configured:
+        return {"unsigned": f"no key; {KEY_VARIABLE} names one"}
+    try:
+        secret = load_key(key or Path(configured))
+    except GyrobenchError as error:
+        if key is not None:
+            raise
+        return {"unsigned": str(error)}
+    public = base64.b64encode(secret.public_key().public_bytes_raw()).decode()
+    return {
+        "algorithm": "Ed25519",
+        "public_key": public,
+        "signature": base64.b64encode(secret.sign(text)).decode(),
+    }
+
+
+def load_key(path: Path) -> Ed25519PrivateKey:
+    """Load the key that signs seals; its password, if any, is in GYROBENCH_KEY_PASSWORD.
+
+    Raises DocumentError if it can't be read or is not an Ed25519 key.
+    """
+    serialization = require("cryptography.hazmat.primitives.serialization")
+    ed25519 = require("cryptography.hazmat.primitives.asymmetric.ed25519")
+    password = os.environ.get(PASSWORD_VARIABLE, "").encode() or None
+    try:
+        key = serialization.load_pem_private_key(read_limited(path, 100_000, DocumentError), password)
+    except (ValueError, TypeError) as error:
+        raise DocumentError(f"{path}: is not a private key that can be read: {error}") from error
+    if not isinstance(key, ed25519.Ed25519PrivateKey):
+        raise DocumentError(f"{path}: is not an Ed25519 key. Make one with: gyrobench seal --new-key FILE")
+    return key  # type: ignore[no-any-return]
+
+
+def _public_bytes(path: Path) -> bytes:
+    serialization = require("cryptography.hazmat.primitives.serialization")
+    try:
+        key = serialization.load_pem_public_key(read_limited(path, 100_000, DocumentError))
+        return key.public_bytes_raw()  # type: ignore[no-any-return]
+    except (ValueError, AttributeError) as error:
+        raise DocumentError(f"{path}: is not a public Ed25519 key in PEM: {error}") from error

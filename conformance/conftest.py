@@ -1,0 +1,64 @@
+"""Which dialects are tested."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from gyrobench.bench.foundations.packages import CHAMBERS, RATE_TABLES, installed
+from gyrobench.conformance.instruments import ChamberUnderTest, Noise, TableUnderTest
+
+_GROUPS = {"test_chamber.py": CHAMBERS, "test_rate_table.py": RATE_TABLES}
+
+
+@pytest.fixture
+def chamber(request: pytest.FixtureRequest) -> ChamberUnderTest:
+    """A chamber of each dialect under test."""
+    return ChamberUnderTest(request.param, _options(request.config))
+
+
+@pytest.fixture
+def table(request: pytest.FixtureRequest) -> TableUnderTest:
+    """A table of each dialect under test."""
+    return TableUnderTest(request.param, _options(request.config))
+
+
+@pytest.fixture(params=range(4))
+def noise(request: pytest.FixtureRequest) -> Callable[[], Noise]:
+    """Make the same noise each time."""
+    return lambda: Noise(request.param)
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave out the tests of the kind of instrument that no dialect under test is for."""
+    group = _GROUPS.get(collection_path.name)
+    return True if group and not _under_test(config, group) else None
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Run each test with each dialect."""
+    for fixture, group in (("chamber", CHAMBERS), ("table", RATE_TABLES)):
+        if fixture in metafunc.fixturenames:
+            metafunc.parametrize(fixture, _under_test(metafunc.config, group), indirect=True)
+
+
+def _under_test(config: pytest.Config, group: str) -> list[str]:
+    """Names of the dialects of a group that are tested."""
+    chosen: list[str] = config.getoption("dialect")
+    offered = {name: installed(name) for name in (CHAMBERS, RATE_TABLES)}
+    known = sorted({name for names in offered.values() for name in names})
+    if unknown := sorted(set(chosen) - set(known)):
+        raise pytest.UsageError(
+            f"--dialect {unknown[0]}: no installed package offers it; installed: {', '.join(known)}"
+        )
+    return [name for name in offered[group] if name in chosen or not chosen]
+
+
+def _options(config: pytest.Config) -> dict[str, Any]:
+    """Keys of the dialect's section in a station file."""
+    given: list[str] = config.getoption("dialect_option")
+    return {key: yaml.safe_load(value) for key, _, value in (text.partition("=") for text in given)}

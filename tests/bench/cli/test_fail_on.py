@@ -1,0 +1,42 @@
+"""`--fail-on`: exit codes for CI."""
+
+import pytest
+
+from gyrobench.bench.bias.verdicts import Acceptance
+from gyrobench.bench.dwells.run_dwells import RunResults
+from gyrobench.bench.engine.observers import RunOutcome
+from tests.bench.command_line import gyrobench
+
+
+class Measured:
+    def __init__(self, flags):
+        self.row = type("Row", (), {"dwell": 7, "flags": flags})
+
+
+@pytest.mark.parametrize(
+    ("verdict", "flags", "fail_on", "reason"),
+    [
+        ("accepted", "", "flagged", ""),
+        ("rejected", "", None, ""),
+        ("rejected", "", "rejected", "The unit is rejected"),
+        ("rejected", "", "flagged", "The unit is rejected"),
+        ("accepted", "moved", "rejected", ""),
+        ("accepted", "moved", "flagged", "1 of 2 dwells are flagged: dwell 7: moved."),
+    ],
+)
+def test_a_finished_run_falls_short_of_what_its_caller_asks(verdict, flags, fail_on, reason):
+    outcome = RunOutcome(
+        dwells=[Measured(""), Measured(flags)], results=RunResults(acceptance=Acceptance(verdict=verdict))
+    )
+    assert outcome.shortcoming(fail_on).startswith(reason)
+    assert bool(outcome.shortcoming(fail_on)) == bool(reason)
+
+
+def test_a_run_with_a_flagged_dwell_ends_with_1_where_it_must_not_have_one(tmp_path):
+    (tmp_path / "stuck.yaml").write_text(
+        "faults:\n  - {fault: stuck_output, at_s: 500, for_s: 20000, signals: [velocity_east]}\n"
+    )
+    arguments = ("run", "ten_minute_check", "--faults", "stuck.yaml", "--view", "lines")
+    done = gyrobench(*arguments, "--fail-on", "flagged", cwd=tmp_path)
+    assert done.returncode == 1
+    assert "1 of 1 dwells are flagged" in done.stdout

@@ -1,0 +1,200 @@
+"""Seals of a run folder: what was changed, by whom it was sealed, and what may be added."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+from gyrobench.bench.foundations.clock import VirtualClock
+from gyrobench.bench.foundations.errors import DocumentError, MissingRunError, RunFolderError
+from gyrobench.bench.runs.can_log import CanLog
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.journal import Journal
+from gyrobench.bench.runs.provenance import OPERATOR_VARIABLE
+from gyrobench.bench.runs.seal import KEY_VARIABLE, keep_sealed, new_key, seal_run, verify_seals
+from gyrobench.drivers.frames import FrameBlock
+from tests.bench.command_line import gyrobench
+
+
+@pytest.fixture(autouse=True)
+def environment(monkeypatch):
+    monkeypatch.delenv(KEY_VARIABLE, raising=False)
+    monkeypatch.setenv(OPERATOR_VARIABLE, "A. Smith")
+    monkeypatch.setattr(sys, "argv", ["/usr/bin/gyrobench", "run", "x"])
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A run that has ended, with two parts of its CAN log, a table and a journal."""
+    run = RunFolder(tmp_path / "run")
+    run.path.mkdir()
+    with Journal(run.journal, VirtualClock()) as journal:
+        journal.record("run_started", procedure="six_position_fig7", station="emulated")
+        for number in range(40):
+            journal.record("step_finished", step=number)
+        journal.record("run_ended", ended="finished", reason="", safe_state=[])
+    log = CanLog(run.can)
+    for _ in range(2):
+        numbers = np.arange(3000)
+        data = np.random.default_rng(1).integers(256, size=(3000, 8), dtype=np.uint8)
+        log.write(FrameBlock.from_columns(9e8 + 0.02 * numbers, numbers % 8, 8, data))
+        log.cut()
+    rows = [f"{dwell},{0.01 * dwell:.4f},{0.001:.4f}" for dwell in range(60)]
+    run.dwells.write_text("\n".join(["dwell,bias_x_dph,sigma_x_dph", *rows]) + "\n")
+    (run.path / ".lock").write_text("")
+    return run
+
+
+@pytest.fixture
+def key(tmp_path):
+    pytest.importorskip("cryptography")
+    new_key(tmp_path / "seal.pem")
+    return tmp_path / "seal.pem"
+
+
+def change_byte(path, at):
+    content = bytearray(path.read_bytes())
+    content[at] ^= 0x01
+    path.write_bytes(content)
+
+
+def test_the_first_byte_that_changed_is_named_in_log_journal_and_table(folder, key):
+    seal_run(folder, key)
+    assert verify_seals(folder.path).is_intact
+    part = folder.can / "part-00002.blf"
+    journal, table = folder.journal.read_bytes(), folder.dwells.read_bytes()
+    line_17 = sum(len(line) + 1 for line in journal.split(b"\n")[:16])
+    cell = table.index(b"0.3700")
+    for path, at, where in (
+        (part, 1000, ""),
+        (folder.journal, line_17 + 5, ", in line 17 (event step_finished)"),
+        (folder.dwells, cell + 3, ", in line 39, column bias_x_dph"),
+    ):
+        change_byte(path, at)
+        (finding,) = verify_seals(folder.path).findings
+        assert finding.path == path.relative_to(folder.path).as_posix()
+        assert (finding.start, finding.end) == (at, at + 1)
+        assert finding.text.startswith(f"byte {at} is 0x")
+        assert finding.text.endswith(where)
+        change_byte(path, at)
+    assert verify_seals(folder.path).is_intact
+
+
+def test_a_file_that_is_missing_and_a_part_that_was_added_are_found(folder):
+    seal_run(folder)
+    (folder.can / "part-00001.blf").unlink()
+    (folder.can / "part-00003.blf").write_bytes(b"LOGG")
+    (folder.path / "notes.txt").write_text("remark")
+    check = verify_seals(folder.path)
+    assert {finding.path: finding.text for finding in check.findings} == {
+        "can/part-00001.blf": "is missing",
+        "can/part-00003.blf": "was added after the last seal",
+    }
+    assert check.not_sealed == ["notes.txt"]
+
+
+def test_what_is_added_later_is_in_a_further_seal_with_who_and_by_which_command(folder, key, monkeypatch):
+    seal_run(folder, key)
+    monkeypatch.setenv(OPERATOR_VARIABLE, "B. Jones")
+    monkeypatch.setattr(sys, "argv", ["gyrobench", "close", "run"])
+    folder.report.write_text("report")
+    folder.closure.mkdir()
+    (folder.closure / "closure.json").write_text("{}")
+    seal_run(folder, key)
+    assert seal_run(folder, key) is None
+    first, second = verify_seals(folder.path, key.with_name("seal.pem.pub")).seals
+    assert (first.operator, first.command) == ("A. Smith", "gyrobench run x")
+    assert (second.operator, second.command) == ("B. Jones", "gyrobench close run")
+    assert second.changes.added == ["closure/closure.json", "report.html"]
+    assert second.key == first.key != ""
+    change_byte(folder.dwells, 5)  # found with the fingerprint in the first seal
+    assert [finding.start for finding in verify_seals(folder.path).findings] == [5]
+
+
+def test_changed_data_are_sealed_only_on_record(folder):
+    seal_run(folder)
+    change_byte(folder.journal, 100)
+    with pytest.raises(RunFolderError, match=r"journal\.jsonl changed since seal 1"):
+        seal_run(folder)
+    seal = seal_run(folder, accept_changes=True)
+    assert seal.changes.evidence == ["journal.jsonl"]
+    assert seal.journal_broken_links == [2]
+
+
+def test_a_resumed_run_extends_its_journal(folder):
+    seal_run(folder)
+    with Journal(folder.journal, VirtualClock(9.0)) as journal:
+        journal.record("run_resumed")
+    seal = seal_run(folder)
+    assert seal.changes.extended == ["journal.jsonl"]
+    assert not seal.changes.evidence
+
+
+@pytest.mark.parametrize("what", ["seal", "signature", "chain"])
+def test_a_changed_seal_is_found(folder, key, what):
+    seal_run(folder, key)
+    folder.report.write_text("report")
+    seal_run(folder, key)
+    path = folder.path / "seals" / "001.jsonl"
+    text, signature, _ = path.read_text().split("\n")
+    if what == "seal":
+        text = text.replace("A. Smith", "C. Brown")
+    elif what == "signature":
+        record = json.loads(signature)
+        changed = "A" if record["signature"][0] != "A" else "B"
+        signature = json.dumps(record | {"signature": changed + record["signature"][1:]})
+    path.write_text(f"{text}\n{signature}\n\n" if what == "chain" else f"{text}\n{signature}\n")
+    findings = verify_seals(folder.path).findings
+    assert findings[0].path == f"seals/00{2 if what == 'chain' else 1}.jsonl"
+    assert {"seal": "hash", "signature": "signature", "chain": "does not follow"}[what] in findings[0].text
+
+
+def test_a_seal_of_another_key_is_not_the_trusted_one(folder, key, tmp_path):
+    seal_run(folder, key)
+    other = new_key(tmp_path / "other.pem")
+    assert verify_seals(folder.path, key.with_name("seal.pem.pub")).is_intact
+    (finding,) = verify_seals(folder.path, other).findings
+    assert finding.text == "is not signed by the trusted key"
+
+
+def test_a_key_that_cant_be_used_leaves_the_seal_unsigned_or_is_an_error(folder, tmp_path, monkeypatch):
+    wrong = tmp_path / "wrong.pem"
+    wrong.write_text("no key")
+    with pytest.raises(DocumentError, match="is not a private key"):
+        seal_run(folder, wrong)
+    monkeypatch.setenv(KEY_VARIABLE, str(wrong))
+    assert "is not a private key" in seal_run(folder).unsigned
+
+
+def test_a_run_is_kept_sealed_once_it_has_ended_and_old_runs_stay_as_they_are(folder):
+    whole = folder.journal.read_bytes()
+    folder.journal.write_bytes(b"".join(whole.splitlines(keepends=True)[:-1]))
+    keep_sealed(folder)
+    assert not (folder.path / "seals").exists()
+    folder.journal.write_bytes(b'{"event": "run_ended", "ended": "finished"}\n')
+    keep_sealed(folder)
+    assert not (folder.path / "seals").exists()
+    folder.journal.write_bytes(whole)
+    keep_sealed(folder)
+    assert verify_seals(folder.path).is_intact
+
+
+def test_the_command_seals_verifies_and_names_the_change(folder, tmp_path):
+    made = gyrobench("seal", folder.path, "--operator", "D. White", cwd=tmp_path)
+    assert made.returncode == 0, made.stderr
+    assert "D. White" in made.stdout
+    same = gyrobench("seal", folder.path, "--verify", cwd=tmp_path)
+    assert same.returncode == 0, same.stderr
+    assert "Unchanged: 4 files" in same.stdout
+    change_byte(folder.dwells, 40)
+    found = gyrobench("seal", folder.path, "--verify", "--json", cwd=tmp_path)
+    assert found.returncode == 1
+    assert "Changed: dwells.csv: byte 40 is" in found.stderr
+    record = json.loads(found.stdout)
+    assert (record["intact"], record["changes"][0]["start"]) == (False, 40)
+
+
+def test_a_folder_without_a_seal_is_refused(folder):
+    with pytest.raises(MissingRunError, match="has no seal"):
+        verify_seals(folder.path)
