@@ -37,9 +37,9 @@ class NewestFrames:
     def take(self, frames: FrameBlock, now_s: float) -> None:
         """Store frames that have just arrived, in order; at least one."""
         self._received_s, self._stamp_s = now_s, frames.timestamp_s.item(-1)
-        places = dict(zip(frames.arbitration_id.tolist(), range(len(frames)), strict=True))
-        newest = frames.rows[list(places.values())].tolist()
-        self._newest = self._newest | dict(zip(places, newest, strict=True))
+        identifiers, places = np.unique(frames.arbitration_id[::-1], return_index=True)
+        newest = frames.rows[::-1][places].tolist()
+        self._newest = self._newest | dict(zip(identifiers.tolist(), newest, strict=True))
 
     def forget(self, message_name: str) -> None:
         """Drop the frames of a message."""
