@@ -14,7 +14,7 @@ white sum stays at one standard deviation, a slow one grows with the number of e
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,9 +22,10 @@ import numpy as np
 from gyrobench.bench.bias import parameters, window_filter
 from gyrobench.bench.bias.bias_steps import BiasStep, WindowChange, find_bias_step
 from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, TurnPath
+from gyrobench.bench.bias.error_split import ErrorPart, noise_parts, prior_parts
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.parameters import PriorKnowledge
-from gyrobench.bench.bias.statistics import chi2_p_value, chi2_test, solve
+from gyrobench.bench.bias.statistics import GoodnessOfFit, chi2_p_value, goodness_of_fit, solve
 from gyrobench.bench.bias.window_filter import WindowFilter
 from gyrobench.bench.foundations.arrays import FloatArray, IntArray, block_diagonal
 from gyrobench.bench.foundations.errors import MeasurementError
@@ -122,6 +123,7 @@ class StateSpaceEstimate(BiasEstimate):
     latitude_sigma: float
     #: For the joint solution of several dwells; None where only its result is kept.
     information: DwellInformation | None
+    parts: Mapping[str, ErrorPart]  #: Errors of the biases by source, of a complete dwell; otherwise empty.
 
 
 class BiasFilter:
@@ -174,12 +176,14 @@ class BiasFilter:
                     f"{self._windows[-1].last_s:.3f} s. Add windows in order, none of them empty"
                 )
             last = self._windows[-1]
-            change, driven, noise = self._through_turn(time_s, turn, count - parameters.PER_WINDOW)
+            change, driven = self._through_turn(time_s, turn, count - parameters.PER_WINDOW)
             self._changes.append(change)
             before = last.columns[:, : window_filter.DATA] @ self._expansions[-1]
             state[:, : -parameters.PER_WINDOW] = change.transition @ before + driven
             known = change.transition @ last.columns[:, window_filter.DATA]
-            covariance = change.transition @ last.covariance @ change.transition.T + noise
+            walks = np.square([self._noise.angle_random_walk, self._noise.velocity_random_walk])
+            covariance = change.transition @ last.covariance @ change.transition.T
+            covariance += np.tensordot(walks, change.by_walk, 1)
         state[3:5, count - parameters.PER_WINDOW :][:, parameters.VELOCITY] = np.eye(2)
         state[:3, count - parameters.PER_WINDOW :][:, parameters.ATTITUDE] = np.eye(3)
         self._windows.append(WindowFilter(self._site, self._noise, time_s, C_nb, known, covariance))
@@ -253,7 +257,21 @@ class BiasFilter:
             latitude_error=latitude_error,
             latitude_sigma=latitude_sigma,
             information=information,
+            parts=self._parts(information, shown, expansions, covariance) if complete else {},
         )
+
+    def _parts(
+        self,
+        information: DwellInformation,
+        shown: FloatArray,
+        expansions: list[FloatArray],
+        covariance: FloatArray,
+    ) -> dict[str, ErrorPart]:
+        at_mean, gain = information.bias_at_mean, covariance @ information.bias_at_mean.T
+        prior_root = parameters.prior_root(self._prior, len(self._windows), self._earth_rate)
+        by_prior = at_mean @ prior_root - gain.T @ information.rows.T @ information.rows @ prior_root
+        noise = noise_parts(self._windows, self._changes, expansions, gain, self._site, self._noise)
+        return noise | prior_parts(by_prior, self._prior, shown, len(self._windows))
 
     def goodness_of_fit(self) -> GoodnessOfFit:
         """Test whether the model explains what has been added, even a single window."""
@@ -300,28 +318,27 @@ class BiasFilter:
             self._reference_c = gyro_c[0].copy()
         return gyro_c - self._reference_c
 
-    def _through_turn(
-        self, time_s: float, turn: TurnPath, count: int
-    ) -> tuple[WindowChange, FloatArray, FloatArray]:
-        """What the state before a turn, each parameter (6, count) and the noise make of that after it."""
+    def _through_turn(self, time_s: float, turn: TurnPath, count: int) -> tuple[WindowChange, FloatArray]:
+        """What state before a turn and noise, and each parameter (6, count), make of the state after it."""
         last = self._windows[-1]
-        through, state, covariance = np.eye(STATES), np.zeros((STATES, count)), np.zeros((STATES, STATES))
+        through, state, by_walk = np.eye(STATES), np.zeros((STATES, count)), np.zeros((2, STATES, STATES))
         # At rest until the turn begins, and again when it is over; the INS's own attitude before the
         # turn, carried on by the table.
         edges = np.clip(np.concatenate([[last.last_s], turn.time_s, [time_s]]), last.last_s, time_s)
         path = last.C_nb @ turn.C_nb[0].T @ np.concatenate([turn.C_nb[:1], turn.C_nb, turn.C_nb[-1:]])
         turned = rotation_vectors(path[:-1].transpose(0, 2, 1) @ path[1:])
         middle = path[:-1] @ rotation_matrices(0.5 * turned)
-        durations, noise = np.diff(edges), self._noise
-        steps = integrate(self._site, durations, noise.angle_random_walk, noise.velocity_random_walk)
+        durations = np.diff(edges)
+        steps, velocity_steps = (integrate(self._site, durations, *unit) for unit in np.eye(2))
         for k in np.flatnonzero(durations > 0.0):
             rate_body = middle[k].T @ self._earth_rate + turned[k] / durations[k]
             driven = parameters.inputs(middle[k], rate_body, count)
             driven[:3, parameters.GYRO_SLOPE] = middle[k] * self._last_k
             transition = steps.transition[k]
             through, state = transition @ through, transition @ state + steps.response[k] @ driven
-            covariance = transition @ covariance @ transition.T + steps.covariance[k]
-        return WindowChange(through, state[:, parameters.GYRO_BIAS]), state, covariance
+            added = np.stack([steps.covariance[k], velocity_steps.covariance[k]])
+            by_walk = transition @ by_walk @ transition.T + added
+        return WindowChange(through, state[:, parameters.GYRO_BIAS], by_walk), state
 
     def _information(self, test: bool) -> tuple[DwellInformation, FloatArray]:
         """Information in all epochs added, and which parameters it holds (p,), 0 or 1.
@@ -444,44 +461,3 @@ def _expanded(rows: FloatArray, expansion: FloatArray, count: int) -> FloatArray
     result = np.zeros((len(rows), count))
     result[:, : expansion.shape[1]] = rows[:, : window_filter.DATA] @ expansion
     return result
-
-
-@dataclass(frozen=True, eq=False)
-class GoodnessOfFit:
-    """Chi-square test of the innovations."""
-
-    time_s: FloatArray  #: Shape (m,). Middle of each minute on the clock of the INS.
-    #: Shape (m, 3). Innovations of velocity East and North and of the heading summed over the minute, in
-    #: standard deviations of the sum; what the estimate explains is taken away.
-    residuals: FloatArray
-    #: chi2, dof: Their sum of squares weighted by their covariance, and its expectation.
-    chi2: float
-    dof: int
-    p_value: float  #: Probability of at least this chi2 if model and noise are true.
-
-    @property
-    def ratio(self) -> float:
-        """Size of the residuals over the expected one."""
-        return math.sqrt(self.chi2 / self.dof) if self.dof else math.nan
-
-
-def goodness_of_fit(
-    time_s: FloatArray, sums: FloatArray, responses: FloatArray, unknowns: FloatArray, covariance: FloatArray
-) -> GoodnessOfFit:
-    """Test the sums of innovations against an estimate made from the same data.
-
-    Parameters
-    ----------
-    time_s : ndarray, shape (m,)
-        Middle of each minute.
-    sums : ndarray, shape (m, 3)
-        White, with unit variance.
-    responses : ndarray, shape (m, 3, p)
-        Of the sums to the unknowns.
-    unknowns, covariance : ndarray, shape (p,), (p, p)
-        The estimate.
-    """
-    response = responses.reshape(-1, len(unknowns))
-    residuals = sums.ravel() - response @ unknowns
-    test = chi2_test(residuals, response, covariance)
-    return GoodnessOfFit(time_s, residuals.reshape(-1, 3), test.chi2, test.dof, test.p_value)

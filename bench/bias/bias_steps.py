@@ -38,10 +38,11 @@ class BiasStep:
 
 @dataclass(frozen=True, eq=False)
 class WindowChange:
-    """From the end of one window to the start of the next: the state, and what biases add to it."""
+    """From the end of one window to the start of the next: the state, and what biases and noise add to it."""
 
     transition: FloatArray  #: Shape (6, 6).
     by_bias: FloatArray  #: Shape (6, 3). For a unit of each gyro's bias, body axes.
+    by_walk: FloatArray  #: Shape (2, 6, 6). Covariance for unit angle and velocity random walk.
 
 
 def find_bias_step(

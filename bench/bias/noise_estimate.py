@@ -19,6 +19,7 @@ hides the noise, and only an upper limit is reported.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -95,6 +96,10 @@ class NoiseParameter:
         return (
             self.square_sigma / (2.0 * float(np.sqrt(self.square))) if self.is_found and self.square else None
         )
+
+    def dof(self, value: float | None) -> float:
+        """Degrees of freedom of a value taken from this (JCGM 100, G.4.2); infinite where not measured."""
+        return 2.0 * (value**2 / self.square_sigma) ** 2 if value and self.square_sigma > 0.0 else math.inf
 
     @property
     def cautious(self) -> float:
@@ -193,23 +198,25 @@ class NoiseEstimate:
     def exceeding(self, declared: NoiseModel) -> NoiseModel:
         """The declared noise, with what is significantly larger here in the place of what it declares."""
 
-        def larger(value: float, *measured: NoiseParameter) -> float:
+        def larger(value: float, *measured: NoiseParameter) -> tuple[float, float]:
             found = [
-                each.value
+                (each.value, each.dof(each.value))
                 for each in measured
                 if each.square is not None
                 and each.value is not None
                 and each.square - value**2 > _EXCEEDING_SIGMAS * each.square_sigma
             ]
-            return max([value, *found])
+            return max([(value, math.inf), *found])
 
-        return NoiseModel(
+        values, dof = zip(
             larger(declared.angle_random_walk, self.angle_random_walk, *self.angle_random_walks),
             larger(declared.velocity_random_walk, self.velocity_random_walk),
             larger(declared.velocity_white, self.velocity_white),
             # Pulses that hide the noise at all averaging times are worth at least as much.
-            max(larger(declared.heading_white, self.heading_white), self.heading.hiding_step),
+            max(larger(declared.heading_white, self.heading_white), (self.heading.hiding_step, math.inf)),
+            strict=True,
         )
+        return NoiseModel(*values, dof)
 
     def noise_model(self) -> NoiseModel:
         """Make the model that this amounts to.
@@ -224,12 +231,10 @@ class NoiseEstimate:
                 "the angle random walk is not observable in these windows: the INS's output is too coarse "
                 "or too noisy, or they are too short. Declare the noise of the data sheet"
             )
-        return NoiseModel(
-            arw.value,
-            self.velocity_random_walk.cautious,
-            self.velocity_white.value or 0.0,
-            self.heading_white.value or 0.0,
-        )
+        measured = (arw, self.velocity_random_walk, self.velocity_white, self.heading_white)
+        values = arw.value, measured[1].cautious, measured[2].value or 0.0, measured[3].value or 0.0
+        w, x, y, z = (each.dof(value) for each, value in zip(measured, values, strict=True))
+        return NoiseModel(*values, (w, x, y, z))
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ deviation by 3 % over two windows of 10 min and is left out, and so is the noise
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -24,7 +25,7 @@ from gyrobench.bench.navigation.earth import MEAN_RADIUS
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """Declared noise of the INS, the same for all axes.
+    """Noise of the INS, the same for all axes; declared, or estimated from its output.
 
     Raises
     ------
@@ -36,9 +37,11 @@ class NoiseModel:
     velocity_random_walk: float = 0.0  #: White noise of the accelerations, m/s/sqrt(s).
     velocity_white: float = 0.0  #: Noise of each velocity output, independent from epoch to epoch, m/s.
     heading_white: float = 0.0  #: The same of the attitude outputs, rad.
+    #: Degrees of freedom of the four: infinite where declared.
+    dof: tuple[float, float, float, float] = (math.inf,) * 4
 
     def __post_init__(self) -> None:
-        for field in fields(self):
+        for field in fields(self)[:4]:
             value = getattr(self, field.name)
             if not (np.isfinite(value) and value >= 0.0):
                 raise DocumentError(f"noise of the INS: {field.name} must not be negative; found {value}")
@@ -65,6 +68,22 @@ class NoiseModel:
             vrw_ug_per_sqrt_hz * UG_PER_SQRT_HZ_TO_SI,
             float(np.hypot(velocity_lsb_mps / np.sqrt(12.0), velocity_output_mps)),
             float(np.hypot(heading_lsb_rad / np.sqrt(12.0), heading_output_rad)),
+        )
+
+    def at_least(self, velocity_white: float, heading_white: float) -> NoiseModel:
+        """The same with noise of the outputs not below these values, m/s and rad, which count as declared."""
+        arw_dof, vrw_dof, velocity_dof, heading_dof = self.dof
+        return NoiseModel(
+            self.angle_random_walk,
+            self.velocity_random_walk,
+            max(self.velocity_white, velocity_white),
+            max(self.heading_white, heading_white),
+            (
+                arw_dof,
+                vrw_dof,
+                velocity_dof if self.velocity_white > velocity_white else math.inf,
+                heading_dof if self.heading_white > heading_white else math.inf,
+            ),
         )
 
     def velocity_variance(self, time: FloatArray, weights: FloatArray, gravity: float) -> FloatArray:

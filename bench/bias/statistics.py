@@ -1,7 +1,7 @@
 """Least squares, weighted means, excess scatter and tests: the statistics that the estimates share.
 
 * :func:`solve` solves white rows with prior knowledge of the parameters; :func:`chi2_test` tests the
-residuals, :func:`chi2_p_value` any sum of squares.
+residuals, :func:`goodness_of_fit` innovations summed by the minute, :func:`chi2_p_value` any sum of squares.
 * :func:`weighted_mean` averages independent values and tests whether their uncertainties explain the scatter.
 * :func:`excess_variance` finds by how much values scatter beyond their uncertainties: values are of
   ``y = X b + c + e``, with noise e of known size in each value and c of one normal distribution for all. Its
@@ -77,6 +77,47 @@ def chi2_test(residuals: FloatArray, rows: FloatArray, covariance: FloatArray) -
     chi2 = float(((residuals @ directions[:, free]) ** 2 / variances[free]).sum())
     dof = int(free.sum())
     return Chi2Test(chi2, dof, chi2_p_value(dof, chi2))
+
+
+@dataclass(frozen=True, eq=False)
+class GoodnessOfFit:
+    """Chi-square test of the innovations."""
+
+    time_s: FloatArray  #: Shape (m,). Middle of each minute on the clock of the INS.
+    #: Shape (m, 3). Innovations of velocity East and North and of the heading summed over the minute, in
+    #: standard deviations of the sum; what the estimate explains is taken away.
+    residuals: FloatArray
+    #: chi2, dof: Their sum of squares weighted by their covariance, and its expectation.
+    chi2: float
+    dof: int
+    p_value: float  #: Probability of at least this chi2 if model and noise are true.
+
+    @property
+    def ratio(self) -> float:
+        """Size of the residuals over the expected one."""
+        return math.sqrt(self.chi2 / self.dof) if self.dof else math.nan
+
+
+def goodness_of_fit(
+    time_s: FloatArray, sums: FloatArray, responses: FloatArray, unknowns: FloatArray, covariance: FloatArray
+) -> GoodnessOfFit:
+    """Test the sums of innovations against an estimate made from the same data.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (m,)
+        Middle of each minute.
+    sums : ndarray, shape (m, 3)
+        White, with unit variance.
+    responses : ndarray, shape (m, 3, p)
+        Of the sums to the unknowns.
+    unknowns, covariance : ndarray, shape (p,), (p, p)
+        The estimate.
+    """
+    response = responses.reshape(-1, len(unknowns))
+    residuals = sums.ravel() - response @ unknowns
+    test = chi2_test(residuals, response, covariance)
+    return GoodnessOfFit(time_s, residuals.reshape(-1, 3), test.chi2, test.dof, test.p_value)
 
 
 def chi2_p_value(dof: int, chi2: float) -> float:

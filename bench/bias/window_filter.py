@@ -81,6 +81,8 @@ class WindowFilter:
         Rows with the same normal equations as the white ones of all epochs.
     last_s : float
         Time of the last epoch used; NaN before the first one.
+    output_variances : ndarray, shape (3,)
+        Of the noise of velocity East and North and of the heading.
     temperature_sum, epochs : ndarray of shape (3,), int
         Sum of the gyros' temperatures over the epochs used, and their number.
     """
@@ -97,7 +99,7 @@ class WindowFilter:
         self._site, self._noise = site, noise
         self._first_s = time_s
         white = np.array([noise.velocity_white, noise.velocity_white, noise.heading_white])
-        self._variances = np.maximum(white, _MIN_WHITE) ** 2
+        self.output_variances = np.maximum(white, _MIN_WHITE) ** 2
         self._blocks: dict[int, _Block] = {}
         self.C_nb = np.ascontiguousarray(C_nb)
         self.covariance = covariance
@@ -137,7 +139,7 @@ class WindowFilter:
             self.columns,
             self.covariance,
             np.column_stack([velocity_en_mps, heading]),
-            self._variances,
+            self.output_variances,
             steps.transition,
             steps.response,
             steps.covariance,

@@ -40,25 +40,16 @@ from gyrobench.bench.calibration.recording import (
     find_rotations,
     measure_noise,
 )
-from gyrobench.bench.calibration.strapdown import (
-    ATTITUDE,
-    DELAY,
-    LEVER_ARMS,
-    QUADRATIC,
-    UNKNOWNS,
-    Epochs,
-    white_rows,
-)
+from gyrobench.bench.calibration.section import Section
+from gyrobench.bench.calibration.strapdown import ATTITUDE, DELAY, LEVER_ARMS, QUADRATIC, UNKNOWNS, white_rows
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import rotation_matrices
 from gyrobench.bench.navigation.earth import EARTH_RATE
 from gyrobench.bench.navigation.error_model import Site
 
-#: Time between two velocities at rest, s: closer ones would average noise of the output alone.
-EPOCH_S = 1.0
 #: Large attitude error at the start, rad.
-_ATTITUDE_ERROR = 0.5
+ATTITUDE_ERROR = 0.5
 #: An unknown is observed if sizes ten times as large let its uncertainty grow by less than this.
 _MAX_GROWTH = 1.1
 #: Rounds of linearisation; the last one changes the weighted sum of squares by less than this, and each
@@ -66,12 +57,20 @@ _MAX_GROWTH = 1.1
 _MAX_ROUNDS, _CONVERGED, _MAX_STEP = 15, 0.1, 0.05
 #: Scale factor errors and misalignments beyond this are wrong units, signs or axes.
 _MAX_ELEMENT = 0.25
+#: Size of the accelerometers' scale factor errors where gravity stands in place of the vertical specific
+#: force: their mean is not observed, and affects the other coefficients in second order.
+_SCALE = 1e-4
 #: Sample rates of recordings that count as one.
 _MAX_RATE_RATIO = 1.01
 #: The opposite latitude is named where it reduces chi2 to this part; largest factor on the uncertainties.
 _OPPOSITE, _MAX_WIDENING = 0.1, 10.0
 #: Below this probability the noise alone does not explain the residuals.
 MIN_P_VALUE = 1e-3
+_IS_FORCE_SCALE = [each.name == "accelerometer_scale_factor" for each in COEFFICIENTS]
+#: So closely the scale factors of accelerometers have the mean zero where the vertical force is not measured.
+_COMMON_SCALE = 1e-9
+#: Smallest relative error of the time that is looked for.
+_MIN_TIME_ERROR = 3e-4
 #: Epochs at rest over which residuals are summed for the test of fit.
 _FIT_EPOCHS = 60
 
@@ -90,6 +89,9 @@ class CalibrationOptions:
     #: Random walks of gyros (rad/sqrt(s)) and accelerometers (m/s/sqrt(s)); None: as measured at rest.
     walks: tuple[float, float] | None = None
     gravity_sigma: float = 0.0  #: Standard uncertainty of gravity, m/s^2.
+    #: Standard uncertainties, rad, of tilt and heading of the rotations that a recording's table measures;
+    #: None: they do not count.
+    table: tuple[float, float] | None = None
 
     @property
     def columns(self) -> list[int]:
@@ -131,14 +133,25 @@ class Information:
                 site.latitude,
                 options.gravity or site.gravity,
                 options.whole_turns,
+                options.table,
             )
             block = np.zeros((len(rows), len(used) + 3 * len(sections) + 1))
             block[:, : len(used)] = rows[:, used]
             block[:, len(used) + 3 * number :][:, :3] = rows[:, ATTITUDE]
             block[:, -1] = data + rows[:, used] @ common[used]
             blocks.append(block)
+        if not any(section.epochs.has_vertical for section in sections):
+            # Gravity in place of the vertical force says nothing of what the scale factors share.
+            mean = np.zeros((1, blocks[0].shape[1]))
+            mean[0, np.flatnonzero(_IS_FORCE_SCALE)] = 1.0 / _COMMON_SCALE
+            blocks.append(mean)
         sizes = [each.size for each in (*COEFFICIENTS, *BESIDE)]
-        attitudes = [_ATTITUDE_ERROR] * (3 * len(sections))
+        if not all(each.epochs.has_vertical for each in sections):
+            sizes = [
+                _SCALE if each.name == "accelerometer_scale_factor" else each.size
+                for each in (*COEFFICIENTS, *BESIDE)
+            ]
+        attitudes = [ATTITUDE_ERROR] * (3 * len(sections))
         return cls(blocks, np.array([*(sizes[each] for each in used), *attitudes]))
 
     @cached_property
@@ -171,6 +184,9 @@ class Calibration(CoefficientEstimate):
     #: Test that the noise explains what the coefficients leave of the velocity. Where it does not, the
     #: uncertainties are larger by the root of chi2 over its degrees of freedom.
     fit: Chi2Test
+    sections: tuple[Section, ...]  #: Of each recording, between rests.
+    starts: tuple[FloatArray, ...]  #: Attitude ``C_nb`` (3, 3) at the start of each.
+    unknowns: FloatArray  #: Shape (34,). Values that the increments are freed of, observed or not.
 
 
 def calibrate(
@@ -203,25 +219,19 @@ def calibrate(
         )
     _check_force(recordings, rests, gravity)
     sections = [Section.between_rests(*each) for each in zip(recordings, rests, rotations, strict=True)]
-    used = options.columns
-    bias = _first_bias(recordings, rests)
-    values, covariance, is_observed, blocks = _solve(sections, bias, noise, site, options)
+    used, bias = options.columns, _first_bias(recordings, rests)
+    found = _solve(sections, bias, noise, site, options)
+    is_observed = found.is_observed
     if all(turn.kind == "disturbance" for turns in rotations for turn in turns):
         is_observed[:COUNT] &= [each.sensor != "gyro" or each.kind == "bias" for each in COEFFICIENTS]
-    _check_size(values, is_observed)
-    test = _test_fit(values, covariance, blocks)
+    if not any(recording.has_vertical for recording in recordings):
+        is_observed[:COUNT] &= ~np.array(_IS_FORCE_SCALE)
+    _check_size(found.values, is_observed)
+    if found.fit.p_value < MIN_P_VALUE and options.whole_turns is not None:
+        found = _with_uneven_turns(found, sections, bias, noise, site, options)
+    covariance, test = found.covariance, found.fit
     if test.p_value < MIN_P_VALUE:
-        opposite = replace(site, latitude=-site.latitude)
-        try:
-            other_values, other_covariance, _, rows = _solve(sections, bias, noise, opposite, options)
-            other = _test_fit(other_values, other_covariance, rows)
-        except MeasurementError:
-            other = test
-        if other.chi2 < _OPPOSITE * test.chi2:
-            raise MeasurementError(
-                f"chi2 is {test.chi2:.3g}, and {other.chi2:.3g} at the opposite latitude. Correct either "
-                "'calibration.latitude_deg' or the signs of all accelerometers in the import map"
-            )
+        _check_alternatives(found, sections, bias, noise, site, options)
         widening = float(np.sqrt(test.chi2 / test.dof))
         if widening > _MAX_WIDENING and is_observed[:COUNT].any():
             raise MeasurementError(
@@ -236,7 +246,7 @@ def calibrate(
     is_scale = [each.name == "accelerometer_scale_factor" for each in coefficients]
     by_gravity = np.where(is_scale, options.gravity_sigma / gravity, 0.0)
     return Calibration(
-        values=values[:count],
+        values=found.values[:count],
         covariance=covariance[:count, :count] + np.outer(by_gravity, by_gravity),
         is_observed=is_observed[:count],
         coefficients=coefficients,
@@ -246,7 +256,75 @@ def calibrate(
         rotations=tuple(map(tuple, rotations)),
         gravity=(gravity, options.gravity_sigma),
         fit=test,
+        sections=tuple(sections),
+        starts=tuple(found.starts),
+        unknowns=found.common,
     )
+
+
+def _check_alternatives(
+    found: _Solution,
+    sections: Sequence[Section],
+    bias: FloatArray,
+    noise: SensorNoise,
+    site: Site,
+    options: CalibrationOptions,
+) -> None:
+    """Raise MeasurementError if a mistake in the map explains what the noise does not."""
+    alternatives = [
+        (
+            sections,
+            replace(site, latitude=-site.latitude),
+            "at the opposite latitude. Correct either 'calibration.latitude_deg' or the signs of all "
+            "accelerometers in the import map",
+        )
+    ]
+    # A wrong interval makes all accelerometers' scale factors seem alike of increments, the gyros' of rates.
+    for sensor, of_rates in (("accelerometer", False), ("gyro", True)):
+        chosen = [each.name == f"{sensor}_scale_factor" for each in COEFFICIENTS]
+        scale = 1.0 + float(found.values[:COUNT][chosen].mean())
+        factor = 1.0 / scale if of_rates else scale
+        if abs(factor - 1.0) > _MIN_TIME_ERROR:
+            text = (
+                f"if samples are {sections[0].interval_s * factor:.4g} s apart and not "
+                f"{sections[0].interval_s:.4g} s. Correct 'time' in the import map"
+            )
+            alternatives.append(([each.retimed(factor, of_rates) for each in sections], site, text))
+    for others, place, text in alternatives:
+        try:
+            other = _solve(others, bias, noise, place, options)
+        except MeasurementError:
+            continue
+        if other.fit.chi2 < _OPPOSITE * found.fit.chi2:
+            raise MeasurementError(f"chi2 is {found.fit.chi2:.3g}, and {other.fit.chi2:.3g} {text}")
+
+
+def _with_uneven_turns(
+    found: _Solution,
+    sections: Sequence[Section],
+    bias: FloatArray,
+    noise: SensorNoise,
+    site: Site,
+    options: CalibrationOptions,
+) -> _Solution:
+    """The same with whole turns as uncertain as gyros of constant scale factors leave them.
+
+    A scale factor that depends on the rate is no fault of the rests.
+    """
+    alone = _solve(sections, bias, noise, site, replace(options, whole_turns=None))
+    spins = [
+        spin
+        for section, start in zip(sections, alone.starts, strict=True)
+        for spin in section.spin_errors(start, alone.common, site)
+    ]
+    if alone.fit.p_value < MIN_P_VALUE or not spins:
+        return found
+    left = []
+    for axis in {spin.axis for spin in spins}:
+        error, path = np.array([(each.error, each.path) for each in spins if each.axis == axis]).T
+        left += list(error - path * (path @ error) / (path @ path))
+    turns = float(np.hypot(options.whole_turns or 0.0, np.sqrt(np.mean(np.square(left)))))
+    return _solve(sections, bias, noise, site, replace(options, whole_turns=turns))
 
 
 def _check_force(
@@ -278,10 +356,21 @@ def _check_size(values: FloatArray, is_observed: BoolArray) -> None:
             )
 
 
+@dataclass(frozen=True, eq=False)
+class _Solution:
+    #: values, covariance, is_observed: Of all unknowns, attitudes at the starts included.
+    values: FloatArray
+    covariance: FloatArray
+    is_observed: BoolArray
+    common: FloatArray  #: Shape (34,).
+    starts: list[FloatArray]
+    fit: Chi2Test
+
+
 def _solve(
     sections: Sequence[Section], bias: FloatArray, noise: SensorNoise, site: Site, options: CalibrationOptions
-) -> tuple[FloatArray, FloatArray, BoolArray, list[FloatArray]]:
-    """Values, covariance and observability of all unknowns, and the white rows, at the solution.
+) -> _Solution:
+    """Estimate all unknowns.
 
     ``bias`` (3,): of the gyros, rad/s, where to begin. Raises MeasurementError if it does not converge.
     """
@@ -303,64 +392,12 @@ def _solve(
         excess = max(1.0, left / sum(map(len, found.blocks)))
         is_still = np.abs(step) < _MAX_STEP * np.sqrt(excess * np.diag(covariance))
         if abs(left - before) < _CONVERGED * excess and is_still[is_observed].all():
-            return values, covariance, is_observed, found.blocks
+            fit = _test_fit(values, covariance, found.blocks)
+            return _Solution(values, covariance, is_observed, common, starts, fit)
     raise MeasurementError(
         f"the estimate does not converge in {_MAX_ROUNDS} rounds: the increments do not follow from "
         "rotations between rests at one place. Check signs, axes and units in the import map"
     )
-
-
-@dataclass(frozen=True, eq=False)
-class Section:
-    """Increments from a first rest to a last one, in epochs."""
-
-    interval_s: float
-    angle: FloatArray  #: Shape (k, 3). Rad.
-    velocity: FloatArray  #: Shape (k, 3). M/s.
-    first: int  #: Increments of the first rest.
-    epochs: Epochs
-
-    @classmethod
-    def between_rests(
-        cls, recording: IncrementRecording, rests: Sequence[Rest], rotations: Sequence[Rotation]
-    ) -> Section:
-        """From a recording, with what was found in it."""
-        offset, size = rests[0].begin, max(1, round(EPOCH_S / recording.interval_s))
-        ends = np.arange(size, rests[-1].end - offset + 1, size, dtype=np.int64)
-        at_rest = np.zeros(len(ends), bool)
-        for rest in rests:
-            at_rest |= (ends >= rest.begin - offset) & (ends <= rest.end - offset)
-        spins = [
-            ((before.end - offset) // size, -(-(after.begin - offset) // size))
-            for before, after, rotation in zip(rests, rests[1:], rotations, strict=False)
-            if rotation.is_spin
-        ]
-        angle, velocity = recording.angle[offset:], recording.velocity[offset:]
-        epochs = Epochs(ends, at_rest, spins, recording.has_vertical)
-        return cls(recording.interval_s, angle, velocity, rests[0].end - offset, epochs)
-
-    def aligned(self, errors: SensorErrors) -> FloatArray:
-        """Attitude (3, 3) at the start by gravity and the Earth's rate in the first rest."""
-        rate, force = (each[: self.first].mean(axis=0) for each in self.freed(errors, None))
-        up = force / np.linalg.norm(force)
-        east = np.cross(rate, up)
-        east /= np.linalg.norm(east)
-        return np.stack([east, np.cross(up, east), up])
-
-    def freed(self, errors: SensorErrors, common: FloatArray | None) -> tuple[FloatArray, FloatArray]:
-        """Increments (k, 3) without errors of the sensors and what is beside them: ``common`` (34,), SI."""
-        interval_s = self.interval_s
-        angle, velocity = errors.removed(self.angle, self.velocity, interval_s)
-        if common is not None and common[COUNT:].any():
-            rate = angle / interval_s
-            turning = np.gradient(rate, axis=0)
-            arms = common[LEVER_ARMS].reshape(3, 3)
-            for sensor, arm in enumerate(arms):
-                moved = np.cross(turning, arm) + np.cross(rate, np.cross(rate, arm)) * interval_s
-                velocity[:, sensor] -= moved[:, sensor]
-            velocity += common[DELAY] * np.cross(velocity, rate)
-            velocity -= common[QUADRATIC] * velocity**2 / interval_s
-        return angle, velocity
 
 
 def _first_bias(recordings: Sequence[IncrementRecording], rests: Sequence[Sequence[Rest]]) -> FloatArray:

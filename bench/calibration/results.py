@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import numpy as np
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, Coefficient, CoefficientEstimate
 from gyrobench.bench.calibration.estimator import Calibration
 from gyrobench.bench.calibration.rotation_list import Forecast
+from gyrobench.bench.calibration.spins import SpinScaleFactor
 from gyrobench.bench.foundations.arrays import (
     DEG_PER_SQRT_H_TO_SI,
     RADPS_TO_DPH,
@@ -27,6 +28,9 @@ from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import AXES
 
 NOT_OBSERVABLE = "not observable"
+
+#: Scale factors of three sensors count as one above this, and within this part of it.
+_MIN_COMMON_PPM, _MAX_SPREAD = 500.0, 0.3
 
 
 @dataclass(frozen=True)
@@ -124,7 +128,18 @@ def strongest_correlations(
     return sorted(pairs, key=lambda pair: -abs(pair[2]))
 
 
-def calibration_record(calibration: Calibration, site: Site, origin: Mapping[str, Any]) -> dict[str, Any]:
+def common_scale_ppm(calibration: Calibration, sensor: str) -> float | None:
+    """Scale factor of three sensors that have about the same one, as a wrong time or gravity makes it."""
+    chosen = [each.name == f"{sensor}_scale_factor" for each in calibration.coefficients]
+    values = 1e6 * calibration.values[chosen]
+    mean = float(values.mean())
+    is_common = abs(mean) > _MIN_COMMON_PPM and np.ptp(values) < _MAX_SPREAD * abs(mean)
+    return mean if is_common and calibration.is_observed[chosen].all() else None
+
+
+def calibration_record(
+    calibration: Calibration, site: Site, spins: Sequence[SpinScaleFactor], origin: Mapping[str, Any]
+) -> dict[str, Any]:
     """Everything, as one JSON object."""
     noise = calibration.noise
     return {
@@ -151,6 +166,7 @@ def calibration_record(calibration: Calibration, site: Site, origin: Mapping[str
             for recording, rotations in zip(calibration.recordings, calibration.rotations, strict=True)
             for rotation in rotations
         ],
+        "spins": [asdict(each) for each in spins],
         "fit": vars(calibration.fit),
     }
 

@@ -15,8 +15,9 @@ from pydantic import Field
 
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.calibration.coefficients import COUNT
-from gyrobench.bench.calibration.estimator import EPOCH_S, CalibrationOptions, Information, Section
+from gyrobench.bench.calibration.estimator import CalibrationOptions, Information
 from gyrobench.bench.calibration.recording import SensorNoise
+from gyrobench.bench.calibration.section import EPOCH_S, Section
 from gyrobench.bench.calibration.strapdown import UNKNOWNS, Epochs
 from gyrobench.bench.foundations.arrays import (
     DEG_PER_SQRT_H_TO_SI,
@@ -33,7 +34,7 @@ from gyrobench.bench.navigation.positions import POSITIONS, PositionName
 from gyrobench.bench.navigation.table_axes import Angles, TwoAxisTable
 
 #: Time between two ideal increments, s, and the time in which an axis reaches its rate.
-_STEP_S, _RAMP_S = 0.05, 1.0
+STEP_S, _RAMP_S = 0.05, 1.0
 _WHOLE_TURN_DEG = 360.0
 #: Noise of the velocity at rest, m/s; angle and velocity random walk of a typical unit, SI, and that noise.
 _MIN_WHITE_VELOCITY = 1e-3
@@ -77,6 +78,22 @@ def load_rotation_list(path: Path) -> RotationList:
     return validate(read_document(path), RotationList)
 
 
+def rotation_list_text(rotations: RotationList) -> str:
+    """A rotation list as YAML, as :func:`load_rotation_list` reads it."""
+    lines = [
+        f"rotation_list: {rotations.rotation_list}",
+        f"description: {rotations.description}",
+        f"start: {rotations.start}",
+        f"dwell_s: {rotations.dwell_s:g}",
+        f"rate_dps: {rotations.rate_dps:g}",
+        "rotations:",
+    ]
+    for each in rotations.rotations:
+        rate = "" if each.rate_dps is None else f", rate_dps: {each.rate_dps:g}"
+        lines.append(f"  - {{axis: {each.axis}, angle_deg: {each.angle_deg:g}{rate}}}")
+    return "\n".join(lines) + "\n"
+
+
 def expected_noise(declared: NoiseModel | None) -> SensorNoise:
     """Noise of a unit as its station declares it; of a navigation-grade unit where it is to be estimated.
 
@@ -117,12 +134,12 @@ def forecast(
     """
     start = table.angles(POSITIONS[rotations.start].C_nb())
     _check(rotations, table, start, max_rate_dps)
-    attitude, at_rest, spins = _motion(rotations, table, start)
-    angle, velocity = _ideal_increments(attitude, site)
-    size = round(EPOCH_S / _STEP_S)
+    attitude, at_rest, spins = motion(rotations, table, start)
+    angle, velocity = ideal_increments(attitude, site)
+    size = round(EPOCH_S / STEP_S)
     ends = np.arange(size, len(angle) + 1, size, dtype=np.int64)
     turns = [(first // size, -(-last // size)) for first, last in spins]
-    section = Section(_STEP_S, angle, velocity, len(angle), Epochs(ends, at_rest[ends], turns))
+    section = Section(STEP_S, angle, velocity, len(angle), Epochs(ends, at_rest[ends], turns))
     options = CalibrationOptions(whole_turns=whole_turns)
     information = Information.of([section], [attitude[0]], np.zeros(UNKNOWNS), noise, site, options)
     _, covariance, is_observed = information.solve()
@@ -146,17 +163,17 @@ def _check(rotations: RotationList, table: TwoAxisTable, start: Angles, max_rate
             )
 
 
-def _motion(
+def motion(
     rotations: RotationList, table: TwoAxisTable, start: Angles
 ) -> tuple[FloatArray, BoolArray, list[tuple[int, int]]]:
     """Attitudes (n, 3, 3) at the edges of increments, which of them rest, and edges around whole turns."""
-    rest = round(rotations.dwell_s / _STEP_S)
+    rest = round(rotations.dwell_s / STEP_S)
     angles = {"outer": [np.full(rest + 1, start[0])], "inner": [np.full(rest + 1, start[1])]}
     resting, spins, count = [np.ones(rest + 1, bool)], [], rest + 1
     for rotation in rotations.rotations:
-        steps = round(rotations.seconds(rotation) / _STEP_S)
-        time_s = _STEP_S * np.arange(1.0, steps + 1.0)
-        moved = rotation.angle_deg * _course(time_s, steps * _STEP_S)
+        steps = round(rotations.seconds(rotation) / STEP_S)
+        time_s = STEP_S * np.arange(1.0, steps + 1.0)
+        moved = rotation.angle_deg * _course(time_s, steps * STEP_S)
         for axis, parts in angles.items():
             now = parts[-1][-1]
             way = now + moved if axis == rotation.axis else np.full(steps, now)
@@ -182,8 +199,9 @@ def _course(time_s: FloatArray, duration_s: float) -> FloatArray:
     return np.asarray(started - 0.5 * rate * (_RAMP_S - late) ** 2 / _RAMP_S)
 
 
-def _ideal_increments(attitude: FloatArray, site: Site) -> tuple[FloatArray, FloatArray]:
-    earth = rotation_matrices(earth_rate_enu(site.latitude) * _STEP_S)
+def ideal_increments(attitude: FloatArray, site: Site) -> tuple[FloatArray, FloatArray]:
+    """Increments (n, 3) of angle and velocity between attitudes (n + 1, 3, 3) a step apart."""
+    earth = rotation_matrices(earth_rate_enu(site.latitude) * STEP_S)
     before, after = attitude[:-1], attitude[1:]
     angle = rotation_vectors(before.transpose(0, 2, 1) @ earth @ after)
-    return angle, 0.5 * site.gravity * _STEP_S * (before[:, 2] + after[:, 2])
+    return angle, 0.5 * site.gravity * STEP_S * (before[:, 2] + after[:, 2])

@@ -42,6 +42,8 @@ LEVER_ARMS, DELAY, QUADRATIC = slice(COUNT, COUNT + 9), COUNT + 9, slice(COUNT +
 UNKNOWNS = COUNT + len(BESIDE)
 ATTITUDE, COLUMNS = slice(UNKNOWNS, UNKNOWNS + 3), UNKNOWNS + 3
 _ROWS, _COLUMNS = LOWER
+#: Rotation, rad, after which the responses are brought up to date; their attitude in between is the mean.
+_MAX_TURN = 0.01
 #: Noise of outputs without any, m/s and rad: far below what sensors resolve.
 _MIN_VELOCITY, _MIN_ANGLE = 1e-8, 1e-10
 
@@ -55,6 +57,8 @@ class Epochs:
     #: Epochs, counted from 0 at the start, in the rests before and after whole turns.
     spins: Sequence[tuple[int, int]]
     has_vertical: bool = True  #: Whether the vertical velocity is measured; otherwise its rows are zero.
+    #: Epochs before and after each rotation that the table measures, and that rotation (3, 3), ENU.
+    rotations: Sequence[tuple[int, int, FloatArray]] = ()
 
 
 def white_rows(
@@ -67,6 +71,7 @@ def white_rows(
     latitude: float,
     gravity: float,
     whole_turns: float | None,
+    table: tuple[float, float] | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Rows (m, 37) and data (m,), white with unit variance, of a unit that begins at rest.
 
@@ -79,22 +84,29 @@ def white_rows(
     whole_turns : float, optional
         Standard uncertainty, rad, of the table's return after whole turns; without it spins count as any
         other rotation.
+    table : tuple of float, optional
+        Standard uncertainties, rad, of tilt and heading of the table's rotations; without it they do not
+        count.
     """
     trajectory = _trajectory(angle, velocity, interval_s, epochs.ends, C_nb, latitude, gravity)
     lengths_s = np.diff(epochs.ends, prepend=0) * interval_s
-    n, spins = len(lengths_s), [] if whole_turns is None else epochs.spins
-    starts, ends = np.zeros(n + 1, np.int64), np.full(n + 1, -1, np.int64)
-    turned = (trajectory.response[b, :3] - trajectory.response[a, :3] for a, b in spins)
+    n, turns = len(lengths_s), _turns(epochs, whole_turns, table)
+    starts, ends = np.full((2, n + 1), -1, np.int64)
+    turned = (trajectory.response[b, :3] - R @ trajectory.response[a, :3] for a, b, R, _ in turns)
     rows = [*trajectory.response[1:, 3:], *turned]
-    data = [*-trajectory.integral[1:], *(_returned(trajectory, a, b) for a, b in spins)]
-    for number, (a, b) in enumerate(spins):
-        starts[a], ends[b] = 1, n + number
+    data = [*-trajectory.integral[1:], *(_returned(trajectory, *turn[:3]) for turn in turns)]
+    for number, (a, b, _, _) in enumerate(turns):
+        starts[a], ends[b] = number, number
     white = float(np.mean(noise.white_velocity**2)) + _MIN_VELOCITY**2
-    turn = (whole_turns or 0.0) ** 2 + 2.0 * float(np.mean(noise.white_angle**2)) + _MIN_ANGLE**2
+    output = 2.0 * float(np.mean(noise.white_angle**2)) + _MIN_ANGLE**2
+    R = np.array([each[2] for each in turns]).reshape(-1, 3, 3)
+    variances = np.array([each[3] for each in turns]).reshape(-1, 3) ** 2 + output
     stacked = np.concatenate([np.array(rows), np.array(data)[:, :, np.newaxis]], axis=2)
     transition, covariance = _intervals(trajectory, lengths_s, noise, latitude)
     measured = 3 if epochs.has_vertical else 2
-    whitened = _whiten(transition, covariance, stacked, epochs.at_rest, starts, ends, white, turn, measured)
+    whitened = _whiten(
+        transition, covariance, stacked, epochs.at_rest, starts, ends, R, variances, white, measured
+    )
     return whitened[:, :COLUMNS], whitened[:, COLUMNS]
 
 
@@ -118,9 +130,9 @@ def _trajectory(
     latitude: float,
     gravity: float,
 ) -> _Trajectory:
-    rate = earth_rate_enu(latitude)
-    earth = rotation_matrices(-rate * interval_s)
-    half = rotation_matrices(-0.5 * rate * interval_s)
+    steps = interval_s * np.arange(np.diff(ends, prepend=0).max() + 1.0)
+    earth = rotation_matrices(-earth_rate_enu(latitude) * steps[:, np.newaxis])
+    half = rotation_matrices(-0.5 * earth_rate_enu(latitude) * interval_s)
     attitude = np.empty((len(ends) + 1, 3, 3))
     integral, force = np.zeros((len(ends) + 1, 3)), np.empty((len(ends), 3))
     response = np.zeros((len(ends) + 1, 6, COLUMNS))
@@ -130,32 +142,53 @@ def _trajectory(
     return _Trajectory(attitude, integral, force, response)
 
 
+# Tuples stay in registers, where small arrays would be allocated for every sample.
+_Vector = tuple[float, float, float]
+
+
 @compiled
-def _turn(attitude: FloatArray, x: float, y: float, z: float) -> FloatArray:
-    """Attitude after a rotation by a vector in body axes."""
+def _set_turn(turn: FloatArray, vector: _Vector) -> None:
+    """Set ``turn`` (3, 3) to the rotation by a vector."""
+    x, y, z = vector
     square = x * x + y * y + z * z
     if square > 1e-8:
         angle = np.sqrt(square)
         sine, cosine = np.sin(angle) / angle, (1.0 - np.cos(angle)) / square
     else:
         sine, cosine = 1.0 - square / 6.0, 0.5 - square / 24.0
-    turn = np.empty((3, 3))
     turn[0, 0] = 1.0 - cosine * (y * y + z * z)
     turn[1, 1] = 1.0 - cosine * (x * x + z * z)
     turn[2, 2] = 1.0 - cosine * (x * x + y * y)
     turn[0, 1], turn[1, 0] = cosine * x * y - sine * z, cosine * x * y + sine * z
     turn[0, 2], turn[2, 0] = cosine * x * z + sine * y, cosine * x * z - sine * y
     turn[1, 2], turn[2, 1] = cosine * y * z - sine * x, cosine * y * z + sine * x
-    return attitude @ turn
 
 
 @compiled
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    product = np.empty(3)
-    product[0] = a[1] * b[2] - a[2] * b[1]
-    product[1] = a[2] * b[0] - a[0] * b[2]
-    product[2] = a[0] * b[1] - a[1] * b[0]
-    return product
+def _set_product(product: FloatArray, a: FloatArray, b: FloatArray) -> None:
+    """Set ``product`` (3, 3), neither of the others, to that of two matrices."""
+    for i in range(3):
+        for j in range(3):
+            product[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
+
+
+@compiled
+def _times(a: FloatArray, b: _Vector) -> _Vector:
+    return (
+        a[0, 0] * b[0] + a[0, 1] * b[1] + a[0, 2] * b[2],
+        a[1, 0] * b[0] + a[1, 1] * b[1] + a[1, 2] * b[2],
+        a[2, 0] * b[0] + a[2, 1] * b[1] + a[2, 2] * b[2],
+    )
+
+
+@compiled
+def _cross(a: _Vector, b: _Vector) -> _Vector:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@compiled
+def _sum(a: _Vector, b: _Vector, share: float) -> _Vector:
+    return a[0] + share * b[0], a[1] + share * b[1], a[2] + share * b[2]
 
 
 @compiled
@@ -164,53 +197,71 @@ def _integrate(
     half: FloatArray, gravity: float, attitudes: FloatArray, integrals: FloatArray, forces: FloatArray,
     responses: FloatArray,
 ) -> None:  # fmt: skip
-    C = attitudes[0].copy()
+    C, begin = attitudes[0].copy(), attitudes[0].copy()
     u, force = np.zeros(3), np.zeros(3)
     response = responses[0].copy()
     tilt = np.empty(3)
-    epoch, count = 0, len(angle)
+    # Sums over the samples since the responses were last brought up to date: increments, velocity in ENU, and
+    # derivatives of the velocity increments by lever arms, delay and quadratic terms.
+    sums = np.zeros((8, 3))
+    angles, velocities, lifts, delayed, squares, arms = sums[0], sums[1], sums[2], sums[3], sums[4], sums[5:]
+    samples = epoch = 0
+    count = len(angle)
+    turn, turned = np.empty((3, 3)), np.empty((3, 3))
+    theta = dv = (0.0, 0.0, 0.0)
     for k in range(ends[-1]):
+        theta_before, dv_before = theta, dv
+        theta, dv = (angle[k, 0], angle[k, 1], angle[k, 2]), (velocity[k, 0], velocity[k, 1], velocity[k, 2])
+        if k == 0:
+            theta_before, dv_before = theta, dv
+        cross = _cross(theta, dv)
+        moved = _sum(_sum(dv, cross, 0.5), _cross(theta, cross), 1.0 / 6.0)
+        moved = _sum(_sum(moved, _cross(theta_before, dv), 1.0 / 12.0), _cross(dv_before, theta), 1.0 / 12.0)
+        lift = _times(half, _times(C, moved))
+        _set_turn(turn, _sum(theta, _cross(theta_before, theta), 1.0 / 12.0))
+        _set_product(turned, C, turn)
+        _set_product(C, earth[1], turned)
         before, after = max(k - 1, 0), min(k + 1, count - 1)
-        theta, dv = angle[k], velocity[k]
-        coning = _cross(angle[before], theta) / 12.0
-        turned = _cross(theta, dv)
-        sculling = 0.5 * turned + _cross(theta, turned) / 6.0
-        sculling += (_cross(angle[before], dv) + _cross(velocity[before], theta)) / 12.0
-        new = earth @ _turn(C, theta[0] + coning[0], theta[1] + coning[1], theta[2] + coning[2])
-        middle = 0.5 * (C + new)
-        lift = half @ (C @ (dv + sculling))
-        # Derivatives of the velocity increment by lever arms and delay.
-        delayed = _cross(dv, theta) / interval_s
-        rate = theta / interval_s
-        turning = (angle[after] - angle[before]) / (after - before) / interval_s
-        square = rate[0] ** 2 + rate[1] ** 2 + rate[2] ** 2
+        per_s = 1.0 / ((after - before) * interval_s)
+        square = theta[0] ** 2 + theta[1] ** 2 + theta[2] ** 2
+        for i in range(3):
+            angles[i] += theta[i]
+            velocities[i] += dv[i]
+            lifts[i] += lift[i]
+            u[i] += lift[i]
+            force[i] += lift[i]
+            delayed[i] -= cross[i] / interval_s
+            squares[i] += dv[i] ** 2 / interval_s
+            for j in range(3):
+                arms[i, j] += theta[i] * theta[j] / interval_s
+            arms[i, i] -= square / interval_s
+            arms[i, (i + 1) % 3] -= (angle[after, (i + 2) % 3] - angle[before, (i + 2) % 3]) * per_s
+            arms[i, (i + 2) % 3] += (angle[after, (i + 1) % 3] - angle[before, (i + 1) % 3]) * per_s
+        u[2] -= gravity * interval_s
+        samples += 1
+        if k + 1 != ends[epoch] and angles[0] ** 2 + angles[1] ** 2 + angles[2] ** 2 < _MAX_TURN**2:
+            continue
+        middle, step, length_s = 0.5 * (begin + C), earth[samples], samples * interval_s
         for c in range(COLUMNS):
             for i in range(3):
                 tilt[i] = response[i, c]
             # Response of the true increments: those measured less the errors.
             if c < 3:
                 for i in range(3):
-                    response[i, c] -= middle[i, c] * interval_s
+                    response[i, c] -= middle[i, c] * length_s
             elif c < 12:
                 for i in range(3):
-                    response[i, c] -= middle[i, (c - 3) // 3] * theta[(c - 3) % 3]
+                    response[i, c] -= middle[i, (c - 3) // 3] * angles[(c - 3) % 3]
             elif c < 15:
                 for i in range(3):
-                    response[3 + i, c] -= middle[i, c - 12] * interval_s
+                    response[3 + i, c] -= middle[i, c - 12] * length_s
             elif c < COUNT:
                 for i in range(3):
-                    response[3 + i, c] -= middle[i, _ROWS[c - 15]] * dv[_COLUMNS[c - 15]]
+                    response[3 + i, c] -= middle[i, _ROWS[c - 15]] * velocities[_COLUMNS[c - 15]]
             elif c < DELAY:
                 sensor, arm = (c - COUNT) // 3, (c - COUNT) % 3
-                change = rate[sensor] * rate[arm] * interval_s
-                if sensor == arm:
-                    change -= square * interval_s
-                elif (arm - sensor) % 3 == 1:
-                    change -= turning[3 - sensor - arm]
-                else:
-                    change += turning[3 - sensor - arm]
                 for i in range(3):
-                    response[3 + i, c] -= middle[i, sensor] * change
+                    response[3 + i, c] -= middle[i, sensor] * arms[sensor, arm]
             elif c == DELAY:
                 for i in range(3):
                     response[3 + i, c] += (
@@ -219,18 +270,17 @@ def _integrate(
             elif c < UNKNOWNS:
                 sensor = c - DELAY - 1
                 for i in range(3):
-                    response[3 + i, c] -= middle[i, sensor] * dv[sensor] ** 2 / interval_s
+                    response[3 + i, c] -= middle[i, sensor] * squares[sensor]
             a, b, d = response[0, c], response[1, c], response[2, c]
             for i in range(3):
-                response[i, c] = earth[i, 0] * a + earth[i, 1] * b + earth[i, 2] * d
+                response[i, c] = step[i, 0] * a + step[i, 1] * b + step[i, 2] * d
                 tilt[i] = 0.5 * (tilt[i] + response[i, c])
-            response[3, c] += tilt[1] * lift[2] - tilt[2] * lift[1]
-            response[4, c] += tilt[2] * lift[0] - tilt[0] * lift[2]
-            response[5, c] += tilt[0] * lift[1] - tilt[1] * lift[0]
-        C = new
-        u += lift
-        u[2] -= gravity * interval_s
-        force += lift
+            response[3, c] += tilt[1] * lifts[2] - tilt[2] * lifts[1]
+            response[4, c] += tilt[2] * lifts[0] - tilt[0] * lifts[2]
+            response[5, c] += tilt[0] * lifts[1] - tilt[1] * lifts[0]
+        begin[:] = C
+        sums[:] = 0.0
+        samples = 0
         if k + 1 == ends[epoch]:
             attitudes[epoch + 1], integrals[epoch + 1], forces[epoch] = C, u, force
             responses[epoch + 1] = response
@@ -238,9 +288,52 @@ def _integrate(
             epoch += 1
 
 
-def _returned(trajectory: _Trajectory, a: int, b: int) -> FloatArray:
-    """Error (3,) of the computed attitude, negated, after whole turns, which return to where they started."""
-    turn = trajectory.attitude[b] @ trajectory.attitude[a].T
+def attitudes(
+    angle: FloatArray, interval_s: float, ends: IntArray, C_nb: FloatArray, latitude: float
+) -> FloatArray:
+    """Attitudes (n + 1, 3, 3) at the start and the ends of epochs, from increments of angle."""
+    return _trajectory(angle, np.zeros_like(angle), interval_s, ends, C_nb, latitude, 0.0).attitude
+
+
+def epoch_steps(
+    angle: FloatArray,
+    velocity: FloatArray,
+    interval_s: float,
+    ends: IntArray,
+    C_nb: FloatArray,
+    noise: SensorNoise,
+    latitude: float,
+    gravity: float,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Transition (n, 6, 6), noise (n, 6, 6) and drive (n, 6, 37) of psi and u over each epoch.
+
+    The response to the coefficients at the end of an epoch is that at its start times the transition, plus
+    the drive; :func:`white_rows` has the parameters.
+    """
+    trajectory = _trajectory(angle, velocity, interval_s, ends, C_nb, latitude, gravity)
+    transition, covariance = _intervals(trajectory, np.diff(ends, prepend=0) * interval_s, noise, latitude)
+    response = trajectory.response.copy()
+    response[:, :, ATTITUDE] = 0.0
+    return transition, covariance, response[1:] - transition @ response[:-1]
+
+
+_Turn = tuple[int, int, FloatArray, tuple[float, float, float]]
+
+
+def _turns(epochs: Epochs, whole_turns: float | None, table: tuple[float, float] | None) -> list[_Turn]:
+    """Epochs before and after each rotation that counts, the rotation (3, 3), its uncertainties E, N, U."""
+    turns: dict[int, _Turn] = {}
+    if table is not None:
+        tilt, heading = table
+        turns |= {a: (a, b, R, (tilt, tilt, heading)) for a, b, R in epochs.rotations}
+    if whole_turns is not None:
+        turns |= {a: (a, b, np.eye(3), (whole_turns, whole_turns, whole_turns)) for a, b in epochs.spins}
+    return list(turns.values())
+
+
+def _returned(trajectory: _Trajectory, a: int, b: int, rotation: FloatArray) -> FloatArray:
+    """Error (3,) of the computed attitude, negated, after a rotation that is known."""
+    turn = trajectory.attitude[b] @ trajectory.attitude[a].T @ rotation.T
     return np.asarray(-rotation_vectors(turn[np.newaxis])[0])
 
 
@@ -268,7 +361,8 @@ def _intervals(
 @compiled
 def _whiten(
     transition: FloatArray, covariance: FloatArray, stacked: FloatArray, at_rest: BoolArray,
-    starts: IntArray, ends: IntArray, white: float, turn: float, measured: int,
+    starts: IntArray, ends: IntArray, rotations: FloatArray, variances: FloatArray, white: float,
+    measured: int,
 ) -> FloatArray:  # fmt: skip
     n, columns = len(transition), stacked.shape[2]
     rows = np.zeros((3 * len(stacked), columns))
@@ -297,14 +391,15 @@ def _whiten(
         if ends[epoch] >= 0:
             for i in range(3):
                 spread = P[:, i] - P[:, 6 + i]
-                variance = spread[i] - spread[6 + i] + turn
-                innovation = stacked[ends[epoch], i] - X[i] + X[6 + i]
+                variance = spread[i] - spread[6 + i] + variances[ends[epoch], i]
+                innovation = stacked[n + ends[epoch], i] - X[i] + X[6 + i]
                 X += np.outer(spread / variance, innovation)
                 P -= np.outer(spread / variance, spread)
                 rows[used] = innovation / np.sqrt(variance)
                 used += 1
-        if starts[epoch]:
-            X[6:] = X[:3]
-            P[6:] = P[:3]
-            P[:, 6:] = P[:, :3]
+        if starts[epoch] >= 0:
+            R = rotations[starts[epoch]]
+            X[6:] = R @ X[:3]
+            P[6:] = R @ P[:3]
+            P[:, 6:] = np.ascontiguousarray(P[:, :3]) @ R.T
     return rows[:used]

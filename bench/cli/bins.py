@@ -9,16 +9,22 @@ from gyrobench.bench.cli.output import JsonOption, console, print_biases, print_
 def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
     """Recompute the tables of a run from its raw CAN log.
 
-    With --json: {"folder", "report", "bins", "verification", "acceptance"}; bins and verification are
-    lists with the columns of their tables as keys, acceptance is what acceptance.json holds.
+    With --json: {"folder", "report", "bins", "budget", "verification", "acceptance"}; bins and verification
+    are lists with the columns of their tables as keys, acceptance is what acceptance.json holds. The budget
+    has an object for each dwell and bin, with its sum and its contributions by name.
 
     Example: gyrobench bins runs/six_position_fig7-001
     """
     from gyrobench.bench.bias.bins import read_bins
     from gyrobench.bench.bias.verdicts import read_acceptance
+    from gyrobench.bench.characteristics.results import read_characteristics
     from gyrobench.bench.engine.evaluation import recompute_run
+    from gyrobench.bench.report.characteristics import characteristics_tables
+    from gyrobench.bench.report.coefficients import coefficients_tables, has_rotations
     from gyrobench.bench.report.run_report import write_report
+    from gyrobench.bench.runs.tables.budget_table import budget_records, read_budget
     from gyrobench.bench.runs.tables.calibration_check_table import read_calibration_check
+    from gyrobench.bench.runs.tables.coefficient_table import read_coefficients
 
     folder = recompute_run(run_folder)
     check_path = folder.calibration_check
@@ -29,6 +35,7 @@ def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
                 "folder": folder.path,
                 "report": write_report(folder),
                 "bins": read_bins(folder.bias_bins),
+                "budget": budget_records(read_budget(folder.budget) if folder.budget.exists() else []),
                 "verification": check,
                 "acceptance": read_acceptance(folder.acceptance),
             }
@@ -36,11 +43,20 @@ def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
         return
     terminal = console()
     print_biases(terminal, read_bins(folder.bias_bins), check, read_acceptance(folder.acceptance))
+    rows = read_coefficients(folder.coefficients) if folder.coefficients.exists() else []
+    if has_rotations(rows):
+        terminal.print(coefficients_tables(rows))
+    if folder.characteristics.exists():
+        terminal.print(characteristics_tables(read_characteristics(folder.characteristics)))
     results = (
         folder.bias_bins,
+        folder.budget,
         folder.joint,
         folder.joint_biases,
+        folder.coefficients,
+        folder.correlations,
         folder.noise,
+        folder.characteristics,
         folder.calibration_check,
         folder.acceptance,
     )

@@ -45,12 +45,13 @@ def calibrate(
 
     With --out: coefficients.csv, correlations.csv, calibration.json, which is also what --json prints:
     {"logs", "map", "coefficients", "noise", "gravity_mps2", "gravity_sigma_mps2", "earth_rate_up_dph",
-    "rests", "rotations", "fit"}.
+    "rests", "rotations", "spins", "fit"}; spins need 'whole_turns_arcsec' in the map.
 
     Example: gyrobench calibrate rotations.csv --map my_imu.yaml --out calibration
     """
     from gyrobench.bench.calibration.estimator import calibrate as estimate
     from gyrobench.bench.calibration.results import calibration_record, write_calibration
+    from gyrobench.bench.calibration.spins import spin_scale_factors
     from gyrobench.bench.exchange.import_map import load_log_map
     from gyrobench.bench.exchange.increments import calibration_settings, read_increments
     from gyrobench.bench.foundations.files import file_sha256
@@ -66,6 +67,10 @@ def calibrate(
         "logs": [{"file": str(path), "sha256": file_sha256(path)} for path in logs],
         "map": {"file": str(map_path), "sha256": file_sha256(map_path)},
     }
-    record = plain(calibration_record(found, site, origin))
+    turns = options.whole_turns
+    spins = [] if turns is None else spin_scale_factors(found, site, turns)
+    record = plain(calibration_record(found, site, spins, origin))
     paths = write_calibration(out, found, record) if out else []
-    print_result(record, as_json, calibration_summary(found, site), *(f"Written  {path}" for path in paths))
+    print_result(
+        record, as_json, calibration_summary(found, site, spins), *(f"Written  {path}" for path in paths)
+    )

@@ -10,7 +10,9 @@ import typer
 
 from gyrobench.bench.cli.options import (
     EMULATED,
+    AcknowledgeOption,
     FaultsOption,
+    OperatorOption,
     SeedOption,
     StationArgument,
     WorldOption,
@@ -33,6 +35,8 @@ def check(
         bool,
         typer.Option("--signs", help="Then measure one dwell, to test the signs and axes of the signal map."),
     ] = False,
+    acknowledge: AcknowledgeOption = None,
+    operator: OperatorOption = "",  # noqa: ARG001 - read from the environment
     as_json: JsonOption = False,
 ) -> None:
     """Preflight check: is the bench ready? Moves nothing without --signs.
@@ -66,12 +70,12 @@ def check(
     def is_fit() -> bool:
         return all(each.verdict is not Verdict.FAIL for each in checks)
 
-    checks = check_bench(station, procedure, emulation, out)
+    checks = check_bench(station, procedure, emulation, out, acknowledged=acknowledge or ())
     if signs and is_fit():
-        job = prepare_job(SIGNAL_MAP_CHECK, station, emulation)
+        job = prepare_job(SIGNAL_MAP_CHECK, station, emulation, acknowledged=acknowledge or ())
         folder = create_run_folder(None, SIGNAL_MAP_CHECK, out)
-        with observe_in_terminal(terminal, job, False) as (progress, operator):
-            _, outcome = run_job(job, folder.path, progress, operator)
+        with observe_in_terminal(terminal, job, False) as (progress, answers):
+            _, outcome = run_job(job, folder.path, progress, answers)
         checks.append(signal_map_check(outcome, folder))
     if as_json:
         records = [{**asdict(each), "verdict": each.verdict.lower()} for each in checks]

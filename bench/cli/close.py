@@ -22,17 +22,20 @@ def search(
     hold_out: Sequence[Path] = (),
     *,
     rotate: bool = False,
+    coefficient: str = "gyro_bias",
 ) -> Closure:
     """Search in dwell tables or run folders.
 
     ``hold_out``: the ones of which all cycles are held out. ``rotate``: whether each cycle is held out in
-    turn as well. Raises DocumentError if they can't be used for a search.
+    turn as well. ``coefficient``: what to search, or one of its coefficients. Raises DocumentError if they
+    can't be used for a search.
     """
     from gyrobench.bench.closure.loop import close_loop, rotated
+    from gyrobench.bench.closure.quantity import quantity
     from gyrobench.bench.dwells.closure_inputs import read_campaign
 
     try:
-        campaign = read_campaign(*tables)
+        campaign = read_campaign(*tables, quantity=quantity(coefficient))
         cycles = [cycle for path in hold_out for cycle in campaign.cycles_of(str(path))]
         closure = close_loop(campaign, [*hold_out_cycles, *cycles])
     except (MeasurementError, RunFolderError) as error:
@@ -52,8 +55,8 @@ def close(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Output folder; default: closure, beside the table or in the run; of several, closure_A_B "
-            "beside the first."
+            help="Output folder; default: closure, beside the table or in the run (closure_NAME with "
+            "--coefficient); of several, closure_A_B beside the first."
         ),
     ] = None,
     hold_out_cycle: Annotated[
@@ -73,6 +76,14 @@ def close(
     rotate: Annotated[
         bool, typer.Option("--rotate", help="Hold out each cycle in turn too, and compare the outcomes.")
     ] = False,
+    coefficient: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="Coefficient to search in place of the gyro biases: gyro_scale_factor, gyro_misalignment_xy,"
+            " accelerometer_bias, ...; those of all three sensors are searched together.",
+        ),
+    ] = "gyro_bias",
     compose: Annotated[
         bool,
         typer.Option(
@@ -90,6 +101,7 @@ def close(
 
     With --json: {"folder", "report", "closure"}, the last with what closure.json holds: "verdict", which
     is clean, explained, ambiguous or unexplained, "effects", "error_before_dph", "error_after_dph", ...
+    With --coefficient names end in its unit, as "error_before_ppm".
 
     Example: gyrobench close runs/six_position_fig7-001
     """
@@ -99,7 +111,7 @@ def close(
     from gyrobench.bench.report.closure.closure_page import write_search
     from gyrobench.bench.report.closure.closure_summary import closure_summary
 
-    closure = search(tables, hold_out_cycle or (), hold_out or (), rotate=rotate)
+    closure = search(tables, hold_out_cycle or (), hold_out or (), rotate=rotate, coefficient=coefficient)
     if compose:
         closure = composed(closure)
     page, report = write_search(closure, tables, out)

@@ -19,6 +19,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
         "monitor",
         "report",
         "seal",
+        "certificate",
         "export",
         "bins",
         "close",

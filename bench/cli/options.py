@@ -120,6 +120,14 @@ FaultsOption = Annotated[
     ),
 ]
 RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.", autocompletion=complete_run)]
+AcknowledgeOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="INSTRUMENT",
+        help="Use an instrument although its calibration is past due (rate_table, chamber_sensors, "
+        "reference_clock), in the operator's name; may be repeated.",
+    ),
+]
 FailOnOption = Annotated[
     FailOn | None,
     typer.Option(help="Exit with 1 if the unit is rejected; with flagged also if a dwell has flags."),

@@ -51,6 +51,14 @@ def plan(
         float | None,
         typer.Option(min=1e-3, help="With --observability: sigma of the table's return after whole turns."),
     ] = None,
+    reach: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME=NUMBER,...",
+            help="With --observability: propose the shortest list that reaches these uncertainties, as "
+            "gyro_misalignment_arcsec=1,gyro_scale_factor_z_ppm=0.5; start, dwell and rate are the list's.",
+        ),
+    ] = "",
     as_json: JsonOption = False,
 ) -> None:
     """Show the steps and duration of a procedure. Uses no instrument.
@@ -62,12 +70,13 @@ def plan(
     "what", "start_s", "duration_s", "dwell", "cycle"}]}, times from the start of the plan.
 
     With --observability, for a list of rotations: the expected uncertainty of each coefficient of the
-    sensors' error model; with --json {"rotation_list", "station", "duration_s", "coefficients"}.
+    sensors' error model; with --json {"rotation_list", "station", "duration_s", "coefficients"}. With --reach
+    for the proposed list, written to LIST_shortest.yaml ("file").
 
     Example: gyrobench plan six_position_fig7 --figure plan.png
     """
     if observability:
-        _show_observability(procedure, station, whole_turns_arcsec, as_json)
+        _show_observability(procedure, station, whole_turns_arcsec, reach, as_json)
         return
     from gyrobench.bench.engine.job import prepare_job
     from gyrobench.bench.procedure.timeline import timeline_rows
@@ -92,12 +101,19 @@ def plan(
 
 
 def _show_observability(
-    name: str, station_name: str, whole_turns_arcsec: float | None, as_json: bool
+    name: str, station_name: str, whole_turns_arcsec: float | None, reach: str, as_json: bool
 ) -> None:
     from math import pi
 
+    from gyrobench.bench.calibration.list_search import parse_targets, shortest_list
     from gyrobench.bench.calibration.results import forecast_rows
-    from gyrobench.bench.calibration.rotation_list import expected_noise, forecast, load_rotation_list
+    from gyrobench.bench.calibration.rotation_list import (
+        expected_noise,
+        forecast,
+        load_rotation_list,
+        rotation_list_text,
+    )
+    from gyrobench.bench.foundations.csv_tables import write_text
     from gyrobench.bench.foundations.shipped import find_document
     from gyrobench.bench.report.terminal.calibration import forecast_summary
     from gyrobench.bench.station.station import Station
@@ -107,14 +123,23 @@ def _show_observability(
     noise = expected_noise(station.noise(0.0, 0.0))
     whole_turns = None if whole_turns_arcsec is None else whole_turns_arcsec * pi / 648000.0
     max_rate_dps = station.file.rate_table.limits.rate_dps
-    found = forecast(rotations, station.table, station.site, noise, max_rate_dps, whole_turns)
+    bench = (station.table, station.site, noise, max_rate_dps, whole_turns)
+    files = []
+    if reach:
+        rotations, found = shortest_list(rotations, parse_targets(reach), *bench)
+        files = [Path(f"{rotations.rotation_list}.yaml")]
+        write_text(files[0], rotation_list_text(rotations))
+    else:
+        found = forecast(rotations, *bench)
     record = {
         "rotation_list": rotations.rotation_list,
         "station": station.file.station,
         "duration_s": found.duration_s,
         "coefficients": forecast_rows(found),
+        "file": files[0] if files else None,
     }
-    print_result(record, as_json, forecast_summary(rotations, found, noise))
+    summary = forecast_summary(rotations, found, noise)
+    print_result(record, as_json, summary, *(f"Written  {path}" for path in files))
 
 
 def _record(job: Job, figure: Path) -> dict[str, Any]:

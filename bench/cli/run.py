@@ -9,6 +9,7 @@ import typer
 
 from gyrobench.bench.cli.options import (
     EMULATED,
+    AcknowledgeOption,
     FailOnOption,
     FaultsOption,
     OperatorOption,
@@ -37,6 +38,10 @@ def run(
         Path | None, typer.Option(help="Compensation file to load into the INS after each power-on.")
     ] = None,
     faults: FaultsOption = None,
+    customer: Annotated[str, typer.Option(help="Customer and address, for the certificate.")] = "",
+    order: Annotated[str, typer.Option(help="Number of the order, for the certificate.")] = "",
+    item: Annotated[str, typer.Option(help="Item of the order, for the certificate.")] = "",
+    acknowledge: AcknowledgeOption = None,
     fail_on: FailOnOption = None,
     operator: OperatorOption = "",  # noqa: ARG001 - read from the environment
     view: ViewOption = View.LIVE,
@@ -57,7 +62,15 @@ def run(
 
     terminal = console(as_json)
     loaded = read_compensation(compensation) if compensation else None
-    job = prepare_job(procedure, station, Emulation(world, seed, faults or ""), calibration, loaded)
+    job = prepare_job(
+        procedure,
+        station,
+        Emulation(world, seed, faults or ""),
+        calibration,
+        loaded,
+        {"customer": customer, "order": order, "item": item},
+        acknowledge or (),
+    )
     with observe_in_terminal(terminal, job, view is View.LIVE) as (progress, answers):
         folder, outcome = run_job(job, out, progress, answers)
     print_end(terminal, folder, outcome, as_json, fail_on)

@@ -9,12 +9,14 @@ import typer
 
 from gyrobench.bench.cli.output import JsonOption, print_result
 from gyrobench.bench.cli.run_selection import IndexOption, RootArgument, open_index, with_selection
-from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
 from gyrobench.bench.runs.index.selection import ANY_RUN, Selection
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
+    from gyrobench.bench.runs.index.recalibration import Recalibration
+    from gyrobench.bench.runs.index.run_biases import RunBias, Trend
     from gyrobench.bench.runs.index.run_index import RunIndex
 
 _SHOWN = 40
@@ -29,6 +31,12 @@ def runs(
         typer.Option(help="Count verdicts and average biases by group."),
     ] = None,
     trend: Annotated[bool, typer.Option("--trend", help="Drift of one unit's biases over its runs.")] = False,
+    limit_dph: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0, help="With --trend: until when each bias stays within this limit, deg/h, with 95 %."
+        ),
+    ] = None,
     figure: Annotated[Path | None, typer.Option(help="PNG file for the figure of the trend.")] = None,
     sql: Annotated[
         str | None,
@@ -48,8 +56,8 @@ def runs(
     """
     if sum((sql is not None, trend, by is not None)) > 1:
         raise DocumentError("--sql, --trend and --by exclude each other. Give one")
-    if figure is not None and not trend:
-        raise DocumentError("--figure draws the trend. Give --trend too")
+    if (figure is not None or limit_dph is not None) and not trend:
+        raise DocumentError("--figure and --limit-dph are of the trend. Give --trend too")
     from gyrobench.bench.report.terminal.runs import problems_text
 
     opened = open_index(root, index, rebuild=rebuild)
@@ -58,7 +66,7 @@ def runs(
     elif by is not None:
         content, view = _grouped(opened, by, selection)
     elif trend:
-        content, view = _trends(opened, selection, figure)
+        content, view = _trends(opened, selection, figure, limit_dph)
     else:
         content, view = _listed(opened, selection, most)
     problems = opened.problems()
@@ -83,7 +91,7 @@ def _grouped(index: RunIndex, by: Any, selection: Selection) -> tuple[dict[str, 
 
 
 def _trends(
-    index: RunIndex, selection: Selection, figure: Path | None
+    index: RunIndex, selection: Selection, figure: Path | None, limit_dph: float | None
 ) -> tuple[dict[str, Any], RenderableType]:
     from gyrobench.bench.report.terminal.runs import trend_summary
     from gyrobench.bench.runs.index.run_biases import mixed_origins, read_run_biases, trends
@@ -101,8 +109,39 @@ def _trends(
         from gyrobench.bench.report.figures.style import save_figure
 
         save_figure(trend_figure(units[0], fitted), figure)
-    content = {"unit": units[0], "trends": [_plain_trend(each) for each in fitted]}
-    return content, trend_summary(units[0], fitted, mixed_origins(found))
+    due = None if limit_dph is None else _recalibrations(index, selection, fitted, limit_dph)
+    content: dict[str, Any] = {"unit": units[0], "trends": [_plain_trend(each) for each in fitted]}
+    if due is not None:
+        content["recalibration"] = [
+            {**vars(each.quantity), **(vars(until) if until else {})}
+            for each, until in zip(fitted, due, strict=True)
+        ]
+    return content, trend_summary(units[0], fitted, mixed_origins(found), due or [])
+
+
+def _recalibrations(
+    index: RunIndex, selection: Selection, fitted: list[Trend], limit_dph: float
+) -> list[Recalibration | None]:
+    """Until when the bias of each trend stays within the limit, with the drift of the unit's siblings."""
+    from dataclasses import replace
+
+    from gyrobench.bench.runs.index.recalibration import recalibration
+    from gyrobench.bench.runs.index.run_biases import read_run_biases
+    from gyrobench.bench.runs.index.run_index import find_runs
+
+    of_all = find_runs(index, replace(selection, unit=None))
+    biases = read_run_biases(index, [run["path"] for run in of_all])
+    due: list[Recalibration | None] = []
+    for trend in fitted:
+        by_unit: dict[str, list[RunBias]] = {trend.runs[0].unit: list(trend.runs)}
+        same = [runs for quantity, runs in biases.items() if quantity.is_same_as(trend.quantity)]
+        for run in (run for runs in same for run in runs if run.unit != trend.runs[0].unit):
+            by_unit.setdefault(run.unit, []).append(run)
+        try:
+            due.append(recalibration(by_unit, trend.runs[0].unit, limit_dph))
+        except MeasurementError:  # too few runs
+            due.append(None)
+    return due
 
 
 def _queried(index: RunIndex, sql: str) -> tuple[dict[str, Any], RenderableType]:

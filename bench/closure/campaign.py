@@ -14,6 +14,7 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.closure.plausibility import implausible
+from gyrobench.bench.closure.quantity import GYRO_BIAS, Quantity
 from gyrobench.bench.closure.temperatures import TemperatureRecord, record_of_dwells, set_point_path
 from gyrobench.bench.closure.thermal_network import electronics_above_optics
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
@@ -64,7 +65,8 @@ class Campaign:
     gyro_c: FloatArray
     rate_c_per_h: FloatArray
     board_c: FloatArray
-    #: bias_dph, sigma_dph: Shape (n, 3). Measured biases and their standard uncertainties.
+    #: bias_dph, sigma_dph: Shape (n, 3). Measured biases, or values of another :attr:`quantity`, and their
+    #: standard uncertainties: infinite where nothing was measured.
     bias_dph: FloatArray
     sigma_dph: FloatArray
     record: TemperatureRecord  #: Temperatures of the gyros at all times, also between dwells.
@@ -77,6 +79,7 @@ class Campaign:
     azimuth_deg: FloatArray | None = None
     #: Shape (n,) each. Other numbers of the dwells, by column of the table.
     columns: Mapping[str, FloatArray] = field(default_factory=dict)
+    quantity: Quantity = GYRO_BIAS  #: What was measured.
     tables: tuple[Table, ...] = ()  #: What it was read from, in the order of time; empty without files.
     #: Shape (n, 3). Temperature of the electronics above the optics, where dwells are forecast.
     forecast_above_optics_c: FloatArray | None = None
@@ -159,6 +162,16 @@ class Campaign:
         return changed
 
     @property
+    def is_measured(self) -> BoolArray:
+        """Which of the values were measured, shape (n, 3)."""
+        return np.isfinite(self.sigma_dph)
+
+    @property
+    def known_sigma_dph(self) -> FloatArray:
+        """Standard uncertainties (n, 3), NaN where nothing was measured."""
+        return np.where(self.is_measured, self.sigma_dph, np.nan)
+
+    @property
     def middle_s(self) -> FloatArray:
         """Middle of each dwell, shape (n,)."""
         return 0.5 * (self.start_s + self.end_s)
@@ -232,21 +245,28 @@ class Campaign:
         return fitted
 
 
-def campaign_of(rows: Sequence[DwellRow], record: TemperatureRecord | None = None) -> Campaign:
+def campaign_of(
+    rows: Sequence[DwellRow], record: TemperatureRecord | None = None, quantity: Quantity = GYRO_BIAS
+) -> Campaign:
     """Collect the dwells that have a result and no flags; of the others only temperatures are used.
 
     ``rows``: in any order. ``record``: temperatures of the gyros over the whole time; by default
-    interpolated between the dwells. Raises MeasurementError if no dwell has a result, the dwells are of
-    several units, or the table is implausible.
+    interpolated between the dwells. ``quantity``: what the rows have in the place of the biases; of others
+    than the gyros' biases one measured value is a result. Raises MeasurementError if no dwell has a result,
+    the dwells are of several units, or the table is implausible.
     """
     if not rows:
         raise MeasurementError("has no dwells. Search a run with finished dwells")
-    if problems := implausible(rows):
+    if problems := implausible(rows, quantity):
         raise MeasurementError("\n".join(["implausible:", *problems]))
     ordered = sorted(rows, key=lambda row: (row.start_s, row.dwell))
     is_warm = [bool(np.isfinite([*row.gyro_c, *row.gyro_rate_c_per_h]).all()) for row in ordered]
     warm = list(itertools.compress(ordered, is_warm))
-    good = [not row.flags and bool(np.isfinite([*row.bias_dph, *row.sigma_dph]).all()) for row in warm]
+    is_known = np.array([np.isfinite([row.bias_dph, row.sigma_dph]).all(axis=0) for row in warm]).reshape(
+        -1, 3
+    )
+    enough = is_known.sum(axis=1) >= (3 if quantity.is_gyro_bias else 1)
+    good = [not row.flags and bool(known) for row, known in zip(warm, enough, strict=True)]
     if not any(good):
         raise MeasurementError(
             "no dwell of the table has a result without flags. Measure the flagged dwells again"
@@ -280,8 +300,10 @@ def campaign_of(rows: Sequence[DwellRow], record: TemperatureRecord | None = Non
         gyro_c=gyro_c,
         rate_c_per_h=rate_c_per_h,
         board_c=np.stack([_interpolated(start_s, board_c) for board_c in boards], axis=1),
-        bias_dph=gather("bias_dph"),
-        sigma_dph=gather("sigma_dph"),
+        bias_dph=gather("bias_dph") if quantity.is_gyro_bias else np.where(is_known, gather("bias_dph"), 0.0),
+        sigma_dph=gather("sigma_dph")
+        if quantity.is_gyro_bias
+        else np.where(is_known, gather("sigma_dph"), np.inf),
         record=record or record_of_dwells(start_s, end_s, gyro_c, rate_c_per_h),
         unit=units[0],
         held_out=np.zeros(len(warm), dtype=bool),
@@ -290,6 +312,7 @@ def campaign_of(rows: Sequence[DwellRow], record: TemperatureRecord | None = Non
         ),
         azimuth_deg=gather("azimuth_deg"),
         columns=_other_columns(warm, start_s),
+        quantity=quantity,
     )
     return whole if all(good) else whole.part(np.array(good))
 

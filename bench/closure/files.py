@@ -14,11 +14,11 @@ import yaml
 from gyrobench.bench.closure.compose import Composed, law_text
 from gyrobench.bench.closure.loop import Closure, FoundEffect
 from gyrobench.bench.closure.problem import DEGREE, SCALE_C, predict
+from gyrobench.bench.closure.quantity import Quantity, quantity
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.csv_tables import format_csv, write_text
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import make_folder, parse_json, read_limited
-from gyrobench.bench.navigation.positions import AXES
 
 _T = TypeVar("_T")
 #: Name of the file with the outcome of a search.
@@ -28,13 +28,14 @@ COMPOSED_LAW = "composed_law.yaml"
 #: Most probable hypotheses in the document.
 _HYPOTHESES = 10
 _MAX_BYTES = 100_000_000
-PREDICTION_COLUMNS = (
-    "dwell",
-    *(f"bias_{axis}_before_dph" for axis in AXES),
-    *(f"bias_{axis}_after_dph" for axis in AXES),
-    *(f"sigma_{axis}_before_dph" for axis in AXES),
-    *(f"sigma_{axis}_after_dph" for axis in AXES),
-)
+
+
+def prediction_columns(quantity: Quantity) -> list[str]:
+    """Columns of ``predictions.csv``: ``bias_x_before_dph``, ``gyro_scale_factor_x_before_ppm``, ..."""
+    values = [f"bias_{axis}" for axis in quantity.axes] if quantity.is_gyro_bias else [*quantity.coefficients]
+    sigmas = [f"sigma_{axis}" for axis in quantity.axes]
+    names = (f"{name}_{when}" for each in (values, sigmas) for when in ("before", "after") for name in each)
+    return ["dwell", *(f"{name}_{quantity.suffix}" for name in names)]
 
 
 def write_closure(folder: Path, closure: Closure) -> None:
@@ -81,6 +82,14 @@ def read_held_out_cycles(folder: Path) -> list[int]:
     return cycles
 
 
+def read_quantity(folder: Path) -> Quantity:
+    """What an earlier search explained.
+
+    Raises RunFolderError if there is none, or its file is damaged.
+    """
+    return quantity(str(_read(folder).get("quantity", "gyro_bias")))
+
+
 def read_tables(folder: Path) -> list[str]:
     """Paths of the tables of an earlier search; empty for one that does not name them.
 
@@ -115,7 +124,13 @@ def _damaged(folder: Path, reason: str) -> RunFolderError:
 
 
 def closure_document(closure: Closure) -> dict[str, Any]:
-    """Content of ``closure.json``."""
+    """Content of ``closure.json``; of another quantity than gyro biases its name and unit come first."""
+    searched = closure.quantity
+    own = {} if searched.is_gyro_bias else {"quantity": searched.name, "unit": searched.unit}
+    return {**own, **searched.in_unit(_document(closure))}
+
+
+def _document(closure: Closure) -> dict[str, Any]:
     return {
         "verdict": closure.verdict,
         "effects": [_effect(each) for each in closure.effects],
@@ -231,23 +246,24 @@ def format_predictions(closure: Closure) -> str:
         for draws, stated in ((closure.declared_draws, before), (closure.model_draws, after))
     ]
     known = dict(zip(whole.dwell.tolist(), np.hstack([before, after, *sigmas]).tolist(), strict=True))
-    missing: list[float] = [math.nan] * (len(PREDICTION_COLUMNS) - 1)
+    columns_written = prediction_columns(closure.quantity)
+    missing: list[float] = [math.nan] * (len(columns_written) - 1)
     rows = [
         [str(dwell), *("" if math.isnan(value) else f"{value:.9g}" for value in known.get(dwell, missing))]
         for dwell in sorted([*known, *whole.without_temperatures])
     ]
-    return format_csv(PREDICTION_COLUMNS, rows)
+    return format_csv(columns_written, rows)
 
 
 def model_document(closure: Closure) -> dict[str, Any]:
     """Content of ``model.yaml``: the declared model and the effects, complete for predictions."""
-    draws = closure.model_draws
-    return {
+    draws, axes = closure.model_draws, closure.quantity.axes
+    document = {
         "degree": DEGREE,
         "scale_c": SCALE_C,
         "fitted_c": {
             axis: [float(column.min()), float(column.max())]
-            for axis, column in zip(AXES, closure.campaign.gyro_c[closure.searched].T, strict=True)
+            for axis, column in zip(axes, closure.campaign.gyro_c[closure.searched].T, strict=True)
         },
         "declared_dph": _declared(closure, closure.model.declared),
         "declared_sigma_dph": _declared(closure, draws.sigma(draws.declared, closure.model.declared)),
@@ -264,6 +280,7 @@ def model_document(closure: Closure) -> dict[str, Any]:
             for each in closure.effects
         ],
     }
+    return dict(closure.quantity.in_unit(document))
 
 
 def _declared(closure: Closure, coefficients: FloatArray) -> dict[str, Any]:
@@ -274,7 +291,7 @@ def _declared(closure: Closure, coefficients: FloatArray) -> dict[str, Any]:
             "powers": row[:DEGREE].tolist(),
             "constant_of_run": dict(zip(runs, row[DEGREE:].tolist(), strict=True)),
         }
-        for axis, row in zip(AXES, coefficients, strict=True)
+        for axis, row in zip(closure.quantity.axes, coefficients, strict=True)
     }
 
 
@@ -285,7 +302,8 @@ def _by_parameter(found: FoundEffect, values: Iterable[_T]) -> dict[str, _T]:
 
 def _by_term(found: FoundEffect, sizes: FloatArray) -> dict[str, dict[str, float]]:
     terms = found.candidate.form.terms
-    return {axis: dict(zip(terms, row.tolist(), strict=True)) for axis, row in zip(AXES, sizes, strict=True)}
+    axes = found.quantity.axes
+    return {axis: dict(zip(terms, row.tolist(), strict=True)) for axis, row in zip(axes, sizes, strict=True)}
 
 
 def _effect(found: FoundEffect) -> dict[str, Any]:

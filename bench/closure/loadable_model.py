@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -13,8 +14,10 @@ from gyrobench.bench.closure.problem import DEGREE, SCALE_C
 from gyrobench.bench.closure.uncertainty import DRAWS, Draws
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
-from gyrobench.drivers.ins.command_map import NUMBERS, Compensation
+from gyrobench.drivers.ins.command_map import CORRECTION_DEGREE, NUMBERS, Compensation, Correction
 
+#: Terms that an INS has for other coefficients than the gyros' biases, as they are called for these.
+_OF_OTHERS = {"polynomial_dph", "rate_dph_per_c_per_h", "rate_limit_c_per_h", "gravity_dph_per_g"}
 #: Coefficients that several effects may contribute to.
 _SUMMED = ("polynomial_dph", "gradient_dph_per_k")
 
@@ -36,7 +39,7 @@ def declared_model(closure: Closure) -> LoadableModel:
     """
     coefficients = _declared(closure, closure.declared.declared)
     sigma = _sigma(coefficients, lambda index: _declared(closure, closure.declared_draws.declared[index]))
-    return LoadableModel(Compensation(**coefficients, sigma=sigma), (), (_constant_note(closure),))
+    return LoadableModel(_compensation(coefficients, sigma), (), (_constant_note(closure),))
 
 
 def model_with_effects(closure: Closure) -> LoadableModel:
@@ -69,8 +72,46 @@ def model_with_effects(closure: Closure) -> LoadableModel:
         terms = [_terms(closure, each, draws, index) for each in loaded]
         return _with_terms(closure, draws.declared[index], terms)
 
-    compensation = Compensation(**coefficients, sigma=_sigma(coefficients, drawn))
+    compensation = _compensation(coefficients, _sigma(coefficients, drawn))
     return LoadableModel(compensation, tuple(each.effect.name for each in loaded), tuple(notes))
+
+
+def with_coefficients(model: LoadableModel, closures: Iterable[Closure], *, effects: bool) -> LoadableModel:
+    """A model of the gyros' biases with what an INS can take of other coefficients.
+
+    ``closures``: searches of these. ``effects``: whether with the effects that they found.
+    """
+    corrections = dict(model.compensation.coefficients)
+    limit, names, notes = model.compensation.rate_limit_c_per_h.copy(), list(model.effects), list(model.notes)
+    for closure in closures:
+        quantity, loaded = closure.quantity, []
+        for found in closure.effects if effects else ():
+            terms = _terms(closure, found)
+            name = f"{found.effect.name} in {quantity.name}"
+            degree = terms.coefficients.get("polynomial_dph", np.zeros((3, 1))).shape[1] - 1
+            if terms.left_out or terms.coefficients.keys() - _OF_OTHERS or degree > CORRECTION_DEGREE:
+                notes.append(f"{name} is left out: {terms.left_out or 'the INS has no term for it there'}")
+                continue
+            loaded.append(terms)
+            names.append(name)
+        solution = (closure.model if effects else closure.declared).declared
+        numbers = _with_terms(closure, solution, loaded)
+        np.maximum.at(limit, list(quantity.sensors), numbers.get("rate_limit_c_per_h", np.zeros(3)))
+        rates = numbers.get("rate_dph_per_c_per_h", np.zeros(3))
+        gravity = numbers.get("gravity_dph_per_g", np.zeros((3, 3)))
+        measured = closure.campaign.is_measured[closure.searched].sum(axis=0)
+        for place, coefficient in enumerate(quantity.coefficients):
+            if measured[place]:
+                corrections[coefficient] = Correction(
+                    numbers["polynomial_dph"][place], float(rates[place]), gravity[place]
+                )
+    compensation = replace(model.compensation, coefficients=corrections, rate_limit_c_per_h=limit)
+    return LoadableModel(compensation, tuple(names), tuple(notes))
+
+
+def _compensation(coefficients: Mapping[str, FloatArray], sigma: Mapping[str, FloatArray]) -> Compensation:
+    numbers: dict[str, Any] = {**coefficients, "sigma": sigma}
+    return Compensation(**numbers)
 
 
 def _terms(closure: Closure, found: FoundEffect, draws: Draws | None = None, index: int = 0) -> InsTerms:

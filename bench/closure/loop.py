@@ -18,6 +18,7 @@ from gyrobench.bench.closure.effects.effect import Effect, Parameter
 from gyrobench.bench.closure.noise import Noise
 from gyrobench.bench.closure.posterior import CLEAN, EXPLAINED, Posterior, detectable_dph
 from gyrobench.bench.closure.problem import Solution, declared_problem
+from gyrobench.bench.closure.quantity import GYRO_BIAS, Quantity
 from gyrobench.bench.closure.search import Search
 from gyrobench.bench.closure.selection import NotAccepted, Selected, select
 from gyrobench.bench.closure.uncertainty import Draws, bound_of, draw, interval
@@ -28,10 +29,9 @@ from gyrobench.bench.closure.validation import (
     leave_out_cycles,
     measured_minus,
 )
-from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms, rms_of_known
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.text import decimals_of, listed, plain_name, with_sigma
-from gyrobench.bench.navigation.positions import AXES
 
 _S_PER_H = 3600.0
 _UNITS = {"c": "degC"}
@@ -45,7 +45,7 @@ class FoundEffect:
 
     candidate: Candidate  #: The effect, its form and parameters.
     sizes_dph: FloatArray  #: Shape (3, k). Size of each term for each gyro; zero for terms not used.
-    axes: tuple[str, ...]  #: Gyros that show it.
+    axes: tuple[str, ...]  #: Which of :attr:`Quantity.axes` show it.
     p_value: float  #: Corrected for all candidate fits.
     candidate_fits: int  #: Their number.
     rms_dph: float  #: Its size in the dwells searched, without its mean.
@@ -61,6 +61,7 @@ class FoundEffect:
     rms_sigma_dph: float
     #: Interval that holds each nonlinear parameter with 95 %.
     values_range: tuple[tuple[float, float], ...]
+    quantity: Quantity = GYRO_BIAS  #: What shows it.
 
     @property
     def effect(self) -> Effect:
@@ -90,9 +91,9 @@ class FoundEffect:
     def statement(self) -> str:
         """One sentence: what the bias does, its size, the gyros and the parameters, with uncertainties."""
         parameters = "; ".join(self.parameter_texts)
-        gyros = f"{listed(self.axes)} gyro{'s' if len(self.axes) > 1 else ''}"
-        size = f"{with_sigma(self.rms_dph, self.rms_sigma_dph)} deg/h rms on the {gyros}"
-        sentence = self.effect.statement
+        place, unit = self.quantity.place(self.axes), self.quantity.unit
+        size = f"{with_sigma(self.rms_dph, self.rms_sigma_dph)} {unit} rms on the {place}"
+        sentence = self.quantity.said(self.effect.statement)
         return f"{sentence[0].upper()}{sentence[1:]}: {size}{f' ({parameters})' if parameters else ''}."
 
 
@@ -163,6 +164,11 @@ class Closure:
     circular: tuple[str, ...] = ()
 
     @property
+    def quantity(self) -> Quantity:
+        """What was searched; its unit is that of all numbers in deg/h otherwise."""
+        return self.campaign.quantity
+
+    @property
     def noise_scale(self) -> float:
         """Ratio of the noise to the stated uncertainties."""
         return self.noise.scale
@@ -211,16 +217,17 @@ class Closure:
         if self.verdict != "unexplained":
             return None
         campaign, searched = self.campaign, self.searched
-        residual = (campaign.bias_dph - self.model.bias_dph)[searched]
-        squares = np.sum(residual**2, axis=1)
+        residual = measured_minus(campaign, searched, self.model)[searched]
+        squares = np.nansum(residual**2, axis=1)
         names = np.array(campaign.position)[searched]
         position = max(sorted(set(names)), key=lambda name: float(squares[names == name].mean()))
         low_c, high_c = _worst_span(campaign.gyro_c[searched].mean(axis=1), squares)
         low_h, high_h = _worst_span(campaign.middle_s[searched] / _S_PER_H, squares)
         return (
-            f"The residual is {rms(residual):.2g} deg/h rms, {self.after.noise_ratio:.1f} times the noise, "
-            f"and follows {self.after.follows}. It is largest in position {plain_name(position)}, "
-            f"at {low_c:.0f} to {high_c:.0f} degC, and at {low_h:.0f} to {high_h:.0f} h."
+            f"The residual is {rms_of_known(residual):.2g} {self.quantity.unit} rms, "
+            f"{self.after.noise_ratio:.1f} times the noise, and follows {self.after.follows}. It is largest "
+            f"in position {plain_name(position)}, at {low_c:.0f} to {high_c:.0f} degC, and "
+            f"at {low_h:.0f} to {high_h:.0f} h."
         )
 
 
@@ -279,11 +286,11 @@ def close_loop(
         after=after,
         declared=declared,
         model=model,
-        noise_dph=selected.noise.scale * rms(campaign.sigma_dph[searched]),
+        noise_dph=selected.noise.scale * rms_of_known(campaign.known_sigma_dph[searched]),
         confounding=confounding(campaign, searched),
         noise=selected.noise,
-        error_before_dph=rms(before_dph),
-        error_after_dph=rms(after_dph),
+        error_before_dph=rms_of_known(before_dph),
+        error_after_dph=rms_of_known(after_dph),
         error_before_sigma_dph=_rms_sigma(before_dph, noise_dph),
         error_after_sigma_dph=_rms_sigma(after_dph, noise_dph),
         declared_draws=declared_draws,
@@ -316,7 +323,7 @@ def _turn(campaign: Campaign, cycle: int, effects: Sequence[Effect]) -> Turn:
         tuple(each.effect.name for each in closure.effects),
         closure.error_before_dph,
         closure.error_after_dph,
-        closure.noise_scale * rms(campaign.sigma_dph[campaign.cycle == cycle]),
+        closure.noise_scale * rms_of_known(campaign.known_sigma_dph[campaign.cycle == cycle]),
     )
 
 
@@ -362,7 +369,7 @@ def _is_circular(effect: Effect, held_out: Campaign) -> bool:
 def _found_effects(
     search: Search, found: Hypothesis, model: Solution, draws: Draws, weighed: Posterior
 ) -> tuple[FoundEffect, ...]:
-    problem = search.problem
+    problem, quantity = search.problem, search.problem.campaign.quantity
     result = []
     for index, each in enumerate(found.candidates):
         sizes = model.sizes[index]
@@ -377,7 +384,7 @@ def _found_effects(
             FoundEffect(
                 candidate=each,
                 sizes_dph=sizes,
-                axes=tuple(axis for axis, seen in zip(AXES, shows, strict=True) if seen),
+                axes=tuple(axis for axis, seen in zip(quantity.axes, shows, strict=True) if seen),
                 p_value=search.p_value(found, index),
                 candidate_fits=search.candidate_fits(each.effect),
                 rms_dph=rms(part),
@@ -388,6 +395,7 @@ def _found_effects(
                 values_sigma=draws.sigma(values, np.array(each.values)),
                 rms_sigma_dph=float(draws.sigma(np.sqrt(np.mean(parts**2, axis=(1, 2))), rms(part))),
                 values_range=tuple(map(interval, each.form.parameters, each.values, values.T)),
+                quantity=quantity,
             )
         )
     return tuple(sorted(result, key=lambda each: -each.rms_dph))
@@ -454,6 +462,8 @@ def _rms_sigma(errors_dph: FloatArray, noise_dph: FloatArray) -> float:
 
     The square of an error with the noise s has the variance ``2 s^4 + 4 s^2 d^2`` with its true part d.
     """
+    known = ~np.isnan(errors_dph)
+    errors_dph, noise_dph = errors_dph[known], noise_dph[known]
     true = max(float(np.sum(errors_dph**2) - np.sum(noise_dph**2)), 0.0) / errors_dph.size
     variance = np.sum(2.0 * noise_dph**4 + 4.0 * noise_dph**2 * true)
     return float(np.sqrt(variance)) / (2.0 * errors_dph.size * max(rms(errors_dph), 1e-300))

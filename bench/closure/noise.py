@@ -159,7 +159,7 @@ def _with_outliers(noise: Noise, after: Problem) -> Noise:
     off /= max(1.0, float(np.median(np.abs(off))) / MEDIAN)
     factors[searched] = np.where(np.abs(off) > OUTLIER_SIGMA, np.abs(off), 1.0)
     outliers = [
-        Outlier(int(campaign.dwell[searched][dwell]), AXES[gyro], float(off[dwell, gyro]))
+        Outlier(int(campaign.dwell[searched][dwell]), campaign.quantity.axes[gyro], float(off[dwell, gyro]))
         for dwell, gyro in np.argwhere(np.abs(off) > OUTLIER_SIGMA)
     ]
     return Noise(1.0, tuple(sorted(outliers, key=lambda each: -abs(each.residual_sigma))), factors)

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.closure.quantity import GYRO_BIAS, Quantity
 from gyrobench.bench.foundations.arrays import FloatArray
 
 #: Temperatures at which no INS is calibrated, degC.
@@ -27,10 +28,10 @@ _TEMPERATURES = {
 }
 
 
-def implausible(rows: Sequence[DwellRow]) -> list[str]:
+def implausible(rows: Sequence[DwellRow], quantity: Quantity = GYRO_BIAS) -> list[str]:
     """Everything about the dwells without flags that can't be measured data, each as one sentence."""
     good = [row for row in rows if not row.flags]
-    return [*_times(good), *_temperatures(good), *_sigmas(good)] if good else []
+    return [*_times(good), *_temperatures(good), *_sigmas(good, quantity)] if good else []
 
 
 def _times(rows: Sequence[DwellRow]) -> Iterator[str]:
@@ -72,16 +73,22 @@ def _temperature(column: FloatArray) -> str:
     return f"is {worst:g} degC, outside {_COLDEST_C:g} to {_HOTTEST_C:g} degC: {advice}"
 
 
-def _sigmas(rows: Sequence[DwellRow]) -> Iterator[str]:
-    if len(rows) < _MIN_DWELLS:
+def _sigmas(rows: Sequence[DwellRow], quantity: Quantity) -> Iterator[str]:
+    # The uncertainty of an accelerometer's bias in a dwell includes what is common to all dwells.
+    if len(rows) < _MIN_DWELLS or quantity.name == "accelerometer_bias":
         return
     biases, sigmas = (
         np.array([getattr(row, name) for row in rows], dtype=np.float64) for name in ("bias_dph", "sigma_dph")
     )
-    for axis, bias, sigma in zip("xyz", biases.T, sigmas.T, strict=True):
+    for name, axis, bias, sigma in zip(quantity.coefficients, "xyz", biases.T, sigmas.T, strict=True):
+        if not np.isfinite(sigma).any():
+            continue
         spread, stated = float(np.nanstd(bias)), float(np.nanmedian(sigma))
+        column, values = f"the uncertainty of {name}", "values"
+        if quantity.is_gyro_bias:
+            column, values = f"sigma_{axis}_dph", "biases of that gyro"
         if stated > _MAX_SIGMA_TO_SPREAD * spread:
             yield (
-                f"sigma_{axis}_dph is {stated:.2g} deg/h, although all biases of that gyro lie within "
-                f"{spread:.2g} deg/h rms: correct its values or their unit"
+                f"{column} is {stated:.2g} {quantity.unit}, although all {values} lie within "
+                f"{spread:.2g} {quantity.unit} rms: correct its values or their unit"
             )

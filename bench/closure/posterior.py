@@ -21,7 +21,7 @@ from gyrobench.bench.closure.candidates import Candidate, Hypothesis, stack
 from gyrobench.bench.closure.effects.effect import Effect, Parameter
 from gyrobench.bench.closure.problem import MIN_VISIBLE, Problem
 from gyrobench.bench.closure.remainder import TOGETHER, remainder_of
-from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray, rms
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray, rms_of_known
 
 #: Prior probability of so many effects; all sets of as many are equally probable.
 EFFECT_COUNT_PRIOR = (0.4, 0.35, 0.15, 0.1)
@@ -450,7 +450,7 @@ def detectable_dph(problem: Problem) -> dict[str, float]:
         log_odds = 0.5 * (variances @ chi2.T - np.sum(np.log1p(variances), axis=1, keepdims=True))
         shown = np.mean(log_odds > prior_odds, axis=1) >= POWER
         found[name] = float(sizes[np.argmax(shown)]) if shown.any() else math.inf
-    noise_dph = rms(problem.sigma_dph)
+    noise_dph = rms_of_known(problem.campaign.known_sigma_dph[problem.searched]) * problem.noise_scale
     return {name: size * noise_dph for name, size in found.items()}
 
 

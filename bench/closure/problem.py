@@ -36,6 +36,14 @@ class Problem:
         return self.campaign.sigma_dph[self.searched] * self.noise_scale
 
     @property
+    def least_scatter(self) -> float:
+        """Variance, in units of the noise, below which scatter does not make the noise smaller than stated.
+
+        Uncertainties of other coefficients than gyro biases include what all dwells have in common.
+        """
+        return 1e-300 if self.campaign.quantity.is_gyro_bias else 1.0
+
+    @property
     def chi2(self) -> float:
         """Sum of squared residuals, in units of sigma."""
         return float(np.sum(self.residuals**2))
@@ -44,7 +52,7 @@ class Problem:
     def dof(self) -> int:
         """Degrees of freedom: measured values minus fitted parameters."""
         fitted: int = sum(basis.shape[1] for basis in self.bases)
-        return self.residuals.size - fitted
+        return int(self.campaign.is_measured[self.searched].sum()) - fitted
 
     def with_columns(self, columns: FloatArray, kept: BoolArray | None = None) -> Problem:
         """Same problem after a fit of more terms.

@@ -69,7 +69,7 @@ def lack_of_fit(problem: Problem, parameters: int) -> LackOfFit:
     for name, columns in _STRUCTURES.items():
         reduction, rank = problem.chi2_reduction(_in_all_dwells(columns(seen), problem))
         if rank and dof > rank:
-            ratio = (reduction / rank) / max((problem.chi2 - reduction) / (dof - rank), 1e-300)
+            ratio = (reduction / rank) / max((problem.chi2 - reduction) / (dof - rank), problem.least_scatter)
             structure[name] = float(fdtrc(rank, dof - rank, ratio))
     structure["the previous dwell"] = _serial_correlation(problem)
     return LackOfFit(
@@ -124,8 +124,8 @@ def _serial_correlation(problem: Problem) -> float:
     """
     products = np.sum(problem.residuals[1:] * problem.residuals[:-1])
     expected = -sum(float(np.sum(basis[1:] * basis[:-1])) for basis in problem.bases)
-    scale = problem.chi2 / problem.dof
-    spread = scale * np.sqrt(problem.residuals.size)
+    scale = max(problem.chi2 / problem.dof, problem.least_scatter)
+    spread = scale * np.sqrt(problem.campaign.is_measured[problem.searched].sum())
     return float(2.0 * ndtr(-abs(products - scale * expected) / max(spread, 1e-300)))
 
 
@@ -168,7 +168,7 @@ def is_confirmed(before_dph: FloatArray, after_dph: FloatArray, noise_dph: Float
     is 1 if they are right, and 0 if these dwells show nothing of them. Its standard deviation follows from
     the errors left. The sum of squared errors, an outlier counted as :data:`_MAX_ERROR`, must fall too.
     """
-    before, after = before_dph / noise_dph, after_dph / noise_dph
+    before, after = (np.nan_to_num(each / noise_dph) for each in (before_dph, after_dph))
     lengths = np.linalg.norm(before - after, axis=0)
     decisive = np.flatnonzero(lengths > _DECIDES_ALONE * _MIN_T)
     pairs = [(before.ravel(), after.ravel()), *((before[:, each], after[:, each]) for each in decisive)]
@@ -233,7 +233,7 @@ def leave_out_cycles(
             errors = (
                 measured_minus(campaign, rest.searched, solve_with(rest, each)) for each in (fewer, more)
             )
-            squares = (np.sum((each[left_out] / campaign.sigma_dph[left_out]) ** 2) for each in errors)
+            squares = (np.nansum((each[left_out] / campaign.sigma_dph[left_out]) ** 2) for each in errors)
             result[int(cycle)] = LeftOut(*map(float, squares))
     return result
 
@@ -241,9 +241,10 @@ def leave_out_cycles(
 def measured_minus(campaign: Campaign, searched: BoolArray, model: Solution) -> FloatArray:
     """Measured bias minus a model in all dwells (n, 3), deg/h.
 
-    The mean of each run that was not searched is removed.
+    NaN where nothing was measured. The mean of each run that was not searched is removed.
     """
-    return without_unseen_constants(campaign, searched, campaign.bias_dph - model.bias_dph)
+    errors_dph = np.where(campaign.is_measured, campaign.bias_dph - model.bias_dph, np.nan)
+    return without_unseen_constants(campaign, searched, errors_dph)
 
 
 def without_unseen_constants(campaign: Campaign, searched: BoolArray, errors_dph: FloatArray) -> FloatArray:
@@ -252,7 +253,9 @@ def without_unseen_constants(campaign: Campaign, searched: BoolArray, errors_dph
     for run in np.unique(campaign.run[~searched]):
         if not np.any(campaign.run[searched] == run):
             mine = campaign.run == run
-            centred[mine] -= centred[mine].mean(axis=0)
+            known = ~np.isnan(centred[mine])
+            sums = np.where(known, centred[mine], 0.0).sum(axis=0)
+            centred[mine] -= sums / np.maximum(known.sum(axis=0), 1)
     return centred
 
 

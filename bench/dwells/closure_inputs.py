@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
 from gyrobench.bench.closure.campaign import Campaign, Table, campaign_of
-from gyrobench.bench.closure.files import CLOSURE_FILE, read_held_out_cycles, read_tables
+from gyrobench.bench.closure.files import CLOSURE_FILE, read_held_out_cycles, read_quantity, read_tables
 from gyrobench.bench.closure.joined_tables import Source, joined
+from gyrobench.bench.closure.quantity import GYRO_BIAS, Quantity
 from gyrobench.bench.closure.temperatures import TemperatureRecord
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError, RunFolderError
-from gyrobench.bench.navigation.positions import AXES
+from gyrobench.bench.navigation.positions import AXES, POSITIONS
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
 from gyrobench.bench.runs.provenance import read_provenance, started_utc
+from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, read_coefficients
 from gyrobench.bench.runs.telemetry import read_telemetry
 
 if TYPE_CHECKING:
@@ -33,15 +35,17 @@ _STEP_S = 30.0
 _MAX_STEPS = 20_000
 
 
-def read_campaign(*paths: Path) -> Campaign:
+def read_campaign(*paths: Path, quantity: Quantity = GYRO_BIAS) -> Campaign:
     """Read the dwells of tables and runs of one unit, of runs with the temperatures between dwells too.
 
     ``paths``: dwell tables or run folders, at least one; several are joined on one time axis, see
-    :func:`gyrobench.bench.closure.joined_tables.joined`. Raises DocumentError if there is no dwell table, or
-    it is wrong. Raises RunFolderError if a folder is not a run folder, or its telemetry can't be read. Raises
-    MeasurementError if there are no good dwells, dwells of several units, or tables that can't be joined.
+    :func:`gyrobench.bench.closure.joined_tables.joined`. ``quantity``: the coefficients to take in the place
+    of the gyro biases, from the columns :func:`coefficient_columns`. Raises DocumentError if there is no
+    dwell table, or it is wrong. Raises RunFolderError if a folder is not a run folder, or its telemetry can't
+    be read. Raises MeasurementError if there are no good dwells, dwells of several units, or tables that
+    can't be joined.
     """
-    sources = [_source(path) for path in paths]
+    sources = [_source(path, quantity) for path in paths]
     if len(sources) > 1:
         return joined(sources)
     [source] = sources
@@ -51,7 +55,7 @@ def read_campaign(*paths: Path) -> Campaign:
     return campaign if source.campaign.part_of is None else campaign.part(source.campaign.part_of[1])
 
 
-def _source(path: Path) -> Source:
+def _source(path: Path, quantity: Quantity) -> Source:
     record, began_s = None, None
     table, is_run = path, path.is_dir()
     if is_run:
@@ -64,9 +68,89 @@ def _source(path: Path) -> Source:
         if "started_utc" in provenance and provenance.get("options", {}).get("clock") != "virtual":
             began_s = started_utc(folder).timestamp()
     try:
-        return Source(str(path), campaign_of(read_dwells(table), record), is_run, began_s)
+        rows = _rows_of(read_dwells(table), quantity, path if is_run else None)
+        if record is not None:
+            record = replace(record, gyro_c=record.gyro_c[:, quantity.sensors])
+        return Source(str(path), campaign_of(rows, record, quantity), is_run, began_s)
     except MeasurementError as error:
         raise MeasurementError(f"{table}: {error}") from error
+
+
+def coefficient_columns(quantity: Quantity) -> list[tuple[str, str]]:
+    """Columns of a dwell table with the value and the standard uncertainty of each coefficient."""
+    unit = quantity.suffix
+    return [(f"{name}_{unit}", f"{name}_sigma_{unit}") for name in quantity.coefficients]
+
+
+def _rows_of(rows: Sequence[DwellRow], quantity: Quantity, run: Path | None) -> list[DwellRow]:
+    """Rows with the coefficients searched in the place of the biases; NaN where one was not measured.
+
+    Without columns for them they are those of the plateaus of a run, in place of its dwells; the biases of
+    the accelerometers are those of the dwells, less the vertical ones, which a dwell does not determine.
+    """
+    if quantity.is_gyro_bias:
+        return list(rows)
+    columns = coefficient_columns(quantity)
+    if any(name in dict(row.other) for row in rows for name, _ in columns):
+        values = np.array(
+            [[[dict(row.other).get(name, np.nan) for name in pair] for pair in columns] for row in rows]
+        )
+    elif quantity.name == "accelerometer_bias":
+        values = np.array([[row.accelerometer_ug, row.accelerometer_sigma_ug] for row in rows]).mT
+        values[np.arange(len(rows)), [POSITIONS[row.position].up_axis for row in rows]] = np.nan
+    elif run is not None and RunFolder(run).coefficients.exists():
+        return _plateau_rows(rows, read_coefficients(RunFolder(run).coefficients), quantity)
+    else:
+        raise MeasurementError(
+            f"has no columns {columns[0][0]}, {columns[0][1]}, ... Search a table with the coefficients of "
+            "each dwell"
+        )
+    return [_with_values(row, pairs, quantity.sensors) for row, pairs in zip(rows, values, strict=True)]
+
+
+def _plateau_rows(
+    rows: Sequence[DwellRow], coefficients: Sequence[PlateauCoefficientRow], quantity: Quantity
+) -> list[DwellRow]:
+    """One row for each plateau with dwells: times of these, temperatures and coefficients of the plateau.
+
+    All get one position, since the coefficients of a plateau are those of all.
+    """
+    plateaus: dict[int, dict[str, PlateauCoefficientRow]] = {}
+    for each in coefficients:
+        plateaus.setdefault(each.plateau, {})[f"{each.coefficient}_{each.axis}"] = each
+    found = []
+    for known in plateaus.values():
+        place = next(iter(known.values()))
+        dwells = [
+            row
+            for row in rows
+            if not row.flags
+            and row.cycle == place.cycle
+            and np.isclose(row.chamber_set_c, place.chamber_set_c, atol=0.01, equal_nan=True)
+        ]
+        if dwells:
+            mean: dict[str, Any] = {
+                name: tuple(np.mean([getattr(row, name) for row in dwells], axis=0).tolist())
+                for name in ("gyro_rate_c_per_h", "board_c")
+            }
+            biases = [known[f"gyro_bias_{axis}"] for axis in AXES]
+            mean["gyro_c"] = tuple(each.temperature_c for each in biases)
+            if np.isfinite([each.gyro_rate_c_per_h for each in biases]).all():
+                mean["gyro_rate_c_per_h"] = tuple(each.gyro_rate_c_per_h for each in biases)
+            whole = replace(dwells[0], end_s=dwells[-1].end_s, position=rows[0].position, **mean)
+            pairs = [(known[name].value, known[name].sigma) for name in quantity.coefficients]
+            found.append(_with_values(whole, np.array(pairs), quantity.sensors))
+    return found
+
+
+def _with_values(row: DwellRow, pairs: FloatArray, sensors: Sequence[int]) -> DwellRow:
+    """Row with values and uncertainties (3, 2) of sensors in the place of the biases."""
+    triples: dict[str, Any] = {
+        name: tuple(getattr(row, name)[each] for each in sensors)
+        for name in ("gyro_c", "gyro_rate_c_per_h", "board_c")
+    }
+    triples |= {"bias_dph": tuple(pairs[:, 0].tolist()), "sigma_dph": tuple(pairs[:, 1].tolist())}
+    return replace(row, **triples)
 
 
 def joined_rows(campaign: Campaign) -> list[DwellRow]:
@@ -116,7 +200,7 @@ def read_closure(folder: Path) -> Closure:
                 f"{folder}: the table searched, {path}, is not there. Repeat gyrobench close"
             )
         paths.append(next(place for place in places if place.exists()))
-    return close_loop(read_campaign(*paths), read_held_out_cycles(folder))
+    return close_loop(read_campaign(*paths, quantity=read_quantity(folder)), read_held_out_cycles(folder))
 
 
 def temperature_record(telemetry: Mapping[str, FloatArray]) -> TemperatureRecord | None:

@@ -10,8 +10,9 @@ from functools import partial
 
 import numpy as np
 
-from gyrobench.bench.bias.bias_filter import GoodnessOfFit, StateSpaceEstimate, estimate_state_space
+from gyrobench.bench.bias.bias_filter import StateSpaceEstimate, estimate_state_space
 from gyrobench.bench.bias.bias_steps import BiasStep
+from gyrobench.bench.bias.budget import BudgetInputs
 from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, TurnPath
 from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow
 from gyrobench.bench.bias.joint_solution import DwellRows
@@ -19,6 +20,7 @@ from gyrobench.bench.bias.noise_estimate import RestMotion, estimate_noise
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.paper import estimate_paper
 from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.bias.statistics import GoodnessOfFit
 from gyrobench.bench.bias.vertical_pairs import exceeds_declared
 from gyrobench.bench.bias.window_filter import EPOCH_S
 from gyrobench.bench.dwells.marks import DwellMarks, WindowMark
@@ -74,6 +76,7 @@ class MeasurementSetup:
     heading_lsb_rad: float
     resolution: tuple[ResolutionLimit, ...]  #: Which estimates it limits, and by how much.
     signs: SignCheck | None = None  #: Test of the signal map's signs and axes.
+    gyro_temperature_c: float | None = None  #: Standard uncertainty of the gyros' temperature sensors, K.
     #: Frames to increments; None where none are mapped.
     decode_increments: Callable[[FrameBlock], Increments | None] = lambda _: None
     table_repeatability: float = ARCSEC_TO_RAD  #: Of the table's return to an angle, rad.
@@ -94,6 +97,12 @@ class MeasurementSetup:
         return output_faults(windows, noise, self.site.gravity, *self._steps)
 
     @property
+    def budget_inputs(self) -> BudgetInputs:
+        """Inputs of the uncertainty budgets."""
+        velocity, heading = (step / math.sqrt(12.0) for step in self._steps)
+        return BudgetInputs(velocity, heading, self.gyro_temperature_c)
+
+    @property
     def _steps(self) -> tuple[float, float]:
         return self.velocity_lsb_mps, self.heading_lsb_rad
 
@@ -106,11 +115,10 @@ class MeasurementSetup:
             if not exceeds_noise(windows, self.noise, self.site.gravity, *self._steps):
                 return self.noise
             return estimate_noise(windows, self.site.gravity).exceeding(self.noise)
-        noise = estimate_noise(windows, self.site.gravity).noise_model()
-        return replace(
-            noise,
-            velocity_white=max(noise.velocity_white, self.velocity_lsb_mps / math.sqrt(12.0)),
-            heading_white=max(noise.heading_white, self.heading_lsb_rad / math.sqrt(12.0)),
+        return (
+            estimate_noise(windows, self.site.gravity)
+            .noise_model()
+            .at_least(*(step / math.sqrt(12.0) for step in self._steps))
         )
 
 
@@ -224,7 +232,13 @@ def _estimate(dwell: Dwell, setup: MeasurementSetup, noise: NoiseModel) -> State
         return estimate
     _, north_rate, _ = earth_rate_enu(setup.site.latitude)
     up_radps = error * north_rate * dwell.windows[0].C_nb[0, 2]
-    return replace(other, covariance=other.covariance + np.outer(up_radps, up_radps))
+    latitude = other.parts["latitude"]
+    added = replace(latitude, columns=np.column_stack([latitude.columns, up_radps]))
+    return replace(
+        other,
+        covariance=other.covariance + np.outer(up_radps, up_radps),
+        parts={**other.parts, "latitude": added},
+    )
 
 
 def _step(estimate: StateSpaceEstimate) -> BiasStep | None:
@@ -409,6 +423,7 @@ def measurement_setup(station: Station) -> MeasurementSetup:
         heading_lsb_rad=heading_lsb_rad,
         site=station.site,
         prior=station.prior(),
+        gyro_temperature_c=station.file.ins.uncertainty.gyro_temperature_c,
         resolution=tuple(limits),
         signs=SignCheck(signals, decode, station.table, station.site, velocity_lsb_mps),
         decode_increments=partial(decode_increments, signal_map=signals, codec=codec),

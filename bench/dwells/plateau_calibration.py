@@ -1,101 +1,286 @@
-"""All coefficients of the sensors at each plateau, from the rotations of a run.
+"""All coefficients of the sensors at each plateau, from its dwells and its rotations together.
 
-The increments come from the INS, or where it sends none from its navigation output: the change of its
-attitude and velocity from epoch to epoch is what its sensors measured, but for the vertical specific force,
-which an INS of fixed altitude does not show. Gravity stands in its place, and says nothing.
+The dwells of a plateau show gyro biases and, through their half turns, parts of the matrices
+(:mod:`gyrobench.bench.calibration.joint_coefficients`). Rotations between rests show all coefficients, from
+the increments of the INS. Where it sends none they follow from its navigation output: the change of attitude
+and velocity from epoch to epoch is what its sensors measured, but for the vertical specific force, which an
+INS of fixed altitude does not show. Gravity stands in its place, and says nothing.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from gyrobench.bench.bias.dwell_table import Triple
-from gyrobench.bench.bias.plateaus import MAX_FROM_MEAN_K
-from gyrobench.bench.bias.statistics import Chi2Test
-from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT
-from gyrobench.bench.calibration.estimator import CalibrationOptions, calibrate
+from gyrobench.bench.bias.budget import Budget, coefficient_budget
+from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow, Triple
+from gyrobench.bench.bias.joint_solution import JointDwell, JointSolution
+from gyrobench.bench.bias.statistics import chi2_p_value
+from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, Coefficient, CoefficientEstimate
+from gyrobench.bench.calibration.error_split import rotation_parts
+from gyrobench.bench.calibration.estimator import Calibration, CalibrationOptions, Information, calibrate
+from gyrobench.bench.calibration.joint_coefficients import joint_coefficients
 from gyrobench.bench.calibration.recording import MIN_REST_TOTAL_S, IncrementRecording, Rest
-from gyrobench.bench.calibration.results import NOT_OBSERVABLE
+from gyrobench.bench.calibration.results import coefficient_rows
 from gyrobench.bench.dwells.dwell import MeasurementSetup, checked_navigation
 from gyrobench.bench.dwells.marks import DwellMarks
-from gyrobench.bench.dwells.temperatures import dwell_temperatures
-from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
+from gyrobench.bench.dwells.temperatures import dwell_temperatures, triple
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vectors
-from gyrobench.bench.navigation.earth import curvature_radii, earth_rate_enu
+from gyrobench.bench.navigation.earth import EARTH_RATE, curvature_radii
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow
 from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.navigation_data import Increments, NavigationData
 
-#: Epochs further apart than this, in usual intervals, have others between them that are lost.
-_MAX_STEP = 1.5
+#: Part of the usual interval by which the time between two epochs may differ from it.
+_MAX_STEP_ERROR = 0.5
+#: Dwells and rotations contradict each other where chance gives the difference less often than this.
+_MIN_P_VALUE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class PlateauRotations:
+    """What the rotations of one plateau show."""
+
+    marks: DwellMarks  #: Of the first dwell with rotations.
+    #: gyro_c, case_c: Mean temperatures of the gyros and of the case, degC; NaN where not measured.
+    gyro_c: Triple = NOT_MEASURED
+    case_c: float = math.nan
+    gyro_rate_c_per_h: Triple = NOT_MEASURED  #: Their slopes.
+    calibration: Calibration | None = None  #: None where there is a ``finding``, which says why.
+    finding: str = ""
+    #: As uncertain as if the INS sent specific forces; None where it does.
+    with_force: CoefficientEstimate | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class PlateauCalibration:
     """Coefficients of the sensors at one plateau, in the body frame of the accelerometers."""
 
-    plateau: int  #: Number of the plateau with rotations, from 1.
+    number: int  #: Number of the plateau, from 1.
     cycle: int
     chamber_set_c: float  #: NaN where the chamber is not controlled.
-    #: gyro_c, case_c: Mean temperatures of the gyros and of the case, degC; NaN where not measured.
+    #: gyro_c, case_c: As of the rotations, or where there are none of the dwells.
     gyro_c: Triple
     case_c: float
-    #: values, covariance, is_observed: Shapes (21,), (21, 21), (21,). Of
-    #: :data:`~gyrobench.bench.calibration.coefficients.COEFFICIENTS`, SI; without meaning where not observed.
-    values: FloatArray
-    covariance: FloatArray
-    is_observed: BoolArray
-    has_force: bool = True  #: Whether the INS sent specific forces.
-    fit: Chi2Test | None = None  #: Whether the noise explains what the coefficients leave.
-    finding: str = ""  #: Why there is no coefficient.
+    estimate: CoefficientEstimate | None  #: Of dwells and rotations together; None without either.
+    finding: str = ""  #: Why the rotations give nothing, or that they contradict the dwells.
+    #: As uncertain as if the INS sent specific forces; None where it does.
+    with_force: CoefficientEstimate | None = None
+    rotations: PlateauRotations | None = None  #: None where there are none.
+    #: Declared standard uncertainties, SI, by key of :data:`gyrobench.bench.bias.budget.SOURCES`.
+    inputs: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def correlations(self) -> FloatArray:
         """Correlation coefficients (21, 21); NaN where not observed."""
-        sigmas = np.sqrt(np.diag(self.covariance))
-        seen = np.outer(self.is_observed, self.is_observed)
-        return np.where(seen, self.covariance / np.outer(sigmas, sigmas), np.nan)
+        if self.estimate is None:
+            return np.full((COUNT, COUNT), np.nan)
+        seen = np.outer(self.estimate.is_observed, self.estimate.is_observed)
+        return np.where(seen, self.estimate.correlations, np.nan)
+
+    @property
+    def budgets(self) -> list[tuple[Coefficient, Budget]]:
+        """Uncertainty budgets of the observed coefficients, in their units."""
+        if self.estimate is None:
+            return []
+        inputs, dof = dict(self.inputs), math.inf
+        if self.rotations is not None and self.rotations.calibration is not None:
+            noise, dof = vars(self.rotations.calibration.noise), float(self.rotations.calibration.fit.dof)
+            inputs |= {name: float(np.sqrt(np.mean(values**2))) for name, values in noise.items()}
+        return [
+            (
+                each,
+                coefficient_budget(
+                    {name: float(part[i, i]) * each.per_si**2 for name, part in self.estimate.parts.items()},
+                    inputs,
+                    dof,
+                ),
+            )
+            for i, each in enumerate(self.estimate.coefficients)
+            if self.estimate.is_observed[i]
+        ]
 
     def rows(self) -> list[PlateauCoefficientRow]:
-        """Rows of ``coefficients.csv``."""
-        values = np.where(self.is_observed, self.values, np.nan)
-        sigmas = np.where(self.is_observed, np.sqrt(np.diag(self.covariance)), np.nan)
+        """Rows of ``coefficients.csv``; without values where there is no estimate."""
+        estimate = self.estimate or CoefficientEstimate(np.zeros(COUNT), np.eye(COUNT), np.zeros(COUNT, bool))
+        with_force = np.full(COUNT, np.nan)
+        if self.with_force is not None:
+            with_force = self.with_force.sigmas * [each.per_si for each in estimate.coefficients]
+        rates = NOT_MEASURED if self.rotations is None else self.rotations.gyro_rate_c_per_h
         return [
             PlateauCoefficientRow(
-                self.plateau,
+                self.number,
                 self.cycle,
                 self.chamber_set_c,
-                self.gyro_c[AXES.index(each.axis[0])] if each.sensor == "gyro" else self.case_c,
-                each.name,
-                each.axis,
-                float(value * each.per_si),
-                float(sigma * each.per_si),
-                each.unit,
-                self.finding or ("" if np.isfinite(value) else NOT_OBSERVABLE),
+                self.gyro_c[AXES.index(row.axis[0])] if row.coefficient.startswith("gyro") else self.case_c,
+                row.coefficient,
+                row.axis,
+                math.nan if row.value is None else row.value,
+                math.nan if row.sigma is None else row.sigma,
+                row.unit,
+                "; ".join(text for text in (row.finding, self.finding) if text),
+                sigma,
+                rates[AXES.index(row.axis[0])],
             )
-            for each, value, sigma in zip(COEFFICIENTS, values, sigmas, strict=True)
+            for row, sigma in zip(coefficient_rows(estimate), with_force.tolist(), strict=True)
         ]
 
 
-@dataclass(frozen=True, eq=False)
-class RotatedDwell:
-    """Increments of one dwell with rotations, in pieces without a gap, and its temperatures."""
+def calibrate_plateaus(
+    solutions: Sequence[JointSolution],
+    rows: Iterable[DwellRow],
+    rotated: Iterable[tuple[DwellMarks, FrameBlock]],
+    setup: MeasurementSetup,
+) -> list[PlateauCalibration]:
+    """Coefficients plateau by plateau, in the order of time.
 
-    pieces: list[tuple[IncrementRecording, list[Rest]]]
-    gyro_c: Triple
-    case_c: float
+    Parameters
+    ----------
+    solutions : sequence of JointSolution
+        Of the plateaus with dwells.
+    rows : iterable of DwellRow
+        Of these dwells.
+    rotated : iterable of (DwellMarks, FrameBlock)
+        Dwells with rotations, in the order of time; those of one plateau are held at once.
+    """
+    groups = itertools.groupby(rotated, lambda each: _key(each[0]))
+    rotations = [calibrate_rotations(list(group), setup) for _, group in groups]
+    cases_c = {row.dwell: row.case_c for row in rows}
+    places: list[tuple[int, JointSolution | None, PlateauRotations | None]] = []
+    for solution in solutions:
+        first = solution.dwells[0]
+        found = next((each for each in rotations if _key(each.marks) == _key(first)), None)
+        rotations = [each for each in rotations if each is not found]
+        places.append((first.number, solution, found))
+    places += [(each.marks.dwell, None, each) for each in rotations]
+    return [
+        _plateau(number, solution, found, cases_c, setup)
+        for number, (_, solution, found) in enumerate(sorted(places, key=lambda each: each[0]), 1)
+    ]
 
 
-def measure_rotations(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) -> RotatedDwell:
-    """Increments between the first and the last rest of a dwell.
+def _key(member: DwellMarks | JointDwell) -> tuple[str, int, float | None]:
+    """What all dwells of a plateau share: power cycle, cycle and set point."""
+    set_c = member.chamber_set_c
+    return member.run, member.cycle, None if set_c is None or math.isnan(set_c) else round(set_c, 3)
+
+
+def _plateau(
+    number: int,
+    solution: JointSolution | None,
+    rotations: PlateauRotations | None,
+    cases_c: Mapping[int, float],
+    setup: MeasurementSetup,
+) -> PlateauCalibration:
+    estimates, finding, with_force = [], "", None
+    gyro_c, case_c = NOT_MEASURED, math.nan
+    cycle, set_c = 0, None
+    if solution is not None:
+        estimates.append(joint_coefficients(solution, setup.prior))
+        cycle, set_c = solution.dwells[0].cycle, solution.dwells[0].chamber_set_c
+        gyro_c = triple(np.mean([each.gyro_c for each in solution.dwells], axis=0))
+        case_c = float(np.mean([cases_c[each.number] for each in solution.dwells]))
+    if rotations is not None:
+        cycle, set_c = rotations.marks.cycle, rotations.marks.chamber_set_c
+        finding = rotations.finding
+        if rotations.calibration is not None:
+            estimates.append(rotations.calibration)
+            gyro_c, case_c = rotations.gyro_c, rotations.case_c
+            if rotations.with_force is not None:
+                with_force = _combined([*estimates[:-1], rotations.with_force])
+    if len(estimates) > 1 and (p_value := _agreement(*estimates)) < _MIN_P_VALUE:
+        finding = f"dwells and rotations contradict each other (p = {p_value:.1g})"
+    estimate = _combined(estimates) if estimates else None
+    chamber_set_c = math.nan if set_c is None else set_c
+    inputs = {"latitude": setup.prior.latitude, "table_return": setup.table_repeatability}
+    return PlateauCalibration(
+        number, cycle, chamber_set_c, gyro_c, case_c, estimate, finding, with_force, rotations, inputs
+    )
+
+
+def _combined(estimates: Sequence[CoefficientEstimate]) -> CoefficientEstimate:
+    """Mean of estimates from separate data, weighted by their covariances."""
+    if len(estimates) == 1:
+        return estimates[0]
+    sizes = np.array([each.size for each in COEFFICIENTS])
+    weights = [np.linalg.inv(each.covariance / np.outer(sizes, sizes)) for each in estimates]
+    covariance = np.linalg.inv(sum(weights))
+    sums = sum(weight @ (each.values / sizes) for weight, each in zip(weights, estimates, strict=True))
+    is_observed = np.any([each.is_observed for each in estimates], axis=0)
+    parts: dict[str, FloatArray] = {}
+    for weight, each in zip(weights, estimates, strict=True):
+        gain = covariance @ weight * np.outer(sizes, 1.0 / sizes)
+        for name, part in each.parts.items():
+            parts[name] = parts.get(name, 0.0) + gain @ part @ gain.T
+    values = sizes * (covariance @ sums)
+    return CoefficientEstimate(values, covariance * np.outer(sizes, sizes), is_observed, parts=parts)
+
+
+def _agreement(one: CoefficientEstimate, other: CoefficientEstimate) -> float:
+    """Probability of at least this difference of two estimates from separate data."""
+    both = one.is_observed & other.is_observed
+    difference = (one.values - other.values)[both]
+    covariance = (one.covariance + other.covariance)[np.ix_(both, both)]
+    roots = np.sqrt(np.diag(covariance))
+    scaled = difference / roots
+    chi2 = float(scaled @ np.linalg.solve(covariance / np.outer(roots, roots), scaled))
+    return chi2_p_value(int(both.sum()), chi2)
+
+
+def calibrate_rotations(
+    dwells: Sequence[tuple[DwellMarks, FrameBlock]], setup: MeasurementSetup
+) -> PlateauRotations:
+    """Coefficients from all dwells with rotations at one plateau."""
+    rotations = PlateauRotations(dwells[0][0])
+    try:
+        measured = [_measured(marks, frames, setup) for marks, frames in dwells]
+        temperatures_c = np.mean([each_c for _, each_c in measured], axis=0)
+        rotations = replace(
+            rotations,
+            gyro_c=triple(temperatures_c[:3]),
+            case_c=float(temperatures_c[3]),
+            gyro_rate_c_per_h=triple(temperatures_c[4:]),
+        )
+        recordings = [recording for pieces, _ in measured for recording, _ in pieces]
+        rests = [stretches for pieces, _ in measured for _, stretches in pieces]
+        if not recordings:
+            raise MeasurementError("too many increments are missing in the rotations. Check the CAN bus")
+        noise = setup.noise
+        walks = None if noise is None else (noise.angle_random_walk, noise.velocity_random_walk)
+        options = CalibrationOptions(whole_turns=setup.table_repeatability, walks=walks)
+        found = calibrate(recordings, setup.site, options, rests)
+        with_force = None
+        if not all(each.has_vertical for each in recordings):
+            with_force = _with_force(found, setup.site, options)
+    except MeasurementError as error:
+        return replace(rotations, finding=f"the rotations give no coefficients: {error}")
+    # The increments themselves are of no more use.
+    found = replace(found, recordings=(), sections=(), parts=rotation_parts(found, setup.site, options))
+    return replace(rotations, calibration=found, with_force=with_force)
+
+
+def _with_force(found: Calibration, site: Site, options: CalibrationOptions) -> CoefficientEstimate:
+    """The same estimate as uncertain as it would be if the vertical specific force were measured."""
+    sections = [replace(each, epochs=replace(each.epochs, has_vertical=True)) for each in found.sections]
+    information = Information.of(sections, found.starts, found.unknowns, found.noise, site, options)
+    _, covariance, is_observed = information.solve()
+    return CoefficientEstimate(found.values, covariance[:COUNT, :COUNT], is_observed[:COUNT])
+
+
+def _measured(
+    marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
+) -> tuple[list[tuple[IncrementRecording, list[Rest]]], FloatArray]:
+    """Increments of a dwell in pieces without a gap, each with its rests; temperatures (7,).
+
+    These are of gyros and case, and slopes of those of the gyros.
 
     Raises MeasurementError if what the INS sent can't be used.
     """
@@ -103,28 +288,23 @@ def measure_rotations(marks: DwellMarks, frames: FrameBlock, setup: MeasurementS
     first, end = marks.windows[0].first_frame, marks.windows[-1].end_frame
     temperatures = dwell_temperatures(navigation, first, end)
     increments = setup.decode_increments(frames)
-    has_force = increments is not None and len(increments.row) > 0
-    if increments is None or not has_force:
+    is_sent = increments is not None and len(increments.row) > 0
+    if increments is None or not is_sent:
         increments = navigated_increments(navigation, setup.site)
-    inside = (increments.row >= first) & (increments.row < end)
-    edges = np.flatnonzero(inside & ~increments.follows)
-    places = np.flatnonzero(inside)
-    bounds = np.unique([places[0], *edges, places[-1] + 1]) if len(places) else np.zeros(1, np.int64)
+    begin, stop = np.searchsorted(increments.row, [first, end])
+    gaps = begin + 1 + np.flatnonzero(~increments.follows[begin + 1 : stop])
     pieces = []
-    for begin, stop in itertools.pairwise(bounds.tolist()):
-        part = slice(begin, stop)
-        rests = [
-            Rest(*np.searchsorted(increments.row[part], [mark.first_frame, mark.end_frame]).tolist())
-            for mark in marks.windows
+    for part in itertools.starmap(slice, itertools.pairwise([begin, *gaps.tolist(), stop])):
+        ends = [
+            np.searchsorted(increments.row[part], [each.first_frame, each.end_frame])
+            for each in marks.windows
         ]
-        rests = [rest for rest in rests if rest.end > rest.begin]
-        if sum(rest.end - rest.begin for rest in rests) * increments.interval_s < MIN_REST_TOTAL_S:
-            continue
-        recording = IncrementRecording(
-            increments.interval_s, increments.angle[part], increments.velocity[part], has_vertical=has_force
-        )
-        pieces.append((recording, rests))
-    return RotatedDwell(pieces, temperatures.gyro_c, temperatures.case_c)
+        rests = [Rest(int(a), int(b)) for a, b in ends if b > a]
+        if sum(rest.end - rest.begin for rest in rests) * increments.interval_s >= MIN_REST_TOTAL_S:
+            angle, velocity = increments.angle[part], increments.velocity[part]
+            recording = IncrementRecording(increments.interval_s, angle, velocity, has_vertical=is_sent)
+            pieces.append((recording, rests))
+    return pieces, np.array([*temperatures.gyro_c, temperatures.case_c, *temperatures.gyro_rate_c_per_h])
 
 
 def navigated_increments(navigation: NavigationData, site: Site) -> Increments:
@@ -139,72 +319,26 @@ def navigated_increments(navigation: NavigationData, site: Site) -> Increments:
     east, north = (0.5 * (velocity[1:] + velocity[:-1])).T
     meridian, across = curvature_radii(site.latitude, site.height)
     transport = np.stack([-north / meridian, east / across, east * np.tan(site.latitude) / across], axis=-1)
-    earth = earth_rate_enu(site.latitude)
+    # Where the INS takes itself to be: in hours its drift changes the Earth's rate that it subtracts.
+    latitude = site.latitude + np.cumsum(north) * interval_s / meridian
+    earth = EARTH_RATE * np.stack([np.zeros_like(latitude), np.cos(latitude), np.sin(latitude)], axis=-1)
     turned, half = (rotation_matrices(part * (earth + transport) * interval_s) for part in (1.0, 0.5))
     angle = rotation_vectors(C_nb[:-1].transpose(0, 2, 1) @ turned @ C_nb[1:])
-    force = np.zeros((len(angle), 3))
-    force[:, :2] = np.diff(velocity, axis=0) / interval_s
-    moving = np.stack([east, north, np.zeros_like(east)], axis=-1)
-    force += np.cross(2.0 * earth + transport, moving)
+    force = np.cross(2.0 * earth + transport, np.stack([east, north, np.zeros_like(east)], axis=-1))
+    force[:, :2] += np.diff(velocity, axis=0) / interval_s
     force[:, 2] = site.gravity
     in_body = np.einsum("nji,njk,nk->ni", C_nb[:-1], half, force * interval_s)
     turning = np.cross(angle, in_body)
-    total = in_body - 0.5 * turning + np.cross(angle, turning) / 6.0
-    steady = np.abs(np.diff(time_s) / interval_s - 1.0) < _MAX_STEP - 1.0
-    follows = steady & np.concatenate([[False], steady[:-1]])
-    return Increments(navigation.row[1:], angle, total, follows, interval_s)
-
-
-def calibrate_plateau(
-    plateau: int, dwells: Sequence[tuple[DwellMarks, FrameBlock]], setup: MeasurementSetup
-) -> PlateauCalibration:
-    """Coefficients from all dwells with rotations at one plateau."""
-    marks = dwells[0][0]
-    measured: list[RotatedDwell] = []
-    nothing = math.nan
-    gyro_c, case_c, finding = (nothing, nothing, nothing), nothing, ""
-    values, covariance = np.zeros(COUNT), np.eye(COUNT)
-    is_observed, fit, has_force = np.zeros(COUNT, bool), None, False
-    try:
-        measured = [measure_rotations(*each, setup) for each in dwells]
-        temperatures = np.array([(*each.gyro_c, each.case_c) for each in measured])
-        *gyro, case_c = temperatures.mean(axis=0).tolist()
-        gyro_c = (gyro[0], gyro[1], gyro[2])
-        if np.ptp(temperatures, axis=0).max() > 2.0 * MAX_FROM_MEAN_K:
-            raise MeasurementError("the temperature of the unit changed by more than 10 K between dwells")
-        recordings = [recording for each in measured for recording, _ in each.pieces]
-        rests = [stretches for each in measured for _, stretches in each.pieces]
-        if not recordings:
-            raise MeasurementError("too many increments are missing. Check the CAN bus")
-        has_force = all(recording.has_vertical for recording in recordings)
-        found = calibrate(recordings, setup.site, _options(setup), rests)
-        values, covariance, is_observed, fit = found.values, found.covariance, found.is_observed, found.fit
-    except MeasurementError as error:
-        finding = str(error)
-    return PlateauCalibration(
-        plateau,
-        marks.cycle,
-        nothing if marks.chamber_set_c is None else marks.chamber_set_c,
-        gyro_c,
-        case_c,
-        values,
-        covariance,
-        is_observed,
-        has_force,
-        fit,
-        finding,
+    sums = in_body - 0.5 * turning + np.cross(angle, turning) / 12.0
+    # Rotation vectors and velocities hold coning and sculling, which increments of sensors do not.
+    last = np.maximum(np.arange(len(angle)) - 1, 0)
+    coning = np.cross(angle[last], angle) / 12.0
+    sculling = (np.cross(angle[last], sums) + np.cross(sums[last], angle)) / 12.0
+    steady = np.abs(np.diff(time_s) / interval_s - 1.0) < _MAX_STEP_ERROR
+    return Increments(
+        row=navigation.row[1:],
+        angle=angle - coning,
+        velocity=sums - sculling,
+        follows=steady,
+        interval_s=interval_s,
     )
-
-
-def calibrate_plateaus(
-    dwells: Iterator[tuple[DwellMarks, FrameBlock]], setup: MeasurementSetup
-) -> list[PlateauCalibration]:
-    """Coefficients plateau by plateau; ``dwells``: those with rotations, in the order of time."""
-    groups = itertools.groupby(dwells, lambda each: (each[0].run, each[0].cycle, each[0].chamber_set_c))
-    return [calibrate_plateau(number, list(group), setup) for number, (_, group) in enumerate(groups, 1)]
-
-
-def _options(setup: MeasurementSetup) -> CalibrationOptions:
-    noise = setup.noise
-    walks = None if noise is None else (noise.angle_random_walk, noise.velocity_random_walk)
-    return CalibrationOptions(whole_turns=setup.table_repeatability, walks=walks)

@@ -14,15 +14,19 @@ from typing import Any
 from gyrobench.bench.bias.acceptance import judge
 from gyrobench.bench.bias.bias_filter import Damping
 from gyrobench.bench.bias.bins import BiasBin, bin_biases, write_bins
+from gyrobench.bench.bias.budget import BiasBudget, BudgetedDwell, bias_budgets, with_budgets
 from gyrobench.bench.bias.joint_solution import JointDwell, JointSolution, pooled_up_rate, solve_jointly
 from gyrobench.bench.bias.noise_estimate import NoiseEstimate, estimate_noise
 from gyrobench.bench.bias.plateaus import PlannedDwell, group_plateaus
 from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits, write_acceptance
 from gyrobench.bench.bias.vertical_pairs import UpRate
+from gyrobench.bench.characteristics.allan_test import RateRecord
+from gyrobench.bench.characteristics.results import TestResult, write_characteristics
 from gyrobench.bench.dwells.check_dwell import CheckDwell, measure_check_dwell
 from gyrobench.bench.dwells.dwell import MeasuredDwell, MeasurementSetup, measure_dwell
 from gyrobench.bench.dwells.latitude import with_latitude
 from gyrobench.bench.dwells.marks import DwellMarks
+from gyrobench.bench.dwells.noise_record import rate_record
 from gyrobench.bench.dwells.plateau_calibration import PlateauCalibration
 from gyrobench.bench.dwells.temperatures import stuck_sensors
 from gyrobench.bench.foundations.errors import MeasurementError, RunFolderError
@@ -31,6 +35,7 @@ from gyrobench.bench.procedure.plan import Plan, PlannedStep
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.runs.tables.budget_table import budget_rows, coefficient_budget_rows, write_budget
 from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow, write_calibration_check
 from gyrobench.bench.runs.tables.coefficient_table import write_coefficients, write_correlations
 from gyrobench.bench.runs.tables.joint_table import (
@@ -63,7 +68,7 @@ def replay(folder: RunFolder, setup: MeasurementSetup) -> tuple[list[MeasuredDwe
 
 
 def _recorded(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:
-    finished = [marks for marks in finished_marks(folder) if not marks.is_rotated]
+    finished = [marks for marks in finished_marks(folder) if marks.gives_bias]
     parts = [marks.log_part for marks in finished if marks.windows]
     if len(set(parts)) < len(parts):
         raise RunFolderError(f"{folder.journal}: damaged: it places two dwells in one part of the log")
@@ -76,6 +81,15 @@ def rotated(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:
     for marks in finished_marks(folder):
         if marks.is_rotated and not marks.disturbances:
             yield marks, read_frames(folder, marks)
+
+
+def noise_records(folder: RunFolder, setup: MeasurementSetup) -> list[RateRecord]:
+    """Gyro rates of the finished noise records that nothing disturbed; raises as :func:`replay`."""
+    return [
+        rate_record(marks, read_frames(folder, marks), setup)
+        for marks in finished_marks(folder)
+        if marks.is_noise_record and not marks.disturbances
+    ]
 
 
 def finished_marks(folder: RunFolder) -> list[DwellMarks]:
@@ -196,16 +210,19 @@ class RunResults:
     #: As given; biases of vertical gyros without the effect of a wrong latitude, or flagged with it.
     dwells: list[MeasuredDwell] = field(default_factory=list)
     bins: list[BiasBin] = field(default_factory=list)  #: Bias per gyro, position and temperature.
+    budgets: list[BiasBudget] = field(default_factory=list)  #: Uncertainty budgets of dwells and bins.
     joint: list[JointSolution] = field(default_factory=list)  #: One for each plateau.
     #: Rate Up fixed in the navigation frame, from all plateaus whose dwells agree; None without any.
     up_rate: UpRate | None = None
     noise: NoiseEstimate | None = None  #: Of the INS, from its output; None where it is not observable.
     #: Biases that a calibration check measured, beside the calibrated ones.
     calibration_check: list[CalibrationCheckRow] = field(default_factory=list)
-    #: Coefficients of the sensors at each plateau with rotations.
+    #: Coefficients of the sensors at each plateau.
     coefficients: list[PlateauCalibration] = field(default_factory=list)
     #: Verdict on the unit by the limits of the procedure.
     acceptance: Acceptance = field(default_factory=Acceptance)
+    #: Results of the tests in the procedure.
+    characteristics: list[TestResult] = field(default_factory=list)
 
 
 def evaluate(
@@ -238,9 +255,13 @@ def evaluate(
     rate = pooled_up_rate(joint, setup.prior)
     evaluated = with_latitude(dwells, joint, rate, setup.prior)
     rows = [dwell.row for dwell in evaluated if dwell.estimate and not dwell.row.flags]
+    bins = bin_biases(rows, bin_width_c)
+    parts = [BudgetedDwell(each.row, each.estimate.parts) for each in evaluated if each.estimate]
+    budgets = bias_budgets(parts, bins, setup.budget_inputs)
     return RunResults(
         dwells=evaluated,
-        bins=bin_biases(rows, bin_width_c),
+        bins=with_budgets(bins, budgets),
+        budgets=budgets,
         joint=joint,
         up_rate=rate,
         noise=_noise([dwell for dwell in dwells if not dwell.is_disturbed], setup),
@@ -253,7 +274,7 @@ def planned_dwells(plan: Plan) -> list[PlannedDwell]:
     """Dwells of a plan that measure biases, in order, at the temperatures estimated for their beginning."""
     first: dict[int, PlannedStep] = {}
     for step in plan.steps:
-        if step.dwell is not None and not (step.is_calibration_check or step.is_rotated):
+        if step.dwell is not None and step.gives_bias and not step.is_calibration_check:
             first.setdefault(step.dwell, step)
     return [
         PlannedDwell(
@@ -277,17 +298,25 @@ def write_results(folder: RunFolder, results: RunResults) -> None:
     write_joint(folder.joint_biases, joint_bias_rows(results.joint, results.up_rate), JointBiasRow)
     write_joint(folder.joint, joint_plateau_rows(results.joint, results.up_rate), JointPlateauRow)
     write_acceptance(folder.acceptance, results.acceptance)
-    for stale in (folder.noise, folder.calibration_check, folder.coefficients, folder.correlations):
+    optional = (folder.noise, folder.calibration_check, folder.coefficients, folder.correlations)
+    for stale in (*optional, folder.budget, folder.characteristics):
         remove(stale)
+    budgets = budget_rows(results.budgets)
+    for plateau in results.coefficients:
+        budgets += coefficient_budget_rows(plateau.number, plateau.budgets)
+    if budgets:
+        write_budget(folder.budget, budgets)
     if results.coefficients:
         write_coefficients(folder.coefficients, [row for each in results.coefficients for row in each.rows()])
         write_correlations(
-            folder.correlations, [(each.plateau, each.correlations) for each in results.coefficients]
+            folder.correlations, [(each.number, each.correlations) for each in results.coefficients]
         )
     if results.noise is not None:
         write_noise(folder.noise, results.noise)
     if results.calibration_check:
         write_calibration_check(folder.calibration_check, results.calibration_check)
+    if results.characteristics:
+        write_characteristics(folder.characteristics, results.characteristics)
 
 
 def _joint_dwells(dwells: Sequence[MeasuredDwell]) -> list[JointDwell]:

@@ -13,6 +13,7 @@ from gyrobench.bench.dwells.plateau_calibration import calibrate_plateaus
 from gyrobench.bench.dwells.run_dwells import (
     RunResults,
     evaluate,
+    noise_records,
     planned_dwells,
     replay,
     rotated,
@@ -43,9 +44,13 @@ def evaluate_run(
     results = evaluate(
         dwells, setup, procedure.bin_width_c, procedure.acceptance, planned_dwells(plan), check
     )
-    results = replace(results, coefficients=calibrate_plateaus(rotated(folder), setup))
+    rows = [dwell.row for dwell in results.dwells]
+    coefficients = calibrate_plateaus(results.joint, rows, rotated(folder), setup)
+    records = noise_records(folder, setup) if procedure.tests.allan_variance else []
+    characteristics = procedure.tests.evaluate(rows, records)
+    results = replace(results, coefficients=coefficients, characteristics=characteristics)
     if results.dwells:
-        write_dwells(folder.dwells, [dwell.row for dwell in results.dwells])
+        write_dwells(folder.dwells, rows)
     write_results(folder, results)
     return results
 

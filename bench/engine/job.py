@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document
@@ -32,6 +33,9 @@ class Job:
     emulation: Emulation
     calibration: tuple[DwellRow, ...] = ()
     compensation: Compensation | None = None
+    #: Customer, order and item of the certificate, as far as they are given.
+    order: Mapping[str, str] = field(default_factory=dict)
+    acknowledged: tuple[str, ...] = ()  #: Instruments past due whose use the operator acknowledges.
 
     def emulated_world(self) -> dict[str, str | int]:
         """Options of the emulated instruments; empty where none is emulated."""
@@ -48,7 +52,19 @@ class Job:
     @property
     def options(self) -> dict[str, str | int]:
         """How it is run, as provenance and journal keep it; :func:`emulation_of` reads it."""
-        return {"clock": self.station.file.clock, **self.emulated_world()}
+        return {"clock": self.station.file.clock, **self.emulated_world(), **self.order}
+
+    def past_due(self) -> dict[str, str]:
+        """Instruments whose calibration is past due today, and since when."""
+        return self.station.file.traceability.past_due(WallClock().utc().date())
+
+    def check_calibrations(self) -> None:
+        """Raises DocumentError if an instrument is past due and not acknowledged."""
+        if left := {name: text for name, text in self.past_due().items() if name not in self.acknowledged}:
+            options = " ".join(f"--acknowledge {name}" for name in left)
+            raise DocumentError(
+                f"{self.station.path}: {'; '.join(left.values())}. Have it calibrated, or run with {options}"
+            )
 
 
 def emulation_of(folder: RunFolder, options: Mapping[str, Any] | None = None) -> Emulation:
@@ -70,11 +86,14 @@ def prepare_job(
     emulation: Emulation | None = None,
     calibration: Path | None = None,
     compensation: Compensation | None = None,
+    order: Mapping[str, str] | None = None,
+    acknowledged: Sequence[str] = (),
 ) -> Job:
     """Read procedure and station and check the one against the other.
 
     Calibration checks are compared with ``calibration``, a run folder or dwell table. ``compensation`` is
-    loaded into the INS after each power-on. Raises DocumentError with everything wrong with
+    loaded into the INS after each power-on. ``order``: customer, order and item, for the certificate;
+    ``acknowledged``: instruments that may be past due. Raises DocumentError with everything wrong with
     them and its places, or if the INS does not accept the compensation.
     """
     bench = Station(find_document("stations", station))
@@ -89,7 +108,10 @@ def prepare_job(
     rows = tuple(read_calibration(calibration)) if calibration else ()
     if compensation is not None:
         _check_compensation(bench, compensation)
-    return Job(document, plan, bench, emulation or Emulation(), rows, compensation)
+    given = {name: text for name, text in (order or {}).items() if text}
+    return Job(
+        document, plan, bench, emulation or Emulation(), rows, compensation, given, tuple(acknowledged)
+    )
 
 
 def job_in(folder: RunFolder, options: Mapping[str, Any] | None = None) -> Job:

@@ -55,9 +55,10 @@ def run_job(
 
     ``out`` is the run folder, by default a new one under ``runs/``; ``after`` are runs that this one
     continues. Raises BenchInUseError if another run holds the bench. Raises InstrumentError if an instrument
-    can't be reached; nothing has moved and there is no run folder. Raises RunFolderError if the run folder
-    can't be written.
+    can't be reached; nothing has moved and there is no run folder. Raises DocumentError if an instrument is
+    past due and not acknowledged, and RunFolderError if the run folder can't be written.
     """
+    job.check_calibrations()
     clock = after.clock if after else job.station.new_clock()
     start = _Start(
         job,
@@ -215,6 +216,9 @@ def _record_start(journal: Journal, start: _Start, setup: MeasurementSetup, obse
         operator=operator_name(),
         **({"unit": state.unit, "power_ons": state.power_ons} if state.power_ons else {}),
     )
+    for name, found in job.past_due().items():
+        journal.record("past_due", instrument=name, found=found, operator=operator_name())
+        observer.noted(f"Warning: {found}")
     journal.record("resolution", lines=[limit.text for limit in setup.resolution])
     for limit in setup.resolution:
         if not limit.sufficient:

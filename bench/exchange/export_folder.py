@@ -31,7 +31,10 @@ from gyrobench.bench.runs.journal import facts_of, read_journal
 from gyrobench.bench.runs.provenance import read_provenance
 
 _TEXT = frozenset(
-    {"unit", "run", "position", "gyro", "method", "finding", "flags", "effect", "compensation", "term"}
+    {
+        *("unit", "run", "position", "gyro", "method", "finding", "flags", "effect", "compensation", "term"),
+        *("result", "quantity", "axis", "contribution", "type", "distribution", "input_unit", "note"),
+    }
 )
 _WHOLE = frozenset({"dwell", "cycle", "stop", "dwells", "turned_dwell", "count", "part", "step", "mode"})
 #: By the end of the name, longer ends first.

@@ -34,6 +34,12 @@ def rms(values: ArrayLike) -> float:
     return float(np.sqrt(np.mean(squares))) if squares.size else np.nan
 
 
+def rms_of_known(values: ArrayLike) -> float:
+    """Root mean square of the values that are not NaN; NaN of none."""
+    values = np.asarray(values, dtype=np.float64)
+    return rms(values[~np.isnan(values)])
+
+
 def block_diagonal(*blocks: FloatArray) -> FloatArray:
     """Matrix with these along its diagonal and zeros elsewhere; a block may have no rows or columns."""
     ends = np.cumsum([(0, 0), *(each.shape for each in blocks)], axis=0)

@@ -28,6 +28,7 @@ _EXTRAS = {
     "weasyprint": "pdf",
     "asammdf": "mf4",
     "pandas": "pandas",
+    "prometheus_client": "metrics",
     "pymavlink": "logs",
     "pyulog": "logs",
     **dict.fromkeys(("cryptography", "lxml", "pyhanko", "signxml"), "certificate"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import secrets
 from collections.abc import Callable, Mapping, Sequence
@@ -13,11 +14,13 @@ from urllib.parse import quote, unquote, urlsplit
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
+from gyrobench.bench.foundations.errors import GyrobenchError, MissingPackageError, RunFolderError
 from gyrobench.bench.foundations.files import read_limited
 from gyrobench.bench.foundations.text import hours_minutes
 from gyrobench.bench.monitor.attitude_drawing import axes_drawing
-from gyrobench.bench.monitor.charts import bias_charts, profile_chart, window_charts
+from gyrobench.bench.monitor.charts import bias_charts, profile_chart, temperature_charts, window_charts
+from gyrobench.bench.monitor.metrics import CONTENT_TYPE as METRICS_TYPE
+from gyrobench.bench.monitor.metrics import metrics_text
 from gyrobench.bench.monitor.page_content import (
     Freshness,
     ListRow,
@@ -37,6 +40,7 @@ from gyrobench.bench.monitor.run_list import (
     signature_of,
     snapshot_of,
     summarise,
+    verdict_in,
 )
 from gyrobench.bench.monitor.server import HTML, RECORD_POLICY, Response, page_policy, refusal
 from gyrobench.bench.monitor.snapshot import Attitude, RunSnapshot
@@ -44,11 +48,13 @@ from gyrobench.bench.navigation.positions import POSITIONS, position_label
 from gyrobench.bench.report.number_format import true_minus
 
 
-def run_fragment(snapshot: RunSnapshot, freshness: Freshness, records: Mapping[str, str], home: str) -> str:
+def run_fragment(
+    snapshot: RunSnapshot, freshness: Freshness, records: Mapping[str, str], home: str, verdict: str = ""
+) -> str:
     """Content of the page of a run, which the page refreshes by itself.
 
-    ``records`` has addresses and titles of the pages in the run folder; ``home`` is the address of the list
-    of runs, empty if there is none.
+    ``verdict`` is that on the unit, empty if it was not judged. ``records`` has addresses and titles of the
+    pages in the run folder; ``home`` is the address of the list of runs, empty if there is none.
     """
     dwell = snapshot.dwell
     return _rendered(
@@ -58,7 +64,7 @@ def run_fragment(snapshot: RunSnapshot, freshness: Freshness, records: Mapping[s
         freshness=freshness,
         records=records,
         home=home,
-        top=headline(snapshot),
+        top=headline(snapshot, verdict),
         step_label=_step_label(snapshot),
         profile=profile_chart(snapshot),
         axes=axes_drawing(snapshot.attitude) if snapshot.attitude else None,
@@ -66,6 +72,7 @@ def run_fragment(snapshot: RunSnapshot, freshness: Freshness, records: Mapping[s
         readings=reading_rows(snapshot.bench) if snapshot.bench else [],
         windows=window_charts(dwell) if dwell else [],
         biases=bias_charts(dwell) if dwell else [],
+        temperatures=temperature_charts(snapshot.bins),
         bins=bin_tables(snapshot.bins),
         dwells=shown_dwells(snapshot.dwells),
     )
@@ -154,6 +161,8 @@ class Site:
             path = unquote(urlsplit(target).path, errors="strict")
         except ValueError:
             return refusal(HTTPStatus.BAD_REQUEST, "Invalid address.")
+        if path == "/metrics":
+            return self._metrics()
         if is_run(self._root):
             return self._of_run(self._root, path.removeprefix("/"), "")
         if path in ("/", f"/{_FRAGMENT}"):
@@ -191,7 +200,22 @@ class Site:
         except GyrobenchError as error:
             return problem_fragment(run.absolute().name, str(error), home)
         freshness = freshness_of(snapshot.state, snapshot.updated_utc, self._utc())
-        return run_fragment(snapshot, freshness, records_of(run), home)
+        verdict = verdict_in(run) if snapshot.state.is_over else ""
+        return run_fragment(snapshot, freshness, records_of(run), home, verdict)
+
+    def _metrics(self) -> Response:
+        """Metrics of the run, or of the newest runs of the folder; those that can't be read are left out."""
+        runs = [self._root] if is_run(self._root) else self._runs()[:_MAX_SNAPSHOTS]
+        found = []
+        for run in runs:
+            with contextlib.suppress(GyrobenchError):
+                snapshot = self._snapshots.of(run)
+                age_s = freshness_of(snapshot.state, snapshot.updated_utc, self._utc()).age_s
+                found.append((run, snapshot, age_s))
+        try:
+            return Response(HTTPStatus.OK, metrics_text(found), METRICS_TYPE)
+        except MissingPackageError as error:
+            return refusal(HTTPStatus.NOT_IMPLEMENTED, str(error))
 
     def _list(self) -> str:
         try:

@@ -47,7 +47,7 @@ _TURN_STEPS = 6
 _LEVEL = 1e-9
 _EAST_VELOCITY, _NORTH_VELOCITY, _LATITUDE = 3, 4, 5
 #: Outer axis East, inner axis Up, body axes East, North, Up with both angles at zero.
-_GIMBALS = TwoAxisTable(np.array([1.0, 0.0, 0.0]), UP, np.eye(3))
+GIMBALS = TwoAxisTable(np.array([1.0, 0.0, 0.0]), UP, np.eye(3))
 
 
 @dataclass(frozen=True)
@@ -91,6 +91,16 @@ def _both_senses(turns: tuple[tuple[Literal["outer", "inner"], float], ...]) -> 
 HALF_TURNS = _both_senses(
     (*((("inner", 180.0), ("outer", 180.0)) * 2), *((("inner", -180.0), ("outer", -180.0)) * 2))
 )
+
+_FORTH: tuple[tuple[Literal["outer", "inner"], float], ...] = (
+    ("inner", 180.0),
+    ("outer", 180.0),
+    ("inner", -180.0),
+    ("outer", -180.0),
+) * 2
+#: Sixteen half turns of which the last eight retrace the first eight, so that misalignments of the gyros
+#: average out like their scale factors: each turn sweeps the same way back.
+RETRACED_HALF_TURNS = RotationScheme((*_FORTH, *((axis, -angle) for axis, angle in reversed(_FORTH))))
 
 #: Thirty-two turns through all six positions, each at azimuths half a turn apart: sixteen attitudes.
 SIX_POSITIONS = _both_senses(
@@ -229,4 +239,4 @@ def _cycle(scheme: RotationScheme) -> tuple[FloatArray, FloatArray]:
         angles += [start] * dwell_steps
         angles += [tuple(np.add(start, share * np.subtract(end, start))) for share in shares]
         lengths += [scheme.dwell_s / dwell_steps] * dwell_steps + [turn_s / _TURN_STEPS] * _TURN_STEPS
-    return np.array(lengths), np.stack([_GIMBALS.attitude(outer, inner) for outer, inner in angles])
+    return np.array(lengths), np.stack([GIMBALS.attitude(outer, inner) for outer, inner in angles])

@@ -20,6 +20,7 @@ from pydantic import Field, PlainValidator, ValidationError
 from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
 
 from gyrobench.bench.bias.verdicts import AcceptanceLimits
+from gyrobench.bench.characteristics.tests import CharacteristicTests
 from gyrobench.bench.foundations.documents import (
     Document,
     Location,
@@ -126,6 +127,10 @@ class Procedure(StrictModel):
     )
     acceptance: AcceptanceLimits | None = Field(
         default=None, description="limits of the gyros; without them the unit is not judged"
+    )
+    tests: CharacteristicTests = Field(
+        default=CharacteristicTests(),
+        description="characteristics to determine from the dwells, beyond biases",
     )
     disturbed_dwell: Literal["repeat", "flag"] = Field(
         default="repeat", description="what to do with a dwell that a fault disturbed"

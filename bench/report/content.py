@@ -13,6 +13,7 @@ from gyrobench.bench.bias.bins import DEFAULT_WIDTH_C, BiasBin, bin_biases, read
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
 from gyrobench.bench.bias.noise_estimate import NoiseEstimate
 from gyrobench.bench.bias.verdicts import Acceptance, read_acceptance
+from gyrobench.bench.characteristics.results import TestResult, read_characteristics
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.documents import read_document
 from gyrobench.bench.foundations.errors import GyrobenchError
@@ -21,7 +22,9 @@ from gyrobench.bench.report.page import FINDINGS_FILE, Findings, read_findings_f
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import RunFacts, facts_of, read_journal
 from gyrobench.bench.runs.provenance import read_provenance
+from gyrobench.bench.runs.tables.budget_table import BudgetRow, read_budget
 from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow, read_calibration_check
+from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, read_coefficients
 from gyrobench.bench.runs.tables.joint_table import (
     JointBiasRow,
     JointPlateauRow,
@@ -30,6 +33,9 @@ from gyrobench.bench.runs.tables.joint_table import (
 )
 from gyrobench.bench.runs.tables.noise_file import read_noise
 from gyrobench.bench.runs.telemetry import read_telemetry
+
+#: Word across all that a run with emulated instruments gives.
+SIMULATED = "SIMULATED"
 
 T = TypeVar("T")
 Entry = Mapping[str, Any]
@@ -55,7 +61,10 @@ class RunContent:
     joint_biases: list[JointBiasRow] = field(default_factory=list)
     joint_plateaus: list[JointPlateauRow] = field(default_factory=list)
     noise: NoiseEstimate | None = None
+    budget: list[BudgetRow] = field(default_factory=list)  #: Uncertainty budgets; empty where missing.
     verification: list[CalibrationCheckRow] = field(default_factory=list)
+    coefficients: list[PlateauCoefficientRow] = field(default_factory=list)  #: Of the sensors.
+    characteristics: list[TestResult] = field(default_factory=list)  #: Results of the procedure's tests.
     acceptance: Acceptance | None = None  #: Verdict on the unit, or None.
     #: Results of the search for effects and of the verification on these dwells.
     chapters: list[Findings] = field(default_factory=list)
@@ -65,6 +74,13 @@ class RunContent:
     def facts(self) -> RunFacts:
         """Summary of the journal."""
         return facts_of(self.journal)
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether instruments were emulated: by the run's options, or an instrument's identification."""
+        options = {**self.provenance.get("options", {}), **self.facts.options}
+        identities = self.provenance.get("instruments", {}).values()
+        return "world" in options or any("emulator" in str(text) for text in identities)
 
     @property
     def marked_temperatures_c(self) -> list[float]:
@@ -119,8 +135,11 @@ def read_run(folder: RunFolder) -> RunContent:
         telemetry=read(folder.telemetry, read_telemetry, {}),
         joint_biases=read(folder.joint_biases, read_joint_biases, [], is_optional=True),
         joint_plateaus=read(folder.joint, read_joint_plateaus, [], is_optional=True),
+        budget=read(folder.budget, read_budget, [], is_optional=True),
         noise=read(folder.noise, read_noise, None, is_optional=True),
         verification=verification,
+        coefficients=read(folder.coefficients, read_coefficients, [], is_optional=True),
+        characteristics=read(folder.characteristics, read_characteristics, [], is_optional=True),
         acceptance=read(folder.acceptance, read_acceptance, None, is_optional=True),
         chapters=_chapters(folder, problems),
         problems=problems,

@@ -19,7 +19,7 @@ from pydantic.dataclasses import dataclass
 from gyrobench.bench.foundations.csv_tables import read_text
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.files import make_folder, parse_json, write_whole
-from gyrobench.bench.report.figures.style import is_drawn, save_figure
+from gyrobench.bench.report.figures.style import is_drawn, save_figure, stamp
 
 #: Name of the file that keeps findings beside their page, for the report of the run.
 FINDINGS_FILE = "findings.json"
@@ -120,11 +120,14 @@ class Findings:
 _FINDINGS = TypeAdapter(Findings)
 
 
-def render_page(page: Section, source: str, title: str = "", sign_off: str | None = None) -> str:
+def render_page(
+    page: Section, source: str, title: str = "", sign_off: str | None = None, watermark: str = ""
+) -> str:
     """Give a page, whose figures are PNG files, as HTML text.
 
     The source is the line below the page's title, ``title`` that of the browser's window. ``sign_off`` is the
-    name, which may be empty, for a sign-off table; it comes with a table of contents.
+    name, which may be empty, for a sign-off table; it comes with a table of contents. ``watermark`` is a word
+    across every page, with which there is no table to sign.
     """
     environment = Environment(
         loader=PackageLoader("gyrobench.bench.report"),
@@ -135,21 +138,28 @@ def render_page(page: Section, source: str, title: str = "", sign_off: str | Non
     )
     environment.filters["data_uri"] = _data_uri
     return environment.get_template(_PAGE).render(
-        page=page, source=source, title=title or f"{page.title}: {source}", sign_off=sign_off
+        page=page,
+        source=source,
+        title=title or f"{page.title}: {source}",
+        sign_off=sign_off,
+        watermark=watermark,
     )
 
 
-def with_figure_files(folder: Path, sections: Iterable[Section], key: str = "") -> list[Section]:
+def with_figure_files(
+    folder: Path, sections: Iterable[Section], key: str = "", watermark: str = ""
+) -> list[Section]:
     """Draw the figures of sections into an existing folder; gives the sections with PNG files.
 
-    Files that hold the key, a hash of all that the figures show, are kept.
+    Files that hold the key, a hash of all that the figures show, are kept. ``watermark`` is a word across
+    each figure.
 
     Raises RunFolderError if a file can't be written.
     """
     gc.freeze()  # or each collection below looks at all modules
     try:
         return [
-            replace(section, figures=[_as_file(folder, each, key) for each in section.figures])
+            replace(section, figures=[_as_file(folder, each, key, watermark) for each in section.figures])
             for section in sections
         ]
     finally:
@@ -190,15 +200,18 @@ def _with_pictures(section: Section, folder: Path) -> Section:
     return replace(section, figures=[replace(each, figure=path) for each, path in pictures if path.is_file()])
 
 
-def _as_file(folder: Path, drawn: SectionFigure, key: str) -> SectionFigure:
+def _as_file(folder: Path, drawn: SectionFigure, key: str, watermark: str) -> SectionFigure:
     if drawn.figure is None or isinstance(drawn.figure, Path):
         return drawn
     path = folder / f"{drawn.name}.png"
     if not is_drawn(path, key):
-        save_figure(drawn.figure(), path, key)
+        figure = drawn.figure()
+        stamp(figure, watermark)
+        save_figure(figure, path, key)
         gc.collect()  # figures are cycles of some megabytes
     return replace(drawn, figure=path)
 
 
 def _data_uri(path: Path) -> str:
-    return f"data:image/png;base64,{base64.b64encode(path.read_bytes()).decode()}"
+    kind = "svg+xml" if path.suffix == ".svg" else "png"
+    return f"data:image/{kind};base64,{base64.b64encode(path.read_bytes()).decode()}"

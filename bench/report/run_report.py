@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import logging
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -33,8 +34,11 @@ from gyrobench.bench.report.bias_sections import (
     dwells_section,
     gyro_section,
 )
+from gyrobench.bench.report.budget_section import CAPTION, budget_box, budget_section, shares
 from gyrobench.bench.report.calibration_check import dwells_text, verification_section, verification_sentence
-from gyrobench.bench.report.content import Entry, RunContent, read_run
+from gyrobench.bench.report.characteristics import characteristics_sections
+from gyrobench.bench.report.coefficients import coefficients_section
+from gyrobench.bench.report.content import SIMULATED, Entry, RunContent, read_run
 from gyrobench.bench.report.estimator_sections import (
     estimators_note,
     estimators_section,
@@ -43,6 +47,7 @@ from gyrobench.bench.report.estimator_sections import (
     noise_section,
 )
 from gyrobench.bench.report.figures.bias import bias_figure, bias_span_dph, position_difference_figure
+from gyrobench.bench.report.figures.budget import budget_figure
 from gyrobench.bench.report.figures.temperatures import Readings, temperature_figure
 from gyrobench.bench.report.journal_sections import durations_section, events_section
 from gyrobench.bench.report.page import Box, Section, SectionFigure, render_page, with_figure_files
@@ -105,10 +110,14 @@ def write_report(
     compared = [before_after_section(earlier, content, marked_c)] if earlier else []
     drawn = run_figures(content.telemetry, content.dwells, content.bins, content.acceptance, marked_c)
     figures = Section("", figures=[SectionFigure(name, "", figure) for name, figure in drawn])
+    if uncertainties := shares(content.budget):
+        first = SectionFigure("uncertainty_budget", "", partial(budget_figure, uncertainties))
+        figures = replace(figures, figures=[*figures.figures, first])
     [own, *sections] = with_figure_files(
         into.figures,
         [figures, *compared, *_analysis_sections(content, marked_c)],
         _figures_key(content, earlier, marked_c),
+        _watermark(content),
     )
     paths = [each.figure for each in own.figures if isinstance(each.figure, Path)]
     write_whole(into.report, render(content, paths, sections, hashes, by).encode())
@@ -120,7 +129,16 @@ def write_report(
 def _figures_key(content: RunContent, before: RunContent | None, marked_c: Sequence[float]) -> str:
     """Hash of what the figures show and of the code that draws them."""
     code = sorted(file_sha256(each) for each in Path(__file__).parent.rglob("*.py"))
-    tables = content.dwells, content.bins, content.acceptance, content.noise, before.bins if before else None
+    tables = (
+        content.dwells,
+        content.bins,
+        content.acceptance,
+        content.noise,
+        shares(content.budget),
+        content.coefficients,
+        content.characteristics,
+        before.bins if before else None,
+    )
     programs = __version__, matplotlib.__version__
     with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
         inputs = repr((tables, content.station, marked_c, code, programs, list(content.telemetry)))
@@ -168,9 +186,20 @@ def render(
     title = f"Gyro bias of unit {unit}" if unit else "Gyro bias"
     started = f", started {facts['started']}" if "started" in facts else ""
     page = Section(
-        title, boxes=verdict_boxes(content), facts=facts, sections=[part for part in parts if part]
+        title,
+        boxes=verdict_boxes(content),
+        facts=facts,
+        figures=[
+            SectionFigure(name, CAPTION, drawn[name]) for name in ("uncertainty_budget",) if name in drawn
+        ],
+        sections=[part for part in parts if part],
     )
-    return render_page(page, f"Run {content.name}{started}", f"{title}: {content.name}", prepared_by)
+    source = f"Run {content.name}{started}"
+    return render_page(page, source, f"{title}: {content.name}", prepared_by, _watermark(content))
+
+
+def _watermark(content: RunContent) -> str:
+    return SIMULATED if content.is_simulated else ""
 
 
 def _with_hashes(folder: RunFolder) -> tuple[RunContent, list[DataHash]]:
@@ -185,6 +214,9 @@ def _with_hashes(folder: RunFolder) -> tuple[RunContent, list[DataHash]]:
 def _analysis_sections(content: RunContent, marked_c: Sequence[float]) -> list[Section]:
     """Sections that this run has data for."""
     sections = [
+        coefficients_section(content.coefficients),
+        *characteristics_sections(content.characteristics),
+        budget_section(content.budget),
         estimators_section(content.dwells, marked_c),
         fit_section(content.dwells),
         joint_section(content.joint_biases, content.joint_plateaus),
@@ -199,6 +231,10 @@ def verdict_boxes(content: RunContent) -> list[Box]:
     facts, acceptance = content.facts, content.acceptance
     is_safe = not any(action.get("problem") for action in facts.safe_state)
     notes = [f"Unfinished step: {open_step_of(content)}."] if open_step_of(content) else []
+    notes += [
+        f"Past due: {each.get('found')}; acknowledged by {each.get('operator')}."
+        for each in content.entries("past_due")
+    ]
     notes += [] if is_safe else ["The safe state was not fully reached; see the section Safe state."]
     colour = facts.ended if is_safe and facts.ended in ("finished", "stopped") else "failed"
     gist = f"The run {facts.ended}." if facts.ended else "The run has not ended."
@@ -206,6 +242,8 @@ def verdict_boxes(content: RunContent) -> list[Box]:
     if acceptance:
         verdict = acceptance.verdict
         boxes.append(Box(VERDICT_COLOURS[verdict], f"Unit {verdict}.", verdict_sentence(acceptance)))
+    if found := budget_box(content.budget):
+        boxes.append(found)
     for last in content.joint_plateaus[-1:]:
         finding, error = Finding[last.finding.upper()], last.latitude_error_arcmin
         if text := latitude_sentence(finding, error, last.latitude_error_sigma_arcmin):
@@ -347,11 +385,19 @@ _LACKING = (
 
 
 def write_pdf(page: Path, pdf: Path) -> Path:
-    """Convert a self-contained HTML page to PDF.
+    """Convert a page of :func:`write_report` to PDF; raises what :func:`pdf_of` does.
 
-    ``page``: a page of :func:`write_report`. ``pdf``: output file. Raises GyrobenchError if a system library
-    is missing. Raises MissingPackageError if weasyprint is not installed. Raises RunFolderError if the file
-    can't be written.
+    Raises RunFolderError if the file can't be written.
+    """
+    write_whole(pdf, pdf_of(page.read_text(encoding="utf-8")))
+    return pdf
+
+
+def pdf_of(page: str, attachments: Mapping[str, bytes] | None = None, variant: str | None = None) -> bytes:
+    """Convert a self-contained HTML page to PDF with tags.
+
+    ``attachments``: files inside the PDF, by name. ``variant``: as "pdf/a-3a"; default: plain PDF. Raises
+    GyrobenchError if a system library is missing, and MissingPackageError if weasyprint is not installed.
     """
     try:
         html, urls = require("weasyprint"), require("weasyprint.urls")
@@ -360,11 +406,12 @@ def write_pdf(page: Path, pdf: Path) -> Path:
     for name in ("weasyprint", "fontTools"):
         logging.getLogger(name).setLevel(logging.ERROR)
     # Pictures are embedded: no other address is fetched.
-    document = html.HTML(
-        string=page.read_text(encoding="utf-8"), url_fetcher=urls.URLFetcher(allowed_protocols=["data"])
-    )
-    write_whole(pdf, document.write_pdf())
-    return pdf
+    document = html.HTML(string=page, url_fetcher=urls.URLFetcher(allowed_protocols=["data"]))
+    added = [
+        html.Attachment(file_obj=io.BytesIO(content), name=name, relationship="Source")
+        for name, content in (attachments or {}).items()
+    ]
+    return document.write_pdf(pdf_variant=variant, pdf_tags=True, attachments=added)  # type: ignore[no-any-return]
 
 
 def run_figures(

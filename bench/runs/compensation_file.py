@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.documents import StrictModel, read_document, validate
 from gyrobench.bench.foundations.files import write_whole
-from gyrobench.drivers.ins.command_map import NUMBERS, Compensation
+from gyrobench.drivers.ins.command_map import NUMBERS, Compensation, Correction
 
 _OfGyros = Annotated[list[float], Field(min_length=3, max_length=3)]
 _Vectors = Annotated[list[_OfGyros], Field(min_length=3, max_length=3)]
@@ -32,10 +32,21 @@ _Name = Literal[
     "half_width_k",
 ]
 
+
+class CorrectionEntry(StrictModel):
+    """One other coefficient of gyro or accelerometer, in its unit: ppm, arcsec or ug."""
+
+    polynomial: Annotated[list[float], Field(min_length=1, max_length=4)] = Field(
+        description="coefficients from degree 0 up, T in degC"
+    )
+    rate_per_c_per_h: float = Field(0.0, description="per rate of T")
+    gravity_per_g: _OfGyros = Field([0.0, 0.0, 0.0], description="along Up")
+
+
 _HEAD = """\
 # Compensation of the gyros x, y, z: what each subtracts. T is the temperature of its optics, B that of
 # its electronics, Up the unit vector in body axes. sigma: standard uncertainty of each number; those of one
-# gyro are correlated.
+# gyro are correlated. coefficients: others of gyros and accelerometers, taken out after the biases.
 """
 
 
@@ -67,6 +78,12 @@ class CompensationFile(StrictModel):
         default=None, description="standard uncertainty of each number, by its key; an INS does not get them"
     )
 
+    coefficients: dict[str, CorrectionEntry] | None = Field(
+        default=None,
+        description="other coefficients by name: gyro_scale_factor_x in ppm, gyro_misalignment_xy in arcsec, "
+        "accelerometer_bias_x in ug, accelerometer_scale_factor_x, accelerometer_misalignment_yx",
+    )
+
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
         if len({len(row) for row in self.polynomial_dph}) > 1:
@@ -76,9 +93,13 @@ class CompensationFile(StrictModel):
 
     def compensation(self) -> Compensation:
         """Give what the file describes."""
-        numbers = {name: np.array(value) for name, value in self if value is not None and name != "sigma"}
+        numbers = {name: np.array(value) for name, value in self if value is not None and name in NUMBERS}
         sigma: dict[str, FloatArray] = {name: np.array(value) for name, value in (self.sigma or {}).items()}
-        return Compensation(**numbers, sigma=sigma)
+        corrections = {
+            name: Correction(np.array(each.polynomial), each.rate_per_c_per_h, np.array(each.gravity_per_g))
+            for name, each in (self.coefficients or {}).items()
+        }
+        return Compensation(**numbers, sigma=sigma, coefficients=corrections)
 
 
 def write_compensation(path: Path, compensation: Compensation) -> None:
@@ -93,7 +114,18 @@ def write_compensation(path: Path, compensation: Compensation) -> None:
     }
     sigma = {name: value.tolist() for name, value in compensation.sigma.items() if value.any()}
     content |= {"sigma": sigma} if sigma else {}
+    corrections = {name: _entry(compensation.coefficients[name]) for name in compensation.corrected()}
+    content |= {"coefficients": corrections} if corrections else {}
     write_whole(path, (_HEAD + yaml.safe_dump(content, sort_keys=False, default_flow_style=None)).encode())
+
+
+def _entry(correction: Correction) -> dict[str, Any]:
+    entry: dict[str, Any] = {"polynomial": correction.polynomial.tolist()}
+    if correction.rate_per_c_per_h:
+        entry["rate_per_c_per_h"] = float(correction.rate_per_c_per_h)
+    if correction.gravity_per_g.any():
+        entry["gravity_per_g"] = correction.gravity_per_g.tolist()
+    return entry
 
 
 def read_compensation(path: Path) -> Compensation:

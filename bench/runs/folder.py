@@ -70,11 +70,13 @@ class RunFolder:
     telemetry = PathInside("telemetry")  #: Folder of the bench's readings.
     dwells = PathInside(DWELLS)  #: The dwell table.
     bias_bins = PathInside(BIAS_BINS)  #: Bias per gyro, position and temperature bin.
+    budget = PathInside("budget.csv")  #: Uncertainty budget of each dwell and bin.
     joint_biases = PathInside("joint_biases.csv")  #: Biases of the dwells of each plateau solved together.
     joint = PathInside("joint.csv")  #: Parameters common to the dwells of each plateau.
     coefficients = PathInside("coefficients.csv")  #: Coefficients of the sensors at each plateau.
     correlations = PathInside("correlations.csv")  #: Their correlations.
     noise = PathInside("noise.json")  #: Noise of the INS.
+    characteristics = PathInside("characteristics.json")  #: Results of the procedure's tests.
     acceptance = PathInside(ACCEPTANCE)  #: Verdict on the unit.
     calibration = PathInside("calibration.csv")  #: The dwell table of the calibration that was checked.
     compensation = PathInside(COMPENSATION)  #: The compensation that was loaded into the INS.

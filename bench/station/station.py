@@ -110,7 +110,7 @@ class Station:
         """Prior knowledge of the INS and the site."""
         return PriorKnowledge.from_datasheet(
             latitude_arcmin=self.file.location.latitude_uncertainty_arcmin,
-            **self.file.ins.uncertainty.model_dump(),
+            **self.file.ins.uncertainty.model_dump(exclude={"gyro_temperature_c"}),
         )
 
     def plan(self, document: Document, procedure: Procedure, bench: BenchEstimate | None = None) -> Plan:

@@ -30,6 +30,7 @@ from gyrobench.bench.station.instrument_sections import (
     without_password,
 )
 from gyrobench.bench.station.interlocks import Interlocks
+from gyrobench.bench.station.laboratory import LaboratorySection, Traceability
 from gyrobench.bench.station.receivers import Receiver
 from gyrobench.drivers.ins.command_map import CommandMap
 from gyrobench.drivers.ins.signal_map import SignalMap
@@ -154,6 +155,9 @@ class InsUncertainty(StrictModel):
     bias_slope_dph_per_c: NotNegative = Field(
         0.001, description="change of a gyro's bias with its temperature, deg/h/K"
     )
+    gyro_temperature_c: NotNegative | None = Field(
+        None, description="the gyros' temperature sensors, K; for the uncertainty budget"
+    )
 
 
 class InsSection(StrictModel):
@@ -265,6 +269,10 @@ class StationFile(StrictModel):
     )
     interlocks: Interlocks = Field(
         Interlocks(), description="what is monitored, and how the run resumes after a trip"
+    )
+    laboratory: LaboratorySection | None = Field(None, description="the laboratory, for certificates")
+    traceability: Traceability = Field(
+        Traceability(), description="calibrations of the instruments that results are traced to"
     )
     messages: Annotated[list[Receiver], Field(max_length=20)] = Field(
         [], description="receivers of messages about a run, also of an emulated one"

@@ -16,6 +16,10 @@ axes, the bias of gyro i is::
     + warm_up_i exp(-t / tau_i)                             t: time since power-on
     + hysteresis_i (play_i(T) - T)
 
+Any other coefficient of gyro and accelerometer i is::
+
+    polynomial(T) + rate dT/dt + gravity . Up
+
 Nothing is extrapolated: T, dT/dt and B - T are clipped to the fitted ranges.
 """
 
@@ -64,12 +68,42 @@ _ON_DIFFERENCE = ("gradient_dph_per_k", "saturating_dph_per_k", "growing_dph_per
 _VECTORS = ("saturating_dph_per_k", "growing_dph_per_k", "gravity_dph_per_g")
 
 
+#: Highest degree of the polynomials of :class:`Correction`, and their numbers in an INS.
+CORRECTION_DEGREE = 3
+CORRECTION_NUMBERS = CORRECTION_DEGREE + 5
+
+
 def _zeros() -> FloatArray:
     return np.zeros(3)
 
 
 def _zero_vectors() -> FloatArray:
     return np.zeros((3, 3))
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """What an INS takes as one coefficient, in the unit of its kind: ppm, arcsec or ug.
+
+    Raises MeasurementError if a number is not finite, or there are too many or too few.
+    """
+
+    polynomial: FloatArray  #: Shape (k,), k at most 4. From degree 0 up, T in degC.
+    rate_per_c_per_h: float = 0.0  #: Per dT/dt.
+    gravity_per_g: FloatArray = field(default_factory=_zeros)  #: Shape (3,). Vector in body axes.
+
+    def __post_init__(self) -> None:
+        is_shaped = 1 <= self.polynomial.size <= CORRECTION_DEGREE + 1 and self.gravity_per_g.shape == (3,)
+        if not is_shaped or not np.isfinite(self.numbers()).all():
+            raise MeasurementError(
+                f"compensation: a coefficient takes finite numbers, 1 to {CORRECTION_DEGREE + 1} of the "
+                "polynomial and 3 along gravity"
+            )
+
+    def numbers(self) -> FloatArray:
+        """All numbers (8,) in the order of an INS: polynomial, rate, gravity along x, y, z."""
+        polynomial = np.pad(self.polynomial, (0, CORRECTION_DEGREE + 1 - self.polynomial.size))
+        return np.concatenate([polynomial, [self.rate_per_c_per_h], self.gravity_per_g])
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,6 +146,10 @@ class Compensation:
     #: Standard uncertainties of the numbers by name, in the shapes of these; those of a gyro are
     #: correlated. An INS does not get them.
     sigma: Mapping[str, FloatArray] = field(default_factory=dict)
+    #: Other coefficients by name: ``gyro_scale_factor_x``, ``gyro_misalignment_xy``,
+    #: ``accelerometer_bias_x``, ``accelerometer_scale_factor_x``, ``accelerometer_misalignment_yx``. T and
+    #: dT/dt are those of the gyro along the sensor's axis, and clipped as for its bias.
+    coefficients: Mapping[str, Correction] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name in NUMBERS:
@@ -128,14 +166,37 @@ class Compensation:
         for name, scale in _SCALES.items():
             if (_used(getattr(self, name)) & (getattr(self, scale) <= 0.0)).any():
                 raise MeasurementError(f"compensation: {name} needs {scale} above zero")
+        for name, each in self.coefficients.items():
+            axis = correction_place(name)[1]
+            if each.rate_per_c_per_h and not self.rate_limit_c_per_h[axis] > 0.0:
+                raise MeasurementError(
+                    f"compensation: the rate of {name} needs rate_limit_c_per_h above zero"
+                )
         no_range = self.difference_low_k == self.difference_high_k
         for name in _ON_DIFFERENCE:
             if (_used(getattr(self, name)) & no_range).any():
                 raise MeasurementError(f"compensation: {name} needs difference_low_k below difference_high_k")
 
     def terms(self) -> tuple[str, ...]:
-        """Names of the :data:`TERMS` that are used."""
-        return tuple(term for term, name in TERMS.items() if np.any(getattr(self, name)))
+        """Names of the :data:`TERMS` that are used, and of the other coefficients."""
+        used = (term for term, name in TERMS.items() if np.any(getattr(self, name)))
+        return (*used, *self.corrected())
+
+    def corrected(self) -> tuple[str, ...]:
+        """Names of the other coefficients that are not zero."""
+        return tuple(name for name, each in self.coefficients.items() if each.numbers().any())
+
+    def is_like(self, other: Compensation) -> bool:
+        """Whether an INS gets the same numbers."""
+        names = self.corrected()
+        return (
+            all(np.array_equal(getattr(self, name), getattr(other, name)) for name in NUMBERS)
+            and set(names) == set(other.corrected())
+            and all(
+                np.array_equal(self.coefficients[name].numbers(), other.coefficients[name].numbers())
+                for name in names
+            )
+        )
 
     def _check_array(self, name: str, value: FloatArray, of: str = "") -> None:
         shape: tuple[int, ...] = (3, 3) if name in _VECTORS else (3,)
@@ -150,7 +211,30 @@ class Compensation:
 
 
 #: Names of the numbers of a compensation.
-NUMBERS = tuple(each.name for each in fields(Compensation) if each.name != "sigma")
+NUMBERS = tuple(each.name for each in fields(Compensation) if each.name not in {"sigma", "coefficients"})
+_SENSORS = {
+    "gyro": ("scale_factor", "misalignment"),
+    "accelerometer": ("bias", "scale_factor", "misalignment"),
+}
+
+
+def correction_place(name: str) -> tuple[str, int, int | None]:
+    """Sensor, its axis (0 for x), and the axis that a coefficient makes it sense; None for a bias.
+
+    Raises MeasurementError if the name is not that of a coefficient.
+    """
+    sensor, _, rest = name.partition("_")
+    kind, _, axes = rest.rpartition("_")
+    places = ["xyz".find(axis) for axis in axes]
+    is_pair = kind == "misalignment"
+    if (
+        kind not in _SENSORS.get(sensor, ())
+        or -1 in places
+        or len(places) != 1 + is_pair
+        or (is_pair and places[0] == places[1])
+    ):
+        raise MeasurementError(f"compensation: {name} is not a coefficient")
+    return sensor, places[0], None if kind == "bias" else places[-1]
 
 
 def checksum(numbers: Iterable[float]) -> int:
@@ -234,6 +318,22 @@ _REQUIRED_WITH = {
 }
 
 
+class CorrectionIndices(StrictModel):
+    """First of the eight indices of each other coefficient of a sensor: see :meth:`Correction.numbers`."""
+
+    gyro: Vector = Field(description="first indices: how much the gyro senses of rates about x, y, z")
+    accelerometer_bias: int = Field(description="first index: bias of the accelerometer")
+    accelerometer: Vector = Field(
+        description="first indices: how much the accelerometer senses of forces along x, y, z"
+    )
+
+    def first(self, sensor: str, sensed: int | None) -> int:
+        """First index of a coefficient."""
+        if sensed is None:
+            return self.accelerometer_bias
+        return (self.gyro if sensor == "gyro" else self.accelerometer)[sensed]
+
+
 class CoefficientCommand(Command):
     """Loads one number of the compensation: ``$value`` at ``$index`` for the gyro ``$axis``.
 
@@ -244,6 +344,10 @@ class CoefficientCommand(Command):
     lowest_index: int | None = Field(None, description="index of the lowest temperature of validity")
     highest_index: int | None = Field(None, description="index of the highest temperature of validity")
     terms: TermIndices = Field(TermIndices(), description="indices of the terms beyond the polynomial")
+    others: CorrectionIndices | None = Field(
+        None,
+        description="first of the eight indices of other coefficients: of T^0 to T^3, rate, x, y, z of Up",
+    )
 
     def supported_terms(self) -> list[str]:
         """Names of the terms that the INS supports."""
@@ -252,6 +356,7 @@ class CoefficientCommand(Command):
     def unsupported(self, compensation: Compensation) -> list[str]:
         """Parts of a compensation that the INS does not support, in words."""
         supported = self.supported_terms()
+        supported += compensation.corrected() if self.others is not None else ()
         parts = [term for term in compensation.terms() if term not in supported]
         degree = int(np.flatnonzero(compensation.polynomial_dph.any(axis=0)).max(initial=0))
         if degree >= self.coefficients:
@@ -270,7 +375,18 @@ class CoefficientCommand(Command):
             if index is not None:
                 values = np.atleast_1d(getattr(compensation, name)[axis])
                 numbers.update(zip(np.atleast_1d(index).tolist(), values.tolist(), strict=True))
+        if self.others is not None and compensation.corrected():
+            numbers |= dict.fromkeys(self._indices_of_others(self.others), 0.0)
+            for name, each in compensation.coefficients.items():
+                sensor, sensor_axis, sensed = correction_place(name)
+                if sensor_axis == axis:
+                    numbers |= dict(enumerate(each.numbers().tolist(), self.others.first(sensor, sensed)))
         return dict(sorted(numbers.items()))
+
+    @staticmethod
+    def _indices_of_others(others: CorrectionIndices) -> list[int]:
+        firsts = (*others.gyro, others.accelerometer_bias, *others.accelerometer)
+        return [first + place for first in firsts for place in range(CORRECTION_NUMBERS)]
 
 
 class CommandMap(StrictModel):

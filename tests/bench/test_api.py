@@ -31,6 +31,9 @@ def test_tables_of_a_run_have_units_text_and_numbers(run):
     assert run.dwells["position"].tolist() == ["z_up"]
     assert run.dwells["flags"].tolist() == [""]
     assert run.bias_bins["bias_dph"].notna().sum() == 3
+    combined = run.budget[run.budget["contribution"] == "combined"]
+    assert combined["sigma"].tolist()[:3] == pytest.approx(run.bias_bins["sigma_dph"].dropna().tolist())
+    assert combined["expanded"].gt(combined["sigma"]).all()
     assert {"time_s", "chamber_c", "gyro_x_c"} <= set(run.telemetry)
     assert run.telemetry.attrs["units"]["chamber_c"] == "degC"
 

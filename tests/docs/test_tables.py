@@ -9,13 +9,16 @@ import pytest
 from gyrobench.bench.bias import dwell_table
 from gyrobench.bench.bias.allan import AllanVariance, RateNoise
 from gyrobench.bench.bias.bins import BiasBin
+from gyrobench.bench.bias.budget import SOURCES
 from gyrobench.bench.bias.noise_estimate import ChannelNoise, NoiseEstimate
 from gyrobench.bench.bias.vertical_pairs import Finding
 from gyrobench.bench.closure.campaign import Table
-from gyrobench.bench.closure.files import PREDICTION_COLUMNS, closure_document, model_document
+from gyrobench.bench.closure.files import closure_document, model_document, prediction_columns
 from gyrobench.bench.closure.loop import rotated
+from gyrobench.bench.closure.quantity import GYRO_BIAS
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.tables import calibration_check_table
+from gyrobench.bench.runs.tables.budget_table import ANY_POWER_CYCLE, COMBINED, BudgetRow
 from gyrobench.bench.runs.tables.joint_table import JointBiasRow, JointPlateauRow, columns
 from gyrobench.bench.verification.compensation_verification import COLUMNS
 from tests.bench.report.made_up_closure import explained
@@ -47,11 +50,12 @@ def values_of_findings():
     [
         ("dwells.csv", set(dwell_table.COLUMNS)),
         ("bias_bins.csv", names(BiasBin)),
+        ("budget.csv", names(BudgetRow) | set(SOURCES) | {COMBINED, ANY_POWER_CYCLE}),
         ("joint.csv", set(columns(JointPlateauRow)) | {"finding"} | values_of_findings()),
         ("joint_biases.csv", set(columns(JointBiasRow))),
         ("verification.csv", set(calibration_check_table.COLUMNS)),
         ("noise.json", names(NoiseEstimate) | names(ChannelNoise)),
-        ("predictions.csv", set(PREDICTION_COLUMNS)),
+        ("predictions.csv", set(prediction_columns(GYRO_BIAS))),
         ("comparison.csv", set(COLUMNS)),
     ],
 )

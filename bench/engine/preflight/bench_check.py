@@ -5,13 +5,13 @@ from __future__ import annotations
 import contextlib
 import math
 import shutil
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from gyrobench.bench.engine.observers import RunOutcome
 from gyrobench.bench.engine.preflight.ins import CanTraffic, ins_checks
 from gyrobench.bench.engine.preflight.instruments import ANSWERS, chamber_checks, table_checks
-from gyrobench.bench.foundations.clock import Clock
+from gyrobench.bench.foundations.clock import Clock, WallClock
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.foundations.text import hours_minutes, listed, plain_name
@@ -19,6 +19,7 @@ from gyrobench.bench.messages.delivery import read_secret
 from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.provenance import operator_name
 from gyrobench.bench.runs.telemetry import COLUMNS
 from gyrobench.bench.station.instruments import Emulation, Outputs, open_ins
 from gyrobench.bench.station.locks import BenchLock
@@ -39,7 +40,12 @@ _GB = 1e9
 
 
 def check_bench(
-    station: str, procedure: str | None, emulation: Emulation, folder: Path, clock: Clock | None = None
+    station: str,
+    procedure: str | None,
+    emulation: Emulation,
+    folder: Path,
+    clock: Clock | None = None,
+    acknowledged: Sequence[str] = (),
 ) -> list[Check]:
     """Check whether a bench is ready for a procedure, or for any where none is given. Moves nothing.
 
@@ -53,6 +59,8 @@ def check_bench(
         Parent of the run folder.
     clock : Clock, optional
         Default: the clock of the station.
+    acknowledged : sequence of str
+        Instruments whose calibration may be past due, in the operator's name.
 
     Raises
     ------
@@ -79,12 +87,26 @@ def check_bench(
         traffic = CanTraffic()
         return [
             procedure_check,
+            *calibration_checks(bench, acknowledged),
             *table_checks(bench, lambda: outputs.table),
             *chamber_checks(bench, lambda: outputs.chamber),
             *ins_checks(bench, outputs, ins, clock, traffic),
             disk_check(bench, folder, plan, traffic.frames_per_s),
             *map(_message_check, bench.file.messages),
         ]
+
+
+def calibration_checks(station: Station, acknowledged: Sequence[str]) -> Iterator[Check]:
+    """Check that the calibration of each instrument with one in the station file is not past due."""
+    today = WallClock().utc().date()
+    past_due = station.file.traceability.past_due(today)
+    for name, instrument in station.file.traceability.instruments():
+        found = past_due.get(name, f"certificate {instrument.certificate}, due {instrument.due}")
+        is_good = name not in past_due or name in acknowledged
+        if name in past_due and is_good:
+            found += f"; acknowledged by {operator_name()}"
+        advice = f"Have it calibrated, or acknowledge it with --acknowledge {name}."
+        yield Check.of(plain_name(name), "calibration", is_good, found, advice)
 
 
 def signal_map_check(outcome: RunOutcome, folder: RunFolder) -> Check:

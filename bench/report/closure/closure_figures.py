@@ -10,8 +10,8 @@ import numpy as np
 
 from gyrobench.bench.closure.loop import Closure, FoundEffect
 from gyrobench.bench.closure.search import SIGNIFICANCE
-from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms
-from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms_of_known
+from gyrobench.bench.navigation.positions import AXES, POSITIONS, position_label
 from gyrobench.bench.report.closure.closure_text import (
     held_out_cycles,
     is_noise_only,
@@ -84,14 +84,14 @@ def closure_residual_figure(closure: Closure, gyro: str) -> Figure:
     """
     axis = AXES.index(gyro)
     residuals = {name: residuals_dph(closure, model)[:, axis] for name, model in models_of(closure).items()}
-    noise = rms(noise_dph(closure)[:, axis])
+    noise = rms_of_known(noise_dph(closure)[:, axis])
     scale = scale_of_errors(closure)
     against = _against(closure, axis)
-    largest = _MARGIN * scale.factor * max(float(np.abs(each).max()) for each in residuals.values())
+    largest = _MARGIN * scale.factor * max(float(np.nanmax(np.abs(each))) for each in residuals.values())
     figure = new_figure(0.8 + 1.75 * len(residuals), right_in=0.07, bottom_in=0.65, hspace=0.22)
     grid = figure.subplots(len(residuals), len(against), sharex="col", sharey=True, squeeze=False)
     for row, (name, values_dph) in zip(grid, residuals.items(), strict=True):
-        row[0].set_title(f"{gyro_label(gyro)}, {name}")
+        row[0].set_title(f"{closure.quantity.headings[axis]}, {name}")
         row[0].set_ylim(-largest, largest)
         for axes, along in zip(row, against.values(), strict=True):
             draw_dwells(axes, along, values_dph * scale.factor, closure.searched, gyro, size=_POINT_SIZE)
@@ -189,18 +189,20 @@ def closure_effect_figure(closure: Closure, found: FoundEffect) -> Figure:
     columns = found.candidate.columns(closure.campaign)
     rest_dph = residuals_dph(closure, closure.model)
     parts = {
-        axis: _MainTerm(closure, found, columns, axis) for axis, gyro in enumerate(AXES) if gyro in found.axes
+        axis: _MainTerm(closure, found, columns, axis)
+        for axis, name in enumerate(closure.quantity.axes)
+        if name in found.axes
     }
     scale = scale_of_errors(closure)
     figure = new_figure(3.1, right_in=0.07, bottom_in=0.6, top_in=0.5)
     all_axes = figure.subplots(1, len(AXES), sharey=True)
     for axis, (axes, gyro) in enumerate(zip(all_axes, AXES, strict=True)):
-        axes.set_title(gyro_label(gyro))
+        axes.set_title(closure.quantity.headings[axis])
         if axis not in parts:
             say_empty(axes, "not significant")
             axes.set_xticks([])
             continue
-        noise = rms(noise_dph(closure)[:, axis])
+        noise = rms_of_known(noise_dph(closure)[:, axis])
         _draw(axes, parts[axis], rest_dph[:, axis], noise, scale, closure.searched, gyro)
     figure.supylabel(f"partial residual / ({scale.unit})", x=0.005, fontsize=9)
     first = all_axes[min(parts)]
@@ -256,8 +258,8 @@ def closure_error_figure(closure: Closure) -> Figure:
     figure = new_figure(4.6)
     upper, lower = figure.subplots(2, 1, sharey=True)
     groups = {
-        gyro_label(gyro): np.asarray(held_out[:, np.newaxis] & (np.arange(len(AXES)) == axis))
-        for axis, gyro in enumerate(AXES)
+        heading: np.asarray(held_out[:, np.newaxis] & (np.arange(len(AXES)) == axis))
+        for axis, heading in enumerate(closure.quantity.headings)
     }
     for name in POSITIONS:
         chosen = held_out & (np.array(closure.campaign.position) == name)
@@ -295,9 +297,9 @@ def _bars(axes: Axes, closure: Closure, groups: dict[str, BoolArray], scale: Bia
     colours = (BEFORE_COLOUR, AFTER_COLOUR)
     for number, ((label, model), colour) in enumerate(zip(models.items(), colours, strict=False)):
         errors_dph = residuals_dph(closure, model)
-        heights = [rms(errors_dph[chosen]) * scale.factor for chosen in groups.values()]
+        heights = [rms_of_known(errors_dph[chosen]) * scale.factor for chosen in groups.values()]
         axes.bar(places - 0.4 + (number + 0.5) * width, heights, width, color=colour, label=label)
-    noise = [rms(noise_dph(closure)[chosen]) * scale.factor for chosen in groups.values()]
+    noise = [rms_of_known(noise_dph(closure)[chosen]) * scale.factor for chosen in groups.values()]
     axes.hlines(noise, places - 0.45, places + 0.45, color=NOISE_COLOUR, linewidth=1.4, label="noise")
     axes.set_xticks(places, list(groups), fontsize=7)
     axes.grid(visible=False, axis="x")

@@ -10,10 +10,10 @@ import numpy as np
 
 from gyrobench.bench.closure.files import write_closure
 from gyrobench.bench.closure.loop import Closure
-from gyrobench.bench.foundations.arrays import rms
+from gyrobench.bench.foundations.arrays import rms_of_known
 from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.text import counted, with_sigma
-from gyrobench.bench.navigation.positions import AXES, gyro_label
+from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.report.closure import closure_text as text
 from gyrobench.bench.report.closure.closure_figures import (
     closure_effect_figure,
@@ -44,12 +44,12 @@ from gyrobench.bench.report.run_report import write_report
 from gyrobench.bench.runs.folder import CLOSURE, RunFolder
 
 _RESIDUALS = (
-    "{}: measured minus predicted bias. Each point is a dwell, hollow points are held out; the grey band is "
+    "{}: measured minus predicted {}. Each point is a dwell, hollow points are held out; the grey band is "
     "one standard deviation of the noise. {}"
 )
 _BOTH_MODELS = "Top: declared model; bottom: with the effects found."
 _EFFECT = (
-    "{}: partial residual (measured bias minus the model without this effect's main term) against what that "
+    "{}: partial residual (measured {} minus the model without this effect's main term) against what that "
     "term follows. The line is the fit to the filled points; hollow points are held out."
 )
 _EVIDENCE = (
@@ -57,7 +57,7 @@ _EVIDENCE = (
     "explain the same share: a long bar alone is no proof."
 )
 _P_VALUES = "Significance of each effect alone. The declared model leaves no excess variance to explain."
-_ERRORS = "Rms of measured minus predicted bias in the held-out cycles; the black lines are the noise."
+_ERRORS = "Rms of measured minus predicted {} in the held-out cycles; the black lines are the noise."
 _UNEXPLAINED = (
     "Do not rely on the model below that size: the cause is none of the candidate effects, or follows an "
     "input that was not measured."
@@ -79,10 +79,10 @@ def _residual(closure: Closure) -> Section:
     figures = [
         SectionFigure(
             f"residuals_{gyro}",
-            _RESIDUALS.format(gyro_label(gyro), caption).strip(),
+            _RESIDUALS.format(heading, closure.quantity.label, caption).strip(),
             partial(closure_residual_figure, closure, gyro),
         )
-        for gyro in AXES
+        for gyro, heading in zip(AXES, closure.quantity.headings, strict=True)
     ]
     return Section(
         "Residual of the declared model",
@@ -96,7 +96,7 @@ def _effects(closure: Closure) -> Section | None:
         return None
     figures = []
     for each in closure.effects:
-        caption = _EFFECT.format(each.effect.display_name.capitalize())
+        caption = _EFFECT.format(each.effect.display_name.capitalize(), closure.quantity.label)
         figures.append(
             SectionFigure(
                 f"effect_{each.effect.name}", caption, partial(closure_effect_figure, closure, each)
@@ -143,8 +143,8 @@ def _sizes(closure: Closure) -> SectionTable:
     ]
     return SectionTable(
         f"Size of each term with its standard uncertainty, in {scale.unit} per unit of what it follows; "
-        "empty: not used for the gyro",
-        ["effect", "follows", *(gyro_label(gyro) for gyro in AXES)],
+        "empty: not used for it",
+        ["effect", "follows", *closure.quantity.headings],
         rows,
         words=2,
     )
@@ -182,20 +182,24 @@ def _error(closure: Closure) -> Section:
     errors = {name: residuals_dph(closure, model) for name, model in models_of(closure).items()}
     errors["noise"] = noise_dph(closure)
     rows = [
-        [name, *(scale.text(rms(each)) for each in (*values_dph[held_out].T, values_dph[held_out]))]
+        [name, *(scale.text(rms_of_known(each)) for each in (*values_dph[held_out].T, values_dph[held_out]))]
         for name, values_dph in errors.items()
     ]
-    rows.append(["prediction", *(scale.text(rms(each)) for each in (*sigma_dph.T, sigma_dph))])
+    rows.append(["prediction", *(scale.text(rms_of_known(each)) for each in (*sigma_dph.T, sigma_dph))])
     table = SectionTable(
-        f"Rms of measured minus predicted bias in the held-out cycles, of the noise, and of the standard "
-        f"uncertainty of the predictions, in {scale.unit}",
-        ["", *(gyro_label(gyro) for gyro in AXES), "all"],
+        f"Rms of measured minus predicted {closure.quantity.label} in the held-out cycles, of the noise, and "
+        f"of the standard uncertainty of the predictions, in {scale.unit}",
+        ["", *closure.quantity.headings, "all"],
         rows,
     )
     return Section(
         "Held-out error",
         _paragraphs(text.error_sentence(closure), text.constants_sentence(closure)),
-        [SectionFigure("errors", _ERRORS, partial(closure_error_figure, closure))],
+        [
+            SectionFigure(
+                "errors", _ERRORS.format(closure.quantity.label), partial(closure_error_figure, closure)
+            )
+        ],
         [table],
     )
 
@@ -243,7 +247,7 @@ def write_closure_page(folder: Path, closure: Closure, source: str, dwells: Path
     its hash. Raises RunFolderError if a file can't be written.
     """
     findings = Findings(
-        title="Search for effects",
+        title=text.title(closure),
         source=source,
         judgement=closure.verdict,
         colour=_COLOURS[closure.verdict],
@@ -277,7 +281,8 @@ def write_search(
     """Write the files of a search and update the report of its run.
 
     ``tables`` are the run folders and dwell tables that were searched, ``folder`` by default ``closure`` in
-    the run folder or beside the table; of several ``closure_A_B`` beside the first. Returns the page and the
+    the run folder or beside the table; of several ``closure_A_B`` beside the first, and of another quantity
+    than gyro biases with its name. Returns the page and the
     updated report, None for files outside a run or of several.
 
     Raises
@@ -285,14 +290,15 @@ def write_search(
     RunFolderError
         A file can't be written.
     """
+    name = CLOSURE if closure.quantity.is_gyro_bias else f"{CLOSURE}_{closure.quantity.name}"
     first, source = tables[0], ", ".join(map(str, tables))
     if len(tables) > 1:
         names = [path.name if path.is_dir() else path.stem for path in tables]
-        folder = folder or first.parent / f"{CLOSURE}_{'_'.join(names)}"[:_MAX_NAME]
+        folder = folder or first.parent / f"{name}_{'_'.join(names)}"[:_MAX_NAME]
         write_closure(folder, closure)
         return write_closure_page(folder, closure, source), None
     run = RunFolder(first) if first.is_dir() else None
-    folder = folder or (run or RunFolder(first.parent)).closure
+    folder = folder or (run or RunFolder(first.parent)).closure.with_name(name)
     write_closure(folder, closure)
     page = write_closure_page(folder, closure, source, run.dwells if run else first)
     return page, write_report(run) if run and folder == run.closure else None

@@ -6,7 +6,7 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from gyrobench.bench.closure.loop import Closure
-from gyrobench.bench.foundations.arrays import rms
+from gyrobench.bench.foundations.arrays import rms_of_known
 from gyrobench.bench.report.closure.closure_tables import (
     COMPOSED,
     composed_table,
@@ -61,4 +61,4 @@ def _errors(closure: Closure) -> dict[str, str]:
     before = scale.with_sigma(closure.error_before_dph, closure.error_before_sigma_dph)
     after = scale.with_sigma(closure.error_after_dph, closure.error_after_sigma_dph)
     errors = {"before": before, "after": after} if closure.effects else {"error": before}
-    return errors | {"noise": scale.text(rms(noise_dph(closure)[~closure.searched]))}
+    return errors | {"noise": scale.text(rms_of_known(noise_dph(closure)[~closure.searched]))}

@@ -57,7 +57,8 @@ def effect_table(closure: Closure) -> tuple[list[str], list[list[str]]]:
         ]
         for each in closure.effects
     ]
-    return ["effect", "gyros", "tied with", "cross-validated", "size", "P"], rows
+    shown = "coefficients" if closure.quantity.axes[0][1:] else f"{closure.quantity.sensor}s"
+    return ["effect", shown, "tied with", "cross-validated", "size", "P"], rows
 
 
 def evidence_table(closure: Closure) -> tuple[list[str], list[list[str]]]:
@@ -105,4 +106,10 @@ def composed_table(closure: Closure) -> tuple[list[str], list[list[str]]]:
     ]
     rows.append(["no law of the grammar, or one and something else", "", "", f"{composed.other:.2f}", ""])
     rows.append(["of this: a law and something else", "", "", f"{composed.law_and_remainder:.2f}", ""])
-    return ["bias follows", "shape", "memory", "P", f"held-out error, {scale.unit}"], rows
+    return [
+        f"{closure.quantity.label} follows",
+        "shape",
+        "memory",
+        "P",
+        f"held-out error, {scale.unit}",
+    ], rows

@@ -14,8 +14,8 @@ from gyrobench.bench.closure.posterior import CLEAN, EXPLAINED, POWER
 from gyrobench.bench.closure.problem import Solution
 from gyrobench.bench.closure.search import SIGNIFICANCE
 from gyrobench.bench.closure.validation import LACK_OF_FIT_P, measured_minus
-from gyrobench.bench.foundations.arrays import FloatArray, rms
-from gyrobench.bench.foundations.text import counted, listed, probability_number, with_sigma
+from gyrobench.bench.foundations.arrays import FloatArray, rms_of_known
+from gyrobench.bench.foundations.text import counted, decimals_of, listed, probability_number, with_sigma
 from gyrobench.bench.report.number_format import BiasScale, odds_text, p_text
 
 _VISIBLE_NOISE_SCALE = 1.005
@@ -42,7 +42,7 @@ def models_of(closure: Closure) -> dict[str, Solution]:
 
 def noise_dph(closure: Closure) -> FloatArray:
     """Standard deviation of the noise in all dwells (n, 3), deg/h."""
-    return closure.campaign.sigma_dph * closure.noise_scale
+    return closure.campaign.known_sigma_dph * closure.noise_scale
 
 
 def is_noise_only(closure: Closure) -> bool:
@@ -63,6 +63,8 @@ def smallest_visible_dph(closure: Closure) -> float:
 
 def scale_of_errors(closure: Closure) -> BiasScale:
     """Unit and decimals for the errors of a closure: they resolve a tenth of the noise."""
+    if not closure.quantity.is_gyro_bias:
+        return BiasScale(1.0, closure.quantity.unit, decimals_of(0.1 * closure.noise_dph, 4))
     return BiasScale.of([closure.error_before_dph], [0.1 * closure.noise_dph])
 
 
@@ -96,7 +98,7 @@ def table_texts(closure: Closure) -> list[str]:
 
 
 def size_text(size_dph: float) -> str:
-    """Write a size in deg/h with two digits, never with an exponent: "0.0092"."""
+    """Write a size with two digits, never with an exponent: "0.0092"."""
     if not size_dph > 0.0:
         return "0"
     return f"{size_dph:.{max(1 - math.floor(math.log10(size_dph)), 1)}f}"
@@ -173,7 +175,11 @@ def _part(closure: Closure) -> str:
 def _not_excluded(closure: Closure) -> str:
     """What a clean verdict leaves open."""
     sizes = [size for size in closure.detectable_dph.values() if math.isfinite(size)]
-    return f"; something below {size_text(max(sizes))} deg/h rms is not excluded" if sizes else ""
+    return (
+        f"; something below {size_text(max(sizes))} {closure.quantity.unit} rms is not excluded"
+        if sizes
+        else ""
+    )
 
 
 def _unsettled(closure: Closure) -> str:
@@ -222,6 +228,15 @@ def probability_text(probability: float) -> str:
     return f"P {number}" if number[0] in "<>" else f"P = {number}"
 
 
+def title(closure: Closure) -> str:
+    """Heading of a search: "Search for effects", of another quantity than gyro biases with its name."""
+    quantity = closure.quantity
+    what = f"{quantity.sensor} {quantity.label}s" + (
+        f" {listed(quantity.axes)}" if quantity.axes[0][1:] else ""
+    )
+    return "Search for effects" + ("" if quantity.is_gyro_bias else f": {what.replace('biass', 'biases')}")
+
+
 def probability_sentence(closure: Closure) -> str:
     """Probabilities of the effects, of something that is not on the list, and of nothing."""
     weighed = closure.posterior
@@ -246,21 +261,22 @@ def power_sentence(closure: Closure) -> str:
     if not sizes or closure.verdict == "unexplained":
         return ""
     low, high = min(sizes, key=lambda name: sizes[name]), max(sizes, key=lambda name: sizes[name])
+    unit = closure.quantity.unit
     return (
         f"Something else would have been shown with {100.0 * POWER:.0f} % probability from "
-        f"{size_text(sizes[low])} deg/h rms if it follows {low}, to {size_text(sizes[high])} deg/h if it "
+        f"{size_text(sizes[low])} {unit} rms if it follows {low}, to {size_text(sizes[high])} {unit} if it "
         f"follows {high}; less is not excluded."
     )
 
 
 def before_sentence(closure: Closure) -> str:
     """Residual of the declared model in the dwells searched, compared with the noise."""
-    size = rms(residuals_dph(closure, closure.declared)[closure.searched])
-    p = p_phrase(closure.before.p_value)
+    size = rms_of_known(residuals_dph(closure, closure.declared)[closure.searched])
+    p, quantity, unit = p_phrase(closure.before.p_value), closure.quantity, closure.quantity.unit
     residual = (
-        "The residual of the declared model (a cubic in each gyro's temperature and one constant per "
-        f"power cycle) is {size_text(size)} deg/h rms in the {closure.searched.sum()} dwells searched; the "
-        f"noise of a measured bias is {size_text(closure.noise_dph)} deg/h."
+        f"The residual of the declared model (a cubic in each {quantity.sensor}'s temperature and one "
+        f"constant per power cycle) is {size_text(size)} {unit} rms in the {closure.searched.sum()} dwells "
+        f"searched; the noise of a measured {quantity.label} is {size_text(closure.noise_dph)} {unit}."
     )
     if closure.before.p_value < LACK_OF_FIT_P:
         return (
@@ -377,15 +393,18 @@ def error_sentence(closure: Closure) -> str:
     """Held-out error, before and after, compared with the noise."""
     held_out = ~closure.searched
     before = with_sigma(closure.error_before_dph, closure.error_before_sigma_dph)
-    models = f"{before} deg/h rms with the declared model"
+    unit, label = closure.quantity.unit, closure.quantity.label
+    models = f"{before} {unit} rms with the declared model"
     if closure.effects:
         after = with_sigma(closure.error_after_dph, closure.error_after_sigma_dph)
-        models += f" and {after} deg/h with {found_labels(closure)}"
+        models += f" and {after} {unit} with {found_labels(closure)}"
     dwells = counted(int(held_out.sum()), "dwell")
+    sizes = (noise_dph(closure), closure.prediction_sigma_dph)
+    noise, sigma = (rms_of_known(each[held_out]) for each in sizes)
     return (
-        f"In {held_out_cycles(closure)} (held out, {dwells}), measured minus predicted bias is {models}; the "
-        f"noise is {size_text(rms(noise_dph(closure)[held_out]))} deg/h. A predicted bias has a standard "
-        f"uncertainty of {size_text(rms(closure.prediction_sigma_dph[held_out]))} deg/h"
+        f"In {held_out_cycles(closure)} (held out, {dwells}), measured minus predicted {label} is {models}; "
+        f"the noise is {size_text(noise)} {unit}. A predicted {label} has a standard uncertainty of "
+        f"{size_text(sigma)} {unit}"
         f"{', as far as the model holds' if closure.verdict == 'unexplained' else ''}."
     )
 
@@ -435,9 +454,10 @@ def after_sentence(closure: Closure) -> str:
 def sensitivity_sentence(closure: Closure) -> str:
     """Size of the smallest effect that a search without a finding would have found."""
     return (
-        f"An effect on one gyro is detectable from about {size_text(smallest_visible_dph(closure))} deg/h "
-        "rms, unless it is correlated with temperature or with the constants of the power cycles. An effect "
-        "of several terms must be larger."
+        f"An effect on one {closure.quantity.sensor} is detectable from about "
+        f"{size_text(smallest_visible_dph(closure))} {closure.quantity.unit} rms, unless it is correlated "
+        "with temperature or with the constants of the power cycles. An effect of several terms must be "
+        "larger."
     )
 
 

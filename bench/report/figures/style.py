@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Literal
+from typing import Any, Literal
 
 import matplotlib.style
 from matplotlib.artist import Artist
@@ -196,6 +196,13 @@ def png_bytes(figure: Figure, key: str = "") -> bytes:
     FigureCanvasAgg(figure).print_png(buffer, metadata=metadata, pil_kwargs=_PNG)  # type: ignore[no-untyped-call]
     figure.set_dpi(dpi)
     return buffer.getvalue()
+
+
+def stamp(figure: Figure, word: str) -> None:
+    """Write a word across a figure; nothing if it is empty."""
+    if word:
+        style: Mapping[str, Any] = {"size": 44, "weight": "bold", "color": "#b3261e", "alpha": 0.16}
+        figure.text(0.5, 0.5, word, rotation=20, ha="center", va="center", **style)
 
 
 def save_figure(figure: Figure, path: Path, key: str = "") -> None:

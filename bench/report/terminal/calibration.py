@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 from rich.console import Group, RenderableType
@@ -15,11 +15,13 @@ from gyrobench.bench.calibration.results import (
     NOT_OBSERVABLE,
     CoefficientRow,
     coefficient_rows,
+    common_scale_ppm,
     forecast_rows,
     rest_rates,
     strongest_correlations,
 )
 from gyrobench.bench.calibration.rotation_list import Forecast, RotationList
+from gyrobench.bench.calibration.spins import SpinScaleFactor
 from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, RADPS_TO_DPH, UG_PER_SQRT_HZ_TO_SI
 from gyrobench.bench.foundations.text import counted, decimals_of, listed, plain_name
 from gyrobench.bench.navigation.earth import earth_rate_enu
@@ -31,7 +33,9 @@ _MIN_CORRELATION, _MAX_PAIRS = 0.9, 5
 _MAX_RESTS = 6
 
 
-def calibration_summary(calibration: Calibration, site: Site) -> RenderableType:
+def calibration_summary(
+    calibration: Calibration, site: Site, spins: Sequence[SpinScaleFactor] = ()
+) -> RenderableType:
     """Table of coefficients, and what they rest on."""
     headers = ("Coefficient", "Axis", "Unit", "Value", "Standard uncertainty")
     table = plain_table(headers, 3, map(_cells, coefficient_rows(calibration)), fold=False)
@@ -39,7 +43,7 @@ def calibration_summary(calibration: Calibration, site: Site) -> RenderableType:
         Text("Coefficients in the body frame of the accelerometers", style="bold"),
         table,
         Text(),
-        topics(_topics(calibration, site)),
+        topics([*_topics(calibration, site), *map(_spin_topic, spins)]),
     )
 
 
@@ -113,9 +117,30 @@ def _topics(calibration: Calibration, site: Site) -> Iterator[tuple[str, str]]:
             for a, b, value in pairs
         ]
         yield "Correlated", "; ".join(texts)
+    for sensor, cause in (("accelerometer", "gravity or a time between increments"), ("gyro", "a time")):
+        if (common := common_scale_ppm(calibration, sensor)) is not None:
+            yield (
+                "Check",
+                f"all {sensor} scale factors are about {common:+.0f} ppm: {cause} that is wrong by as much "
+                "in the import map does the same",
+            )
     missing = [row for row in coefficient_rows(calibration) if row.finding]
     if missing:
         yield "Not observable", f"{_named(missing)}: {_advice(kinds)}"
+
+
+def _spin_topic(spun: SpinScaleFactor) -> tuple[str, str]:
+    rates = listed([f"{each.rate_dps:.3g}" for each in spun.rates])
+    text = (
+        f"{counted(len(spun.spins), 'spin')} at {rates} deg/s: {spun.scale_factor_ppm:.2f} ± "
+        f"{spun.sigma_ppm:.2f} ppm (p {p_text(spun.p_value)})"
+    )
+    for each in spun.rates:
+        parts = [f"{each.deviation_ppm:+.2f} ± {each.deviation_sigma_ppm:.2f} ppm"] * (len(spun.rates) > 1)
+        if each.asymmetry_ppm is not None:
+            parts.append(f"asymmetry {each.asymmetry_ppm:+.2f} ± {each.asymmetry_sigma_ppm:.2f} ppm")
+        text += f"; {each.rate_dps:.3g} deg/s {', '.join(parts)}" if parts else ""
+    return f"Spins {spun.axis}", text
 
 
 def _fit_sentence(calibration: Calibration) -> str:

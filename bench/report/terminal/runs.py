@@ -11,6 +11,7 @@ from rich.text import Text
 from gyrobench.bench.foundations.text import bin_label, counted, listed
 from gyrobench.bench.report.number_format import BiasScale, p_text
 from gyrobench.bench.report.terminal.tables import plain_table
+from gyrobench.bench.runs.index.recalibration import MAX_MONTHS, Recalibration
 from gyrobench.bench.runs.index.run_biases import FALSE_ALARM, Trend
 from gyrobench.bench.runs.index.run_index import QueryResult
 
@@ -54,11 +55,15 @@ def groups_table(by: str, groups: Sequence[Mapping[str, Any]]) -> RenderableType
     return Group(table, Text(), Text(note))
 
 
-def trend_summary(unit: str, trends: Sequence[Trend], mixed: Sequence[str]) -> RenderableType:
-    """Drift of a unit: a sentence, and a row for each gyro and bin."""
+def trend_summary(
+    unit: str, trends: Sequence[Trend], mixed: Sequence[str], due: Sequence[Recalibration | None] = ()
+) -> RenderableType:
+    """Drift of a unit: a sentence, and a row for each gyro and bin; ``due`` adds dates of recalibration."""
     scale = BiasScale.of([each.bias_dph for each in trends], [each.sigma_dph for each in trends])
-    table = plain_table(("gyro", "bin °C", "runs", "bias", "scatter", "per month", "p", "p corr."), words=2)
-    for each in trends:
+    columns = ("gyro", "bin °C", "runs", "bias", "scatter", "per month", "p", "p corr.")
+    table = plain_table((*columns, *(["until"] if due else [])), words=2)
+    until = [[_until(each)] for each in due] or [[] for _ in trends]
+    for each, date in zip(trends, until, strict=True):
         quantity = each.quantity
         table.add_row(
             quantity.gyro,
@@ -69,14 +74,40 @@ def trend_summary(unit: str, trends: Sequence[Trend], mixed: Sequence[str]) -> R
             _slope_text(scale, each),
             p_text(each.p_value),
             p_text(each.p_adjusted),
+            *date,
         )
     note = (
         f"In {scale.unit}. Scatter: standard deviation between runs beyond their uncertainties, included in "
         "the uncertainty of the slope. p corr.: p-value corrected for all comparisons of the table."
     )
+    if due:
+        note += " until: last day on which the bias of a run is within the limit."
     parts: list[RenderableType] = [Text(trend_sentence(unit, trends), style="bold")]
+    if due:
+        parts.append(Text(recalibration_sentence(unit, due), style="bold"))
     parts += [Text(f"Note: {text}") for text in mixed]
     return Group(*parts, Text(), table, Text(), Text(note))
+
+
+def recalibration_sentence(unit: str, due: Sequence[Recalibration | None]) -> str:
+    """Date by which a unit has to be calibrated again."""
+    known = [each for each in due if each is not None]
+    if not known:
+        return f"Unit {unit}: date of the next calibration unknown. Too few runs show how its biases change."
+    first = min(known, key=lambda each: each.months)
+    limit = f"{first.limit_dph:g} deg/h with {100.0 * first.confidence:g} %"
+    siblings = f"from its drift and that of {counted(first.siblings, 'other unit')}"
+    if first.months == 0.0:
+        return f"Unit {unit}: a bias was not within {limit} at the last run. Calibrate it now."
+    if first.due is None:
+        return f"Unit {unit}: all biases stay within {limit} for {MAX_MONTHS / 12.0:g} years, {siblings}."
+    return f"Unit {unit}: calibrate by {first.due:%Y-%m-%d}; until then all stay within {limit}, {siblings}."
+
+
+def _until(due: Recalibration | None) -> str:
+    if due is None:
+        return "unknown"
+    return "over" if due.months == 0.0 else "beyond" if due.due is None else f"{due.due:%Y-%m-%d}"
 
 
 def trend_sentence(unit: str, trends: Sequence[Trend]) -> str:

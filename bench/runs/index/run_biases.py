@@ -49,6 +49,12 @@ class Quantity:
     name: str  #: :data:`LEVEL`, or the position whose bias minus the level it is.
     positions: tuple[str, ...]  #: Positions averaged in the level.
 
+    def is_same_as(self, other: Quantity) -> bool:
+        """Whether it is the same quantity of another unit: equal but for the positions averaged."""
+        return (self.gyro, self.bin_low_c, self.bin_high_c, self.name) == (
+            *(other.gyro, other.bin_low_c, other.bin_high_c, other.name),
+        )
+
     @property
     def label(self) -> str:
         """Say what it is: "X gyro at 20 to 40 °C", "X gyro at 20 to 40 °C, Z-Up minus the mean"."""

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.csv_tables import CsvTable, format_rows, read_text, write_text
 from gyrobench.bench.foundations.text import format_number
 
@@ -20,7 +21,7 @@ _DECIMALS = 4
 class PlateauCoefficientRow:
     """One coefficient at one plateau; NaN where a number is not known."""
 
-    plateau: int  #: Number of the plateau among those with rotations, from 1.
+    plateau: int  #: Number of the plateau, from 1.
     cycle: int
     chamber_set_c: float
     temperature_c: float  #: Mean of the gyro, of an accelerometer that of the case.
@@ -29,7 +30,11 @@ class PlateauCoefficientRow:
     value: float  #: NaN where not observable.
     sigma: float  #: Standard uncertainty.
     unit: str
-    finding: str  #: Empty, or why there is no value.
+    finding: str  #: Empty, ``not observable``, or what is wrong with the plateau.
+    #: Expected standard uncertainty if the INS sent specific forces; NaN where it does.
+    sigma_with_force: float
+    #: Slope of the temperature of the gyro along the sensor's axis in the rotations; NaN without these.
+    gyro_rate_c_per_h: float
 
 
 _COLUMNS = [each.name for each in fields(PlateauCoefficientRow)]
@@ -40,7 +45,7 @@ def write_coefficients(path: Path, rows: Sequence[PlateauCoefficientRow]) -> Non
     write_text(path, format_rows(_COLUMNS, rows))
 
 
-def write_correlations(path: Path, plateaus: Sequence[tuple[int, np.ndarray]]) -> None:
+def write_correlations(path: Path, plateaus: Sequence[tuple[int, FloatArray]]) -> None:
     """Write correlation coefficients (21, 21), by number of plateau; NaN where not observed."""
     names = [f"{each.name}_{each.axis}" for each in COEFFICIENTS]
     lines = [",".join(["plateau", "coefficient", *names])]
@@ -49,6 +54,22 @@ def write_correlations(path: Path, plateaus: Sequence[tuple[int, np.ndarray]]) -
             cells = ["" if np.isnan(value) else format_number(round(value, _DECIMALS)) for value in row]
             lines.append(",".join([str(plateau), name, *cells]))
     write_text(path, "\n".join(lines) + "\n")
+
+
+def read_correlations(path: Path) -> dict[int, FloatArray]:
+    """Read ``correlations.csv``: (21, 21) by number of plateau, NaN where not observed.
+
+    Raises DocumentError if the file can't be read or is wrong.
+    """
+    names = [f"{each.name}_{each.axis}" for each in COEFFICIENTS]
+    table = CsvTable(read_text(path), str(path), required=["plateau", "coefficient", *names])
+    plateaus: dict[int, FloatArray] = {}
+    for index in range(len(table)):
+        matrix = plateaus.setdefault(table.integer(index, "plateau"), np.full((len(names),) * 2, np.nan))
+        row = names.index(table.choice(index, "coefficient", names))
+        matrix[row] = [table.number(index, name, may_be_empty=True) for name in names]
+    table.raise_problems()
+    return plateaus
 
 
 def read_coefficients(path: Path) -> list[PlateauCoefficientRow]:
@@ -73,6 +94,8 @@ def read_coefficients(path: Path) -> list[PlateauCoefficientRow]:
             number("sigma"),
             table.text(index, "unit"),
             table.text(index, "finding"),
+            number("sigma_with_force"),
+            number("gyro_rate_c_per_h"),
         )
 
     return table.rows(row)

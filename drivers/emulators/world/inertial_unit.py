@@ -70,10 +70,10 @@ class InertialUnit:
 
     Attributes
     ----------
-    loaded_table : ndarray, shape (3, 28)
+    loaded_table : ndarray, shape (3, 84)
         The compensation table as loaded so far.
     compensation : InsCompensation or None
-        The applied compensation, subtracted from the gyros' output.
+        The applied compensation of the sensors' output.
     """
 
     def __init__(self, behaviour: InsBehaviour, latitude: float, height: float) -> None:

@@ -6,8 +6,10 @@ Bias subtracted from gyro i, with its optics at T, its electronics at B and Up i
     + ((saturating . Up) / (1 + exp(-c)) + (growing . Up) ln(1 + exp(c))) (B - T),  c = (onset - T) / width
     + gravity . Up + warm_up exp(-t / tau) + hysteresis (play(T) - T)
 
-with T, B - T and dT/dt clamped to the limits in the table. ``play`` follows T with a slack of the half
-width on either side, from the temperature at power-on.
+After the biases the errors of the other coefficients are taken out: those of the gyros' matrix, of the
+accelerometers' biases and matrix, each ``polynomial(T) + rate dT/dt + gravity . Up`` with T and dT/dt of the
+gyro along the sensor's axis. T, B - T and dT/dt are clamped to the limits in the table. ``play`` follows T
+with a slack of the half width on either side, from the temperature at power-on.
 """
 
 from __future__ import annotations
@@ -43,10 +45,16 @@ class Coefficient(IntEnum):
     WARM_UP_TIME = 25
     HYSTERESIS = 26
     HALF_WIDTH = 27
+    GYRO_MATRIX = 28
+    FORCE_BIAS = 52
+    FORCE_MATRIX = 60
 
 
-#: Number of coefficients of each gyro.
-COEFFICIENTS = 28
+#: Number of coefficients of each gyro and accelerometer; of these for the gyro's bias.
+COEFFICIENTS, _OF_BIAS = 84, 28
+#: Numbers of each coefficient beyond the gyros' biases, and those of its polynomial.
+_EACH, _DEGREES = 8, 4
+_PPM, _ARCSEC, _MICRO_G = 1e-6, math.radians(1.0) / 3600.0, 9.80665e-6
 
 _LAST_COEFFICIENT = 5
 #: Bound of the subtracted bias, deg/h.
@@ -58,7 +66,7 @@ _FILTER_S = 120.0
 
 
 def empty_table() -> FloatArray:
-    """A table (3, 28) that subtracts nothing."""
+    """A table (3, 84) that subtracts nothing."""
     table = np.zeros((3, COEFFICIENTS))
     table[:, Coefficient.LOW_C] = -100.0
     table[:, Coefficient.HIGH_C] = 150.0
@@ -66,7 +74,8 @@ def empty_table() -> FloatArray:
 
 
 def checksum(table: FloatArray) -> int:
-    """CRC-32 of a table as little-endian 32-bit floats, gyro by gyro."""
+    """CRC-32 of a table as little-endian 32-bit floats, by axis; of the biases alone if all else is 0."""
+    table = table if table[:, _OF_BIAS:].any() else table[:, :_OF_BIAS]
     return zlib.crc32(table.astype("<f4").tobytes())
 
 
@@ -106,8 +115,8 @@ class InsCompensation:
 
     Parameters
     ----------
-    table : ndarray, shape (3, 28)
-        One row for each gyro, laid out by :class:`Coefficient`.
+    table : ndarray, shape (3, 84)
+        One row for each axis, laid out by :class:`Coefficient`.
     history : TemperatureHistory
         Readings since power-on; the play starts there.
 
@@ -120,6 +129,7 @@ class InsCompensation:
     def __init__(self, table: FloatArray, history: TemperatureHistory, up_body: FloatArray) -> None:
         self.checksum = checksum(table)  #: Checksum of the table.
         self._table = table.copy()
+        self._others: FloatArray | None = None
         record_c = history.record_c
         first_c = record_c[0] if len(record_c) else history.optics_c
         self._play_c = np.clip(first_c, table[:, Coefficient.LOW_C], table[:, Coefficient.HIGH_C])
@@ -137,6 +147,33 @@ class InsCompensation:
             self._table, history.optics_c, history.electronics_c, history.rate_c_per_h, up_body,
             float(history.seconds), self._play_c,
         )  # fmt: skip
+        if self._table[:, _OF_BIAS:].any():
+            self._others = self._table[:, _OF_BIAS:].reshape(3, -1, _EACH) @ self._inputs(history, up_body)
+            self._others = self._others[..., 0]
+
+    def _inputs(self, history: TemperatureHistory, up_body: FloatArray) -> FloatArray:
+        """What the eight numbers of each coefficient are multiplied by, shape (3, 8, 1)."""
+        low_c, high_c, limit = self._table[
+            :, [Coefficient.LOW_C, Coefficient.HIGH_C, Coefficient.RATE_LIMIT]
+        ].T
+        powers = np.clip(history.optics_c, low_c, high_c)[:, np.newaxis] ** np.arange(_DEGREES)
+        rate = np.clip(history.rate_c_per_h, -np.abs(limit), np.abs(limit))[:, np.newaxis]
+        return np.hstack([powers, rate, np.tile(up_body, (3, 1))])[..., np.newaxis]
+
+    def corrected(
+        self, rotation: FloatArray, velocity: FloatArray, interval_s: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Increments (n, 3) without the errors beyond the gyros' biases, rad and m/s."""
+        if self._others is None:
+            return rotation, velocity
+        units = np.where(np.eye(3, dtype=bool), _PPM, _ARCSEC)
+        gyro, bias, force = self._others[:, :3] * units, self._others[:, 3], self._others[:, 4:] * units
+        return (
+            np.ascontiguousarray(np.linalg.solve(np.eye(3) + gyro, rotation.T).T),
+            np.ascontiguousarray(
+                np.linalg.solve(np.eye(3) + force, (velocity - bias * (_MICRO_G * interval_s)).T).T
+            ),
+        )
 
 
 @compiled

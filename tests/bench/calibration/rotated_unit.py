@@ -26,7 +26,7 @@ EIGHTEEN = tuple(
 class Unit:
     """A unit, what is wrong with its sensors, and how it is turned."""
 
-    rotations: Sequence[tuple[str, float]] = EIGHTEEN
+    rotations: Sequence[tuple[str, float] | tuple[str, float, float]] = EIGHTEEN  # axis, deg, deg/s
     dwell_s: float = 150.0
     rate_dps: float = 10.0
     ramp_s: float = 1.0
@@ -46,8 +46,8 @@ class Unit:
         """Start, duration, axis, angle (rad) of every dwell and rotation."""
         at, found = 0.0, [(0.0, self.dwell_s, "outer", 0.0)]
         at = self.dwell_s
-        for axis, angle_deg in self.rotations:
-            span = abs(angle_deg) / self.rate_dps + self.ramp_s
+        for axis, angle_deg, *rate_dps in self.rotations:
+            span = abs(angle_deg) / (*rate_dps, self.rate_dps)[0] + self.ramp_s
             found += [(at, span, axis, np.deg2rad(angle_deg)), (at + span, self.dwell_s, axis, 0.0)]
             at += span + self.dwell_s
         return found

@@ -261,6 +261,17 @@ def test_a_wrong_hemisphere_or_accelerometers_upside_down_are_named():
             calibrate([recorded((angle, force), 14)], Site(latitude))
 
 
+@pytest.mark.parametrize("of_rates", [False, True])
+def test_a_sample_interval_that_is_wrong_by_a_hundredth_is_named(of_rates):
+    log = recorded(eighteen(), 14)
+    scale = 1.01 if of_rates else 1.0
+    wrong = IncrementRecording(log.interval_s * 1.01, log.angle * scale, log.velocity * scale)
+    with pytest.raises(
+        MeasurementError, match=r"if samples are 0\.0(4999|5) s apart and not 0\.0505 s\. Correct 'time'"
+    ):
+        calibrate([wrong], SITE)
+
+
 def test_residuals_far_beyond_the_noise_give_no_table():
     angle, velocity = eighteen()
     drift = np.linspace(0.0, 2e-5, len(angle))[:, np.newaxis]

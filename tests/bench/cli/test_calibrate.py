@@ -74,6 +74,28 @@ def test_a_log_gives_a_table_of_coefficients_with_their_uncertainties(tmp_path, 
     assert "31 ppm of the accelerometer scale factors" in " ".join(result.stdout.split())
 
 
+def test_spins_against_the_table_are_listed_with_linearity_and_asymmetry(tmp_path):
+    spins = [("inner", sign * 3600.0, rate) for rate in (30.0, 90.0) for sign in (1.0, -1.0)]
+    write_log(tmp_path, unit(rotations=(*EIGHTEEN[:6], *spins)))
+    with (tmp_path / "map.yaml").open("a") as file:
+        file.write("  whole_turns_arcsec: 1\n")
+    command = ("calibrate", "log.csv", "--map", "map.yaml")
+    (spun,) = json.loads(gyrobench(*command, "--json", cwd=tmp_path).stdout)["spins"]
+    assert [round(each["rate_dps"]) for each in spun["spins"]] == [30, -30, 90, -90]
+    assert abs(spun["scale_factor_ppm"] - 20.0) < 4.0 * spun["sigma_ppm"] < 0.5
+    text = " ".join(gyrobench(*command, cwd=tmp_path).stdout.split())
+    assert "4 spins at 30 and 90 deg/s: 20." in text
+    assert "asymmetry" in text
+
+
+def test_scale_factors_that_all_sensors_share_are_named(tmp_path):
+    write_log(tmp_path, unit())
+    text = (tmp_path / "map.yaml").read_text()
+    (tmp_path / "map.yaml").write_text(text + "  gravity_mps2: 9.8\n  gravity_sigma_mps2: 0.1\n")
+    result = gyrobench("calibrate", "log.csv", "--map", "map.yaml", cwd=tmp_path)
+    assert "all accelerometer scale factors are about +6" in " ".join(result.stdout.split())
+
+
 def test_what_the_data_leave_open_is_no_number(tmp_path):
     write_log(tmp_path, unit(rotations=(), dwell_s=200.0))
     result = gyrobench("calibrate", "log.csv", "--map", "map.yaml", "--json", cwd=tmp_path)
@@ -135,6 +157,16 @@ def test_a_measured_pair_at_rest_gives_the_earth_rate_and_says_what_it_does_not_
     assert abs(half_sum - record["earth_rate_up_dph"]) < 3.0 * up["up_sigma_dph"]
     assert all(row["finding"] for row in record["coefficients"] if row["coefficient"] == "gyro_scale_factor")
     assert record["fit"]["p_value"] > 1e-3
+
+
+def test_plan_proposes_a_list_that_reaches_given_uncertainties(tmp_path):
+    reach = "gyro_misalignment_arcsec=1,gyro_scale_factor_ppm=1"
+    command = ("plan", "nineteen_positions", "--observability", "--reach", reach, "--json")
+    record = json.loads(gyrobench(*command, cwd=tmp_path).stdout)
+    reached = [row["sigma"] for row in record["coefficients"] if row["unit"] in ("arcsec", "ppm")][:9]
+    assert max(reached) <= 1.0
+    again = gyrobench("plan", record["file"], "--observability", "--json", cwd=tmp_path)
+    assert json.loads(again.stdout)["duration_s"] == record["duration_s"] < 2000.0
 
 
 def test_plan_shows_what_a_list_of_rotations_will_show(tmp_path):

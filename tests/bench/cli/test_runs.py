@@ -52,6 +52,20 @@ def test_the_trend_of_a_unit_names_the_gyro_that_drifts_and_draws_it(place):
     assert "a trend is of one unit" in gyrobench("runs", "--trend", cwd=place).stderr
 
 
+def test_the_trend_names_the_day_by_which_the_unit_leaves_its_limit(place):
+    result = gyrobench("runs", "--unit", "1001", "--trend", "--limit-dph", "0.05", cwd=place)
+    assert result.returncode == 0, result.stderr
+    assert max(map(len, result.stdout.splitlines())) <= 80
+    text = " ".join(result.stdout.split())
+    assert "Unit 1001: calibrate by 2026-" in text or "Unit 1001: calibrate by 2027-" in text
+    record = gyrobench("runs", "--unit", "1001", "--trend", "--limit-dph", "0.05", "--json", cwd=place)
+    x, y = (
+        [each["months"] for each in json.loads(record.stdout)["recalibration"] if each["gyro"] == gyro]
+        for gyro in "xy"
+    )
+    assert max(x) < 6.0 < min(y)  # the x gyro reaches 0.05 deg/h some 5 months after its last run
+
+
 @pytest.mark.parametrize("by", ["unit", "batch", "bench", "procedure", "month"])
 def test_groups_fit_the_terminal(place, by):
     result = gyrobench("runs", "--by", by, cwd=place)

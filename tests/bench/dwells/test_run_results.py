@@ -1,6 +1,7 @@
 """What the dwells of a run give together, from the dwells of the eight-hour procedure."""
 
 import math
+from collections import defaultdict
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +15,7 @@ from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.procedure.plan import expand
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.tables.budget_table import read_budget
 from gyrobench.bench.runs.tables.joint_table import (
     joint_bias_rows,
     joint_plateau_rows,
@@ -116,6 +118,24 @@ def test_tables_that_were_written_hold_the_results(results, tmp_path):
     assert not folder.calibration_check.exists()
 
 
+def test_the_budget_of_each_dwell_and_bin_adds_up_to_its_stated_uncertainty(results, tmp_path):
+    folder = RunFolder(tmp_path)
+    write_results(folder, results)
+    squares = defaultdict(float)
+    for row in read_budget(folder.budget):
+        if not (row.is_sum or math.isnan(row.share)):
+            squares[row.axis, row.position, row.dwell, row.bin_low_c] += row.sigma**2
+    stated = {
+        (gyro, dwell.row.position, dwell.row.dwell): dwell.row.sigma_dph[axis]
+        for dwell in results.dwells
+        for axis, gyro in enumerate("xyz")
+    } | {(each.gyro, each.position, each.bin_low_c): each.sigma_dph for each in results.bins if each.count}
+    assert len(squares) == len(stated) == 36 + 36
+    for (gyro, position, dwell, low_c), variance in squares.items():
+        sigma_dph = stated[gyro, position, low_c if dwell is None else dwell]
+        assert math.sqrt(variance) == pytest.approx(sigma_dph, rel=1e-6)
+
+
 def test_a_run_without_results_leaves_tables_without_rows(tmp_path):
     folder = RunFolder(tmp_path)
     write_results(folder, RunResults())
@@ -123,6 +143,7 @@ def test_a_run_without_results_leaves_tables_without_rows(tmp_path):
     assert read_joint_biases(folder.joint_biases) == []
     assert read_joint_plateaus(folder.joint) == []
     assert not folder.noise.exists()
+    assert not folder.budget.exists()
 
 
 def test_a_folder_that_can_not_be_written_is_an_error(results, tmp_path):

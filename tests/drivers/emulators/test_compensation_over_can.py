@@ -8,13 +8,15 @@ import pytest
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.station.instruments import Emulation, Instruments
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
-from gyrobench.drivers.ins.command_map import Compensation
+from gyrobench.drivers.ins.command_map import Compensation, Correction
 from tests.drivers.ins.compensation_reference import Conditions, compensated_dph
 
 _STEP_S = 10.0
+ARCSEC = np.radians(1.0) / 3600.0
 _DIFFERENCE = {"difference_low_k": np.full(3, 2.0), "difference_high_k": np.full(3, 60.0)}
 _ONSET = {"onset_c": np.array([30.0, 25.0, 20.0]), "onset_width_c": np.array([4.0, 5.0, 6.0]), **_DIFFERENCE}
 _VECTORS = np.array([[0.1, -0.2, 0.3], [-0.4, 0.5, -0.6], [0.7, -0.8, 0.9]])
@@ -55,7 +57,7 @@ class EmulatedIns:
         address = BenchAddress(self.clock.name, str(find_document("worlds", "ideal")), 0)
         self.world = emulated_bench(address).world
         self._courses = []
-        self._measured = []
+        self._measured, self._forces = [], []
         self._feel_increments()
         self.instruments.power_unit(True)
         self._on_s = self.clock.now()
@@ -73,6 +75,7 @@ class EmulatedIns:
 
         def advance_and_keep(first, rotation, velocity):
             self._measured.append(rotation.copy())
+            self._forces.append(velocity.copy())
             return advance(first, rotation, velocity)
 
         self.world.unit.advance = advance_and_keep
@@ -92,6 +95,13 @@ class EmulatedIns:
         self._measured.clear()
         self.run(_STEP_S)
         return np.concatenate(self._measured).mean(axis=0) * 100.0 / DPH_TO_RADPS
+
+    def increments(self):
+        """Mean increments of ten seconds, as navigated with."""
+        self._measured.clear()
+        self._forces.clear()
+        self.run(_STEP_S)
+        return tuple(np.concatenate(each).mean(axis=0) for each in (self._measured, self._forces))
 
     def expected_dph(self, compensation):
         """What the driver's own model says, for true temperatures and attitude, of the last ten seconds."""
@@ -167,3 +177,53 @@ def test_outside_the_fitted_temperatures_nothing_is_extrapolated(emulated):
     emulated.ins.apply_compensation()
     held_dph = np.polynomial.polynomial.polyval(coldest_c, TERMS["polynomial"]["polynomial_dph"].T)
     np.testing.assert_allclose(before_dph - emulated.rate_dph(), held_dph, rtol=1e-5)
+
+
+def test_errors_of_all_other_coefficients_are_taken_out(emulated):
+    emulated.run(20.0)
+    true = emulated.increments()
+    gyro = 1e-6 * np.diag([300.0, -200.0, 100.0]) + ARCSEC * np.array(
+        [[0, 20, -30], [10, 0, 40], [-50, 15, 0]]
+    )
+    force = 1e-6 * np.diag([-150.0, 80.0, 60.0]) + ARCSEC * np.array([[0, 0, 0], [25, 0, 0], [-35, 45, 0]])
+    bias_ug = np.array([120.0, -90.0, 60.0])
+    optics_c = emulated.world.thermal.optics_c
+
+    def name(sensor, i, j):
+        return f"{sensor}_scale_factor_{AXES[i]}" if i == j else f"{sensor}_misalignment_{AXES[i]}{AXES[j]}"
+
+    corrections = {
+        name(sensor, i, j): Correction(
+            np.array([matrix[i, j] / (1e-6 if i == j else ARCSEC) - 0.5 * optics_c[i], 0.5])
+        )
+        for sensor, matrix in (("gyro", gyro), ("accelerometer", force))
+        for i in range(3)
+        for j in range(3)
+        if matrix[i, j]
+    }
+    up = emulated.world.attitude()[2]
+    for axis, bias in zip(AXES, bias_ug, strict=True):
+        along = np.array([0.0, 50.0, 0.0])
+        corrections[f"accelerometer_bias_{axis}"] = Correction(np.array([bias - along @ up]), 0.0, along)
+    checksum = emulated.ins.load_compensation(
+        compensation("polynomial", polynomial_dph=np.zeros((3, 1)), coefficients=corrections)
+    )
+    emulated.ins.apply_compensation()
+    emulated.run(10.0)
+    assert emulated.ins.status().compensation_in_use == checksum
+    rotation, velocity = emulated.increments()
+    np.testing.assert_allclose(rotation @ (np.eye(3) + gyro).T, true[0], atol=1e-11)
+    # In between the temperature changes by half a kelvin.
+    np.testing.assert_allclose(
+        velocity @ (np.eye(3) + force).T + bias_ug * 9.80665e-6 * 0.01, true[1], atol=5e-8
+    )
+
+
+def test_an_ins_without_other_coefficients_refuses_them_by_name(emulated):
+    command = emulated.ins._commands.load_compensation
+    old = command.model_copy(update={"others": None})
+    loaded = compensation("polynomial", coefficients={"gyro_scale_factor_x": Correction(np.array([3.0]))})
+    assert old.unsupported(loaded) == ["gyro_scale_factor_x"]
+    assert command.unsupported(loaded) == []
+    assert max(old.numbers(loaded)[0]) == 27
+    assert max(command.numbers(loaded)[0]) == 83

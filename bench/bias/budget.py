@@ -1,0 +1,491 @@
+"""Uncertainty budgets of measured biases, by dwell and by bin.
+
+A bias's error is a sum of independent contributions; their squares add up to the stated variance. In the mean
+of several dwells, noise averages out, and what is the same in each of them does not: errors of scale factor,
+misalignment, accelerometers, latitude and temperature slope count with their signs.
+
+Two contributions lie outside the stated uncertainty, which is that of the bias in the power cycle measured
+and at the temperature indicated: error of the gyro's temperature sensor, and repeatability between power
+cycles. Where they are known, a second sum includes them.
+
+References
+----------
+JCGM 100:2008, 5.1.2 (combined standard uncertainty), 6.2 and 6.3 (expanded uncertainty), G.4 (effective
+degrees of freedom, Welch-Satterthwaite).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+
+from gyrobench.bench.bias.bins import BiasBin
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.error_split import ErrorPart
+from gyrobench.bench.foundations.arrays import (
+    DEG_PER_SQRT_H_TO_SI,
+    DPH_TO_RADPS,
+    RAD_TO_ARCMIN,
+    RADPS_TO_DPH,
+    UG_PER_SQRT_HZ_TO_SI,
+    UG_TO_MPS2,
+    FloatArray,
+)
+from gyrobench.bench.navigation.positions import AXES
+
+#: Coverage probability of the expanded uncertainty.
+COVERAGE = 0.95
+_NORMAL_FACTOR = 1.959963984540054
+
+
+@dataclass(frozen=True)
+class Source:
+    """A source of error."""
+
+    title: str  #: For people.
+    unit: str
+    per_si: float  #: What a value in SI is multiplied by.
+    is_common: bool = False  #: Whether it is the same in all dwells of a bin.
+    note: str = ""
+
+
+_DECLARED = "declared in ins.uncertainty"
+#: Names in tables, in their order.
+SOURCES: Mapping[str, Source] = MappingProxyType(
+    {
+        "angle_random_walk": Source(
+            "angle random walk of the gyros", "deg/sqrt(h)", 1 / DEG_PER_SQRT_H_TO_SI
+        ),
+        "velocity_random_walk": Source(
+            "velocity random walk of the accelerometers", "ug/sqrt(Hz)", 1 / UG_PER_SQRT_HZ_TO_SI
+        ),
+        "velocity_output": Source("noise and resolution of the velocity output", "m/s", 1.0),
+        "heading_output": Source("noise and resolution of the attitude output", "urad", 1e6),
+        "accelerometer_bias": Source(
+            "accelerometer bias",
+            "ug",
+            1 / UG_TO_MPS2,
+            True,
+            "prior knowledge; where it is large, the data decide",
+        ),
+        "accelerometer_drift": Source(
+            "drift of the accelerometers in the dwell", "ug/h", 3600 / UG_TO_MPS2, True, _DECLARED
+        ),
+        "accelerometer_settling": Source(
+            "settling of the accelerometers after the turn", "ug", 1 / UG_TO_MPS2, True, _DECLARED
+        ),
+        "gyro_scale_factor": Source("gyro scale factor in the turn", "ppm", 1e6, True, _DECLARED),
+        "gyro_misalignment": Source(
+            "gyro misalignment in the turn", "arcsec", 60 * RAD_TO_ARCMIN, True, _DECLARED
+        ),
+        "tilt_step": Source(
+            "tilt of the sensors on their mount in the turn", "arcsec", 60 * RAD_TO_ARCMIN, False, _DECLARED
+        ),
+        "latitude": Source(
+            "latitude and deflection of the vertical",
+            "arcmin",
+            RAD_TO_ARCMIN,
+            True,
+            "declared in location.latitude_uncertainty_arcmin",
+        ),
+        "bias_slope": Source("gyro temperature within the dwell", "deg/h/K", RADPS_TO_DPH, True, _DECLARED),
+        "initial_state": Source("initial attitude and velocity", "", 1.0, note="estimated from the data"),
+        "dwells": Source(
+            "dwells of the plateau", "", 1.0, note="noise, drift and tilt: see the budgets of the dwells"
+        ),
+        "white_angle": Source("noise and resolution of the angle increments", "urad", 1e6),
+        "white_velocity": Source("noise and resolution of the velocity increments", "m/s", 1.0),
+        "table_return": Source(
+            "return of the table after whole turns",
+            "arcsec",
+            60 * RAD_TO_ARCMIN,
+            note="declared in rate_table.repeatability_arcsec",
+        ),
+        "gravity": Source("gravity", "m/s^2", 1.0, note="declared"),
+        "misfit": Source("residuals beyond the noise", "", 1.0, note="the model does not explain the data"),
+        "assumed_size": Source(
+            "assumed size of the coefficients", "", 1.0, note="large; the data decide what they show"
+        ),
+        "temperature_sensor": Source("temperature sensor of the gyro", "K", 1.0, True),
+        "power_cycles": Source("repeatability between power cycles", "deg/h", DPH_TO_RADPS),
+    }
+)
+_SETTLED = "not significant in the data (p ≥ 0.01): taken as zero"
+
+
+@dataclass(frozen=True)
+class Contribution:
+    """Contribution of one source to the uncertainty of a result."""
+
+    source: str  #: Key of :data:`SOURCES`.
+    #: Standard uncertainty of the input quantity, in the unit of the source; NaN where it has none.
+    input_sigma: float
+    sigma: float  #: Standard uncertainty of the result by this source, in its unit; NaN where not evaluated.
+    dof: float = math.inf  #: Degrees of freedom; infinite where declared.
+    distribution: str = "normal"
+    is_within: bool = True  #: Whether it is part of the stated uncertainty.
+    note: str = ""
+
+    @property
+    def evaluation(self) -> str:
+        """Type of evaluation: "A" from repeated observations, otherwise "B"."""
+        return "A" if math.isfinite(self.dof) else "B"
+
+    @property
+    def sensitivity(self) -> float:
+        """Sensitivity coefficient: unit of the result per unit of the input; NaN where there is no input.
+
+        For a source with several components of equal uncertainty, such as one for each axis, it is the root
+        sum of squares over them.
+        """
+        return self.sigma / self.input_sigma if self.input_sigma > 0.0 else math.nan
+
+
+@dataclass(frozen=True)
+class Combined:
+    """Combined and expanded uncertainty of several contributions."""
+
+    sigma: float  #: Combined standard uncertainty.
+    dof: float  #: Effective degrees of freedom.
+
+    @classmethod
+    def of(cls, contributions: Iterable[Contribution]) -> Combined:
+        """Combine independent contributions; those not evaluated are left out."""
+        known = [each for each in contributions if each.sigma > 0.0]
+        variance = math.fsum(each.sigma**2 for each in known)
+        fourth = math.fsum(each.sigma**4 / each.dof for each in known)
+        return cls(math.sqrt(variance), variance**2 / fourth if fourth else math.inf)
+
+    @property
+    def k(self) -> float:
+        """Coverage factor for a probability of 95 %."""
+        return coverage_factor(self.dof)
+
+    @property
+    def expanded(self) -> float:
+        """Expanded uncertainty for a coverage probability of 95 %."""
+        return self.k * self.sigma
+
+
+def coverage_factor(dof: float) -> float:
+    """Half-width of the 95 % interval of Student's distribution."""
+    if math.isinf(dof):
+        return _NORMAL_FACTOR
+    from scipy.special import stdtrit
+
+    return float(stdtrit(dof, 0.5 * (1.0 + COVERAGE)))
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Uncertainty budget of one result."""
+
+    contributions: tuple[Contribution, ...]
+
+    @property
+    def stated(self) -> Combined:
+        """The stated uncertainty."""
+        return Combined.of(each for each in self.contributions if each.is_within)
+
+    @property
+    def any_power_cycle(self) -> Combined | None:
+        """With the contributions outside the stated uncertainty; None where none of them is known."""
+        if any(not each.is_within and not math.isnan(each.sigma) for each in self.contributions):
+            return Combined.of(self.contributions)
+        return None
+
+    def share(self, contribution: Contribution) -> float:
+        """Share of the stated variance; NaN for what is not part of it."""
+        if not contribution.is_within or math.isnan(contribution.sigma):
+            return math.nan
+        return (contribution.sigma / self.stated.sigma) ** 2
+
+
+@dataclass(frozen=True)
+class BiasBudget:
+    """Budget of the bias of one gyro, in deg/h, in a dwell or in a bin."""
+
+    gyro: str  #: "x", "y" or "z".
+    position: str
+    budget: Budget
+    dwell: int | None = None  #: Number of the dwell; None for a bin.
+    #: bin_low_c, bin_high_c: Range of the gyro's temperature; NaN for a dwell.
+    bin_low_c: float = math.nan
+    bin_high_c: float = math.nan
+
+
+@dataclass(frozen=True, eq=False)
+class BudgetedDwell:
+    """A dwell and the parts of its biases' errors."""
+
+    row: DwellRow
+    parts: Mapping[str, ErrorPart]
+
+
+@dataclass(frozen=True)
+class BudgetInputs:
+    """What budgets need beside the dwells."""
+
+    #: velocity_resolution_mps, heading_resolution_rad: Standard uncertainties by the outputs' resolution.
+    velocity_resolution_mps: float = 0.0
+    heading_resolution_rad: float = 0.0
+    #: Standard uncertainty of a gyro's temperature sensor, K; None where not declared.
+    temperature_c: float | None = None
+
+
+def bias_budgets(
+    dwells: Sequence[BudgetedDwell], bins: Sequence[BiasBin], inputs: BudgetInputs
+) -> list[BiasBudget]:
+    """Budgets of all dwells, then of all bins that are not empty.
+
+    ``bins``: over those of the dwells that have no flags.
+    """
+    good = [each.row for each in dwells if not each.row.flags]
+    outside = [_Outside.of(axis, good, inputs) for axis in range(3)]
+    result = [
+        BiasBudget(
+            gyro, each.row.position, _budget(axis, [each], [1.0], inputs, outside[axis]), each.row.dwell
+        )
+        for each in dwells
+        for axis, gyro in enumerate(AXES)
+    ]
+    for each in bins:
+        axis = AXES.index(each.gyro)
+        members = [
+            dwell
+            for dwell in dwells
+            if dwell.row.position == each.position
+            and not dwell.row.flags
+            and each.bin_low_c <= dwell.row.gyro_c[axis] < each.bin_high_c
+        ]
+        if not members:
+            continue
+        weights = np.array([dwell.row.sigma_dph[axis] ** -2.0 for dwell in members])
+        budget = _budget(axis, members, (weights / weights.sum()).tolist(), inputs, outside[axis])
+        result.append(BiasBudget(each.gyro, each.position, budget, None, each.bin_low_c, each.bin_high_c))
+    return result
+
+
+def coefficient_budget(
+    variances: Mapping[str, float], inputs: Mapping[str, float], misfit_dof: float
+) -> Budget:
+    """Budget of a coefficient from its variances by source.
+
+    Parameters
+    ----------
+    variances : mapping of str to float
+        By key of :data:`SOURCES`, in the square of the coefficient's unit.
+    inputs : mapping of str to float
+        Standard uncertainty of the inputs that have one, SI.
+    misfit_dof : float
+        Degrees of freedom of the residuals.
+    """
+    contributions = [
+        Contribution(
+            name,
+            inputs.get(name, math.nan) * SOURCES[name].per_si,
+            math.sqrt(max(variances[name], 0.0)),
+            misfit_dof if name == "misfit" and variances[name] > 0.0 else math.inf,
+            note=SOURCES[name].note or "noise of the increments at rest, or declared in ins.noise",
+        )
+        for name in SOURCES
+        if name in variances
+    ]
+    note = "not evaluated: the coefficients are those of one power cycle"
+    outside = Contribution("power_cycles", math.nan, math.nan, is_within=False, note=note)
+    return Budget((*contributions, outside))
+
+
+def with_budgets(bins: Sequence[BiasBin], budgets: Iterable[BiasBudget]) -> list[BiasBin]:
+    """The bins with the uncertainties of their budgets, in which common errors do not average out."""
+    sigmas = {
+        (each.gyro, each.position, each.bin_low_c): each.budget.stated.sigma
+        for each in budgets
+        if each.dwell is None
+    }
+    return [
+        replace(each, sigma_dph=sigmas.get((each.gyro, each.position, each.bin_low_c), each.sigma_dph))
+        for each in bins
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class _Outside:
+    """What lies outside the stated uncertainty of one gyro's bias."""
+
+    #: Repeatability between power cycles: standard deviation, deg/h, NaN where not evaluated; its degrees of
+    #: freedom; and a note.
+    sigma_dph: float
+    dof: float
+    note: str
+    #: For each position a polynomial of the bias over the gyro's temperature; None with fewer than two
+    #: temperatures.
+    curves: Mapping[str, np.poly1d | None]
+
+    @classmethod
+    def of(cls, axis: int, rows: Sequence[DwellRow], inputs: BudgetInputs) -> _Outside:
+        positions = {row.position for row in rows}
+        curves = {
+            position: _curve([row for row in rows if row.position == position], axis)
+            for position in (positions if inputs.temperature_c else ())
+        }
+        return cls(*_between_power_cycles(axis, rows), curves)
+
+
+#: Temperatures of one plateau differ by less, K.
+_PLATEAU_C = 5.0
+
+
+def _between_power_cycles(axis: int, rows: Sequence[DwellRow]) -> tuple[float, float, str]:
+    """Standard deviation of a gyro's bias between power cycles beyond noise, deg/h, its dof, and a note."""
+    cells: dict[tuple[str, int], dict[str, list[DwellRow]]] = defaultdict(lambda: defaultdict(list))
+    for row in rows:
+        cells[row.position, math.floor(row.gyro_c[axis] / _PLATEAU_C)][row.run].append(row)
+    repeated = [by_run for by_run in cells.values() if len(by_run) > 1]
+    if not repeated:
+        return (
+            math.nan,
+            math.inf,
+            "not evaluated: no position and temperature was measured in two power cycles",
+        )
+    runs = {run for by_run in repeated for run in by_run}
+    squares, noise, free = 0.0, 0.0, 0
+    for by_run in repeated:
+        means = [np.mean([row.bias_dph[axis] for row in of_run]) for of_run in by_run.values()]
+        variances = [
+            np.mean([row.sigma_dph[axis] ** 2 for row in of_run]) / len(of_run) for of_run in by_run.values()
+        ]
+        squares += float(np.sum((means - np.mean(means)) ** 2))
+        noise += float(np.mean(variances)) * (len(means) - 1)
+        free += len(means) - 1
+    sigma = math.sqrt(max(squares - noise, 0.0) / free)
+    note = f"{len(runs)} power cycles" + ("" if sigma else ": no more than the noise")
+    return sigma, len(runs) - 1.0, note
+
+
+def _curve(rows: Sequence[DwellRow], axis: int) -> np.poly1d | None:
+    temperatures = [row.gyro_c[axis] for row in rows]
+    distinct = len({round(each / _PLATEAU_C) for each in temperatures})
+    if distinct < 2:
+        return None
+    return np.poly1d(np.polyfit(temperatures, [row.bias_dph[axis] for row in rows], min(2, distinct - 1)))
+
+
+def _budget(
+    axis: int,
+    dwells: Sequence[BudgetedDwell],
+    weights: Sequence[float],
+    inputs: BudgetInputs,
+    outside: _Outside,
+) -> Budget:
+    """Budget of a weighted mean of dwells."""
+    parts = [_as_stated(axis, dwell) for dwell in dwells]
+    names = [name for name in SOURCES if any(name in each for each in parts)]
+    resolutions = {
+        "velocity_output": inputs.velocity_resolution_mps,
+        "heading_output": inputs.heading_resolution_rad,
+    }
+    contributions = []
+    for name in names:
+        own = [(each[name], weight) for each, weight in zip(parts, weights, strict=True) if name in each]
+        combine = _common if SOURCES[name].is_common else _independent
+        sigma, dof = combine([(part.columns[axis] * RADPS_TO_DPH, part.dof, w) for part, w in own])
+        given = math.sqrt(float(np.mean([part.sigma**2 for part, _ in own])))
+        is_resolution = math.isinf(dof) and given <= 1.001 * resolutions.get(name, 0.0)
+        contributions.append(
+            Contribution(
+                name,
+                given * SOURCES[name].per_si,
+                sigma,
+                dof,
+                "rectangular" if is_resolution else "normal",
+                note="resolution of the output" if is_resolution else _note(name, dof),
+            )
+        )
+    if "accelerometer_settling" not in names:
+        contributions.append(Contribution("accelerometer_settling", math.nan, math.nan, note=_SETTLED))
+    return Budget((*contributions, *_outside_contributions(dwells, inputs, outside, axis, weights)))
+
+
+def _note(name: str, dof: float) -> str:
+    if math.isfinite(dof):
+        return "estimated from the output of the dwell"
+    return SOURCES[name].note or "declared in ins.noise"
+
+
+def _as_stated(axis: int, dwell: BudgetedDwell) -> Mapping[str, ErrorPart]:
+    """Parts whose variances add up to the stated one of a gyro.
+
+    They do, but for a vertical gyro whose bias was corrected for a wrong latitude: there what the joint
+    solution says more or less is taken as that of the latitude.
+    """
+    stated = (dwell.row.sigma_dph[axis] * DPH_TO_RADPS) ** 2
+    variances = {name: float(part.covariance[axis, axis]) for name, part in dwell.parts.items()}
+    total = math.fsum(variances.values())
+    if "latitude" not in variances or abs(stated - total) <= 1e-6 * total:
+        return dwell.parts
+    others = total - variances["latitude"]
+    factors, left = np.ones(3), math.sqrt(max(stated - others, 0.0))
+    factors[axis] = math.sqrt(min(stated / others, 1.0))
+    changed = {name: part.scaled(factors) for name, part in dwell.parts.items()}
+    column = np.zeros((3, 1))
+    column[axis] = left
+    return changed | {"latitude": replace(dwell.parts["latitude"], columns=column)}
+
+
+_Weighted = Sequence[tuple[FloatArray, float, float]]
+
+
+def _common(errors: _Weighted) -> tuple[float, float]:
+    """Standard uncertainty and dof of a mean by components (m,) that are the same in all dwells."""
+    total = np.zeros(max(len(columns) for columns, _, _ in errors))
+    for columns, _, weight in errors:
+        total[: len(columns)] += weight * columns
+    return float(np.linalg.norm(total)), min(dof for _, dof, _ in errors)
+
+
+def _independent(errors: _Weighted) -> tuple[float, float]:
+    """The same by components that are independent from dwell to dwell."""
+    variances = [float(np.sum((weight * columns) ** 2)) for columns, _, weight in errors]
+    total = math.fsum(variances)
+    fourth = math.fsum(variance**2 / dof for variance, (_, dof, _) in zip(variances, errors, strict=True))
+    return math.sqrt(total), total**2 / fourth if fourth else math.inf
+
+
+def _outside_contributions(
+    dwells: Sequence[BudgetedDwell],
+    inputs: BudgetInputs,
+    outside: _Outside,
+    axis: int,
+    weights: Sequence[float],
+) -> tuple[Contribution, Contribution]:
+    by_run: dict[str, float] = defaultdict(float)
+    for dwell, weight in zip(dwells, weights, strict=True):
+        by_run[dwell.row.run] += weight
+    repeated = outside.sigma_dph * math.sqrt(math.fsum(weight**2 for weight in by_run.values()))
+    cycles = Contribution(
+        "power_cycles", outside.sigma_dph, repeated, outside.dof, is_within=False, note=outside.note
+    )
+    curve = outside.curves.get(dwells[0].row.position)
+    if inputs.temperature_c is None:
+        note = "not evaluated: ins.uncertainty.gyro_temperature_c is not declared"
+    elif curve is None:
+        note = "not evaluated: the bias's slope needs two temperatures in this position"
+    else:
+        slopes = [abs(float(curve.deriv()(dwell.row.gyro_c[axis]))) for dwell in dwells]
+        slope = math.fsum(weight * each for weight, each in zip(weights, slopes, strict=True))
+        sensor = Contribution(
+            "temperature_sensor",
+            inputs.temperature_c,
+            slope * inputs.temperature_c,
+            is_within=False,
+            note="declared in ins.uncertainty; sensitivity is the slope of the measured biases",
+        )
+        return sensor, cycles
+    given = math.nan if inputs.temperature_c is None else inputs.temperature_c
+    return Contribution("temperature_sensor", given, math.nan, is_within=False, note=note), cycles

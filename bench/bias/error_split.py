@@ -1,0 +1,182 @@
+"""The error of a dwell's biases split over its independent sources, with the gains of the estimator fixed.
+
+The estimate is linear: the bias's error is the sum of what each noise source and each part of the prior
+knowledge contributes by the estimator's gains, so the covariances of the parts add up to that of the estimate
+(Joseph's form). The part of the prior knowledge follows from the normal equations. For that of the noise one
+backward pass of the whitening filter carries the weights of all innovations to the noise of each interval and
+each output.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gyrobench.bench.bias import parameters
+from gyrobench.bench.bias.bias_steps import WindowChange
+from gyrobench.bench.bias.noise_model import NoiseModel
+from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.bias.window_filter import DATA, MEASURED_STATES, WindowFilter
+from gyrobench.bench.foundations.arrays import FloatArray, IntArray
+from gyrobench.bench.foundations.kernels import compiled
+from gyrobench.bench.navigation.error_model import STATES, Site, integrate
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorPart:
+    """Error of the biases of the x, y and z gyro by one source."""
+
+    #: Shape (3, m). By one standard deviation of each of m independent components, rad/s.
+    columns: FloatArray
+    sigma: float  #: Standard uncertainty of each component, SI.
+    dof: float = math.inf  #: Its degrees of freedom; infinite where it is declared.
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance of the three biases by this source, shape (3, 3), (rad/s)^2."""
+        return self.columns @ self.columns.T
+
+    def scaled(self, factors: FloatArray) -> ErrorPart:
+        """The same with the error of each gyro multiplied by a factor (3,)."""
+        return replace(self, columns=self.columns * factors[:, np.newaxis])
+
+
+def prior_parts(
+    response: FloatArray, prior: PriorKnowledge, shown: FloatArray, windows: int
+) -> dict[str, ErrorPart]:
+    """Errors by prior knowledge.
+
+    Parameters
+    ----------
+    response : ndarray, shape (3, p)
+        Error of the biases for one standard deviation of each independent part of the prior knowledge.
+    shown : ndarray, shape (p,)
+        1 for each parameter that is estimated, 0 for those that count as zero.
+    windows : int
+        Number of windows.
+    """
+    matrix = np.arange(parameters.GYRO_MATRIX.start, parameters.GYRO_MATRIX.stop)
+    scale_factors = matrix[:: 3 + 1]
+    own = parameters.COMMON + parameters.PER_WINDOW * np.arange(windows)
+    per_window = np.arange(parameters.PER_WINDOW)
+    settling = parameters.transients(windows)
+    places: dict[str, tuple[slice | IntArray, float]] = {
+        "accelerometer_bias": (parameters.ACCELEROMETER_BIAS, prior.accelerometer_bias),
+        "accelerometer_drift": (parameters.ACCELEROMETER_DRIFT, prior.accelerometer_drift),
+        "gyro_scale_factor": (scale_factors, prior.gyro_scale_factor),
+        "gyro_misalignment": (np.setdiff1d(matrix, scale_factors), prior.gyro_misalignment),
+        "tilt_step": (np.add.outer(own[1:], per_window[parameters.ATTITUDE]).ravel(), prior.tilt_step),
+        "latitude": (parameters.NAVIGATION_RATE, prior.latitude),
+        "bias_slope": (parameters.GYRO_SLOPE, prior.bias_slope),
+    }
+    if len(settling) and shown[settling].any():
+        places["accelerometer_settling"] = settling, prior.accelerometer_transient
+    named = np.zeros(response.shape[1], dtype=bool)
+    for place, _ in places.values():
+        named[place] = True
+    parts = {name: ErrorPart(response[:, place], sigma) for name, (place, sigma) in places.items()}
+    return parts | {"initial_state": ErrorPart(response[:, ~named], math.nan)}
+
+
+def noise_parts(
+    windows: Sequence[WindowFilter],
+    changes: Sequence[WindowChange],
+    expansions: Sequence[FloatArray],
+    gain: FloatArray,
+    site: Site,
+    noise: NoiseModel,
+) -> dict[str, ErrorPart]:
+    """Errors by the noise of gyros, accelerometers and outputs.
+
+    Parameters
+    ----------
+    windows, changes : sequences of WindowFilter and WindowChange
+        All windows of the dwell, and from each to the next.
+    expansions : sequence of ndarray, shape (c, p)
+        Each column of a window for a unit of each parameter.
+    gain : ndarray, shape (p, 3)
+        Covariance of the parameters with the biases.
+    """
+    walks, outputs, costate = np.zeros((2, 3, 3)), np.zeros((3, 3, 3)), np.zeros((STATES, 3))
+    for number in reversed(range(len(windows))):
+        epochs = windows[number].epochs_filtered
+        durations = np.diff(epochs.time_s, prepend=epochs.time_s[0])
+        by_walk = np.stack([integrate(site, durations, *unit).covariance for unit in np.eye(2)])
+        # What the white innovations count in the biases.
+        weights = epochs.rows[:, :, :DATA] @ (expansions[number] @ gain[: expansions[number].shape[1]])
+        _backward(
+            weights, epochs.gains, epochs.scales, epochs.transition, by_walk,
+            costate, walks, outputs,
+        )  # fmt: skip
+        if number:
+            walks += costate.T @ changes[number - 1].by_walk @ costate
+            costate = np.ascontiguousarray(changes[number - 1].transition.T @ costate)
+    variances = windows[0].output_variances
+    covariances = {
+        "angle_random_walk": noise.angle_random_walk**2 * walks[0],
+        "velocity_random_walk": noise.velocity_random_walk**2 * walks[1],
+        "velocity_output": variances[0] * (outputs[0] + outputs[1]),
+        "heading_output": variances[2] * outputs[2],
+    }
+    sigmas = noise.angle_random_walk, noise.velocity_random_walk, *np.sqrt(variances[1:]).tolist()
+    return {
+        name: ErrorPart(_root(covariance), sigma, dof)
+        for (name, covariance), sigma, dof in zip(covariances.items(), sigmas, noise.dof, strict=True)
+    }
+
+
+def _root(covariance: FloatArray) -> FloatArray:
+    variances, directions = np.linalg.eigh(covariance)
+    return np.asarray(directions * np.sqrt(np.maximum(variances, 0.0)))
+
+
+@compiled
+def _backward(
+    weights: FloatArray, gains: FloatArray, scales: FloatArray, transitions: FloatArray, by_walk: FloatArray,
+    costate: FloatArray, walks: FloatArray, outputs: FloatArray,
+) -> None:  # fmt: skip
+    """Carry the weights of a window's innovations back to the noise; changes the last three in place.
+
+    Parameters
+    ----------
+    weights, gains, scales, transitions : ndarray, shape (n, 3, 3), (n, 3, 6), (n, 3), (n, 6, 6)
+        See :class:`gyrobench.bench.bias.window_filter.EpochsFiltered`.
+    by_walk : ndarray, shape (2, n, 6, 6)
+        Covariance that unit angle and velocity random walk add in the interval that leads to each epoch.
+    costate : ndarray, shape (6, 3)
+        Error of the biases for a unit error of the state.
+    walks, outputs : ndarray, shape (2, 3, 3), (3, 3, 3)
+        Covariance of the biases for unit walks and for unit variance of each output.
+    """
+    felt = np.empty(3)
+    carried = np.empty((STATES, 3))
+    for k in range(len(weights) - 1, -1, -1):
+        for m in range(2, -1, -1):
+            h = MEASURED_STATES[m]
+            for b in range(3):
+                felt[b] = scales[k, m] * weights[k, m, b]
+                for i in range(STATES):
+                    felt[b] -= gains[k, m, i] * costate[i, b]
+            for b in range(3):
+                costate[h, b] += felt[b]
+                for c in range(3):
+                    outputs[m, b, c] += felt[b] * felt[c]
+        for s in range(2):
+            for i in range(STATES):
+                for b in range(3):
+                    carried[i, b] = 0.0
+                    for j in range(STATES):
+                        carried[i, b] += by_walk[s, k, i, j] * costate[j, b]
+            for b in range(3):
+                for c in range(3):
+                    for i in range(STATES):
+                        walks[s, b, c] += costate[i, b] * carried[i, c]
+        for i in range(STATES):
+            for b in range(3):
+                carried[i, b] = 0.0
+                for j in range(STATES):
+                    carried[i, b] += transitions[k, j, i] * costate[j, b]
+        costate[:] = carried

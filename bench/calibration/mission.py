@@ -1,0 +1,198 @@
+"""Position error of a rotational INS that navigates with what is left of its sensors' errors.
+
+The increments that gyros and accelerometers give while a dual-axis gimbal turns them from one attitude to the
+next are computed without approximation, given the errors of a :class:`SensorErrors`, and navigated: attitude,
+velocity and position on the ellipsoid, at fixed altitude. The vehicle rests, the errors are constant, and
+navigation starts without an error. Position errors are linear in so small sensor errors, so the distribution
+that follows from the uncertainty of the coefficients is drawn from the responses to each of them.
+
+References
+----------
+Titterton and Weston, *Strapdown Inertial Navigation Technology*, 2nd ed., chapters 3 and 11.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, SensorErrors
+from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.kernels import compiled
+from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vectors
+from gyrobench.bench.navigation.earth import EARTH_RATE, curvature_radii, earth_rate_enu
+from gyrobench.bench.navigation.error_model import Site
+from gyrobench.bench.navigation.rotational_ins import (
+    GIMBALS,
+    NAUTICAL_MILE_M,
+    RETRACED_HALF_TURNS,
+    RotationScheme,
+)
+
+#: Times of a mission at which its error is stated, h.
+HOURS = (1.0, 8.0, 24.0)
+
+_S_PER_H, _EVERY_S = 3600.0, 60.0
+_DWELL_STEP_S, _TURN_STEP_DEG = 10.0, 5.0
+#: Size of one coefficient by which its response is computed, of the size of a large error.
+_SMALL = 1e-4
+_DRAWS = 2000
+
+
+@dataclass(frozen=True, eq=False)
+class MissionError:
+    """Largest distance from the true position up to each of :data:`HOURS`, nmi."""
+
+    stated_nmi: FloatArray  #: Shape (3,). With the coefficients as stated.
+    #: median_nmi, high_nmi: Shape (3,). Of the distribution by their uncertainty: half and 95 % are below.
+    median_nmi: FloatArray
+    high_nmi: FloatArray
+    time_s: FloatArray  #: Shape (n,). Every minute.
+    distance_nmi: FloatArray  #: Shape (n,). Distance from the true position with the coefficients as stated.
+
+
+def mission_error(
+    values: FloatArray, covariance: FloatArray, site: Site, scheme: RotationScheme = RETRACED_HALF_TURNS
+) -> MissionError:
+    """Error of a mission of a day with what is left of the coefficients.
+
+    Parameters
+    ----------
+    values, covariance : ndarray, shape (21,) and (21, 21)
+        Of :data:`gyrobench.bench.calibration.coefficients.COEFFICIENTS`, SI.
+    """
+    time_s, responses = _responses(site, scheme)
+    stated = np.hypot(*navigate(SensorErrors.from_vector(values), site, scheme)[1])
+    draws = np.random.default_rng(0).multivariate_normal(values, covariance, _DRAWS, method="eigh")
+    drawn = np.hypot(*np.moveaxis(np.tensordot(draws, responses, axes=1), 1, 0))
+    ends = [int(np.searchsorted(time_s, hours * _S_PER_H)) + 1 for hours in HOURS]
+    largest = np.array([drawn[:, :end].max(axis=1) for end in ends]) / NAUTICAL_MILE_M
+    return MissionError(
+        stated_nmi=np.array([stated[:end].max() for end in ends]) / NAUTICAL_MILE_M,
+        median_nmi=np.median(largest, axis=1),
+        high_nmi=np.quantile(largest, 0.95, axis=1),
+        time_s=time_s,
+        distance_nmi=stated / NAUTICAL_MILE_M,
+    )
+
+
+def navigate(
+    errors: SensorErrors, site: Site, scheme: RotationScheme = RETRACED_HALF_TURNS, hours: float = HOURS[-1]
+) -> tuple[FloatArray, FloatArray]:
+    """Navigate with sensors that have errors: times (n,), every minute, and error East, North (2, n), m."""
+    interval_s, angle, velocity, start = _increments(site, scheme)
+    measured_angle = angle @ (np.eye(3) + errors.gyro_matrix).T + errors.gyro_bias * interval_s[:, np.newaxis]
+    measured_velocity = (
+        velocity @ (np.eye(3) + errors.force_matrix).T + errors.force_bias * interval_s[:, np.newaxis]
+    )
+    cycles = int(np.ceil(hours * _S_PER_H / interval_s.sum()))
+    track_m = _navigate(
+        interval_s, measured_angle, measured_velocity, cycles, start, site.latitude,
+        np.array(curvature_radii(site.latitude, site.height)), EARTH_RATE,
+    )  # fmt: skip
+    ends_s = np.concatenate([[0.0], np.cumsum(np.tile(interval_s, cycles))])
+    time_s = np.arange(0.0, hours * _S_PER_H + 0.5 * _EVERY_S, _EVERY_S)
+    return time_s, np.stack([np.interp(time_s, ends_s, track) for track in track_m])
+
+
+@lru_cache(maxsize=4)
+def _responses(site: Site, scheme: RotationScheme) -> tuple[FloatArray, FloatArray]:
+    """Times (n,), and error East and North per unit of each coefficient, m: shape (21, 2, n)."""
+    time_s, none_m = navigate(SensorErrors(), site, scheme)
+    sizes = _SMALL * np.array([each.size for each in COEFFICIENTS])
+    alone = [SensorErrors.from_vector(row) for row in np.eye(COUNT) * sizes]
+    return time_s, np.array(
+        [(navigate(each, site, scheme)[1] - none_m) / size for each, size in zip(alone, sizes, strict=True)]
+    )
+
+
+@lru_cache(maxsize=4)
+def _increments(site: Site, scheme: RotationScheme) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """True increments of one cycle of a scheme, and the attitude (3, 3) at its start.
+
+    Lengths (n,), s, rotation vectors (n, 3) against inertial space, and velocities (n, 3), m/s, in the body
+    axes in the middle of each step.
+    """
+    angles, lengths = [scheme.angles_deg()[0]], list[float]()
+    for start, end in itertools.pairwise(scheme.angles_deg()):
+        turn_deg = float(np.abs(np.subtract(end, start)).sum())
+        dwell_steps, turn_steps = (
+            int(np.ceil(scheme.dwell_s / _DWELL_STEP_S)),
+            int(np.ceil(turn_deg / _TURN_STEP_DEG)),
+        )
+        angles += [start] * dwell_steps
+        angles += [
+            tuple(np.add(start, k / turn_steps * np.subtract(end, start))) for k in range(1, turn_steps + 1)
+        ]
+        lengths += [scheme.dwell_s / dwell_steps] * dwell_steps
+        lengths += [turn_deg / scheme.rate_dps / turn_steps] * turn_steps
+    edges_deg, interval_s = np.array(angles), np.array(lengths)
+    C_nb = GIMBALS.attitude(*edges_deg.T)
+    middle = GIMBALS.attitude(*(0.5 * (edges_deg[:-1] + edges_deg[1:])).T)
+    earth = rotation_matrices(np.outer(interval_s, earth_rate_enu(site.latitude)))
+    angle = rotation_vectors(np.swapaxes(C_nb[:-1], 1, 2) @ earth @ C_nb[1:])
+    velocity = middle[:, 2] * (site.gravity * interval_s)[:, np.newaxis]
+    return interval_s, angle, velocity, C_nb[0]
+
+
+@compiled
+def _navigate(
+    interval_s: FloatArray, angle: FloatArray, velocity: FloatArray, cycles: int, start: FloatArray,
+    latitude: float, radii: FloatArray, earth_rate: float,
+) -> FloatArray:  # fmt: skip
+    """Error East and North (2, n + 1), m, from the increments of one cycle, repeated.
+
+    The attitude is turned by half of what the navigation frame turns before, and after, each step; the
+    velocity increment is resolved in the middle of the step.
+    """
+    steps = interval_s.size
+    track = np.zeros((2, cycles * steps + 1))
+    C_nb, east_mps, north_mps, east_m, north_m = start.copy(), 0.0, 0.0, 0.0, 0.0
+    meridian_m, across_m = radii[0], radii[1]
+    for k in range(cycles * steps):
+        step = k % steps
+        dt = interval_s[step]
+        at = latitude + north_m / meridian_m
+        cosine, sine, tangent = np.cos(at), np.sin(at), np.tan(at)
+        earth_n, earth_u = earth_rate * cosine, earth_rate * sine
+        turn = np.array(
+            [-north_mps / meridian_m, earth_n + east_mps / across_m, earth_u + east_mps * tangent / across_m]
+        )
+        C_nb = _turned(-0.5 * dt * turn) @ C_nb
+        force = (C_nb @ _turned(0.5 * angle[step])) @ velocity[step]
+        coriolis = 2.0 * earth_u + east_mps * tangent / across_m
+        change_e, change_n = force[0] + coriolis * north_mps * dt, force[1] - coriolis * east_mps * dt
+        east_m += (east_mps + 0.5 * change_e) * dt * np.cos(latitude) / cosine
+        north_m += (north_mps + 0.5 * change_n) * dt
+        east_mps += change_e
+        north_mps += change_n
+        turn = np.array(
+            [-north_mps / meridian_m, earth_n + east_mps / across_m, earth_u + east_mps * tangent / across_m]
+        )
+        C_nb = _turned(-0.5 * dt * turn) @ (C_nb @ _turned(angle[step]))
+        track[0, k + 1], track[1, k + 1] = east_m, north_m
+    return track
+
+
+@compiled
+def _turned(vector: FloatArray) -> FloatArray:
+    """Matrix (3, 3) of a rotation vector, rad."""
+    squared = vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2
+    size = np.sqrt(squared)
+    sine, cosine = 1.0 - squared / 6.0, 0.5 - squared / 24.0
+    if size > 1e-3:
+        sine, cosine = np.sin(size) / size, (1.0 - np.cos(size)) / squared
+    matrix = np.eye(3)
+    x, y, z = vector
+    for i in range(3):
+        matrix[i, i] += cosine * (vector[i] ** 2 - squared)
+    matrix[0, 1] += cosine * x * y - sine * z
+    matrix[1, 0] += cosine * x * y + sine * z
+    matrix[0, 2] += cosine * x * z + sine * y
+    matrix[2, 0] += cosine * x * z - sine * y
+    matrix[1, 2] += cosine * y * z - sine * x
+    matrix[2, 1] += cosine * y * z + sine * x
+    return matrix

@@ -1,0 +1,120 @@
+"""Increments from a first rest to a last one, in epochs, freed of errors known so far."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gyrobench.bench.calibration.coefficients import COUNT, SensorErrors
+from gyrobench.bench.calibration.recording import IncrementRecording, Rest, Rotation
+from gyrobench.bench.calibration.strapdown import DELAY, LEVER_ARMS, QUADRATIC, Epochs, attitudes
+from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.navigation.attitude import rotation_vectors
+from gyrobench.bench.navigation.error_model import Site
+
+#: Time between two velocities at rest, s: closer ones would average noise of the output alone.
+EPOCH_S = 1.0
+#: Least share of a spin along one gyro.
+_MIN_ALONG = 0.99
+
+
+@dataclass(frozen=True)
+class SpinError:
+    """What a gyro free of known errors is wrong by after whole turns."""
+
+    epoch: int  #: Number of the epoch before it.
+    axis: int  #: Index of the gyro.
+    path: float  #: Angle, rad, with its sign.
+    rate: float  #: Constant rate, rad/s, with its sign.
+    duration_s: float
+    error: float  #: Rad.
+
+
+@dataclass(frozen=True, eq=False)
+class Section:
+    """Increments from a first rest to a last one, in epochs."""
+
+    interval_s: float
+    angle: FloatArray  #: Shape (k, 3). Rad.
+    velocity: FloatArray  #: Shape (k, 3). M/s.
+    first: int  #: Increments of the first rest.
+    epochs: Epochs
+
+    @classmethod
+    def between_rests(
+        cls, recording: IncrementRecording, rests: Sequence[Rest], rotations: Sequence[Rotation]
+    ) -> Section:
+        """From a recording, with what was found in it."""
+        offset, size = rests[0].begin, max(1, round(EPOCH_S / recording.interval_s))
+        ends = np.arange(size, rests[-1].end - offset + 1, size, dtype=np.int64)
+        at_rest = np.zeros(len(ends), bool)
+        for rest in rests:
+            at_rest |= (ends >= rest.begin - offset) & (ends <= rest.end - offset)
+        spins = [
+            ((before.end - offset) // size, -(-(after.begin - offset) // size))
+            for before, after, rotation in zip(rests, rests[1:], rotations, strict=False)
+            if rotation.is_spin
+        ]
+        turns, known = [], recording.table
+        if known is not None:
+            for before, after, rotation in zip(rests, rests[1:], rotations, strict=False):
+                if rotation.kind != "disturbance":
+                    edges = (before.end - offset) // size, -(-(after.begin - offset) // size)
+                    turns.append((*edges, known[after.begin] @ known[before.end - 1].T))
+        angle, velocity = recording.angle[offset:], recording.velocity[offset:]
+        epochs = Epochs(ends, at_rest, spins, recording.has_vertical, turns)
+        return cls(recording.interval_s, angle, velocity, rests[0].end - offset, epochs)
+
+    def aligned(self, errors: SensorErrors) -> FloatArray:
+        """Attitude (3, 3) at the start by gravity and the Earth's rate in the first rest."""
+        rate, force = (each[: self.first].mean(axis=0) for each in self.freed(errors, None))
+        up = force / np.linalg.norm(force)
+        east = np.cross(rate, up)
+        east /= np.linalg.norm(east)
+        return np.stack([east, np.cross(up, east), up])
+
+    def freed(self, errors: SensorErrors, common: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+        """Increments (k, 3) without errors of the sensors and what is beside them: ``common`` (34,), SI."""
+        interval_s = self.interval_s
+        angle, velocity = errors.removed(self.angle, self.velocity, interval_s)
+        if common is not None and common[COUNT:].any():
+            rate = angle / interval_s
+            turning = np.gradient(rate, axis=0)
+            arms = common[LEVER_ARMS].reshape(3, 3)
+            for sensor, arm in enumerate(arms):
+                moved = np.cross(turning, arm) + np.cross(rate, np.cross(rate, arm)) * interval_s
+                velocity[:, sensor] -= moved[:, sensor]
+            velocity += common[DELAY] * np.cross(velocity, rate)
+            velocity -= common[QUADRATIC] * velocity**2 / interval_s
+        return angle, velocity
+
+    def retimed(self, factor: float, of_rates: bool) -> Section:
+        """The same with another interval; ``of_rates``: increments are rates times the interval."""
+        scale = factor if of_rates else 1.0
+        return replace(
+            self,
+            interval_s=self.interval_s * factor,
+            angle=self.angle * scale,
+            velocity=self.velocity * scale,
+        )
+
+    def spin_errors(self, start: FloatArray, common: FloatArray, site: Site) -> list[SpinError]:
+        """What is left of whole turns with these values; not of spins oblique to the gyros."""
+        angle, _ = self.freed(SensorErrors.from_vector(common[:COUNT]), None)
+        attitude = attitudes(angle, self.interval_s, self.epochs.ends, start, site.latitude)
+        edges, errors = np.concatenate([[0], self.epochs.ends]), []
+        for a, b in self.epochs.spins:
+            moved = angle[edges[a] : edges[b]]
+            travelled = moved.sum(axis=0)
+            axis = int(np.argmax(np.abs(travelled)))
+            if abs(travelled[axis]) < _MIN_ALONG * np.linalg.norm(travelled):
+                continue
+            away = rotation_vectors((attitude[b] @ attitude[a].T)[np.newaxis])[0]
+            rates = moved[:, axis] / self.interval_s
+            rate = float(np.median(rates[np.abs(rates) > 0.5 * np.abs(rates).max()]))
+            turns = 2.0 * np.pi * round(float(travelled[axis]) / (2.0 * np.pi))
+            duration_s = float(edges[b] - edges[a]) * self.interval_s
+            errors.append(SpinError(a, axis, turns, rate, duration_s, float(attitude[a][:, axis] @ away)))
+        return errors

@@ -1,0 +1,351 @@
+"""What a certificate states, read from a run folder; PDF and DCC both show this and nothing else.
+
+References
+----------
+ISO/IEC 17025:2017, 7.8.2 and 7.8.4 (contents of a calibration certificate), 7.8.6 (statement of conformity).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, date, datetime, timedelta
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from gyrobench.bench.bias.bins import BiasBin
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.statistics import weighted_fit
+from gyrobench.bench.foundations.clock import WallClock, parsed_utc
+from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
+from gyrobench.bench.foundations.files import file_sha256
+from gyrobench.bench.foundations.text import counted, hours_minutes, listed, plain_name
+from gyrobench.bench.navigation.positions import AXES
+from gyrobench.bench.report.content import SIMULATED, RunContent, read_run
+from gyrobench.bench.report.run_report import instruments_of, serial_number_of
+from gyrobench.bench.report.statements import verdict_sentence
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.seal import verify_seals
+from gyrobench.bench.runs.tables.budget_table import COMBINED, read_budget
+from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, read_coefficients
+from gyrobench.bench.station.station_file import StationFile, load_station_file
+
+#: Coverage probability of all expanded uncertainties, and their factor without a budget.
+COVERAGE = 0.95
+NORMAL_K = 1.959963984540054
+#: Polynomial of the bias over temperature: reference and scale of its variable, and degree.
+REFERENCE_C, SCALE_C, _DEGREE = 20.0, 50.0, 3
+_METHOD = (
+    "Six-position calibration of the gyro bias: in each position the INS aligns and navigates at rest, is "
+    "turned by 180° about the vertical, and navigates again. Each gyro's bias is estimated from velocity "
+    "and heading before and after the turn by a state-space estimator of the INS errors. Source: Yu et al., "
+    "The Six-Position Calibration Technique of Gyro Bias for Rotational Inertial Navigation System Based on "
+    "Ring Laser Gyroscope."
+)
+_DECISION_RULE = (
+    "A limit is passed where the true value is below it with a probability of {0:.0f} %, and failed where it "
+    "is above it with that probability, jointly for all comparisons of the run; between is marginal. The "
+    "uncertainty of measurement is taken into account (guarded acceptance, JCGM 106:2012, 8.3)."
+)
+_UNCERTAINTY = (
+    "U is the expanded uncertainty for a coverage probability of 95 %, k its coverage factor from the "
+    "effective degrees of freedom (JCGM 100:2008, annex G). It holds for the power cycle measured and "
+    "contains no long-term drift. The results relate only to the item calibrated. This certificate may be "
+    "reproduced only in full."
+)
+_UNIT = re.compile(r"_((deg|ug|mps|arcsec|ppm|dph)(_per_[a-z]+(_[a-z]+)?)?)$")
+_EVENTS = {
+    "dwell_given_up": "repeated dwell",
+    "dwell_skipped": "skipped dwell",
+    "held": "hold",
+    "tripped": "interlock",
+    "run_resumed": "interruption",
+    "data_given_up": "loss of data",
+}
+
+
+@dataclass(frozen=True)
+class Order:
+    """What the issuer of a certificate adds to the run; empty texts are not stated, or those of the run."""
+
+    customer: str = ""
+    order: str = ""
+    item: str = ""
+    number: str = ""  #: Of the certificate.
+    authorised_by: str = ""
+    ambient: str = ""  #: Conditions of the room.
+
+
+@dataclass(frozen=True)
+class BiasResult:
+    """Bias of a gyro in one position and temperature bin, with expanded uncertainty."""
+
+    gyro: str
+    position: str
+    bin_low_c: float
+    bin_high_c: float
+    temperature_c: float
+    bias_dph: float
+    expanded_dph: float
+    k: float
+
+
+@dataclass(frozen=True)
+class TemperatureModel:
+    """Polynomial of a gyro's bias over temperature, mean of all positions, in ``(T - 20 degC) / 50 K``."""
+
+    gyro: str
+    low_c: float
+    high_c: float
+    #: coefficients_dph, expanded_dph: From the constant upwards, with expanded uncertainties.
+    coefficients_dph: tuple[float, ...]
+    expanded_dph: tuple[float, ...]
+    k: float
+    misfit: float  #: Square root of chi2 per degree of freedom; above 1, uncertainties are multiplied by it.
+
+
+@dataclass(frozen=True, eq=False)
+class Certificate:
+    """Everything that a certificate states."""
+
+    run: RunContent
+    station: StationFile
+    order: Order
+    seal: str  #: Number, hash and key of the last seal.
+    results: Sequence[BiasResult]
+    models: Sequence[TemperatureModel]
+    coefficients: Sequence[PlateauCoefficientRow]  #: Of a full calibration; empty without one.
+    issued: date
+
+    @property
+    def number(self) -> str:
+        """Number of the certificate."""
+        return f"{SIMULATED}-{self.order.number}" if self.run.is_simulated else self.order.number
+
+    @property
+    def unit(self) -> str:
+        """Serial number of the INS."""
+        return serial_number_of(self.run)
+
+    @cached_property
+    def performed(self) -> tuple[date, date]:
+        """First and last day of the measurement."""
+        begun = parsed_utc(self.run.provenance.get("started_utc") or self.run.facts.started_utc)
+        begun = begun or datetime(2000, 1, 1, tzinfo=UTC)
+        return begun.date(), (begun + timedelta(seconds=self.run.facts.last_s)).date()
+
+    @property
+    def item(self) -> dict[str, str]:
+        """Identification of the calibrated item, the customer and the run."""
+        started, ended = self.performed
+        identity = instruments_of(self.run).get("INS", "")
+        facts = {
+            "certificate": self.number,
+            "item": f"inertial navigation system, serial number {self.unit}",
+            "identification": identity,
+            "customer": self.order.customer,
+            "order": self.order.order,
+            "item of the order": self.order.item,
+            "calibrated": f"{started}" if started == ended else f"{started} to {ended}",
+            "issued": f"{self.issued}",
+            "run": self.run.name,
+            "data": self.seal,
+        }
+        return {name: text for name, text in facts.items() if text}
+
+    @property
+    def laboratory(self) -> dict[str, str]:
+        """The laboratory, and who authorised the certificate."""
+        lab = self.station.laboratory
+        facts = {
+            "laboratory": lab.name if lab else "",
+            "address": lab.address if lab else "",
+            "accreditation": lab.accreditation if lab else "",
+            "operator": str(self.run.provenance.get("operator", "")),
+            "authorised by": "" if self.run.is_simulated else self.order.authorised_by,
+        }
+        return {name: text for name, text in facts.items() if text}
+
+    @property
+    def method(self) -> list[str]:
+        """Method and procedure, in paragraphs."""
+        lab = self.station.laboratory
+        number = f" Procedure of the laboratory: {lab.procedure}." if lab and lab.procedure else ""
+        description = str(self.run.procedure.get("description", "")).strip()
+        return [_METHOD, f"Procedure {self.run.facts.procedure}: {description}{number}", _UNCERTAINTY]
+
+    @property
+    def deviations(self) -> list[str]:
+        """Deviations from the procedure."""
+        counts = Counter(str(entry.get("event")) for entry in self.run.journal)
+        found = [counted(counts[event], noun) for event, noun in _EVENTS.items() if counts[event]]
+        flagged = sum(bool(row.flags) for row in self.run.dwells)
+        found += [f"{counted(flagged, 'dwell')} flagged and not used"] if flagged else []
+        texts = [f"{listed(found)}."] if found else []
+        texts += [
+            f"{_sentence(entry.get('found', ''))}; acknowledged by {entry.get('operator')}."
+            for entry in self.run.entries("past_due")
+        ]
+        if self.run.facts.ended != "finished":
+            texts.append(f"The run {self.run.facts.ended or 'has not ended'}: {self.run.facts.reason}")
+        return texts or ["None."]
+
+    @property
+    def conditions(self) -> dict[str, str]:
+        """Ambient conditions and location, as measured and as used."""
+        place, (low, high) = self.station.location, self.chamber_c
+        return {
+            "air in the chamber": f"{low:.1f} to {high:.1f} °C" if math.isfinite(low) else "not measured",
+            "room": self.order.ambient or "not measured by the bench",
+            "duration": f"{hours_minutes(self.run.facts.last_s)} h",
+            "latitude": f"{place.latitude_deg:g}° ± {place.latitude_uncertainty_arcmin:g}′ (k = 1)",
+            "height": f"{place.height_m:g} m above the ellipsoid",
+        }
+
+    @cached_property
+    def chamber_c(self) -> tuple[float, float]:
+        """Lowest and highest temperature of the air in the chamber; NaN where not measured."""
+        readings = self.run.telemetry.get("chamber_c", np.array([]))
+        known = readings[np.isfinite(readings)]
+        return (float(known.min()), float(known.max())) if known.size else (math.nan, math.nan)
+
+    @property
+    def inputs(self) -> dict[str, str]:
+        """Inputs of the estimator as used: noise and standard uncertainties of the INS."""
+        sections: dict[str, Any] = self.station.ins.uncertainty.model_dump()
+        noise = self.station.ins.noise
+        declared = {"noise": noise} if isinstance(noise, str) else noise.model_dump()
+        values = {**declared, **sections}
+        return {_plain(name): f"{value}" for name, value in values.items() if value is not None}
+
+    @property
+    def traceability(self) -> list[tuple[str, ...]]:
+        """Instrument, serial number, certificate and issuer, dates, uncertainty."""
+        return [
+            (
+                plain_name(name),
+                each.serial_number,
+                f"{each.certificate}{f', {each.issuer}' if each.issuer else ''}",
+                f"{each.calibrated}",
+                f"{each.due}",
+                each.uncertainty.text,
+            )
+            for name, each in self.station.traceability.instruments()
+        ]
+
+    @property
+    def conformity(self) -> tuple[str, str]:
+        """Statement of conformity and its decision rule; the rule is empty where nothing is judged."""
+        found = self.run.acceptance
+        if found is None or found.limits is None:
+            return "No statement of conformity: the procedure states no limits.", ""
+        sentence = f"Unit {found.verdict}. {verdict_sentence(found)}"
+        return sentence, _DECISION_RULE.format(100.0 * found.limits.confidence)
+
+
+def certificate_of(folder: RunFolder, order: Order, *, simulated: bool = False) -> Certificate:
+    """Read what a certificate of a run states.
+
+    ``simulated``: whether one of an emulated run is wanted. Raises RunFolderError if the run is emulated and
+    that is not stated, has no result, is not sealed, or has changed since. Raises DocumentError if the
+    station file lacks the laboratory, or no name of who authorises the certificate is given.
+    """
+    run = read_run(folder)
+    _, station = load_station_file(folder.station)
+    if run.is_simulated and not simulated:
+        raise RunFolderError(
+            f"{folder.path}: its instruments were emulated. Add --simulated for a certificate that says so"
+        )
+    check = verify_seals(folder.path)
+    if not check.is_intact:
+        first = check.findings[0]
+        raise RunFolderError(f"{folder.path}: changed since it was sealed: {first.path}: {first.text}")
+    last = check.seals[-1]
+    if not run.is_simulated and station.laboratory is None:
+        raise DocumentError(f"{folder.station}: has no section laboratory. Add it before the run")
+    if not run.is_simulated and not order.authorised_by:
+        raise DocumentError("a certificate names who authorises it. Add --authorised-by NAME")
+    results = list(_results(run.bins, _coverage(folder)))
+    coefficients = folder.path / "coefficients.csv"
+    digest = file_sha256(folder.path / last.where)
+    options = {**run.provenance.get("options", {}), **run.facts.options}
+    given = {
+        name: getattr(order, name) or str(options.get(name, "")) for name in ("customer", "order", "item")
+    }
+    number = order.number or f"{serial_number_of(run)}-{run.name}-{digest[:8]}"
+    certificate = Certificate(
+        run=run,
+        station=station,
+        order=Order(**given, number=number, authorised_by=order.authorised_by, ambient=order.ambient),
+        seal=f"seal {last.number}, SHA-256 {digest[:16]}…, {last.key or 'not signed'}",
+        results=results,
+        models=[model for gyro in AXES if (model := _model(gyro, run.dwells))],
+        coefficients=read_coefficients(coefficients) if coefficients.exists() else [],
+        issued=WallClock().utc().date(),
+    )
+    if not (certificate.results or certificate.coefficients):
+        raise RunFolderError(f"{folder.path}: has no result to certify. Repeat the run")
+    return certificate
+
+
+def _plain(name: str) -> str:
+    """Name of a quantity with its unit in brackets."""
+    match = _UNIT.search(name)
+    if match is None:
+        return plain_name(name)
+    unit = (
+        match[1].replace("_per_", "/").replace("/sqrt_", "/√").replace("mps", "m/s").replace("dph", "deg/h")
+    )
+    return f"{plain_name(name[: match.start()])} ({unit.replace('hz', 'Hz').replace('/c', '/K')})"
+
+
+def _sentence(text: object) -> str:
+    return f"{str(text)[:1].upper()}{str(text)[1:]}"
+
+
+def _coverage(folder: RunFolder) -> Mapping[tuple[str, str, float], tuple[float, float]]:
+    """Coverage factor and expanded uncertainty in deg/h by gyro, position and bin, from ``budget.csv``."""
+    return {
+        (row.axis, row.position, row.bin_low_c): (row.k, row.expanded)
+        for row in (read_budget(folder.budget) if folder.budget.exists() else ())
+        if (row.result, row.quantity, row.contribution) == ("bin", "gyro_bias", COMBINED)
+    }
+
+
+def _results(
+    bins: Sequence[BiasBin], coverage: Mapping[tuple[str, str, float], tuple[float, float]]
+) -> Iterator[BiasResult]:
+    for each in bins:
+        if each.is_empty:
+            continue
+        place = each.gyro, each.position, each.bin_low_c
+        k, expanded = coverage.get(place, (NORMAL_K, NORMAL_K * each.sigma_dph))
+        yield BiasResult(*place, each.bin_high_c, each.temperature_c, each.bias_dph, expanded, k)
+
+
+def _model(gyro: str, dwells: Sequence[DwellRow]) -> TemperatureModel | None:
+    axis = AXES.index(gyro)
+    rows = [row for row in dwells if not row.flags]
+    columns = zip(*((row.gyro_c[axis], row.bias_dph[axis], row.sigma_dph[axis]) for row in rows), strict=True)
+    temperature_c, bias, sigma = (np.array(column) for column in columns) if rows else np.empty((3, 0))
+    known = np.isfinite(temperature_c) & np.isfinite(bias) & (sigma > 0.0)
+    if known.sum() <= _DEGREE + 1 or np.ptp(temperature_c[known]) < SCALE_C / 5.0:
+        return None
+    design = np.vander((temperature_c[known] - REFERENCE_C) / SCALE_C, _DEGREE + 1, increasing=True)
+    fit = weighted_fit(bias[known], sigma[known] ** 2, design)
+    misfit = math.sqrt(fit.chi2 / fit.dof)
+    expanded = NORMAL_K * max(misfit, 1.0) * np.sqrt(np.diag(fit.covariance))
+    return TemperatureModel(
+        gyro,
+        float(temperature_c[known].min()),
+        float(temperature_c[known].max()),
+        tuple(fit.values.tolist()),
+        tuple(expanded.tolist()),
+        NORMAL_K,
+        misfit,
+    )

@@ -1,0 +1,424 @@
+"""The certificate as PTB's Digital Calibration Certificate (DCC 3.3.0), with units in D-SI.
+
+References
+----------
+https://ptb.de/dcc/v3.3.0 (schema), https://ptb.de/si (D-SI). Documents are validated against schemas in a
+folder; nothing is fetched.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gyrobench.bench import __version__
+from gyrobench.bench.certificate.content import (
+    COVERAGE,
+    NORMAL_K,
+    REFERENCE_C,
+    SCALE_C,
+    BiasResult,
+    Certificate,
+)
+from gyrobench.bench.foundations.arrays import STANDARD_GRAVITY
+from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.packages import require
+from gyrobench.bench.foundations.text import plain_name
+from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
+from gyrobench.bench.report.content import SIMULATED
+
+if TYPE_CHECKING:
+    from lxml import etree
+
+_VERSION = "3.3.0"
+_DCC, _SI = "https://ptb.de/dcc", "https://ptb.de/si"
+_LANGUAGE = "en"
+#: D-SI units by the unit of a value, each with the factor that converts to it.
+_UNITS: Mapping[str, tuple[str, float]] = {
+    "deg/h": (r"\degree\hour\tothe{-1}", 1.0),
+    "deg": (r"\degree", 1.0),
+    "deg/s": (r"\degree\second\tothe{-1}", 1.0),
+    "arcsec": (r"\arcsecond", 1.0),
+    "ppm": (r"\ppm", 1.0),
+    "ug": (r"\metre\second\tothe{-2}", 1e-6 * STANDARD_GRAVITY),
+    "degC": (r"\degreecelsius", 1.0),
+    "K": (r"\kelvin", 1.0),
+    "m": (r"\metre", 1.0),
+    "s": (r"\second", 1.0),
+    "Hz": (r"\hertz", 1.0),
+}
+_CONFORMITY = {"accepted": "pass", "rejected": "fail", "marginal": "conditionalPass"}
+_NO_NETWORK = "the schema names {}, which is not in {}. Copy it there: nothing is fetched"
+
+
+def certificate_dcc(certificate: Certificate) -> bytes:
+    """The certificate as DCC, without signature. Raises MissingPackageError without lxml."""
+    xml = require("lxml.etree")
+    document = _Document(xml)
+    root = document.root(certificate)
+    return xml.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)  # type: ignore[no-any-return]
+
+
+def validate_dcc(content: bytes, schema: Path) -> None:
+    """Validate a DCC against ``dcc.xsd`` and the SI types in a folder.
+
+    Raises DocumentError with every mistake and its line, or if the folder has no usable schema.
+    """
+    xml = require("lxml.etree")
+    found = sorted(schema.rglob("dcc.xsd"))
+    if not found:
+        raise DocumentError(
+            f"{schema}: holds no dcc.xsd. Download the DCC schema {_VERSION} and SI_Format.xsd from PTB "
+            "into this folder"
+        )
+
+    class InFolder(xml.Resolver):  # type: ignore[misc, name-defined]
+        def resolve(self, url: str, public_id: str | None, context: object) -> object:  # noqa: ARG002
+            name = url.rsplit("/", 1)[-1]
+            path = next(iter(sorted(schema.rglob(name))), None)
+            if path is None:
+                missing.append(_NO_NETWORK.format(name, schema))
+                return self.resolve_empty(context)
+            return self.resolve_filename(str(path), context)
+
+    missing: list[str] = []
+    parser = xml.XMLParser(no_network=True, resolve_entities=False)
+    parser.resolvers.add(InFolder())
+    try:
+        checker = xml.XMLSchema(xml.parse(str(found[0]), parser))
+        document = xml.fromstring(content, xml.XMLParser(no_network=True, resolve_entities=False))
+    except (xml.XMLSyntaxError, xml.XMLSchemaParseError) as error:
+        raise DocumentError(f"{found[0]}: {'; '.join(missing) or error}") from error
+    if not checker.validate(document):
+        problems = "\n".join(f"line {each.line}: {each.message}" for each in checker.error_log)
+        raise DocumentError(f"the certificate is not valid against {found[0]}:\n{problems}")
+
+
+class _Document:
+    """Builds the elements of a DCC."""
+
+    def __init__(self, xml: Any) -> None:
+        self._xml = xml
+
+    def _dcc(self, name: str, *children: etree._Element | str | None, **attributes: str) -> etree._Element:
+        return self._element(_DCC, name, children, attributes)
+
+    def _si(self, name: str, *children: etree._Element | str | None) -> etree._Element:
+        return self._element(_SI, name, children, {})
+
+    def _element(
+        self, space: str, name: str, children: Iterable[Any], attributes: Mapping[str, str]
+    ) -> etree._Element:
+        element = self._xml.Element(
+            f"{{{space}}}{name}", attributes, nsmap={"dcc": _DCC, "si": _SI} if name == _ROOT else None
+        )
+        for child in children:
+            if isinstance(child, str):
+                element.text = child
+            elif child is not None:
+                element.append(child)
+        return element
+
+    def root(self, certificate: Certificate) -> etree._Element:
+        """The whole document."""
+        comment = None
+        if certificate.run.is_simulated:
+            comment = self._dcc("comment", self._dcc("content", f"{SIMULATED}: {_EMULATED}", lang=_LANGUAGE))
+        return self._dcc(
+            _ROOT,
+            self._administration(certificate),
+            self._dcc("measurementResults", *self._common(certificate), *self._results(certificate)),
+            comment,
+            schemaVersion=_VERSION,
+        )
+
+    def _text(self, tag: str, *texts: str) -> etree._Element:
+        return self._dcc(tag, *(self._dcc("content", text, lang=_LANGUAGE) for text in texts))
+
+    def _identifications(self, *given: tuple[str, str, str]) -> etree._Element | None:
+        """Identifications (issuer, name, value) that have a value."""
+        known = [
+            self._dcc(
+                "identification",
+                self._dcc("issuer", issuer),
+                self._dcc("value", _tidy(value)),
+                self._text("name", name),
+            )
+            for issuer, name, value in given
+            if value.strip()
+        ]
+        return self._dcc("identifications", *known) if known else None
+
+    def _administration(self, certificate: Certificate) -> etree._Element:
+        started, ended = certificate.performed
+        order, lab = certificate.order, certificate.station.laboratory
+        software = self._dcc(
+            "software",
+            self._text("name", "gyrobench"),
+            self._dcc("release", __version__),
+            self._dcc("type", "application"),
+        )
+        core = self._dcc(
+            "coreData",
+            self._dcc("countryCodeISO3166_1", lab.country if lab else "XX"),
+            self._dcc("usedLangCodeISO639_1", _LANGUAGE),
+            self._dcc("mandatoryLangCodeISO639_1", _LANGUAGE),
+            self._dcc("uniqueIdentifier", _tidy(certificate.number)),
+            self._identifications(
+                ("customer", "Order", order.order),
+                ("customer", "Item of the order", order.item),
+                ("calibrationLaboratory", "Run", certificate.run.name),
+                ("calibrationLaboratory", "Sealed data", certificate.seal),
+            ),
+            self._dcc("beginPerformanceDate", f"{started}"),
+            self._dcc("endPerformanceDate", f"{ended}"),
+            self._dcc("performanceLocation", "laboratory"),
+            self._dcc("issueDate", f"{certificate.issued}"),
+        )
+        item = self._dcc(
+            "item",
+            self._text("name", "Inertial navigation system"),
+            self._identifications(("manufacturer", "Serial number", certificate.unit or "unknown")),
+        )
+        place = [
+            self._dcc(tag, value)
+            for tag, value in (
+                ("city", lab.city if lab else "unknown"),
+                ("countryCode", lab.country if lab else "XX"),
+                ("postCode", lab.post_code if lab else ""),
+                ("street", lab.street if lab else ""),
+            )
+            if value
+        ]
+        laboratory = self._dcc(
+            "calibrationLaboratory",
+            self._dcc("calibrationLaboratoryCode", lab.accreditation) if lab and lab.accreditation else None,
+            self._dcc(
+                "contact",
+                self._text("name", lab.name if lab else "not stated"),
+                self._dcc("eMail", lab.email) if lab and lab.email else None,
+                self._dcc("location", *place),
+            ),
+        )
+        name = f"none: {SIMULATED}" if certificate.run.is_simulated else order.authorised_by
+        person = self._dcc(
+            "respPerson",
+            self._dcc("person", self._text("name", name)),
+            self._dcc("role", "authorises the certificate"),
+            self._dcc("mainSigner", "true"),
+        )
+        customer = self._dcc(
+            "customer",
+            self._text("name", order.customer or "not stated"),
+            self._dcc("location", self._text("further", order.customer or "not stated")),
+        )
+        return self._dcc(
+            "administrativeData",
+            self._dcc("dccSoftware", software),
+            core,
+            self._dcc("items", item),
+            laboratory,
+            self._dcc("respPersons", person),
+            customer,
+            self._statements(certificate),
+        )
+
+    def _statements(self, certificate: Certificate) -> etree._Element:
+        found, (sentence, rule) = certificate.run.acceptance, certificate.conformity
+        status = _CONFORMITY.get(found.verdict, "") if found and found.limits else ""
+        simulated = self._dcc(
+            "statement", self._text("name", SIMULATED), self._text("declaration", _EMULATED)
+        )
+        return self._dcc(
+            "statements",
+            simulated if certificate.run.is_simulated else None,
+            self._dcc(
+                "statement",
+                self._text("name", "Statement of conformity"),
+                self._dcc("convention", _tidy(rule)) if rule else None,
+                self._text("declaration", sentence),
+                self._dcc("conformity", status) if status else None,
+            ),
+            self._dcc(
+                "statement",
+                self._text("name", "Deviations from the procedure"),
+                self._text("declaration", *[" ".join(certificate.deviations)]),
+            ),
+        )
+
+    def _common(self, certificate: Certificate) -> list[etree._Element | None]:
+        """Methods, instruments and conditions of all results."""
+        methods = self._dcc(
+            "usedMethods",
+            self._dcc(
+                "usedMethod",
+                self._text("name", "Six-position calibration of gyro biases"),
+                self._text("description", " ".join(certificate.method)),
+                self._dcc("norm", "JCGM 100:2008"),
+                refType="basic_calibrationMethod",
+            ),
+        )
+        place, conditions = certificate.station.location, certificate.conditions
+        influences = [
+            self._condition("Air in the chamber, lowest and highest", "degC", *certificate.chamber_c),
+            self._condition("Latitude", "deg", place.latitude_deg),
+            self._condition("Height above the ellipsoid", "m", place.height_m),
+            self._dcc(
+                "influenceCondition",
+                self._text("name", "Room"),
+                self._dcc("data", self._text("text", conditions["room"])),
+            ),
+        ]
+        return [
+            methods,
+            self._equipment(certificate),
+            self._dcc("influenceConditions", *(each for each in influences if each is not None)),
+        ]
+
+    def _equipment(self, certificate: Certificate) -> etree._Element | None:
+        known = [
+            self._dcc(
+                "measuringEquipment",
+                self._text("name", plain_name(name)),
+                self._identifications(
+                    ("manufacturer", "Serial number", each.serial_number),
+                    ("calibrationLaboratory", "Certificate", f"{each.certificate} {each.issuer}".strip()),
+                    ("calibrationLaboratory", "Valid until", f"{each.due}"),
+                ),
+                self._dcc(
+                    "measuringEquipmentQuantities",
+                    self._dcc(
+                        "measuringEquipmentQuantity",
+                        self._text("name", f"Expanded uncertainty, k = {each.uncertainty.coverage_factor:g}"),
+                        self._real(each.uncertainty.value, each.uncertainty.unit),
+                    ),
+                ),
+            )
+            for name, each in certificate.station.traceability.instruments()
+        ]
+        return self._dcc("measuringEquipments", *known) if known else None
+
+    def _condition(self, name: str, unit: str, *values: float) -> etree._Element | None:
+        if not all(map(math.isfinite, values)):
+            return None
+        quantities = [self._dcc("quantity", self._real(value, unit)) for value in values]
+        return self._dcc("influenceCondition", self._text("name", name), self._dcc("data", *quantities))
+
+    def _results(self, certificate: Certificate) -> list[etree._Element]:
+        found = [
+            self._bias_result(gyro, position, own)
+            for gyro in AXES
+            for position in POSITIONS
+            if (
+                own := [
+                    each for each in certificate.results if (each.gyro, each.position) == (gyro, position)
+                ]
+            )
+        ]
+        results = [self._measurement("Gyro biases by position and temperature", found)] if found else []
+        if models := [self._model_result(each) for each in certificate.models]:
+            results.append(self._measurement("Temperature models, mean of the positions", models))
+        known = [each for each in certificate.coefficients if not each.finding and each.unit in _UNITS]
+        if known:
+            quantities = [
+                self._dcc(
+                    "quantity",
+                    self._text(
+                        "name",
+                        f"{each.coefficient.replace('_', ' ')} {each.axis}, {each.temperature_c:.1f} °C",
+                    ),
+                    self._real(each.value, each.unit, NORMAL_K * each.sigma, NORMAL_K),
+                )
+                for each in known
+            ]
+            result = self._dcc(
+                "result",
+                self._text("name", "Coefficients"),
+                self._dcc("data", self._dcc("list", *quantities)),
+            )
+            results.append(self._measurement("Coefficients of the sensors", [result]))
+        return results
+
+    def _measurement(self, name: str, results: Sequence[etree._Element]) -> etree._Element:
+        return self._dcc("measurementResult", self._text("name", name), self._dcc("results", *results))
+
+    def _bias_result(self, gyro: str, position: str, results: Sequence[BiasResult]) -> etree._Element:
+        temperatures = self._si(
+            "realListXMLList",
+            self._si("valueXMLList", _numbers(each.temperature_c for each in results)),
+            self._si("unitXMLList", _UNITS["degC"][0]),
+        )
+        expanded = self._si(
+            "expandedMUXMLList",
+            self._si("valueExpandedMUXMLList", _numbers(each.expanded_dph for each in results)),
+            self._si("coverageFactorXMLList", " ".join(f"{each.k:.4f}" for each in results)),
+            self._si("coverageProbabilityXMLList", f"{COVERAGE:g}"),
+            self._si("distributionXMLList", "normal"),
+        )
+        biases = self._si(
+            "realListXMLList",
+            self._si("valueXMLList", _numbers(each.bias_dph for each in results)),
+            self._si("unitXMLList", _UNITS["deg/h"][0]),
+            self._si("measurementUncertaintyUnivariateXMLList", expanded),
+        )
+        quantities = [
+            self._dcc("quantity", self._text("name", "Temperature of the gyro"), temperatures),
+            self._dcc("quantity", self._text("name", "Bias"), biases),
+        ]
+        name = f"Bias of the {gyro_label(gyro)}, {position_label(position)}"
+        return self._dcc(
+            "result", self._text("name", name), self._dcc("data", self._dcc("list", *quantities))
+        )
+
+    def _model_result(self, model: Any) -> etree._Element:
+        pairs = zip(model.coefficients_dph, model.expanded_dph, strict=True)
+        quantities = [
+            self._dcc(
+                "quantity", self._text("name", f"a{power}"), self._real(value, "deg/h", expanded, model.k)
+            )
+            for power, (value, expanded) in enumerate(pairs)
+        ]
+        description = (
+            f"Bias = sum of a_n t^n with t = (T - {REFERENCE_C:g} degC) / {SCALE_C:g} K, for T from "
+            f"{model.low_c:.1f} to {model.high_c:.1f} degC"
+        )
+        return self._dcc(
+            "result",
+            self._text("name", gyro_label(model.gyro)),
+            self._text("description", description),
+            self._dcc("data", self._dcc("list", *quantities)),
+        )
+
+    def _real(self, value: float, unit: str, expanded: float | None = None, k: float = 2.0) -> etree._Element:
+        dsi, factor = _UNITS[unit]
+        uncertainty = None
+        if expanded is not None:
+            uncertainty = self._si(
+                "measurementUncertaintyUnivariate",
+                self._si(
+                    "expandedMU",
+                    self._si("valueExpandedMU", f"{factor * expanded:.9g}"),
+                    self._si("coverageFactor", f"{k:.4f}"),
+                    self._si("coverageProbability", f"{COVERAGE:g}"),
+                    self._si("distribution", "normal"),
+                ),
+            )
+        return self._si(
+            "real", self._si("value", f"{factor * value:.9g}"), self._si("unit", dsi), uncertainty
+        )
+
+
+_ROOT = "digitalCalibrationCertificate"
+_EMULATED = (
+    "emulated instruments, no measurement; this document shows what a certificate contains and is none"
+)
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return " ".join(f"{value:.9g}" for value in values)
+
+
+def _tidy(text: str) -> str:
+    return " ".join(text.split())

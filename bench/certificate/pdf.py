@@ -1,0 +1,204 @@
+"""The certificate as PDF/A-3: tagged, figures as vectors, the DCC attached where there is one."""
+
+from __future__ import annotations
+
+import io
+import tempfile
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from gyrobench.bench.certificate.content import (
+    NORMAL_K,
+    REFERENCE_C,
+    SCALE_C,
+    BiasResult,
+    Certificate,
+    TemperatureModel,
+)
+from gyrobench.bench.foundations.text import bin_label, decimals_of
+from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
+from gyrobench.bench.report.content import SIMULATED
+from gyrobench.bench.report.figures.style import stamp
+from gyrobench.bench.report.number_format import BiasScale
+from gyrobench.bench.report.page import Box, Section, SectionFigure, SectionTable, render_page
+from gyrobench.bench.report.run_report import pdf_of, run_figures
+from gyrobench.bench.report.statements import VERDICT_COLOURS
+
+_VARIANT = "pdf/a-3a"
+#: Plateaus in one table of coefficients.
+_PLATEAUS_ACROSS = 4
+_CAPTIONS = {
+    "position_differences": (
+        "Differences between positions",
+        "Largest difference between two positions in each temperature bin; bars are standard uncertainties.",
+    ),
+    "temperature": ("Temperatures", "Temperatures over the run; bands and bars are dwells by position."),
+}
+_BIAS_CAPTION = "Bias of the {} against its own temperature; bars are standard uncertainties (k = 1)."
+_SIMULATED_BOX = (
+    "Emulated instruments, no measurement. This document shows what a certificate contains; it is none."
+)
+
+
+def certificate_pdf(certificate: Certificate, attachments: Mapping[str, bytes] | None = None) -> bytes:
+    """The certificate as PDF/A-3a, with files attached by name.
+
+    Raises GyrobenchError if a system library is missing, and MissingPackageError if weasyprint is not
+    installed.
+    """
+    word = SIMULATED if certificate.run.is_simulated else ""
+    with tempfile.TemporaryDirectory() as folder:
+        page = _page(certificate, dict(_figures(certificate, Path(folder), word)))
+        title = f"{word} Calibration certificate {certificate.order.number}".strip()
+        html = render_page(page, f"{title}, unit {certificate.unit}", title, watermark=word)
+    return pdf_of(html, attachments, _VARIANT)
+
+
+def _page(certificate: Certificate, figures: Mapping[str, Path]) -> Section:
+    statement, rule = certificate.conformity
+    found = certificate.run.acceptance
+    colour = VERDICT_COLOURS[found.verdict] if found and found.limits else "open"
+    boxes = [Box("failed", SIMULATED, _SIMULATED_BOX)] if certificate.run.is_simulated else []
+    boxes.append(Box(colour, "Conformity.", statement, [f"Decision rule: {rule}"] if rule else []))
+    parts = [
+        Section("Laboratory", facts=certificate.laboratory),
+        Section("Method", certificate.method),
+        Section("Deviations from the procedure", items=certificate.deviations),
+        Section("Conditions and location", facts=certificate.conditions),
+        _traceability(certificate),
+        *_bias_sections(certificate.results, figures),
+        _models_section(certificate.models),
+        _coefficients_section(certificate),
+        Section("Inputs of the estimator as used", facts=certificate.inputs),
+        *(
+            Section(title, figures=[SectionFigure(name, text, figures[name])])
+            for name, (title, text) in _CAPTIONS.items()
+            if name in figures
+        ),
+    ]
+    return Section(
+        "Calibration certificate",
+        boxes=boxes,
+        facts=certificate.item,
+        sections=[part for part in parts if part],
+    )
+
+
+def _traceability(certificate: Certificate) -> Section:
+    rows = certificate.traceability
+    if not rows:
+        return Section("Traceability", ["The station file states no calibrations of the instruments used."])
+    header = ["instrument", "serial number", "certificate", "calibrated", "due", "expanded uncertainty"]
+    return Section("Traceability", tables=[SectionTable("", header, rows, words=len(header))])
+
+
+def _bias_sections(results: Sequence[BiasResult], figures: Mapping[str, Path]) -> Iterator[Section]:
+    for gyro in AXES:
+        own = [each for each in results if each.gyro == gyro]
+        if not own:
+            continue
+        name = f"bias_{gyro}"
+        drawn = [SectionFigure(name, _BIAS_CAPTION.format(gyro_label(gyro)), figures[name])]
+        yield Section(
+            f"Bias of the {gyro_label(gyro)}",
+            figures=drawn if name in figures else [],
+            tables=[_bias_table(own)],
+        )
+
+
+def _bias_table(results: Sequence[BiasResult]) -> SectionTable:
+    positions = [each for each in POSITIONS if any(result.position == each for result in results)]
+    bins: dict[tuple[float, float], dict[str, BiasResult]] = defaultdict(dict)
+    for each in results:
+        bins[each.bin_low_c, each.bin_high_c][each.position] = each
+    scale = BiasScale.of([each.bias_dph for each in results], [each.expanded_dph for each in results])
+    factors = {f"{each.k:.2f}" for each in results}
+
+    def cell(found: BiasResult | None) -> str:
+        if found is None:
+            return "–"
+        text = scale.with_sigma(found.bias_dph, found.expanded_dph)
+        return text if len(factors) == 1 else f"{text}\nk = {found.k:.2f}"
+
+    rows = [
+        [bin_label(*limits), *(cell(found.get(each)) for each in positions)]
+        for limits, found in sorted(bins.items())
+    ]
+    k = f"k = {min(factors)} for all values" if len(factors) == 1 else "with the coverage factor k"
+    caption = f"Bias ± U in {scale.unit} by temperature bin of the gyro and position; {k}."
+    return SectionTable(caption, ["bin / °C", *map(position_label, positions)], rows)
+
+
+def _models_section(models: Sequence[TemperatureModel]) -> Section | None:
+    if not models:
+        return None
+    degree = len(models[0].coefficients_dph) - 1
+    rows = []
+    for each in models:
+        decimals = decimals_of(min(each.expanded_dph))
+        pairs = zip(each.coefficients_dph, each.expanded_dph, strict=True)
+        rows.append(
+            [
+                gyro_label(each.gyro),
+                f"{each.low_c:.0f} to {each.high_c:.0f}",
+                *(f"{value:z.{decimals}f} ± {expanded:.{decimals}f}" for value, expanded in pairs),
+                f"{each.misfit:.2f}",
+            ]
+        )
+    caption = (
+        f"Bias = a0 + a1 t + ... in deg/h with t = (T − {REFERENCE_C:g} °C) / {SCALE_C:g} K, T the "
+        f"temperature of the gyro; coefficient ± U, k = {models[0].k:.2f}. Misfit: √(χ²/dof); above 1 the "
+        "model does not describe all differences, as those between positions, and U is multiplied by it."
+    )
+    header = ["gyro", "T / °C", *(f"a{power}" for power in range(degree + 1)), "misfit"]
+    return Section("Temperature model, mean of the positions", tables=[SectionTable(caption, header, rows)])
+
+
+def _coefficients_section(certificate: Certificate) -> Section | None:
+    by_name: dict[tuple[str, str, str], dict[int, str]] = defaultdict(dict)
+    temperatures: dict[int, float] = {}
+    for each in certificate.coefficients:
+        if not each.finding:
+            expanded = NORMAL_K * each.sigma
+            decimals = decimals_of(expanded)
+            text = f"{each.value:z.{decimals}f} ± {expanded:.{decimals}f}"
+            by_name[each.coefficient, each.axis, each.unit][each.plateau] = text
+            temperatures[each.plateau] = each.temperature_c
+    plateaus = sorted(temperatures)
+    tables = []
+    for start in range(0, len(plateaus), _PLATEAUS_ACROSS):
+        shown = plateaus[start : start + _PLATEAUS_ACROSS]
+        header = ["coefficient", "axis", "unit", *(f"{temperatures[each]:.0f} °C" for each in shown)]
+        rows = [
+            [name.replace("_", " "), axis, unit, *(found.get(each, "–") for each in shown)]
+            for (name, axis, unit), found in by_name.items()
+        ]
+        caption = f"Coefficient ± U, k = {NORMAL_K:.2f}, at the plateaus from {shown[0]} to {shown[-1]}."
+        tables.append(SectionTable(caption, header, rows, words=3))
+    return Section("Coefficients of the sensors", tables=tables) if tables else None
+
+
+def _figures(certificate: Certificate, folder: Path, word: str) -> Iterator[tuple[str, Path]]:
+    run = certificate.run
+    drawn = run_figures(run.telemetry, run.dwells, run.bins, run.acceptance, run.marked_temperatures_c)
+    for name, draw in drawn:
+        path = folder / f"{name}.svg"
+        path.write_bytes(_svg(draw(), word))
+        yield name, path
+
+
+def _svg(figure: Figure, word: str) -> bytes:
+    stream = io.BytesIO()
+    stamp(figure, word)
+    figure.savefig(stream, format="svg", metadata={"Date": None, "Title": word or None})
+    return stream.getvalue()
+
+
+def file_names(certificate: Certificate, formats: Iterable[str]) -> dict[str, str]:
+    """Names of the certificate's files by format; those of an emulated run say so."""
+    word = f"_{SIMULATED}" if certificate.run.is_simulated else ""
+    suffixes = {"pdf": "pdf", "dcc": "xml"}
+    return {each: f"certificate{word}.{suffixes[each]}" for each in formats}

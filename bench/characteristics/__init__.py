@@ -1,0 +1,1 @@
+"""Characteristics of the gyros beyond their biases: the further tests of laser gyros, one result each."""

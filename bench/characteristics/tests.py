@@ -1,0 +1,87 @@
+"""Which characteristics a procedure determines, and how: its section ``tests``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from pydantic import Field
+
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.characteristics.allan_test import RateRecord, allan_test
+from gyrobench.bench.characteristics.results import TestName, TestResult
+from gyrobench.bench.characteristics.thermal import thermal_sensitivity
+from gyrobench.bench.characteristics.turn_on import MIN_POWER_CYCLES, turn_on_repeatability
+from gyrobench.bench.characteristics.warm_up import warm_up
+from gyrobench.bench.foundations.documents import StrictModel
+from gyrobench.bench.foundations.errors import MeasurementError
+
+
+class TurnOnTest(StrictModel):
+    """Turn-on to turn-on repeatability."""
+
+    min_power_cycles: int = Field(
+        default=MIN_POWER_CYCLES, ge=2, le=1000, description="power cycles with dwells that the plan needs"
+    )
+
+
+class WarmUpTest(StrictModel):
+    """Warm-up from a cold start."""
+
+    within_dph: float = Field(
+        default=0.001, gt=0.0, le=10.0, description="a gyro has settled this near to its final bias, deg/h"
+    )
+
+
+class ThermalTest(StrictModel):
+    """Sensitivities to temperature and its rate, and hysteresis."""
+
+    reference_c: float | None = Field(
+        default=None,
+        ge=-273.15,
+        le=1000.0,
+        description="gyro temperature of the temperature sensitivity, degC; default: the middle of the range",
+    )
+    degree: int = Field(default=3, ge=1, le=5, description="degree of the polynomial in temperature")
+
+
+class AllanTest(StrictModel):
+    """Noise from navigations with ``purpose: noise``."""
+
+
+class CharacteristicTests(StrictModel):
+    """Tests of a procedure beyond biases."""
+
+    turn_on_repeatability: TurnOnTest | None = Field(
+        default=None, description="scatter of the biases from power cycle to power cycle"
+    )
+    warm_up: WarmUpTest | None = Field(default=None, description="bias after a cold start")
+    thermal_sensitivity: ThermalTest | None = Field(
+        default=None, description="bias against temperature, its rate and direction"
+    )
+
+    allan_variance: AllanTest | None = Field(
+        default=None, description="five noise coefficients, from navigations with purpose: noise"
+    )
+
+    def evaluate(self, rows: Sequence[DwellRow], records: Sequence[RateRecord]) -> list[TestResult]:
+        """Results of the tests from the dwells and noise records of a run; without enough data a note."""
+        results: list[TestResult] = []
+        if self.turn_on_repeatability:
+            results.append(_result("turn_on_repeatability", lambda: turn_on_repeatability(rows)))
+        if self.warm_up:
+            within_dph = self.warm_up.within_dph
+            results.append(_result("warm_up", lambda: warm_up(rows, within_dph)))
+        if self.thermal_sensitivity:
+            zero_c, degree = self.thermal_sensitivity.reference_c, self.thermal_sensitivity.degree
+            results.append(_result("thermal_sensitivity", lambda: thermal_sensitivity(rows, zero_c, degree)))
+        if self.allan_variance:
+            results.append(_result("allan_variance", lambda: allan_test(records)))
+        return results
+
+
+def _result(test: TestName, evaluate: Callable[[], TestResult]) -> TestResult:
+    try:
+        return evaluate()
+    except MeasurementError as error:
+        text = str(error)
+        return TestResult(test=test, notes=[f"No result: {text}."])

@@ -1,0 +1,126 @@
+"""Turn-on to turn-on repeatability: how far a gyro's bias differs from one power cycle to the next.
+
+Each power cycle gives one bias with a known standard uncertainty; what they scatter beyond these is the
+repeatability. Its best value is that of restricted maximum likelihood; its interval is exact for normal
+biases: it holds the variances with which the weighted sum of squares is within its 95 % range of chi-squared.
+
+References
+----------
+Viechtbauer, "Confidence intervals for the amount of heterogeneity in meta-analysis", Statistics in
+Medicine 26 (2007), section 3.1: Q profile.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.statistics import excess_variance, weighted_fit
+from gyrobench.bench.characteristics.results import Coefficient, Curve, TestResult, coefficient
+from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.foundations.text import counted
+from gyrobench.bench.navigation.positions import AXES
+
+#: Fewest power cycles of a test of repeatability.
+MIN_POWER_CYCLES = 7
+#: Gyro temperatures of the power cycles may differ by this much, K.
+_MAX_TEMPERATURE_SPREAD_C = 1.0
+
+
+def turn_on_repeatability(rows: Sequence[DwellRow]) -> TestResult:
+    """Repeatability from dwells of several power cycles (``run``).
+
+    A power cycle counts with the mean over positions and set points, if it has a dwell without flags in each
+    in which most have one. Raises MeasurementError if fewer than two do.
+    """
+    good = [row for row in rows if not row.flags]
+    cells = {run: frozenset(_cell(row) for row in good if row.run == run) for run in _runs(good)}
+    usual = [each for each, _ in Counter(cells.values()).most_common(1)]
+    whole = [run for run, own in cells.items() if own in usual]
+    left_out = len(_runs(rows)) - len(whole)
+    if len(whole) < 2:
+        raise MeasurementError(
+            f"{counted(len(whole), 'power cycle')} of {left_out + len(whole)} with the same dwells without "
+            "flags: a repeatability needs two or more"
+        )
+    notes = (
+        [f"{counted(left_out, 'power cycle')} left out: not all dwells without flags."] if left_out else []
+    )
+    if len(whole) < MIN_POWER_CYCLES:
+        notes.append(f"{len(whole)} power cycles: fewer than {MIN_POWER_CYCLES} leave wide intervals.")
+    means = [_means([row for row in good if row.run == run]) for run in whole]
+    biases, sigmas, temperatures = (np.array(each) for each in zip(*means, strict=True))
+    spread_c = float(np.ptp(temperatures, axis=0).max())
+    if spread_c > _MAX_TEMPERATURE_SPREAD_C:
+        notes.append(
+            f"The gyros' temperatures differ by {spread_c:.1f} K between power cycles, which adds to the "
+            "scatter: let the unit cool down longer."
+        )
+    coefficients: list[Coefficient] = []
+    curves = []
+    cycles = np.arange(1.0, len(whole) + 1.0)
+    for axis, gyro in enumerate(AXES):
+        bias, sigma = biases[:, axis], sigmas[:, axis]
+        ones = np.ones((len(bias), 1))
+        variance = excess_variance(bias, sigma**2, ones)
+        mean = weighted_fit(bias, sigma**2 + variance, ones).values[0]
+        coefficients += _of_gyro(gyro, bias, sigma, variance)
+        curves.append(Curve.of(gyro, cycles, bias - mean, sigma, np.zeros(len(bias))))
+    return TestResult(test="turn_on_repeatability", coefficients=coefficients, curves=curves, notes=notes)
+
+
+def variance_interval(values: FloatArray, sigmas: FloatArray) -> tuple[float, float]:
+    """95 % interval of the variance of values (n,) beyond their standard uncertainties (n,)."""
+    from scipy.optimize import brentq
+    from scipy.stats import chi2
+
+    ones = np.ones((len(values), 1))
+    limits = [float(chi2.ppf(each, len(values) - 1)) for each in (0.975, 0.025)]
+    most = float(np.var(values) + np.max(sigmas) ** 2) * len(values) / limits[1] * 10.0
+
+    def end(limit: float) -> float:
+        def above(variance: float) -> float:
+            return weighted_fit(values, sigmas**2 + variance, ones).chi2 - limit
+
+        return 0.0 if above(0.0) <= 0.0 else float(brentq(above, 0.0, most))
+
+    return end(limits[0]), end(limits[1])
+
+
+def _of_gyro(gyro: str, bias: FloatArray, sigma: FloatArray, value: float) -> list[Coefficient]:
+    low, high = variance_interval(bias, sigma)
+    return [
+        coefficient(
+            gyro, "turn-on standard deviation", "deg/h", math.sqrt(value), math.sqrt(low), math.sqrt(high)
+        ),
+        coefficient(gyro, "turn-on variance", "(deg/h)^2", value, low, high),
+        coefficient(gyro, "largest difference", "deg/h", float(np.ptp(bias)), math.nan, math.nan),
+    ]
+
+
+def _runs(rows: Sequence[DwellRow]) -> list[str]:
+    return list(dict.fromkeys(row.run for row in rows))
+
+
+def _cell(row: DwellRow) -> tuple[str, float | None]:
+    return row.position, None if math.isnan(row.chamber_set_c) else row.chamber_set_c
+
+
+def _means(rows: Sequence[DwellRow]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Mean biases, standard uncertainties and temperatures (3,) over the cells of a power cycle."""
+    cells: dict[tuple[str, float | None], list[DwellRow]] = {}
+    for row in rows:
+        cells.setdefault(_cell(row), []).append(row)
+    biases, variances, temperatures = [], [], []
+    for own in cells.values():
+        weights = np.array([row.sigma_dph for row in own]) ** -2.0
+        variances.append(1.0 / weights.sum(axis=0))
+        biases.append((weights * np.array([row.bias_dph for row in own])).sum(axis=0) * variances[-1])
+        temperatures.append(np.mean([row.gyro_c for row in own], axis=0))
+    sigma = np.sqrt(np.sum(variances, axis=0)) / len(cells)
+    return np.mean(biases, axis=0), sigma, np.mean(temperatures, axis=0)

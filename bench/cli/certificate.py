@@ -1,0 +1,141 @@
+"""`gyrobench certificate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gyrobench.bench.cli.options import OperatorOption, complete_run
+from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, JsonOption, console, print_json
+from gyrobench.bench.foundations.errors import DocumentError
+
+_FORMATS = ("dcc", "pdf")
+
+
+def certificate(
+    run_folder: Annotated[
+        Path | None, typer.Argument(metavar="RUN", help="Run folder.", autocompletion=complete_run)
+    ] = None,
+    formats: Annotated[str, typer.Option("--format", help="dcc, pdf, or both with a comma.")] = "dcc,pdf",
+    out: Annotated[Path | None, typer.Option(help="Output folder; default: certificate in the run.")] = None,
+    number: Annotated[str, typer.Option(help="Number; default: from unit, run and seal.")] = "",
+    authorised_by: Annotated[
+        str, typer.Option("--authorised-by", metavar="NAME", help="Who authorises it; required.")
+    ] = "",
+    customer: Annotated[str, typer.Option(help="Customer and address; default: as in the run.")] = "",
+    order: Annotated[str, typer.Option(help="Number of the order; default: as in the run.")] = "",
+    item: Annotated[str, typer.Option(help="Item of the order; default: as in the run.")] = "",
+    ambient: Annotated[str, typer.Option(help="Conditions of the room, as '23 °C, 45 % RH'.")] = "",
+    simulated: Annotated[
+        bool, typer.Option("--simulated", help="Of a run with emulated instruments; it says so everywhere.")
+    ] = False,
+    key: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Sign with this key: PKCS#12, or PEM with key and certificate."),
+    ] = None,
+    schema: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            envvar="GYROBENCH_DCC_SCHEMA",
+            help="Folder with dcc.xsd and SI_Format.xsd, to validate the DCC.",
+        ),
+    ] = None,
+    verify: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Verify the signature of a certificate.")
+    ] = None,
+    trusted: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="With --verify: certificates (PEM), of the signer or of its issuer."
+        ),
+    ] = None,
+    operator: OperatorOption = "",  # noqa: ARG001 - read from the environment
+    as_json: JsonOption = False,
+) -> None:
+    """Issue the calibration certificate of a sealed run as PDF/A-3 and as DCC, or verify one.
+
+    The DCC is attached to the PDF. A password of the key is taken from GYROBENCH_KEY_PASSWORD.
+
+    With --json: {"number", "files", "validated", "signed"}, or with --verify {"file", "valid", "signer",
+    "fingerprint", "problem"}.
+
+    Exit codes: 0 written, or unchanged since it was signed; 1 changed, or not signed by whom is trusted.
+
+    Example: gyrobench certificate runs/six_position_fig7-001 --authorised-by "A. Smith" --key lab.p12
+    """
+    if verify is not None:
+        _verify(verify, trusted, as_json)
+        return
+    if run_folder is None:
+        raise DocumentError("no run folder is given. Name one, or a file with --verify")
+    wanted = [each.strip() for each in formats.split(",")]
+    if not wanted or set(wanted) - set(_FORMATS):
+        raise DocumentError(f"--format {formats}: is not dcc, pdf or dcc,pdf")
+    from gyrobench.bench.certificate import content, dcc, pdf, signatures
+    from gyrobench.bench.foundations.files import make_folder, write_whole
+    from gyrobench.bench.runs.folder import open_run_folder
+    from gyrobench.bench.runs.seal import keep_sealed
+
+    folder = open_run_folder(run_folder)
+    stated = content.Order(customer, order, item, number, authorised_by, ambient)
+    made = content.certificate_of(folder, stated, simulated=simulated)
+    names = pdf.file_names(made, wanted)
+    signing = signatures.load_signing_key(key) if key else None
+    files: dict[str, bytes] = {}
+    if "dcc" in wanted:
+        document = dcc.certificate_dcc(made)
+        if signing:
+            document = signatures.sign_dcc(document, signing)
+        if schema is not None:
+            dcc.validate_dcc(document, schema)
+        files[names["dcc"]] = document
+    if "pdf" in wanted:
+        printed = pdf.certificate_pdf(made, files)
+        reason = f"Calibration certificate {made.number}"
+        files[names["pdf"]] = signatures.sign_pdf(printed, signing, reason) if signing else printed
+    into = out or folder.path / "certificate"
+    make_folder(into)
+    for name, data in files.items():
+        write_whole(into / name, data)
+    keep_sealed(folder)
+    paths = [into / name for name in files]
+    if as_json:
+        print_json(
+            {
+                "number": made.number,
+                "files": paths,
+                "validated": "dcc" in wanted and schema is not None,
+                "signed": signing is not None,
+            }
+        )
+        return
+    terminal = console()
+    for path in paths:
+        terminal.print(f"Written  {path}", soft_wrap=True)
+    if "dcc" in wanted and schema is None:
+        terminal.print(
+            "The DCC is not validated: --schema FOLDER names PTB's dcc.xsd and SI_Format.xsd.", soft_wrap=True
+        )
+
+
+def _verify(path: Path, trusted: Path | None, as_json: bool) -> None:
+    from gyrobench.bench.certificate.signatures import verify_file
+
+    check = verify_file(path, trusted)
+    is_valid = not check.problem
+    if as_json:
+        print_json({"file": path, "valid": is_valid, **vars(check)})
+    elif is_valid:
+        known = "" if trusted else ", which was not compared with a trusted one"
+        console().print(
+            f"Unchanged since it was signed by {check.signer}, certificate SHA-256 "
+            f"{check.fingerprint[:16]}…{known}.",
+            soft_wrap=True,
+        )
+    else:
+        console().print(f"{path}: {check.problem}", soft_wrap=True, style="bold red")
+    if not is_valid:
+        raise typer.Exit(EXIT_NOT_FINISHED)

@@ -1,0 +1,145 @@
+"""Metrics of runs for Prometheus: the numbers of their snapshots under documented names with units.
+
+Source of the naming rules: the Prometheus documentation on metric and label naming, and OpenMetrics 1.0.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+from gyrobench.bench.foundations.packages import require
+from gyrobench.bench.monitor.run_list import verdict_in
+from gyrobench.bench.monitor.snapshot import RunSnapshot, RunState
+from gyrobench.bench.navigation.positions import AXES
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import prometheus_client.core
+
+CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
+
+#: Of every metric: name, meaning, and labels beside ``run`` (the name of the run folder).
+METRICS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "gyrobench_run_info": ("Always 1; the labels describe the run.", ("procedure", "station", "unit")),
+    "gyrobench_run_state": ("1 for the present state of the run, 0 for the others.", ("state",)),
+    "gyrobench_run_age_seconds": ("Time since the run wrote its last snapshot.", ()),
+    "gyrobench_run_elapsed_seconds": ("Time since the start, on the run's clock.", ()),
+    "gyrobench_run_left_seconds": ("Planned time that remains.", ()),
+    "gyrobench_run_behind_plan_seconds": ("Delay behind the plan, as after a hold.", ()),
+    "gyrobench_dwells_planned": ("Dwells of the plan.", ()),
+    "gyrobench_dwells_measured": ("Dwells completed, with and without flags.", ()),
+    "gyrobench_dwells_flagged": ("Completed dwells with flags.", ()),
+    "gyrobench_temperature_celsius": (
+        "Last temperature that a sensor reported, or the set point.",
+        ("sensor",),
+    ),
+    "gyrobench_table_angle_degrees": ("Last angle of a table axis.", ("axis",)),
+    "gyrobench_table_rate_degrees_per_second": ("Last rate of a table axis.", ("axis",)),
+    "gyrobench_reply_age_seconds": ("Time since the last reply of an instrument.", ("instrument",)),
+    "gyrobench_bias_degrees_per_hour": ("Bias in the last completed dwell.", ("gyro", "position")),
+    "gyrobench_bias_sigma_degrees_per_hour": ("Its standard uncertainty.", ("gyro", "position")),
+    "gyrobench_live_bias_degrees_per_hour": ("Present estimate of the dwell in progress.", ("gyro",)),
+    "gyrobench_live_bias_sigma_degrees_per_hour": ("Its standard uncertainty.", ("gyro",)),
+    "gyrobench_alarm": ("1 for each active alarm: an interlock or an instrument.", ("name",)),
+    "gyrobench_verdict": ("1 for the verdict on the unit, after the end of the run.", ("verdict",)),
+}
+
+
+class _Sample(NamedTuple):
+    """One value of a metric, with the values of its labels beside ``run``."""
+
+    metric: str
+    value: float
+    labels: Sequence[str] = ()
+
+
+def metrics_text(runs: Iterable[tuple[Path, RunSnapshot, float]]) -> bytes:
+    """Metrics of runs in the text format of Prometheus.
+
+    Parameters
+    ----------
+    runs : iterable of (Path, RunSnapshot, float)
+        Run folder, its snapshot, and the age of that in seconds.
+
+    Raises
+    ------
+    MissingPackageError
+        The package prometheus-client is not installed.
+    """
+    core, exposition = require("prometheus_client.core"), require("prometheus_client.exposition")
+    families = {
+        name: core.GaugeMetricFamily(name, meaning, labels=("run", *labels))
+        for name, (meaning, labels) in METRICS.items()
+    }
+    for folder, snapshot, age_s in runs:
+        for sample in _samples(folder, snapshot, age_s):
+            if math.isfinite(sample.value):
+                families[sample.metric].add_metric((folder.name, *sample.labels), sample.value)
+    registry = core.CollectorRegistry()
+    registry.register(_Families(families.values()))
+    return bytes(exposition.generate_latest(registry))
+
+
+class _Families:
+    """Metrics that were collected already, as a collector of prometheus_client."""
+
+    def __init__(self, families: Iterable[prometheus_client.core.Metric]) -> None:
+        self._families = list(families)
+
+    def collect(self) -> list[prometheus_client.core.Metric]:
+        """All of them."""
+        return self._families
+
+
+def _samples(folder: Path, snapshot: RunSnapshot, age_s: float) -> Iterator[_Sample]:
+    yield _Sample("gyrobench_run_info", 1.0, (snapshot.procedure, snapshot.station, snapshot.unit))
+    for state in RunState:
+        yield _Sample("gyrobench_run_state", state is snapshot.state, (state.value,))
+    yield _Sample("gyrobench_run_age_seconds", age_s)
+    yield _Sample("gyrobench_run_elapsed_seconds", snapshot.now_s)
+    yield _Sample("gyrobench_run_left_seconds", snapshot.left_s)
+    yield _Sample("gyrobench_run_behind_plan_seconds", snapshot.behind_s)
+    yield _Sample("gyrobench_dwells_planned", snapshot.dwell_count)
+    yield _Sample("gyrobench_dwells_measured", len(snapshot.dwells))
+    yield _Sample("gyrobench_dwells_flagged", sum(bool(dwell.flags) for dwell in snapshot.dwells))
+    for alarm in snapshot.alarms:
+        yield _Sample("gyrobench_alarm", 1.0, (alarm.name,))
+    if verdict := verdict_in(folder):
+        yield _Sample("gyrobench_verdict", 1.0, (verdict,))
+    yield from _readings(snapshot)
+    yield from _biases(snapshot)
+
+
+def _readings(snapshot: RunSnapshot) -> Iterator[_Sample]:
+    bench = snapshot.bench
+    if bench is None:
+        return
+    sensors = {"chamber_air": bench.chamber_c, "chamber_set_point": bench.chamber_set_c, "case": bench.case_c}
+    for name, values in (("gyro", bench.gyro_c), ("electronics", bench.electronics_c)):
+        sensors |= {f"{name}_{axis}": value for axis, value in zip(AXES, values, strict=True)}
+    for sensor, value in sensors.items():
+        yield _Sample("gyrobench_temperature_celsius", value, (sensor,))
+    for axis, angle_deg, rate_dps in (
+        ("outer", bench.outer_deg, bench.outer_rate_dps),
+        ("inner", bench.inner_deg, bench.inner_rate_dps),
+    ):
+        yield _Sample("gyrobench_table_angle_degrees", angle_deg, (axis,))
+        yield _Sample("gyrobench_table_rate_degrees_per_second", rate_dps, (axis,))
+    ages_s = {"rate_table": bench.table_age_s, "chamber": bench.chamber_age_s, "ins": bench.ins_age_s}
+    for instrument, age_s in ages_s.items():
+        yield _Sample("gyrobench_reply_age_seconds", age_s, (instrument,))
+
+
+def _biases(snapshot: RunSnapshot) -> Iterator[_Sample]:
+    if snapshot.dwells:
+        last = snapshot.dwells[-1]
+        for axis, bias_dph, sigma_dph in zip(AXES, last.bias_dph, last.sigma_dph, strict=True):
+            yield _Sample("gyrobench_bias_degrees_per_hour", bias_dph, (axis, last.position))
+            yield _Sample("gyrobench_bias_sigma_degrees_per_hour", sigma_dph, (axis, last.position))
+    if live := snapshot.live_bias:
+        for axis, bias_dph, sigma_dph in zip(AXES, live.bias_dph, live.sigma_dph, strict=True):
+            yield _Sample("gyrobench_live_bias_degrees_per_hour", bias_dph, (axis,))
+            yield _Sample("gyrobench_live_bias_sigma_degrees_per_hour", sigma_dph, (axis,))

@@ -1,0 +1,179 @@
+"""Uncertainty budget in the report of a run: a statement and a figure for its first page, and a section."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+
+from gyrobench.bench.bias.budget import SOURCES
+from gyrobench.bench.foundations.text import bin_label, counted, listed
+from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
+from gyrobench.bench.report.figures.budget import Shares
+from gyrobench.bench.report.number_format import BiasScale
+from gyrobench.bench.report.page import Box, Mark, Section, SectionTable
+from gyrobench.bench.runs.tables.budget_table import ANY_POWER_CYCLE, COMBINED, BudgetRow
+
+#: Caption of the figure of shares.
+CAPTION = (
+    "Shares of the variance of a dwell's bias; at the right its standard uncertainty (root mean square) and "
+    "the number of dwells."
+)
+#: Share of a variance that a statement names at least.
+_NAMED = 0.05
+_HOW = (
+    "A bias is linear in the outputs of the INS. With the gains of the estimator fixed, its variance splits "
+    "exactly over the independent sources of error; budget.csv has every dwell and every bin. Type A: "
+    "estimated from the output of the unit; type B: declared. In the mean of a bin, noise averages out, and "
+    "what the dwells have in common does not. U: expanded uncertainty for a coverage probability of 95 %, "
+    "with k from the effective degrees of freedom (Welch-Satterthwaite, JCGM 100:2008)."
+)
+_CONTRIBUTIONS = (
+    "Contributions to the uncertainty of the bias of a {} gyro in a dwell: root mean square over {}, in {}. "
+    "Sensitivity: deg/h per unit of the input."
+)
+_BINS = "Expanded uncertainty U (k) of the mean bias of a bin in {}, by temperature of the gyro"
+_SUMS = {COMBINED: "combined", ANY_POWER_CYCLE: "combined, any power cycle"}
+
+
+def shares(rows: Iterable[BudgetRow]) -> list[Shares]:
+    """Shares of the variance of each gyro's biases, level and vertical, over the dwells."""
+    groups: dict[tuple[str, bool], list[BudgetRow]] = defaultdict(list)
+    for row in rows:
+        if row.result == "dwell":
+            groups[row.axis, _is_vertical(row)].append(row)
+    found = []
+    for (axis, is_vertical), members in sorted(groups.items()):
+        variances: dict[str, float] = defaultdict(float)
+        for row in members:
+            if not math.isnan(row.share):
+                variances[row.contribution] += row.sigma**2
+        total, count = variances.pop(COMBINED), sum(row.contribution == COMBINED for row in members)
+        parts = {name: variance / total for name, variance in variances.items()}
+        label = f"{gyro_label(axis)} {_kind(is_vertical)}"
+        found.append(Shares(label, is_vertical, count, math.sqrt(total / count), parts))
+    return found
+
+
+def budget_box(rows: Sequence[BudgetRow]) -> Box | None:
+    """State why the uncertainty is what it is; None without a budget."""
+    found, texts = shares(rows), []
+    for is_vertical in (False, True):
+        own = [each for each in found if each.is_vertical is is_vertical]
+        if not own:
+            continue
+        total = math.fsum(each.count * each.sigma_dph**2 for each in own)
+        parts: dict[str, float] = defaultdict(float)
+        for each in own:
+            for source, share in each.parts.items():
+                parts[source] += share * each.count * each.sigma_dph**2 / total
+        largest = sorted((-share, source) for source, share in parts.items() if share >= _NAMED)
+        causes = listed([f"{-100.0 * share:.0f} % by {_cause(rows, source)}" for share, source in largest])
+        causes = causes.replace(" % by", " % of the variance by", 1)
+        sigma_dph = math.sqrt(total / sum(each.count for each in own))
+        texts.append(f"{sigma_dph:#.2g} deg/h for a {_kind(is_vertical)} gyro, {causes}")
+    if not texts:
+        return None
+    k = _range((row.k for row in rows if row.result == "dwell" and row.contribution == COMBINED), ".2f")
+    return Box(
+        "open", "Standard uncertainty of a bias in a dwell:", f"{'; '.join(texts)}. U = {k} sigma (95 %)."
+    )
+
+
+def budget_section(rows: Sequence[BudgetRow]) -> Section | None:
+    """The contributions and the expanded uncertainties in tables; None without a budget."""
+    dwells = [row for row in rows if row.result == "dwell"]
+    if not dwells:
+        return None
+    tables = [
+        _contributions(own, _kind(is_vertical))
+        for is_vertical in (False, True)
+        if (own := [row for row in dwells if _is_vertical(row) is is_vertical])
+    ]
+    bins = [row for row in rows if row.result == "bin" and row.contribution == COMBINED]
+    return Section("Uncertainty budget", [_HOW], tables=[*tables, *([_bins(bins)] if bins else [])])
+
+
+def _contributions(rows: Sequence[BudgetRow], kind: str) -> SectionTable:
+    scale = BiasScale(1000.0, "0.001 deg/h", 3)
+    lines: list[list[str]] = []
+    marks: list[Mark] = []
+    for name in (*SOURCES, *_SUMS):
+        own = [row for row in rows if row.contribution == name]
+        if not own:
+            continue
+        title = _SUMS.get(name) or SOURCES[name].title
+        known = [row for row in own if not math.isnan(row.sigma)]
+        marks.append("sum" if name in _SUMS else "")
+        if not known:
+            lines.append([title, "B", f"{_input(own)} {own[0].note}".strip()])
+            continue
+        if name in _SUMS:
+            k = _range((row.k for row in known), ".2f")
+            middle = ["", "", f"U = {scale.text(_rms(row.expanded for row in known))}", f"k = {k}"]
+        else:
+            sensitivity = _rms(row.sensitivity for row in known if not math.isnan(row.sensitivity))
+            cell = f"{sensitivity:.3g}" if sensitivity else ""
+            middle = [known[0].type, known[0].distribution, _input(known), cell]
+        stated = [row.share for row in known if not math.isnan(row.share)]
+        share = f"{100.0 * sum(stated) / len(stated):.1f}" if stated else "outside"
+        dof = min(row.dof for row in known)
+        lines.append(
+            [
+                title,
+                *middle,
+                scale.text(_rms(row.sigma for row in known)),
+                share,
+                "∞" if math.isinf(dof) else f"{dof:.0f}",
+            ]
+        )
+    count = counted(len({(row.dwell, row.axis) for row in rows}), "value")
+    header = ["contribution", "type", "distribution", "input", "sensitivity", "u", "% of variance", "dof"]
+    return SectionTable(_CONTRIBUTIONS.format(kind, count, scale.unit), header, lines, words=3, marks=marks)
+
+
+def _bins(rows: Sequence[BudgetRow]) -> SectionTable:
+    scale = BiasScale.of([], [row.expanded for row in rows])
+    positions = [name for name in POSITIONS if any(row.position == name for row in rows)]
+    by_bin: dict[tuple[str, float, float], dict[str, str]] = defaultdict(dict)
+    for row in rows:
+        cell = f"{scale.text(row.expanded)} ({row.k:.2f})"
+        by_bin[row.axis, row.bin_low_c, row.bin_high_c][row.position] = cell
+    lines = [
+        [gyro_label(axis), bin_label(low, high), *(cells.get(name, "") for name in positions)]
+        for (axis, low, high), cells in sorted(by_bin.items())
+    ]
+    return SectionTable(
+        _BINS.format(scale.unit), ["gyro", "bin / °C", *map(position_label, positions)], lines
+    )
+
+
+def _kind(is_vertical: bool) -> str:
+    return "vertical" if is_vertical else "level"
+
+
+def _is_vertical(row: BudgetRow) -> bool:
+    return AXES[POSITIONS[row.position].up_axis] == row.axis
+
+
+def _cause(rows: Iterable[BudgetRow], source: str) -> str:
+    own = [row for row in rows if row.contribution == source]
+    how = "estimated" if all(row.type == "A" for row in own) else "declared"
+    return SOURCES[source].title + (f" ({_input(own)}, {how})" if _input(own) else "")
+
+
+def _input(rows: Iterable[BudgetRow]) -> str:
+    """Standard uncertainty of the input, or its range, with the unit."""
+    own = [row for row in rows if row.input_sigma > 0.0]
+    return f"{_range((row.input_sigma for row in own), ',.4g')} {own[0].input_unit}" if own else ""
+
+
+def _range(values: Iterable[float], form: str) -> str:
+    """Smallest and largest of some values, or the one that all are."""
+    ordered = sorted(values)
+    return " to ".join(dict.fromkeys(format(each, form) for each in (ordered[0], ordered[-1])))
+
+
+def _rms(values: Iterable[float]) -> float:
+    every = list(values)
+    return math.sqrt(math.fsum(each**2 for each in every) / len(every)) if every else 0.0

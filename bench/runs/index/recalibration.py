@@ -1,0 +1,235 @@
+"""When a bias leaves its limit: drift of a unit and its siblings over months, by a model with random effects.
+
+In run i of unit j, t months after its first run, the bias is y = a_j + b_j t + w_j(t) + r_ij + e_ij: a bias
+of the unit, a drift that is normal about the mean of all units, a random walk, a scatter between runs
+(turn-on), and the error of the measurement with its stated uncertainty. a_j and the mean drift have flat
+priors; the standard deviations of drift, walk and scatter are integrated over a grid by their restricted
+likelihood.
+
+Source: Laird and Ware, Random-effects models for longitudinal data, Biometrics 38 (1982); for the restricted
+likelihood Harville, JASA 72 (1977).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from itertools import product
+
+import numpy as np
+from scipy.stats import norm
+
+from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.runs.index.run_biases import MONTH_DAYS, RunBias
+
+#: Dates are given up to this far after the last run.
+MAX_MONTHS = 120.0
+#: Runs of all units together beyond one for each unit: with fewer the scatter is unknown.
+_MIN_RUNS_BEYOND_FIRST = 2
+#: Standard deviations of drift, walk and scatter on the grid, as factors of that of the data.
+_FACTORS = (0.0, *np.geomspace(0.02, 4.0, 9))
+_STEPS = 60
+
+
+@dataclass(frozen=True)
+class Recalibration:
+    """Until when a bias is within its limit."""
+
+    limit_dph: float
+    confidence: float
+    #: Last day on which the bias is within the limit with that probability; None if that is more than
+    #: :data:`MAX_MONTHS` after the last run.
+    due: datetime | None
+    months: float  #: From the last run to that day; 0 if the limit is not kept on the day of the last run.
+    #: drift_dph_per_month, drift_sigma_dph_per_month: Of the unit, siblings included.
+    drift_dph_per_month: float
+    drift_sigma_dph_per_month: float
+    siblings: int  #: Number of other units with at least two runs.
+
+
+@dataclass(frozen=True)
+class _Unit:
+    """Runs of a unit."""
+
+    months: FloatArray
+    bias_dph: FloatArray
+    variance: FloatArray
+
+    @classmethod
+    def of(cls, runs: Sequence[RunBias]) -> _Unit:
+        start = runs[0].started_utc
+        months = [(run.started_utc - start) / timedelta(days=MONTH_DAYS) for run in runs]
+        return cls(
+            np.array(months), np.array([r.bias_dph for r in runs]), np.array([r.sigma_dph**2 for r in runs])
+        )
+
+    def inverse_covariance(self, sd: FloatArray) -> FloatArray:
+        """Inverse covariance of the runs; ``sd``, shape (g, 3), gives shape (g, n, n)."""
+        return np.asarray(np.linalg.inv(self.covariance(sd)), dtype=float)
+
+    def covariance(self, sd: FloatArray) -> FloatArray:
+        """Covariance of the runs without the unit's bias and the mean drift."""
+        t, drift, walk, scatter = self.months, *(sd**2).T[:, :, None, None]
+        covariance = drift * np.outer(t, t) + walk * np.minimum.outer(t, t) + scatter * np.eye(len(t))
+        return np.asarray(covariance + np.diag(self.variance), dtype=float)
+
+
+def recalibration(
+    runs: Mapping[str, Sequence[RunBias]], unit: str, limit_dph: float, confidence: float = 0.95
+) -> Recalibration:
+    """Date until which the bias of a unit stays within a limit of either sign.
+
+    Parameters
+    ----------
+    runs : mapping of str to sequence of RunBias
+        The same quantity in the runs of each unit, in order of time: the unit and its siblings.
+    unit : str
+        The unit.
+    limit_dph : float
+        Largest bias of either sign in a run, deg/h.
+    confidence : float
+        Probability that the bias of a run on that date is within the limit.
+
+    Raises
+    ------
+    MeasurementError
+        The unit has no run, or all units together have too few to know the scatter between runs.
+    """
+    units = {name: _Unit.of(each) for name, each in runs.items() if each}
+    if unit not in units:
+        raise MeasurementError(f"unit {unit}: no run measured this bias. Give a unit that has runs")
+    beyond_first = sum(len(each.months) - 1 for each in units.values())
+    if beyond_first < _MIN_RUNS_BEYOND_FIRST:
+        raise MeasurementError(
+            f"unit {unit}: {beyond_first + len(units)} runs of {len(units)} units do not show how its bias "
+            f"changes. At least {_MIN_RUNS_BEYOND_FIRST} runs beyond the first of each unit are necessary"
+        )
+    sd, prior = _grid(list(units.values()))
+    log_likelihood, mean_drift = _restricted_likelihood(list(units.values()), sd)
+    weight = prior * np.exp(log_likelihood - log_likelihood.max())
+    weight /= weight.sum()
+    own = units[unit]
+    predict = _Prediction(own, sd, mean_drift - _drift_information(own, sd), weight)
+    last = own.months[-1]
+
+    def is_within(months: float) -> bool:
+        return predict.probability_within(last + months, limit_dph) >= confidence
+
+    ends = np.linspace(0.0, MAX_MONTHS, _STEPS + 1)
+    first_out = next((index for index, end in enumerate(ends) if not is_within(end)), None)
+    months = MAX_MONTHS
+    if first_out is not None:
+        low, high = (float(ends[max(first_out - 1, 0)]), float(ends[first_out]))
+        for _ in range(20):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if is_within(middle) else (low, middle)
+        months = low
+    due = runs[unit][-1].started_utc + timedelta(days=MONTH_DAYS * months)
+    drift, drift_sigma = predict.drift()
+    return Recalibration(
+        limit_dph,
+        confidence,
+        None if first_out is None else due,
+        months,
+        drift,
+        drift_sigma,
+        sum(len(each.months) > 1 for name, each in units.items() if name != unit),
+    )
+
+
+def _grid(units: Sequence[_Unit]) -> tuple[FloatArray, FloatArray]:
+    """Standard deviations of drift, walk and scatter, shape (g, 3), and the prior weight of each, uniform."""
+    changes = np.concatenate([unit.bias_dph - unit.bias_dph.mean() for unit in units])
+    size = max(float(changes.std()), float(np.sqrt(np.mean(np.concatenate([u.variance for u in units])))))
+    span = max(float(unit.months[-1]) for unit in units) or 1.0
+    factors = np.array(_FACTORS)
+    width = np.gradient(factors)
+    grid = np.array(list(product(factors, repeat=3))) * [size / span, size / np.sqrt(span), size]
+    return grid, np.prod(np.array(list(product(width, repeat=3))), axis=1)
+
+
+def _restricted_likelihood(units: Sequence[_Unit], sd: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Restricted log-likelihood at each point, shape (g,), and information of the mean drift, (g, 2).
+
+    The information is (its inverse variance, that times its estimate), of all units.
+    """
+    total = np.zeros((len(sd), 2))
+    log_likelihood = np.zeros(len(sd))
+    for unit in units:
+        information, quadratic, log_determinant = _without_bias(unit, sd)
+        total += information
+        log_likelihood -= 0.5 * (quadratic + log_determinant)
+    known = total[:, 0] > 0.0
+    inverse, product_ = total[known].T
+    log_likelihood[known] += 0.5 * (product_**2 / inverse - np.log(inverse))
+    return log_likelihood, total
+
+
+def _without_bias(unit: _Unit, sd: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Information of the mean drift, quadratic form and log determinant, the unit's bias eliminated."""
+    inverse = unit.inverse_covariance(sd)
+    ones, t, y = np.ones_like(unit.months), unit.months, unit.bias_dph
+    a = inverse.sum(axis=(1, 2))
+    at, ay = inverse @ t @ ones, inverse @ y @ ones
+    information = np.column_stack([inverse @ t @ t - at**2 / a, inverse @ y @ t - at * ay / a])
+    quadratic = inverse @ y @ y - ay**2 / a
+    return information, quadratic, np.log(a) - np.linalg.slogdet(inverse)[1]
+
+
+def _drift_information(unit: _Unit, sd: FloatArray) -> FloatArray:
+    return _without_bias(unit, sd)[0]
+
+
+class _Prediction:
+    """Bias of a unit in a later run, for each point of the grid with its weight."""
+
+    def __init__(self, unit: _Unit, sd: FloatArray, others: FloatArray, weight: FloatArray) -> None:
+        used = weight > weight.max() * 1e-6
+        self._unit, self._sd, self._weight = unit, sd[used], weight[used] / weight[used].sum()
+        inverse = unit.inverse_covariance(self._sd)
+        design = np.column_stack([np.ones_like(unit.months), unit.months])
+        matrix = design.T @ inverse @ design
+        matrix[:, 1, 1] += np.maximum(others[used, 0], 0.0)
+        right = (design.T @ (inverse @ unit.bias_dph)[..., None])[..., 0]
+        right[:, 1] += others[used, 1]
+        self._inverse, self._design = inverse, design
+        self._covariance = np.linalg.pinv(matrix, hermitian=True)
+        self._estimate = np.einsum("gij,gj->gi", self._covariance, right)
+        fitted = self._estimate @ design.T
+        self._solved = np.einsum("gij,gj->gi", inverse, unit.bias_dph - fitted)
+
+    def probability_within(self, months: float, limit_dph: float) -> float:
+        """Probability that the bias in a run at that time, from the unit's first, is within the limit."""
+        drift, walk, scatter = (self._sd**2).T
+        known = self._shared(months)
+        mean, variance = self._at(np.array([1.0, months]), known)
+        variance = variance + drift * months**2 + walk * months + scatter
+        sigma = np.sqrt(np.maximum(variance, 1e-300))
+        within = norm.cdf((limit_dph - mean) / sigma) - norm.cdf((-limit_dph - mean) / sigma)
+        return float(self._weight @ within)
+
+    def drift(self) -> tuple[float, float]:
+        """Drift of the unit, and its standard uncertainty."""
+        known = (self._sd[:, 0] ** 2)[:, None] * self._unit.months
+        mean, variance = self._at(np.array([0.0, 1.0]), known)
+        variance = variance + self._sd[:, 0] ** 2
+        overall = float(self._weight @ mean)
+        return overall, float(np.sqrt(self._weight @ (variance + (mean - overall) ** 2)))
+
+    def _shared(self, months: float) -> FloatArray:
+        """Covariance of a later run with the measured ones, shape (g, n)."""
+        t = self._unit.months
+        drift, walk, _ = (self._sd**2).T[:, :, None]
+        return np.asarray(drift * months * t + walk * np.minimum(t, months), dtype=float)
+
+    def _at(self, row: FloatArray, known: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Mean, and variance without that of what is predicted, by universal kriging."""
+        gain = np.einsum("gij,gj->gi", self._inverse, known)
+        left = row - gain @ self._design
+        mean = self._estimate @ row + np.einsum("gi,gi->g", known, self._solved)
+        variance = np.einsum("gi,gij,gj->g", left, self._covariance, left) - np.einsum(
+            "gi,gi->g", gain, known
+        )
+        return mean, variance

@@ -1,0 +1,78 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gyrobench.bench.bias.bias_filter import estimate_state_space
+from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.navigation.positions import POSITIONS
+from tests.bench.bias.emulated_dwells import emulate, noise_model, sensors, site
+
+NOISE, PRIOR = noise_model(0.0006), PriorKnowledge()
+
+
+def dwell(position="z_up", **scenario):
+    return emulate(position, sensors((0.05, -0.05, 0.05)), gyro_c=warming, outer_level=True, **scenario)
+
+
+def warming(time_s):
+    return 20.0 + np.outer(time_s, [1.0, 1.2, 0.8]) / 600.0
+
+
+def estimate(measured, noise=NOISE, prior=PRIOR):
+    return estimate_state_space(measured, site(), noise, prior)
+
+
+@pytest.mark.parametrize(
+    "stops_deg", [(0.0, 180.0), (0.0, 180.0, 0.0, 180.0)], ids=["one_turn", "three_turns"]
+)
+@pytest.mark.parametrize("position", POSITIONS)
+def test_the_parts_add_up_to_the_covariance(position, stops_deg):
+    found = estimate(dwell(position, stops_deg=stops_deg, window_s=300.0))
+    total = sum(part.covariance for part in found.parts.values())
+    assert total == pytest.approx(found.covariance, rel=1e-9, abs=1e-24)
+
+
+@pytest.mark.parametrize(
+    ("part", "names"),
+    [
+        ("angle_random_walk", ["angle_random_walk"]),
+        ("velocity_random_walk", ["velocity_random_walk"]),
+        ("velocity_output", ["velocity_white"]),
+        ("heading_output", ["heading_white"]),
+        ("accelerometer_bias", ["accelerometer_bias"]),
+        ("accelerometer_drift", ["accelerometer_drift"]),
+        ("gyro_scale_factor", ["gyro_scale_factor"]),
+        ("gyro_misalignment", ["gyro_misalignment"]),
+        ("tilt_step", ["tilt_step"]),
+        ("latitude", ["latitude"]),
+        ("bias_slope", ["bias_slope"]),
+    ],
+)
+def test_a_part_is_what_the_least_covariance_grows_by_with_its_variance(part, names):
+    """At the gains of least covariance, those do not change it: its derivative is that at fixed gains."""
+    measured, step = dwell("y_down"), 1e-2
+    prior = replace(PRIOR, accelerometer_bias=1e-4)
+
+    def covariance(factor):
+        noise, known = (
+            replace(
+                each, **{name: getattr(each, name) * factor**0.5 for name in names if hasattr(each, name)}
+            )
+            for each in (NOISE, prior)
+        )
+        return estimate(measured, noise, known).covariance
+
+    slope = (covariance(1.0 + step) - covariance(1.0 - step)) / (2.0 * step)
+    found = estimate(measured, prior=prior)
+    tolerance = 1e-4 * np.abs(np.diag(found.parts[part].covariance)).max() + 1e-9 * found.covariance.max()
+    assert found.parts[part].covariance == pytest.approx(slope, rel=1e-3, abs=tolerance)
+
+
+def test_each_part_holds_the_uncertainty_it_follows_from():
+    parts = estimate(dwell()).parts
+    assert parts["angle_random_walk"].sigma == NOISE.angle_random_walk
+    assert parts["velocity_output"].sigma == pytest.approx(NOISE.velocity_white)
+    assert parts["heading_output"].sigma == pytest.approx(NOISE.heading_white)
+    assert parts["latitude"].sigma == PRIOR.latitude
+    assert "accelerometer_settling" not in parts

@@ -1,0 +1,204 @@
+"""Certificates of runs: what they state, as PDF and DCC, marked where emulated, signed and verified."""
+
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+from gyrobench.bench.certificate.content import NORMAL_K, Order, certificate_of
+from gyrobench.bench.certificate.dcc import certificate_dcc, validate_dcc
+from gyrobench.bench.certificate.pdf import certificate_pdf, file_names
+from gyrobench.bench.certificate.signatures import load_signing_key, sign_dcc, sign_pdf, verify_file
+from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.seal import seal_run, verify_seals
+from gyrobench.bench.runs.tables.budget_table import COMBINED, read_budget
+from tests.bench.command_line import gyrobench
+
+etree = pytest.importorskip("lxml.etree")
+
+NAMES = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
+SIGNED_BY = Order(authorised_by="B. Jones", number="C-1", ambient="23 °C, 45 % RH")
+#: Folder with PTB's dcc.xsd and SI_Format.xsd, which no package registry carries.
+SCHEMA = os.environ.get("GYROBENCH_DCC_SCHEMA", "")
+
+
+@pytest.fixture(scope="module")
+def simulated(emulated_run):
+    return certificate_of(emulated_run, Order(), simulated=True)
+
+
+def texts(document, path):
+    return [each.text for each in etree.fromstring(document).iterfind(path, NAMES)]
+
+
+def test_a_certificate_of_an_emulated_run_is_refused_unless_it_may_say_so(emulated_run):
+    with pytest.raises(RunFolderError, match="Add --simulated"):
+        certificate_of(emulated_run, SIGNED_BY)
+    assert certificate_of(emulated_run, SIGNED_BY, simulated=True).run.is_simulated
+
+
+def test_a_certificate_states_order_laboratory_conditions_and_traceability(measured_run):
+    made = certificate_of(measured_run, SIGNED_BY)
+    assert not made.run.is_simulated
+    assert made.number == "C-1"
+    assert made.item["customer"] == "ACME, Harbour Street 5, Porttown"
+    assert made.item["order"] == "4711"
+    assert made.item["data"].startswith("seal 1, SHA-256 ")
+    assert made.laboratory["authorised by"] == "B. Jones"
+    assert made.laboratory["operator"] == "A. Smith"
+    assert made.deviations == ["None."]
+    assert made.conditions["room"] == "23 °C, 45 % RH"
+    assert made.inputs["angle random walk (deg/√h)"] == "0.0006"
+    assert made.traceability[0][:3] == ("rate table", "RT-17", "2026-0815")
+    assert made.conformity == ("No statement of conformity: the procedure states no limits.", "")
+
+
+def test_k_and_u_are_those_of_the_budget(measured_run):
+    made = certificate_of(measured_run, SIGNED_BY)
+    sums = {
+        (row.axis, row.position): (row.k, row.expanded)
+        for row in read_budget(measured_run.budget)
+        if (row.result, row.contribution) == ("bin", COMBINED)
+    }
+    assert len(made.results) == 3
+    assert {(each.gyro, each.position): (each.k, each.expanded_dph) for each in made.results} == sums
+
+
+def test_without_a_budget_u_is_the_normal_one(measured_run):
+    shutil.rmtree(measured_run.path / "seals")
+    measured_run.budget.unlink()
+    seal_run(measured_run)
+    made = certificate_of(measured_run, SIGNED_BY)
+    sigmas = [each.sigma_dph for each in made.run.bins if not each.is_empty]
+    assert [each.expanded_dph for each in made.results] == pytest.approx([NORMAL_K * each for each in sigmas])
+
+
+def test_a_run_that_changed_or_has_no_name_to_authorise_it_gets_none(measured_run):
+    with pytest.raises(DocumentError, match="Add --authorised-by"):
+        certificate_of(measured_run, Order())
+    content = bytearray(measured_run.dwells.read_bytes())
+    content[-20] ^= 1
+    measured_run.dwells.write_bytes(content)
+    with pytest.raises(RunFolderError, match=r"changed since it was sealed: dwells\.csv: byte \d+ is"):
+        certificate_of(measured_run, SIGNED_BY)
+
+
+def test_the_dcc_has_the_numbers_of_the_bins_and_d_si_units(measured_run):
+    made = certificate_of(measured_run, SIGNED_BY)
+    document = certificate_dcc(made)
+    assert texts(document, ".//dcc:uniqueIdentifier") == ["C-1"]
+    assert texts(document, ".//dcc:calibrationLaboratory//dcc:city") == ["Sampletown"]
+    assert texts(document, ".//dcc:respPerson//dcc:content") == ["B. Jones"]
+    lists = texts(document, ".//si:valueXMLList")
+    assert [float(text) for text in lists[1::2]] == pytest.approx([each.bias_dph for each in made.results])
+    assert set(texts(document, ".//si:unitXMLList")) == {r"\degreecelsius", r"\degree\hour\tothe{-1}"}
+    expanded = texts(document, ".//si:valueExpandedMUXMLList")
+    assert [float(text) for text in expanded] == pytest.approx([each.expanded_dph for each in made.results])
+    assert b"SIMULATED" not in document
+
+
+def test_an_emulated_certificate_says_so_in_document_figures_and_file_names(simulated):
+    document = certificate_dcc(simulated)
+    assert texts(document, ".//dcc:uniqueIdentifier")[0].startswith("SIMULATED-")
+    assert texts(document, ".//dcc:statement/dcc:name/dcc:content")[0] == "SIMULATED"
+    assert texts(document, ".//dcc:respPerson//dcc:content") == ["none: SIMULATED"]
+    assert file_names(simulated, ["dcc", "pdf"]) == {
+        "dcc": "certificate_SIMULATED.xml",
+        "pdf": "certificate_SIMULATED.pdf",
+    }
+    assert "authorised by" not in simulated.laboratory
+
+
+@pytest.mark.skipif(not SCHEMA, reason="GYROBENCH_DCC_SCHEMA names no folder with dcc.xsd and SI_Format.xsd")
+def test_the_dcc_is_valid_against_the_schema_signed_too(measured_run, simulated, signing_key):
+    for made in (certificate_of(measured_run, SIGNED_BY), simulated):
+        document = certificate_dcc(made)
+        validate_dcc(document, Path(SCHEMA))
+        validate_dcc(sign_dcc(document, load_signing_key(signing_key)), Path(SCHEMA))
+    with pytest.raises(DocumentError, match=r"line .*uniqueIdentifier"):
+        validate_dcc(document.replace(b"uniqueIdentifier", b"identifier"), Path(SCHEMA))
+
+
+def test_a_folder_without_the_schema_is_named(tmp_path, simulated):
+    with pytest.raises(DocumentError, match=r"holds no dcc\.xsd"):
+        validate_dcc(certificate_dcc(simulated), tmp_path)
+    (tmp_path / "dcc.xsd").write_text(
+        '<xs:schema xmlns:xs="http://www.w3.org/2001/XMLSchema" xmlns:si="https://ptb.de/si">'
+        '<xs:import namespace="https://ptb.de/si" schemaLocation="https://ptb.de/si/SI_Format.xsd"/>'
+        '<xs:element name="a" type="si:realQuantityType"/></xs:schema>'
+    )
+    with pytest.raises(DocumentError, match=r"SI_Format\.xsd, which is not in .*nothing is fetched"):
+        validate_dcc(certificate_dcc(simulated), tmp_path)
+
+
+def test_a_signed_dcc_is_refused_after_one_byte_was_changed(simulated, signing_key, tmp_path):
+    path = tmp_path / "certificate.xml"
+    signed = sign_dcc(certificate_dcc(simulated), load_signing_key(signing_key))
+    path.write_bytes(signed)
+    check = verify_file(path, signing_key.with_suffix(".crt"))
+    assert (check.signer, check.problem) == ("CN=Example Laboratory", "")
+    at = signed.index(b"<si:valueXMLList>") + 20
+    path.write_bytes(signed[:at] + b"7" + signed[at + 1 :])
+    assert verify_file(path).problem.startswith("the signature does not fit")
+    path.write_bytes(certificate_dcc(simulated))
+    with pytest.raises(DocumentError, match="has no signature"):
+        verify_file(path)
+
+
+def test_a_signed_pdf_is_tagged_has_the_dcc_and_is_refused_after_one_byte_was_changed(
+    simulated, signing_key, tmp_path
+):
+    pytest.importorskip("weasyprint")
+    reader = pytest.importorskip("pyhanko.pdf_utils.reader")
+    path = tmp_path / "certificate.pdf"
+    printed = certificate_pdf(simulated, {"certificate_SIMULATED.xml": certificate_dcc(simulated)})
+    signed = sign_pdf(printed, load_signing_key(signing_key), "Calibration certificate")
+    path.write_bytes(signed)
+    with path.open("rb") as stream:
+        root = reader.PdfFileReader(stream).root
+        assert root["/MarkInfo"]["/Marked"]
+        assert "/AF" in root
+        assert b"pdfaid" in root["/Metadata"].data
+    assert verify_file(path, signing_key.with_suffix(".crt")).problem == ""
+    at = len(printed) // 2
+    path.write_bytes(signed[:at] + bytes([signed[at] ^ 1]) + signed[at + 1 :])
+    assert verify_file(path).problem
+
+
+def test_a_certificate_of_another_signer_is_not_trusted(simulated, signing_key, other_key, tmp_path):
+    path = tmp_path / "certificate.xml"
+    path.write_bytes(sign_dcc(certificate_dcc(simulated), load_signing_key(signing_key)))
+    assert "does not vouch for" in verify_file(path, other_key.with_suffix(".crt")).problem
+    with pytest.raises(DocumentError, match="holds no certificate in PEM"):
+        verify_file(path, path)
+
+
+def test_a_file_without_key_or_certificate_is_refused(tmp_path, signing_key):
+    alone = tmp_path / "alone.pem"
+    alone.write_bytes(signing_key.read_bytes().partition(b"-----BEGIN CERTIFICATE")[0])
+    with pytest.raises(DocumentError, match=r"key can't be read|no private key with a certificate"):
+        load_signing_key(alone)
+
+
+def test_the_command_writes_seals_and_verifies(emulated_run, signing_key, tmp_path, monkeypatch):
+    monkeypatch.delenv("GYROBENCH_DCC_SCHEMA", raising=False)
+    pytest.importorskip("weasyprint")
+    run = RunFolder(tmp_path / "run")
+    shutil.copytree(emulated_run.path, run.path)
+    options = ("--simulated", "--key", signing_key, "--operator", "B. Jones")
+    done = gyrobench("certificate", run.path, *options, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "The DCC is not validated" in done.stdout
+    last = verify_seals(run.path).seals[-1]
+    assert last.operator == "B. Jones"
+    assert last.changes.added == [f"certificate/certificate_SIMULATED.{kind}" for kind in ("pdf", "xml")]
+    pdf = run.path / "certificate" / "certificate_SIMULATED.pdf"
+    good = gyrobench("certificate", "--verify", pdf, cwd=tmp_path)
+    assert good.returncode == 0, good.stderr
+    assert "Unchanged since it was signed by CN=Example Laboratory" in good.stdout
+    pdf.write_bytes(pdf.read_bytes().replace(b"/Title", b"/Titlf", 1))
+    changed = gyrobench("certificate", "--verify", pdf, cwd=tmp_path)
+    assert changed.returncode == 1
+    assert "does not fit" in changed.stdout or "damaged" in changed.stdout

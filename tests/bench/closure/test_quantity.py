@@ -1,0 +1,109 @@
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gyrobench.bench.bias.dwell_table import write_dwells
+from gyrobench.bench.calibration.coefficients import COEFFICIENTS
+from gyrobench.bench.closure.files import closure_document, format_predictions, model_document
+from gyrobench.bench.closure.loop import close_loop
+from gyrobench.bench.closure.quantity import QUANTITIES, quantity
+from gyrobench.bench.dwells.closure_inputs import coefficient_columns, read_campaign
+from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
+from gyrobench.bench.navigation.positions import POSITIONS
+from tests.bench.closure.thermal_bench import measure
+
+
+def table_of(folder, name, effects=None, **options):
+    """A dwell table with the coefficients in the place of biases that the simulated bench measured."""
+    columns = coefficient_columns(quantity(name))
+    measured = measure(effects, cycles=2, **options)
+    rows = []
+    for row in measured.rows:
+        pairs = zip(columns, row.bias_dph, row.sigma_dph, strict=True)
+        other = [pair for (value, sigma), a, b in pairs for pair in ((value, a), (sigma, b))]
+        rows.append(replace(row, bias_dph=(0.0, 0.0, 0.0), other=(*row.other, *other)))
+    path = folder / "dwells.csv"
+    write_dwells(path, rows)
+    return path, measured
+
+
+def test_the_quantities_are_the_coefficients_three_by_three():
+    names = [name for each in QUANTITIES for name in each.coefficients]
+    assert sorted(names) == sorted(f"{each.name}_{each.axis}" for each in COEFFICIENTS)
+    assert [each.axes for each in QUANTITIES if each.label == "misalignment"] == [
+        ("xy", "yz", "zx"), ("xz", "yx", "zy"), ("yx", "zx", "zy"),
+    ]  # fmt: skip
+
+
+def test_a_quantity_is_found_by_its_name_or_that_of_a_coefficient():
+    assert quantity("gyro_misalignment_yx") == quantity("gyro_misalignment_xz")
+    assert quantity("accelerometer_bias").unit == "ug"
+    with pytest.raises(DocumentError, match="did you mean 'gyro_scale_factor'"):
+        quantity("gyro_scale_facto")
+
+
+@pytest.fixture(scope="module")
+def scale_factor(tmp_path_factory):
+    path, measured = table_of(
+        tmp_path_factory.mktemp("table"), "gyro_scale_factor", {"temperature_rate": 8.0}, sigma_dph=1.5
+    )
+    return close_loop(read_campaign(path, quantity=quantity("gyro_scale_factor"))), measured
+
+
+def test_a_scale_factor_that_follows_temperature_rate_is_found(scale_factor):
+    closure, measured = scale_factor
+    assert closure.verdict == "explained"
+    [effect] = closure.effects
+    assert effect.effect.name == "temperature_rate"
+    true = measured.undeclared_dph[closure.searched]
+    assert effect.rms_dph == pytest.approx(np.sqrt(np.mean((true - true.mean(axis=0)) ** 2)), rel=0.1)
+    assert closure.error_after_dph < 1.3 * closure.noise_dph < closure.error_before_dph
+
+
+def test_its_files_and_sentences_name_the_coefficient_and_its_unit(scale_factor):
+    closure, _ = scale_factor
+    document = closure_document(closure)
+    assert (document["quantity"], document["unit"]) == ("gyro_scale_factor", "ppm")
+    assert document["error_after_ppm"] == closure.error_after_dph
+    assert "_dph" not in json.dumps(document) + json.dumps(model_document(closure))
+    assert document["effects"][0]["statement"].startswith("The scale factor follows the rate of change")
+    assert " ppm rms on the x, y and z gyros" in document["effects"][0]["statement"]
+    header = format_predictions(closure).splitlines()[0].split(",")
+    assert header[:2] == ["dwell", "gyro_scale_factor_x_before_ppm"]
+    assert header[-1] == "sigma_z_after_ppm"
+
+
+def test_accelerometer_biases_of_dwells_leave_the_vertical_ones_out(tmp_path):
+    rows = measure({"temperature_rate": 8.0}, cycles=2, sigma_dph=10.0).rows
+    vertical = [POSITIONS[row.position].up_axis for row in rows]
+    rows = [
+        replace(
+            row,
+            bias_dph=(0.0, 0.0, 0.0),
+            accelerometer_ug=tuple(1e4 if axis == up else value for axis, value in enumerate(row.bias_dph)),
+            accelerometer_sigma_ug=row.sigma_dph,
+        )
+        for row, up in zip(rows, vertical, strict=True)
+    ]
+    write_dwells(tmp_path / "dwells.csv", rows)
+    closure = close_loop(read_campaign(tmp_path / "dwells.csv", quantity=quantity("accelerometer_bias")))
+    measured = closure.campaign.is_measured
+    assert not measured[np.arange(len(rows)), vertical].any()
+    assert measured.sum() == 2 * len(rows)
+    assert closure.verdict == "explained"
+    assert [each.effect.name for each in closure.effects] == ["temperature_rate"]
+    assert closure.error_after_dph < 1.3 * closure.noise_dph
+
+
+def test_the_third_misalignments_of_accelerometers_follow_the_sensors_temperatures(tmp_path):
+    path, measured = table_of(tmp_path, "accelerometer_misalignment")
+    campaign = read_campaign(path, quantity=quantity("accelerometer_misalignment"))
+    assert np.allclose(campaign.gyro_c[0], [measured.rows[0].gyro_c[sensor] for sensor in (1, 2, 2)])
+
+
+def test_a_table_without_the_coefficient_says_which_columns_it_lacks(tmp_path):
+    write_dwells(tmp_path / "dwells.csv", measure(cycles=2).rows)
+    with pytest.raises(MeasurementError, match="has no columns gyro_scale_factor_x_ppm"):
+        read_campaign(tmp_path / "dwells.csv", quantity=quantity("gyro_scale_factor"))

@@ -1,0 +1,97 @@
+import math
+
+import pytest
+
+from gyrobench.bench.bias.budget import BiasBudget, Budget, Contribution
+from gyrobench.bench.report.budget_section import budget_box, budget_section, shares
+from gyrobench.bench.report.figures.budget import budget_figure
+from gyrobench.bench.report.run_report import write_report
+from gyrobench.bench.runs.tables.budget_table import budget_rows, write_budget
+
+
+def budget(noise_dph, latitude_dph, dof=math.inf):
+    return Budget(
+        (
+            Contribution("angle_random_walk", 0.0006, noise_dph, dof),
+            Contribution("latitude", 0.33, latitude_dph, note="declared"),
+            Contribution("power_cycles", math.nan, math.nan, is_within=False, note="not evaluated: one run"),
+        )
+    )
+
+
+LEVEL, VERTICAL = budget(0.001, 0.0), budget(0.0006, 0.0008)
+ROWS = budget_rows(
+    [
+        *(BiasBudget(gyro, "z_up", LEVEL, dwell) for dwell in (1, 2) for gyro in "xy"),
+        *(BiasBudget("z", "z_up", VERTICAL, dwell) for dwell in (1, 2)),
+        *(BiasBudget(gyro, "z_up", LEVEL, None, 20.0, 25.0) for gyro in "xyz"),
+    ]
+)
+
+
+def test_the_statement_gives_the_causes_of_level_and_vertical_gyros_the_largest_first():
+    assert budget_box(ROWS).text == (
+        "0.0010 deg/h for a level gyro, 100 % of the variance by angle random walk of the gyros "
+        "(0.0006 deg/sqrt(h), declared); 0.0010 deg/h for a vertical gyro, 64 % of the variance by latitude "
+        "and deflection of the vertical (0.33 arcmin, declared) and 36 % by angle random walk of the gyros "
+        "(0.0006 deg/sqrt(h), declared). U = 1.96 sigma (95 %)."
+    )
+
+
+def test_the_statement_says_what_was_estimated_and_the_range_of_k():
+    rows = budget_rows(
+        BiasBudget("x", "z_up", budget(0.001, 0.0, dof), dwell) for dwell, dof in enumerate((4.0, 1e6), 1)
+    )
+    text = budget_box(rows).text
+    assert "angle random walk of the gyros (0.0006 deg/sqrt(h), estimated)" in text
+    assert text.endswith("U = 1.96 to 2.78 sigma (95 %).")
+
+
+def test_without_a_budget_nothing_is_said():
+    assert (budget_box([]), budget_section([]), shares([])) == (None, None, [])
+
+
+def test_shares_are_those_of_the_variance_and_add_up():
+    found = {each.label: each for each in shares(ROWS)}
+    assert list(found) == ["X gyro level", "Y gyro level", "Z gyro vertical"]
+    assert found["Z gyro vertical"].parts == pytest.approx({"angle_random_walk": 0.36, "latitude": 0.64})
+    assert (found["X gyro level"].count, found["X gyro level"].sigma_dph) == (2, pytest.approx(0.001))
+
+
+def test_each_bar_of_the_figure_reaches_100_percent_and_has_its_number_of_dwells():
+    [axes] = budget_figure(shares(ROWS)).axes
+    ends = {}
+    for bar in axes.patches:
+        ends[bar.get_y()] = max(ends.get(bar.get_y(), 0.0), bar.get_x() + bar.get_width())
+    assert list(ends.values()) == pytest.approx([100.0] * 3)
+    assert [text.get_text() for text in axes.texts] == ["0.0010 deg/h (2)"] * 3
+
+
+def test_the_tables_hold_contributions_sums_and_what_was_not_evaluated():
+    level, vertical, bins = budget_section(ROWS).tables
+    assert vertical.rows == [
+        ["angle random walk of the gyros", "B", "normal", "0.0006 deg/sqrt(h)", "1", "0.600", "36.0", "∞"],
+        [
+            "latitude and deflection of the vertical",
+            "B",
+            "normal",
+            "0.33 arcmin",
+            "0.00242",
+            "0.800",
+            "64.0",
+            "∞",
+        ],
+        ["repeatability between power cycles", "B", "not evaluated: one run"],
+        ["combined", "", "", "U = 1.960", "k = 1.96", "1.000", "100.0", "∞"],
+    ]
+    assert "over 4 values" in level.caption
+    assert [row[0] for row in bins.rows] == ["X gyro", "Y gyro", "Z gyro"]
+    assert bins.rows[0][1:] == ["20 to 25", "2.0 (1.96)"]
+
+
+def test_the_first_page_of_the_report_shows_the_figure_before_the_contents(empty_folder):
+    write_budget(empty_folder.budget, ROWS)
+    page = write_report(empty_folder).read_text()
+    assert page.index("Standard uncertainty of a bias in a dwell") < page.index("Shares of the variance")
+    assert page.index("Shares of the variance") < page.index("<h2>Contents</h2>")
+    assert (empty_folder.figures / "uncertainty_budget.png").is_file()
