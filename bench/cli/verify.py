@@ -57,6 +57,14 @@ def verify(
         list[Compensated] | None,
         typer.Option(help="Measure only with this compensation, may be repeated; default: each."),
     ] = None,
+    coefficients: Annotated[
+        bool,
+        typer.Option(
+            "--coefficients",
+            help="Compensate and prove all coefficients that the run measured (coefficients.csv), and the "
+            "position error of a mission; takes a procedure with rotations.",
+        ),
+    ] = False,
     out: Annotated[Path | None, typer.Option(help="Output folder; default: verify in the run.")] = None,
     view: ViewOption = View.LIVE,
     as_json: JsonOption = False,
@@ -64,7 +72,9 @@ def verify(
     """Prove the compensation: load the model of a run into the INS and measure the remaining error.
 
     The procedure runs without compensation, with the declared model, and with the effects that were
-    found. Existing runs in the folder are not repeated, so a verification can be continued.
+    found. With --coefficients both include polynomials of all other coefficients, and effects of
+    those that were searched (gyrobench close RUN --coefficient ...). Existing runs in the folder are
+    not repeated, so a verification can be continued.
 
     With --json: {"folder", "report", "comparison"}, the last a list with the columns of comparison.csv
     as keys.
@@ -86,6 +96,7 @@ def verify(
         new_emulation(run, world, seed),
         out or run.verify,
         [each.value for each in only or ()],
+        coefficients=coefficients,
     )
     missing = [name for name in verification.selected if not verification.is_finished(name)]
     job = verification.jobs[verification.selected[0]]
@@ -129,11 +140,14 @@ def _report_result(
     from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.report.verification.verification_page import write_verification_page
     from gyrobench.bench.report.verification.verification_summary import verification_summary
+    from gyrobench.bench.verification.coefficient_verification import write_coefficient_tables
     from gyrobench.bench.verification.compensation_verification import table_records, write_verification_table
 
     folder, result = verification.folder, verification.result()
     table = folder / "comparison.csv"
     write_verification_table(table, result.results)
+    if result.coefficients:
+        write_coefficient_tables(folder, result.coefficients)
     page = write_verification_page(folder, result, run.dwells)
     report = write_report(run) if folder == run.verify else None
     if as_json:

@@ -81,7 +81,7 @@ def with_coefficients(model: LoadableModel, closures: Iterable[Closure], *, effe
 
     ``closures``: searches of these. ``effects``: whether with the effects that they found.
     """
-    corrections: dict[str, Correction] = {}
+    corrections = dict(model.compensation.coefficients)
     limit, names, notes = model.compensation.rate_limit_c_per_h.copy(), list(model.effects), list(model.notes)
     for closure in closures:
         quantity, loaded = closure.quantity, []

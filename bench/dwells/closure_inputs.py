@@ -20,6 +20,7 @@ from gyrobench.bench.foundations.errors import MeasurementError, RunFolderError
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
 from gyrobench.bench.runs.provenance import read_provenance, started_utc
+from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, read_coefficients
 from gyrobench.bench.runs.telemetry import read_telemetry
 
 if TYPE_CHECKING:
@@ -67,7 +68,7 @@ def _source(path: Path, quantity: Quantity) -> Source:
         if "started_utc" in provenance and provenance.get("options", {}).get("clock") != "virtual":
             began_s = started_utc(folder).timestamp()
     try:
-        rows = _rows_of(read_dwells(table), quantity)
+        rows = _rows_of(read_dwells(table), quantity, path if is_run else None)
         if record is not None:
             record = replace(record, gyro_c=record.gyro_c[:, quantity.sensors])
         return Source(str(path), campaign_of(rows, record, quantity), is_run, began_s)
@@ -81,11 +82,11 @@ def coefficient_columns(quantity: Quantity) -> list[tuple[str, str]]:
     return [(f"{name}_{unit}", f"{name}_sigma_{unit}") for name in quantity.coefficients]
 
 
-def _rows_of(rows: Sequence[DwellRow], quantity: Quantity) -> list[DwellRow]:
+def _rows_of(rows: Sequence[DwellRow], quantity: Quantity, run: Path | None) -> list[DwellRow]:
     """Rows with the coefficients searched in the place of the biases; NaN where one was not measured.
 
-    Without columns for them the biases of the accelerometers are those of the dwells, less the vertical ones,
-    which a dwell does not determine.
+    Without columns for them they are those of the plateaus of a run, in place of its dwells; the biases of
+    the accelerometers are those of the dwells, less the vertical ones, which a dwell does not determine.
     """
     if quantity.is_gyro_bias:
         return list(rows)
@@ -97,12 +98,49 @@ def _rows_of(rows: Sequence[DwellRow], quantity: Quantity) -> list[DwellRow]:
     elif quantity.name == "accelerometer_bias":
         values = np.array([[row.accelerometer_ug, row.accelerometer_sigma_ug] for row in rows]).mT
         values[np.arange(len(rows)), [POSITIONS[row.position].up_axis for row in rows]] = np.nan
+    elif run is not None and RunFolder(run).coefficients.exists():
+        return _plateau_rows(rows, read_coefficients(RunFolder(run).coefficients), quantity)
     else:
         raise MeasurementError(
             f"has no columns {columns[0][0]}, {columns[0][1]}, ... Search a table with the coefficients of "
             "each dwell"
         )
     return [_with_values(row, pairs, quantity.sensors) for row, pairs in zip(rows, values, strict=True)]
+
+
+def _plateau_rows(
+    rows: Sequence[DwellRow], coefficients: Sequence[PlateauCoefficientRow], quantity: Quantity
+) -> list[DwellRow]:
+    """One row for each plateau with dwells: times of these, temperatures and coefficients of the plateau.
+
+    All get one position, since the coefficients of a plateau are those of all.
+    """
+    plateaus: dict[int, dict[str, PlateauCoefficientRow]] = {}
+    for each in coefficients:
+        plateaus.setdefault(each.plateau, {})[f"{each.coefficient}_{each.axis}"] = each
+    found = []
+    for known in plateaus.values():
+        place = next(iter(known.values()))
+        dwells = [
+            row
+            for row in rows
+            if not row.flags
+            and row.cycle == place.cycle
+            and np.isclose(row.chamber_set_c, place.chamber_set_c, atol=0.01, equal_nan=True)
+        ]
+        if dwells:
+            mean: dict[str, Any] = {
+                name: tuple(np.mean([getattr(row, name) for row in dwells], axis=0).tolist())
+                for name in ("gyro_rate_c_per_h", "board_c")
+            }
+            biases = [known[f"gyro_bias_{axis}"] for axis in AXES]
+            mean["gyro_c"] = tuple(each.temperature_c for each in biases)
+            if np.isfinite([each.gyro_rate_c_per_h for each in biases]).all():
+                mean["gyro_rate_c_per_h"] = tuple(each.gyro_rate_c_per_h for each in biases)
+            whole = replace(dwells[0], end_s=dwells[-1].end_s, position=rows[0].position, **mean)
+            pairs = [(known[name].value, known[name].sigma) for name in quantity.coefficients]
+            found.append(_with_values(whole, np.array(pairs), quantity.sensors))
+    return found
 
 
 def _with_values(row: DwellRow, pairs: FloatArray, sensors: Sequence[int]) -> DwellRow:

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
-from gyrobench.bench.closure.loadable_model import LoadableModel, declared_model, model_with_effects
+from gyrobench.bench.closure.files import CLOSURE_FILE
+from gyrobench.bench.closure.loadable_model import (
+    LoadableModel,
+    declared_model,
+    model_with_effects,
+    with_coefficients,
+)
 from gyrobench.bench.closure.loop import Closure
+from gyrobench.bench.closure.quantity import QUANTITIES
 from gyrobench.bench.dwells.check_dwell import CheckDwell
+from gyrobench.bench.dwells.closure_inputs import read_closure
 from gyrobench.bench.dwells.dwell import MeasuredDwell, measurement_setup
 from gyrobench.bench.dwells.run_dwells import replay
 from gyrobench.bench.engine.job import Job, emulation_of, prepare_job
@@ -17,11 +26,18 @@ from gyrobench.bench.engine.observers import RunObserver, RunOutcome
 from gyrobench.bench.engine.operator import Operator
 from gyrobench.bench.engine.run import run_or_resume
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
+from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.runs.compensation_file import read_compensation
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import facts_of, read_journal
 from gyrobench.bench.runs.provenance import read_provenance
+from gyrobench.bench.runs.tables.coefficient_table import read_coefficients, read_correlations
 from gyrobench.bench.station.instruments import Emulation
+from gyrobench.bench.verification.coefficient_verification import (
+    CoefficientResult,
+    coefficient_result,
+    corrections,
+)
 from gyrobench.bench.verification.compensation_verification import (
     DECLARED,
     EFFECT,
@@ -43,7 +59,8 @@ class VerificationRuns:
 
     Each compensation has a separate run, in a folder with its name. A run that is finished is not repeated.
     ``closure`` is the outcome of the search in the campaign ``run``. All runs have the same world and seed,
-    and ``only`` limits the compensations to measure with. Raises DocumentError if procedure or station are
+    ``only`` limits the compensations to measure with, and ``coefficients`` includes all coefficients that
+    the run measured. Raises DocumentError if procedure or station are
     wrong; the INS does not accept a compensation; a selected one does not exist; the campaign was measured
     with a compensation, or with the same seed.
     """
@@ -57,16 +74,21 @@ class VerificationRuns:
         emulation: Emulation,
         folder: Path,
         only: Sequence[str] = (),
+        *,
+        coefficients: bool = False,
     ) -> None:
         _check_uncompensated(run)
         self.folder = folder
         self._run = run
         self._closure = closure
         self._measured: dict[str, _Measured] = {}
-        whole = model_with_effects(closure)
+        self._has_coefficients = coefficients
+        declared, whole = declared_model(closure), model_with_effects(closure)
+        if coefficients:
+            declared, whole = _with_coefficients(run, declared, whole)
         #: Models that can be loaded; without "effect" where the search found no effect to load.
         self.models: Mapping[str, LoadableModel] = MappingProxyType(
-            {DECLARED: declared_model(closure), **({EFFECT: whole} if whole.effects else {})}
+            {DECLARED: declared, **({EFFECT: whole} if whole.effects else {})}
         )
         compensations: dict[str, Compensation | None] = {NONE: None}
         compensations |= {name: model.compensation for name, model in self.models.items()}
@@ -141,7 +163,20 @@ class VerificationRuns:
             dwells=len(first),
             is_same_seed=bool(self._job.emulated_world()),
             notes=tuple(self._notes(rows)),
+            coefficients=tuple(self._coefficients(measured, site)),
         )
+
+    def _coefficients(self, measured: Iterable[str], site: Site) -> Iterator[CoefficientResult]:
+        for name in measured if self._has_coefficients else ():
+            run = RunFolder(self.folder / name)
+            if not run.coefficients.exists():
+                raise DocumentError(
+                    f"{run.path}: the procedure measures no coefficients. Give one with rotations, as "
+                    "--procedure full_calibration"
+                )
+            yield coefficient_result(
+                name, read_coefficients(run.coefficients), read_correlations(run.correlations), site
+            )
 
     def _read(self, name: str) -> _Measured:
         return replay(RunFolder(self.folder / name), measurement_setup(self.jobs[name].station))
@@ -170,6 +205,30 @@ def new_emulation(run: RunFolder, world: str | None = None, seed: int | None = N
     """
     known = emulation_of(run)
     return Emulation(world or known.world, known.seed + 1 if seed is None else seed)
+
+
+def _with_coefficients(run: RunFolder, *models: LoadableModel) -> list[LoadableModel]:
+    """Models of the gyros' biases with the other coefficients of a run.
+
+    Where a search in one of them is in the run its model replaces the polynomial, in the second model with
+    the effects found. Raises DocumentError if the run has no coefficients.
+    """
+    if not run.coefficients.exists():
+        raise DocumentError(
+            f"{run.path}: has no {run.coefficients.name}. Measure a procedure with rotations, as "
+            "full_calibration"
+        )
+    polynomials = corrections(read_coefficients(run.coefficients))
+    folders = [run.closure.with_name(f"{run.closure.name}_{each.name}") for each in QUANTITIES]
+    closures = [read_closure(folder) for folder in folders if (folder / CLOSURE_FILE).exists()]
+    return [
+        with_coefficients(
+            replace(model, compensation=replace(model.compensation, coefficients=polynomials)),
+            closures,
+            effects=index > 0,
+        )
+        for index, model in enumerate(models)
+    ]
 
 
 def _check_uncompensated(run: RunFolder) -> None:

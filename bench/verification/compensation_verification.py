@@ -21,6 +21,7 @@ from gyrobench.bench.foundations.csv_tables import format_csv, write_text
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.text import format_cell
 from gyrobench.bench.navigation.error_model import Site
+from gyrobench.bench.verification.coefficient_verification import CoefficientResult
 from gyrobench.bench.verification.residuals import ResidualCheck, check_residuals
 
 #: The compensations, in this order.
@@ -94,6 +95,8 @@ class VerificationResult:
     #: Whether all runs had the same emulated world and seed, and so the same constants of the power cycle.
     is_same_seed: bool
     notes: tuple[str, ...]  #: Remarks; sentences.
+    #: Coefficients with each compensation; empty if they were not asked for.
+    coefficients: tuple[CoefficientResult, ...] = ()
 
 
 def compensation_result(

@@ -16,6 +16,7 @@ from gyrobench.bench.foundations.text import counted, listed
 from gyrobench.bench.report.closure.closure_text import verdict_sentence
 from gyrobench.bench.report.figures.style import common_legend, house_style, new_figure, say_empty
 from gyrobench.bench.report.page import Findings, Section, SectionFigure, SectionTable, write_findings
+from gyrobench.bench.report.verification.coefficient_sections import coefficient_parts
 from gyrobench.bench.report.verification.verification_text import (
     CONFIRMED,
     IMPROVED,
@@ -172,6 +173,7 @@ def verification_sections(result: VerificationResult) -> list[Section]:
         Section(
             "A day of a rotational INS", figures=[SectionFigure("day", _DAY, partial(day_figure, result))]
         ),
+        *coefficient_parts(result),
         Section("Definitions", reading_sentences(result)),
     ]
 

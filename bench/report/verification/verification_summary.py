@@ -13,6 +13,11 @@ from gyrobench.bench.closure.loop import Closure
 from gyrobench.bench.foundations.text import counted, hours_minutes, listed
 from gyrobench.bench.report.closure.closure_text import verdict_sentence
 from gyrobench.bench.report.terminal.tables import plain_table, topics
+from gyrobench.bench.report.verification.coefficient_sections import (
+    coefficient_table,
+    mission_sentence,
+    mission_table,
+)
 from gyrobench.bench.report.verification.verification_text import (
     LABELS,
     SIZES,
@@ -48,6 +53,17 @@ def verification_plan(
 
 def verification_summary(result: VerificationResult) -> RenderableType:
     """Judgement, changes, and the numbers of all plateaus."""
+    coefficients: list[RenderableType] = []
+    if result.coefficients:
+        coefficients = [
+            Text("All coefficients, rms over the plateaus", style="bold"),
+            plain_table(coefficient_table(result)[0], 2, coefficient_table(result)[1]),
+            Text(),
+            Text("Mission of a rotational INS, position error in nmi (95 % below)", style="bold"),
+            plain_table(mission_table(result)[0], 1, mission_table(result)[1]),
+            Text(mission_sentence(result)),
+            Text(),
+        ]
     return Group(
         Text(f"{outcome(result).capitalize()}. {outcome_sentence(result)}", style="bold"),
         Text(),
@@ -59,6 +75,8 @@ def verification_summary(result: VerificationResult) -> RenderableType:
         Text("By gyro temperature, °C", style="bold"),
         _table(["°C", "cycle", "fit", "compensation", *SIZES], plateau_rows(result), words=4),
         Text(f"{UNITS[0].upper()}{UNITS[1:]}."),
+        Text(),
+        *coefficients,
         Text(" ".join(reading_sentences(result))),
         Text(),
     )

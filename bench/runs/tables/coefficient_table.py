@@ -33,6 +33,8 @@ class PlateauCoefficientRow:
     finding: str  #: Empty, ``not observable``, or what is wrong with the plateau.
     #: Expected standard uncertainty if the INS sent specific forces; NaN where it does.
     sigma_with_force: float
+    #: Slope of the temperature of the gyro along the sensor's axis in the rotations; NaN without these.
+    gyro_rate_c_per_h: float
 
 
 _COLUMNS = [each.name for each in fields(PlateauCoefficientRow)]
@@ -52,6 +54,22 @@ def write_correlations(path: Path, plateaus: Sequence[tuple[int, FloatArray]]) -
             cells = ["" if np.isnan(value) else format_number(round(value, _DECIMALS)) for value in row]
             lines.append(",".join([str(plateau), name, *cells]))
     write_text(path, "\n".join(lines) + "\n")
+
+
+def read_correlations(path: Path) -> dict[int, FloatArray]:
+    """Read ``correlations.csv``: (21, 21) by number of plateau, NaN where not observed.
+
+    Raises DocumentError if the file can't be read or is wrong.
+    """
+    names = [f"{each.name}_{each.axis}" for each in COEFFICIENTS]
+    table = CsvTable(read_text(path), str(path), required=["plateau", "coefficient", *names])
+    plateaus: dict[int, FloatArray] = {}
+    for index in range(len(table)):
+        matrix = plateaus.setdefault(table.integer(index, "plateau"), np.full((len(names),) * 2, np.nan))
+        row = names.index(table.choice(index, "coefficient", names))
+        matrix[row] = [table.number(index, name, may_be_empty=True) for name in names]
+    table.raise_problems()
+    return plateaus
 
 
 def read_coefficients(path: Path) -> list[PlateauCoefficientRow]:
@@ -77,6 +95,7 @@ def read_coefficients(path: Path) -> list[PlateauCoefficientRow]:
             table.text(index, "unit"),
             table.text(index, "finding"),
             number("sigma_with_force"),
+            number("gyro_rate_c_per_h"),
         )
 
     return table.rows(row)

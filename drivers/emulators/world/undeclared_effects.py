@@ -61,6 +61,10 @@ class Effect(StrictModel):
         """Bias that an effect without memory adds under these conditions, deg/h, shape (n, 3)."""
         return self._added_dph(now)
 
+    def added_scale_factor_ppm(self, now: Conditions) -> FloatArray:
+        """What the effect adds to the gyros' scale factors, ppm, shape (n, 3)."""
+        return np.zeros(now.optics_c.shape)
+
     def _added_dph(self, now: Conditions) -> FloatArray:
         raise NotImplementedError(f"{type(self).__name__} defines neither _added_dph nor start")
 
@@ -75,6 +79,22 @@ class TemperatureRate(Effect):
 
     def _added_dph(self, now: Conditions) -> FloatArray:
         return np.array(self.sensitivity_dph_per_c_per_h) * now.optics_rate_c_per_h
+
+
+class ScaleFactorRate(Effect):
+    """The scale factor of each gyro follows the rate of temperature of its optics."""
+
+    kind: Literal["scale_factor_rate"] = Field(description="name of the effect")
+    sensitivity_ppm_per_c_per_h: Vector = Field(
+        description="scale factor of each gyro per rate of its optics, ppm per K/h"
+    )
+
+    @override
+    def added_scale_factor_ppm(self, now: Conditions) -> FloatArray:
+        return np.array(self.sensitivity_ppm_per_c_per_h) * now.optics_rate_c_per_h
+
+    def _added_dph(self, now: Conditions) -> FloatArray:
+        return np.zeros(now.optics_c.shape)
 
 
 class ThermalGradient(Effect):
@@ -298,7 +318,12 @@ class UndeclaredBias:
 
     def __init__(self, effects: Sequence[Effect]) -> None:
         self._effects = [effect.start() for effect in effects]
+        self._sources = tuple(effects)
 
     def added_dph(self, now: Conditions) -> FloatArray:
         """Sum of all effects, deg/h, shape (n, 3); to be called for all seconds in order of time."""
         return sum((effect(now) for effect in self._effects), np.zeros(now.optics_c.shape))
+
+    def added_scale_factor_ppm(self, now: Conditions) -> FloatArray:
+        """Sum over all effects of what they add to the gyros' scale factors, ppm, shape (n, 3)."""
+        return sum((each.added_scale_factor_ppm(now) for each in self._sources), np.zeros(now.optics_c.shape))

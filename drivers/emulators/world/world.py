@@ -12,7 +12,14 @@ import numpy as np
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, FloatArray
 from gyrobench.drivers.emulators.world.chamber_air import ChamberAir, ChamberParameters
 from gyrobench.drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs, InertialUnit, Mode
-from gyrobench.drivers.emulators.world.sensor_errors import ARCSEC, accelerometer_errors, gyro_errors, measure
+from gyrobench.drivers.emulators.world.sensor_errors import (
+    ARCSEC,
+    PPM,
+    BiasWander,
+    accelerometer_errors,
+    gyro_errors,
+    measure,
+)
 from gyrobench.drivers.emulators.world.strapdown import table_attitude, true_increments
 from gyrobench.drivers.emulators.world.table_axis import AxisParameters, TableAxis
 from gyrobench.drivers.emulators.world.thermal import ThermalCourse, ThermalNetwork
@@ -63,6 +70,8 @@ class World:
         self._polynomials = np.array([triad.polynomials for triad in triads])
         self._walks = np.array([triad.random_walk for triad in triads])
         self._pulses = np.array([triad.pulse for triad in triads])
+        self._wander = BiasWander(file.gyro, np.random.default_rng((seed, 2, start_s)))
+        self._wander_dph = np.zeros((1, 3))
         self._power_on_bias = np.zeros(3)
         self._sample = start_s * SAMPLE_RATE_HZ
         self._powered_on_sample = self._sample
@@ -146,26 +155,29 @@ class World:
     def _update_undeclared(self, up_body: FloatArray, duty: FloatArray | None = None) -> None:
         """Evaluate the undeclared effects for the next seconds, or without ``duty`` for the present one."""
         course = self.thermal.course
+        if self._wander.is_any:
+            self._wander_dph = self._wander.next_dph(0 if duty is None else len(duty))
         if duty is None:
             duty = np.full((1, 1), self.air.compressor_duty)
             course = ThermalCourse(*(each[-1:] for each in course))
+        self._undeclared_dph = np.zeros((len(duty), 3)) + self._wander_dph
         if not self.file.undeclared_effects:
-            self._undeclared_dph = np.zeros((len(duty), 3))
+            self._undeclared_ppm = np.zeros((len(duty), 3))
             return
         sample = self._sample + SAMPLE_RATE_HZ * np.arange(float(len(duty)))[:, np.newaxis]
         on_s = (sample - self._powered_on_sample) * _DT_S
-        self._undeclared_dph = self._undeclared.added_dph(
-            Conditions(
-                time_s=sample * _DT_S,
-                since_power_on_s=on_s if self.thermal.powered else np.full_like(on_s, np.inf),
-                optics_c=course.optics_c,
-                electronics_c=course.electronics_c,
-                optics_rate_c_per_h=course.optics_rate_c_per_h,
-                convected_w=course.convected_w,
-                up_body=up_body,
-                compressor_duty=duty,
-            )
+        now = Conditions(
+            time_s=sample * _DT_S,
+            since_power_on_s=on_s if self.thermal.powered else np.full_like(on_s, np.inf),
+            optics_c=course.optics_c,
+            electronics_c=course.electronics_c,
+            optics_rate_c_per_h=course.optics_rate_c_per_h,
+            convected_w=course.convected_w,
+            up_body=up_body,
+            compressor_duty=duty,
         )
+        self._undeclared_dph += self._undeclared.added_dph(now)
+        self._undeclared_ppm = self._undeclared.added_scale_factor_ppm(now)
 
     def _step_samples(
         self, seconds: int, count: int, resting: tuple[FloatArray, FloatArray, FloatArray] | None
@@ -215,6 +227,10 @@ class World:
             _NONE_DPH if compensation is None else compensation.bias_dph,
             normal, count, _DT_S, self._walks, self._pulses, self._remainders,
         )  # fmt: skip
+        if self._undeclared_ppm.any():
+            added = np.repeat(PPM * self._undeclared_ppm[-len(normal) :], count, axis=0)
+            true = np.tile(rotation[:count], (len(normal), 1))
+            measured = np.ascontiguousarray(measured[0] + added * true), measured[1]
         return measured if compensation is None else compensation.corrected(*measured, _DT_S)
 
     def _at_rest(self) -> tuple[FloatArray, FloatArray, FloatArray] | None:

@@ -1,0 +1,158 @@
+"""Verification of all coefficients: what is left of each in new measurements, and in a mission."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gyrobench.bench.bias.statistics import chi2_p_value
+from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT
+from gyrobench.bench.calibration.mission import HOURS, MissionError, mission_error
+from gyrobench.bench.foundations.arrays import FloatArray, rms
+from gyrobench.bench.foundations.csv_tables import format_csv, write_text
+from gyrobench.bench.foundations.text import format_cell
+from gyrobench.bench.navigation.error_model import Site
+from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow
+from gyrobench.drivers.ins.command_map import CORRECTION_DEGREE, Correction
+
+#: A polynomial gets one degree more where chance gives its residual less often than this.
+_MIN_P_VALUE = 0.01
+_NAMES = tuple(f"{each.name}_{each.axis}" for each in COEFFICIENTS)
+COLUMNS = ("compensation", "coefficient", "unit", "plateaus", "rms", "noise")
+MISSION_COLUMNS = (
+    "compensation", "plateau", "gyro_c", "hours", "position_nmi", "position_median_nmi", "position_95_nmi",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class PlateauMission:
+    """Mission with the coefficients of one plateau."""
+
+    plateau: int  #: Its number.
+    gyro_c: float  #: Mean temperature of the gyros.
+    error: MissionError
+
+
+@dataclass(frozen=True, eq=False)
+class CoefficientResult:
+    """Coefficients measured with one compensation."""
+
+    compensation: str  #: As in a verification.
+    #: rms, noise: Shape (21,), in the units of tables: of the values over the plateaus, and of their standard
+    #: uncertainties; NaN where not observable.
+    rms: FloatArray
+    noise: FloatArray
+    plateaus: FloatArray  #: Shape (21,). Number of plateaus with a value.
+    missions: tuple[PlateauMission, ...]  #: One for each plateau.
+
+    @property
+    def worst(self) -> PlateauMission:
+        """The plateau with the largest position error after a day."""
+        return max(self.missions, key=lambda each: float(each.error.stated_nmi[-1]))
+
+
+def corrections(rows: Iterable[PlateauCoefficientRow]) -> dict[str, Correction]:
+    """Polynomials of all coefficients but the gyros' biases over the temperatures of plateaus.
+
+    Each has the lowest degree that leaves its uncertainties, and takes the temperature of the gyro along its
+    sensor's axis. What is not observable has none.
+    """
+    gyro_c = {(row.plateau, row.axis): row.temperature_c for row in rows if row.coefficient == "gyro_bias"}
+    found = {}
+    for name, mine in _by_name(rows).items():
+        axis = name.rpartition("_")[2][0]
+        known = [row for row in mine if np.isfinite([row.value, row.sigma]).all()]
+        known = [row for row in known if np.isfinite(gyro_c[row.plateau, axis])]
+        if known and not name.startswith("gyro_bias"):
+            at_c = np.array([gyro_c[row.plateau, axis] for row in known])
+            found[name] = Correction(
+                _polynomial(at_c, *np.array([(row.value, row.sigma) for row in known]).T)
+            )
+    return found
+
+
+def _polynomial(at_c: FloatArray, values: FloatArray, sigmas: FloatArray) -> FloatArray:
+    """Coefficients from degree 0 up."""
+    most = min(CORRECTION_DEGREE, len(values) - 1)
+    for degree in range(most + 1):
+        fitted = np.polynomial.Polynomial.fit(at_c, values, degree, w=1.0 / sigmas)
+        chi2 = float(np.sum(((values - fitted(at_c)) / sigmas) ** 2))
+        if degree == most or chi2_p_value(len(values) - degree - 1, chi2) >= _MIN_P_VALUE:
+            break
+    return np.asarray(fitted.convert().coef)
+
+
+def coefficient_result(
+    compensation: str,
+    rows: Sequence[PlateauCoefficientRow],
+    correlations: Mapping[int, FloatArray],
+    site: Site,
+) -> CoefficientResult:
+    """What is left of the coefficients with one compensation.
+
+    ``correlations``: shape (21, 21) by plateau, NaN where not observable: such a coefficient counts as zero
+    and known in the missions.
+    """
+    by_name = _by_name(rows)
+    pairs = [
+        np.array([(row.value, row.sigma) for row in by_name[name] if np.isfinite(row.value)]).reshape(-1, 2)
+        for name in _NAMES
+    ]
+    per_si = np.array([each.per_si for each in COEFFICIENTS])
+    missions = []
+    for plateau in dict.fromkeys(row.plateau for row in rows):
+        mine = {f"{row.coefficient}_{row.axis}": row for row in rows if row.plateau == plateau}
+        values, sigmas = (
+            np.nan_to_num([getattr(mine[name], which) for name in _NAMES]) / per_si
+            for which in ("value", "sigma")
+        )
+        shared = np.where(
+            np.eye(COUNT, dtype=bool), 1.0, np.nan_to_num(correlations.get(plateau, np.eye(COUNT)))
+        )
+        gyro_c = np.mean([row.temperature_c for row in mine.values() if row.coefficient == "gyro_bias"])
+        error = mission_error(values, shared * np.outer(sigmas, sigmas), site)
+        missions.append(PlateauMission(plateau, float(gyro_c), error))
+    return CoefficientResult(
+        compensation,
+        np.array([rms(each[:, 0]) for each in pairs]),
+        np.array([rms(each[:, 1]) for each in pairs]),
+        np.array([len(each) for each in pairs]),
+        tuple(missions),
+    )
+
+
+def _by_name(rows: Iterable[PlateauCoefficientRow]) -> dict[str, list[PlateauCoefficientRow]]:
+    found: dict[str, list[PlateauCoefficientRow]] = {name: [] for name in _NAMES}
+    for row in rows:
+        if (name := f"{row.coefficient}_{row.axis}") in found:
+            found[name].append(row)
+    return found
+
+
+def write_coefficient_tables(folder: Path, results: Sequence[CoefficientResult]) -> None:
+    """Write ``coefficient_comparison.csv`` and ``mission.csv``; raises RunFolderError if that fails."""
+    rows: list[list[str | float]] = [
+        [each.compensation, name, known.unit, int(count), float(value), float(noise)]
+        for each in results
+        for name, known, count, value, noise in zip(
+            _NAMES, COEFFICIENTS, each.plateaus, each.rms, each.noise, strict=True
+        )
+    ]
+    missions: list[list[str | float]] = [
+        [each.compensation, one.plateau, one.gyro_c, hours, *map(float, sizes)]
+        for each in results
+        for one in each.missions
+        for hours, *sizes in zip(
+            HOURS, one.error.stated_nmi, one.error.median_nmi, one.error.high_nmi, strict=True
+        )
+    ]
+    for name, columns, lines in (
+        ("coefficient_comparison.csv", COLUMNS, rows),
+        ("mission.csv", MISSION_COLUMNS, missions),
+    ):
+        write_text(
+            folder / name, format_csv(columns, [[format_cell(cell) for cell in line] for line in lines])
+        )
