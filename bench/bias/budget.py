@@ -95,6 +95,22 @@ SOURCES: Mapping[str, Source] = MappingProxyType(
         ),
         "bias_slope": Source("gyro temperature within the dwell", "deg/h/K", RADPS_TO_DPH, True, _DECLARED),
         "initial_state": Source("initial attitude and velocity", "", 1.0, note="estimated from the data"),
+        "dwells": Source(
+            "dwells of the plateau", "", 1.0, note="noise, drift and tilt: see the budgets of the dwells"
+        ),
+        "white_angle": Source("noise and resolution of the angle increments", "urad", 1e6),
+        "white_velocity": Source("noise and resolution of the velocity increments", "m/s", 1.0),
+        "table_return": Source(
+            "return of the table after whole turns",
+            "arcsec",
+            60 * RAD_TO_ARCMIN,
+            note="declared in rate_table.repeatability_arcsec",
+        ),
+        "gravity": Source("gravity", "m/s^2", 1.0, note="declared"),
+        "misfit": Source("residuals beyond the noise", "", 1.0, note="the model does not explain the data"),
+        "assumed_size": Source(
+            "assumed size of the coefficients", "", 1.0, note="large; the data decide what they show"
+        ),
         "temperature_sensor": Source("temperature sensor of the gyro", "K", 1.0, True),
         "power_cycles": Source("repeatability between power cycles", "deg/h", DPH_TO_RADPS),
     }
@@ -253,6 +269,36 @@ def bias_budgets(
         budget = _budget(axis, members, (weights / weights.sum()).tolist(), inputs, outside[axis])
         result.append(BiasBudget(each.gyro, each.position, budget, None, each.bin_low_c, each.bin_high_c))
     return result
+
+
+def coefficient_budget(
+    variances: Mapping[str, float], inputs: Mapping[str, float], misfit_dof: float
+) -> Budget:
+    """Budget of a coefficient from its variances by source.
+
+    Parameters
+    ----------
+    variances : mapping of str to float
+        By key of :data:`SOURCES`, in the square of the coefficient's unit.
+    inputs : mapping of str to float
+        Standard uncertainty of the inputs that have one, SI.
+    misfit_dof : float
+        Degrees of freedom of the residuals.
+    """
+    contributions = [
+        Contribution(
+            name,
+            inputs.get(name, math.nan) * SOURCES[name].per_si,
+            math.sqrt(max(variances[name], 0.0)),
+            misfit_dof if name == "misfit" and variances[name] > 0.0 else math.inf,
+            note=SOURCES[name].note or "noise of the increments at rest, or declared in ins.noise",
+        )
+        for name in SOURCES
+        if name in variances
+    ]
+    note = "not evaluated: the coefficients are those of one power cycle"
+    outside = Contribution("power_cycles", math.nan, math.nan, is_within=False, note=note)
+    return Budget((*contributions, outside))
 
 
 def with_budgets(bins: Sequence[BiasBin], budgets: Iterable[BiasBudget]) -> list[BiasBin]:

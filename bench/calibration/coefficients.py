@@ -18,7 +18,7 @@ Symposium Gyro Technology, Stuttgart 1985: body frame fixed to the accelerometer
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Self
 
@@ -189,6 +189,8 @@ class CoefficientEstimate:
     covariance: FloatArray
     is_observed: BoolArray
     coefficients: tuple[Coefficient, ...] = field(default=COEFFICIENTS, kw_only=True)
+    #: Shapes (n, n). Covariances by source, which add up to the covariance; empty where it is not split.
+    parts: Mapping[str, FloatArray] = field(default_factory=dict, kw_only=True)
 
     @property
     def sigmas(self) -> FloatArray:

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from gyrobench.bench.bias.joint_solution import (
     ACCELEROMETER_BIAS,
     ACCELEROMETER_MATRIX,
     GYRO_MATRIX,
+    NAVIGATION_RATE,
     SHARED,
+    DwellRows,
+    JointFit,
     JointSolution,
     declared_root,
     solve_together,
 )
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.calibration.coefficients import COUNT, LOWER, CoefficientEstimate
+from gyrobench.bench.foundations.arrays import FloatArray
 
 #: Sizes, SI, of accelerometer biases and of elements of the matrices that are large for a unit whose INS
 #: compensates them; a coefficient is observed if the data leave less than this part of its size.
@@ -45,4 +51,23 @@ def joint_coefficients(solution: JointSolution, prior: PriorKnowledge) -> Coeffi
     to_coefficients[np.arange(3, COUNT), chosen] = 1.0
     covariance = to_coefficients @ fit.covariance @ to_coefficients.T
     is_observed = np.sqrt(np.diag(covariance)) < _MAX_LEFT * np.array([np.inf] * 3 + list(sizes[chosen]))
-    return CoefficientEstimate(to_coefficients @ fit.unknowns, covariance, is_observed)
+    return CoefficientEstimate(
+        to_coefficients @ fit.unknowns,
+        covariance,
+        is_observed,
+        parts=_parts(rows, root, fit, to_coefficients),
+    )
+
+
+def _parts(
+    rows: Sequence[DwellRows], root: FloatArray, fit: JointFit, to_coefficients: FloatArray
+) -> dict[str, FloatArray]:
+    """Covariances (21, 21) by the data of the dwells, by the latitude, and by the assumed sizes."""
+    placed = np.vstack([each.for_joint_unknowns(number, len(rows)) for number, each in enumerate(rows)])
+    gain = to_coefficients @ fit.covariance @ placed.T
+    by_latitude = np.zeros(len(fit.unknowns))
+    by_latitude[:SHARED] = root[:, NAVIGATION_RATE].sum(axis=1)
+    latitude = to_coefficients @ by_latitude - gain @ (placed @ by_latitude)
+    parts = {"dwells": gain @ gain.T, "latitude": np.outer(latitude, latitude)}
+    whole = to_coefficients @ fit.covariance @ to_coefficients.T
+    return parts | {"assumed_size": whole - parts["dwells"] - parts["latitude"]}

@@ -15,12 +15,13 @@ import numpy as np
 from gyrobench.bench.monitor.snapshot import (
     CurrentDwell,
     LiveBias,
+    LiveBin,
     MeasuredProfile,
     PlannedProfile,
     RunSnapshot,
     WindowTrace,
 )
-from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label
+from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.report.number_format import BiasScale, true_minus
 
 #: Width and height of the square in which curves are drawn.
@@ -98,6 +99,12 @@ def value_axis(title: str, values: Iterable[float], min_span: float) -> Axis:
     decimals = max(0, -math.floor(math.log10(step) + 1e-9))
     axis = Axis(title, low, high, (), is_upright=True)
     return _with_ticks(axis, step, lambda value: true_minus(f"{value:z.{decimals}f}"))
+
+
+def number_axis(title: str, values: Iterable[float], min_span: float) -> Axis:
+    """Make a level axis that covers the finite values, as :func:`value_axis`."""
+    axis = replace(value_axis(title, values, min_span), is_upright=False)
+    return replace(axis, ticks=tuple(Tick(100.0 - tick.percent, tick.text) for tick in axis.ticks))
 
 
 def time_axis(title: str, low_s: float, high_s: float, unit_s: float) -> Axis:
@@ -197,6 +204,32 @@ def bias_charts(dwell: CurrentDwell) -> list[BiasChart]:
     newest = dwell.estimates[-1]
     scale = BiasScale.of(newest.bias_dph, newest.sigma_dph)
     return [_bias_chart(index, gyro, dwell.estimates, scale) for index, gyro in enumerate(AXES)]
+
+
+def temperature_charts(bins: Sequence[LiveBin]) -> list[BiasChart]:
+    """Draw the bins of each gyro over its temperature, a line for each position; empty without bins."""
+    filled = [each for each in bins if each.count]
+    if not filled:
+        return []
+    scale = BiasScale.of([each.bias_dph for each in filled], [each.sigma_dph for each in filled])
+    return [_temperature_chart(gyro, [each for each in filled if each.gyro == gyro], scale) for gyro in AXES]
+
+
+def _temperature_chart(gyro: str, bins: Sequence[LiveBin], scale: BiasScale) -> BiasChart:
+    points: dict[str, list[tuple[float, float]]] = {}
+    for each in bins:
+        point = (each.low_c + each.high_c) / 2.0, scale.factor * each.bias_dph
+        points.setdefault(each.position, []).append(point)
+    everything = [point for of_position in points.values() for point in of_position]
+    x = number_axis("Gyro temperature, °C", [point[0] for point in everything], _MIN_SPAN_C)
+    y = value_axis(f"Bias, {scale.unit}", [point[1] for point in everything], _MIN_SPAN_BIAS)
+    curves = tuple(
+        CurvePath(f"position {position}", line(x, y, *zip(*sorted(points[position]), strict=True)), label)
+        for position, label in ((each, position_label(each)) for each in POSITIONS)
+        if position in points
+    )
+    chart = Chart(f"Bias of the {gyro_label(gyro)} over its temperature", x, y, curves)
+    return BiasChart(gyro, gyro_label(gyro), "", scale.unit, chart)
 
 
 def _velocity_chart(number: int, window: WindowTrace, x: Axis, y: Axis) -> Chart:

@@ -9,12 +9,10 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
-from gyrobench.bench.bias.verdicts import read_acceptance
-from gyrobench.bench.foundations.errors import GyrobenchError
 from gyrobench.bench.foundations.packages import require
+from gyrobench.bench.monitor.run_list import verdict_in
 from gyrobench.bench.monitor.snapshot import RunSnapshot, RunState
 from gyrobench.bench.navigation.positions import AXES
-from gyrobench.bench.runs.folder import RunFolder
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -109,7 +107,7 @@ def _samples(folder: Path, snapshot: RunSnapshot, age_s: float) -> Iterator[_Sam
     yield _Sample("gyrobench_dwells_flagged", sum(bool(dwell.flags) for dwell in snapshot.dwells))
     for alarm in snapshot.alarms:
         yield _Sample("gyrobench_alarm", 1.0, (alarm.name,))
-    if verdict := _verdict(folder):
+    if verdict := verdict_in(folder):
         yield _Sample("gyrobench_verdict", 1.0, (verdict,))
     yield from _readings(snapshot)
     yield from _biases(snapshot)
@@ -145,12 +143,3 @@ def _biases(snapshot: RunSnapshot) -> Iterator[_Sample]:
         for axis, bias_dph, sigma_dph in zip(AXES, live.bias_dph, live.sigma_dph, strict=True):
             yield _Sample("gyrobench_live_bias_degrees_per_hour", bias_dph, (axis,))
             yield _Sample("gyrobench_live_bias_sigma_degrees_per_hour", sigma_dph, (axis,))
-
-
-def _verdict(folder: Path) -> str:
-    """Verdict of a run that was evaluated; empty before."""
-    path = RunFolder(folder).acceptance
-    try:
-        return read_acceptance(path).verdict if path.exists() else ""
-    except GyrobenchError:
-        return ""

@@ -101,14 +101,14 @@ class Headline:
     share_done: float
 
 
-def headline(snapshot: RunSnapshot) -> Headline:
-    """Headline of a run."""
+def headline(snapshot: RunSnapshot, verdict: str = "") -> Headline:
+    """Headline of a run; ``verdict`` is that on its unit, if it was judged."""
     state = snapshot.state
-    look = "bad" if snapshot.alarms and not state.is_over else state_class(state)
+    look = "bad" if snapshot.alarms and not state.is_over else state_class(state, verdict)
     share = 1.0 - snapshot.left_s / snapshot.planned_s if snapshot.planned_s > 0.0 else 0.0
     return Headline(
-        sign=STATE_SYMBOLS[state],
-        state=state.value,
+        sign=_sign(state, verdict),
+        state=state_text(state, verdict),
         reason=snapshot.reason,
         look=look,
         tiles=(_time_tile(snapshot), _temperature_tile(snapshot.bench), _dwell_tile(snapshot)),
@@ -117,9 +117,20 @@ def headline(snapshot: RunSnapshot) -> Headline:
     )
 
 
-def state_class(state: RunState) -> str:
-    """CSS class of a state."""
+def state_class(state: RunState, verdict: str = "") -> str:
+    """CSS class of a state, and of the verdict on the unit of a run that finished."""
+    if state is RunState.FINISHED and verdict:
+        return {"accepted": "good", "rejected": "bad"}.get(verdict, "notable")
     return "bad" if state is RunState.FAILED else "notable" if state in _ATTENTION_STATES else "good"
+
+
+def state_text(state: RunState, verdict: str) -> str:
+    """State, and the verdict on the unit: "finished, unit rejected"."""
+    return f"{state.value}, unit {verdict}" if state is RunState.FINISHED and verdict else state.value
+
+
+def _sign(state: RunState, verdict: str) -> str:
+    return STATE_SYMBOLS[RunState.FAILED if state_class(state, verdict) == "bad" else state]
 
 
 def celsius(temperature_c: float, decimals: int = 1) -> str:
@@ -327,9 +338,9 @@ def list_row(run: RunSummary, freshness: Freshness) -> ListRow:
     return ListRow(
         name=run.name,
         address=address_of(run.name),
-        look="bad" if is_silent or run.alarms else state_class(run.state),
-        sign="▲" if is_silent else STATE_SYMBOLS[run.state],
-        state="silent" if is_silent else run.state.value,
+        look="bad" if is_silent or run.alarms else state_class(run.state, run.verdict),
+        sign="▲" if is_silent else _sign(run.state, run.verdict),
+        state="silent" if is_silent else state_text(run.state, run.verdict),
         reason=freshness.warning or run.reason,
         facts=", ".join(_facts(run)),
     )

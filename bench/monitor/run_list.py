@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+from gyrobench.bench.bias.verdicts import read_acceptance
 from gyrobench.bench.engine.resume import NO_END_RECORDED, resume_state_of
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
@@ -217,6 +218,7 @@ class RunSummary:
     dwell_count: int = 0
     left_s: float = 0.0  #: Planned time remaining.
     alarms: int = 0  #: Active alarms; 0 after the end.
+    verdict: str = ""  #: On the unit; empty before the run was evaluated, and where nothing is judged.
 
 
 def is_run(folder: Path) -> bool:
@@ -240,13 +242,24 @@ def runs_in(folder: Path) -> list[Path]:
 def summarise(folder: Path) -> RunSummary:
     """Summarise a run from its snapshot or its journal alone. Raises RunFolderError if it can't be read."""
     found = RunFolder(folder)
-    return _of_snapshot(folder.name, snapshot_of(folder)) if found.live.is_file() else _of_journal(found)
+    summary = _of_snapshot(folder.name, snapshot_of(folder)) if found.live.is_file() else _of_journal(found)
+    return replace(summary, verdict=verdict_in(folder) if summary.state.is_over else "")
+
+
+def verdict_in(folder: Path) -> str:
+    """Verdict on the unit of a run; empty before it was evaluated, and where nothing is judged."""
+    path = RunFolder(folder).acceptance
+    try:
+        verdict = read_acceptance(path).verdict if path.exists() else "not judged"
+    except GyrobenchError:
+        return ""
+    return "" if verdict == "not judged" else verdict
 
 
 def signature_of(folder: Path) -> Hashable:
     """A value that changes with every change of the run."""
     found = RunFolder(folder)
-    return holder_of(folder), *map(_changed_ns, (found.live, found.journal, found.dwells))
+    return holder_of(folder), *map(_changed_ns, (found.live, found.journal, found.dwells, found.acceptance))
 
 
 def records_of(folder: Path) -> dict[str, str]:

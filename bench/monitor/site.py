@@ -18,7 +18,7 @@ from gyrobench.bench.foundations.errors import GyrobenchError, MissingPackageErr
 from gyrobench.bench.foundations.files import read_limited
 from gyrobench.bench.foundations.text import hours_minutes
 from gyrobench.bench.monitor.attitude_drawing import axes_drawing
-from gyrobench.bench.monitor.charts import bias_charts, profile_chart, window_charts
+from gyrobench.bench.monitor.charts import bias_charts, profile_chart, temperature_charts, window_charts
 from gyrobench.bench.monitor.metrics import CONTENT_TYPE as METRICS_TYPE
 from gyrobench.bench.monitor.metrics import metrics_text
 from gyrobench.bench.monitor.page_content import (
@@ -40,6 +40,7 @@ from gyrobench.bench.monitor.run_list import (
     signature_of,
     snapshot_of,
     summarise,
+    verdict_in,
 )
 from gyrobench.bench.monitor.server import HTML, RECORD_POLICY, Response, page_policy, refusal
 from gyrobench.bench.monitor.snapshot import Attitude, RunSnapshot
@@ -47,11 +48,13 @@ from gyrobench.bench.navigation.positions import POSITIONS, position_label
 from gyrobench.bench.report.number_format import true_minus
 
 
-def run_fragment(snapshot: RunSnapshot, freshness: Freshness, records: Mapping[str, str], home: str) -> str:
+def run_fragment(
+    snapshot: RunSnapshot, freshness: Freshness, records: Mapping[str, str], home: str, verdict: str = ""
+) -> str:
     """Content of the page of a run, which the page refreshes by itself.
 
-    ``records`` has addresses and titles of the pages in the run folder; ``home`` is the address of the list
-    of runs, empty if there is none.
+    ``verdict`` is that on the unit, empty if it was not judged. ``records`` has addresses and titles of the
+    pages in the run folder; ``home`` is the address of the list of runs, empty if there is none.
     """
     dwell = snapshot.dwell
     return _rendered(
@@ -61,7 +64,7 @@ def run_fragment(snapshot: RunSnapshot, freshness: Freshness, records: Mapping[s
         freshness=freshness,
         records=records,
         home=home,
-        top=headline(snapshot),
+        top=headline(snapshot, verdict),
         step_label=_step_label(snapshot),
         profile=profile_chart(snapshot),
         axes=axes_drawing(snapshot.attitude) if snapshot.attitude else None,
@@ -69,6 +72,7 @@ def run_fragment(snapshot: RunSnapshot, freshness: Freshness, records: Mapping[s
         readings=reading_rows(snapshot.bench) if snapshot.bench else [],
         windows=window_charts(dwell) if dwell else [],
         biases=bias_charts(dwell) if dwell else [],
+        temperatures=temperature_charts(snapshot.bins),
         bins=bin_tables(snapshot.bins),
         dwells=shown_dwells(snapshot.dwells),
     )
@@ -196,7 +200,8 @@ class Site:
         except GyrobenchError as error:
             return problem_fragment(run.absolute().name, str(error), home)
         freshness = freshness_of(snapshot.state, snapshot.updated_utc, self._utc())
-        return run_fragment(snapshot, freshness, records_of(run), home)
+        verdict = verdict_in(run) if snapshot.state.is_over else ""
+        return run_fragment(snapshot, freshness, records_of(run), home, verdict)
 
     def _metrics(self) -> Response:
         """Metrics of the run, or of the newest runs of the folder; those that can't be read are left out."""

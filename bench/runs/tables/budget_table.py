@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from gyrobench.bench.bias.budget import SOURCES, BiasBudget, Budget, Combined
+from gyrobench.bench.calibration.coefficients import Coefficient
 from gyrobench.bench.foundations.csv_tables import CsvTable, format_csv, read_text, write_text
 from gyrobench.bench.foundations.text import format_cell
 
@@ -26,6 +27,7 @@ class BudgetRow:
     quantity: str  #: ``gyro_bias``, or the name of the coefficient.
     axis: str  #: "x", "y" or "z"; of misalignments the sensor and the axis that it senses.
     dwell: int | None  #: Number of the dwell; None for other results.
+    plateau: int | None  #: Number of the plateau; None but for coefficients.
     position: str  #: Position of the unit; empty for coefficients.
     #: bin_low_c, bin_high_c: Range of the gyro's temperature; NaN but for bins.
     bin_low_c: float
@@ -78,9 +80,30 @@ def budget_rows(budgets: Iterable[BiasBudget]) -> list[BudgetRow]:
             quantity="gyro_bias",
             axis=each.gyro,
             dwell=each.dwell,
+            plateau=None,
             position=each.position,
             bin_low_c=each.bin_low_c,
             bin_high_c=each.bin_high_c,
+        )
+    ]
+
+
+def coefficient_budget_rows(plateau: int, budgets: Iterable[tuple[Coefficient, Budget]]) -> list[BudgetRow]:
+    """Rows of the coefficients of one plateau, in their units."""
+    return [
+        row
+        for coefficient, budget in budgets
+        for row in rows_of(
+            budget,
+            coefficient.unit,
+            result="coefficient",
+            quantity=coefficient.name,
+            axis=coefficient.axis,
+            dwell=None,
+            plateau=plateau,
+            position="",
+            bin_low_c=math.nan,
+            bin_high_c=math.nan,
         )
     ]
 
@@ -151,19 +174,22 @@ def _value(table: CsvTable, index: int, name: str) -> Any:
     text = table.text(index, name)
     if name in _TEXTS or name == "note":
         return text
-    if name == "dwell":
+    if name in ("dwell", "plateau"):
         return table.integer(index, name) if text else None
     return math.inf if name == "dof" and text == "inf" else table.number(index, name, may_be_empty=True)
 
 
 def budget_records(rows: Sequence[BudgetRow]) -> list[dict[str, Any]]:
     """One object for each result, with its sums and its contributions; what is not known is left out."""
-    of = attrgetter("result", "quantity", "axis", "dwell", "position", "bin_low_c", "unit")
+    of = attrgetter("result", "quantity", "axis", "dwell", "plateau", "position", "bin_low_c", "unit")
     records = []
     for _, group in groupby(rows, key=lambda row: str(of(row))):
         members = list(group)
         first = members[0]
-        head = ("result", "quantity", "axis", "dwell", "position", "bin_low_c", "bin_high_c", "unit")
+        head = (
+            *("result", "quantity", "axis", "dwell", "plateau", "position", "bin_low_c", "bin_high_c"),
+            "unit",
+        )
         record = _known({name: getattr(first, name) for name in head})
         rest = [name for name in _COLUMNS if name not in (*head, "contribution")]
         named = {row.contribution: _known({name: getattr(row, name) for name in rest}) for row in members}

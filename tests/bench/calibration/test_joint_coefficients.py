@@ -50,6 +50,15 @@ def test_misalignments_in_the_accelerometers_frame_are_those_of_the_unit(estimat
         assert all(seen[name] for name in NAMES if "bias" in name)
 
 
+def test_covariances_by_source_add_up(estimates):
+    for each, _ in estimates:
+        total = np.sum([np.diag(part) for part in each.parts.values()], axis=0)
+        assert total == pytest.approx(np.diag(each.covariance), rel=1e-9)
+        assert all((np.diag(part) > -1e-6 * total).all() for part in each.parts.values())
+        seen = each.is_observed
+        assert (np.diag(each.parts["assumed_size"])[seen] < 0.5 * total[seen]).all()
+
+
 def test_the_rows_are_those_of_coefficients_csv(estimates):
     rows = coefficient_rows(estimates[0][0])
     assert [f"{row.coefficient}_{row.axis}" for row in rows] == NAMES

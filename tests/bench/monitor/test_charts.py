@@ -12,6 +12,7 @@ from gyrobench.bench.monitor.charts import (
     bias_charts,
     line,
     profile_chart,
+    temperature_charts,
     time_axis,
     value_axis,
     window_charts,
@@ -202,3 +203,13 @@ def test_a_short_run_is_shown_in_minutes(snapshot):
 def test_there_is_no_chart_of_nothing(snapshot):
     assert profile_chart(replace(snapshot, planned=PlannedProfile(), measured=MeasuredProfile())) is None
     assert profile_chart(replace(snapshot, planned=PlannedProfile())) is not None
+
+
+def test_bins_are_drawn_over_temperature_with_a_line_for_each_position():
+    charts = temperature_charts(made_up_snapshot().bins)
+    assert [each.label for each in charts] == ["X gyro", "Y gyro", "Z gyro"]
+    filled = {each.position for each in made_up_snapshot().bins if each.count and each.gyro == "x"}
+    assert {curve.look for curve in charts[0].chart.curves} == {f"position {name}" for name in filled}
+    ticks = [tick.percent for tick in charts[0].chart.x.ticks]
+    assert ticks == sorted(ticks)
+    assert temperature_charts([]) == []

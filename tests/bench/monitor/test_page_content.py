@@ -181,3 +181,18 @@ def test_alarms_come_first():
     row = list_row(replace(RUN, alarms=2), Freshness(1.0, False, ""))
     assert row.look == "bad"
     assert row.facts.startswith("▲ 2 ALARMS, ")
+
+
+@pytest.mark.parametrize(
+    ("verdict", "look", "text"),
+    [
+        ("", "good", "finished"),
+        ("accepted", "good", "finished, unit accepted"),
+        ("marginal", "notable", "finished, unit marginal"),
+        ("rejected", "bad", "finished, unit rejected"),
+    ],
+)
+def test_the_verdict_is_as_prominent_as_the_end_of_the_run(verdict, look, text):
+    top = headline(replace(made_up_snapshot(), state=RunState.FINISHED, alarms=()), verdict)
+    assert (top.look, top.state) == (look, text)
+    assert top.sign == ("✕" if verdict == "rejected" else "✓")

@@ -1,0 +1,90 @@
+"""No finding of axe on any page, in a narrow and a wide window."""
+
+import html
+import json
+import re
+import shutil
+import subprocess
+import tarfile
+from importlib import resources
+from pathlib import Path
+
+import pytest
+
+from gyrobench.bench.monitor.site import Site
+from tests.bench.command_line import gyrobench
+from tests.bench.monitor.sample_snapshots import made_up_snapshot, waiting_snapshot
+from tests.bench.monitor.served_run import now, run_under_way
+from tests.bench.monitor.test_browser import CHROMIUM, OPTIONS
+
+CAMPAIGN = Path(__file__).parent / "data/run_folders/campaign.tar.xz"
+WIDTHS_PX = (360, 1280)
+AXE = (resources.files("axe_core_python") / "axe.min.js").read_text(encoding="utf-8")
+RUN_AXE = """
+axe.run(document, {resultTypes: ["violations"]}).then(results => {
+  const found = results.violations.map(rule => [rule.id, rule.nodes.map(node => node.target.join(" "))]);
+  const shown = document.createElement("pre");
+  shown.id = "findings";
+  shown.textContent = JSON.stringify(found);
+  document.body.appendChild(shown);
+});
+"""
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory):
+    """Each kind of page that gyrobench writes or serves, by name."""
+    place = tmp_path_factory.mktemp("pages")
+    with tarfile.open(CAMPAIGN) as archive:
+        archive.extractall(place, filter="data")
+    [run] = [path.parent for path in place.rglob("journal.jsonl")]
+    for command in ("close", "report"):
+        done = gyrobench(command, run, cwd=place)
+        assert done.returncode == 0, done.stderr
+    found = {
+        "report": (run / "report.html").read_text(encoding="utf-8"),
+        "search for effects": (run / "closure/closure.html").read_text(encoding="utf-8"),
+        "record in the monitor": Site(run, now).answer("/").body.decode(),
+    }
+    for name, snapshot in (("monitor", made_up_snapshot()), ("question", waiting_snapshot())):
+        (place / name).mkdir()
+        with run_under_way(place / name / "run", snapshot):
+            found[name] = Site(place / name / "run", now).answer("/").body.decode()
+            found["list of runs"] = Site(place / name, now).answer("/").body.decode()
+    return found
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
+@pytest.mark.parametrize("width_px", WIDTHS_PX)
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("report", "search for effects", "monitor"),
+        *(
+            pytest.param(name, marks=pytest.mark.long)
+            for name in ("record in the monitor", "question", "list of runs")
+        ),
+    ],
+)
+def test_a_page_has_no_finding(pages, name, width_px, tmp_path):
+    assert findings(pages[name], width_px, tmp_path) == {}
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
+def test_a_page_with_low_contrast_has_a_finding(pages, tmp_path):
+    pale = pages["report"].replace("</style>", "p { color: #cccccc !important; }</style>")
+    assert "color-contrast" in findings(pale, 1280, tmp_path)
+
+
+def findings(page, width_px, folder):
+    """Elements in breach of each rule."""
+    policy = re.compile(r'<meta http-equiv="Content-Security-Policy"[^>]*>')
+    script = f"<script>{AXE}</script><script>{RUN_AXE}</script></body>"
+    file = folder / "page.html"
+    without_own_script = re.sub(r"<script nonce.*?</script>", "", policy.sub("", page), flags=re.DOTALL)
+    file.write_text(without_own_script.replace("</body>", script), encoding="utf-8")
+    options = [f"--window-size={width_px},900", f"--user-data-dir={folder / 'profile'}", "--dump-dom"]
+    command = [shutil.which(CHROMIUM), *OPTIONS, *options, "--virtual-time-budget=60000", file.as_uri()]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=True)
+    [text] = re.findall(r'<pre id="findings">(.*?)</pre>', done.stdout, re.DOTALL)
+    return dict(json.loads(html.unescape(text)))
