@@ -329,11 +329,16 @@ def navigated_increments(navigation: NavigationData, site: Site) -> Increments:
     force[:, 2] = site.gravity
     in_body = np.einsum("nji,njk,nk->ni", C_nb[:-1], half, force * interval_s)
     turning = np.cross(angle, in_body)
+    sums = in_body - 0.5 * turning + np.cross(angle, turning) / 12.0
+    # Rotation vectors and velocities hold coning and sculling, which increments of sensors do not.
+    last = np.maximum(np.arange(len(angle)) - 1, 0)
+    coning = np.cross(angle[last], angle) / 12.0
+    sculling = (np.cross(angle[last], sums) + np.cross(sums[last], angle)) / 12.0
     steady = np.abs(np.diff(time_s) / interval_s - 1.0) < _MAX_STEP_ERROR
     return Increments(
         row=navigation.row[1:],
-        angle=angle,
-        velocity=in_body - 0.5 * turning + np.cross(angle, turning) / 6.0,
+        angle=angle - coning,
+        velocity=sums - sculling,
         follows=steady,
         interval_s=interval_s,
     )
