@@ -82,6 +82,21 @@ class Run:
         return _csv_frame(self.folder.budget)
 
     @cached_property
+    def characteristics(self) -> pd.DataFrame:
+        """Coefficients of the procedure's tests: test, gyro, name, unit, value and 95 % interval.
+
+        Raises DocumentError if the run has no results of tests.
+        """
+        from gyrobench.bench.characteristics.results import read_characteristics
+
+        rows = [
+            {"test": result.test, **each.model_dump()}
+            for result in read_characteristics(self.folder.characteristics)
+            for each in result.coefficients
+        ]
+        return _pandas().DataFrame(rows).astype(dict.fromkeys(("value", "low", "high"), float))
+
+    @cached_property
     def telemetry(self) -> pd.DataFrame:
         """Readings of table, chamber and INS; a row of NaN stands where readings are missing."""
         from gyrobench.bench.runs.telemetry import read_telemetry
