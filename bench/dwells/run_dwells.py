@@ -162,7 +162,7 @@ def add_dwell(dwells: list[MeasuredDwell], measured: MeasuredDwell) -> None:
 
     A temperature sensor that turns out to be stuck flags the dwells since it is, earlier ones too.
     """
-    dwells.append(measured)
+    dwells.append(replace(measured, paper=None))  # the row has its results
     for index, flag in stuck_sensors([each.row for each in dwells]):
         row = dwells[index].row
         if flag not in row.flags:

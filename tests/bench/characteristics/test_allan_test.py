@@ -16,7 +16,7 @@ TRUTHS = {"Q": 0.03, "N": 0.0005, "B": 0.004, "K": 0.006, "R": 0.02}
 
 
 def angles(random: np.random.Generator, seconds: int) -> np.ndarray:
-    """Angle of one gyro each second, rad: flicker by Kasdin's filter, the others from their definitions."""
+    """Angle of one gyro each second, rad: flicker by Kasdin's filter, the others by definition."""
     taps = np.concatenate([[1.0], np.cumprod((np.arange(1, 2 * seconds) - 0.5) / np.arange(1, 2 * seconds))])
     flicker = fftconvolve(random.standard_normal(2 * seconds), taps)[seconds : 2 * seconds]
     rate = (
