@@ -82,6 +82,16 @@ class Run:
         return _csv_frame(self.folder.budget)
 
     @cached_property
+    def coefficients(self) -> pd.DataFrame:
+        """Coefficients of the sensors at each plateau, as in ``coefficients.csv``."""
+        return _csv_frame(self.folder.coefficients)
+
+    @cached_property
+    def correlations(self) -> pd.DataFrame:
+        """Correlations of the coefficients of each plateau, as in ``correlations.csv``."""
+        return _csv_frame(self.folder.correlations)
+
+    @cached_property
     def telemetry(self) -> pd.DataFrame:
         """Readings of table, chamber and INS; a row of NaN stands where readings are missing."""
         from gyrobench.bench.runs.telemetry import read_telemetry

@@ -10,7 +10,8 @@ and three kinds of noise show in it with different slopes (IEEE Std 952, annex C
     ``sigma^2(tau) = 3 S^2 / tau^2 + N^2 / tau + K^2 tau / 3``
 
 with S the white noise of the angle (rounding, quantisation), N the random walk of the angle (white
-noise of the rate), K the random walk of the rate. Here the mean of the second differences of each
+noise of the rate), K the random walk of the rate. On request the bias instability B (flicker noise of the
+rate) joins them with ``2 ln 2 / pi B^2``. Here the mean of the second differences of each
 segment is taken off first, so that a steady ramp of the rate (Earth-rate coupling, warm-up, an
 acceleration that a gyro bias feeds) does not count; what that costs is in the expected variances.
 
@@ -36,8 +37,8 @@ import numpy as np
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 from gyrobench.bench.foundations.errors import MeasurementError
 
-#: Terms of the noise, in the order of arrays: S^2, N^2, K^2.
-WHITE_ANGLE, RANDOM_WALK, RATE_WALK = range(3)
+#: Terms of the noise, in the order of arrays: S^2, N^2, K^2, and B^2 where asked for.
+WHITE_ANGLE, RANDOM_WALK, RATE_WALK, BIAS_INSTABILITY = range(4)
 #: Averaging times in a decade.
 PER_DECADE = 8
 #: The longest segment holds the longest averaging time at least so many times.
@@ -47,7 +48,8 @@ MIN_EDF = 8.0
 #: Squares of the residuals above this, relative to their expectation, mean that the model does not fit.
 MAX_CHI2_RATIO = 3.0
 
-_TERMS = 3
+_TERMS = 3  # without the bias instability
+_FLICKER_REACH = 4  # in overlaps of two second differences
 _SPARE_TIMES = 1  # averaging times beyond the number of terms
 _ROUNDS = 4
 
@@ -79,9 +81,9 @@ class AllanVariance:
 class RateNoise:
     """Noise terms fitted to an Allan variance."""
 
-    terms: FloatArray  #: Shape (3,). S^2, N^2 and K^2 of the module's formula, none below zero.
-    unbounded: FloatArray  #: Shape (3,). The same where the fit may go below zero.
-    covariance: FloatArray  #: Shape (3, 3). Covariance of ``unbounded``.
+    terms: FloatArray  #: Shape (3,), with B^2 (4,). Squares in the module's formula, none below zero.
+    unbounded: FloatArray  #: Of the same shape. The same where the fit may go below zero.
+    covariance: FloatArray  #: Shape (3, 3) or (4, 4). Covariance of ``unbounded``.
     #: Shape (k,). Allan variance that ``terms`` lead to expect, less what the means of the segments take off.
     expected: FloatArray
     used: BoolArray  #: Shape (k,). Averaging times that took part.
@@ -92,8 +94,17 @@ class RateNoise:
 
     @property
     def sigmas(self) -> FloatArray:
-        """Standard uncertainty (3,) of each term."""
+        """Standard uncertainty of each term."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def mean_terms(self) -> FloatArray:
+        """Expectation of each term, given that it is not below zero: its truncated normal distribution."""
+        from scipy.stats import norm
+
+        z = self.unbounded / self.sigmas
+        # exp(logs) instead of the ratio, which is 0 / 0 far below zero.
+        return np.asarray(self.unbounded + self.sigmas * np.exp(norm.logpdf(z) - norm.logcdf(z)))
 
 
 def on_grid(time_s: FloatArray, values: FloatArray) -> tuple[float, FloatArray]:
@@ -153,8 +164,8 @@ def allan_variance(segments: Sequence[FloatArray], interval_s: float) -> AllanVa
     return AllanVariance(interval_s, factors, variance, counts.astype(np.int64), lengths)
 
 
-def fit_rate_noise(allan: AllanVariance) -> RateNoise:
-    """Fit the noise terms to an Allan variance.
+def fit_rate_noise(allan: AllanVariance, *, with_instability: bool = False) -> RateNoise:
+    """Fit the noise terms to an Allan variance, with the bias instability only if asked for.
 
     Weighted least squares of variances without negative terms. The weights are those of the model
     itself, iterated: weights of the measured variances would favour the ones that came out small.
@@ -164,7 +175,7 @@ def fit_rate_noise(allan: AllanVariance) -> RateNoise:
 
     Raises MeasurementError if too few averaging times have enough degrees of freedom.
     """
-    information = _Information.of(allan)
+    information = _Information.of(allan, _TERMS + with_instability)
     candidates = allan.variance > 0.0
     used, excess = candidates, 0.0
     _check_enough(used, allan)
@@ -175,7 +186,7 @@ def fit_rate_noise(allan: AllanVariance) -> RateNoise:
         edf = 2.0 * model**2 / np.diag(covariance)
         used = candidates & (edf >= MIN_EDF)
         _check_enough(used, allan)
-        excess = _excess(allan.variance, model, np.diag(covariance), used)
+        excess = _excess(allan.variance, model, np.diag(covariance), used, len(terms))
         errors = covariance + np.diag((excess * model) ** 2)
         terms, solve = _solve(information.design, allan.variance, np.diag(errors), used)
     return RateNoise(
@@ -187,6 +198,27 @@ def fit_rate_noise(allan: AllanVariance) -> RateNoise:
         edf=edf,
         excess=excess,
     )
+
+
+def mean_ramp(segments: Sequence[FloatArray], interval_s: float, noise: RateNoise) -> tuple[float, float]:
+    """Mean slope of the rate over segments without a gap, and its standard uncertainty by the noise.
+
+    The mean of the second differences over a third of each segment gives the slope of the segment.
+    """
+    powers = interval_s ** np.array([0.0, 1.0, 3.0, 2.0])[: len(noise.terms)]
+    slopes, variances = [], []
+    for angle in segments:
+        factor = (len(angle) - 1) // 3
+        if factor < 1:
+            continue
+        second = angle[2 * factor :] - 2.0 * angle[factor:-factor] + angle[: -2 * factor]
+        lags = np.arange(1 - len(second), len(second))
+        between = _covariance_of_differences(factor, factor, lags, len(noise.terms))
+        variance = (noise.mean_terms * powers) @ between @ (len(second) - np.abs(lags)) / len(second) ** 2
+        slopes.append(second.mean() / (factor * interval_s) ** 2)
+        variances.append(variance / (factor * interval_s) ** 4)
+    weights = 1.0 / np.array(variances)
+    return float(weights @ slopes / weights.sum()), float(weights.sum() ** -0.5)
 
 
 def _squares(angle: FloatArray, factor: int) -> tuple[float, int]:
@@ -221,10 +253,12 @@ def _not_negative(design: FloatArray, values: FloatArray) -> FloatArray:
     return np.asarray(terms[np.argmax(explained)])
 
 
-def _excess(variance: FloatArray, model: FloatArray, errors: FloatArray, used: BoolArray) -> float:
+def _excess(
+    variance: FloatArray, model: FloatArray, errors: FloatArray, used: BoolArray, terms: int
+) -> float:
     """Common relative error that brings the squares of the residuals down to their number."""
     residual = ((variance - model) / model)[used] ** 2
-    relative, dof = (errors / model**2)[used], np.count_nonzero(used) - _TERMS
+    relative, dof = (errors / model**2)[used], np.count_nonzero(used) - terms
     if (residual / relative).sum() <= MAX_CHI2_RATIO * dof:
         return 0.0
     low, high = 0.0, float(residual.sum() / dof)
@@ -248,14 +282,14 @@ def _check_enough(used: BoolArray, allan: AllanVariance) -> None:
 class _Information:
     """Expectation and covariance of Allan variances, for any noise terms."""
 
-    design: FloatArray  #: Shape (k, 3). Expected variance for each term of size one.
-    products: FloatArray  #: Shape (k, k, 3, 3). Quadratic form of the covariance in the terms.
+    design: FloatArray  #: Shape (k, terms). Expected variance for each term of size one.
+    products: FloatArray  #: Shape (k, k, terms, terms). Quadratic form of the covariance in the terms.
 
     @classmethod
-    def of(cls, allan: AllanVariance) -> _Information:
+    def of(cls, allan: AllanVariance, terms: int) -> _Information:
         factors = tuple(allan.factors.tolist())
-        design, products, full = _information(factors, allan.lengths)
-        powers = float(allan.interval_s) ** np.array([-2.0, -1.0, 1.0])
+        design, products, full = _information(factors, allan.lengths, terms)
+        powers = float(allan.interval_s) ** np.array([-2.0, -1.0, 1.0, 0.0])[:terms]
         # Missing samples cost differences; the remaining ones carry as much information each.
         thinned = np.sqrt(full / allan.counts)
         products = products * np.outer(thinned, thinned)[:, :, np.newaxis, np.newaxis]
@@ -268,26 +302,28 @@ class _Information:
 
 @lru_cache(maxsize=64)
 def _information(
-    factors: tuple[int, ...], lengths: tuple[int, ...]
+    factors: tuple[int, ...], lengths: tuple[int, ...], terms: int
 ) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Expectation (k, 3), covariance (k, k, 3, 3) and count (k,) of the differences at interval 1 s."""
+    """Expectation (k, t), covariance (k, k, t, t) and count (k,) of the differences at interval 1 s."""
     size = len(factors)
     different, repeats = np.unique(lengths, return_counts=True)
     numbers = _number(different, np.array(factors)[:, np.newaxis])
     full = np.asarray(numbers @ repeats, np.int64)
-    design, products = np.empty((size, _TERMS)), np.empty((size, size, _TERMS, _TERMS))
+    design, products = np.empty((size, terms)), np.empty((size, size, terms, terms))
     for row, factor in enumerate(factors):
         for column in range(row, size):
             other = factors[column]
-            lags = np.arange(-2 * other, 2 * factor + 1)
-            between = _covariance_of_differences(factor, other, lags)
+            # That of flicker noise falls with the square of the lag, the others' end with the overlap.
+            reach = _FLICKER_REACH * 2 * other if terms > _TERMS else 0
+            lags = np.arange(-2 * other - reach, 2 * factor + reach + 1)
+            between = _covariance_of_differences(factor, other, lags, terms)
             pairs = _pairs(numbers[row], numbers[column], lags)
             scale = 2.0 / (full[row] * full[column]) / (2.0 * factor * other) ** 2
             product = scale * (between * (pairs @ repeats)) @ between.T
             products[row, column] = products[column, row] = product
             if row == column:
                 mean_squares = between @ pairs / np.maximum(numbers[row], 1)
-                at_zero = between[:, 2 * factor] * full[row]
+                at_zero = between[:, len(lags) // 2] * full[row]
                 design[row] = (at_zero - mean_squares @ repeats) / full[row] / (2.0 * factor**2)
     return design, products, full
 
@@ -304,15 +340,18 @@ def _pairs(first: IntArray, second: IntArray, lags: IntArray) -> IntArray:
     return np.asarray(np.maximum(np.minimum(first, second - lag) - np.maximum(0, -lag), 0))
 
 
-def _covariance_of_differences(factor: int, other: int, lags: IntArray) -> FloatArray:
-    """Covariance (3, lags) of second differences at two averaging times, for each term.
+def _covariance_of_differences(factor: int, other: int, lags: IntArray, terms: int) -> FloatArray:
+    """Covariance (terms, lags) of second differences at two averaging times, for each term.
 
-    From the generalised covariances of white noise, random walk and integrated random walk; they
-    vanish beyond the lags at which the differences overlap.
+    From the generalised covariances of white noise, random walk, integrated random walk and integrated
+    flicker noise; all but the last vanish beyond the lags at which the differences overlap.
     """
     taps = np.array([1.0, -2.0, 1.0])
     steps = np.arange(3)
     distance = np.abs(lags[:, np.newaxis, np.newaxis] + other * steps - factor * steps[:, np.newaxis])
     weight = np.outer(taps, taps)
     kernels = np.stack([distance == 0, -0.5 * distance, distance.astype(float) ** 3 / 12.0])
+    if terms > _TERMS:
+        flicker = distance**2 * np.log(np.maximum(distance, 1)) / (2.0 * np.pi)
+        kernels = np.concatenate([kernels, flicker[np.newaxis]])
     return np.asarray((kernels * weight).sum(axis=(2, 3)))

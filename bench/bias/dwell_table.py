@@ -57,7 +57,7 @@ COLUMNS = (*_columns(_NAMES), "flags")
 NOT_MEASURED: Triple = (math.nan, math.nan, math.nan)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class DwellRow:
     """One position at one temperature; fields of three values are those of the x, y and z gyro."""
 

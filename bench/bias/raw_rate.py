@@ -21,9 +21,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import solveh_banded
-from scipy.stats import norm
 
-from gyrobench.bench.bias.allan import RANDOM_WALK, WHITE_ANGLE, RateNoise, allan_variance, fit_rate_noise
+from gyrobench.bench.bias.allan import RANDOM_WALK, WHITE_ANGLE, allan_variance, fit_rate_noise
 from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.earth import EARTH_RATE
@@ -176,7 +175,7 @@ def estimate_rate(recording: RateRecording) -> RateEstimate:
     interval = recording.interval_s
     slopes = []
     for rate, angle in zip(recording.rate_radps.T, recording.angle_rad.T, strict=True):
-        expected = _expected_terms(fit_rate_noise(allan_variance([angle], interval)))
+        expected = fit_rate_noise(allan_variance([angle], interval)).mean_terms
         slopes.append(_slope(rate, interval, expected[WHITE_ANGLE], expected[RANDOM_WALK]))
     rates, variances = np.array(slopes).T
     return RateEstimate(rates, np.sqrt(variances))
@@ -234,13 +233,6 @@ def _check_times(time_s: FloatArray) -> None:
             f"no sample for {steps[widest]:.4f} s after {time_s[widest]:.3f} s, where one is expected every "
             f"{np.median(steps):.4f} s: the angle in between is lost. Use the longer part alone"
         )
-
-
-def _expected_terms(noise: RateNoise) -> FloatArray:
-    """Expectation of the terms, given that none is below zero: their truncated normal distribution."""
-    z = noise.unbounded / noise.sigmas
-    # exp(logs) instead of the ratio, which is 0 / 0 far below zero.
-    return np.asarray(noise.unbounded + noise.sigmas * np.exp(norm.logpdf(z) - norm.logcdf(z)))
 
 
 def _slope(rate: FloatArray, interval: float, white: float, walk: float) -> tuple[float, float]:

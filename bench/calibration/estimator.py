@@ -57,12 +57,18 @@ _MAX_GROWTH = 1.1
 _MAX_ROUNDS, _CONVERGED, _MAX_STEP = 15, 0.1, 0.05
 #: Scale factor errors and misalignments beyond this are wrong units, signs or axes.
 _MAX_ELEMENT = 0.25
+#: Size of the accelerometers' scale factor errors where gravity stands in place of the vertical specific
+#: force: their mean is not observed, and affects the other coefficients in second order.
+_SCALE = 1e-4
 #: Sample rates of recordings that count as one.
 _MAX_RATE_RATIO = 1.01
 #: The opposite latitude is named where it reduces chi2 to this part; largest factor on the uncertainties.
 _OPPOSITE, _MAX_WIDENING = 0.1, 10.0
 #: Below this probability the noise alone does not explain the residuals.
 MIN_P_VALUE = 1e-3
+_IS_FORCE_SCALE = [each.name == "accelerometer_scale_factor" for each in COEFFICIENTS]
+#: So closely the scale factors of accelerometers have the mean zero where the vertical force is not measured.
+_COMMON_SCALE = 1e-9
 #: Smallest relative error of the time that is looked for.
 _MIN_TIME_ERROR = 3e-4
 #: Epochs at rest over which residuals are summed for the test of fit.
@@ -83,6 +89,9 @@ class CalibrationOptions:
     #: Random walks of gyros (rad/sqrt(s)) and accelerometers (m/s/sqrt(s)); None: as measured at rest.
     walks: tuple[float, float] | None = None
     gravity_sigma: float = 0.0  #: Standard uncertainty of gravity, m/s^2.
+    #: Standard uncertainties, rad, of tilt and heading of the rotations that a recording's table measures;
+    #: None: they do not count.
+    table: tuple[float, float] | None = None
 
     @property
     def columns(self) -> list[int]:
@@ -124,13 +133,24 @@ class Information:
                 site.latitude,
                 options.gravity or site.gravity,
                 options.whole_turns,
+                options.table,
             )
             block = np.zeros((len(rows), len(used) + 3 * len(sections) + 1))
             block[:, : len(used)] = rows[:, used]
             block[:, len(used) + 3 * number :][:, :3] = rows[:, ATTITUDE]
             block[:, -1] = data + rows[:, used] @ common[used]
             blocks.append(block)
+        if not any(section.epochs.has_vertical for section in sections):
+            # Gravity in place of the vertical force says nothing of what the scale factors share.
+            mean = np.zeros((1, blocks[0].shape[1]))
+            mean[0, np.flatnonzero(_IS_FORCE_SCALE)] = 1.0 / _COMMON_SCALE
+            blocks.append(mean)
         sizes = [each.size for each in (*COEFFICIENTS, *BESIDE)]
+        if not all(each.epochs.has_vertical for each in sections):
+            sizes = [
+                _SCALE if each.name == "accelerometer_scale_factor" else each.size
+                for each in (*COEFFICIENTS, *BESIDE)
+            ]
         attitudes = [ATTITUDE_ERROR] * (3 * len(sections))
         return cls(blocks, np.array([*(sizes[each] for each in used), *attitudes]))
 
@@ -204,6 +224,8 @@ def calibrate(
     is_observed = found.is_observed
     if all(turn.kind == "disturbance" for turns in rotations for turn in turns):
         is_observed[:COUNT] &= [each.sensor != "gyro" or each.kind == "bias" for each in COEFFICIENTS]
+    if not any(recording.has_vertical for recording in recordings):
+        is_observed[:COUNT] &= ~np.array(_IS_FORCE_SCALE)
     _check_size(found.values, is_observed)
     if found.fit.p_value < MIN_P_VALUE and options.whole_turns is not None:
         found = _with_uneven_turns(found, sections, bias, noise, site, options)

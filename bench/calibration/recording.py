@@ -30,6 +30,8 @@ _TURNING = np.deg2rad(0.1)
 _SIGMAS = 6.0
 #: Quartile of the sizes of differences of normal values, in standard deviations of one value.
 _QUARTILE = 0.3186 * np.sqrt(2.0)
+#: Noise of level axes over the mean of all, where gravity stands in place of the vertical force.
+_OF_LEVEL = 1.5
 #: Time between the samples of an Allan variance, s.
 _ALLAN_S = 0.2
 
@@ -47,6 +49,9 @@ class IncrementRecording:
     start_s: float = 0.0  #: Beginning of the first increment on the log's clock.
     #: Whether the vertical part of the velocity is measured, not gravity in place of it.
     has_vertical: bool = True
+    #: Shape (n, 3, 3). Attitude of the table at the end of each increment, ENU, up to a constant rotation of
+    #: what it carries; None where it is not known.
+    table: FloatArray | None = None
 
     def __post_init__(self) -> None:
         for name, values in (("angle", self.angle), ("velocity", self.velocity)):
@@ -188,7 +193,10 @@ def measure_noise(recordings: Sequence[IncrementRecording], rests: Sequence[Sequ
             fitted = fit_rate_noise(allan_variance(segments, size * interval_s))
             # A term that does not show may be as large as twice its uncertainty.
             least = np.where(fitted.terms > 2.0 * fitted.sigmas, 0.0, 2.0 * fitted.sigmas)
-            terms.append(np.sqrt(np.maximum(fitted.terms, least)[[RANDOM_WALK, WHITE_ANGLE]]))
+            variances = np.maximum(fitted.terms, least)[[RANDOM_WALK, WHITE_ANGLE]]
+            if name == "velocity" and not recordings[0].has_vertical:
+                variances = _OF_LEVEL * variances
+            terms.append(np.sqrt(variances))
     gyro, force = np.array(terms[:3]).T, np.array(terms[3:]).T
     return SensorNoise(gyro[0], gyro[1], force[0], force[1])
 

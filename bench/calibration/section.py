@@ -57,8 +57,14 @@ class Section:
             for before, after, rotation in zip(rests, rests[1:], rotations, strict=False)
             if rotation.is_spin
         ]
+        turns, known = [], recording.table
+        if known is not None:
+            for before, after, rotation in zip(rests, rests[1:], rotations, strict=False):
+                if rotation.kind != "disturbance":
+                    edges = (before.end - offset) // size, -(-(after.begin - offset) // size)
+                    turns.append((*edges, known[after.begin] @ known[before.end - 1].T))
         angle, velocity = recording.angle[offset:], recording.velocity[offset:]
-        epochs = Epochs(ends, at_rest, spins, recording.has_vertical)
+        epochs = Epochs(ends, at_rest, spins, recording.has_vertical, turns)
         return cls(recording.interval_s, angle, velocity, rests[0].end - offset, epochs)
 
     def aligned(self, errors: SensorErrors) -> FloatArray:

@@ -57,6 +57,8 @@ class Epochs:
     #: Epochs, counted from 0 at the start, in the rests before and after whole turns.
     spins: Sequence[tuple[int, int]]
     has_vertical: bool = True  #: Whether the vertical velocity is measured; otherwise its rows are zero.
+    #: Epochs before and after each rotation that the table measures, and that rotation (3, 3), ENU.
+    rotations: Sequence[tuple[int, int, FloatArray]] = ()
 
 
 def white_rows(
@@ -69,6 +71,7 @@ def white_rows(
     latitude: float,
     gravity: float,
     whole_turns: float | None,
+    table: tuple[float, float] | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Rows (m, 37) and data (m,), white with unit variance, of a unit that begins at rest.
 
@@ -81,22 +84,29 @@ def white_rows(
     whole_turns : float, optional
         Standard uncertainty, rad, of the table's return after whole turns; without it spins count as any
         other rotation.
+    table : tuple of float, optional
+        Standard uncertainties, rad, of tilt and heading of the table's rotations; without it they do not
+        count.
     """
     trajectory = _trajectory(angle, velocity, interval_s, epochs.ends, C_nb, latitude, gravity)
     lengths_s = np.diff(epochs.ends, prepend=0) * interval_s
-    n, spins = len(lengths_s), [] if whole_turns is None else epochs.spins
-    starts, ends = np.zeros(n + 1, np.int64), np.full(n + 1, -1, np.int64)
-    turned = (trajectory.response[b, :3] - trajectory.response[a, :3] for a, b in spins)
+    n, turns = len(lengths_s), _turns(epochs, whole_turns, table)
+    starts, ends = np.full((2, n + 1), -1, np.int64)
+    turned = (trajectory.response[b, :3] - R @ trajectory.response[a, :3] for a, b, R, _ in turns)
     rows = [*trajectory.response[1:, 3:], *turned]
-    data = [*-trajectory.integral[1:], *(_returned(trajectory, a, b) for a, b in spins)]
-    for number, (a, b) in enumerate(spins):
-        starts[a], ends[b] = 1, n + number
+    data = [*-trajectory.integral[1:], *(_returned(trajectory, *turn[:3]) for turn in turns)]
+    for number, (a, b, _, _) in enumerate(turns):
+        starts[a], ends[b] = number, number
     white = float(np.mean(noise.white_velocity**2)) + _MIN_VELOCITY**2
-    turn = (whole_turns or 0.0) ** 2 + 2.0 * float(np.mean(noise.white_angle**2)) + _MIN_ANGLE**2
+    output = 2.0 * float(np.mean(noise.white_angle**2)) + _MIN_ANGLE**2
+    R = np.array([each[2] for each in turns]).reshape(-1, 3, 3)
+    variances = np.array([each[3] for each in turns]).reshape(-1, 3) ** 2 + output
     stacked = np.concatenate([np.array(rows), np.array(data)[:, :, np.newaxis]], axis=2)
     transition, covariance = _intervals(trajectory, lengths_s, noise, latitude)
     measured = 3 if epochs.has_vertical else 2
-    whitened = _whiten(transition, covariance, stacked, epochs.at_rest, starts, ends, white, turn, measured)
+    whitened = _whiten(
+        transition, covariance, stacked, epochs.at_rest, starts, ends, R, variances, white, measured
+    )
     return whitened[:, :COLUMNS], whitened[:, COLUMNS]
 
 
@@ -307,9 +317,23 @@ def epoch_steps(
     return transition, covariance, response[1:] - transition @ response[:-1]
 
 
-def _returned(trajectory: _Trajectory, a: int, b: int) -> FloatArray:
-    """Error (3,) of the computed attitude, negated, after whole turns, which return to where they started."""
-    turn = trajectory.attitude[b] @ trajectory.attitude[a].T
+_Turn = tuple[int, int, FloatArray, tuple[float, float, float]]
+
+
+def _turns(epochs: Epochs, whole_turns: float | None, table: tuple[float, float] | None) -> list[_Turn]:
+    """Epochs before and after each rotation that counts, the rotation (3, 3), its uncertainties E, N, U."""
+    turns: dict[int, _Turn] = {}
+    if table is not None:
+        tilt, heading = table
+        turns |= {a: (a, b, R, (tilt, tilt, heading)) for a, b, R in epochs.rotations}
+    if whole_turns is not None:
+        turns |= {a: (a, b, np.eye(3), (whole_turns, whole_turns, whole_turns)) for a, b in epochs.spins}
+    return list(turns.values())
+
+
+def _returned(trajectory: _Trajectory, a: int, b: int, rotation: FloatArray) -> FloatArray:
+    """Error (3,) of the computed attitude, negated, after a rotation that is known."""
+    turn = trajectory.attitude[b] @ trajectory.attitude[a].T @ rotation.T
     return np.asarray(-rotation_vectors(turn[np.newaxis])[0])
 
 
@@ -337,7 +361,8 @@ def _intervals(
 @compiled
 def _whiten(
     transition: FloatArray, covariance: FloatArray, stacked: FloatArray, at_rest: BoolArray,
-    starts: IntArray, ends: IntArray, white: float, turn: float, measured: int,
+    starts: IntArray, ends: IntArray, rotations: FloatArray, variances: FloatArray, white: float,
+    measured: int,
 ) -> FloatArray:  # fmt: skip
     n, columns = len(transition), stacked.shape[2]
     rows = np.zeros((3 * len(stacked), columns))
@@ -366,14 +391,15 @@ def _whiten(
         if ends[epoch] >= 0:
             for i in range(3):
                 spread = P[:, i] - P[:, 6 + i]
-                variance = spread[i] - spread[6 + i] + turn
-                innovation = stacked[ends[epoch], i] - X[i] + X[6 + i]
+                variance = spread[i] - spread[6 + i] + variances[ends[epoch], i]
+                innovation = stacked[n + ends[epoch], i] - X[i] + X[6 + i]
                 X += np.outer(spread / variance, innovation)
                 P -= np.outer(spread / variance, spread)
                 rows[used] = innovation / np.sqrt(variance)
                 used += 1
-        if starts[epoch]:
-            X[6:] = X[:3]
-            P[6:] = P[:3]
-            P[:, 6:] = P[:, :3]
+        if starts[epoch] >= 0:
+            R = rotations[starts[epoch]]
+            X[6:] = R @ X[:3]
+            P[6:] = R @ P[:3]
+            P[:, 6:] = np.ascontiguousarray(P[:, :3]) @ R.T
     return rows[:used]

@@ -15,7 +15,7 @@ from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.files import parse_json
 
-TestName = Literal["turn_on_repeatability", "warm_up", "allan_variance", "thermal_sensitivity"]
+TestName = Literal["turn_on_repeatability", "warm_up", "thermal_sensitivity", "allan_variance"]
 
 
 class Coefficient(StrictModel):

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from pydantic import Field
 
 from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.characteristics.allan_test import RateRecord, allan_test
 from gyrobench.bench.characteristics.results import TestName, TestResult
 from gyrobench.bench.characteristics.thermal import thermal_sensitivity
 from gyrobench.bench.characteristics.turn_on import MIN_POWER_CYCLES, turn_on_repeatability
@@ -43,6 +44,10 @@ class ThermalTest(StrictModel):
     degree: int = Field(default=3, ge=1, le=5, description="degree of the polynomial in temperature")
 
 
+class AllanTest(StrictModel):
+    """Noise from navigations with ``purpose: noise``."""
+
+
 class CharacteristicTests(StrictModel):
     """Tests of a procedure beyond biases."""
 
@@ -54,8 +59,12 @@ class CharacteristicTests(StrictModel):
         default=None, description="bias against temperature, its rate and direction"
     )
 
-    def evaluate(self, rows: Sequence[DwellRow]) -> list[TestResult]:
-        """Results of the tests from the dwells of a run; one that has too few data has only a note."""
+    allan_variance: AllanTest | None = Field(
+        default=None, description="five noise coefficients, from navigations with purpose: noise"
+    )
+
+    def evaluate(self, rows: Sequence[DwellRow], records: Sequence[RateRecord]) -> list[TestResult]:
+        """Results of the tests from the dwells and noise records of a run; without enough data a note."""
         results: list[TestResult] = []
         if self.turn_on_repeatability:
             results.append(_result("turn_on_repeatability", lambda: turn_on_repeatability(rows)))
@@ -65,6 +74,8 @@ class CharacteristicTests(StrictModel):
         if self.thermal_sensitivity:
             zero_c, degree = self.thermal_sensitivity.reference_c, self.thermal_sensitivity.degree
             results.append(_result("thermal_sensitivity", lambda: thermal_sensitivity(rows, zero_c, degree)))
+        if self.allan_variance:
+            results.append(_result("allan_variance", lambda: allan_test(records)))
         return results
 
 

@@ -1,12 +1,12 @@
 """Thermal sensitivities of a gyro's bias: to temperature, to its rate of change, and hysteresis.
 
-    ``b = constant + sum a_k (T - T0)^k + c dT/dt + h s / 2``
+    ``b = constant + d t + sum a_k (T - T0)^k + c dT/dt + h s / 2``
 
 with T the gyro's temperature in each dwell and s its history: a follower with play, +1 after enough cooling
 and -1 after enough heating. Its play is the nonlinear parameter. Each power cycle and each position has a
-constant. The temperature sensitivity is the slope at T0; the hysteresis is the bias after cooling less
-that after heating, at one temperature. What lags behind the temperature in proportion to its rate, as a
-gradient does, is in the ramp sensitivity.
+constant, all a common drift d. The temperature sensitivity is the slope at T0; the hysteresis is the bias
+after cooling less that after heating, at one temperature. What lags behind the temperature in proportion to
+its rate, as a gradient does, is in the ramp sensitivity.
 """
 
 from __future__ import annotations
@@ -44,10 +44,13 @@ def thermal_sensitivity(rows: Sequence[DwellRow], reference_c: float | None, deg
         if good
         else [np.zeros((0, 1))]
     )
+    if good:
+        begun_h = np.array([row.start_s for row in good]) / 3600.0
+        constants = np.column_stack([constants, begun_h - begun_h.mean()])
     lasted_s = np.array([row.end_s - row.start_s for row in good])
     away_s = np.linspace(-0.5, 0.5, _POINTS) * lasted_s[:, np.newaxis]  # from the middle of each dwell
     coefficients: list[Coefficient] = []
-    curves, notes = [], []
+    curves, notes, zeros_c = [], [], []
     for axis, gyro in enumerate(AXES):
         temperature, rate, bias, sigma = (
             np.array([getattr(row, name)[axis] for row in good])
@@ -68,8 +71,9 @@ def thermal_sensitivity(rows: Sequence[DwellRow], reference_c: float | None, deg
         states = [play_state(path_c.ravel(), each).reshape(path_c.shape).mean(axis=1) for each in widths]
         designs = np.array([np.column_stack([linear, 0.5 * state, constants]) for state in states])
         fit = profile_fit(bias, sigma, designs)
+        zeros_c.append(zero_c)
         names = (
-            (f"temperature sensitivity at {zero_c:.0f} degC", "deg/h/degC", 0),
+            ("temperature sensitivity", "deg/h/degC", 0),
             ("ramp sensitivity", "deg/h/(degC/min)", degree),
             ("hysteresis", "deg/h", degree + 1),
         )
@@ -90,6 +94,8 @@ def thermal_sensitivity(rows: Sequence[DwellRow], reference_c: float | None, deg
             )
         offset = constants @ fit.coefficients[degree + 2 :]
         curves.append(Curve.of(gyro, temperature, bias - offset, sigma, fit.fitted - offset))
+    at_c = ", ".join(f"{each:.1f}" for each in dict.fromkeys(zeros_c))
+    notes.insert(0, f"The temperature sensitivities are those at {at_c} degC.")
     return TestResult(test="thermal_sensitivity", coefficients=coefficients, curves=curves, notes=notes)
 
 

@@ -35,13 +35,13 @@ _MAX_TEMPERATURE_SPREAD_C = 1.0
 def turn_on_repeatability(rows: Sequence[DwellRow]) -> TestResult:
     """Repeatability from dwells of several power cycles (``run``).
 
-    A power cycle counts with the mean of its dwells, if it has a dwell without flags in each position and at
-    each set point in which most have one. Raises MeasurementError if fewer than two do.
+    A power cycle counts with the mean over positions and set points, if it has a dwell without flags in each
+    in which most have one. Raises MeasurementError if fewer than two do.
     """
     good = [row for row in rows if not row.flags]
-    cells = {run: Counter(_cell(row) for row in good if row.run == run) for run in _runs(good)}
-    usual = Counter(frozenset(own.items()) for own in cells.values()).most_common(1)
-    whole = [run for run, own in cells.items() if usual and frozenset(own.items()) == usual[0][0]]
+    cells = {run: frozenset(_cell(row) for row in good if row.run == run) for run in _runs(good)}
+    usual = [each for each, _ in Counter(cells.values()).most_common(1)]
+    whole = [run for run, own in cells.items() if own in usual]
     left_out = len(_runs(rows)) - len(whole)
     if len(whole) < 2:
         raise MeasurementError(
@@ -112,10 +112,15 @@ def _cell(row: DwellRow) -> tuple[str, float | None]:
 
 
 def _means(rows: Sequence[DwellRow]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Mean biases, standard uncertainties and temperatures (3,) of a power cycle's dwells, all alike."""
-    sigmas = np.array([row.sigma_dph for row in rows])
-    return (
-        np.mean([row.bias_dph for row in rows], axis=0),
-        np.sqrt((sigmas**2).sum(axis=0)) / len(rows),
-        np.mean([row.gyro_c for row in rows], axis=0),
-    )
+    """Mean biases, standard uncertainties and temperatures (3,) over the cells of a power cycle."""
+    cells: dict[tuple[str, float | None], list[DwellRow]] = {}
+    for row in rows:
+        cells.setdefault(_cell(row), []).append(row)
+    biases, variances, temperatures = [], [], []
+    for own in cells.values():
+        weights = np.array([row.sigma_dph for row in own]) ** -2.0
+        variances.append(1.0 / weights.sum(axis=0))
+        biases.append((weights * np.array([row.bias_dph for row in own])).sum(axis=0) * variances[-1])
+        temperatures.append(np.mean([row.gyro_c for row in own], axis=0))
+    sigma = np.sqrt(np.sum(variances, axis=0)) / len(cells)
+    return np.mean(biases, axis=0), sigma, np.mean(temperatures, axis=0)

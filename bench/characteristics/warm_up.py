@@ -81,9 +81,9 @@ def _fit(
     return profile_fit(bias, sigma, designs, penalties), taus
 
 
-def _mean_decay(start_s: FloatArray, end_s: FloatArray, tau_s: float) -> FloatArray:
-    """Mean of exp(-t / tau) from start to end (n,)."""
-    spans = np.maximum(end_s - start_s, 1e-3) / tau_s
+def _mean_decay(start_s: FloatArray, end_s: FloatArray, tau_s: float | FloatArray) -> FloatArray:
+    """Mean of exp(-t / tau) from start to end; 1 for an infinite time constant."""
+    spans = np.maximum((end_s - start_s) / tau_s, 1e-9)
     return np.asarray(np.exp(-start_s / tau_s) * -np.expm1(-spans) / spans)
 
 
@@ -96,7 +96,7 @@ def _of_gyro(
     end_s: FloatArray,
     within_dph: float,
 ) -> tuple[list[Coefficient], list[str]]:
-    first_s, last_s = float(start_s.min()), float(end_s.max())
+    last_s = float(end_s.max())
     taus = np.vstack([time_constants[fit.best], time_constants[fit.designs]])
     sizes = np.vstack([fit.coefficients[skipped:], fit.draws[:, skipped:]])
     times = np.linspace(0.0, _BEYOND * last_s, _TIMES)
@@ -105,11 +105,12 @@ def _of_gyro(
     last = np.where(outside.any(axis=1), _TIMES - np.argmax(outside[:, ::-1], axis=1), 0)
     settled_s = np.where(last >= _TIMES, np.inf, times[np.minimum(last, _TIMES - 1)])
     settled_s[settled_s > last_s] = np.inf
-    drop = (sizes * np.exp(-first_s / taus)).sum(axis=1)
-    larger = np.argmax(np.abs(sizes), axis=1)[:, np.newaxis]
+    decays = sizes * _mean_decay(start_s[:1], end_s[:1], taus)
+    drop = decays.sum(axis=1)
+    larger = np.argmax(np.abs(decays), axis=1)[:, np.newaxis]
     tau_s = np.take_along_axis(taus, larger, axis=1)[:, 0]
     found = [
-        interval(gyro, f"bias at {first_s:.0f} s less final bias", "deg/h", drop[0], drop[1:]),
+        interval(gyro, "first bias less final bias", "deg/h", drop[0], drop[1:]),
         interval(gyro, "time constant", "s", tau_s[0], tau_s[1:]),
         interval(gyro, f"time until within {within_dph:g} deg/h", "s", settled_s[0], settled_s[1:]),
     ]

@@ -20,9 +20,11 @@ def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
     from gyrobench.bench.characteristics.results import read_characteristics
     from gyrobench.bench.engine.evaluation import recompute_run
     from gyrobench.bench.report.characteristics import characteristics_tables
+    from gyrobench.bench.report.coefficients import coefficients_tables, has_rotations
     from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.runs.tables.budget_table import budget_records, read_budget
     from gyrobench.bench.runs.tables.calibration_check_table import read_calibration_check
+    from gyrobench.bench.runs.tables.coefficient_table import read_coefficients
 
     folder = recompute_run(run_folder)
     check_path = folder.calibration_check
@@ -41,6 +43,9 @@ def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
         return
     terminal = console()
     print_biases(terminal, read_bins(folder.bias_bins), check, read_acceptance(folder.acceptance))
+    rows = read_coefficients(folder.coefficients) if folder.coefficients.exists() else []
+    if has_rotations(rows):
+        terminal.print(coefficients_tables(rows))
     if folder.characteristics.exists():
         terminal.print(characteristics_tables(read_characteristics(folder.characteristics)))
     results = (
@@ -48,6 +53,8 @@ def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
         folder.budget,
         folder.joint,
         folder.joint_biases,
+        folder.coefficients,
+        folder.correlations,
         folder.noise,
         folder.characteristics,
         folder.calibration_check,

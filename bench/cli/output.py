@@ -133,6 +133,7 @@ def print_end(
     """
     from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN
     from gyrobench.bench.report.characteristics import characteristics_tables
+    from gyrobench.bench.report.coefficients import coefficients_tables, has_rotations
     from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.report.statements import latitude_sentence
     from gyrobench.bench.report.terminal.tables import durations_table
@@ -145,6 +146,9 @@ def print_end(
     report = write_report(folder)
     results = outcome.results
     print_biases(console, results.bins, results.calibration_check, results.acceptance)
+    rows = [row for plateau in results.coefficients for row in plateau.rows()]
+    if has_rotations(rows):
+        console.print(coefficients_tables(rows))
     if results.characteristics:
         console.print(characteristics_tables(results.characteristics))
     rate = results.up_rate

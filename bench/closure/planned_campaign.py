@@ -118,7 +118,7 @@ def _navigations(steps: Sequence[PlannedStep]) -> Iterator[_Navigation]:
     run, power_on_s = -1, 0.0
     for dwell, group in itertools.groupby(steps, key=lambda planned: planned.dwell):
         members = list(group)
-        if dwell is None or members[0].is_rotated:
+        if dwell is None or not members[0].gives_bias:
             for planned in members:
                 if isinstance(planned.step, PowerOn):
                     run, power_on_s = run + 1, planned.start_s

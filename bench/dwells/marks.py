@@ -19,6 +19,8 @@ from gyrobench.bench.navigation.positions import POSITIONS
 
 #: What the journal calls :attr:`DwellMarks.is_calibration_check`.
 _CHECK_IN_JOURNAL = "is_verification"
+#: Attributes that the journal has only where they are true.
+_LATER = ("is_rotated", "is_noise_record")
 _AS_WRITTEN = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
@@ -71,8 +73,14 @@ class DwellMarks:
     align_s: float = 0.0  #: How long the alignment took.
     #: Whether the unit was rotated about the table's axes between the windows: it gives no bias by itself.
     is_rotated: bool = False
+    is_noise_record: bool = False  #: Whether it is one long navigation for the gyros' noise.
     #: What went wrong while it lasted; a disturbed dwell is kept out of the bins.
     disturbances: tuple[str, ...] = ()
+
+    @property
+    def gives_bias(self) -> bool:
+        """Whether the dwell measures gyro biases."""
+        return not (self.is_rotated or self.is_noise_record)
 
     @property
     def frame_count(self) -> int:
@@ -83,8 +91,9 @@ class DwellMarks:
         """Plain data for the journal."""
         data = asdict(self)
         data[_CHECK_IN_JOURNAL] = data.pop("is_calibration_check")
-        if not self.is_rotated:
-            del data["is_rotated"]
+        for name in _LATER:
+            if not data[name]:
+                del data[name]
         return data
 
     @classmethod
@@ -97,7 +106,7 @@ class DwellMarks:
                 f"{'.'.join(map(str, each['loc']))}: {each['msg']}" for each in error.errors()
             )
             raise RunFolderError(f"damaged marks of a dwell: {problems}") from error
-        lacking = {each.name for each in fields(cls)} - {"is_rotated"} - set(_named(data))
+        lacking = {each.name for each in fields(cls)} - {*_LATER} - set(_named(data))
         ends = [frame for window in marks.windows for frame in (window.first_frame, window.end_frame)]
         if lacking or marks.position not in POSITIONS or min(ends, default=0) < 0 or ends != sorted(ends):
             raise RunFolderError(

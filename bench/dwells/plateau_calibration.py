@@ -22,7 +22,7 @@ from gyrobench.bench.bias.joint_solution import JointDwell, JointSolution
 from gyrobench.bench.bias.statistics import chi2_p_value
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, Coefficient, CoefficientEstimate
 from gyrobench.bench.calibration.error_split import rotation_parts
-from gyrobench.bench.calibration.estimator import Calibration, CalibrationOptions, calibrate
+from gyrobench.bench.calibration.estimator import Calibration, CalibrationOptions, Information, calibrate
 from gyrobench.bench.calibration.joint_coefficients import joint_coefficients
 from gyrobench.bench.calibration.recording import MIN_REST_TOTAL_S, IncrementRecording, Rest
 from gyrobench.bench.calibration.results import coefficient_rows
@@ -32,7 +32,7 @@ from gyrobench.bench.dwells.temperatures import dwell_temperatures, triple
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vectors
-from gyrobench.bench.navigation.earth import curvature_radii, earth_rate_enu
+from gyrobench.bench.navigation.earth import EARTH_RATE, curvature_radii
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow
@@ -56,8 +56,8 @@ class PlateauRotations:
     gyro_rate_c_per_h: Triple = NOT_MEASURED  #: Their slopes.
     calibration: Calibration | None = None  #: None where there is a ``finding``, which says why.
     finding: str = ""
-    #: Shape (21,). Expected standard uncertainties, SI, if the INS sent specific forces; None where it does.
-    sigmas_with_force: FloatArray | None = None
+    #: As uncertain as if the INS sent specific forces; None where it does.
+    with_force: CoefficientEstimate | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +72,8 @@ class PlateauCalibration:
     case_c: float
     estimate: CoefficientEstimate | None  #: Of dwells and rotations together; None without either.
     finding: str = ""  #: Why the rotations give nothing, or that they contradict the dwells.
+    #: As uncertain as if the INS sent specific forces; None where it does.
+    with_force: CoefficientEstimate | None = None
     rotations: PlateauRotations | None = None  #: None where there are none.
     #: Declared standard uncertainties, SI, by key of :data:`gyrobench.bench.bias.budget.SOURCES`.
     inputs: Mapping[str, float] = field(default_factory=dict)
@@ -110,8 +112,8 @@ class PlateauCalibration:
         """Rows of ``coefficients.csv``; without values where there is no estimate."""
         estimate = self.estimate or CoefficientEstimate(np.zeros(COUNT), np.eye(COUNT), np.zeros(COUNT, bool))
         with_force = np.full(COUNT, np.nan)
-        if self.rotations is not None and self.rotations.sigmas_with_force is not None:
-            with_force = self.rotations.sigmas_with_force * [each.per_si for each in estimate.coefficients]
+        if self.with_force is not None:
+            with_force = self.with_force.sigmas * [each.per_si for each in estimate.coefficients]
         rates = NOT_MEASURED if self.rotations is None else self.rotations.gyro_rate_c_per_h
         return [
             PlateauCoefficientRow(
@@ -178,7 +180,7 @@ def _plateau(
     cases_c: Mapping[int, float],
     setup: MeasurementSetup,
 ) -> PlateauCalibration:
-    estimates, finding = [], ""
+    estimates, finding, with_force = [], "", None
     gyro_c, case_c = NOT_MEASURED, math.nan
     cycle, set_c = 0, None
     if solution is not None:
@@ -192,13 +194,15 @@ def _plateau(
         if rotations.calibration is not None:
             estimates.append(rotations.calibration)
             gyro_c, case_c = rotations.gyro_c, rotations.case_c
+            if rotations.with_force is not None:
+                with_force = _combined([*estimates[:-1], rotations.with_force])
     if len(estimates) > 1 and (p_value := _agreement(*estimates)) < _MIN_P_VALUE:
         finding = f"dwells and rotations contradict each other (p = {p_value:.1g})"
     estimate = _combined(estimates) if estimates else None
     chamber_set_c = math.nan if set_c is None else set_c
     inputs = {"latitude": setup.prior.latitude, "table_return": setup.table_repeatability}
     return PlateauCalibration(
-        number, cycle, chamber_set_c, gyro_c, case_c, estimate, finding, rotations, inputs
+        number, cycle, chamber_set_c, gyro_c, case_c, estimate, finding, with_force, rotations, inputs
     )
 
 
@@ -255,13 +259,20 @@ def calibrate_rotations(
         found = calibrate(recordings, setup.site, options, rests)
         with_force = None
         if not all(each.has_vertical for each in recordings):
-            assumed = [replace(each, has_vertical=True) for each in recordings]
-            with_force = calibrate(assumed, setup.site, options, rests).sigmas
+            with_force = _with_force(found, setup.site, options)
     except MeasurementError as error:
         return replace(rotations, finding=f"the rotations give no coefficients: {error}")
     # The increments themselves are of no more use.
-    found = replace(found, recordings=(), parts=rotation_parts(found, setup.site, options))
-    return replace(rotations, calibration=found, sigmas_with_force=with_force)
+    found = replace(found, recordings=(), sections=(), parts=rotation_parts(found, setup.site, options))
+    return replace(rotations, calibration=found, with_force=with_force)
+
+
+def _with_force(found: Calibration, site: Site, options: CalibrationOptions) -> CoefficientEstimate:
+    """The same estimate as uncertain as it would be if the vertical specific force were measured."""
+    sections = [replace(each, epochs=replace(each.epochs, has_vertical=True)) for each in found.sections]
+    information = Information.of(sections, found.starts, found.unknowns, found.noise, site, options)
+    _, covariance, is_observed = information.solve()
+    return CoefficientEstimate(found.values, covariance[:COUNT, :COUNT], is_observed[:COUNT])
 
 
 def _measured(
@@ -308,7 +319,9 @@ def navigated_increments(navigation: NavigationData, site: Site) -> Increments:
     east, north = (0.5 * (velocity[1:] + velocity[:-1])).T
     meridian, across = curvature_radii(site.latitude, site.height)
     transport = np.stack([-north / meridian, east / across, east * np.tan(site.latitude) / across], axis=-1)
-    earth = earth_rate_enu(site.latitude)
+    # Where the INS takes itself to be: in hours its drift changes the Earth's rate that it subtracts.
+    latitude = site.latitude + np.cumsum(north) * interval_s / meridian
+    earth = EARTH_RATE * np.stack([np.zeros_like(latitude), np.cos(latitude), np.sin(latitude)], axis=-1)
     turned, half = (rotation_matrices(part * (earth + transport) * interval_s) for part in (1.0, 0.5))
     angle = rotation_vectors(C_nb[:-1].transpose(0, 2, 1) @ turned @ C_nb[1:])
     force = np.cross(2.0 * earth + transport, np.stack([east, north, np.zeros_like(east)], axis=-1))
@@ -316,11 +329,16 @@ def navigated_increments(navigation: NavigationData, site: Site) -> Increments:
     force[:, 2] = site.gravity
     in_body = np.einsum("nji,njk,nk->ni", C_nb[:-1], half, force * interval_s)
     turning = np.cross(angle, in_body)
+    sums = in_body - 0.5 * turning + np.cross(angle, turning) / 12.0
+    # Rotation vectors and velocities hold coning and sculling, which increments of sensors do not.
+    last = np.maximum(np.arange(len(angle)) - 1, 0)
+    coning = np.cross(angle[last], angle) / 12.0
+    sculling = (np.cross(angle[last], sums) + np.cross(sums[last], angle)) / 12.0
     steady = np.abs(np.diff(time_s) / interval_s - 1.0) < _MAX_STEP_ERROR
     return Increments(
         row=navigation.row[1:],
-        angle=angle,
-        velocity=in_body - 0.5 * turning + np.cross(angle, turning) / 6.0,
+        angle=angle - coning,
+        velocity=sums - sculling,
         follows=steady,
         interval_s=interval_s,
     )

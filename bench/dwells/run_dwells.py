@@ -20,11 +20,13 @@ from gyrobench.bench.bias.noise_estimate import NoiseEstimate, estimate_noise
 from gyrobench.bench.bias.plateaus import PlannedDwell, group_plateaus
 from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits, write_acceptance
 from gyrobench.bench.bias.vertical_pairs import UpRate
+from gyrobench.bench.characteristics.allan_test import RateRecord
 from gyrobench.bench.characteristics.results import TestResult, write_characteristics
 from gyrobench.bench.dwells.check_dwell import CheckDwell, measure_check_dwell
 from gyrobench.bench.dwells.dwell import MeasuredDwell, MeasurementSetup, measure_dwell
 from gyrobench.bench.dwells.latitude import with_latitude
 from gyrobench.bench.dwells.marks import DwellMarks
+from gyrobench.bench.dwells.noise_record import rate_record
 from gyrobench.bench.dwells.plateau_calibration import PlateauCalibration
 from gyrobench.bench.dwells.temperatures import stuck_sensors
 from gyrobench.bench.foundations.errors import MeasurementError, RunFolderError
@@ -66,7 +68,7 @@ def replay(folder: RunFolder, setup: MeasurementSetup) -> tuple[list[MeasuredDwe
 
 
 def _recorded(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:
-    finished = [marks for marks in finished_marks(folder) if not marks.is_rotated]
+    finished = [marks for marks in finished_marks(folder) if marks.gives_bias]
     parts = [marks.log_part for marks in finished if marks.windows]
     if len(set(parts)) < len(parts):
         raise RunFolderError(f"{folder.journal}: damaged: it places two dwells in one part of the log")
@@ -79,6 +81,15 @@ def rotated(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:
     for marks in finished_marks(folder):
         if marks.is_rotated and not marks.disturbances:
             yield marks, read_frames(folder, marks)
+
+
+def noise_records(folder: RunFolder, setup: MeasurementSetup) -> list[RateRecord]:
+    """Gyro rates of the finished noise records that nothing disturbed; raises as :func:`replay`."""
+    return [
+        rate_record(marks, read_frames(folder, marks), setup)
+        for marks in finished_marks(folder)
+        if marks.is_noise_record and not marks.disturbances
+    ]
 
 
 def finished_marks(folder: RunFolder) -> list[DwellMarks]:
@@ -151,7 +162,7 @@ def add_dwell(dwells: list[MeasuredDwell], measured: MeasuredDwell) -> None:
 
     A temperature sensor that turns out to be stuck flags the dwells since it is, earlier ones too.
     """
-    dwells.append(measured)
+    dwells.append(replace(measured, paper=None))  # the row has its results
     for index, flag in stuck_sensors([each.row for each in dwells]):
         row = dwells[index].row
         if flag not in row.flags:
@@ -263,7 +274,7 @@ def planned_dwells(plan: Plan) -> list[PlannedDwell]:
     """Dwells of a plan that measure biases, in order, at the temperatures estimated for their beginning."""
     first: dict[int, PlannedStep] = {}
     for step in plan.steps:
-        if step.dwell is not None and not (step.is_calibration_check or step.is_rotated):
+        if step.dwell is not None and step.gives_bias and not step.is_calibration_check:
             first.setdefault(step.dwell, step)
     return [
         PlannedDwell(

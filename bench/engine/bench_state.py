@@ -49,6 +49,7 @@ class RunPosition:
     cycle: int = 1  #: temperature cycle
     is_calibration_check: bool = False  #: the dwell checks a calibration
     is_rotated: bool = False  #: the dwell rotates about the table's axes
+    is_noise_record: bool = False  #: the dwell records the gyros' noise
     unit: str = ""  #: serial number of the INS; empty before it is known
     power_ons: int = 0  #: how often the INS was switched on
     powered_s: float = 0.0  #: when it was switched on last, on the run's clock
@@ -101,6 +102,7 @@ class BenchState:
             cycle=planned.cycle,
             is_calibration_check=planned.is_calibration_check,
             is_rotated=planned.is_rotated,
+            is_noise_record=planned.is_noise_record,
         )
 
     # chamber

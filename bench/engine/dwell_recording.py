@@ -127,6 +127,7 @@ class DwellRecorder:
             chamber_c=float(np.mean(chamber_c)) if chamber_c else None,
             is_calibration_check=at.is_calibration_check,
             is_rotated=at.is_rotated,
+            is_noise_record=at.is_noise_record,
             align_s=round(self._start_s - self._align_begin_s, 6),
             disturbances=tuple(self._disturbances),
         )
@@ -161,8 +162,8 @@ class DwellLedger:
         run = self._run
         marks = self._recorder.marks()
         frames = self._bench.end_capture()
-        if marks.is_rotated:
-            return self._finish_rotations(marks)
+        if not marks.gives_bias:
+            return self._finish_recorded(marks)
         measure = measure_check_dwell if marks.is_calibration_check else measure_dwell
         measured = measure(marks, frames, run.setup)
         is_map_wrong = bool(measured.signal_fault) and (self._contradicted or not self._has_agreed())
@@ -187,15 +188,15 @@ class DwellLedger:
             raise SignalMapError(measured.signal_fault)
         return True
 
-    def _finish_rotations(self, marks: DwellMarks) -> bool:
+    def _finish_recorded(self, marks: DwellMarks) -> bool:
         run, flags = self._run, "; ".join(marks.disturbances)
         if flags and self.may_repeat(marks.dwell):
             self._repeat(marks.dwell, flags, counts=True)
             return False
         run.journal.record("dwell_finished", marks=marks.to_json(), flags=flags)
         run.state.finished.add(marks.dwell)
-        count = len(marks.windows) - 1
-        run.observers.noted(f"{count} rotations from {marks.position}: {flags or 'recorded'}")
+        what = f"{len(marks.windows) - 1} rotations from" if marks.is_rotated else "noise in"
+        run.observers.noted(f"{what} {marks.position}: {flags or 'recorded'}")
         return True
 
     def _has_agreed(self) -> bool:

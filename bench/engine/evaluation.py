@@ -13,6 +13,7 @@ from gyrobench.bench.dwells.plateau_calibration import calibrate_plateaus
 from gyrobench.bench.dwells.run_dwells import (
     RunResults,
     evaluate,
+    noise_records,
     planned_dwells,
     replay,
     rotated,
@@ -45,9 +46,9 @@ def evaluate_run(
     )
     rows = [dwell.row for dwell in results.dwells]
     coefficients = calibrate_plateaus(results.joint, rows, rotated(folder), setup)
-    results = replace(results, coefficients=coefficients)
-    if procedure.tests:
-        results = replace(results, characteristics=procedure.tests.evaluate(rows))
+    records = noise_records(folder, setup) if procedure.tests.allan_variance else []
+    characteristics = procedure.tests.evaluate(rows, records)
+    results = replace(results, coefficients=coefficients, characteristics=characteristics)
     if results.dwells:
         write_dwells(folder.dwells, rows)
     write_results(folder, results)

@@ -39,7 +39,9 @@ class DwellPattern:
     @classmethod
     def of(cls, plan: Plan) -> DwellPattern:
         """The most frequent dwell of a plan. Raises DocumentError if it has none that measures a bias."""
-        measuring = [each for each in plan.steps if each.dwell and not each.is_calibration_check]
+        measuring = [
+            each for each in plan.steps if each.dwell and each.gives_bias and not each.is_calibration_check
+        ]
         if not measuring:
             raise DocumentError(f"{plan.procedure.procedure}: has no dwells that blocks could repeat")
         dwells = [tuple(steps) for _, steps in groupby(measuring, key=lambda each: each.dwell)]

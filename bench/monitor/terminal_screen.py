@@ -16,6 +16,7 @@ from gyrobench.bench.monitor.snapshot import (
     RunSnapshot,
     RunState,
     WindowTrace,
+    mean_known,
 )
 from gyrobench.bench.monitor.terminal_plot import Curve, axes_drawing, plot
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
@@ -206,27 +207,37 @@ def dwell_graphs(snapshot: RunSnapshot, width: int, height: int, is_ascii: bool)
 
 
 def bins_table(snapshot: RunSnapshot, height: int, plus_minus: str) -> list[Text]:
-    """The X gyro's bins nearest to its temperature; no lines while all are empty."""
-    bins = [each for each in snapshot.bins if each.gyro == "x"]
-    filled = {(each.low_c, each.high_c) for each in bins if each.count}
-    if not filled or height < 2:
+    """The bins nearest to the temperature of the gyros, all three in each; no lines while all are empty."""
+    filled = _filled(snapshot)
+    if not filled or height <= len(AXES):
         return []
-    now_c = snapshot.bench.gyro_c[0] if snapshot.bench else math.nan
-    nearest = sorted(filled, key=lambda ends: abs(ends[0] - now_c) if math.isfinite(now_c) else ends[0])
-    positions = [name for name in POSITIONS if any(each.position == name for each in bins)]
-    head = f"{'x gyro, C':<{_BIN_LABEL_WIDTH}}" + "".join(f"{name:>{_BIN_WIDTH}}" for name in positions)
-    rows = [_bin_row(bins, ends, positions, plus_minus) for ends in sorted(nearest[: height - 1])]
+    now_c = mean_known(snapshot.bench.gyro_c) if snapshot.bench else math.nan
+    nearest = sorted(
+        filled, key=lambda ends: abs(sum(ends) / 2.0 - now_c) if math.isfinite(now_c) else ends[0]
+    )
+    positions = [name for name in POSITIONS if any(each.position == name for each in snapshot.bins)]
+    head = f"{'gyro, C':<{_BIN_LABEL_WIDTH}}" + "".join(f"{name:>{_BIN_WIDTH}}" for name in positions)
+    shown = sorted(nearest[: (height - 1) // len(AXES)])
+    rows = [_bin_row(snapshot.bins, gyro, ends, positions, plus_minus) for ends in shown for gyro in AXES]
     return [Text(head, "dim"), *rows]
 
 
+def _filled(snapshot: RunSnapshot) -> set[tuple[float, float]]:
+    """Ends of the bins with a dwell."""
+    return {(each.low_c, each.high_c) for each in snapshot.bins if each.count}
+
+
 def _bin_row(
-    bins: Sequence[LiveBin], ends: tuple[float, float], positions: Sequence[str], plus_minus: str
+    bins: Sequence[LiveBin], gyro: str, ends: tuple[float, float], positions: Sequence[str], plus_minus: str
 ) -> Text:
-    row = Text(f"{f'{ends[0]:g}..{ends[1]:g}':<{_BIN_LABEL_WIDTH}}")
+    row = Text(f"{f'{gyro} {ends[0]:g}..{ends[1]:g}':<{_BIN_LABEL_WIDTH}}")
+    of_gyro = {
+        each.position: each for each in bins if each.gyro == gyro and each.low_c == ends[0] and each.count
+    }
     for name in positions:
-        (one,) = (each for each in bins if each.position == name and each.low_c == ends[0])
-        text = f"{1e3 * one.bias_dph:z.1f}{plus_minus}{1e3 * one.sigma_dph:.1f}" if one.count else "."
-        row.append(f"{text:>{_BIN_WIDTH}}", "" if one.count else "dim")
+        one = of_gyro.get(name)
+        text = f"{1e3 * one.bias_dph:z.1f}{plus_minus}{1e3 * one.sigma_dph:.1f}" if one else "."
+        row.append(f"{text:>{_BIN_WIDTH}}", "" if one else "dim")
     return row
 
 
@@ -267,9 +278,9 @@ def _beside(blocks: Sequence[Sequence[Text]], widths: Sequence[int], height: int
     return lines
 
 
-MAX_WIDTH, MAX_HEIGHT = 80, 40
+MAX_WIDTH, MAX_HEIGHT = 240, 80
 #: Least and most rows of what can be drawn larger or smaller.
-_PROFILE_ROWS, _DWELL_ROWS, _BIN_ROWS = (6, 11), (7, 11), (2, 9)
+_PROFILE_ROWS, _DWELL_ROWS, _MIN_BIN_ROWS = (5, 22), (6, 18), 4
 _MAX_MESSAGE_ROWS = 5
 
 
@@ -303,11 +314,11 @@ def screen(snapshot: RunSnapshot, width: int, height: int, is_ascii: bool) -> li
 
 def _shares(room: int, snapshot: RunSnapshot) -> dict[str, int]:
     """Rows of each part: first the minimum of each, in the order of importance, then up to its maximum."""
-    filled = len({each.low_c for each in snapshot.bins if each.count and each.gyro == "x"})
+    filled = len(_filled(snapshot))
     row_limits = {
         "profile": _PROFILE_ROWS,
         "dwell": _DWELL_ROWS,
-        "bins": (_BIN_ROWS[0], min(_BIN_ROWS[1], 1 + filled)) if filled else (0, 0),
+        "bins": (_MIN_BIN_ROWS, 1 + len(AXES) * filled) if filled else (0, 0),
         "sigma": (1, 1) if snapshot.dwell and len(snapshot.dwell.estimates) > 1 else (0, 0),
         "messages": (min(1, len(snapshot.messages)), min(_MAX_MESSAGE_ROWS, len(snapshot.messages))),
     }

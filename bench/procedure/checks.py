@@ -150,7 +150,7 @@ def _table_problems(planned: PlannedStep, limits: StationLimits) -> Iterator[Pro
 
 def _test_problems(plan: Plan) -> Iterator[Problem]:
     tests = plan.procedure.tests
-    if tests and tests.turn_on_repeatability:
+    if tests.turn_on_repeatability:
         least = tests.turn_on_repeatability.min_power_cycles
         power_ons = itertools.accumulate(isinstance(each.step, PowerOn) for each in plan.steps)
         cycles = {number for number, each in zip(power_ons, plan.steps, strict=True) if each.dwell}
@@ -178,7 +178,8 @@ def find_dwell_problems(plan: Plan) -> Iterator[Problem]:
             yield from _mixed_with_rotations(group)
             continue
         turns = [planned for planned in group if isinstance(planned.step, Turn)]
-        kind_problems = _turned_check if group[0].is_calibration_check else _one_sided
+        is_single = group[0].is_calibration_check or group[0].is_noise_record
+        kind_problems = _turned_check if is_single else _one_sided
         yield from kind_problems(windows, [*turns, *_turn_that_follows(plan, group[-1])])
         yield from _until_without_turn(windows)
         yield from _not_turned_between(group)
@@ -227,10 +228,11 @@ def _turned_check(windows: Sequence[PlannedStep], turns: Sequence[PlannedStep]) 
     if not turns:
         return
     for window in windows:
-        if isinstance(window.step, Navigate) and window.step.purpose == "calibration_check":
+        if isinstance(window.step, Navigate) and window.step.purpose != "calibration":
+            name = "a calibration check" if window.step.purpose == "calibration_check" else "a noise record"
             yield Problem(
                 window.place_of("purpose"),
-                "a calibration check is one navigation directly after the alignment, without a turn before "
+                f"{name} is one navigation directly after the alignment, without a turn before "
                 "or after it. Leave purpose out, or replace the turn by go_to and align",
             )
 
@@ -268,8 +270,8 @@ def _not_turned_between(dwell: Sequence[PlannedStep]) -> Iterator[Problem]:
 
 def _turn_advice(moves: Sequence[PlannedStep]) -> str:
     """What to do about two navigations in succession: one alone gives a bias only in a calibration check."""
-    if moves[0].is_calibration_check:
-        return "a calibration check has a single one. Make it longer, or put go_to and align between them"
+    if moves[0].is_calibration_check or moves[0].is_noise_record:
+        return "such a dwell has a single one. Make it longer, or put go_to and align between them"
     has_turn = any(isinstance(planned.step, Turn) for planned in moves)
     return "Put a turn between them" + (", or make one longer" if has_turn else "")
 

@@ -59,8 +59,15 @@ class PlannedStep:
     is_calibration_check: bool = False
     #: Whether its dwell rotates about the table's axes: it gives no bias.
     is_rotated: bool = False
+    #: Whether its dwell is one long navigation for the gyros' noise: it gives no bias.
+    is_noise_record: bool = False
     #: Places of the values that came from loop variables, by their keys.
     value_places: Mapping[Location, Location] = field(default_factory=dict, repr=False)
+
+    @property
+    def gives_bias(self) -> bool:
+        """Whether its dwell measures gyro biases."""
+        return not (self.is_rotated or self.is_noise_record)
 
     @property
     def end_s(self) -> float:
@@ -181,15 +188,16 @@ def _groups(steps: Sequence[PlannedStep]) -> Iterator[list[PlannedStep]]:
 def _as_dwell(group: Sequence[PlannedStep], dwell: int) -> Iterator[PlannedStep]:
     windows = itertools.count()
     steps = [planned.step for planned in group]
-    verifies = any(isinstance(step, Navigate) and step.purpose == "calibration_check" for step in steps)
+    purposes = {step.purpose for step in steps if isinstance(step, Navigate)}
     for planned in group:
         yield replace(
             planned,
             dwell=dwell,
             phase=_PHASES[type(planned.step)],
             window=next(windows) if isinstance(planned.step, Navigate) else None,
-            is_calibration_check=verifies,
+            is_calibration_check="calibration_check" in purposes,
             is_rotated=any(isinstance(step, RotatingStep) for step in steps),
+            is_noise_record="noise" in purposes,
         )
 
 

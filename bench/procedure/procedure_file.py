@@ -128,8 +128,9 @@ class Procedure(StrictModel):
     acceptance: AcceptanceLimits | None = Field(
         default=None, description="limits of the gyros; without them the unit is not judged"
     )
-    tests: CharacteristicTests | None = Field(
-        default=None, description="characteristics to determine from the dwells, beyond biases"
+    tests: CharacteristicTests = Field(
+        default=CharacteristicTests(),
+        description="characteristics to determine from the dwells, beyond biases",
     )
     disturbed_dwell: Literal["repeat", "flag"] = Field(
         default="repeat", description="what to do with a dwell that a fault disturbed"

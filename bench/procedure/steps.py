@@ -275,9 +275,10 @@ class Navigate(Step):
     at_most_s: Duration | None = Field(
         default=None, description="with until: continue after this time in any case, s"
     )
-    purpose: Literal["calibration", "calibration_check"] = Field(
+    purpose: Literal["calibration", "calibration_check", "noise"] = Field(
         default="calibration",
-        description="calibration_check: one navigation straight from the alignment, without a turn",
+        description="calibration_check, noise: one navigation straight from the alignment, without a turn; "
+        "noise: gives no bias, but the gyros' Allan variance",
     )
 
     @model_validator(mode="after")
@@ -314,7 +315,8 @@ class Navigate(Step):
         if self.until:
             sigma = f"{self.until.bias_sigma_below_dph:g} deg/h"
             time = f"navigate until bias sigma below {sigma}, {span(self.max_duration_s)} at most"
-        return time if self.purpose == "calibration" else f"{time} for a calibration check"
+        purposes = {"calibration": "", "calibration_check": " for a calibration check", "noise": " for noise"}
+        return f"{time}{purposes[self.purpose]}"
 
 
 class Turn(Step):

@@ -9,7 +9,6 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from gyrobench.bench.characteristics.results import Coefficient, TestName, TestResult
-from gyrobench.bench.navigation.positions import gyro_label
 from gyrobench.bench.report.figures.characteristics import characteristics_figure
 from gyrobench.bench.report.page import Section, SectionFigure, SectionTable
 from gyrobench.bench.report.terminal.tables import titled_table
@@ -18,6 +17,7 @@ _TITLES: dict[TestName, str] = {
     "turn_on_repeatability": "Turn-on repeatability",
     "warm_up": "Warm-up",
     "thermal_sensitivity": "Thermal sensitivities",
+    "allan_variance": "Allan variance",
 }
 _TEXTS: dict[TestName, str] = {
     "turn_on_repeatability": "Scatter of each gyro's bias from power cycle to power cycle, beyond the "
@@ -26,6 +26,8 @@ _TEXTS: dict[TestName, str] = {
     "thermal_sensitivity": "Bias against the gyro's temperature, its rate of change, and whether it came "
     "from below or above, fitted together. Hysteresis: bias after cooling less bias after heating. What lags "
     "behind the temperature in proportion to its rate, as a gradient does, is in the ramp sensitivity.",
+    "allan_variance": "Noise of each gyro in a long navigation at rest, from the rates that attitude and "
+    "velocity of the INS imply. The intervals are those of chi-squared with effective degrees of freedom.",
 }
 _HEADER = ("coefficient", "gyro", "unit", "value", "95 % interval")
 _DIGITS = 3
@@ -69,8 +71,7 @@ def _rows(result: TestResult) -> list[list[str]]:
     names = list(dict.fromkeys((each.name, each.unit) for each in result.coefficients))
     ordered = sorted(result.coefficients, key=lambda each: names.index((each.name, each.unit)))
     return [
-        [each.name, gyro_label(each.gyro), each.unit, _number(each.value), _interval(each)]
-        for each in ordered
+        [each.name, each.gyro.upper(), each.unit, _number(each.value), _interval(each)] for each in ordered
     ]
 
 

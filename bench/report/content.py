@@ -24,6 +24,7 @@ from gyrobench.bench.runs.journal import RunFacts, facts_of, read_journal
 from gyrobench.bench.runs.provenance import read_provenance
 from gyrobench.bench.runs.tables.budget_table import BudgetRow, read_budget
 from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow, read_calibration_check
+from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, read_coefficients
 from gyrobench.bench.runs.tables.joint_table import (
     JointBiasRow,
     JointPlateauRow,
@@ -62,6 +63,7 @@ class RunContent:
     noise: NoiseEstimate | None = None
     budget: list[BudgetRow] = field(default_factory=list)  #: Uncertainty budgets; empty where missing.
     verification: list[CalibrationCheckRow] = field(default_factory=list)
+    coefficients: list[PlateauCoefficientRow] = field(default_factory=list)  #: Of the sensors.
     characteristics: list[TestResult] = field(default_factory=list)  #: Results of the procedure's tests.
     acceptance: Acceptance | None = None  #: Verdict on the unit, or None.
     #: Results of the search for effects and of the verification on these dwells.
@@ -136,6 +138,7 @@ def read_run(folder: RunFolder) -> RunContent:
         budget=read(folder.budget, read_budget, [], is_optional=True),
         noise=read(folder.noise, read_noise, None, is_optional=True),
         verification=verification,
+        coefficients=read(folder.coefficients, read_coefficients, [], is_optional=True),
         characteristics=read(folder.characteristics, read_characteristics, [], is_optional=True),
         acceptance=read(folder.acceptance, read_acceptance, None, is_optional=True),
         chapters=_chapters(folder, problems),

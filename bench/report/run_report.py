@@ -37,6 +37,7 @@ from gyrobench.bench.report.bias_sections import (
 from gyrobench.bench.report.budget_section import CAPTION, budget_box, budget_section, shares
 from gyrobench.bench.report.calibration_check import dwells_text, verification_section, verification_sentence
 from gyrobench.bench.report.characteristics import characteristics_sections
+from gyrobench.bench.report.coefficients import coefficients_section
 from gyrobench.bench.report.content import SIMULATED, Entry, RunContent, read_run
 from gyrobench.bench.report.estimator_sections import (
     estimators_note,
@@ -143,6 +144,7 @@ def _figures_key(content: RunContent, before: RunContent | None, marked_c: Seque
         content.acceptance,
         content.noise,
         shares(content.budget),
+        content.coefficients,
         content.characteristics,
         before.bins if before else None,
     )
@@ -221,6 +223,7 @@ def _with_hashes(folder: RunFolder) -> tuple[RunContent, list[DataHash]]:
 def _analysis_sections(content: RunContent, marked_c: Sequence[float]) -> list[Section]:
     """Sections that this run has data for."""
     sections = [
+        coefficients_section(content.coefficients),
         *characteristics_sections(content.characteristics),
         budget_section(content.budget),
         estimators_section(content.dwells, marked_c),

@@ -155,7 +155,7 @@ _TIME_DECIMALS = 9
 _STAMP_DECIMALS = 6
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class EpochCounts:
     """Counts of irregular epochs."""
 

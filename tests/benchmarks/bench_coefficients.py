@@ -15,6 +15,7 @@ from gyrobench.bench.calibration.recording import IncrementRecording
 from gyrobench.bench.calibration.rotation_list import forecast, load_rotation_list
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.navigation.error_model import Site
+from tests.bench.calibration.navigated_unit import WALKS, any_unit, rotated, six_dwells, truth
 from tests.bench.calibration.rotated_unit import Noise, Unit
 from tests.bench.calibration.test_rotation_list import NAMES, NOISE, SHOWN, TABLE
 
@@ -71,3 +72,33 @@ def test_rms_over_the_cramer_rao_bound_and_coverage():
     )
     assert ratio < 1.05
     assert 0.93 < coverage < 0.97
+
+
+@pytest.mark.parametrize("latitude_deg", [5, 31, 45, 67, -34])
+@pytest.mark.parametrize("what", ["six dwells", "eighteen rotations"])
+def test_navigation_output_gives_what_its_information_allows(what, latitude_deg):
+    rotations = load_rotation_list(find_document("rotations", "eighteen_rotations"))
+    random, site = np.random.default_rng(7), Site(np.deg2rad(latitude_deg), 60.0)
+    heading = CalibrationOptions(walks=WALKS, table=(1e3, np.pi / 648000.0))
+    deviations, normalised, bounds = [], [], []
+    for _ in range(max(4, RUNS // 5)):
+        unit = any_unit(random)
+        if what == "six dwells":
+            recordings, rests = six_dwells(unit, latitude_deg, random)
+        else:
+            recordings, rests = rotated(unit, latitude_deg, random, rotations)
+        found = calibrate(recordings, site, heading, rests)
+        deviations.append(np.where(found.is_observed, found.values - truth(unit), np.nan))
+        bounds.append(found.sigmas)
+        normalised.append(deviations[-1] / found.sigmas)
+    bound = np.mean(bounds, axis=0)
+    seen = np.isfinite(deviations).all(axis=0)
+    rms = np.sqrt(np.mean(np.array(deviations)[:, seen] ** 2, axis=0))
+    ratio = np.sqrt(np.mean((rms / bound[seen]) ** 2))
+    coverage = np.mean(np.abs(np.array(normalised)[:, seen]) < 1.96)
+    print(f"\n{what}, {latitude_deg} deg: rms / bound {ratio:.3f}, 95 % intervals hold {coverage:.1%}")
+    for name, sigma in zip(np.array(NAMES)[seen], (bound * SHOWN)[seen], strict=True):
+        print(f"  {name:32s} {sigma:8.3f}")
+    assert seen.sum() >= 15
+    assert ratio == pytest.approx(1.0, abs=0.1)
+    assert 0.92 < coverage < 0.98

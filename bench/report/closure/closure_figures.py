@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 from textwrap import fill
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from gyrobench.bench.closure.loop import Closure, FoundEffect
 from gyrobench.bench.closure.search import SIGNIFICANCE
@@ -32,6 +31,10 @@ from gyrobench.bench.report.figures.style import (
     text_width_in,
 )
 from gyrobench.bench.report.number_format import BiasScale
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 #: Bars before and after; candidates that are found, tied, or neither.
 BEFORE_COLOUR, AFTER_COLOUR = "#AAAAAA", "#0072B2"

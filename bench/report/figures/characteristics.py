@@ -27,6 +27,9 @@ _AXES: dict[TestName, _Axes] = {
     "thermal_sensitivity": _Axes(
         "temperature of the gyro / °C", "bias less\nconstant / (0.001 deg/h)", "fit, in the order of time"
     ),
+    "allan_variance": _Axes(
+        "averaging time / s", "Allan deviation / (deg/h)", "fit", is_log=True, factor=1.0
+    ),
 }
 
 

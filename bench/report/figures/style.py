@@ -39,6 +39,7 @@ house_style = matplotlib.style.context(
             "axes.titlesize": 11,
             "axes.titleweight": "bold",
             "axes.titlelocation": "left",
+            "axes.titley": 1.0,  # no ticks at the top, for which matplotlib would look each time
             "axes.grid": True,
             "axes.axisbelow": True,
             "grid.color": "#dddddd",

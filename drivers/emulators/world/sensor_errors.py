@@ -21,6 +21,7 @@ ARCSEC = math.radians(1.0) / 3600.0
 MICRO_G = 9.80665e-6
 PPM = 1e-6
 _DEGREES = 6
+_PER_DECADE = 2
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,35 @@ class TriadErrors:
         """Biases (3,) and error matrix (3, 3), each sensor at its own temperature minus reference."""
         values = _evaluated(self.polynomials, temperature_c)
         return values[0], values[1:]
+
+
+class BiasWander:
+    """Bias instability and rate random walk of three gyros, second by second.
+
+    Flicker noise is the sum of first-order Gauss-Markov processes whose time constants cover a second to a
+    fortnight, two in each decade (van der Ziel, Physica 16, 1950).
+    """
+
+    def __init__(self, errors: GyroErrors, random: np.random.Generator) -> None:
+        self.is_any = errors.bias_instability_dph > 0.0 or errors.rate_random_walk_dph_per_sqrt_h > 0.0
+        self._random = random
+        self._decay = np.exp(-(10.0 ** -np.arange(0.0, 6.1, 1.0 / _PER_DECADE)))
+        # Of a process for each ratio q of time constants: two-sided spectrum B^2 / (2 pi f) in all.
+        self._sigma = errors.bias_instability_dph * math.sqrt(math.log(10.0) / _PER_DECADE / math.pi)
+        self._step = errors.rate_random_walk_dph_per_sqrt_h / 60.0
+        self._flicker = self._sigma * random.standard_normal((len(self._decay), 3))
+        self._walk = np.zeros(3)
+
+    def next_dph(self, seconds: int) -> FloatArray:
+        """Bias (n, 3) at each of the next seconds, deg/h; for none (1, 3) at the present one."""
+        course = np.tile(self._walk + self._flicker.sum(axis=0), (max(seconds, 1), 1))
+        gain = self._sigma * np.sqrt(1.0 - self._decay**2)[:, np.newaxis]
+        for second in range(seconds):
+            normal = self._random.standard_normal((len(self._decay) + 1, 3))
+            self._flicker = self._decay[:, np.newaxis] * self._flicker + gain * normal[1:]
+            self._walk = self._walk + self._step * normal[0]
+            course[second] = self._walk + self._flicker.sum(axis=0)
+        return course
 
 
 def gyro_errors(errors: GyroErrors) -> TriadErrors:

@@ -15,6 +15,7 @@ from gyrobench.drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epoc
 from gyrobench.drivers.emulators.world.sensor_errors import (
     ARCSEC,
     PPM,
+    BiasWander,
     accelerometer_errors,
     gyro_errors,
     measure,
@@ -69,6 +70,8 @@ class World:
         self._polynomials = np.array([triad.polynomials for triad in triads])
         self._walks = np.array([triad.random_walk for triad in triads])
         self._pulses = np.array([triad.pulse for triad in triads])
+        self._wander = BiasWander(file.gyro, np.random.default_rng((seed, 2, start_s)))
+        self._wander_dph = np.zeros((1, 3))
         self._power_on_bias = np.zeros(3)
         self._sample = start_s * SAMPLE_RATE_HZ
         self._powered_on_sample = self._sample
@@ -152,11 +155,14 @@ class World:
     def _update_undeclared(self, up_body: FloatArray, duty: FloatArray | None = None) -> None:
         """Evaluate the undeclared effects for the next seconds, or without ``duty`` for the present one."""
         course = self.thermal.course
+        if self._wander.is_any:
+            self._wander_dph = self._wander.next_dph(0 if duty is None else len(duty))
         if duty is None:
             duty = np.full((1, 1), self.air.compressor_duty)
             course = ThermalCourse(*(each[-1:] for each in course))
+        self._undeclared_dph = np.zeros((len(duty), 3)) + self._wander_dph
         if not self.file.undeclared_effects:
-            self._undeclared_dph = self._undeclared_ppm = np.zeros((len(duty), 3))
+            self._undeclared_ppm = np.zeros((len(duty), 3))
             return
         sample = self._sample + SAMPLE_RATE_HZ * np.arange(float(len(duty)))[:, np.newaxis]
         on_s = (sample - self._powered_on_sample) * _DT_S
@@ -170,7 +176,7 @@ class World:
             up_body=up_body,
             compressor_duty=duty,
         )
-        self._undeclared_dph = self._undeclared.added_dph(now)
+        self._undeclared_dph += self._undeclared.added_dph(now)
         self._undeclared_ppm = self._undeclared.added_scale_factor_ppm(now)
 
     def _step_samples(

@@ -69,6 +69,8 @@ class GyroErrors(StrictModel):
     power_on_repeatability_dph: NotNegative = Field(
         0.0, description="standard deviation of the bias over power-ons, deg/h"
     )
+    bias_instability_dph: NotNegative = Field(0.0, description="bias instability (flicker noise), deg/h")
+    rate_random_walk_dph_per_sqrt_h: NotNegative = Field(0.0, description="rate random walk, deg/h/sqrt(h)")
     pulse_arcsec: NotNegative = Field(0.0, description="angle of one output pulse, arcsec")
 
 

@@ -1,0 +1,105 @@
+"""Noise of the gyros by a long Allan variance: the five coefficients of the standard model.
+
+Quantisation Q, angle random walk N, bias instability B and rate random walk K are fitted to the overlapping
+Allan variance; the ramp R is the mean slope of the rate, with the uncertainty that this noise gives it. Each
+interval is that of chi-squared with the effective degrees of freedom ``2 c^2 / var(c)`` of the squared
+coefficient c.
+
+References
+----------
+IEEE Std 952-1997, annex C: the model. Riley, *Handbook of Frequency Stability Analysis*, NIST SP 1065 (2008),
+section 5.4: effective degrees of freedom and chi-squared intervals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrobench.bench.bias.allan import (
+    BIAS_INSTABILITY,
+    RANDOM_WALK,
+    RATE_WALK,
+    WHITE_ANGLE,
+    AllanVariance,
+    RateNoise,
+    allan_variance,
+    fit_rate_noise,
+    mean_ramp,
+)
+from gyrobench.bench.characteristics.results import Coefficient, Curve, TestResult, coefficient
+from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, DPH_TO_RADPS, FloatArray
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.positions import AXES
+
+_ARCSEC = np.pi / 180.0 / 3600.0
+_HOUR_S = 3600.0
+#: Name, unit and its size in SI of each coefficient.
+_TERMS = {
+    WHITE_ANGLE: ("quantisation Q", "arcsec", _ARCSEC),
+    RANDOM_WALK: ("angle random walk N", "deg/sqrt(h)", DEG_PER_SQRT_H_TO_SI),
+    BIAS_INSTABILITY: ("bias instability B", "deg/h", DPH_TO_RADPS),
+    RATE_WALK: ("rate random walk K", "deg/h/sqrt(h)", DPH_TO_RADPS / np.sqrt(_HOUR_S)),
+}
+_NORMAL_95 = 1.96
+
+
+@dataclass(frozen=True, eq=False)
+class RateRecord:
+    """Integrated rates of three gyros at rest."""
+
+    interval_s: float  #: Time between two samples.
+    segments: list[FloatArray]  #: Shapes (n, 3). Angles, rad, in body axes; segments can't be joined.
+
+
+def allan_test(records: Sequence[RateRecord]) -> TestResult:
+    """Noise coefficients of each gyro from records at one sample rate.
+
+    Raises MeasurementError if there are none, or they are too short.
+    """
+    if not records:
+        raise MeasurementError("no undisturbed navigation with purpose: noise")
+    interval_s = records[0].interval_s
+    coefficients: list[Coefficient] = []
+    curves = []
+    for axis, gyro in enumerate(AXES):
+        segments = [segment[:, axis] for record in records for segment in record.segments]
+        allan = allan_variance(segments, interval_s)
+        fit = fit_rate_noise(allan, with_instability=True)
+        for term, (name, unit, size) in _TERMS.items():
+            low, high = square_interval(float(fit.terms[term]), float(fit.sigmas[term]))
+            value, low, high = (np.sqrt(each) / size for each in (float(fit.terms[term]), low, high))
+            coefficients.append(coefficient(gyro, name, unit, float(value), float(low), float(high)))
+        ramp, sigma = (each * _HOUR_S / DPH_TO_RADPS for each in mean_ramp(segments, interval_s, fit))
+        ends = ramp - _NORMAL_95 * sigma, ramp + _NORMAL_95 * sigma
+        coefficients.append(coefficient(gyro, "rate ramp R", "deg/h/h", ramp, *ends))
+        curves.append(_curve(gyro, allan, fit))
+    return TestResult(test="allan_variance", coefficients=coefficients, curves=curves)
+
+
+def square_interval(square: float, sigma: float) -> tuple[float, float]:
+    """95 % interval of a squared coefficient that is not below zero, by its effective degrees of freedom."""
+    from scipy.stats import chi2
+
+    if square <= _NORMAL_95 * sigma:
+        return 0.0, square + _NORMAL_95 * sigma
+    edf = 2.0 * (square / sigma) ** 2
+    low, high = (square * edf / float(chi2.ppf(level, edf)) for level in (0.975, 0.025))
+    return low, high
+
+
+def _curve(gyro: str, allan: AllanVariance, fit: RateNoise) -> Curve:
+    from scipy.stats import chi2
+
+    edf, variance = fit.edf, allan.variance
+    bounds = [np.sqrt(variance * edf / chi2.ppf(level, edf)) / DPH_TO_RADPS for level in (0.8413, 0.1587)]
+    return Curve(
+        gyro=gyro,
+        x=allan.tau_s.tolist(),
+        value=(allan.deviation / DPH_TO_RADPS).tolist(),
+        low=bounds[0].tolist(),
+        high=bounds[1].tolist(),
+        fit=(np.sqrt(fit.expected) / DPH_TO_RADPS).tolist(),
+    )

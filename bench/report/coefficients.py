@@ -1,0 +1,187 @@
+"""Coefficients of the sensors over temperature in report and terminal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from functools import partial
+
+from matplotlib.figure import Figure
+from rich.console import Group, RenderableType
+from rich.text import Text
+
+from gyrobench.bench.calibration.results import NOT_OBSERVABLE
+from gyrobench.bench.report.figures.style import GYRO_STYLES, house_style, new_figure
+from gyrobench.bench.report.page import Section, SectionFigure, SectionTable
+from gyrobench.bench.report.terminal.tables import titled_table
+from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow
+
+_TITLE = "Coefficients of gyros and accelerometers"
+_TEXT = (
+    "Biases, scale factor errors and misalignments at each plateau, from its dwells and its rotations "
+    "together, with standard uncertainties. The body frame is that of the accelerometers: x is the input "
+    "axis of the x accelerometer, and that of y lies in the plane of x and y. A misalignment xy is what "
+    "sensor x senses of axis y."
+)
+_WITHOUT_FORCE = (
+    "The INS sends no specific forces: rotations are evaluated from its velocity and attitude, which do not "
+    "show the vertical specific force. The last table has the standard uncertainties expected with specific "
+    "forces."
+)
+_CAPTION = (
+    "Coefficients over the temperature of the gyro, for accelerometers that of the case; bars are 95 % "
+    "intervals, where they are larger than the marker."
+)
+_NAMES = {
+    "gyro_bias": "gyro bias",
+    "gyro_scale_factor": "gyro scale factor",
+    "gyro_misalignment": "gyro misalignment",
+    "accelerometer_bias": "accel. bias",
+    "accelerometer_scale_factor": "accel. scale factor",
+    "accelerometer_misalignment": "accel. misalignment",
+}
+_UNITS = {"ug": "µg"}
+_NOT_OBSERVED = "–"
+#: Height of a row of a legend as a part of its panel's.
+_LEGEND_ROW = 0.12
+#: Plateaus side by side in a terminal of 80 columns and on a page; half width of a 95 % interval in sigmas.
+_PER_TABLE, _PER_PAGE, _INTERVAL = 3, 5, 1.96
+
+
+def has_rotations(rows: Sequence[PlateauCoefficientRow]) -> bool:
+    """Whether there is more than dwells alone show."""
+    return any(
+        not math.isnan(row.sigma_with_force)
+        or (row.coefficient == "accelerometer_scale_factor" and not math.isnan(row.value))
+        for row in rows
+    )
+
+
+def coefficients_section(rows: Sequence[PlateauCoefficientRow]) -> Section | None:
+    """Tables and figure; None without rotations."""
+    if not has_rotations(rows):
+        return None
+    tables = [SectionTable(_TITLE, header, cells, words=3) for header, cells in _tables(rows, _PER_PAGE)]
+    notes = _findings(rows)
+    if any(not math.isnan(row.sigma_with_force) for row in rows):
+        notes.insert(0, _WITHOUT_FORCE)
+        tables.append(_cost_table(rows))
+    figure = SectionFigure("coefficients", _CAPTION, partial(coefficients_figure, rows))
+    return Section(_TITLE, [_TEXT, *notes], [figure], tables)
+
+
+def coefficients_tables(rows: Sequence[PlateauCoefficientRow]) -> RenderableType:
+    """Values with standard uncertainties for a terminal."""
+    parts: list[RenderableType] = [Text(_TITLE, style="bold")]
+    for header, cells in _tables(rows, _PER_TABLE, is_concise=True):
+        table = titled_table()
+        for number, head in enumerate(header):
+            table.add_column(head, justify="left" if number < 3 else "right", no_wrap=True)
+        for row in cells:
+            table.add_row(*map(Text, row))
+        parts.append(table)
+    parts.append(Text("In parentheses: standard uncertainty in units of the last digits."))
+    if any(row.finding.startswith(NOT_OBSERVABLE) for row in rows):
+        parts.append(Text(f"{_NOT_OBSERVED}: {NOT_OBSERVABLE}."))
+    return Group(*parts, *map(Text, _findings(rows)))
+
+
+@house_style
+def coefficients_figure(rows: Sequence[PlateauCoefficientRow]) -> Figure:
+    """Each coefficient over temperature with bars of 95 %."""
+    figure = new_figure(5.6, left_in=0.62, right_in=0.1, wspace=0.3, hspace=0.34)
+    panels = figure.subplots(2, 3)
+    for (kind, title), axes in zip(_NAMES.items(), panels.ravel(), strict=True):
+        own = [row for row in rows if row.coefficient == kind and not math.isnan(row.value)]
+        axes.set_title(f"{title} / {_unit(own[0].unit)}" if own else title, fontsize=8)
+        for name in dict.fromkeys(row.axis for row in own):
+            chosen = sorted((row for row in own if row.axis == name), key=lambda row: row.temperature_c)
+            colour, line, marker = GYRO_STYLES[name[0]]
+            is_second = len(name) > 1 and name[1] == max(set("xyz") - {name[0]})
+            axes.errorbar(
+                [row.temperature_c for row in chosen],
+                [row.value for row in chosen],
+                [_INTERVAL * row.sigma for row in chosen],
+                label=name,
+                color=colour,
+                linestyle=line,
+                marker=marker,
+                markersize=4,
+                markerfacecolor="white" if is_second else colour,
+                capsize=2,
+            )
+        if own:
+            low, high = axes.get_ylim()
+            legend = axes.legend(ncols=3, loc="upper center")
+            axes.set_ylim(low, high + _LEGEND_ROW * (high - low) * math.ceil(len(legend.texts) / 3))
+    for axes in panels[1]:
+        axes.set_xlabel("temperature / °C")
+    return figure
+
+
+def _tables(
+    rows: Sequence[PlateauCoefficientRow], per_table: int, is_concise: bool = False
+) -> Iterator[tuple[list[str], list[list[str]]]]:
+    """Header and cells of tables with so many plateaus side by side."""
+    plateaus = list(dict.fromkeys(row.plateau for row in rows))
+    for begin in range(0, len(plateaus), per_table):
+        chosen = plateaus[begin : begin + per_table]
+        columns = [[row for row in rows if row.plateau == plateau] for plateau in chosen]
+        header = ["coefficient", "axis", "unit", *(_temperature(column) for column in columns)]
+        cells = [
+            [
+                *(_NAMES[several[0].coefficient], several[0].axis, _unit(several[0].unit)),
+                *(_cell(row, is_concise) for row in several),
+            ]
+            for several in zip(*columns, strict=True)
+        ]
+        yield header, cells
+
+
+def _temperature(column: Sequence[PlateauCoefficientRow]) -> str:
+    """Head of a plateau's column: the temperature of the x gyro."""
+    return f"{column[0].temperature_c:.0f} °C"
+
+
+def _unit(unit: str) -> str:
+    return _UNITS.get(unit, unit)
+
+
+def _cell(row: PlateauCoefficientRow, is_concise: bool) -> str:
+    if math.isnan(row.value):
+        return _NOT_OBSERVED
+    digits = max(0, 1 - math.floor(math.log10(row.sigma)))
+    if is_concise:
+        return f"{row.value:.{digits}f}({row.sigma * 10**digits:.0f})"
+    return f"{row.value:.{digits}f} ± {row.sigma:.{digits}f}"
+
+
+def _findings(rows: Sequence[PlateauCoefficientRow]) -> list[str]:
+    """What is wrong with plateaus."""
+    texts = dict.fromkeys(
+        (row.plateau, row.finding.removeprefix(f"{NOT_OBSERVABLE}; "))
+        for row in rows
+        if row.finding not in ("", NOT_OBSERVABLE)
+    )
+    return [f"Plateau {plateau}: {text}." for plateau, text in texts]
+
+
+def _cost_table(rows: Sequence[PlateauCoefficientRow]) -> SectionTable:
+    first = next(row.plateau for row in rows if not math.isnan(row.sigma_with_force))
+    cells = [
+        [
+            _NAMES[row.coefficient],
+            row.axis,
+            _unit(row.unit),
+            _NOT_OBSERVED if math.isnan(row.sigma) else f"{row.sigma:.2g}",
+            f"{row.sigma_with_force:.2g}",
+        ]
+        for row in rows
+        if row.plateau == first
+    ]
+    return SectionTable(
+        f"Standard uncertainties at plateau {first}",
+        ["coefficient", "axis", "unit", "as measured", "with specific forces"],
+        cells,
+        words=3,
+    )

@@ -1,0 +1,96 @@
+"""Recordings from the navigation output of a unit on a two-axis table, for all six positions or a list."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from types import SimpleNamespace
+
+import numpy as np
+
+from gyrobench.bench.calibration.coefficients import COUNT, SensorErrors
+from gyrobench.bench.calibration.recording import IncrementRecording, Rest
+from gyrobench.bench.dwells.plateau_calibration import navigated_increments
+from gyrobench.bench.navigation.error_model import Site
+from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.navigation.table_axes import TwoAxisTable
+from tests.adversarial.strapdown import ARCSEC, DPH, EPOCH_S, UG, Place, Schedule, Table, Unit, simulate
+
+TABLE = TwoAxisTable(np.eye(3)[0], np.eye(3)[2], np.eye(3))
+ARW_DEG, VRW_UG = 0.0006, 5.0
+WALKS = ARW_DEG * np.pi / 180.0 / 60.0, VRW_UG * UG
+
+
+def any_unit(random):
+    """A unit of navigation grade with small errors of all kinds but accelerometer scale factors."""
+    return Unit(
+        gyro_bias_dph=tuple(random.normal(0.0, 0.005, 3)),
+        gyro_scale_ppm=tuple(random.normal(0.0, 10.0, 3)),
+        gyro_misalignment_arcsec=tuple(random.normal(0.0, 5.0, 6)),
+        accelerometer_bias_ug=tuple(random.normal(0.0, 30.0, 3)),
+        accelerometer_misalignment_arcsec=tuple(random.normal(0.0, 5.0, 6)),
+        angle_random_walk=ARW_DEG,
+        velocity_random_walk=VRW_UG,
+        velocity_output_mps=1e-3 * np.sqrt(1.0 / EPOCH_S),
+        attitude_output_arcsec=0.4,
+    )
+
+
+def truth(unit):
+    """Coefficients (21,) of a unit, SI."""
+
+    def matrix(diagonal, others):
+        result = np.diag(np.asarray(diagonal, float))
+        result[~np.eye(3, dtype=bool)] = np.array(others) * ARCSEC
+        return result
+
+    errors = SensorErrors(
+        np.array(unit.gyro_bias_dph) * DPH,
+        matrix(np.array(unit.gyro_scale_ppm) * 1e-6, unit.gyro_misalignment_arcsec),
+        np.array(unit.accelerometer_bias_ug) * UG,
+        matrix(np.zeros(3), unit.accelerometer_misalignment_arcsec),
+    )
+    assert len(errors.vector()) == COUNT
+    return errors.vector()
+
+
+def recording(unit, place, schedule, angles_deg, random):
+    """One recording and its rests, with the attitude of the table."""
+    output = simulate(unit, place, schedule, angles_deg, random)
+    site = Site(np.deg2rad(place.latitude_deg), place.height_m)
+    navigation = SimpleNamespace(
+        ins_time_s=output.time_s,
+        attitude=output.C_nb,
+        velocity_enu_mps=output.velocity_enu_mps,
+        row=np.arange(len(output.time_s)),
+    )
+    found = navigated_increments(navigation, site)
+    rests = [Rest(begin, end - 1) for begin, end in output.windows]
+    at_table = np.empty((len(found.angle), 3, 3))
+    edges = [0, *(window[0] for window in output.windows[1:]), len(at_table)]
+    for angles, (begin, end) in zip(angles_deg, pairwise(edges), strict=True):
+        at_table[begin:end] = Table().attitude(*np.radians(angles)[:, np.newaxis])[0]
+    made = IncrementRecording(found.interval_s, found.angle, found.velocity, has_vertical=False)
+    return replace(made, table=at_table), rests
+
+
+def six_dwells(unit, latitude_deg, random):
+    """Two windows of 10 min in each position, with a turn of 180 deg about Up between them."""
+    dwells = []
+    for position in POSITIONS.values():
+        start = TABLE.angles(position.C_nb())
+        pair = [start, TABLE.turn(start, 180.0)]
+        dwells.append(recording(unit, Place(latitude_deg), Schedule(), pair, random))
+    return zip(*dwells, strict=True)
+
+
+def rotated(unit, latitude_deg, random, rotations):
+    """The rests and rotations of a list, all in one navigation."""
+    angles = [TABLE.angles(POSITIONS[rotations.start].C_nb())]
+    for each in rotations.rotations:
+        outer, inner = angles[-1]
+        is_outer = each.axis == "outer"
+        angles.append((outer + each.angle_deg, inner) if is_outer else (outer, inner + each.angle_deg))
+    schedule = Schedule(window_s=rotations.dwell_s, turn_s=10.0)
+    one, rests = recording(unit, Place(latitude_deg), schedule, angles, random)
+    return [one], [rests]
