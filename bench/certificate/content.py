@@ -11,7 +11,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime, timedelta
 from functools import cached_property
 from typing import Any
@@ -21,8 +21,11 @@ import numpy as np
 from gyrobench.bench.bias.bins import BiasBin
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.statistics import weighted_fit
+from gyrobench.bench.closure.loadable_model import model_with_effects
+from gyrobench.bench.dwells.closure_inputs import read_closure
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.clock import WallClock, parsed_utc
-from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
+from gyrobench.bench.foundations.errors import DocumentError, MeasurementError, RunFolderError
 from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.text import counted, hours_minutes, listed, plain_name
 from gyrobench.bench.navigation.positions import AXES
@@ -38,8 +41,32 @@ from gyrobench.bench.station.station_file import StationFile, load_station_file
 #: Coverage probability of all expanded uncertainties, and their factor without a budget.
 COVERAGE = 0.95
 NORMAL_K = 1.959963984540054
-#: Polynomial of the bias over temperature: reference and scale of its variable, and degree.
-REFERENCE_C, SCALE_C, _DEGREE = 20.0, 50.0, 3
+#: Polynomial fitted where no model was searched: its degree, and the shortest range of temperatures.
+_DEGREE, _MIN_SPAN_C = 3, 10.0
+_POLYNOMIAL = (
+    "Polynomial of the bias over the temperature of the gyro in °C, mean of all positions. Its uncertainty "
+    "is multiplied by √(χ²/dof) where that is above 1, as with a bias that depends on the position."
+)
+_LOADABLE = (
+    "Model of the bias by gyrobench close: polynomial over the temperature T of the gyro in °C, and effects "
+    "by the formulas of compensation.yaml."
+)
+_POWER = "polynomial, degree "
+#: Names and units of the model's numbers.
+_LABELS = {
+    "polynomial_dph": ("polynomial, degree", ""),
+    "rate_dph_per_c_per_h": ("temperature rate", "deg/K"),
+    "gradient_dph_per_k": ("gradient", "deg/h/K"),
+    "saturating_dph_per_k": ("heat flow, saturating", "deg/h/K"),
+    "growing_dph_per_k": ("heat flow, growing", "deg/h/K"),
+    "onset_c": ("onset", "degC"),
+    "onset_width_c": ("width of the onset", "K"),
+    "gravity_dph_per_g": ("g-sensitivity", "deg/h/g"),
+    "warm_up_dph": ("warm-up", "deg/h"),
+    "warm_up_s": ("time constant of the warm-up", "s"),
+    "hysteresis_dph_per_k": ("hysteresis", "deg/h/K"),
+    "half_width_k": ("half width of the hysteresis", "K"),
+}
 _METHOD = (
     "Six-position calibration of the gyro bias: in each position the INS aligns and navigates at rest, is "
     "turned by 180° about the vertical, and navigates again. Each gyro's bias is estimated from velocity "
@@ -96,17 +123,14 @@ class BiasResult:
 
 
 @dataclass(frozen=True)
-class TemperatureModel:
-    """Polynomial of a gyro's bias over temperature, mean of all positions, in ``(T - 20 degC) / 50 K``."""
+class ModelNumber:
+    """One number of the bias model of a gyro, with expanded uncertainty for k = 1.96."""
 
+    name: str
     gyro: str
-    low_c: float
-    high_c: float
-    #: coefficients_dph, expanded_dph: From the constant upwards, with expanded uncertainties.
-    coefficients_dph: tuple[float, ...]
-    expanded_dph: tuple[float, ...]
-    k: float
-    misfit: float  #: Square root of chi2 per degree of freedom; above 1, uncertainties are multiplied by it.
+    value: float
+    expanded: float
+    unit: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +142,8 @@ class Certificate:
     order: Order
     seal: str  #: Number, hash and key of the last seal.
     results: Sequence[BiasResult]
-    models: Sequence[TemperatureModel]
+    model: Sequence[ModelNumber]  #: Polynomial over temperature, and effects that a search found.
+    model_note: str  #: What the model is.
     coefficients: Sequence[PlateauCoefficientRow]  #: Of a full calibration; empty without one.
     issued: date
 
@@ -278,13 +303,15 @@ def certificate_of(folder: RunFolder, order: Order, *, simulated: bool = False) 
         name: getattr(order, name) or str(options.get(name, "")) for name in ("customer", "order", "item")
     }
     number = order.number or f"{serial_number_of(run)}-{run.name}-{digest[:8]}"
+    model, note = _model(folder, run)
     certificate = Certificate(
         run=run,
         station=station,
         order=Order(**given, number=number, authorised_by=order.authorised_by, ambient=order.ambient),
         seal=f"seal {last.number}, SHA-256 {digest[:16]}…, {last.key or 'not signed'}",
         results=results,
-        models=[model for gyro in AXES if (model := _model(gyro, run.dwells))],
+        model=model,
+        model_note=note,
         coefficients=read_coefficients(coefficients) if coefficients.exists() else [],
         issued=WallClock().utc().date(),
     )
@@ -328,24 +355,55 @@ def _results(
         yield BiasResult(*place, each.bin_high_c, each.temperature_c, each.bias_dph, expanded, k)
 
 
-def _model(gyro: str, dwells: Sequence[DwellRow]) -> TemperatureModel | None:
+def _model(folder: RunFolder, run: RunContent) -> tuple[list[ModelNumber], str]:
+    """Numbers of the model of `gyrobench close`, else of a polynomial fitted to the dwells."""
+    if not (folder.closure / "closure.json").exists():
+        return [number for gyro in AXES for number in _polynomial(gyro, run.dwells)], _POLYNOMIAL
+    try:
+        model = model_with_effects(read_closure(folder.path))
+    except (MeasurementError, DocumentError) as error:
+        raise RunFolderError(f"{folder.closure}: {error}. Repeat gyrobench close") from error
+    numbers = model.compensation
+    rows = [
+        ModelNumber(f"{label}{suffix}", gyro, float(value), NORMAL_K * float(sigma), unit)
+        for name, sigmas in numbers.sigma.items()
+        for (label, unit) in [_LABELS.get(name, (plain_name(name), ""))]
+        for gyro, values, own in zip(AXES, getattr(numbers, name), sigmas, strict=True)
+        for suffix, value, sigma in _members(name, np.atleast_1d(values), np.atleast_1d(own))
+        if sigma > 0.0 and value
+    ]
+    rows = [_with_power(row) for row in rows]
+    notes = f" Notes: {'; '.join(model.notes)}." if model.notes else ""
+    effects = ", ".join(map(plain_name, model.effects)) or "none"
+    return rows, f"{_LOADABLE} Effects found beyond the temperature: {effects}.{notes}"
+
+
+def _members(name: str, values: FloatArray, sigmas: FloatArray) -> Iterator[tuple[str, float, float]]:
+    for index, (value, sigma) in enumerate(zip(values.tolist(), sigmas.tolist(), strict=True)):
+        if name == "polynomial_dph":
+            yield f" {index}", value, sigma
+        else:
+            yield f" along {AXES[index]}" if len(values) > 1 else "", value, sigma
+
+
+def _with_power(row: ModelNumber) -> ModelNumber:
+    """The unit of a coefficient of the polynomial: deg/h over a power of K."""
+    if not row.name.startswith(_POWER):
+        return row
+    power = int(row.name.removeprefix(_POWER))
+    return replace(row, unit=f"deg/h/K{power}" if power > 1 else "deg/h/K" if power else "deg/h")
+
+
+def _polynomial(gyro: str, dwells: Sequence[DwellRow]) -> Iterator[ModelNumber]:
     axis = AXES.index(gyro)
     rows = [row for row in dwells if not row.flags]
     columns = zip(*((row.gyro_c[axis], row.bias_dph[axis], row.sigma_dph[axis]) for row in rows), strict=True)
     temperature_c, bias, sigma = (np.array(column) for column in columns) if rows else np.empty((3, 0))
     known = np.isfinite(temperature_c) & np.isfinite(bias) & (sigma > 0.0)
-    if known.sum() <= _DEGREE + 1 or np.ptp(temperature_c[known]) < SCALE_C / 5.0:
-        return None
-    design = np.vander((temperature_c[known] - REFERENCE_C) / SCALE_C, _DEGREE + 1, increasing=True)
+    if known.sum() <= _DEGREE + 1 or np.ptp(temperature_c[known]) < _MIN_SPAN_C:
+        return
+    design = np.vander(temperature_c[known], _DEGREE + 1, increasing=True)
     fit = weighted_fit(bias[known], sigma[known] ** 2, design)
-    misfit = math.sqrt(fit.chi2 / fit.dof)
-    expanded = NORMAL_K * max(misfit, 1.0) * np.sqrt(np.diag(fit.covariance))
-    return TemperatureModel(
-        gyro,
-        float(temperature_c[known].min()),
-        float(temperature_c[known].max()),
-        tuple(fit.values.tolist()),
-        tuple(expanded.tolist()),
-        NORMAL_K,
-        misfit,
-    )
+    expanded = NORMAL_K * max(math.sqrt(fit.chi2 / fit.dof), 1.0) * np.sqrt(np.diag(fit.covariance))
+    for power, (value, own) in enumerate(zip(fit.values.tolist(), expanded.tolist(), strict=True)):
+        yield _with_power(ModelNumber(f"{_POWER}{power}", gyro, value, own, ""))

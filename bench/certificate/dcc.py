@@ -14,14 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gyrobench.bench import __version__
-from gyrobench.bench.certificate.content import (
-    COVERAGE,
-    NORMAL_K,
-    REFERENCE_C,
-    SCALE_C,
-    BiasResult,
-    Certificate,
-)
+from gyrobench.bench.certificate.content import COVERAGE, NORMAL_K, BiasResult, Certificate
 from gyrobench.bench.foundations.arrays import STANDARD_GRAVITY
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.packages import require
@@ -38,6 +31,11 @@ _LANGUAGE = "en"
 #: D-SI units by the unit of a value, each with the factor that converts to it.
 _UNITS: Mapping[str, tuple[str, float]] = {
     "deg/h": (r"\degree\hour\tothe{-1}", 1.0),
+    "deg/h/K": (r"\degree\hour\tothe{-1}\kelvin\tothe{-1}", 1.0),
+    "deg/h/K2": (r"\degree\hour\tothe{-1}\kelvin\tothe{-2}", 1.0),
+    "deg/h/K3": (r"\degree\hour\tothe{-1}\kelvin\tothe{-3}", 1.0),
+    "deg/h/g": (r"\degree\hour\tothe{-1}\metre\tothe{-1}\second\tothe{2}", 1.0 / STANDARD_GRAVITY),
+    "deg/K": (r"\degree\kelvin\tothe{-1}", 1.0),
     "deg": (r"\degree", 1.0),
     "deg/s": (r"\degree\second\tothe{-1}", 1.0),
     "arcsec": (r"\arcsecond", 1.0),
@@ -318,27 +316,30 @@ class _Document:
             )
         ]
         results = [self._measurement("Gyro biases by position and temperature", found)] if found else []
-        if models := [self._model_result(each) for each in certificate.models]:
-            results.append(self._measurement("Temperature models, mean of the positions", models))
+        if certificate.model:
+            numbers = [
+                self._named(f"{gyro_label(each.gyro)}, {each.name}", each.value, each.unit, each.expanded)
+                for each in certificate.model
+            ]
+            results.append(
+                self._measurement(
+                    "Bias model", [self._list("Numbers of the model", numbers, certificate.model_note)]
+                )
+            )
         known = [each for each in certificate.coefficients if not each.finding and each.unit in _UNITS]
         if known:
             quantities = [
-                self._dcc(
-                    "quantity",
-                    self._text(
-                        "name",
-                        f"{each.coefficient.replace('_', ' ')} {each.axis}, {each.temperature_c:.1f} °C",
-                    ),
-                    self._real(each.value, each.unit, NORMAL_K * each.sigma, NORMAL_K),
+                self._named(
+                    f"{each.coefficient.replace('_', ' ')} {each.axis}, {each.temperature_c:.1f} °C",
+                    each.value,
+                    each.unit,
+                    NORMAL_K * each.sigma,
                 )
                 for each in known
             ]
-            result = self._dcc(
-                "result",
-                self._text("name", "Coefficients"),
-                self._dcc("data", self._dcc("list", *quantities)),
+            results.append(
+                self._measurement("Coefficients of the sensors", [self._list("Coefficients", quantities)])
             )
-            results.append(self._measurement("Coefficients of the sensors", [result]))
         return results
 
     def _measurement(self, name: str, results: Sequence[etree._Element]) -> etree._Element:
@@ -372,22 +373,14 @@ class _Document:
             "result", self._text("name", name), self._dcc("data", self._dcc("list", *quantities))
         )
 
-    def _model_result(self, model: Any) -> etree._Element:
-        pairs = zip(model.coefficients_dph, model.expanded_dph, strict=True)
-        quantities = [
-            self._dcc(
-                "quantity", self._text("name", f"a{power}"), self._real(value, "deg/h", expanded, model.k)
-            )
-            for power, (value, expanded) in enumerate(pairs)
-        ]
-        description = (
-            f"Bias = sum of a_n t^n with t = (T - {REFERENCE_C:g} degC) / {SCALE_C:g} K, for T from "
-            f"{model.low_c:.1f} to {model.high_c:.1f} degC"
-        )
+    def _named(self, name: str, value: float, unit: str, expanded: float) -> etree._Element:
+        return self._dcc("quantity", self._text("name", name), self._real(value, unit, expanded, NORMAL_K))
+
+    def _list(self, name: str, quantities: Sequence[etree._Element], note: str = "") -> etree._Element:
         return self._dcc(
             "result",
-            self._text("name", gyro_label(model.gyro)),
-            self._text("description", description),
+            self._text("name", name),
+            self._text("description", note) if note else None,
             self._dcc("data", self._dcc("list", *quantities)),
         )
 

@@ -10,14 +10,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from gyrobench.bench.certificate.content import (
-    NORMAL_K,
-    REFERENCE_C,
-    SCALE_C,
-    BiasResult,
-    Certificate,
-    TemperatureModel,
-)
+from gyrobench.bench.certificate.content import NORMAL_K, BiasResult, Certificate
 from gyrobench.bench.foundations.text import bin_label, decimals_of
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.report.content import SIMULATED
@@ -29,7 +22,7 @@ from gyrobench.bench.report.statements import VERDICT_COLOURS
 
 _VARIANT = "pdf/a-3a"
 #: Plateaus in one table of coefficients.
-_PLATEAUS_ACROSS = 4
+_PLATEAUS_ACROSS = 5
 _CAPTIONS = {
     "position_differences": (
         "Differences between positions",
@@ -70,7 +63,7 @@ def _page(certificate: Certificate, figures: Mapping[str, Path]) -> Section:
         Section("Conditions and location", facts=certificate.conditions),
         _traceability(certificate),
         *_bias_sections(certificate.results, figures),
-        _models_section(certificate.models),
+        _model_section(certificate),
         _coefficients_section(certificate),
         Section("Inputs of the estimator as used", facts=certificate.inputs),
         *(
@@ -132,29 +125,17 @@ def _bias_table(results: Sequence[BiasResult]) -> SectionTable:
     return SectionTable(caption, ["bin / °C", *map(position_label, positions)], rows)
 
 
-def _models_section(models: Sequence[TemperatureModel]) -> Section | None:
-    if not models:
+def _model_section(certificate: Certificate) -> Section | None:
+    table: dict[tuple[str, str], dict[str, str]] = defaultdict(dict)
+    for each in certificate.model:
+        table[each.name, each.unit][each.gyro] = f"{each.value:.4g} ± {each.expanded:.2g}"
+    if not table:
         return None
-    degree = len(models[0].coefficients_dph) - 1
-    rows = []
-    for each in models:
-        decimals = decimals_of(min(each.expanded_dph))
-        pairs = zip(each.coefficients_dph, each.expanded_dph, strict=True)
-        rows.append(
-            [
-                gyro_label(each.gyro),
-                f"{each.low_c:.0f} to {each.high_c:.0f}",
-                *(f"{value:z.{decimals}f} ± {expanded:.{decimals}f}" for value, expanded in pairs),
-                f"{each.misfit:.2f}",
-            ]
-        )
-    caption = (
-        f"Bias = a0 + a1 t + ... in deg/h with t = (T − {REFERENCE_C:g} °C) / {SCALE_C:g} K, T the "
-        f"temperature of the gyro; coefficient ± U, k = {models[0].k:.2f}. Misfit: √(χ²/dof); above 1 the "
-        "model does not describe all differences, as those between positions, and U is multiplied by it."
-    )
-    header = ["gyro", "T / °C", *(f"a{power}" for power in range(degree + 1)), "misfit"]
-    return Section("Temperature model, mean of the positions", tables=[SectionTable(caption, header, rows)])
+    header = ["number", "unit", *map(gyro_label, AXES)]
+    rows = [[name, unit, *(found.get(gyro, "–") for gyro in AXES)] for (name, unit), found in table.items()]
+    caption = f"Value ± U, k = {NORMAL_K:.2f}; the numbers of one gyro are correlated."
+    shown = SectionTable(caption, header, rows, words=2)
+    return Section("Bias model", [certificate.model_note], tables=[shown])
 
 
 def _coefficients_section(certificate: Certificate) -> Section | None:
@@ -162,22 +143,23 @@ def _coefficients_section(certificate: Certificate) -> Section | None:
     temperatures: dict[int, float] = {}
     for each in certificate.coefficients:
         if not each.finding:
-            expanded = NORMAL_K * each.sigma
+            factor, unit = (1000.0, "0.001 deg/h") if each.unit == "deg/h" else (1.0, each.unit)
+            expanded = NORMAL_K * each.sigma * factor
             decimals = decimals_of(expanded)
-            text = f"{each.value:z.{decimals}f} ± {expanded:.{decimals}f}"
-            by_name[each.coefficient, each.axis, each.unit][each.plateau] = text
+            text = f"{each.value * factor:z.{decimals}f} ± {expanded:.{decimals}f}"
+            by_name[each.coefficient, each.axis, unit][each.plateau] = text
             temperatures[each.plateau] = each.temperature_c
     plateaus = sorted(temperatures)
     tables = []
     for start in range(0, len(plateaus), _PLATEAUS_ACROSS):
         shown = plateaus[start : start + _PLATEAUS_ACROSS]
-        header = ["coefficient", "axis", "unit", *(f"{temperatures[each]:.0f} °C" for each in shown)]
+        header = ["coefficient", "unit", *(f"{temperatures[each]:.0f} °C" for each in shown)]
         rows = [
-            [name.replace("_", " "), axis, unit, *(found.get(each, "–") for each in shown)]
+            [f"{name.replace('_', ' ')} {axis}", unit, *(found.get(each, "–") for each in shown)]
             for (name, axis, unit), found in by_name.items()
         ]
         caption = f"Coefficient ± U, k = {NORMAL_K:.2f}, at the plateaus from {shown[0]} to {shown[-1]}."
-        tables.append(SectionTable(caption, header, rows, words=3))
+        tables.append(SectionTable(caption, header, rows, words=2))
     return Section("Coefficients of the sensors", tables=tables) if tables else None
 
 

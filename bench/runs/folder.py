@@ -125,6 +125,8 @@ def open_run_folder(path: Path) -> RunFolder:
         "verify",
         "verify/figures",
         "export",
+        "seals",
+        "certificate",
     ):
         inner = path / name
         if not inner.resolve().is_relative_to(path.resolve()):

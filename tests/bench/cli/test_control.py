@@ -9,6 +9,7 @@ import pytest
 
 import gyrobench
 from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
+from gyrobench.bench.engine.operator import RunCommand, take_sender
 from tests.bench.command_line import gyrobench as command
 
 #: Holds a run folder as a run does, and prints the signal that it gets.
@@ -40,6 +41,16 @@ def test_a_command_is_sent_to_the_process_of_the_run(run_in_progress):
     assert done.returncode == 0, done.stderr
     assert f"Sent to process {holder.pid}: hold" in done.stdout
     assert holder.stdout.readline() == "SIGUSR1\n"
+
+
+def test_the_sender_of_a_command_is_known_to_the_run_that_it_was_sent_to_only(run_in_progress, monkeypatch):
+    run, holder = run_in_progress
+    assert command("control", run, "hold", "--operator", "A. Smith", cwd=run.parent).returncode == 0
+    assert holder.stdout.readline() == "SIGUSR1\n"
+    assert take_sender(run, RunCommand.SKIP) == ""
+    monkeypatch.setattr("os.getpid", lambda: holder.pid)
+    assert take_sender(run, RunCommand.HOLD) == "A. Smith"
+    assert take_sender(run, RunCommand.HOLD) == ""
 
 
 def test_the_old_name_works_and_names_its_replacement(run_in_progress):

@@ -10,7 +10,7 @@ from gyrobench.bench.engine.damage import find_damage
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.runs.journal import broken_links, read_journal
 from gyrobench.bench.runs.telemetry import read_telemetry
 from tests.bench.command_line import gyrobench
 from tests.bench.engine.test_resumption import PROCEDURE, broken_off
@@ -157,3 +157,16 @@ def test_lost_dwells_at_two_temperatures_are_each_approached(run, tmp_path):
     assert (run / "report.html").is_file()
     assert (run / "acceptance.json").is_file()
     assert (run / "journal.jsonl").read_bytes() == journal
+
+
+def test_a_journal_that_lost_lines_names_the_links_that_are_broken(run, tmp_path):
+    journal = run / "journal.jsonl"
+    assert broken_links(journal.read_bytes()) == []
+    damage_journal(run)
+    found, _ = find_damage(RunFolder(run))
+    found.give_up(RunFolder(run), lambda: VirtualClock(1e6))
+    (given_up,) = [entry for entry in read_journal(journal) if entry["event"] == "data_given_up"]
+    assert given_up["broken_links"]
+    assert broken_links(journal.read_bytes()) == []
+    lines = journal.read_bytes().split(b"\n")
+    assert broken_links(b"\n".join([*lines[:2], *lines[3:]]))[0] == 3

@@ -74,3 +74,13 @@ def test_what_trips_in_a_pause_makes_the_bench_safe(tmp_path, kind):
     paused = next(i for i, entry in enumerate(entries) if entry["event"] == "held")
     assert entries[paused]["why"] == "paused by the terminal"
     assert events[paused + 1 : paused + 4] == ["tripped", "made_safe", "held"]
+
+
+def test_the_journal_has_who_started_paused_and_continued(tmp_path, monkeypatch):
+    monkeypatch.setenv("GYROBENCH_OPERATOR", "A. Smith")
+    entries, outcome = run(
+        tmp_path, "fault: instrument_restarts, target: chamber, at_s: 900, for_s: 15", PausingOperator(5, 9)
+    )
+    assert outcome.ended == "finished", outcome.reason
+    who = {entry["event"]: entry.get("operator") for entry in entries if "operator" in entry}
+    assert who == {"run_started": "A. Smith", "ordered": "A. Smith", "continued": "A. Smith"}
