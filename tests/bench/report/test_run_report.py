@@ -104,7 +104,7 @@ def page(run_folder: RunFolder) -> Page:
 
 
 def test_report_needs_nothing_from_outside(page: Page, run_folder: RunFolder) -> None:
-    assert len(page.loads) == 8
+    assert len(page.loads) == 9
     for load in page.loads:
         assert load.startswith("data:image/png;base64,")
     embedded = {base64.b64decode(load.partition(",")[2]) for load in page.loads}
