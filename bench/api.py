@@ -94,7 +94,8 @@ class Run:
             for result in read_characteristics(self.folder.characteristics)
             for each in result.coefficients
         ]
-        return _pandas().DataFrame(rows).astype(dict.fromkeys(("value", "low", "high"), float))
+        frame: pd.DataFrame = _pandas().DataFrame(rows)
+        return frame.astype(dict.fromkeys(("value", "low", "high"), float))
 
     @cached_property
     def coefficients(self) -> pd.DataFrame:
