@@ -26,8 +26,9 @@ if TYPE_CHECKING:
     from gyrobench.bench.engine.job import Job
     from gyrobench.bench.engine.observers import RunObserver
     from gyrobench.bench.engine.operator import Operator
+    from gyrobench.bench.investigation.choice import Rival
     from gyrobench.bench.investigation.investigation import Investigation
-    from gyrobench.bench.investigation.proposal import Proposal, Rival
+    from gyrobench.bench.investigation.proposal import Proposal
     from gyrobench.bench.monitor.terminal import RunConsole
     from gyrobench.bench.verification.compensation_verification import VerificationResult
 
@@ -71,6 +72,13 @@ def investigate(
     budget_h: Annotated[
         float, typer.Option(min=0.1, help="Longest time on the bench for all blocks, h.")
     ] = 48.0,
+    adaptive: Annotated[
+        bool,
+        typer.Option(
+            "--adaptive",
+            help="Measure in place of the procedure what makes its biases as certain, and settles the cause.",
+        ),
+    ] = False,
     approve: Annotated[Approval, typer.Option(help="Whether a person approves each block.")] = Approval.ASK,
     verification: Annotated[
         str | None,
@@ -103,8 +111,9 @@ def investigate(
     investigation that was interrupted. Exit code 0: the cause is settled, or nothing was found; 1: neither.
 
     With --json: {"ended", "reason", "folder", "report", "hours", "blocks", "verdict", "effects",
-    "verification"}; ended is settled, nothing_found, not_on_list, budget, no_block, declined, refuted or
-    bench_failed; verification is null, or a list with the columns of comparison.csv as keys.
+    "uncertainty_ratio", "verification"}; ended is settled, nothing_found, not_on_list, budget, no_block,
+    declined, refuted or bench_failed; verification is null, or a list with the columns of comparison.csv as
+    keys.
 
     Example: gyrobench investigate quick_campaign --station quick --world quick --approve auto
     """
@@ -113,6 +122,7 @@ def investigate(
         StationBench,
         measure_campaign,
         measure_verification,
+        opening_job,
         verification_runs,
     )
     from gyrobench.bench.engine.job import emulation_of, job_in, prepare_job
@@ -120,18 +130,22 @@ def investigate(
     from gyrobench.bench.foundations.errors import DocumentError
     from gyrobench.bench.investigation.external_bench import ExternalBench
     from gyrobench.bench.investigation.investigation import Investigator
+    from gyrobench.bench.investigation.profile import Profile
     from gyrobench.bench.monitor.terminal_view import observe_in_terminal
     from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.report.verification.verification_text import LABELS
     from gyrobench.bench.runs.folder import RUNS, RunFolder
     from gyrobench.bench.station.instruments import Emulation
 
-    terminal = console(as_json)
+    terminal, profile = console(as_json), None
 
     def approved(proposal: Proposal, rivals: Sequence[Rival]) -> bool:
         _show(terminal, proposal, rivals)
         return approve is Approval.AUTO or typer.confirm("Measure it?", err=as_json)
 
+    measured = [Path(source) for source in sources if (Path(source) / RunFolder.journal).exists()]
+    if adaptive and (bench is not None or measured):
+        raise DocumentError("--adaptive goes with a procedure that is not measured yet. Leave it out")
     if bench is not None:
         if station or world or seed is not None or verification or len(sources) > 1:
             raise DocumentError(
@@ -140,14 +154,13 @@ def investigate(
         table = Path(sources[0])
         folder = out or table.parent / "investigation"
         external = ExternalBench(bench, read_dwells(table), bench_time_limit_s, terminal.print)
-        found = Investigator(external.rows, folder, external, budget_h, approved).run(WallClock())
+        found = Investigator(external, folder, budget_h, approved).run(WallClock())
         _report(terminal, found, folder, sources, None, as_json)
         return
 
     def observe(job: Job) -> AbstractContextManager[tuple[RunObserver, Operator]]:
         return observe_in_terminal(terminal, job, view is View.LIVE)
 
-    measured = [Path(source) for source in sources if (Path(source) / RunFolder.journal).exists()]
     if measured and len(measured) == len(sources):
         first = RunFolder(measured[0])
         folder = out or first.path / "investigation"
@@ -163,6 +176,9 @@ def investigate(
             )
         job = prepare_job(sources[0], station or EMULATED, Emulation(world or Emulation.world, seed or 0))
         folder = out or RUNS / f"investigation_{job.plan.procedure.procedure}"
+        if adaptive:
+            profile = Profile.of(job.plan)
+            job = opening_job(job, profile, folder)
         first = RunFolder(folder / "campaign")
         measured = [first.path]
     allows = job.station.file.block_approval
@@ -175,7 +191,7 @@ def investigate(
         clock = measure_campaign(job, first, observe)
         write_report(first)
     own = StationBench(job, measured, folder, observe, clock)
-    found = Investigator(own.rows, folder, own, budget_h, approved, own, own.campaign).run(WallClock())
+    found = Investigator(own, folder, budget_h, approved, profile).run(WallClock())
     proof = None
     if found.is_conclusive and verification != "none":
         procedure = verification or "verify_compensation"
@@ -220,6 +236,7 @@ def _report(
                 "blocks": len(found.stages) - 1,
                 "verdict": found.closure.verdict,
                 "effects": found.closure.posterior.of_effect,
+                "uncertainty_ratio": found.calibration.ratio if found.calibration else None,
                 "verification": table_records(proof.results) if proof else None,
             }
         )

@@ -20,6 +20,7 @@ from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
 from gyrobench.bench.closure.campaign import Campaign, campaign_of
 from gyrobench.bench.closure.loadable_model import model_with_effects
 from gyrobench.bench.closure.loop import Closure
+from gyrobench.bench.closure.plausibility import implausible
 from gyrobench.bench.closure.temperatures import TemperatureRecord
 from gyrobench.bench.dwells.closure_inputs import joined_rows, read_campaign, temperature_record
 from gyrobench.bench.engine.job import Job, job_in, prepare_job
@@ -31,10 +32,16 @@ from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.clock import RESUME_STEP_S, Clock, VirtualClock, WallClock
 from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError, RunFolderError
-from gyrobench.bench.foundations.files import write_whole
-from gyrobench.bench.investigation.block_procedure import SHORTLY_S, DwellPattern, block_procedure
+from gyrobench.bench.foundations.files import make_folder, write_whole
+from gyrobench.bench.investigation.block_procedure import (
+    SHORTLY_S,
+    DwellPattern,
+    block_procedure,
+    opening_procedure,
+)
 from gyrobench.bench.investigation.blocks import Block, BlockStart, BlockTimes
 from gyrobench.bench.investigation.external_bench import BenchState, BlockPlan, PowerStep
+from gyrobench.bench.investigation.profile import Profile
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.procedure.procedure_file import checked_procedure
@@ -62,6 +69,14 @@ def measure_campaign(job: Job, folder: RunFolder, observe: Observe) -> Clock | N
     clock = job.station.new_clock()
     _measure(job, folder, observe, EarlierRuns(clock, "", 0))
     return clock
+
+
+def opening_job(job: Job, profile: Profile, folder: Path) -> Job:
+    """The first dwells of an adaptive campaign for the profile of a job; its procedure is in the folder."""
+    path = folder / "opening.yaml"
+    make_folder(folder)
+    write_whole(path, opening_procedure(profile, DwellPattern.of(job.plan)).encode())
+    return prepare_job(str(path), str(job.station.path), job.emulation, compensation=job.compensation)
 
 
 def verification_runs(
@@ -123,6 +138,7 @@ class StationBench:
         hours = (self.rows[-1].end_s - self.rows[0].start_s) / 3600.0
         self._times = BlockTimes.on_bench(self._station.file.unit.thermal.time_constant_s, hours)
         self._shift_s = self.rows[-1].start_s - max(row.start_s for row in last_dwells)
+        self.campaign_h = sum(job_in(run).plan.duration_s for run in self._runs) / 3600.0  #: With cool-downs.
 
     def campaign(self, rows: Sequence[DwellRow]) -> Campaign:
         """Dwells of the campaign and of blocks, with the temperatures between them."""
@@ -194,6 +210,8 @@ class StationBench:
         _measure(job, run, self._observe, EarlierRuns(clock, plan.unit, power_ons))
         added = plan.next_dwell - 1
         rows = [replace(row, dwell=row.dwell + added) for row in read_dwells(run.dwells)]
+        if problems := implausible([*self.rows, *rows]):
+            raise DocumentError("\n".join(f"{run.dwells}: {each}" for each in problems))
         return sorted(rows, key=lambda row: row.start_s)
 
     def _blocks(self, before_s: float) -> list[RunFolder]:

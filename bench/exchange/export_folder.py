@@ -32,11 +32,25 @@ from gyrobench.bench.runs.provenance import read_provenance
 
 _TEXT = frozenset(
     {
-        *("unit", "run", "position", "gyro", "method", "finding", "flags", "effect", "compensation", "term"),
+        *(
+            "unit",
+            "run",
+            "position",
+            "gyro",
+            "coefficient",
+            "method",
+            "finding",
+            "flags",
+            "effect",
+            "compensation",
+            "term",
+        ),
         *("result", "quantity", "axis", "contribution", "type", "distribution", "input_unit", "note"),
     }
 )
-_WHOLE = frozenset({"dwell", "cycle", "stop", "dwells", "turned_dwell", "count", "part", "step", "mode"})
+_WHOLE = frozenset(
+    {"dwell", "cycle", "stop", "plateau", "dwells", "turned_dwell", "count", "part", "step", "mode"}
+)
 #: By the end of the name, longer ends first.
 _UNITS = MappingProxyType(
     {

@@ -16,6 +16,7 @@ from gyrobench.bench.foundations.documents import Document, parse_document
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.investigation.blocks import Block
 from gyrobench.bench.investigation.external_bench import AnyStep, BlockPlan, ChamberStep, DwellStep, PowerStep
+from gyrobench.bench.investigation.profile import Profile
 from gyrobench.bench.procedure.plan import Plan, PlannedStep
 from gyrobench.bench.procedure.steps import GoTo, Navigate, PowerOn
 
@@ -57,10 +58,12 @@ class DwellPattern:
             ons[0] if ons else _SETTLE_S,
         )
 
-    def entries(self, step: DwellStep) -> Iterator[dict[str, Any]]:
+    def entries(
+        self, position: str, azimuth_deg: float = 0.0, length_s: float = 0.0
+    ) -> Iterator[dict[str, Any]]:
         """Steps of a dwell as in a procedure file, its navigations longer if it is."""
-        yield {"go_to": {"position": step.position, "azimuth_deg": step.azimuth_deg, **self.go_to}}
-        longer = max((step.end_s - step.start_s) / self.length_s, 1.0)
+        yield {"go_to": {"position": position, "azimuth_deg": azimuth_deg, **self.go_to}}
+        longer = max(length_s / self.length_s, 1.0)
         for planned in self.steps:
             entry = _entry(planned)
             if isinstance(planned.step, Navigate) and longer > 1.2:
@@ -110,10 +113,29 @@ def block_procedure(plan: BlockPlan, pattern: DwellPattern) -> BlockProcedure:
     return BlockProcedure(yaml.safe_dump(content, sort_keys=False, default_flow_style=None), tuple(counts))
 
 
+def opening_procedure(profile: Profile, pattern: DwellPattern) -> str:
+    """The first dwells of an adaptive campaign as a procedure, YAML."""
+    steps: list[Any] = [{"power_on": {"settle_s": pattern.settle_s}}]
+    for cycle, set_points_c in enumerate(profile.opening, start=1):
+        entries = list[Any]()
+        for to_c in set_points_c:
+            rate_c_per_min = round(profile.ramp_c_per_h / 60.0, 4)
+            entries.append({"chamber": {"temperature_c": to_c, "ramp_c_per_min": rate_c_per_min}})
+            for position in profile.positions[:: -1 if cycle % 2 == 0 else 1]:
+                entries += pattern.entries(position)
+        steps.append({"repeat": {"over": {"cycle": [cycle]}, "steps": entries}})
+    content = {
+        "procedure": "opening",
+        "description": "First dwells of an adaptive campaign, at the extremes and in the middle.",
+        "steps": [*steps, "power_off", "chamber_off"],
+    }
+    return yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
+
+
 def _entries(step: AnyStep, pattern: DwellPattern, is_on: bool) -> Iterator[Any]:
     duration_s = round(step.end_s - step.start_s)
     if isinstance(step, DwellStep):
-        yield from pattern.entries(step)
+        yield from pattern.entries(step.position, step.azimuth_deg, step.end_s - step.start_s)
     elif isinstance(step, ChamberStep):
         rate_c_per_min = round(step.ramp_c_per_h / 60.0, 4)
         yield {"chamber": {"temperature_c": round(step.to_c, 3), "ramp_c_per_min": rate_c_per_min}}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -94,17 +94,6 @@ class BlockPlanner(Protocol):
 
     def timed(self, block: Block) -> Block | None:
         """The block with the bench's times; None if the bench can't do it."""
-
-
-class AfterLastDwell:
-    """A bench that stays as it is after the last dwell, and measures in the planned times."""
-
-    def start(self, rows: Sequence[DwellRow]) -> None:
-        """None."""
-
-    def timed(self, block: Block) -> Block:
-        """The block."""
-        return block
 
 
 @dataclass
@@ -225,7 +214,7 @@ class Timeline:
 
 
 @dataclass(frozen=True)
-class _Kind:
+class Kind:
     """One kind of block: what it adds to a timeline."""
 
     name: str
@@ -233,7 +222,7 @@ class _Kind:
     add: Callable[[Timeline], None]
 
 
-def _kinds(rows: Sequence[DwellRow], times: BlockTimes) -> list[_Kind]:
+def _kinds(rows: Sequence[DwellRow], times: BlockTimes) -> list[Kind]:
     off = f"switch the unit off for {_span(times.off_h)}"
     low_c, middle_c, high_c = np.quantile(chamber_c(rows), [0.0, 0.5, 1.0]).tolist()
     measured = [name for name in POSITIONS if any(row.position == name for row in rows)]
@@ -319,38 +308,38 @@ def _kinds(rows: Sequence[DwellRow], times: BlockTimes) -> list[_Kind]:
             timeline.dwells(every)
 
     return [
-        _Kind(
+        Kind(
             "soak from above",
             "heat, return to the middle temperature and measure after a soak",
             from_side(high_c),
         ),
-        _Kind(
+        Kind(
             "soak from below",
             "cool, return to the middle temperature and measure after a soak",
             from_side(low_c),
         ),
-        _Kind("slow ramp", "measure while the temperature changes slowly", on_ramp(_SLOW)),
-        _Kind("fast ramp", "measure while the temperature changes fast", on_ramp(_FAST)),
-        _Kind(
+        Kind("slow ramp", "measure while the temperature changes slowly", on_ramp(_SLOW)),
+        Kind("fast ramp", "measure while the temperature changes fast", on_ramp(_FAST)),
+        Kind(
             "reversal", "leave the middle temperature, return to it, and measure before and after", reversal
         ),
-        _Kind("power cycle", f"{off}, then measure from power-on", power_cycle),
-        _Kind(
+        Kind("power cycle", f"{off}, then measure from power-on", power_cycle),
+        Kind(
             "power cycle and long wait",
             f"{off}, measure from power-on and again {_span(times.long_wait_h)} later",
             power_cycle_then_long,
         ),
-        _Kind("power step", "reduce the unit's dissipation and measure after a soak", less_power),
-        _Kind("four headings", "measure one position at four headings", headings),
-        _Kind("cold, six positions", "measure all positions at the lowest temperature", inverted(low_c)),
-        _Kind("hot, six positions", "measure all positions at the highest temperature", inverted(high_c)),
-        _Kind(
+        Kind("power step", "reduce the unit's dissipation and measure after a soak", less_power),
+        Kind("four headings", "measure one position at four headings", headings),
+        Kind("cold, six positions", "measure all positions at the lowest temperature", inverted(low_c)),
+        Kind("hot, six positions", "measure all positions at the highest temperature", inverted(high_c)),
+        Kind(
             "repeat after hours",
             f"wait for {_span(times.wait_h)}, then measure all positions again",
             after_hours,
         ),
-        _Kind("longer dwells", "measure two positions in long dwells", longer),
-        _Kind(NEW_CYCLE, f"{off}, then measure all positions at three temperatures", new_cycle),
+        Kind("longer dwells", "measure two positions in long dwells", longer),
+        Kind(NEW_CYCLE, f"{off}, then measure all positions at three temperatures", new_cycle),
     ]
 
 
@@ -358,12 +347,20 @@ def _span(hours: float) -> str:
     return f"{60.0 * hours:.0f} min" if hours < 1.0 else f"{hours:.2g} h"
 
 
-def catalogue(rows: Sequence[DwellRow], pairs: bool = False, start: BlockStart | None = None) -> list[Block]:
-    """Blocks that can follow dwells in the order of time, from ``start``; with ``pairs``, two in sequence."""
-    kinds = _kinds(rows, start.times if start else BlockTimes())
-    sequences: list[tuple[_Kind, ...]] = [(each,) for each in kinds]
-    if pairs:
-        sequences += list(itertools.permutations(kinds, 2))
+def catalogue(
+    rows: Sequence[DwellRow],
+    paired: Collection[str] | None = None,
+    start: BlockStart | None = None,
+    more: Iterable[Kind] = (),
+) -> list[Block]:
+    """Blocks that can follow dwells in the order of time, from ``start``.
+
+    ``paired``: names of kinds; then two of them in sequence. ``more``: kinds beside the usual ones.
+    """
+    kinds = [*_kinds(rows, start.times if start else BlockTimes()), *more]
+    sequences: list[tuple[Kind, ...]] = [(each,) for each in kinds]
+    if paired is not None:
+        sequences = list(itertools.permutations([each for each in kinds if each.name in paired], 2))
     blocks = []
     for sequence in sequences:
         timeline = Timeline(rows, start=start)

@@ -14,6 +14,7 @@ import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate
+from gyrobench.bench.closure.effects.effect import Effect
 from gyrobench.bench.closure.problem import DEGREE, declared_columns
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 
@@ -24,6 +25,25 @@ _DRAWS = 96
 _MAX_SIZE = 300.0
 _PARAMETER_SHARE = 0.3
 _STEP_SHARE = 0.02
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A hypothesis that may be the cause."""
+
+    names: tuple[str, ...]  #: Its effects; empty for none.
+    candidates: tuple[Candidate, ...]  #: As fitted.
+    probability: float  #: Of all rivals together 1.
+    #: Rms of something that is not on the list beside the effects, deg/h; zero for none.
+    remainder_dph: float = 0.0
+    #: Effects among them that were not fitted, since the dwells lack an input; what imitates them was.
+    unfitted: tuple[Effect, ...] = ()
+
+    @property
+    def title(self) -> str:
+        """Its effects by name: "warm_up + time_drift", "nothing", "... + not on the list"."""
+        names = " + ".join(self.names) or "nothing"
+        return f"{names} + not on the list" if self.remainder_dph else names
 
 
 @dataclass(frozen=True)
@@ -49,14 +69,39 @@ class Prediction:
         return np.asarray(self.mean_dph + normals @ np.linalg.cholesky(self.covariance).T)
 
 
-def predict_dwells(
+@dataclass(frozen=True)
+class Linearized:
+    """A hypothesis linearized about its fit to the measured of n dwells; all arrays gyro by gyro."""
+
+    design: FloatArray  #: Shape (3 n, p). Slopes of the biases by its coefficients.
+    values: FloatArray  #: Shape (p,). The coefficients fitted.
+    sigma_dph: FloatArray  #: Shape (3 n,). Noise of the dwells.
+    precision: FloatArray  #: Shape (p,). Prior precision of the coefficients.
+
+    def covariance(self, known: BoolArray, at: BoolArray) -> FloatArray:
+        """Covariance of the biases of m dwells ``at`` (n,), when those ``known`` (n,) are measured.
+
+        Shape (3 m, 3 m), (deg/h)^2, without the noise of these dwells.
+        """
+        mine, there = np.tile(known, 3), self.design[np.tile(at, 3)]
+        covariance = _inverse(self.design[mine] / self.sigma_dph[mine, np.newaxis], self.precision)
+        return np.asarray(there @ covariance @ there.T)
+
+    def prediction(self, measured: BoolArray, at: BoolArray) -> Prediction:
+        """Predict the dwells ``at`` from those measured."""
+        there = np.tile(at, 3)
+        noise = np.diag(self.sigma_dph[there] ** 2)
+        return Prediction(self.design[there] @ self.values, self.covariance(measured, at) + noise)
+
+
+def linearized(
     campaign: Campaign,
     measured: BoolArray,
     candidates: Sequence[Candidate],
     noise_scale: float,
     run_spread_dph: float,
-) -> Prediction:
-    """Predict the dwells of a campaign that are not measured.
+) -> Linearized:
+    """Linearize a hypothesis about its fit to the dwells of a campaign that are measured.
 
     Parameters
     ----------
@@ -84,26 +129,33 @@ def predict_dwells(
         precision[place] = _prior_precision(campaign, columns, sigma_dph[:, gyro], run_spread_dph)
     data, sigma = campaign.bias_dph.T.ravel(), sigma_dph.T.ravel()
     known = np.tile(measured, 3)
-    sizes = _solved(design[known], data[known], sigma[known], precision)[0]
+    sizes = _solved(design[known], data[known], sigma[known], precision)
     if parameters:
         slopes, widths_of = _parameter_slopes(campaign, candidates, sizes, starts)
         design[:, starts[-1] :] = slopes
         precision[starts[-1] :] = 1.0 / (_PARAMETER_SHARE * widths_of) ** 2
-    values, covariance = _solved(design[known], data[known], sigma[known], precision)
-    new = ~known
-    return Prediction(
-        design[new] @ values, design[new] @ covariance @ design[new].T + np.diag(sigma[new] ** 2)
-    )
+    return Linearized(design, _solved(design[known], data[known], sigma[known], precision), sigma, precision)
 
 
-def expected_entropy(predictions: Sequence[Prediction], probabilities: FloatArray, seed: int = 0) -> float:
-    """Expected entropy, nats, of the probabilities (k,) of k hypotheses after a block was measured.
+@dataclass(frozen=True)
+class Expected:
+    """What is expected of the probabilities of hypotheses after a block was measured."""
+
+    entropy: float  #: Nats.
+    unsettled: float  #: Probability that no hypothesis is settled.
+    unsettled_entropy: float  #: Part of the entropy from outcomes after which none is.
+
+
+def expected_after(
+    predictions: Sequence[Prediction], probabilities: FloatArray, settled: float, seed: int = 0
+) -> Expected:
+    """Expected entropy of the probabilities (k,) of k hypotheses, one of which is settled from a value on.
 
     ``predictions``: of each hypothesis for the same dwells. The normal values are the same for each block, so
     that blocks are compared without the noise of the draws.
     """
     normals = np.random.default_rng(seed).standard_normal((_DRAWS, len(predictions[0].mean_dph)))
-    expected = 0.0
+    expected = np.zeros(3)
     for truth, probability in zip(predictions, probabilities, strict=True):
         outcomes = truth.draw(normals)
         logs = np.stack([each.log_likelihood(outcomes) for each in predictions], axis=1) + np.log(
@@ -111,8 +163,9 @@ def expected_entropy(predictions: Sequence[Prediction], probabilities: FloatArra
         )
         posterior = np.exp(logs - logs.max(axis=1, keepdims=True))
         posterior /= posterior.sum(axis=1, keepdims=True)
-        expected += float(probability * np.mean([entropy(each) for each in posterior]))
-    return expected
+        entropies, is_open = np.array([entropy(each) for each in posterior]), posterior.max(axis=1) < settled
+        expected += probability * np.mean([entropies, is_open, entropies * is_open], axis=1)
+    return Expected(*expected.tolist())
 
 
 def entropy(probabilities: FloatArray) -> float:
@@ -139,16 +192,18 @@ def _prior_precision(
     return np.asarray(precision)
 
 
-def _solved(
-    design: FloatArray, data: FloatArray, sigma: FloatArray, precision: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Coefficients and their covariance by least squares with a prior of mean zero."""
+def _solved(design: FloatArray, data: FloatArray, sigma: FloatArray, precision: FloatArray) -> FloatArray:
+    """Coefficients by least squares with a prior of mean zero."""
     weighted = design / sigma[:, np.newaxis]
+    return np.asarray(_inverse(weighted, precision) @ (weighted.T @ (data / sigma)))
+
+
+def _inverse(weighted: FloatArray, precision: FloatArray) -> FloatArray:
+    """Covariance of coefficients by their columns (m, p) in units of the noise, and their prior precision."""
     scales = 1.0 / np.sqrt(np.sum(weighted**2, axis=0) + precision + 1e-300)
     normal = scales[:, np.newaxis] * (weighted.T @ weighted + np.diag(precision)) * scales
     inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
-    covariance = scales[:, np.newaxis] * inverse * scales
-    return covariance @ (weighted.T @ (data / sigma)), covariance
+    return np.asarray(scales[:, np.newaxis] * inverse * scales)
 
 
 def _parameter_slopes(

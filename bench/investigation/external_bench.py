@@ -12,12 +12,13 @@ import subprocess
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 import numpy as np
 from pydantic import Field
 
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
+from gyrobench.bench.closure.campaign import Campaign, campaign_of
 from gyrobench.bench.closure.plausibility import implausible
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.documents import StrictModel
@@ -32,6 +33,7 @@ _TIMEOUT_FACTOR, _TIMEOUT_MARGIN_S = 1.5, 600.0
 #: Time for a command that is ended to switch its bench off.
 _TERMINATION_S = 10.0
 _S_PER_H = 3600.0
+_Block = TypeVar("_Block")
 #: Sigmas this many times those of the first table, or a fraction of them, are wrong.
 _MAX_SIGMA_RATIO = 5.0
 
@@ -127,8 +129,30 @@ class BlockRefusedError(GyrobenchError):
     """The bench can't do the block; the message is its reason."""
 
 
+class AfterLastDwell:
+    """A bench that stays as it is after the last dwell, and measures in the planned times."""
+
+    rows: Sequence[DwellRow]  #: Dwells before the first block.
+
+    @property
+    def campaign_h(self) -> float:
+        """Hours from the first of these dwells to the last."""
+        return (max(row.end_s for row in self.rows) - min(row.start_s for row in self.rows)) / _S_PER_H
+
+    def campaign(self, rows: Sequence[DwellRow]) -> Campaign:
+        """Dwells as they are searched."""
+        return campaign_of(rows)
+
+    def start(self, rows: Sequence[DwellRow]) -> None:
+        """None: a block begins after the last of these dwells."""
+
+    def timed(self, block: _Block) -> _Block:
+        """The block."""
+        return block
+
+
 @dataclass(frozen=True)
-class ExternalBench:
+class ExternalBench(AfterLastDwell):
     """A bench behind a command.
 
     ``command`` is split like a shell does and gets the paths of plan and table as its last two arguments.

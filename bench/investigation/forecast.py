@@ -70,48 +70,62 @@ class Forecast:
         time_s, set_c, power, up_body = _inputs(plan, self.measured)
         course = thermal.course(time_s, set_c, power, up_body, before and before.end)
         power_on_s, is_on = plan.start_s - plan.state.since_power_on_s, plan.state.powered
-        found = []
+        since_s = list[float]()
         for step in plan.steps:
             if isinstance(step, PowerStep):
                 power_on_s = step.start_s if step.on and not is_on else power_on_s
                 is_on = step.on
             elif isinstance(step, DwellStep):
-                found.append(self._row(step, course, step.start_s - power_on_s))
-        return found
+                since_s.append(step.start_s - power_on_s)
+        return self._rows(plan.dwells, course, since_s)
 
-    def _row(self, step: DwellStep, course: Course, since_power_on_s: float) -> DwellRow:
-        last, duration_s = self.measured[-1], step.end_s - step.start_s
-        edges_s = np.array([step.start_s]), np.array([step.end_s])
+    def _rows(self, steps: Sequence[DwellStep], course: Course, since_s: Sequence[float]) -> list[DwellRow]:
+        last = self.measured[-1]
+        edges_s = np.array([[step.start_s, step.end_s] for step in steps]).reshape(-1, 2).T
 
-        def mean(values: FloatArray, like: float | Triple) -> FloatArray:
-            known = np.isfinite(np.mean(like))
-            return course.means(values, *edges_s)[0] if known else np.full(values.shape[1:], math.nan)
+        def means(values: FloatArray, like: float | Triple = 0.0) -> FloatArray:
+            known = 1.0 if np.isfinite(np.mean(like)) else math.nan
+            return known * course.means(values, *edges_s)
 
-        optics_c, electronics_c = mean(course.optics_c, 0.0), mean(course.electronics_c, last.board_c)
+        optics_c, electronics_c = means(course.optics_c), means(course.electronics_c, last.board_c)
         if self._above_optics is not None:
             offsets, factors = self._above_optics
-            above_k = mean(course.electronics_c - course.optics_c, 0.0)
-            electronics_c = optics_c + offsets + factors * above_k
-        ends_c = [np.interp([step.start_s, step.end_s], course.time_s, each) for each in course.optics_c.T]
-        return DwellRow(
-            unit=last.unit,
-            run=step.run,
-            dwell=step.dwell,
-            cycle=step.cycle,
-            position=step.position,
-            start_s=step.start_s,
-            end_s=step.end_s,
-            since_power_on_s=since_power_on_s,
-            gyro_c=_triple(optics_c),
-            gyro_rate_c_per_h=_triple([(end - begin) / duration_s * _S_PER_H for begin, end in ends_c]),
-            bias_dph=(0.0, 0.0, 0.0),
-            sigma_dph=_triple(self._sigma_dph * math.sqrt(self._typical_s / duration_s)),
-            azimuth_deg=step.azimuth_deg if math.isfinite(last.azimuth_deg) else math.nan,
-            chamber_set_c=float(mean(course.air_c, last.chamber_set_c)),
-            chamber_c=float(mean(course.air_c, last.chamber_c)),
-            case_c=float(mean(course.case_c, last.case_c)),
-            board_c=_triple(electronics_c),
+            electronics_c = optics_c + offsets + factors * means(course.electronics_c - course.optics_c)
+        first_c, last_c = (
+            np.stack([np.interp(each, course.time_s, optics) for optics in course.optics_c.T], axis=1)
+            for each in edges_s
         )
+        rate_c_per_h = (last_c - first_c) / (edges_s[1] - edges_s[0])[:, np.newaxis] * _S_PER_H
+        set_c, air_c, case_c = (
+            means(values, like).tolist()
+            for values, like in (
+                (course.air_c, last.chamber_set_c),
+                (course.air_c, last.chamber_c),
+                (course.case_c, last.case_c),
+            )
+        )
+        return [
+            DwellRow(
+                unit=last.unit,
+                run=step.run,
+                dwell=step.dwell,
+                cycle=step.cycle,
+                position=step.position,
+                start_s=step.start_s,
+                end_s=step.end_s,
+                since_power_on_s=since_s[index],
+                gyro_c=_triple(optics_c[index]),
+                gyro_rate_c_per_h=_triple(rate_c_per_h[index]),
+                bias_dph=(0.0, 0.0, 0.0),
+                sigma_dph=_triple(self._sigma_dph * math.sqrt(self._typical_s / (step.end_s - step.start_s))),
+                azimuth_deg=step.azimuth_deg if math.isfinite(last.azimuth_deg) else math.nan,
+                chamber_set_c=set_c[index],
+                chamber_c=air_c[index],
+                case_c=case_c[index],
+                board_c=_triple(electronics_c[index]),
+            )
+            for index, step in enumerate(steps)
+        ]
 
 
 def chamber_c(rows: Sequence[DwellRow]) -> FloatArray:

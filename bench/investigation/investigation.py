@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow, format_dwells, read_dwells, write_dwells
-from gyrobench.bench.closure.campaign import Campaign, campaign_of
+from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.effect import Effect, searched_length_s
 from gyrobench.bench.closure.loop import Closure, close_loop, composed
@@ -25,15 +25,24 @@ from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
 from gyrobench.bench.foundations.files import make_folder, write_whole
 from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.investigation.blocks import NEW_CYCLE, Block, BlockPlanner
+from gyrobench.bench.investigation.choice import Rival
 from gyrobench.bench.investigation.external_bench import BlockPlan, BlockRefusedError
 from gyrobench.bench.investigation.forecast import Forecast
-from gyrobench.bench.investigation.proposal import Outcome, Proposal, Rival, outcome_of, proposal_of, propose
-from gyrobench.bench.navigation.positions import AXES
+from gyrobench.bench.investigation.profile import Calibration, Profile
+from gyrobench.bench.investigation.proposal import (
+    SETTLED,
+    Outcome,
+    Proposal,
+    calibration_of,
+    hours_left,
+    outcome_of,
+    proposal_of,
+    propose,
+    proposed,
+)
 from gyrobench.bench.runs.journal import Journal, read_journal
 from gyrobench.bench.runs.provenance import operator_name
 
-#: A cause is settled at this probability.
-SETTLED = 0.99
 #: Hypotheses less probable than this, and more than so many, are not predicted.
 _MIN_PROBABILITY = 1e-3
 _MAX_RIVALS = 6
@@ -48,7 +57,9 @@ _MIN_AGEING_S = 26.0 * 3600.0
 #: A prediction is tested where it differs by this square from that without it, in units of its uncertainty.
 _ENOUGH = 60.0
 #: Purposes of a block.
-DISTINGUISH, CONFIRM, TEST_LAW = "distinguish", "confirm", "test_law"
+DISTINGUISH, CONFIRM, TEST_LAW, CALIBRATE = "distinguish", "confirm", "test_law", "calibrate"
+#: Ends after which an adaptive campaign still determines biases.
+_CONCLUSIVE = ("settled", "nothing_found", "not_on_list", "refuted")
 _S_PER_H = 3600.0
 
 
@@ -56,15 +67,26 @@ _S_PER_H = 3600.0
 class Stage:
     """One search, and the block that was measured after it."""
 
-    spent_h: float  #: Hours on the bench since the first table, before the block.
+    spent_h: float  #: Hours on the bench since the first table, before the block; with a profile, in all.
     closure: Closure  #: The search.
     #: The hypotheses that a block has to distinguish. Where a cause is confirmed or a law tested, it is the
     #: first, and the second does without it.
     rivals: tuple[Rival, ...]
-    purpose: str = DISTINGUISH  #: DISTINGUISH, CONFIRM or TEST_LAW.
+    purpose: str = DISTINGUISH  #: DISTINGUISH, CONFIRM, TEST_LAW, or CALIBRATE: the cause is settled.
     proposal: Proposal | None = None  #: The block measured next; None at the end.
     #: What the block says about the rivals; None at the end, and if all its dwells have flags.
     outcome: Outcome | None = None
+    calibration: Calibration | None = None  #: Of the biases of a profile; None without one.
+
+    @property
+    def is_uncertain(self) -> bool:
+        """Whether the biases are less certain than by the whole profile."""
+        return self.calibration is not None and self.calibration.ratio > 1.0
+
+    @property
+    def is_test(self) -> bool:
+        """Whether its block tests a prediction."""
+        return self.purpose in (CONFIRM, TEST_LAW)
 
 
 @dataclass(frozen=True)
@@ -78,6 +100,7 @@ class Investigation:
     reason: str  #: Why it ended.
     rows: tuple[DwellRow, ...]  #: All dwells.
     refused: Mapping[tuple[str, ...], str]  #: Reasons of the bench by the kinds of a block.
+    repeated_campaign_h: float  #: Hours of repeating the first campaign; of the profile, where there is one.
 
     @property
     def is_conclusive(self) -> bool:
@@ -87,7 +110,7 @@ class Investigation:
     @property
     def test(self) -> Stage | None:
         """The last block that confirmed a settled cause or tested a composed law, if it gave an outcome."""
-        return next((each for each in reversed(self.stages) if _is_test(each)), None)
+        return next((each for each in reversed(self.stages) if each.is_test and each.outcome), None)
 
     @property
     def closure(self) -> Closure:
@@ -95,19 +118,29 @@ class Investigation:
         return self.stages[-1].closure
 
     @property
-    def spent_h(self) -> float:
-        """Hours on the bench since the first table."""
-        return self.stages[-1].spent_h
+    def calibration(self) -> Calibration | None:
+        """What is known of the biases of the profile of an adaptive campaign."""
+        return self.stages[-1].calibration
 
     @property
-    def repeated_campaign_h(self) -> float:
-        """Hours of repeating the first campaign."""
-        first = self.stages[0].closure.campaign
-        return float(first.end_s.max() - first.start_s.min()) / _S_PER_H
+    def spent_h(self) -> float:
+        """Hours on the bench since the first table; of an adaptive campaign, in all."""
+        return self.stages[-1].spent_h
 
 
-class Bench(Protocol):
-    """What measures the blocks."""
+class Bench(BlockPlanner, Protocol):
+    """What measured the first dwells, and measures the blocks."""
+
+    @property
+    def rows(self) -> Sequence[DwellRow]:
+        """Dwells before the first block."""
+
+    @property
+    def campaign_h(self) -> float:
+        """Hours of their measurement."""
+
+    def campaign(self, rows: Sequence[DwellRow]) -> Campaign:
+        """Dwells as they are searched."""
 
     def measure(self, plan: BlockPlan, folder: Path) -> list[DwellRow]:
         """Measure a block, or what is left of it; files of the bench are written into ``folder``.
@@ -117,33 +150,32 @@ class Bench(Protocol):
 
 
 class Investigator:
-    """An investigation of a table.
+    """An investigation of the dwells of a bench.
 
     ``folder`` gets the journal and all results; an investigation in it is continued. ``approve`` is asked
-    before a block is measured. ``planner`` is what the bench says about blocks beforehand, by default
-    nothing; ``campaign`` makes the campaign of dwells that is searched.
+    before a block is measured. With a ``profile`` it also measures until the biases of that are as certain as
+    if it had been measured; the first dwells count as time on the bench, at most that of the profile.
 
     Raises RunFolderError if the folder belongs to another table.
     """
 
     def __init__(
         self,
-        rows: Sequence[DwellRow],
-        folder: Path,
         bench: Bench,
+        folder: Path,
         budget_h: float,
         approve: Callable[[Proposal, Sequence[Rival]], bool],
-        planner: BlockPlanner | None = None,
-        campaign: Callable[[Sequence[DwellRow]], Campaign] = campaign_of,
+        profile: Profile | None = None,
     ) -> None:
         make_folder(folder)
-        self._rows = sorted(rows, key=lambda row: (row.start_s, row.dwell))
-        self._planner, self._campaign = planner, campaign
-        self._held_out = [campaign(self._rows).last_cycle]
-        self._folder, self._bench, self._budget_h = folder, bench, budget_h
+        self._rows = sorted(bench.rows, key=lambda row: (row.start_s, row.dwell))
+        self._held_out = [bench.campaign(self._rows).last_cycle]
+        self._profile = profile
+        self._folder, self._bench = folder, bench
+        self._budget_h = min(budget_h, profile.duration_h) if profile else budget_h
         self._approve = approve
         self._refused: dict[tuple[str, ...], str] = {}
-        self._spent_h, self._blocks = 0.0, 0
+        self._spent_h, self._blocks = bench.campaign_h if profile else 0.0, 0
         self._flagged: list[tuple[str, ...]] = []
         self._earlier: list[dict[str, Any]] = []
         self._stages: list[Stage] = []
@@ -174,7 +206,10 @@ class Investigator:
             ended = None
             while ended is None:
                 stage = self._searched()
-                journal.record("searched", spent_h=stage.spent_h, **probabilities(stage.closure))
+                ratio = stage.calibration and stage.calibration.ratio
+                journal.record(
+                    "searched", spent_h=stage.spent_h, uncertainty_ratio=ratio, **probabilities(stage.closure)
+                )
                 ended = self._end(stage)
                 if ended is None:
                     stage, ended = self._with_block(stage, journal)
@@ -182,10 +217,16 @@ class Investigator:
                     test, failed = self._with_block(test, journal)
                     stage = test if failed is None else stage
                     ended = failed and (failed if failed[0] == "bench_failed" else ended)
+                elif ended and ended[0] in _CONCLUSIVE and stage.is_uncertain and stage.calibration:
+                    stage = replace(stage, purpose=CALIBRATE, rivals=stage.calibration.rivals)
+                    stage, failed = self._with_block(stage, journal)
+                    ended = failed and (failed if failed[0] in ("bench_failed", "declined") else ended)
                 self._stages.append(stage)
             journal.record("investigation_ended", ended=ended[0], reason=ended[1])
             write_dwells(self._folder / "dwells.csv", self._rows)
-        return Investigation(tuple(self._stages), *ended, tuple(self._rows), dict(self._refused))
+        whole_h = self._profile.duration_h if self._profile else self._bench.campaign_h
+        rows, refused = tuple(self._rows), dict(self._refused)
+        return Investigation(tuple(self._stages), *ended, rows, refused, whole_h)
 
     def _with_block(self, stage: Stage, journal: Journal) -> tuple[Stage, tuple[str, str] | None]:
         """The stage with the best block that the bench can do, or why there is none."""
@@ -203,16 +244,25 @@ class Investigator:
             else:
                 refused = [*self._refused, *idle]
                 measured = [each.proposal.block.kinds for each in self._stages if each.proposal]
-                found = propose(forecast, stage.rivals, scale, refused, left_h, self._planner, measured)
+                found = propose(
+                    forecast, stage.rivals, scale, refused, left_h, self._bench, measured,
+                    self._profile, stage.calibration if stage.is_uncertain and not stage.is_test else None,
+                )  # fmt: skip
                 useful = [
                     each
                     for each in found
-                    if each.entropy - each.expected_entropy > MIN_GAIN
+                    if max(each.fall, each.replaced_h) > MIN_GAIN
                     and (stage.purpose != TEST_LAW or each.block.name == NEW_CYCLE)
                 ]
+                if not useful and stage.is_uncertain:
+                    return stage, (
+                        "budget",
+                        f"No block is short enough for the {left_h:.1f} h that are left.",
+                    )
                 if not useful:
                     return stage, self._no_block(stage)
-                best = max(useful, key=_gain_per_h if stage.purpose == DISTINGUISH else _test_per_h)
+                hours = hours_left(useful, is_settled=stage.purpose == CALIBRATE)
+                best = max(useful, key=_test_per_h) if stage.is_test else min(useful, key=hours)
                 if not self._is_approved(best, stage, journal):
                     return stage, ("declined", "The proposed block was declined.")
             try:
@@ -281,8 +331,13 @@ class Investigator:
         return next((each.outcome for each in reversed(tests) if each.outcome), None)
 
     def _searched(self) -> Stage:
-        closure = searched(self._campaign(self._rows), self._held_out)
-        return Stage(self._spent_h, closure, rivals_of(closure))
+        closure = searched(self._bench.campaign(self._rows), self._held_out)
+        stage = Stage(self._spent_h, closure, rivals_of(closure))
+        if self._profile is None:
+            return stage
+        forecast = Forecast(closure.noise.weighted(self._rows))
+        calibration = calibration_of(forecast, self._profile, stage.rivals, closure.noise_scale, self._bench)
+        return replace(stage, calibration=calibration)
 
     def _end(self, stage: Stage) -> tuple[str, str] | None:
         posterior = stage.closure.posterior
@@ -410,16 +465,8 @@ def _remainder_dph(closure: Closure) -> float:
     return float(max(np.sqrt(max(variance, 0.0)), 0.5 * closure.noise_dph))
 
 
-def _gain_per_h(proposal: Proposal) -> float:
-    return proposal.gain_per_h
-
-
 def _test_per_h(proposal: Proposal) -> float:
     return min(proposal.difference, _ENOUGH) / proposal.block.plan.duration_h
-
-
-def _is_test(stage: Stage) -> bool:
-    return stage.purpose != DISTINGUISH and stage.outcome is not None
 
 
 def probabilities(closure: Closure) -> dict[str, Any]:
@@ -429,31 +476,4 @@ def probabilities(closure: Closure) -> dict[str, Any]:
         "effects": closure.posterior.of_effect,
         "nothing": closure.posterior.nothing,
         "not_on_the_list": closure.posterior.not_on_list,
-    }
-
-
-def proposed(proposal: Proposal, rivals: Sequence[Rival]) -> dict[str, Any]:
-    """A proposal with its predictions, for the journal."""
-    return {
-        "block": proposal.block.name,
-        "what": proposal.block.what,
-        "hours": proposal.block.plan.duration_h,
-        "entropy": proposal.entropy,
-        "expected_entropy": proposal.expected_entropy,
-        "dwells": [row.dwell for row in proposal.rows],
-        "predictions": [
-            {
-                "hypothesis": rival.title,
-                "probability": rival.probability,
-                **{
-                    f"bias_{axis}_dph": prediction.mean_dph.reshape(3, -1)[gyro].tolist()
-                    for gyro, axis in enumerate(AXES)
-                },
-                **{
-                    f"sigma_{axis}_dph": np.sqrt(np.diag(prediction.covariance)).reshape(3, -1)[gyro].tolist()
-                    for gyro, axis in enumerate(AXES)
-                },
-            }
-            for rival, prediction in zip(rivals, proposal.predictions, strict=True)
-        ],
     }

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+import itertools
+from collections import Counter
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.special import chdtrc
@@ -11,12 +14,22 @@ from scipy.special import chdtrc
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.closure.campaign import Campaign, campaign_of
 from gyrobench.bench.closure.candidates import Candidate, best_start, solve_with
-from gyrobench.bench.closure.effects.effect import Effect
 from gyrobench.bench.closure.problem import declared_problem
-from gyrobench.bench.foundations.arrays import BoolArray, rms
-from gyrobench.bench.investigation.blocks import AfterLastDwell, Block, BlockPlanner, catalogue
-from gyrobench.bench.investigation.choice import Prediction, entropy, expected_entropy, predict_dwells
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms
+from gyrobench.bench.investigation.blocks import Block, BlockPlanner, catalogue
+from gyrobench.bench.investigation.choice import (
+    Expected,
+    Linearized,
+    Prediction,
+    Rival,
+    entropy,
+    expected_after,
+    linearized,
+)
+from gyrobench.bench.investigation.external_bench import AfterLastDwell
 from gyrobench.bench.investigation.forecast import Forecast
+from gyrobench.bench.investigation.profile import Calibration, Profile
+from gyrobench.bench.navigation.positions import AXES
 
 #: Blocks of which pairs are tried.
 _PAIRED = 4
@@ -25,25 +38,8 @@ _PAIRED = 4
 _MIN_RUN_SPREAD = 30.0
 #: Temperatures of dwells that differ by less from the forecast are not worth a notice.
 _MIN_OFF_K = 10.0
-
-
-@dataclass(frozen=True)
-class Rival:
-    """A hypothesis that may be the cause."""
-
-    names: tuple[str, ...]  #: Its effects; empty for none.
-    candidates: tuple[Candidate, ...]  #: As fitted.
-    probability: float  #: Of all rivals together 1.
-    #: Rms of something that is not on the list beside the effects, deg/h; zero for none.
-    remainder_dph: float = 0.0
-    #: Effects among them that were not fitted, since the dwells lack an input; what imitates them was.
-    unfitted: tuple[Effect, ...] = ()
-
-    @property
-    def title(self) -> str:
-        """Its effects by name: "warm_up + time_drift", "nothing", "... + not on the list"."""
-        names = " + ".join(self.names) or "nothing"
-        return f"{names} + not on the list" if self.remainder_dph else names
+#: A cause is settled at this probability.
+SETTLED = 0.99
 
 
 @dataclass(frozen=True)
@@ -54,9 +50,12 @@ class Proposal:
     rows: tuple[DwellRow, ...]  #: Its dwells with forecast temperatures.
     predictions: tuple[Prediction, ...]  #: Of each rival, for the biases of these dwells.
     entropy: float  #: Of the rivals' probabilities, nats.
-    expected_entropy: float  #: After the block.
+    expected: Expected  #: After the block.
     #: How often its kinds were measured, the most of each, without settling the cause.
     repeats: int = 0
+    #: Hours of a profile that the block replaces; see :meth:`~.profile.Calibration.missing_h`.
+    replaced_h: float = 0.0
+    missing_h: float = 0.0  #: Hours of a profile that are missing after the block.
 
     @property
     def gain_per_h(self) -> float:
@@ -64,8 +63,17 @@ class Proposal:
 
         Halved each time that a kind did not settle the cause: its predictions are too narrow.
         """
-        fall = (self.entropy - self.expected_entropy) / self.block.plan.duration_h
-        return fall * 0.5**self.repeats
+        return self.fall * self.trust / self.block.plan.duration_h
+
+    @property
+    def fall(self) -> float:
+        """Expected fall of the entropy, nats."""
+        return self.entropy - self.expected.entropy
+
+    @property
+    def trust(self) -> float:
+        """Share of what is expected that counts."""
+        return 1.0 / 2.0**self.repeats
 
     @property
     def difference(self) -> float:
@@ -83,6 +91,8 @@ def propose(
     max_h: float = np.inf,
     planner: BlockPlanner | None = None,
     measured: Sequence[Sequence[str]] = (),
+    profile: Profile | None = None,
+    calibration: Calibration | None = None,
 ) -> list[Proposal]:
     """Blocks with their utilities, best first.
 
@@ -103,6 +113,10 @@ def propose(
         The bench; by default one that stays as it is after the last dwell.
     measured : sequence of sequence of str
         Kinds of the blocks measured since the first table.
+    profile : Profile, optional
+        Its dwells are blocks too.
+    calibration : Calibration, optional
+        Where given, information about the biases of the profile counts as well.
     """
     rows, planner = forecast.measured, planner or AfterLastDwell()
     start = planner.start(rows)
@@ -114,19 +128,45 @@ def propose(
 
     def proposal(block: Block) -> Proposal:
         repeats = max(sum(kind in kinds for kinds in measured) for kind in block.kinds)
-        return replace(proposal_of(forecast, block, rivals, noise_scale), repeats=repeats)
+        found = replace(proposal_of(forecast, block, rivals, noise_scale), repeats=repeats)
+        if calibration is None:
+            return found
+        whole, means = calibration.whole, calibration.profile.means
+        after = _next_pass(forecast, whole, means, found.rows, calibration.rivals, noise_scale)
+        missing_h = calibration.missing_h(after)
+        replaced_h = calibration.missing_h(calibration.variances) - missing_h
+        return replace(found, replaced_h=replaced_h, missing_h=missing_h)
 
+    more = profile.kinds() if profile else ()
     paired = {kind for kinds in refused if len(kinds) > 1 for kind in kinds}
-    found = [proposal(each) for each in usable(catalogue(rows, start=start))]
+    found = [proposal(each) for each in usable(catalogue(rows, start=start, more=more))]
     found.sort(key=lambda each: -each.gain_per_h)
     best = {each.block.name for each in found[:_PAIRED]}
-    pairs = [
-        each
-        for each in catalogue(rows, pairs=True, start=start)
-        if len(each.kinds) == 2 and set(each.kinds) <= best and not set(each.kinds) & paired
-    ]
-    found += [proposal(each) for each in usable(pairs)]
+    found += [proposal(each) for each in usable(catalogue(rows, best - paired, start, more))]
     return sorted(found, key=lambda each: -each.gain_per_h)
+
+
+def hours_left(proposals: Sequence[Proposal], *, is_settled: bool = False) -> Callable[[Proposal], float]:
+    """Expected hours until the cause is settled and the biases are certain enough, by the next block.
+
+    Afterwards the entropy and what is missing of a profile fall at the rates of the best blocks of today,
+    and where anything is left at least the shortest block follows. ``is_settled``: the cause is.
+    """
+    fastest = max(each.gain_per_h for each in proposals)
+    replacing = max(each.replaced_h / each.block.plan.duration_h for each in proposals)
+    shortest_h = min(each.block.plan.duration_h for each in proposals)
+
+    def left(each: Proposal) -> float:
+        hours, doubt = each.block.plan.duration_h, 1.0 - each.trust
+        if not is_settled:
+            entropy_left = each.trust * each.expected.unsettled_entropy + doubt * each.entropy
+            unsettled = each.trust * each.expected.unsettled + doubt
+            hours += max(entropy_left / max(fastest, 1e-9), unsettled * shortest_h)
+        if each.missing_h:
+            hours += max(each.missing_h / max(replacing, 1e-9), shortest_h)
+        return hours
+
+    return left
 
 
 def proposal_of(forecast: Forecast, block: Block, rivals: Sequence[Rival], noise_scale: float) -> Proposal:
@@ -139,14 +179,119 @@ def proposal_of(forecast: Forecast, block: Block, rivals: Sequence[Rival], noise
         tuple(new),
         tuple(predictions),
         entropy(probabilities),
-        expected_entropy(predictions, probabilities),
+        expected_after(predictions, probabilities, SETTLED),
     )
+
+
+def proposed(proposal: Proposal, rivals: Sequence[Rival]) -> dict[str, Any]:
+    """A proposal with its predictions, for the journal."""
+    return {
+        "block": proposal.block.name,
+        "what": proposal.block.what,
+        "hours": proposal.block.plan.duration_h,
+        "entropy": proposal.entropy,
+        "expected_entropy": proposal.expected.entropy,
+        "dwells": [row.dwell for row in proposal.rows],
+        "predictions": [
+            {
+                "hypothesis": rival.title,
+                "probability": rival.probability,
+                **{
+                    f"bias_{axis}_dph": prediction.mean_dph.reshape(3, -1)[gyro].tolist()
+                    for gyro, axis in enumerate(AXES)
+                },
+                **{
+                    f"sigma_{axis}_dph": np.sqrt(np.diag(prediction.covariance)).reshape(3, -1)[gyro].tolist()
+                    for gyro, axis in enumerate(AXES)
+                },
+            }
+            for rival, prediction in zip(rivals, proposal.predictions, strict=True)
+        ],
+    }
+
+
+def calibration_of(
+    forecast: Forecast,
+    profile: Profile,
+    rivals: Sequence[Rival],
+    noise_scale: float,
+    planner: BlockPlanner | None = None,
+) -> Calibration:
+    """What the dwells measured determine of the biases of a profile."""
+    start = (planner or AfterLastDwell()).start(forecast.measured)
+    whole = tuple(forecast.rows(profile.whole(forecast.measured, start)))
+    means, rivals = profile.means, _leading(rivals)
+    return Calibration(
+        profile,
+        whole,
+        rivals,
+        _next_pass(forecast, whole, means, (), rivals, noise_scale),
+        _next_pass(forecast, whole, means, whole, rivals, noise_scale, is_alone=True),
+    )
+
+
+def _leading(rivals: Sequence[Rival]) -> tuple[Rival, ...]:
+    """The most probable rivals, of together :data:`SETTLED`, as if there were no others."""
+    before = np.cumsum([0.0, *(each.probability for each in rivals)])[:-1]
+    kept = list(itertools.compress(rivals, before < SETTLED))
+    total = sum(each.probability for each in kept)
+    return tuple(replace(each, probability=each.probability / total) for each in kept)
+
+
+def _next_pass(
+    forecast: Forecast,
+    whole: Sequence[DwellRow],
+    means: FloatArray,
+    new: Sequence[DwellRow],
+    rivals: Sequence[Rival],
+    noise_scale: float,
+    *,
+    is_alone: bool = False,
+) -> FloatArray:
+    """Variances of means of the dwells of a profile after new ones, for each rival, (k, m).
+
+    The power-on is the one that is known best. ``is_alone``: the new dwells are all that is measured.
+    """
+    runs = Counter(row.run for row in (new if is_alone else forecast.measured))
+    [(run, _)] = runs.most_common(1)
+    later_s = max(new[-1].end_s - whole[0].start_s, 0.0) if new else 0.0
+    number = 1 + max(row.dwell for row in [*whole, *new])
+    rows = [
+        replace(
+            row,
+            dwell=number + index,
+            run=run,
+            start_s=row.start_s + later_s,
+            end_s=row.end_s + later_s,
+            since_power_on_s=row.since_power_on_s + later_s,
+        )
+        for index, row in enumerate(whole)
+    ]
+    found = []
+    for each, _ in _linearized(forecast, [*new, *rows], rivals, noise_scale):
+        place = np.arange(len(each.sigma_dph) // 3) - len(each.sigma_dph) // 3 + len(rows)
+        known = (place < 0) & ((place >= -len(new)) | (not is_alone))
+        found.append(np.diag(means @ each.covariance(known, place >= 0) @ means.T))
+    return np.array(found)
 
 
 def _predictions(
     forecast: Forecast, new: Sequence[DwellRow], rivals: Sequence[Rival], noise_scale: float
 ) -> list[Prediction]:
     """What each rival, fitted to dwells, predicts for new ones at their temperatures."""
+    found = []
+    for each, variance in _linearized(forecast, new, rivals, noise_scale):
+        is_new = np.arange(len(each.sigma_dph) // 3) >= len(each.sigma_dph) // 3 - len(new)
+        prediction = each.prediction(~is_new, is_new)
+        more = variance * np.eye(len(prediction.mean_dph))
+        found.append(Prediction(prediction.mean_dph, prediction.covariance + more))
+    return found
+
+
+def _linearized(
+    forecast: Forecast, new: Sequence[DwellRow], rivals: Sequence[Rival], noise_scale: float
+) -> list[tuple[Linearized, float]]:
+    """Each rival linearized about its fit to the dwells, and the variance of what it can't predict."""
     rows, known = forecast.measured, forecast.campaign
     campaign = campaign_of([*rows, *new])
     measured = ~np.isin(campaign.dwell, [row.dwell for row in new])
@@ -159,9 +304,8 @@ def _predictions(
     found = []
     for each in rivals:
         candidates, unknown_dph = _predictable(each, campaign, measured, known)
-        prediction = predict_dwells(campaign, measured, candidates, noise_scale, spread_dph)
-        more = (each.remainder_dph**2 + unknown_dph**2) * np.eye(len(prediction.mean_dph))
-        found.append(Prediction(prediction.mean_dph, prediction.covariance + more))
+        linear = linearized(campaign, measured, candidates, noise_scale, spread_dph)
+        found.append((linear, each.remainder_dph**2 + unknown_dph**2))
     return found
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import StrEnum
 from functools import cached_property
 from typing import Annotated, Any, Literal
 
@@ -17,22 +16,11 @@ import numpy as np
 from cantools.database.can import Signal
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, STANDARD_GRAVITY, FloatArray
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.documents import Location, Problem, StrictModel
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.drivers.ins.dbc_codec import DbcCodec
-
-
-class Dimension(StrEnum):
-    """Physical dimension of a quantity, which determines the units that its signal may have."""
-
-    TIME = "time"
-    SPEED = "speed"
-    ANGLE = "angle"
-    ANGULAR_RATE = "angular rate"
-    ACCELERATION = "acceleration"
-    TEMPERATURE = "temperature"
-    NUMBER = "number"
+from gyrobench.drivers.ins.units import UNITS, Dimension
 
 
 def _is_signal_name(value: str) -> str:
@@ -326,45 +314,6 @@ _INCREMENTS = {
     "counter": Dimension.NUMBER,
 }
 
-_KNOT_MPS = 1852.0 / 3600.0
-_DEGREE_RAD = np.pi / 180.0
-_ZERO_C_IN_K = 273.15
-
-#: Spellings of the units of each dimension: (gain, offset) to its SI unit or degrees Celsius.
-_UNITS: dict[Dimension, dict[str, tuple[float, float]]] = {
-    Dimension.TIME: {
-        **dict.fromkeys(("s", "sec"), (1.0, 0.0)),
-        "ms": (1e-3, 0.0),
-        **dict.fromkeys(("us", "µs", "μs"), (1e-6, 0.0)),
-        "ns": (1e-9, 0.0),
-    },
-    Dimension.SPEED: {
-        **dict.fromkeys(("m/s", "m.s-1", "mps"), (1.0, 0.0)),
-        **dict.fromkeys(("kt", "kn", "knot", "knots"), (_KNOT_MPS, 0.0)),
-        **dict.fromkeys(("km/h", "kph"), (1.0 / 3.6, 0.0)),
-    },
-    Dimension.ANGLE: {
-        **dict.fromkeys(("rad", "radian"), (1.0, 0.0)),
-        **dict.fromkeys(("deg", "degree", "degrees", "°"), (_DEGREE_RAD, 0.0)),
-        "arcsec": (_DEGREE_RAD / 3600.0, 0.0),
-    },
-    Dimension.ANGULAR_RATE: {
-        "rad/s": (1.0, 0.0),
-        **dict.fromkeys(("deg/s", "°/s"), (_DEGREE_RAD, 0.0)),
-        **dict.fromkeys(("deg/h", "°/h"), (DPH_TO_RADPS, 0.0)),
-    },
-    Dimension.ACCELERATION: {
-        **dict.fromkeys(("m/s2", "m/s^2", "m/s²"), (1.0, 0.0)),
-        "g": (STANDARD_GRAVITY, 0.0),
-        "mg": (1e-3 * STANDARD_GRAVITY, 0.0),
-    },
-    Dimension.TEMPERATURE: {
-        **dict.fromkeys(("degC", "deg C", "°C", "C"), (1.0, 0.0)),
-        "K": (1.0, -_ZERO_C_IN_K),
-        **dict.fromkeys(("degF", "deg F", "°F", "F"), (5.0 / 9.0, -160.0 / 9.0)),
-    },
-}
-
 
 @dataclass(frozen=True)
 class BoundSignal:
@@ -527,7 +476,7 @@ _MAX_SPLIT_BITS = 52
 
 
 def _conversion(quantity: Quantity, signal: Signal) -> tuple[float, float]:
-    allowed = _UNITS.get(quantity.dimension)
+    allowed = UNITS.get(quantity.dimension)
     if allowed is None:
         return 1.0, 0.0
     unit = quantity.source.unit if quantity.source.unit is not None else (signal.unit or "")

@@ -35,15 +35,17 @@ class Course:
     board_c: np.ndarray = field(default_factory=lambda: np.empty(0))
     cooling: np.ndarray = field(default_factory=lambda: np.empty(0))  #: Demand of the chamber, K/h.
     laws_steps: int = 0  #: Steps whose length and spread laws depend on; 0 for all. More may follow.
+    reference: "Course | None" = None  #: Course that laws depend on; None for this one.
 
     @property
     def length_h(self) -> float:
-        """Time of these steps."""
-        return float(self.time_h[(self.laws_steps or len(self.time_h)) - 1])
+        """Time of the steps that laws depend on."""
+        return float(self.of_laws(lambda course: course.time_h)[-1])
 
-    def of_laws(self, values: np.ndarray) -> np.ndarray:
-        """Values of these steps."""
-        return values[: self.laws_steps or len(values)]
+    def of_laws(self, values) -> np.ndarray:
+        """Values, a function of a course, in these steps."""
+        found = values(self.reference or self)
+        return found[: self.laws_steps or len(found)]
 
 
 class Schedule:

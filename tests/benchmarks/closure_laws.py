@@ -32,10 +32,13 @@ def _above(c: Course, exponent: float) -> np.ndarray:
 
 
 def _temperature_rate(c, draw, own):
-    rate = np.gradient(c.optics_c, STEP_H, axis=0)
+    def rate_of(course):
+        return np.gradient(course.optics_c, STEP_H, axis=0)
+
+    rate = rate_of(c)
     if own:
         return _law(draw, rate, own)
-    limit = draw.uniform(2.5, 6.0) * c.of_laws(rate).std()
+    limit = draw.uniform(2.5, 6.0) * c.of_laws(rate_of).std()
     return _law(draw, limit * np.tanh(rate / limit) * (1.0 + draw.uniform(-0.1, 0.1) * c.optics_c / 50.0))
 
 
@@ -208,7 +211,7 @@ def _composed(driver):
 
     def law(c, draw, own):
         state = _DRIVERS[driver](c)
-        middle, spread = np.median(c.of_laws(state)), np.std(c.of_laws(state))
+        middle, spread = (of(c.of_laws(_DRIVERS[driver])) for of in (np.median, np.std))
         if driver in ("gyro_c", "case_c", "chamber_c") and draw.random() < 0.5:
             wide = draw.random() < 0.5
             state = play(state, 0.4 * spread) if wide else lagged(state, draw.uniform(0.5, 2.0))

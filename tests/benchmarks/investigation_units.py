@@ -8,6 +8,7 @@ for each block, so that a unit behaves the same however its blocks are cut.
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.investigation.external_bench import AfterLastDwell
 from gyrobench.bench.navigation.positions import POSITIONS
 from tests.benchmarks.closure_courses import (
     DESIGNS,
@@ -25,7 +26,7 @@ from tests.benchmarks.closure_units import MAX_TAKEN_UP, beside_declared
 _MAX_STEPS = 40_000
 
 
-class SimulatedUnit:
+class SimulatedUnit(AfterLastDwell):
     """A unit with the effects ``kinds`` of ``sizes``: rms beside the declared model in units of the noise.
 
     Attributes
@@ -35,7 +36,7 @@ class SimulatedUnit:
     """
 
     def __init__(self, seed, kinds, sizes, cycles=3):
-        self.seed, self.kinds = seed, tuple(kinds)
+        self._begin(seed, kinds, sizes)
         draw = self._draw(16)
         design = str(draw.choice(DESIGNS))
         schedule = Schedule(draw, design, cycles)
@@ -43,7 +44,7 @@ class SimulatedUnit:
         count = first + steps
         self._set_c, self._position = schedule.set_c[:count], schedule.position[:count]
         self._power = np.array(schedule.is_on[:count], dtype=float).tolist()
-        self._power_on, self._dwells = list(schedule.power_on), []
+        self._power_on = list(schedule.power_on)
         self._azimuth_deg = [0.0] * count
         for number, (start, length, cycle, name) in enumerate(schedule.dwells, start=1):
             run = int(np.searchsorted(self._power_on, start, side="right"))
@@ -55,27 +56,63 @@ class SimulatedUnit:
             for at in draw.uniform(0.0, count, 9).astype(int):
                 factor = draw.uniform(0.55, 1.3)
                 self._power[at:] = [factor if each else 0.0 for each in self._power[at:]]
-        self._first_steps, self._factors = count, None
+        self._first_steps = count
         self._sigma_dph = draw.uniform(0.0008, 0.0025) * draw.uniform(0.9, 1.1, 3)
         self._typical_steps = self._dwells[0][2]
-        self._sizes = np.broadcast_to(np.asarray(sizes, dtype=float), (len(self.kinds),))
         self.rows = self._measured(0)
+
+    @classmethod
+    def measured_by(cls, seed, kinds, sizes, plan):
+        """A unit whose first campaign are the steps of a plan, the first of which switches it on."""
+        unit = cls.__new__(cls)
+        unit._begin(seed, kinds, sizes)
+        draw = unit._draw(32)
+        unit._sigma_dph = draw.uniform(0.0008, 0.0025) * draw.uniform(0.9, 1.1, 3)
+        if "supply_power" in unit.kinds:
+            for at in draw.uniform(0.0, plan.steps[-1].end_s / STEP_S, 9).astype(int):
+                unit._supply[at:] = draw.uniform(0.55, 1.3)
+        unit.rows = unit.measure(plan)
+        unit._first_steps = len(unit._set_c)
+        return unit
+
+    def beginning_with(self, plan):
+        """The same unit, and its first campaign the steps of another plan."""
+        unit = type(self).__new__(type(self))
+        unit._begin(self.seed, self.kinds, self._sizes)
+        unit._sigma_dph, unit._supply = self._sigma_dph, self._supply
+        unit._factors, unit._reference = self._factors, self._course()
+        unit._first_steps = self._first_steps
+        unit.rows = unit.measure(plan)
+        return unit
+
+    def _begin(self, seed, kinds, sizes):
+        self.seed, self.kinds = seed, tuple(kinds)
+        self._sizes = np.broadcast_to(np.asarray(sizes, dtype=float), (len(self.kinds),))
+        self._set_c, self._position, self._power, self._azimuth_deg = [], [], [], []
+        self._power_on, self._dwells = [], []
+        self._supply, self._typical_steps = np.ones(_MAX_STEPS), 20
+        self._first_steps, self._factors, self._reference = 0, None, None
 
     def measure(self, plan, folder=None):
         """Measure a block: the bench of an investigation."""
         first = len(self._dwells)
         for step in plan.steps:
             end = round(step.end_s / STEP_S)
-            more, at_c = end - len(self._set_c), self._set_c[-1]
-            courses = {
-                "set_c": np.full(more, at_c), "power": np.full(more, self._power[-1]),
-                "position": [self._position[-1]] * more, "azimuth_deg": [self._azimuth_deg[-1]] * more,
-            }  # fmt: skip
+            more, courses = end - len(self._set_c), {}
+            for name, at_rest in {
+                "set_c": 22.0,
+                "power": 0.0,
+                "position": "z_up",
+                "azimuth_deg": 0.0,
+            }.items():
+                before = getattr(self, f"_{name}")
+                courses[name] = np.full(more, before[-1] if before else at_rest)
             if step.kind == "power":
-                if step.on and self._power[-1] == 0.0:
+                if step.on and (not self._power or self._power[-1] == 0.0):
                     self._power_on.append(len(self._set_c))
                 courses["power"][:] = (step.factor or 1.0) if step.on else 0.0
             elif step.kind == "chamber":
+                at_c = self._set_c[-1] if self._set_c else 22.0
                 courses["set_c"] = np.linspace(at_c, step.to_c, more + 1)[1:]
             elif step.kind == "dwell":
                 courses["position"] = [step.position] * more
@@ -85,7 +122,7 @@ class SimulatedUnit:
                     (step.dwell, start, more, step.cycle, step.position, step.run, step.azimuth_deg)
                 )
             for name, values in courses.items():
-                getattr(self, f"_{name}").extend(list(values))
+                getattr(self, f"_{name}").extend(np.asarray(values).tolist())
         return self._measured(first)
 
     def _draw(self, *key):
@@ -108,8 +145,9 @@ class SimulatedUnit:
             up=np.array([UP[name] for name in self._position], dtype=float),
             azimuth_deg=np.array(self._azimuth_deg),
             north=np.array([north[each] for each in turns]),
-            power=np.array(self._power),
+            power=np.array(self._power) * self._supply[:count],
             laws_steps=self._first_steps,
+            reference=self._reference,
         )
         return temperatures(self._draw(23), course, "attitude_thermal" in self.kinds)
 

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from gyrobench.bench.foundations.files import make_folder
 from gyrobench.bench.foundations.text import plain_name, probability_number
-from gyrobench.bench.investigation.investigation import CONFIRM, TEST_LAW, Investigation
+from gyrobench.bench.investigation.investigation import CALIBRATE, CONFIRM, TEST_LAW, Investigation
 from gyrobench.bench.report.closure.closure_page import closure_sections
 from gyrobench.bench.report.closure.closure_text import verdict_sentence
 from gyrobench.bench.report.figures.style import fitted_figure, house_style
@@ -21,6 +21,7 @@ from gyrobench.bench.verification.compensation_verification import VerificationR
 
 _CURVES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 _MIN_DRAWN = 0.02
+_PURPOSES = {CONFIRM: ", confirmation", TEST_LAW: ", test of the composed law", CALIBRATE: ", for the biases"}
 _OTHERS = {"nothing": ("nothing beside the declared model", "#888888"), "": ("not on the list", "#222222")}
 
 
@@ -32,7 +33,7 @@ def write_investigation_page(
     Raises RunFolderError if a file can't be written.
     """
     make_folder(folder)
-    first = found.stages[0].closure.campaign
+    first, first_h = found.stages[0].closure.campaign, found.stages[0].spent_h
     findings = Findings(
         title="Investigation",
         source=source,
@@ -40,8 +41,8 @@ def write_investigation_page(
         colour="finished" if found.is_conclusive else "stopped",
         sentence=" ".join(text.closing_sentences(found)),
         facts={
-            "first table": f"{len(first)} dwells, {found.repeated_campaign_h:.1f} h",
-            "blocks": f"{len(found.stages) - 1}, {found.spent_h:.1f} h",
+            "first table": f"{len(first)} dwells, {first_h or found.repeated_campaign_h:.1f} h",
+            "blocks": f"{len(found.stages) - 1}, {found.spent_h - first_h:.1f} h",
             "verdict": f"{found.closure.verdict}: {verdict_sentence(found.closure)}",
         },
         sections=[_story(found), *_blocks(found), *_proof(proof), *closure_sections(found.closure)],
@@ -92,7 +93,7 @@ def _blocks(found: Investigation) -> list[Section]:
             ("hypothesis", "before", "by prediction", "error"),
             rows,
         )
-        purpose = {CONFIRM: ", confirmation", TEST_LAW: ", test of the composed law"}.get(stage.purpose, "")
+        purpose = _PURPOSES.get(stage.purpose, "")
         sections.append(
             Section(
                 f"Block {number}{purpose}: {proposal.block.name}",

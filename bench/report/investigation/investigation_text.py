@@ -6,8 +6,9 @@ from collections.abc import Iterator, Sequence
 
 from gyrobench.bench.closure.loop import Closure
 from gyrobench.bench.foundations.text import counted, listed, plain_name, probability_number
+from gyrobench.bench.investigation.choice import Rival
 from gyrobench.bench.investigation.investigation import CONFIRM, Investigation, Stage, rivals_of
-from gyrobench.bench.investigation.proposal import Proposal, Rival
+from gyrobench.bench.investigation.proposal import Proposal
 from gyrobench.bench.navigation.positions import AXES
 
 #: Gist of each end.
@@ -37,10 +38,11 @@ def proposal_sentences(proposal: Proposal, rivals: Sequence[Rival], limit: int =
     """What a block does, what it is worth, and what each hypothesis predicts."""
     plan = proposal.block.plan
     what = proposal.block.what
+    biases = f" For the biases it replaces {proposal.replaced_h:.1f} h of the procedure."
     yield (
         f"{what[:1].upper()}{what[1:]}: {counted(len(plan.dwells), 'dwell')} in {plan.duration_h:.1f} h. The "
         f"entropy of the probabilities is expected to fall from {proposal.entropy:.2f} to "
-        f"{proposal.expected_entropy:.2f} nats."
+        f"{proposal.expected.entropy:.2f} nats.{biases if proposal.replaced_h else ''}"
     )
     for rival, prediction in list(zip(rivals, proposal.predictions, strict=True))[:limit]:
         mean_dph = prediction.mean_dph.reshape(3, -1)
@@ -68,9 +70,20 @@ def end_sentence(found: Investigation) -> str:
     """How the investigation ended, and its cost."""
     cost = f"{found.spent_h:.1f} h on the bench"
     share = found.spent_h / found.repeated_campaign_h
+    whole = "the whole procedure" if found.calibration else "repeating the campaign"
     if found.spent_h:
-        cost += f", {100.0 * share:.0f} % of repeating the campaign ({found.repeated_campaign_h:.1f} h)"
+        cost += f", {100.0 * share:.0f} % of {whole} ({found.repeated_campaign_h:.1f} h)"
     return f"{found.reason} {cost[:1].upper()}{cost[1:]}."
+
+
+def calibration_sentence(found: Investigation) -> str:
+    """How certain the biases of an adaptive campaign are; empty for others."""
+    if found.calibration is None:
+        return ""
+    return (
+        "The rms standard uncertainty of the biases of a gyro, predicted for the procedure, is at most "
+        f"{found.calibration.ratio:.2f} times that of measuring it."
+    )
 
 
 def test_sentence(found: Investigation) -> str:
@@ -117,7 +130,17 @@ def forecast_sentence(found: Investigation) -> str:
 
 def closing_sentences(found: Investigation) -> list[str]:
     """How the investigation ended, what its test says, and what to check."""
-    return [*filter(None, [end_sentence(found), test_sentence(found), forecast_sentence(found)])]
+    return [
+        *filter(
+            None,
+            [
+                end_sentence(found),
+                calibration_sentence(found),
+                test_sentence(found),
+                forecast_sentence(found),
+            ],
+        )
+    ]
 
 
 def block_rows(found: Investigation) -> list[list[str]]:

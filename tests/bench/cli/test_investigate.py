@@ -63,3 +63,9 @@ def test_an_open_quotation_mark_is_wrong_input(tmp_path):
     answer = gyrobench("investigate", "dwells.csv", "--bench", "python 'bench.py", cwd=tmp_path)
     assert answer.returncode == 2
     assert "Close each quotation mark" in answer.stderr.replace("\n", " ")
+
+
+def test_an_adaptive_campaign_needs_a_procedure(tmp_path):
+    answer = gyrobench("investigate", "dwells.csv", "--bench", "true", "--adaptive", cwd=tmp_path)
+    assert answer.returncode == 2
+    assert "--adaptive goes with a procedure" in answer.stderr.replace("\n", " ")

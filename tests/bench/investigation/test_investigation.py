@@ -6,7 +6,7 @@ import pytest
 
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.investigation.external_bench import ExternalBench
+from gyrobench.bench.investigation.external_bench import AfterLastDwell, ExternalBench
 from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.investigation.investigation import Investigator
 from gyrobench.bench.investigation.proposal import outcome_of
@@ -27,7 +27,7 @@ def investigator(unit, folder, budget_h=60.0, approve=lambda proposal, rivals: T
     if not path.exists():
         path.write_text(json.dumps(unit))
     bench = ExternalBench(f"{before}{sys.executable} {simulated_bench.__file__} {path}", simulate(unit))
-    return Investigator(bench.rows, folder, bench, budget_h, approve)
+    return Investigator(bench, folder, budget_h, approve)
 
 
 @pytest.fixture(scope="module")
@@ -184,7 +184,7 @@ def test_the_folder_of_another_table_is_refused(settled):
     _, folder = settled
     rows = simulate(unit_with({}, seed=9))
     with pytest.raises(RunFolderError, match="another table"):
-        Investigator(rows, folder, ExternalBench("x", rows), 1.0, lambda *_: True)
+        Investigator(ExternalBench("x", rows), folder, 1.0, lambda *_: True)
 
 
 @pytest.mark.long
@@ -197,11 +197,11 @@ def test_a_bench_that_fails_leaves_what_was_measured(tmp_path):
     assert investigator(unit, folder).run(WallClock()).ended == "settled"
 
 
-class UnitBench:
+class UnitBench(AfterLastDwell):
     """A unit that measures in this process; its dwells have flags."""
 
     def __init__(self, unit, *flags):
-        self.unit, self.flags = unit, flags
+        self.unit, self.flags, self.rows = unit, flags, simulate(unit)
 
     def measure(self, plan, folder):
         self.unit["steps"] = self.unit["steps"] + [step.model_dump() for step in plan.steps]
@@ -219,7 +219,7 @@ def test_a_law_composed_for_what_is_on_no_list_is_tested_by_a_new_cycle(tmp_path
     steps = first_campaign([45.0, 30.0, 10.0, -20.0], cycles=3)
     unit = {"unit": "S1", "seed": 2, "effects": {"resonance": 0.03}, "steps": steps}
     bench = UnitBench(unit | {"effects": {law: 0.03}})
-    found = Investigator(simulate(unit), tmp_path / law, bench, 60.0, lambda *_: True).run(WallClock())
+    found = Investigator(bench, tmp_path / law, 60.0, lambda *_: True).run(WallClock())
     assert found.ended == "not_on_list"
     assert (found.test.purpose, found.test.proposal.block.name) == ("test_law", "new cycle")
     assert found.test.rivals[0].names == ("composed_board_c_resonance",)
@@ -240,7 +240,7 @@ def test_a_block_that_brings_flagged_dwells_alone_is_not_repeated_for_ever(tmp_p
         proposed.append(proposal.block.kinds)
         return len(proposed) < 4
 
-    found = Investigator(simulate(unit), tmp_path / "flags", UnitBench(dict(unit), "moved"), 60.0, approve)
+    found = Investigator(UnitBench(dict(unit), "moved"), tmp_path / "flags", 60.0, approve)
     found = found.run(WallClock())
     assert found.ended == "declined"
     assert max(map(proposed.count, proposed)) == 2
@@ -252,7 +252,7 @@ def test_a_block_that_brings_flagged_dwells_alone_is_not_repeated_for_ever(tmp_p
 def test_an_ageing_of_another_law_is_not_settled_as_two_effects(tmp_path):
     """A logarithmic ageing: with a drift beside it, its time constant runs to the upper bound."""
     unit = unit_of(5)
-    found = Investigator(unit.rows, tmp_path / "ageing", unit, 36.0, lambda *_: True).run(WallClock())
+    found = Investigator(unit, tmp_path / "ageing", 36.0, lambda *_: True).run(WallClock())
     [law] = [stage for stage in found.stages if stage.purpose == "test_law"]
     assert any(each.rejected for each in law.closure.evidence if each.effect.name == "ageing")
     assert found.ended != "settled" or [each.effect.name for each in found.closure.effects] == ["ageing"]

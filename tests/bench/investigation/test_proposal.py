@@ -1,13 +1,15 @@
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.investigation.blocks import catalogue
+from gyrobench.bench.investigation.blocks import Block, catalogue
+from gyrobench.bench.investigation.choice import Expected
 from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.investigation.investigation import rivals_of, searched
-from gyrobench.bench.investigation.proposal import outcome_of, propose
+from gyrobench.bench.investigation.proposal import Proposal, hours_left, outcome_of, propose
 from tests.bench.investigation.simulated_bench import first_campaign, simulate
 
 UNIT = {"unit": "S1", "seed": 4, "effects": {"g_sensitivity": 0.004}}
@@ -33,8 +35,8 @@ def test_an_effect_whose_input_only_a_block_has_is_predicted_for_that_block(rows
     pair = [replace(gravity, probability=0.5), replace(magnetic, probability=0.5)]
     found = {each.block.name: each for each in propose(Forecast(rows), pair, closure.noise_scale)}
     headings, cycle = found["four headings"], found["power cycle"]
-    assert cycle.expected_entropy == pytest.approx(cycle.entropy, abs=1e-6)
-    assert headings.expected_entropy < headings.entropy - 0.05
+    assert cycle.fall == pytest.approx(0.0, abs=1e-6)
+    assert headings.fall > 0.05
     assert np.allclose(cycle.predictions[0].mean_dph, cycle.predictions[1].mean_dph)
 
 
@@ -75,3 +77,29 @@ def test_new_dwells_without_electronics_are_compared_with_those_forecast(rows, c
     outcome = outcome_of(forecast, proposal, bare, rivals, closure.noise_scale)
     assert np.isfinite(outcome.error_dph).all()
     assert sum(outcome.probabilities) == pytest.approx(1.0)
+
+
+def proposal(hours, fall, unsettled, missing_h=0.0, replaced_h=0.0):
+    """A proposal with an entropy of 0.6 nats before it."""
+    plan = SimpleNamespace(duration_h=hours)
+    expected = Expected(0.6 - fall, unsettled, (0.6 - fall) * (unsettled > 0.0))
+    block = Block(("some",), "measure", plan)
+    return Proposal(block, (), (), 0.6, expected, missing_h=missing_h, replaced_h=replaced_h)
+
+
+def test_a_block_that_settles_the_cause_is_chosen_before_one_that_needs_another():
+    settling, faster = proposal(2.0, 0.5, 0.0), proposal(1.9, 0.5, 1.0)
+    assert faster.gain_per_h > settling.gain_per_h
+    hours = hours_left([settling, faster])
+    assert hours(settling) == 2.0
+    assert hours(faster) == pytest.approx(1.9 + 1.9)
+
+
+def test_hours_until_the_biases_are_certain_count_too():
+    cause, both = (
+        proposal(2.0, 0.5, 0.0, missing_h=10.0),
+        proposal(3.0, 0.5, 0.0, missing_h=4.0, replaced_h=6.0),
+    )
+    hours = hours_left([cause, both])
+    assert (hours(cause), hours(both)) == (2.0 + 10.0 / 2.0, 3.0 + 4.0 / 2.0)
+    assert hours_left([cause, both], is_settled=True)(both) == 5.0

@@ -12,7 +12,8 @@ from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.drivers import ins
 from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
 from gyrobench.drivers.ins.readout import BlockReader
-from gyrobench.drivers.ins.signal_map import Dimension, SignalMap, bind_signals, check_signals
+from gyrobench.drivers.ins.signal_map import SignalMap, bind_signals, check_signals
+from gyrobench.drivers.ins.units import Dimension
 
 
 def test_every_mapped_quantity_has_its_path_and_dimension(signal_map):

@@ -1,0 +1,133 @@
+"""Coefficients over temperature from runs of the emulated bench, beside the declared truth of its world."""
+
+import itertools
+
+import numpy as np
+import pytest
+import yaml
+from scipy.stats import chi2
+
+from gyrobench.bench.calibration.coefficients import COEFFICIENTS, SensorErrors
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.procedure.procedure_file import load_procedure
+from gyrobench.bench.report.coefficients import coefficients_section
+from gyrobench.bench.report.content import read_run
+from gyrobench.bench.runs.tables.coefficient_table import read_coefficients
+from gyrobench.bench.station.station import Station
+from gyrobench.drivers.emulators.world.sensor_errors import accelerometer_errors, gyro_errors
+from gyrobench.drivers.emulators.world.world_file import load_world
+
+WORLD = "all_coefficients"
+#: One in a thousand sound runs exceeds it.
+MAX_QUANTILE = 0.999
+
+
+def short_procedure(tmp_path):
+    """Rotations and spins of full_calibration with shorter rests, at room temperature, and no dwell."""
+    document = yaml.safe_load(find_document("procedures", "full_calibration").read_text())
+    plateau = document["steps"][2]["repeat"]["steps"]
+    first = next(i for i, step in enumerate(plateau) if "rotate" in step) - 2
+    steps = [{"power_on": {"settle_s": 20}}, *plateau[first:], "power_off"]
+    for step in steps:
+        if "rotate" in step:
+            step["rotate"]["rest_s"] = 30
+    path = tmp_path / "short.yaml"
+    path.write_text(yaml.safe_dump({"procedure": "short", "bin_width_c": 5, "steps": steps}))
+    return path
+
+
+def without_increments(tmp_path):
+    """The emulated station as of an INS that sends neither increments nor rates."""
+    document = yaml.safe_load(find_document("stations", "emulated").read_text())
+    del document["ins"]["signals"]["increments"]
+    del document["ins"]["commands"]["send_increments"]
+    path = tmp_path / "station.yaml"
+    path.write_text(yaml.safe_dump(document))
+    return path
+
+
+def deviations(rows):
+    """Differences from the world's truth at the temperatures of the plateaus, in standard uncertainties."""
+    world = load_world(find_document("worlds", WORLD))
+    found = []
+    for _, plateau in itertools.groupby(rows, lambda row: row.plateau):
+        by_name = {(row.coefficient, row.axis): row for row in plateau}
+        gyro_c = np.array([by_name["gyro_bias", axis].temperature_c for axis in "xyz"])
+        case_c = np.full(3, by_name["accelerometer_bias", "x"].temperature_c)
+        reference_c = world.reference_temperature_c
+        truth = SensorErrors(
+            *gyro_errors(world.gyro).at(gyro_c - reference_c),
+            *accelerometer_errors(world.accelerometer).at(case_c - reference_c),
+        ).vector()
+        for each, true in zip(COEFFICIENTS, truth, strict=True):
+            row = by_name[each.name, each.axis]
+            found.append((row.value - true * each.per_si) / row.sigma)
+    return np.array(found)
+
+
+def assert_consistent(rows, observed):
+    away = deviations(rows)
+    seen = away[np.isfinite(away)]
+    assert len(seen) == observed
+    assert seen @ seen < chi2.ppf(MAX_QUANTILE, observed)
+    # Uncertainties that are too large would pass the bound above.
+    assert seen @ seen > chi2.ppf(1.0 - MAX_QUANTILE, observed)
+
+
+@pytest.fixture(scope="module")
+def with_increments(run_procedure, tmp_path_factory):
+    return run_procedure(short_procedure(tmp_path_factory.mktemp("p")), tmp_path_factory.mktemp("run"), WORLD)
+
+
+def test_rotations_give_every_coefficient_within_its_uncertainty(with_increments):
+    folder, outcome, _ = with_increments
+    assert outcome.ended == "finished"
+    rows = read_coefficients(folder.coefficients)
+    assert_consistent(rows, len(COEFFICIENTS))
+    sigma = {(row.coefficient, row.axis): row.sigma for row in rows}
+    assert max(sigma["gyro_scale_factor", axis] for axis in "xyz") < 0.2
+    assert max(sigma["accelerometer_bias", axis] for axis in "xyz") < 1.0
+    assert all(np.isnan(row.sigma_with_force) for row in rows)
+
+
+def test_report_has_table_and_figure_of_the_coefficients(with_increments):
+    folder, _, _ = with_increments
+    section = coefficients_section(read_run(folder).coefficients)
+    assert len(section.tables[0].rows) == len(COEFFICIENTS)
+    assert [each.name for each in section.figures] == ["coefficients"]
+
+
+def test_an_ins_without_specific_force_leaves_the_accelerometers_scale_factors_open(
+    run_procedure, tmp_path_factory
+):
+    tmp_path = tmp_path_factory.mktemp("without")
+    folder, _, _ = run_procedure(
+        short_procedure(tmp_path), tmp_path / "run", WORLD, 3, without_increments(tmp_path)
+    )
+    rows = read_coefficients(folder.coefficients)
+    open_ones = [(row.coefficient, row.axis) for row in rows if row.finding == "not observable"]
+    assert open_ones == [("accelerometer_scale_factor", axis) for axis in "xyz"]
+    assert_consistent(rows, len(COEFFICIENTS) - 3)
+    bias = next(row for row in rows if row.coefficient == "accelerometer_bias" and row.axis == "z")
+    assert bias.sigma_with_force < 0.7 * bias.sigma
+
+
+def test_a_plateau_of_the_full_calibration_takes_less_than_five_hours():
+    document, procedure = load_procedure(find_document("procedures", "full_calibration"))
+    plan = Station(find_document("stations", "emulated")).plan(document, procedure)
+    measuring = [step for step in plan.steps if step.step.name not in ("chamber", "soak", "power_on")]
+    per_plateau = {}
+    for step in measuring:
+        set_point_c = step.before.set_point_c
+        per_plateau[set_point_c] = per_plateau.get(set_point_c, 0.0) + step.duration_s / 3600.0
+    assert 3.0 < max(per_plateau.values()) < 5.0
+
+
+@pytest.mark.long
+def test_full_calibration_agrees_with_the_truth_at_each_temperature(run_procedure, tmp_path):
+    folder, outcome, _ = run_procedure("full_calibration", tmp_path / "run", WORLD, 5)
+    rows = read_coefficients(folder.coefficients)
+    assert len({row.plateau for row in rows}) == 4
+    assert_consistent(rows, 4 * len(COEFFICIENTS))
+    planned_s, took_s = np.sum([pair for pairs in outcome.took_s.values() for pair in pairs], axis=0)
+    assert abs(took_s / planned_s - 1.0) < 0.02

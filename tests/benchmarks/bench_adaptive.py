@@ -1,0 +1,215 @@
+"""An adaptive campaign from nothing against the fixed profile of Fig. 7, on the same simulated units.
+
+Both begin with a cold unit and end with the chamber at 25 degC. Their hours are those of the planner of the
+station emulated, each dwell with its go_to, alignment and turn; a block of the adaptive campaign follows the
+one before without a pause. As a script it prints the table of docs/decisions/14-next-measurement.md::
+
+    python -m tests.benchmarks.bench_adaptive
+"""
+
+import argparse
+import statistics
+import tempfile
+from dataclasses import dataclass, replace
+from itertools import groupby, pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gyrobench.bench.dwells.closure_inputs import plan_on
+from gyrobench.bench.foundations.clock import WallClock
+from gyrobench.bench.foundations.documents import parse_document
+from gyrobench.bench.investigation.block_procedure import DwellPattern, opening_procedure
+from gyrobench.bench.investigation.external_bench import (
+    BenchState,
+    BlockPlan,
+    ChamberStep,
+    DwellStep,
+    PowerStep,
+    SoakStep,
+)
+from gyrobench.bench.investigation.forecast import Forecast
+from gyrobench.bench.investigation.investigation import Investigator, rivals_of, searched
+from gyrobench.bench.investigation.profile import Profile
+from gyrobench.bench.investigation.proposal import calibration_of
+from gyrobench.bench.procedure.steps import Chamber, Navigate, PowerOn
+from tests.bench.closure.plans import shipped, station
+from tests.benchmarks.closure_laws import ON_THE_LIST
+from tests.benchmarks.investigation_units import SimulatedUnit
+
+SEEDS = range(1000, 1050)
+_END_C, _END_C_PER_H = 25.0, 60.0
+
+
+def block_plan(plan):
+    """A plan of a procedure from a cold unit as steps of a bench."""
+    steps, now_s = [], 0.0
+
+    def add(kind, end_s, **keys):
+        nonlocal now_s
+        if end_s > now_s:
+            steps.append(kind(start_s=now_s, end_s=end_s, **keys))
+            now_s = end_s
+
+    for dwell, members in groupby(plan.steps, key=lambda each: each.dwell):
+        if dwell is not None:
+            windows = [each for each in members if isinstance(each.step, Navigate)]
+            place = windows[0].before
+            add(SoakStep, windows[0].start_s)
+            add(
+                DwellStep, windows[-1].end_s, dwell=dwell, cycle=windows[0].cycle, run="A-1",
+                position=place.position, azimuth_deg=place.azimuth_deg,
+            )  # fmt: skip
+            continue
+        for each in members:
+            if isinstance(each.step, PowerOn):
+                add(PowerStep, each.end_s, on=True, factor=1.0)
+            elif isinstance(each.step, Chamber):
+                rate_c_per_h = 60.0 * each.step.ramp_c_per_min
+                add(ChamberStep, each.end_s, to_c=each.step.temperature_c, ramp_c_per_h=rate_c_per_h)
+            else:
+                add(SoakStep, each.end_s)
+    state = BenchState(
+        chamber_c=22.0, gyro_x_c=22.0, gyro_y_c=22.0, gyro_z_c=22.0, powered=False, since_power_on_s=0.0,
+        position="z_up",
+    )  # fmt: skip
+    return BlockPlan(unit="A", start_s=0.0, state=state, next_dwell=1, next_cycle=1, steps=steps)
+
+
+DOCUMENT, PLAN = shipped("six_position_fig7")
+PROFILE = Profile.of(PLAN)
+_PATTERN = DwellPattern.of(PLAN)
+OPENING = plan_on(station(), parse_document(opening_procedure(PROFILE, _PATTERN), Path("opening.yaml")))
+
+
+def _between_dwells_s():
+    """From the end of a dwell to the start of the next one in another position."""
+    dwells = block_plan(PLAN).dwells
+    return float(np.median([after.start_s - each.end_s for each, after in pairwise(dwells)]))
+
+
+class UnitBench:
+    """A simulated unit on a bench that aligns it before each dwell."""
+
+    def __init__(self, unit):
+        self._unit, self.rows, self._pause_s = unit, unit.rows, _between_dwells_s()
+        self.campaign_h, self.campaign, self.start = OPENING.duration_s / 3600.0, unit.campaign, unit.start
+
+    def timed(self, block):
+        """The block with the time between its dwells."""
+        steps, late_s = [], 0.0
+        for step in block.plan.steps:
+            if step.kind == "dwell":
+                begin_s = step.start_s + late_s
+                late_s += self._pause_s
+                steps.append(SoakStep(start_s=begin_s, end_s=begin_s + self._pause_s))
+            moved = {"start_s": step.start_s + late_s, "end_s": step.end_s + late_s}
+            steps.append(step.model_copy(update=moved))
+        return replace(block, plan=block.plan.model_copy(update={"steps": steps}))
+
+    def measure(self, plan, folder):
+        return self._unit.measure(plan)
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """What one campaign found of one unit."""
+
+    hours: float
+    causes: frozenset  #: Effects that are found; empty for a clean unit.
+    verdict: str
+    #: Root of the mean variance of the biases of the next pass, deg/h, by all hypotheses together.
+    sigma_dph: np.ndarray
+
+
+def found_by(unit, rows, hours, closure):
+    """Outcome of a campaign."""
+    rivals = rivals_of(closure)
+    known = calibration_of(Forecast(closure.noise.weighted(rows)), PROFILE, rivals, closure.noise_scale)
+    variance = np.array([each.probability for each in known.rivals]) @ known.variances
+    set_c = unit._set_c[-1]
+    hours += abs(set_c - _END_C) / _END_C_PER_H
+    causes = frozenset(each.effect.name for each in closure.effects)
+    return Campaign(hours, causes, closure.verdict, np.sqrt(variance))
+
+
+def compared(seed):
+    """The fixed and the adaptive campaign of a unit, and its effects."""
+    draw = np.random.default_rng([seed, 33])
+    count = int(draw.choice([0, 1, 2], p=[0.3, 0.5, 0.2]))
+    kinds = draw.choice([*ON_THE_LIST], count, replace=False).tolist()
+    sizes = np.exp(draw.uniform(np.log(1.0), np.log(10.0), count)).tolist()
+    whole = SimulatedUnit.measured_by(seed, kinds, sizes, block_plan(PLAN))
+    own = whole.beginning_with(block_plan(OPENING))
+    closure = searched(whole.campaign(whole.rows), [whole.campaign(whole.rows).last_cycle])
+    fixed = found_by(whole, whole.rows, whole.rows[-1].end_s / 3600.0, closure)
+    with tempfile.TemporaryDirectory() as folder:
+        investigator = Investigator(UnitBench(own), Path(folder), 100.0, lambda *_: True, PROFILE)
+        found = investigator.run(WallClock())
+    adaptive = found_by(own, found.rows, found.spent_h, found.closure)
+    return kinds, fixed, adaptive, found
+
+
+def table(found):
+    """Lines of a table of both campaigns, and of each unit."""
+    yield "| campaign | hours, median | right cause, or none where there is none | stated |"
+    yield "|---|---|---|---|"
+    for place, name in ((1, "fixed"), (2, "adaptive")):
+        own = [each[place] for each in found]
+        stated = [each.verdict in ("explained", "clean") for each in own]
+        right = [
+            is_stated and each.causes == frozenset(kinds)
+            for (kinds, *_), each, is_stated in zip(found, own, stated, strict=True)
+        ]
+        hours = statistics.median(each.hours for each in own)
+        yield f"| {name} | {hours:.1f} | {sum(right)} of {len(own)} | {sum(stated)} |"
+    same = sum((one.verdict, one.causes) == (other.verdict, other.causes) for _, one, other, _ in found)
+    uncertainty = statistics.median(
+        float(np.sqrt(np.mean(other.sigma_dph**2) / np.mean(one.sigma_dph**2))) for _, one, other, _ in found
+    )
+    yield f"Hours over those of the fixed campaign, median: {share_of(found):.2f}"
+    yield f"Rms standard uncertainty over that of the fixed campaign, median: {uncertainty:.2f}"
+    yield f"Same verdict and cause: {same} of {len(found)}"
+    for seed, (kinds, fixed, own, ended) in zip(SEEDS, found, strict=False):
+        yield (
+            f"{seed} {sorted(kinds)}: {fixed.verdict} {sorted(fixed.causes)} | {own.verdict} "
+            f"{sorted(own.causes)} in {own.hours:.1f} h, {ended.ended}, ratio {ended.calibration.ratio:.2f}"
+        )
+
+
+def share_of(found):
+    """Median of the hours over those of the fixed campaign."""
+    return statistics.median(other.hours / one.hours for _, one, other, _ in found)
+
+
+@pytest.fixture(scope="module")
+def both():
+    found = [compared(seed) for seed in SEEDS]
+    print("\n" + "\n".join(table(found)))
+    return found
+
+
+@pytest.mark.timeout(7200)
+def test_an_adaptive_campaign_states_the_right_cause_at_least_as_often_as_the_fixed_one(both):
+    fixed, own = (
+        sum(
+            each[place].verdict in ("explained", "clean") and each[place].causes == set(each[0])
+            for each in both
+        )
+        for place in (1, 2)
+    )
+    assert own >= fixed
+
+
+@pytest.mark.xfail(
+    reason="takes more than 0.7 of the hours, see docs/decisions/14-next-measurement.md", strict=False
+)
+def test_an_adaptive_campaign_takes_70_percent_of_the_hours(both):
+    assert share_of(both) <= 0.7
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--units", type=int, default=len(SEEDS), help="how many of them")
+    print("\n".join(table([compared(seed) for seed in SEEDS[: parser.parse_args().units]])))
