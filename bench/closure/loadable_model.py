@@ -18,6 +18,8 @@ from gyrobench.drivers.ins.command_map import CORRECTION_DEGREE, NUMBERS, Compen
 
 #: Terms that an INS has for other coefficients than the gyros' biases, as they are called for these.
 _OF_OTHERS = {"polynomial_dph", "rate_dph_per_c_per_h", "rate_limit_c_per_h", "gravity_dph_per_g"}
+#: What follows gravity at rest as the bias of a quantity would: a part of the sensors' matrix.
+_SEEN_AS_GRAVITY = {"accelerometer_bias": ("accelerometer_scale", "accelerometer_misalignment")}
 #: Coefficients that several effects may contribute to.
 _SUMMED = ("polynomial_dph", "gradient_dph_per_k")
 
@@ -88,6 +90,11 @@ def with_coefficients(model: LoadableModel, closures: Iterable[Closure], *, effe
         for found in closure.effects if effects else ():
             terms = _terms(closure, found)
             name = f"{found.effect.name} in {quantity.name}"
+            if "gravity_dph_per_g" in terms.coefficients and any(
+                each.startswith(_SEEN_AS_GRAVITY.get(quantity.name, ())) for each in corrections
+            ):
+                notes.append(f"{name} is left out: scale factors and misalignments compensate it already")
+                continue
             degree = terms.coefficients.get("polynomial_dph", np.zeros((3, 1))).shape[1] - 1
             if terms.left_out or terms.coefficients.keys() - _OF_OTHERS or degree > CORRECTION_DEGREE:
                 notes.append(f"{name} is left out: {terms.left_out or 'the INS has no term for it there'}")

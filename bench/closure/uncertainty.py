@@ -141,7 +141,9 @@ class _NormalEquations:
         terms = [each.columns(campaign)[searched, gyro] for each in candidates]
         sigma_dph = problem.sigma_dph[:, gyro]
         columns = np.concatenate([base[:, self.known], *terms], axis=1) / sigma_dph[:, np.newaxis]
-        self._lengths = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+        lengths = np.linalg.norm(columns, axis=0)
+        # What no measured value shows stays zero.
+        self._lengths = np.where(lengths > 0.0, lengths, np.inf)
         columns /= self._lengths
         self._matrix = columns.T @ columns
         self._vector = columns.T @ (campaign.bias_dph[searched, gyro] / sigma_dph)

@@ -148,7 +148,8 @@ class VerificationRuns:
         rows = {name: [dwell.row for dwell in dwells] for name, (dwells, _) in measured.items()}
         fitted_c = self._closure.campaign.gyro_c[self._closure.searched]
         draws = {DECLARED: self._closure.declared_draws, EFFECT: self._closure.model_draws}
-        fitted = {name: (draws[name], model.effects) for name, model in self.models.items()}
+        own = {each.effect.name for each in self._closure.effects}
+        fitted = {name: (draws[name], own.intersection(model.effects)) for name, model in self.models.items()}
         first = next(iter(rows.values()))
         site = self._job.station.site
         return VerificationResult(

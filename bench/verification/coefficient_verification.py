@@ -49,6 +49,13 @@ class CoefficientResult:
     missions: tuple[PlateauMission, ...]  #: One for each plateau.
 
     @property
+    def ratio(self) -> float:
+        """Rms of all coefficients but the gyros' biases, which each power-on changes, over their noise."""
+        others = [place for place, name in enumerate(_NAMES) if not name.startswith("gyro_bias")]
+        ratios = (self.rms / self.noise)[others]
+        return rms(ratios[np.isfinite(ratios)])
+
+    @property
     def worst(self) -> PlateauMission:
         """The plateau with the largest position error after a day."""
         return max(self.missions, key=lambda each: float(each.error.stated_nmi[-1]))

@@ -47,6 +47,11 @@ def _missing_input(campaign: Campaign) -> str | None:
     return needs_positions(campaign)
 
 
+def _is_of_gyros(campaign: Campaign) -> bool:
+    """An accelerometer senses gravity far more than any magnetic field."""
+    return campaign.quantity.sensor == "gyro"
+
+
 EFFECT = Effect(
     name="magnetic_sensitivity",
     label="magnetic sensitivity",
@@ -61,4 +66,5 @@ EFFECT = Effect(
         ),
     ),
     compensation=no_ins_term("the INS has no magnetometer"),
+    may_imitate=_is_of_gyros,
 )

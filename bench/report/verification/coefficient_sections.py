@@ -12,8 +12,7 @@ from gyrobench.bench.calibration.mission import HOURS
 from gyrobench.bench.foundations.text import listed, plain_name
 from gyrobench.bench.report.figures.style import common_legend, house_style, new_figure
 from gyrobench.bench.report.page import Section, SectionFigure, SectionTable
-from gyrobench.bench.report.verification.verification_text import LABELS
-from gyrobench.bench.verification.coefficient_verification import CoefficientResult
+from gyrobench.bench.report.verification.verification_text import LABELS, with_text
 from gyrobench.bench.verification.compensation_verification import DECLARED, EFFECT, NONE, VerificationResult
 
 _COLOURS = {NONE: "#888888", DECLARED: "#E69F00", EFFECT: "#0072B2"}
@@ -42,7 +41,7 @@ def mission_sentence(result: VerificationResult) -> str:
     """Position error after each time, with each compensation."""
     times = listed([f"{hours:g}" for hours in HOURS])
     errors = [
-        f"{', '.join(map(_nmi, each.worst.error.stated_nmi))} nmi {_with(each)}"
+        f"{', '.join(map(_nmi, each.worst.error.stated_nmi))} nmi {with_text(each)}"
         for each in result.coefficients
     ]
     high = ", ".join(map(_nmi, result.coefficients[-1].worst.error.high_nmi))
@@ -50,12 +49,6 @@ def mission_sentence(result: VerificationResult) -> str:
         f"A mission with the coefficients left errs by up to ({times} h): {'; '.join(errors)}. By the "
         f"uncertainty of the last, 95 % of all are below {high} nmi."
     )
-
-
-def _with(each: CoefficientResult) -> str:
-    return {NONE: "without compensation", DECLARED: "with polynomials", EFFECT: "with the effects"}[
-        each.compensation
-    ]
 
 
 def _nmi(distance_nmi: float) -> str:

@@ -11,6 +11,7 @@ from gyrobench.bench.closure.validation import LACK_OF_FIT_P
 from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.report.closure.closure_text import found_labels, p_phrase, size_text
+from gyrobench.bench.verification.coefficient_verification import CoefficientResult
 from gyrobench.bench.verification.compensation_verification import (
     DECLARED,
     EFFECT,
@@ -26,6 +27,8 @@ LABELS = {NONE: "none", DECLARED: "declared", EFFECT: "with effect"}
 #: Judgements of a verification.
 CONFIRMED, IMPROVED, NOT_CONFIRMED, INCONCLUSIVE = "confirmed", "improved", "not confirmed", "inconclusive"
 
+#: Up to this ratio to the noise coefficients are noise: of the measurement, and as much of what was loaded.
+_NOISE_OF_BOTH = math.sqrt(2.0)
 _CONSTANT = (
     "Bias is the rms over all gyros including the constant of the power cycle, which changes at each "
     "power-on and can't be predicted. Varying is the same without each gyro's mean over the run. The spread "
@@ -82,9 +85,14 @@ def number_rows(models: Mapping[str, LoadableModel]) -> list[list[str]]:
 
 
 def outcome(result: VerificationResult) -> str:
-    """Judgement of the most complete compensation measured, by its varying bias."""
+    """Judgement of the most complete compensation measured, by its varying bias, or by all coefficients."""
     if len(result.results) < 2:
         return INCONCLUSIVE
+    if result.coefficients:
+        first, *_, last = result.coefficients
+        if not last.ratio < first.ratio:
+            return NOT_CONFIRMED
+        return CONFIRMED if last.ratio < _NOISE_OF_BOTH else IMPROVED
     before, after = result.results[-2:]
     is_noise = after.total.varying_p_value >= LACK_OF_FIT_P
     if is_noise and before.total.varying_p_value >= LACK_OF_FIT_P:
@@ -99,10 +107,19 @@ def outcome_sentence(result: VerificationResult) -> str:
     if len(result.results) < 2:
         label = LABELS[result.results[0].compensation]
         return f"Only one compensation was measured ({label}). Measure another one to compare."
+    if result.coefficients:
+        ratios = [
+            f"{each.ratio:.{0 if each.ratio >= 10.0 else 1}f} {with_text(each)}"
+            for each in result.coefficients
+        ]
+        return (
+            f"Coefficients but the gyros' biases, rms in times the noise of the measurement: "
+            f"{listed(ratios)}; up to {_NOISE_OF_BOTH:.1f} is noise of measurement and compensation."
+        )
     before, after = result.results[-2:]
     sizes = (
-        f"Varying bias: {size_text(before.total.varying_rms_dph)} deg/h rms {_with(before)}, "
-        f"{size_text(after.total.varying_rms_dph)} deg/h {_with(after)}; noise "
+        f"Varying bias: {size_text(before.total.varying_rms_dph)} deg/h rms {with_text(before)}, "
+        f"{size_text(after.total.varying_rms_dph)} deg/h {with_text(after)}; noise "
         f"{size_text(after.total.bias_noise_dph)} deg/h."
     )
     p = p_phrase(after.total.varying_p_value)
@@ -151,7 +168,7 @@ def chain(result: VerificationResult) -> list[tuple[str, str]]:
     for topic, what, values, noise in changes:
         if len(values) == len(totals):
             steps = listed(
-                [f"{value} {_with(each)}" for value, each in zip(values, result.results, strict=True)]
+                [f"{value} {with_text(each)}" for value, each in zip(values, result.results, strict=True)]
             )
             topics.append((topic, f"{what}: {steps}; noise {noise}."))
     return topics + [("Note", note) for note in result.notes]
@@ -187,7 +204,8 @@ def new_conditions_sentence(result: VerificationResult) -> str:
     )
 
 
-def _with(each: CompensationResult) -> str:
+def with_text(each: CompensationResult | CoefficientResult) -> str:
+    """A compensation in a sentence: "with the declared model"."""
     return {NONE: "without compensation", DECLARED: "with the declared model", EFFECT: "with the effects"}[
         each.compensation
     ]

@@ -6,13 +6,16 @@ import pytest
 
 from gyrobench.bench.bias.dwell_table import write_dwells
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS
+from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.files import closure_document, format_predictions, model_document
+from gyrobench.bench.closure.loadable_model import declared_model, model_with_effects, with_coefficients
 from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.closure.quantity import QUANTITIES, quantity
 from gyrobench.bench.dwells.closure_inputs import coefficient_columns, read_campaign
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
 from gyrobench.bench.navigation.positions import POSITIONS
-from tests.bench.closure.thermal_bench import measure
+from gyrobench.drivers.ins.command_map import Correction
+from tests.bench.closure.thermal_bench import UP, measure
 
 
 def table_of(folder, name, effects=None, **options):
@@ -95,6 +98,50 @@ def test_accelerometer_biases_of_dwells_leave_the_vertical_ones_out(tmp_path):
     assert closure.verdict == "explained"
     assert [each.effect.name for each in closure.effects] == ["temperature_rate"]
     assert closure.error_after_dph < 1.3 * closure.noise_dph
+
+
+@pytest.fixture(scope="module")
+def biases():
+    """A search in the gyros' biases, which the other coefficients are added to."""
+    return close_loop(campaign_of(measure(cycles=2).rows))
+
+
+def test_what_an_ins_takes_of_a_coefficient_is_its_model(scale_factor, biases):
+    closure, measured = scale_factor
+    declared, whole = (
+        with_coefficients(model, [closure], effects=effects)
+        for model, effects in ((declared_model(biases), False), (model_with_effects(biases), True))
+    )
+    assert declared.effects == ()
+    assert whole.effects == ("temperature_rate in gyro_scale_factor",)
+    loaded = whole.compensation.coefficients
+    for axis, name in enumerate(closure.quantity.coefficients):
+        campaign = closure.campaign
+        powers = np.vander(campaign.gyro_c[:, axis], 4, increasing=True)
+        taken = powers @ loaded[name].polynomial
+        taken += campaign.rate_c_per_h[:, axis] * loaded[name].rate_per_c_per_h
+        errors = (taken - measured.bias_dph[:, axis])[closure.searched]
+        assert np.abs(errors).max() < 2.0
+        assert declared.compensation.coefficients[name].rate_per_c_per_h == 0.0
+    assert np.all(whole.compensation.rate_limit_c_per_h > 0.0)
+
+
+def test_a_bias_that_follows_attitude_is_loaded_unless_the_matrix_has_it_already(biases, tmp_path):
+    path, measured = table_of(tmp_path, "accelerometer_bias", {"g_sensitivity": 8.0}, sigma_dph=5.0)
+    closure = close_loop(read_campaign(path, quantity=quantity("accelerometer_bias")))
+    assert [each.effect.name for each in closure.effects] == ["g_sensitivity"]
+    alone = with_coefficients(model_with_effects(biases), [closure], effects=True)
+    gravity = alone.compensation.coefficients["accelerometer_bias_x"].gravity_per_g
+    taken = np.array([UP[row.position] for row in measured.rows]) @ gravity
+    true = measured.undeclared_dph[:, 0]
+    assert np.abs((taken - taken.mean()) - (true - true.mean())).max() < 5.0
+    model = model_with_effects(biases)
+    matrix = {"accelerometer_misalignment_yx": Correction(np.array([12.0]))}
+    model = replace(model, compensation=replace(model.compensation, coefficients=matrix))
+    both = with_coefficients(model, [closure], effects=True)
+    assert both.effects == ()
+    assert not both.compensation.coefficients["accelerometer_bias_x"].gravity_per_g.any()
+    assert "accelerometer_bias is left out: scale factors and misalignments" in both.notes[-1]
 
 
 def test_the_third_misalignments_of_accelerometers_follow_the_sensors_temperatures(tmp_path):

@@ -1,0 +1,96 @@
+import csv
+
+import numpy as np
+import pytest
+
+from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT
+from gyrobench.bench.navigation.error_model import Site
+from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow
+from gyrobench.bench.verification.coefficient_verification import (
+    coefficient_result,
+    corrections,
+    write_coefficient_tables,
+)
+
+SITE = Site(np.radians(45.0))
+TEMPERATURES_C = (-20.0, 0.0, 20.0, 40.0, 60.0)
+SIGMA = 0.1
+
+
+def rows_of(polynomials, seed=0, unobserved=()):
+    """Coefficients of plateaus: noise, and polynomials in temperature by name."""
+    random = np.random.default_rng(seed)
+    rows = []
+    for plateau, at_c in enumerate(TEMPERATURES_C, 1):
+        for each in COEFFICIENTS:
+            name = f"{each.name}_{each.axis}"
+            value = np.polynomial.polynomial.polyval(at_c, polynomials.get(name, [0.0]))
+            value += SIGMA * random.standard_normal()
+            sigma = np.nan if name in unobserved else SIGMA
+            # The temperature of an accelerometer is that of the case.
+            here_c = at_c if each.sensor == "gyro" else at_c - 7.0
+            rows.append(
+                PlateauCoefficientRow(
+                    plateau, 1, at_c - 10.0, here_c, each.name, each.axis,
+                    np.nan if name in unobserved else value, sigma, each.unit, "", np.nan, 0.0,
+                )
+            )  # fmt: skip
+    return rows
+
+
+def test_polynomials_have_the_degree_that_the_data_need():
+    known = {
+        "gyro_scale_factor_x": [12.0, 0.08, -2e-3],
+        "accelerometer_bias_z": [40.0, 0.5],
+        "gyro_misalignment_yz": [-9.0],
+    }
+    found = corrections(rows_of(known, unobserved={"accelerometer_misalignment_zx"}))
+    for name, polynomial in known.items():
+        assert len(found[name].polynomial) == len(polynomial)
+        at_c = np.linspace(-20.0, 60.0, 9)
+        fitted, true = (
+            np.polynomial.polynomial.polyval(at_c, each) for each in (found[name].polynomial, polynomial)
+        )
+        assert np.abs(fitted - true).max() < 5.0 * SIGMA
+    assert "accelerometer_misalignment_zx" not in found
+    assert not any(name.startswith("gyro_bias") for name in found)
+
+
+@pytest.fixture
+def results():
+    """Without compensation, and with one that leaves noise."""
+    large = {f"{each.name}_{each.axis}": [20.0] for each in COEFFICIENTS if each.name != "gyro_bias"}
+    tables = {"none": rows_of(large), "declared": rows_of({}, seed=1, unobserved={"gyro_scale_factor_z"})}
+    return [coefficient_result(name, rows, {}, SITE) for name, rows in tables.items()]
+
+
+def test_what_is_left_is_compared_with_the_noise(results):
+    before, after = results
+    assert before.ratio > 100.0
+    assert 0.7 < after.ratio < 1.4
+    np.testing.assert_allclose(before.noise, SIGMA)
+    z = [f"{each.name}_{each.axis}" for each in COEFFICIENTS].index("gyro_scale_factor_z")
+    assert np.isnan(after.rms[z])
+    assert after.plateaus[z] == 0
+    assert before.plateaus[z] == len(TEMPERATURES_C)
+    assert after.worst.error.stated_nmi[-1] < 0.5 * before.worst.error.stated_nmi[-1]
+
+
+def test_correlations_change_the_distribution_of_missions():
+    rows = rows_of({})
+    alone = coefficient_result("none", rows, {}, SITE).missions[0].error
+    together = coefficient_result("none", rows, {1: np.ones((COUNT, COUNT))}, SITE).missions[0].error
+    assert np.array_equal(alone.stated_nmi, together.stated_nmi)
+    assert not np.allclose(alone.high_nmi, together.high_nmi, rtol=0.01)
+
+
+def test_the_tables_have_a_row_for_each_coefficient_and_time(results, tmp_path):
+    write_coefficient_tables(tmp_path, results)
+    rows = list(csv.DictReader((tmp_path / "coefficient_comparison.csv").read_text().splitlines()))
+    assert len(rows) == 2 * COUNT
+    assert rows[3]["coefficient"] == "gyro_scale_factor_x"
+    assert float(rows[3]["rms"]) == pytest.approx(results[0].rms[3], rel=1e-6)
+    missions = list(csv.DictReader((tmp_path / "mission.csv").read_text().splitlines()))
+    assert len(missions) == 2 * len(TEMPERATURES_C) * 3
+    assert [row["hours"] for row in missions[:3]] == ["1", "8", "24"]
+    assert float(missions[2]["position_95_nmi"]) >= float(missions[2]["position_median_nmi"])
