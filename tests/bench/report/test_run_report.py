@@ -267,7 +267,7 @@ def test_table_that_knows_no_estimators_gives_a_report_without_them(
     page = page_of(empty_folder)
     assert "The estimator of these biases is unknown" in page.text
     assert "paper" not in page.text
-    assert len(page.loads) == 5
+    assert len(page.loads) == 6
 
 
 def test_run_that_the_papers_method_does_not_apply_to_says_so(
