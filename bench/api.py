@@ -82,6 +82,22 @@ class Run:
         return _csv_frame(self.folder.budget)
 
     @cached_property
+    def characteristics(self) -> pd.DataFrame:
+        """Coefficients of the procedure's tests: test, gyro, name, unit, value and 95 % interval.
+
+        Raises DocumentError if the run has no results of tests.
+        """
+        from gyrobench.bench.characteristics.results import read_characteristics
+
+        rows = [
+            {"test": result.test, **each.model_dump()}
+            for result in read_characteristics(self.folder.characteristics)
+            for each in result.coefficients
+        ]
+        frame: pd.DataFrame = _pandas().DataFrame(rows)
+        return frame.astype(dict.fromkeys(("value", "low", "high"), float))
+
+    @cached_property
     def coefficients(self) -> pd.DataFrame:
         """Coefficients of the sensors at each plateau, as in ``coefficients.csv``."""
         return _csv_frame(self.folder.coefficients)

@@ -27,7 +27,7 @@ def control(
     import socket
 
     from gyrobench.bench.engine.operator import COMMAND_MEANINGS, send_command
-    from gyrobench.bench.runs.provenance import operator_name
+    from gyrobench.bench.foundations.operator_name import operator_name
     from gyrobench.bench.station.locks import holder_of, is_held_by
 
     if not run_folder.is_dir():

@@ -10,6 +10,8 @@ from typing import Annotated
 
 import typer
 
+from gyrobench.bench.foundations.operator_name import OPERATOR_VARIABLE
+
 _MAX_RUNS = 200
 
 Completion = Callable[[str], list[str]]
@@ -102,7 +104,7 @@ class FailOn(StrEnum):
 def _name_operator(name: str) -> str:
     """Keep the name in the environment, also for processes that the command starts."""
     if name:
-        os.environ["GYROBENCH_OPERATOR"] = name
+        os.environ[OPERATOR_VARIABLE] = name
     return name
 
 

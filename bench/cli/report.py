@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -9,6 +10,13 @@ import typer
 
 from gyrobench.bench.cli.options import RunArgument, complete_run
 from gyrobench.bench.cli.output import console
+
+
+class VectorFormat(StrEnum):
+    """Formats of figures as vectors."""
+
+    SVG = "svg"
+    PDF = "pdf"
 
 
 def report(
@@ -32,6 +40,10 @@ def report(
         list[float] | None,
         typer.Option(metavar="C", help="Mark a temperature (°C) in the figures; may be repeated."),
     ] = None,
+    vectors: Annotated[
+        list[VectorFormat] | None,
+        typer.Option("--figures", help="Also write every figure in this format; may be repeated."),
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="Output folder; default: the run folder.")] = None,
 ) -> None:
     """Write the report of a run from its folder.
@@ -47,7 +59,9 @@ def report(
     from gyrobench.bench.runs.folder import open_run_folder
 
     folder = open_run_folder(run_folder)
-    page = write_report(folder, by, out, open_run_folder(before) if before else None, mark_temperature or ())
+    earlier = open_run_folder(before) if before else None
+    formats = [each.value for each in vectors or ()]
+    page = write_report(folder, by, out, earlier, mark_temperature or (), formats)
     terminal = console()
     if folder.acceptance.exists():
         terminal.print(acceptance_summary(read_acceptance(folder.acceptance)))

@@ -17,10 +17,11 @@ from gyrobench.bench.dwells.run_dwells import marks_in, read_frames
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import cant_be_written, read_limited, sync_folder, write_whole
+from gyrobench.bench.foundations.operator_name import operator_name
 from gyrobench.bench.foundations.text import counted, listed
 from gyrobench.bench.runs.folder import RunFolder, part_path
 from gyrobench.bench.runs.journal import BROKEN_LINKS, MAX_JOURNAL_BYTES, Journal, broken_links, intact_lines
-from gyrobench.bench.runs.provenance import operator_name, read_provenance, start_of, write_provenance
+from gyrobench.bench.runs.provenance import read_provenance, start_of, write_provenance
 from gyrobench.bench.runs.telemetry import damaged_telemetry
 
 _SUFFIX = ".damaged"

@@ -10,8 +10,8 @@ from gyrobench.bench.engine.interlocks.watch import Trip, TrippedError, text_of_
 from gyrobench.bench.engine.operator import GivenCommand, RunCommand, take_sender
 from gyrobench.bench.engine.run_context import RunContext
 from gyrobench.bench.foundations.errors import InstrumentError, RunStoppedError
+from gyrobench.bench.foundations.operator_name import operator_name
 from gyrobench.bench.foundations.text import listed
-from gyrobench.bench.runs.provenance import operator_name
 
 #: A calendar that differs by so much more than before was set, or corrected over a long time.
 _CALENDAR_STEP_S = 1.0

@@ -24,13 +24,14 @@ from gyrobench.bench.engine.run_context import RunContext
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import GyrobenchError, InstrumentError, RunFolderError
 from gyrobench.bench.foundations.files import write_whole
+from gyrobench.bench.foundations.operator_name import operator_name
 from gyrobench.bench.guard.process import guard_for
 from gyrobench.bench.messages.messenger import PATIENCE_S, Messenger
 from gyrobench.bench.runs.can_log import CanLog
 from gyrobench.bench.runs.compensation_file import write_compensation
 from gyrobench.bench.runs.folder import RUNS, RunFolder, create_run_folder
 from gyrobench.bench.runs.journal import Journal, facts_of, read_journal
-from gyrobench.bench.runs.provenance import operator_name, write_provenance
+from gyrobench.bench.runs.provenance import write_provenance
 from gyrobench.bench.runs.telemetry import Telemetry
 from gyrobench.bench.station.instruments import Instruments
 from gyrobench.bench.station.locks import BenchLock, RunLock

@@ -13,7 +13,7 @@ from gyrobench.bench.engine.operator import ask_operator
 from gyrobench.bench.engine.resume import UNKNOWN_CHECKSUM
 from gyrobench.bench.engine.run_context import RunContext
 from gyrobench.bench.foundations.errors import RefusedError, RunStoppedError
-from gyrobench.bench.runs.provenance import operator_name
+from gyrobench.bench.foundations.operator_name import operator_name
 from gyrobench.drivers.ins.can_bus import INSTRUMENT
 from gyrobench.drivers.ins.ins_status import InsStatus
 

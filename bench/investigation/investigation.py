@@ -23,6 +23,7 @@ from gyrobench.bench.closure.search import MAX_EFFECTS
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
 from gyrobench.bench.foundations.files import make_folder, write_whole
+from gyrobench.bench.foundations.operator_name import operator_name
 from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.investigation.blocks import NEW_CYCLE, Block, BlockPlanner
 from gyrobench.bench.investigation.choice import Rival
@@ -41,7 +42,6 @@ from gyrobench.bench.investigation.proposal import (
     proposed,
 )
 from gyrobench.bench.runs.journal import Journal, read_journal
-from gyrobench.bench.runs.provenance import operator_name
 
 #: Hypotheses less probable than this, and more than so many, are not predicted.
 _MIN_PROBABILITY = 1e-3

@@ -38,6 +38,10 @@ _BIAS_FIGURE = (
     "Bias of the {} against its own temperature{}. Lines join the weighted means of the temperature bins, "
     "faint points are single dwells; bars are standard uncertainties. All gyros have the same scale."
 )
+_PAIR = (
+    "Biases in Z-Up and in Y-Up (Yu et al., Figs. 8, 9, 12 and 13): lines join the weighted means of the "
+    "temperature bins, numbers are those of their dwells, bars are standard uncertainties (k = 1)."
+)
 _BOTH_SIDES = ", on the left by the state-space estimator, on the right by the paper's method"
 _COMPARED = (
     "Comparison of positions{}. p: probability of differences this large if the bias were the same in all "
@@ -60,6 +64,7 @@ def comparison_section(
         boxes = [Box("stopped", "", NOTHING_TO_COMPARE), *scattered] if bins else []
     caption = _UNCERTAIN_MAXIMUM + (_LIMIT_LINE if acceptance and acceptance.limits else "")
     drawn = _pictures(figures, "position_differences", caption)
+    drawn += _pictures(figures, "position_pair", _PAIR)
     return Section("Results", boxes=boxes, paragraphs=[note for note in notes if note], figures=drawn)
 
 

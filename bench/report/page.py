@@ -19,7 +19,7 @@ from pydantic.dataclasses import dataclass
 from gyrobench.bench.foundations.csv_tables import read_text
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.files import make_folder, parse_json, write_whole
-from gyrobench.bench.report.figures.style import is_drawn, save_figure, stamp
+from gyrobench.bench.report.figures.style import is_drawn, save_figure, save_vectors, stamp
 
 #: Name of the file that keeps findings beside their page, for the report of the run.
 FINDINGS_FILE = "findings.json"
@@ -147,19 +147,21 @@ def render_page(
 
 
 def with_figure_files(
-    folder: Path, sections: Iterable[Section], key: str = "", watermark: str = ""
+    folder: Path, sections: Iterable[Section], key: str = "", watermark: str = "", vectors: Sequence[str] = ()
 ) -> list[Section]:
     """Draw the figures of sections into an existing folder; gives the sections with PNG files.
 
     Files that hold the key, a hash of all that the figures show, are kept. ``watermark`` is a word across
-    each figure.
+    each figure; ``vectors`` are further formats that all figures are written in, ``svg`` and ``pdf``.
 
     Raises RunFolderError if a file can't be written.
     """
     gc.freeze()  # or each collection below looks at all modules
     try:
         return [
-            replace(section, figures=[_as_file(folder, each, key, watermark) for each in section.figures])
+            replace(
+                section, figures=[_as_file(folder, each, key, watermark, vectors) for each in section.figures]
+            )
             for section in sections
         ]
     finally:
@@ -200,14 +202,17 @@ def _with_pictures(section: Section, folder: Path) -> Section:
     return replace(section, figures=[replace(each, figure=path) for each, path in pictures if path.is_file()])
 
 
-def _as_file(folder: Path, drawn: SectionFigure, key: str, watermark: str) -> SectionFigure:
+def _as_file(
+    folder: Path, drawn: SectionFigure, key: str, watermark: str, vectors: Sequence[str]
+) -> SectionFigure:
     if drawn.figure is None or isinstance(drawn.figure, Path):
         return drawn
     path = folder / f"{drawn.name}.png"
-    if not is_drawn(path, key):
+    if vectors or not is_drawn(path, key):
         figure = drawn.figure()
         stamp(figure, watermark)
         save_figure(figure, path, key)
+        save_vectors(figure, path, vectors)
         gc.collect()  # figures are cycles of some megabytes
     return replace(drawn, figure=path)
 

@@ -46,7 +46,12 @@ from gyrobench.bench.report.estimator_sections import (
     joint_section,
     noise_section,
 )
-from gyrobench.bench.report.figures.bias import bias_figure, bias_span_dph, position_difference_figure
+from gyrobench.bench.report.figures.bias import (
+    bias_figure,
+    bias_span_dph,
+    position_difference_figure,
+    position_pair_figure,
+)
 from gyrobench.bench.report.figures.budget import budget_figure
 from gyrobench.bench.report.figures.temperatures import Readings, temperature_figure
 from gyrobench.bench.report.journal_sections import durations_section, events_section
@@ -77,6 +82,7 @@ def write_report(
     out: Path | None = None,
     before: RunFolder | None = None,
     mark_temperatures_c: Sequence[float] = (),
+    vectors: Sequence[str] = (),
 ) -> Path:
     """Write ``report.html`` and the figures of a run, from what its folder holds; returns the report.
 
@@ -93,6 +99,8 @@ def write_report(
         Run before a change, to compare with this one.
     mark_temperatures_c : sequence of float
         Temperatures in degC that figures mark beside those of the procedure.
+    vectors : sequence of str
+        Formats beside PNG that the figures are written in: ``svg``, ``pdf``.
 
     Raises
     ------
@@ -118,6 +126,7 @@ def write_report(
         [figures, *compared, *_analysis_sections(content, marked_c)],
         _figures_key(content, earlier, marked_c),
         _watermark(content),
+        vectors,
     )
     paths = [each.figure for each in own.figures if isinstance(each.figure, Path)]
     write_whole(into.report, render(content, paths, sections, hashes, by).encode())
@@ -421,9 +430,10 @@ def run_figures(
     acceptance: Acceptance | None = None,
     marked_c: Sequence[float] = (),
 ) -> Iterator[tuple[str, Callable[[], Figure]]]:
-    """Figures that there are data for: temperature, bias_x, bias_y, bias_z and position_differences.
+    """Figures that there are data for.
 
-    Yields the name of each and a function that draws it.
+    These are temperature, bias_x, bias_y, bias_z, position_pair and position_differences. Yields the name of
+    each and a function that draws it.
     """
     if len(telemetry.get("time_s", ())) or dwells:
         yield "temperature", partial(temperature_figure, telemetry, dwells, marked_c)
@@ -431,6 +441,8 @@ def run_figures(
         span_dph = bias_span_dph(dwells, bins)
         for gyro in AXES:
             yield f"bias_{gyro}", partial(bias_figure, gyro, dwells, bins, span_dph, marked_c)
+    if {"z_up", "y_up"} <= {each.position for each in bins if not each.is_empty}:
+        yield "position_pair", partial(position_pair_figure, bins, marked_c)
     comparisons = compare_positions(bins)
     limits = acceptance.limits if acceptance else None
     limit_dph = limits.position_difference_dph if limits else None

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import getpass
 import hashlib
 import json
-import os
 import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,13 +15,11 @@ from typing import Any
 from gyrobench.bench import __version__
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import file_sha256, parse_json, read_limited, write_whole
+from gyrobench.bench.foundations.operator_name import login_name, operator_name
 from gyrobench.bench.runs.folder import RunFolder
 
 _PACKAGES = ("numpy", "scipy", "pyserial", "python-can", "cantools", "pymodbus", "pydantic", "pyarrow")
 
-#: Environment variable with the operator's name.
-OPERATOR_VARIABLE = "GYROBENCH_OPERATOR"
-_MAX_NAME_CHARACTERS = 100
 _MAX_BYTES = 10_000_000
 _OBJECTS = ("instruments", "options", "files_sha256", "packages")
 
@@ -114,19 +110,6 @@ def _utc_offset_s(moment: datetime) -> float:
     """How far local time on the bench is ahead of UTC."""
     offset = moment.astimezone().utcoffset()
     return 0.0 if offset is None else offset.total_seconds()
-
-
-def operator_name() -> str:
-    """Name of the operator: of the option --operator or GYROBENCH_OPERATOR, else the login name."""
-    return os.environ.get(OPERATOR_VARIABLE, "").strip()[:_MAX_NAME_CHARACTERS] or login_name()
-
-
-def login_name() -> str:
-    """Login name of the user; unknown in some containers."""
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError):
-        return "unknown"
 
 
 def _version(package: str) -> str:

@@ -25,12 +25,12 @@ from gyrobench.bench import __version__
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError, MissingRunError, RunFolderError
 from gyrobench.bench.foundations.files import file_sha256, make_folder, parse_json, read_limited, write_whole
+from gyrobench.bench.foundations.operator_name import login_name, operator_name
 from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.foundations.text import counted, listed
 from gyrobench.bench.runs.fingerprint import find_change, fingerprint_of
 from gyrobench.bench.runs.folder import JOURNAL, RunFolder
 from gyrobench.bench.runs.journal import MAX_JOURNAL_BYTES, broken_links, facts_of, is_linked, read_journal
-from gyrobench.bench.runs.provenance import login_name, operator_name
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey

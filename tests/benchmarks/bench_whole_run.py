@@ -137,6 +137,15 @@ def test_table(tmp_path):
         "gyrobench close on Fig. 7, processor time", "s",
         least(lambda program: processor(*program, "close", folders["".join(program)])[0]),
     )  # fmt: skip
+    speeds = {}
+    for procedure, world in (("six_position_fig7", "gyro_b"), ("full_calibration", "all_coefficients")):
+        folder = tmp_path / procedure
+        used_s = processor(*GYROBENCH, "run", procedure, "--world", world, "--out", folder)[0]
+        speeds[procedure] = read_journal(folder / "journal.jsonl")[-1]["time_s"] / used_s
+    row(
+        "full_calibration, times real time by processor time",
+        f"{speeds['full_calibration']:.0f} (six_position_fig7: {speeds['six_position_fig7']:.0f})",
+    )
     bare_s = least(lambda program: processor(*program, "-c", "pass")[0])([sys.executable])
     for name in ("--help", "schema"):
         compared(

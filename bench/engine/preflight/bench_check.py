@@ -13,13 +13,13 @@ from gyrobench.bench.engine.preflight.ins import CanTraffic, ins_checks
 from gyrobench.bench.engine.preflight.instruments import ANSWERS, chamber_checks, table_checks
 from gyrobench.bench.foundations.clock import Clock, WallClock
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.operator_name import operator_name
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.foundations.text import hours_minutes, listed, plain_name
 from gyrobench.bench.messages.delivery import read_secret
 from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.bench.runs.provenance import operator_name
 from gyrobench.bench.runs.telemetry import COLUMNS
 from gyrobench.bench.station.instruments import Emulation, Outputs, open_ins
 from gyrobench.bench.station.locks import BenchLock

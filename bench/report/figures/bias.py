@@ -30,6 +30,8 @@ from gyrobench.bench.report.figures.style import (
 from gyrobench.bench.report.number_format import PAPER, STATE_SPACE, BiasScale, scale_of_bins
 from gyrobench.bench.report.statements import SIGNIFICANCE, differing
 
+#: Title of legends: what bars and numbers are.
+_BARS = "bars: standard uncertainty (k = 1); numbers: dwells"
 #: Margin above and below the biases, as matplotlib's.
 _MARGIN = 1.1
 
@@ -75,7 +77,7 @@ def bias_figure(
     all_axes[0].set_title(gyro_label(gyro) if len(panels) == 1 else f"{gyro_label(gyro)}, {STATE_SPACE}")
     if both[0].is_empty:
         say_empty(all_axes[0], "no dwell gave a bias")
-    common_legend(figure, all_axes[:1], ncols=len(POSITIONS))
+    common_legend(figure, all_axes[:1], ncols=len(POSITIONS), title=_BARS)
     return figure
 
 
@@ -152,18 +154,43 @@ def draw_bins(axes: Axes, bins: Sequence[BiasBin], scale: BiasScale) -> None:
     if not bins:
         return
     style = POSITION_STYLES[bins[0].position]
+    label = position_label(bins[0].position)
+    _draw_line(axes, bins, scale, label, style.line, style.marker, style.colour, style.face)
+
+
+def _draw_line(
+    axes: Axes,
+    bins: Sequence[BiasBin],
+    scale: BiasScale,
+    label: str,
+    line: str,
+    marker: str,
+    colour: str,
+    face: str = "",
+) -> None:
+    """Join bins by a line, each with its bar and its number of dwells."""
     axes.errorbar(
         [each.temperature_c for each in bins],
         [each.bias_dph * scale.factor for each in bins],
         [each.sigma_dph * scale.factor for each in bins],
-        label=position_label(bins[0].position),
-        linestyle=style.line,
-        marker=style.marker,
+        label=label,
+        linestyle=line,
+        marker=marker,
         markersize=5.5,
-        markerfacecolor=style.face,
-        color=style.colour,
+        markerfacecolor=face or colour,
+        color=colour,
         capsize=2.0,
     )
+    for each in bins:
+        axes.annotate(
+            str(each.count),
+            (each.temperature_c, (each.bias_dph + each.sigma_dph) * scale.factor),
+            (0, 2),
+            textcoords="offset points",
+            ha="center",
+            fontsize=5.5,
+            color=colour,
+        )
 
 
 @house_style
@@ -187,7 +214,37 @@ def before_after_figure(
     panels[0].set(ylabel=f"bias / ({scale.unit})")
     for axes in panels if any(runs) else ():
         mark_temperatures(axes, "x", marked_c)
-    common_legend(figure, panels, ncols=len(POSITIONS))
+    common_legend(figure, panels, ncols=len(POSITIONS), title=_BARS)
+    return figure
+
+
+@house_style
+def position_pair_figure(bins: Sequence[BiasBin], marked_c: Sequence[float] = ()) -> Figure:
+    """Draw the biases of the three gyros in Z-Up and in Y-Up, the paper's pair of positions, side by side.
+
+    Lines mark the temperatures ``marked_c`` in degC.
+    """
+    filled = _filled(bins)
+    pairs = [[each for each in filled if each.position == position] for position in ("z_up", "y_up")]
+    scale = scale_of_bins([each for own in pairs for each in own])
+    figure = new_figure(3.4)
+    panels = figure.subplots(1, 2, sharex=True, sharey=True)
+    for axes, own in zip(panels, pairs, strict=True):
+        axes.set(title=position_label(own[0].position), xlabel="temperature of the gyro / °C")
+        for gyro in AXES:
+            colour, line, marker = GYRO_STYLES[gyro]
+            _draw_line(
+                axes,
+                [each for each in own if each.gyro == gyro],
+                scale,
+                gyro_label(gyro),
+                line,
+                marker,
+                colour,
+            )
+        mark_temperatures(axes, "x", marked_c)
+    panels[0].set(ylabel=f"bias / ({scale.unit})")
+    common_legend(figure, panels, ncols=len(AXES), title=_BARS)
     return figure
 
 
@@ -224,7 +281,9 @@ def position_difference_figure(
         if limit_dph is not None:
             _mark_limit(axes, limit_dph * scale.factor)
         mark_temperatures(axes, "x", marked_c)
-        common_legend(figure, [axes], "upper center", ncols=len(AXES))
+        common_legend(
+            figure, [axes], "upper center", ncols=len(AXES), title="bars: standard uncertainty (k = 1)"
+        )
     else:
         say_empty(axes, "no bin has dwells in two positions")
     return figure

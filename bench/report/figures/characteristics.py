@@ -22,10 +22,10 @@ class _Axes(NamedTuple):
 
 
 _AXES: dict[TestName, _Axes] = {
-    "turn_on_repeatability": _Axes("power cycle", "bias less\nmean / (0.001 deg/h)", "mean"),
-    "warm_up": _Axes("time since power-on / h", "bias less\nfinal bias / (0.001 deg/h)", "fit"),
+    "turn_on_repeatability": _Axes("power cycle", "bias less mean / (0.001 deg/h)", "mean"),
+    "warm_up": _Axes("time since power-on / h", "bias less final bias / (0.001 deg/h)", "fit"),
     "thermal_sensitivity": _Axes(
-        "temperature of the gyro / °C", "bias less\nconstant / (0.001 deg/h)", "fit, in the order of time"
+        "temperature of the gyro / °C", "bias less constant / (0.001 deg/h)", "fit, in the order of time"
     ),
     "allan_variance": _Axes(
         "averaging time / s", "Allan deviation / (deg/h)", "fit", is_log=True, factor=1.0

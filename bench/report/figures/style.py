@@ -143,10 +143,11 @@ def common_legend(
     panels: Iterable[Axes],
     side: Literal["lower center", "upper center"] = "lower center",
     ncols: int = 0,
+    title: str = "",
 ) -> None:
     """Draw one legend for several panels, each label once, by default in one row; none without labels.
 
-    It widens the lower or upper margin.
+    It widens the lower or upper margin. ``title`` stands above the labels.
     """
     handles: dict[str, Artist] = {}
     for panel in panels:
@@ -158,13 +159,16 @@ def common_legend(
     if figure.get_layout_engine():
         side = f"outside {side}"  # type: ignore[assignment]
     else:
-        row_in, rows = _LEGEND_ROW * _LEGEND_PT / _POINTS_PER_INCH, math.ceil(len(handles) / ncols)
+        row_in = _LEGEND_ROW * _LEGEND_PT / _POINTS_PER_INCH
+        rows = math.ceil(len(handles) / ncols) + bool(title)
         room = (0.5 + rows) * row_in / figure.get_figheight()
         at = figure.subplotpars
         figure.subplots_adjust(
             **{"bottom": at.bottom + room} if side == "lower center" else {"top": at.top - room}
         )
-    figure.legend(handles.values(), handles, loc=side, ncols=ncols)
+    figure.legend(
+        handles.values(), handles, loc=side, ncols=ncols, title=title or None, title_fontsize=_LEGEND_PT
+    )
 
 
 def mark_temperatures(axes: Axes, along: Literal["x", "y"], marked_c: Sequence[float]) -> None:
@@ -203,6 +207,20 @@ def stamp(figure: Figure, word: str) -> None:
     if word:
         style: Mapping[str, Any] = {"size": 44, "weight": "bold", "color": "#b3261e", "alpha": 0.16}
         figure.text(0.5, 0.5, word, rotation=20, ha="center", va="center", **style)
+
+
+@house_style
+def save_vectors(figure: Figure, path: Path, formats: Iterable[str]) -> None:
+    """Write a figure as vectors, beside ``path`` and with its name, as ``svg`` or ``pdf``.
+
+    Equal figures give equal files. Raises RunFolderError if a file can't be written.
+    """
+    for name in formats:
+        buffer = io.BytesIO()
+        unnamed = {"Date": None} if name == "svg" else {"CreationDate": None}
+        with matplotlib.rc_context({"svg.hashsalt": path.stem, "svg.fonttype": "none", "pdf.fonttype": 42}):
+            figure.savefig(buffer, format=name, metadata=unnamed)
+        write_whole(path.with_suffix(f".{name}"), buffer.getvalue())
 
 
 def save_figure(figure: Figure, path: Path, key: str = "") -> None:

@@ -46,7 +46,7 @@ _FAST_IDS = VELOCITY_NE, ROLL_PITCH, HEADING
 _SLOW_FRAMES, _FAST_FRAMES = len(_SLOW_IDS), len(_FAST_IDS)
 _VELOCITY_LSB_PER_MPS, _ANGLE_LSB_PER_RAD = 1e4, math.degrees(1e6)
 #: Resolution of angle and velocity increments, and largest number in their 20 bits.
-_INCREMENT_LSB, _MAX_INCREMENT = np.array([math.radians(0.004 / 3600.0), 5e-7]), 2**19 - 1
+_INCREMENT_LSB, _MAX_INCREMENT = (math.radians(0.004 / 3600.0), 5e-7), 2**19 - 1
 _FULL_TURN = 360_000_000
 _INT32_MIN, _INT32_MAX = -(2**31), 2**31 - 1
 
@@ -96,15 +96,12 @@ class GyrobenchFormat(CanFormat):
         rows = empty_frames(
             time_s + (_SLOW_FRAMES + _FAST_FRAMES) * FRAME_S, (ANGLE_INCREMENT, VELOCITY_INCREMENT), 8
         )
-        counters = (self._increment_counter + np.arange(len(rotation))) & 0xF
-        self._increment_counter += len(rotation)
         for kind, increments in enumerate((rotation, velocity)):
-            total = np.cumsum(increments / _INCREMENT_LSB[kind], axis=0) + self._rounded_off[kind]
-            whole = np.rint(total)
-            self._rounded_off[kind] = total[-1] - whole[-1]
-            numbers = np.diff(whole, axis=0, prepend=0.0).clip(-_MAX_INCREMENT, _MAX_INCREMENT)
-            x, y, z = numbers.astype(np.int64).T & 0xFFFFF
-            rows["data"][:, kind] = (x | y << 20 | z << 40 | counters << 60).view(np.uint8).reshape(-1, 8)
+            _encode_increments(
+                rows["data"][:, kind], increments, _INCREMENT_LSB[kind], self._rounded_off[kind],
+                self._increment_counter,
+            )  # fmt: skip
+        self._increment_counter = (self._increment_counter + len(rotation)) & 0xF
         return rows
 
     def _slow_data(self, epochs: Epochs) -> NDArray[np.uint8]:
@@ -167,6 +164,21 @@ def _encode(
         _put_bits(data[row + 2], 4, 2, counter + k)
         data[row + 2, 6], data[row + 2, 7] = alignment, valid
         row += _FAST_FRAMES
+
+
+@compiled
+def _encode_increments(
+    data: NDArray[np.uint8], increments: FloatArray, lsb: float, rounded_off: FloatArray, counter: int
+) -> None:
+    """Fill the data (n, 8) of frames with increments (n, 3); what is rounded off is carried over."""
+    for k in range(increments.shape[0]):
+        number = (counter + k & 0xF) << 60
+        for i in range(3):
+            value = increments[k, i] / lsb + rounded_off[i]
+            whole = np.rint(value)
+            rounded_off[i] = value - whole
+            number |= (int(min(max(whole, -_MAX_INCREMENT), _MAX_INCREMENT)) & 0xFFFFF) << 20 * i
+        _put_bits(data[k], 0, 8, number)
 
 
 @compiled

@@ -104,7 +104,7 @@ def page(run_folder: RunFolder) -> Page:
 
 
 def test_report_needs_nothing_from_outside(page: Page, run_folder: RunFolder) -> None:
-    assert len(page.loads) == 8
+    assert len(page.loads) == 9
     for load in page.loads:
         assert load.startswith("data:image/png;base64,")
     embedded = {base64.b64decode(load.partition(",")[2]) for load in page.loads}
@@ -267,7 +267,7 @@ def test_table_that_knows_no_estimators_gives_a_report_without_them(
     page = page_of(empty_folder)
     assert "The estimator of these biases is unknown" in page.text
     assert "paper" not in page.text
-    assert len(page.loads) == 5
+    assert len(page.loads) == 6
 
 
 def test_run_that_the_papers_method_does_not_apply_to_says_so(

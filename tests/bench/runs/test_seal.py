@@ -8,10 +8,10 @@ import pytest
 
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.errors import DocumentError, MissingRunError, RunFolderError
+from gyrobench.bench.foundations.operator_name import OPERATOR_VARIABLE
 from gyrobench.bench.runs.can_log import CanLog
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal
-from gyrobench.bench.runs.provenance import OPERATOR_VARIABLE
 from gyrobench.bench.runs.seal import KEY_VARIABLE, keep_sealed, new_key, seal_run, verify_seals
 from gyrobench.drivers.frames import FrameBlock
 from tests.bench.command_line import gyrobench

@@ -304,7 +304,7 @@ def test_a_file_that_would_take_minutes_or_is_ambiguous_is_refused(tmp_path, tex
         (
             "SIG_VALTYPE_",
             "SG_MUL_VAL_ 1 TIME_S TIME_NS 0-4294967295 ;\nSIG_VALTYPE_",
-            "line 150: 4294967296 multiplexer values",
+            "line 174: 4294967296 multiplexer values",
         ),
         (
             "SIG_VALTYPE_ 513 VALUE",

@@ -23,8 +23,14 @@ from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.procedure.plan import Plan, expand
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.procedure.timeline import position_spans
-from gyrobench.bench.report.figures.bias import bias_figure, position_difference_figure
-from gyrobench.bench.report.figures.style import GYRO_STYLES, POSITION_STYLES, png_bytes, save_figure
+from gyrobench.bench.report.figures.bias import bias_figure, position_difference_figure, position_pair_figure
+from gyrobench.bench.report.figures.style import (
+    GYRO_STYLES,
+    POSITION_STYLES,
+    png_bytes,
+    save_figure,
+    save_vectors,
+)
 from gyrobench.bench.report.figures.temperatures import plan_figure, temperature_figure
 from gyrobench.bench.report.run_report import run_figures
 
@@ -228,7 +234,7 @@ def test_figures_are_saved_for_what_there_are_data_for(
 ) -> None:
     figures = dict(run_figures(telemetry, dwells, bins))
     biases = ["bias_x", "bias_y", "bias_z"]
-    assert list(figures) == ["temperature", *biases, "position_differences"]
+    assert list(figures) == ["temperature", *biases, "position_pair", "position_differences"]
     for name, figure in figures.items():
         save_figure(figure(), tmp_path / name)
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
@@ -236,6 +242,37 @@ def test_figures_are_saved_for_what_there_are_data_for(
     assert not dict(run_figures({}, [], []))
     one_position = [each for each in bins if each.position == "z_up"]
     assert list(dict(run_figures({}, [], one_position))) == biases
+
+
+def test_z_up_and_y_up_stand_side_by_side_for_all_gyros(bins: list[BiasBin]) -> None:
+    figure = position_pair_figure(bins)
+    assert [axes.get_title(loc="left") for axes in figure.axes] == ["Z-Up", "Y-Up"]
+    for axes, position in zip(figure.axes, ("z_up", "y_up"), strict=True):
+        for container, gyro in zip(series(axes, labelled=True), "xyz", strict=True):
+            own = [each for each in bins if (each.gyro, each.position) == (gyro, position) and each.count]
+            assert points(container)[0] == [each.temperature_c for each in own]
+    assert legend_labels(figure) == ["X gyro", "Y gyro", "Z gyro"]
+
+
+def test_each_bar_has_its_number_of_dwells_and_the_legend_its_coverage_factor(bins: list[BiasBin]) -> None:
+    for figure, shown in (
+        (position_pair_figure(bins), [each for each in bins if each.position in ("z_up", "y_up")]),
+        (bias_figure("x", [], bins), 2 * [each for each in bins if each.gyro == "x"]),
+    ):
+        assert sorted(texts(figure)) == sorted(str(each.count) for each in shown if each.count)
+        [legend] = figure.legends
+        assert "standard uncertainty (k = 1)" in legend.get_title().get_text()
+
+
+def test_figures_are_written_as_vectors_twice_alike(tmp_path: Path, bins: list[BiasBin]) -> None:
+    for folder in ("one", "other"):
+        (tmp_path / folder).mkdir()
+        save_vectors(position_pair_figure(bins), tmp_path / folder / "pair.png", ["svg", "pdf"])
+    for name, begin in (("pair.svg", b"<?xml"), ("pair.pdf", b"%PDF")):
+        written = (tmp_path / "one" / name).read_bytes()
+        assert written.startswith(begin)
+        assert written == (tmp_path / "other" / name).read_bytes()
+    assert "Z-Up" in (tmp_path / "one" / "pair.svg").read_text()
 
 
 def test_figure_that_cannot_be_written_is_a_run_folder_error(tmp_path: Path) -> None:
