@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -111,24 +112,32 @@ def _rows_of(rows: Sequence[DwellRow], quantity: Quantity, run: Path | None) -> 
 def _plateau_rows(
     rows: Sequence[DwellRow], coefficients: Sequence[PlateauCoefficientRow], quantity: Quantity
 ) -> list[DwellRow]:
-    """One row for each plateau with dwells: times of these, temperatures and coefficients of the plateau.
+    """One row for each plateau with rotations and dwells: times of these, coefficients of the plateau.
 
-    All get one position, since the coefficients of a plateau are those of all.
+    All get one position, since the coefficients of a plateau are those of all. Visits to a set point in the
+    same cycle are taken in the order of time. Raises MeasurementError if no plateau has rotations.
     """
     plateaus: dict[int, dict[str, PlateauCoefficientRow]] = {}
     for each in coefficients:
         plateaus.setdefault(each.plateau, {})[f"{each.coefficient}_{each.axis}"] = each
+    turned = [
+        known
+        for known in plateaus.values()
+        if np.isfinite([row.gyro_rate_c_per_h for row in known.values()]).any()
+    ]
+    if not turned:
+        raise MeasurementError(
+            f"{quantity.name} needs rotations, and the run has none that could be evaluated. Use a procedure "
+            "with rotate and spin, such as full_calibration"
+        )
+    good = [row for row in rows if not row.flags]
+    visits: dict[tuple[int, str], list[list[DwellRow]]] = {}
+    for place, group in itertools.groupby(good, _place):
+        visits.setdefault(place, []).append(list(group))
     found = []
-    for known in plateaus.values():
-        place = next(iter(known.values()))
-        dwells = [
-            row
-            for row in rows
-            if not row.flags
-            and row.cycle == place.cycle
-            and np.isclose(row.chamber_set_c, place.chamber_set_c, atol=0.01, equal_nan=True)
-        ]
-        if dwells:
+    for known in turned:
+        if visit := visits.get(_place(next(iter(known.values())))):
+            dwells = visit.pop(0)
             mean: dict[str, Any] = {
                 name: tuple(np.mean([getattr(row, name) for row in dwells], axis=0).tolist())
                 for name in ("gyro_rate_c_per_h", "board_c")
@@ -141,6 +150,11 @@ def _plateau_rows(
             pairs = [(known[name].value, known[name].sigma) for name in quantity.coefficients]
             found.append(_with_values(whole, np.array(pairs), quantity.sensors))
     return found
+
+
+def _place(each: DwellRow | PlateauCoefficientRow) -> tuple[int, str]:
+    """Cycle and set point, NaN too, as one key."""
+    return each.cycle, f"{each.chamber_set_c:z.2f}"
 
 
 def _with_values(row: DwellRow, pairs: FloatArray, sensors: Sequence[int]) -> DwellRow:
