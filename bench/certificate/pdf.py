@@ -13,12 +13,12 @@ from matplotlib.figure import Figure
 from gyrobench.bench.certificate.content import NORMAL_K, BiasResult, Certificate
 from gyrobench.bench.foundations.text import bin_label, decimals_of
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
-from gyrobench.bench.report.content import SIMULATED
 from gyrobench.bench.report.figures.style import stamp
 from gyrobench.bench.report.number_format import BiasScale
 from gyrobench.bench.report.page import Box, Section, SectionFigure, SectionTable, render_page
 from gyrobench.bench.report.run_report import pdf_of, run_figures
 from gyrobench.bench.report.statements import VERDICT_COLOURS
+from gyrobench.bench.runs.provenance import SIMULATED
 from gyrobench.bench.runs.tables.coefficient_table import (
     FRAME_TEXT,
     TEMPERATURE_TEXT,
