@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from gyrobench.bench.calibration.coefficients import COUNT
-from gyrobench.bench.calibration.estimator import Calibration, CalibrationOptions, Information
+from gyrobench.bench.calibration.estimator import MIN_P_VALUE, Calibration, CalibrationOptions, Information
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.error_model import Site
 
@@ -54,10 +54,7 @@ def rotation_parts(
     # The step leaves a thousandth.
     factors = np.sqrt(np.diag(base) / np.sum([np.diag(part) for part in parts.values()], axis=0))
     parts = {name: part * np.outer(factors, factors) for name, part in parts.items()}
-    by_gravity = np.zeros(COUNT)
-    if options.gravity_sigma:
-        is_scale = [each.name == "accelerometer_scale_factor" for each in calibration.coefficients[:COUNT]]
-        by_gravity[is_scale] = options.gravity_sigma / calibration.gravity[0]
-        parts["gravity"] = np.outer(by_gravity, by_gravity)
-    beyond = calibration.covariance[:COUNT, :COUNT] - base - np.outer(by_gravity, by_gravity)
-    return parts | {"misfit": beyond}
+    by_site = {name: part[:COUNT, :COUNT] for name, part in calibration.by_site.items()}
+    beyond = calibration.covariance[:COUNT, :COUNT] - base - sum(by_site.values())
+    # Without a misfit what is left is rounding.
+    return parts | by_site | {"misfit": beyond * (calibration.fit.p_value < MIN_P_VALUE)}

@@ -17,7 +17,7 @@ Symposium Gyro Technology, Stuttgart 1985.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -89,6 +89,7 @@ class CalibrationOptions:
     #: Random walks of gyros (rad/sqrt(s)) and accelerometers (m/s/sqrt(s)); None: as measured at rest.
     walks: tuple[float, float] | None = None
     gravity_sigma: float = 0.0  #: Standard uncertainty of gravity, m/s^2.
+    latitude_sigma: float = 0.0  #: Standard uncertainty of the latitude, rad.
     #: Standard uncertainties, rad, of tilt and heading of the rotations that a recording's table measures;
     #: None: they do not count.
     table: tuple[float, float] | None = None
@@ -187,6 +188,8 @@ class Calibration(CoefficientEstimate):
     sections: tuple[Section, ...]  #: Of each recording, between rests.
     starts: tuple[FloatArray, ...]  #: Attitude ``C_nb`` (3, 3) at the start of each.
     unknowns: FloatArray  #: Shape (34,). Values that the increments are freed of, observed or not.
+    #: Shapes (n, n). Parts of the covariance by the uncertainty of gravity and latitude.
+    by_site: Mapping[str, FloatArray]
 
 
 def calibrate(
@@ -240,14 +243,12 @@ def calibrate(
                 "and whether the unit drifts or moves at rest"
             )
         covariance = covariance * widening**2
-    # An error of gravity is one of all three scale factors, which the residuals do not show.
     count, all_of_them = len(used), (*COEFFICIENTS, *BESIDE)
     coefficients = tuple(all_of_them[each] for each in used)
-    is_scale = [each.name == "accelerometer_scale_factor" for each in coefficients]
-    by_gravity = np.where(is_scale, options.gravity_sigma / gravity, 0.0)
+    by_site = _site_parts(found, sections, noise, site, options)
     return Calibration(
         values=found.values[:count],
-        covariance=covariance[:count, :count] + np.outer(by_gravity, by_gravity),
+        covariance=covariance[:count, :count] + sum(by_site.values()),
         is_observed=is_observed[:count],
         coefficients=coefficients,
         noise=noise,
@@ -259,7 +260,32 @@ def calibrate(
         sections=tuple(sections),
         starts=tuple(found.starts),
         unknowns=found.common,
+        by_site=by_site,
     )
+
+
+def _site_parts(
+    found: _Solution, sections: Sequence[Section], noise: SensorNoise, site: Site, options: CalibrationOptions
+) -> dict[str, FloatArray]:
+    """Covariances (k, k) by what is assumed of the place, which the residuals hardly show."""
+    gravity, count = options.gravity or site.gravity, len(options.columns)
+    # An error of gravity is one of all three scale factors.
+    is_scale = np.isin(options.columns, np.flatnonzero(_IS_FORCE_SCALE))
+    shifts = {"gravity": np.where(is_scale, options.gravity_sigma / gravity, 0.0)}
+    if options.latitude_sigma:
+        here, there = (
+            Information.of(
+                sections,
+                found.starts,
+                found.common,
+                noise,
+                replace(site, latitude=site.latitude + step),
+                replace(options, gravity=gravity),
+            ).solve(found.values)[0][:count]
+            for step in (0.0, options.latitude_sigma)
+        )
+        shifts["latitude"] = there - here
+    return {name: np.outer(shift, shift) for name, shift in shifts.items()}
 
 
 def _check_alternatives(

@@ -41,6 +41,9 @@ from gyrobench.drivers.ins.navigation_data import Increments, NavigationData
 
 #: Part of the usual interval by which the time between two epochs may differ from it.
 _MAX_STEP_ERROR = 0.5
+#: Sum, rad or m/s, from which increments are compared with attitude and velocity, by how much of it they may
+#: differ, as by gaps, and largest angle between two attitudes, rad.
+_MIN_TURN, _MAX_AWAY, _MAX_STEP = 0.5, 0.5, 2.0
 #: Dwells and rotations contradict each other where chance gives the difference less often than this.
 _MIN_P_VALUE = 1e-3
 
@@ -200,7 +203,9 @@ def _plateau(
         finding = f"dwells and rotations contradict each other (p = {p_value:.1g})"
     estimate = _combined(estimates) if estimates else None
     chamber_set_c = math.nan if set_c is None else set_c
-    inputs = {"latitude": setup.prior.latitude, "table_return": setup.table_repeatability}
+    inputs = {"latitude": setup.prior.latitude, "table_return": setup.table_repeatability} | {
+        "gravity": setup.gravity[1]
+    }
     return PlateauCalibration(
         number, cycle, chamber_set_c, gyro_c, case_c, estimate, finding, with_force, rotations, inputs
     )
@@ -255,7 +260,14 @@ def calibrate_rotations(
             raise MeasurementError("too many increments are missing in the rotations. Check the CAN bus")
         noise = setup.noise
         walks = None if noise is None else (noise.angle_random_walk, noise.velocity_random_walk)
-        options = CalibrationOptions(whole_turns=setup.table_repeatability, walks=walks)
+        gravity, gravity_sigma = setup.gravity
+        options = CalibrationOptions(
+            whole_turns=setup.table_repeatability,
+            gravity=gravity,
+            walks=walks,
+            gravity_sigma=gravity_sigma,
+            latitude_sigma=setup.prior.latitude,
+        )
         found = calibrate(recordings, setup.site, options, rests)
         with_force = None
         if not all(each.has_vertical for each in recordings):
@@ -272,7 +284,8 @@ def _with_force(found: Calibration, site: Site, options: CalibrationOptions) -> 
     sections = [replace(each, epochs=replace(each.epochs, has_vertical=True)) for each in found.sections]
     information = Information.of(sections, found.starts, found.unknowns, found.noise, site, options)
     _, covariance, is_observed = information.solve()
-    return CoefficientEstimate(found.values, covariance[:COUNT, :COUNT], is_observed[:COUNT])
+    by_site = sum(part[:COUNT, :COUNT] for part in found.by_site.values())
+    return CoefficientEstimate(found.values, covariance[:COUNT, :COUNT] + by_site, is_observed[:COUNT])
 
 
 def _measured(
@@ -289,8 +302,11 @@ def _measured(
     temperatures = dwell_temperatures(navigation, first, end)
     increments = setup.decode_increments(frames)
     is_sent = increments is not None and len(increments.row) > 0
+    navigated = navigated_increments(navigation, setup.site)
     if increments is None or not is_sent:
-        increments = navigated_increments(navigation, setup.site)
+        increments = navigated
+    else:
+        _check_axes(increments, navigated, marks)
     begin, stop = np.searchsorted(increments.row, [first, end])
     gaps = begin + 1 + np.flatnonzero(~increments.follows[begin + 1 : stop])
     pieces = []
@@ -300,11 +316,51 @@ def _measured(
             for each in marks.windows
         ]
         rests = [Rest(int(a), int(b)) for a, b in ends if b > a]
+        # Up to the end of a rest the table stands as it was read there.
+        counts = np.diff([0, *(int(end) for _, end in ends[:-1]), part.stop - part.start])
+        table = np.repeat(
+            [setup.table.attitude(each.outer_deg, each.inner_deg) for each in marks.windows], counts, axis=0
+        )
         if sum(rest.end - rest.begin for rest in rests) * increments.interval_s >= MIN_REST_TOTAL_S:
             angle, velocity = increments.angle[part], increments.velocity[part]
-            recording = IncrementRecording(increments.interval_s, angle, velocity, has_vertical=is_sent)
+            recording = IncrementRecording(
+                increments.interval_s, angle, velocity, has_vertical=is_sent, table=table
+            )
             pieces.append((recording, rests))
     return pieces, np.array([*temperatures.gyro_c, temperatures.case_c, *temperatures.gyro_rate_c_per_h])
+
+
+def _check_axes(sent: Increments, navigated: Increments, marks: DwellMarks) -> None:
+    """Raise MeasurementError if increments have other axes, signs or units than attitude and velocity.
+
+    Coefficients of axes that are exchanged in angle and velocity alike fit the increments as well.
+    """
+    rests = [(each.first_frame, each.end_frame) for each in marks.windows]
+    between = [(before[1], after[0]) for before, after in itertools.pairwise(rests)]
+    for name, spans in (("velocity", rests), ("angle", between)):
+        for span in spans:
+            found, expected = (
+                getattr(each, name)[slice(*np.searchsorted(each.row, span))].sum(axis=0)
+                for each in (sent, navigated)
+            )
+            if name == "angle" and _fastest(sent, span) * navigated.interval_s > _MAX_STEP:
+                continue  # further between two epochs than attitudes show
+            away = np.linalg.norm(found - expected)
+            if np.linalg.norm(expected) > _MIN_TURN and away > _MAX_AWAY * np.linalg.norm(expected):
+                raise MeasurementError(
+                    f"the {name} increments add up to {_triple_text(found)}, by attitude and velocity "
+                    f"{_triple_text(expected)}. Check axes, signs and units of ins.signals.increments"
+                )
+
+
+def _fastest(sent: Increments, span: tuple[int, int]) -> float:
+    """Largest rate, rad/s."""
+    angle = sent.angle[slice(*np.searchsorted(sent.row, span))]
+    return float(np.linalg.norm(angle, axis=1).max(initial=0.0)) / sent.interval_s
+
+
+def _triple_text(values: FloatArray) -> str:
+    return "({:.4g}, {:.4g}, {:.4g})".format(*values)
 
 
 def navigated_increments(navigation: NavigationData, site: Site) -> Increments:

@@ -98,6 +98,8 @@ class Findings:
         The details.
     dwells_sha256 : str
         Hash of the dwell table analysed; empty without one.
+    watermark : str
+        Word across the page and its figures; usually empty.
     """
 
     title: str
@@ -108,6 +110,7 @@ class Findings:
     facts: Mapping[str, str]
     sections: Sequence[Section]
     dwells_sha256: str = ""
+    watermark: str = ""
 
     @property
     def chapter(self) -> Section:
@@ -175,8 +178,9 @@ def write_findings(path: Path, findings: Findings) -> Path:
     """
     folder = path.parent
     make_folder(folder / "figures")
-    drawn = replace(findings, sections=with_figure_files(folder / "figures", findings.sections))
-    write_whole(path, render_page(drawn.chapter, findings.source).encode())
+    sections = with_figure_files(folder / "figures", findings.sections, watermark=findings.watermark)
+    page = replace(findings, sections=sections).chapter
+    write_whole(path, render_page(page, findings.source, watermark=findings.watermark).encode())
     write_whole(folder / FINDINGS_FILE, _FINDINGS.dump_json(findings, indent=1) + b"\n")
     return path
 
