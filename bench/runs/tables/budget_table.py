@@ -12,8 +12,7 @@ from typing import Any
 
 from gyrobench.bench.bias.budget import SOURCES, BiasBudget, Budget, Combined
 from gyrobench.bench.calibration.coefficients import Coefficient
-from gyrobench.bench.foundations.csv_tables import CsvTable, format_csv, read_text, write_text
-from gyrobench.bench.foundations.text import format_cell
+from gyrobench.bench.foundations.csv_tables import CsvTable, format_rows, read_rows, write_text
 
 #: Names of the sums in the column ``contribution``: the stated uncertainty, and that with what lies outside.
 COMBINED, ANY_POWER_CYCLE = "combined", "combined_any_power_cycle"
@@ -55,17 +54,6 @@ class BudgetRow:
 
 
 _COLUMNS = tuple(field.name for field in fields(BudgetRow))
-_TEXTS = {
-    "result",
-    "quantity",
-    "axis",
-    "position",
-    "contribution",
-    "type",
-    "distribution",
-    "input_unit",
-    "unit",
-}
 
 
 def budget_rows(budgets: Iterable[BiasBudget]) -> list[BudgetRow]:
@@ -157,26 +145,17 @@ def _sum(
 
 def write_budget(path: Path, rows: Iterable[BudgetRow]) -> None:
     """Write ``budget.csv``. Raises RunFolderError if the file can't be written."""
-    cells = ([format_cell(value) for value in vars(row).values()] for row in rows)
-    write_text(path, format_csv(_COLUMNS, cells))
+    write_text(path, format_rows(_COLUMNS, rows))
 
 
 def read_budget(path: Path) -> list[BudgetRow]:
-    """Read ``budget.csv``.
-
-    Raises DocumentError if the file can't be read or is wrong; the message lists all problems.
-    """
-    table = CsvTable(read_text(path), str(path), required=_COLUMNS)
-    return table.rows(lambda index: BudgetRow(**{name: _value(table, index, name) for name in _COLUMNS}))
+    """Read ``budget.csv``; errors as for :func:`gyrobench.bench.foundations.csv_tables.read_rows`."""
+    return read_rows(path, BudgetRow, {"dof": _dof})
 
 
-def _value(table: CsvTable, index: int, name: str) -> Any:
-    text = table.text(index, name)
-    if name in _TEXTS or name == "note":
-        return text
-    if name in ("dwell", "plateau"):
-        return table.integer(index, name) if text else None
-    return math.inf if name == "dof" and text == "inf" else table.number(index, name, may_be_empty=True)
+def _dof(table: CsvTable, index: int, name: str) -> float:
+    is_infinite = table.text(index, name) == "inf"
+    return math.inf if is_infinite else table.number(index, name, may_be_empty=True)
 
 
 def budget_records(rows: Sequence[BudgetRow]) -> list[dict[str, Any]]:

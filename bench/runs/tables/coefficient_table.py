@@ -10,7 +10,14 @@ import numpy as np
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.bench.foundations.csv_tables import CsvTable, format_rows, read_text, write_text
+from gyrobench.bench.foundations.csv_tables import (
+    CsvTable,
+    format_rows,
+    one_of,
+    read_rows,
+    read_text,
+    write_text,
+)
 from gyrobench.bench.foundations.text import format_number
 
 #: Decimals of a correlation.
@@ -73,29 +80,6 @@ def read_correlations(path: Path) -> dict[int, FloatArray]:
 
 
 def read_coefficients(path: Path) -> list[PlateauCoefficientRow]:
-    """Read ``coefficients.csv``.
-
-    Raises DocumentError if the file can't be read or is wrong; the message lists all problems.
-    """
-    table = CsvTable(read_text(path), str(path), required=_COLUMNS)
-
-    def row(index: int) -> PlateauCoefficientRow:
-        def number(name: str) -> float:
-            return table.number(index, name, may_be_empty=True)
-
-        return PlateauCoefficientRow(
-            table.integer(index, "plateau"),
-            table.integer(index, "cycle"),
-            number("chamber_set_c"),
-            number("temperature_c"),
-            table.choice(index, "coefficient", {each.name for each in COEFFICIENTS}),
-            table.choice(index, "axis", {each.axis for each in COEFFICIENTS}),
-            number("value"),
-            number("sigma"),
-            table.text(index, "unit"),
-            table.text(index, "finding"),
-            number("sigma_with_force"),
-            number("gyro_rate_c_per_h"),
-        )
-
-    return table.rows(row)
+    """Read ``coefficients.csv``; errors as for :func:`gyrobench.bench.foundations.csv_tables.read_rows`."""
+    names, axes = ({getattr(each, field) for each in COEFFICIENTS} for field in ("name", "axis"))
+    return read_rows(path, PlateauCoefficientRow, {"coefficient": one_of(names), "axis": one_of(axes)})
