@@ -133,6 +133,8 @@ def on_grid(time_s: FloatArray, values: FloatArray) -> tuple[float, FloatArray]:
 def allan_variance(segments: Sequence[FloatArray], interval_s: float) -> AllanVariance:
     """Overlapping Allan variance of a rate from its integral.
 
+    Raises MeasurementError if no segment is long enough.
+
     Parameters
     ----------
     segments : sequence of ndarray, shape (n_i,)
@@ -140,11 +142,6 @@ def allan_variance(segments: Sequence[FloatArray], interval_s: float) -> AllanVa
         counts if its three samples are there. Channels with the same noise are further segments.
     interval_s : float
         Time between two samples.
-
-    Raises
-    ------
-    MeasurementError
-        No segment is long enough.
     """
     longest = max((len(each) for each in segments), default=0)
     if longest < 2 * MIN_REPEATS:

@@ -65,6 +65,8 @@ def bin_biases(rows: Iterable[DwellRow], width_c: float = DEFAULT_WIDTH_C) -> li
     Every position that was measured at all gets every bin from the lowest to the highest
     occupied one of the gyro, so that a missing measurement shows as an empty bin.
 
+    Raises MeasurementError if the width is too small, or the dwells are of several units.
+
     Parameters
     ----------
     rows : iterable of DwellRow
@@ -76,11 +78,6 @@ def bin_biases(rows: Iterable[DwellRow], width_c: float = DEFAULT_WIDTH_C) -> li
     -------
     list of BiasBin
         By gyro, position (in the order of the paper) and temperature.
-
-    Raises
-    ------
-    MeasurementError
-        The width is too small, or the dwells are of several units.
     """
     rows = list(rows)
     if not (math.isfinite(width_c) and width_c >= _MIN_WIDTH_C):

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from gyrobench.bench.bias.bins import BiasBin
+from gyrobench.bench.bias.budget import NORMAL_K
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.statistics import weighted_fit
 from gyrobench.bench.closure.loadable_model import model_with_effects
@@ -38,9 +39,6 @@ from gyrobench.bench.runs.tables.budget_table import COMBINED, read_budget
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, read_coefficients
 from gyrobench.bench.station.station_file import StationFile, load_station_file
 
-#: Coverage probability of all expanded uncertainties, and their factor without a budget.
-COVERAGE = 0.95
-NORMAL_K = 1.959963984540054
 #: Polynomial fitted where no model was searched: its degree, and the shortest range of temperatures.
 _DEGREE, _MIN_SPAN_C = 3, 10.0
 _POLYNOMIAL = (

@@ -236,6 +236,9 @@ def close_loop(
 ) -> Closure:
     """Search a campaign for effects that the declared model lacks.
 
+    Raises MeasurementError if there is no such cycle, or too little is left without it. Raises DocumentError
+    if an effect of another package or of a file can't be used.
+
     Parameters
     ----------
     campaign : Campaign
@@ -244,13 +247,6 @@ def close_loop(
         Cycles that the search does not use; by default :attr:`Campaign.last_cycle`.
     effects : sequence of Effect, optional
         Candidates; by default all installed ones and those of the user's files.
-
-    Raises
-    ------
-    MeasurementError
-        There is no such cycle, or too little is left without it.
-    DocumentError
-        An effect of another package or of a file can't be used.
     """
     sources = [Path(each.name) for each in campaign.tables]
     candidates = all_effects(*sources) if effects is None else tuple(effects)

@@ -21,8 +21,13 @@ from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow, Triple
 from gyrobench.bench.bias.joint_solution import JointDwell, JointSolution
 from gyrobench.bench.bias.statistics import chi2_p_value
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, Coefficient, CoefficientEstimate
-from gyrobench.bench.calibration.error_split import rotation_parts
-from gyrobench.bench.calibration.estimator import Calibration, CalibrationOptions, Information, calibrate
+from gyrobench.bench.calibration.estimator import (
+    Calibration,
+    CalibrationOptions,
+    Information,
+    calibrate,
+    covariances_by_source,
+)
 from gyrobench.bench.calibration.joint_coefficients import joint_coefficients
 from gyrobench.bench.calibration.recording import MIN_REST_TOTAL_S, IncrementRecording, Rest
 from gyrobench.bench.calibration.results import coefficient_rows
@@ -263,7 +268,9 @@ def calibrate_rotations(
     except MeasurementError as error:
         return replace(rotations, finding=f"the rotations give no coefficients: {error}")
     # The increments themselves are of no more use.
-    found = replace(found, recordings=(), sections=(), parts=rotation_parts(found, setup.site, options))
+    found = replace(
+        found, recordings=(), sections=(), parts=covariances_by_source(found, setup.site, options)
+    )
     return replace(rotations, calibration=found, with_force=with_force)
 
 

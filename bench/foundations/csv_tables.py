@@ -35,6 +35,8 @@ class CsvTable:
 
     A wrong cell is recorded and gives a substitute value; :meth:`raise_problems` reports them all.
 
+    Raises DocumentError for no header, a column missing or given twice, a row with too few or too many cells.
+
     Parameters
     ----------
     text : str
@@ -50,11 +52,6 @@ class CsvTable:
         Line on which each row ends, from 1.
     header : list of str
         Names of the columns.
-
-    Raises
-    ------
-    DocumentError
-        No header, a column missing or given twice, a row with too few or too many cells.
     """
 
     def __init__(self, text: str, name: str, required: Sequence[str]) -> None:

@@ -49,49 +49,31 @@ class JointBiasRow:
 
 @dataclass(frozen=True)
 class JointPlateauRow:
-    """What the dwells of one plateau share.
+    """What the dwells of one plateau share."""
 
-    Attributes
-    ----------
-    plateau, cycle, dwells : int
-        Number of the plateau, from 1 (column ``stop``), cycle, number of dwells. Plateau 0 is all plateaus
-        together: its row has the rate Up alone.
-    chamber_set_c : float
-        Set point; NaN where there is none.
-    accelerometer_x_ug, ... : float
-        Biases and their standard uncertainties.
-    north_rate_dph, up_rate_dph, ... : float
-        Rates fixed in the navigation frame, and their standard uncertainties; NaN where not observable.
-    latitude_error_arcmin, latitude_error_sigma_arcmin : float
-        Latitude error that would explain both.
-    up_rate_p_value : float
-        Test that the half-differences of all gyros are equal.
-    finding : str
-        What the half-differences of the vertical gyros are: name of a
-        :class:`gyrobench.bench.bias.vertical_pairs.Finding`.
-    fit_p_value, any_north_p_value : float
-        Test that the dwells agree on what they share, with the latitude as declared and with any
-        rate North.
-    """
-
-    plateau: int
+    plateau: int  #: Number, from 1 (column ``stop``); 0 is all plateaus together, with the rate Up alone.
     cycle: int
-    dwells: int
-    chamber_set_c: float
+    dwells: int  #: Number of dwells.
+    chamber_set_c: float  #: Set point; NaN where there is none.
+    #: Biases of the accelerometers and their standard uncertainties.
     accelerometer_x_ug: float
     accelerometer_y_ug: float
     accelerometer_z_ug: float
     accelerometer_x_sigma_ug: float
     accelerometer_y_sigma_ug: float
     accelerometer_z_sigma_ug: float
+    #: Rates fixed in the navigation frame and their standard uncertainties; NaN where not observable.
     north_rate_dph: float
     north_rate_sigma_dph: float
     up_rate_dph: float
     up_rate_sigma_dph: float
+    #: Latitude error that would explain both.
     latitude_error_arcmin: float
     latitude_error_sigma_arcmin: float
-    up_rate_p_value: float
+    up_rate_p_value: float  #: Test that the half-differences of all gyros are equal.
+    #: What those of the vertical gyros are: name of a :class:`gyrobench.bench.bias.vertical_pairs.Finding`.
     finding: str
+    #: Test that the dwells agree on what they share, with the latitude as declared and with any rate North.
     fit_p_value: float
     any_north_p_value: float
 

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from gyrobench.bench.certificate.content import NORMAL_K, Order, certificate_of
+from gyrobench.bench.bias.budget import NORMAL_K
+from gyrobench.bench.certificate.content import Order, certificate_of
 from gyrobench.bench.certificate.dcc import certificate_dcc, validate_dcc
 from gyrobench.bench.certificate.pdf import certificate_pdf, file_names
 from gyrobench.bench.certificate.signatures import load_signing_key, sign_dcc, sign_pdf, verify_file
