@@ -30,10 +30,11 @@ from gyrobench.bench.foundations.errors import DocumentError, MeasurementError, 
 from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.text import counted, hours_minutes, listed, plain_name
 from gyrobench.bench.navigation.positions import AXES
-from gyrobench.bench.report.content import SIMULATED, RunContent, read_run
+from gyrobench.bench.report.content import RunContent, read_run
 from gyrobench.bench.report.run_report import instruments_of, serial_number_of
 from gyrobench.bench.report.statements import verdict_sentence
 from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.provenance import SIMULATED
 from gyrobench.bench.runs.seal import verify_seals
 from gyrobench.bench.runs.tables.budget_table import COMBINED, read_budget
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, read_coefficients

@@ -21,7 +21,7 @@ from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.foundations.text import plain_name
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
-from gyrobench.bench.report.content import SIMULATED
+from gyrobench.bench.runs.provenance import SIMULATED
 
 if TYPE_CHECKING:
     from lxml import etree

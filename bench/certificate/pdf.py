@@ -14,12 +14,12 @@ from gyrobench.bench.bias.budget import NORMAL_K
 from gyrobench.bench.certificate.content import BiasResult, Certificate
 from gyrobench.bench.foundations.text import bin_label, decimals_of
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
-from gyrobench.bench.report.content import SIMULATED
 from gyrobench.bench.report.figures.style import stamp
 from gyrobench.bench.report.number_format import BiasScale
 from gyrobench.bench.report.page import Box, Section, SectionFigure, SectionTable, render_page
 from gyrobench.bench.report.run_report import pdf_of, run_figures
 from gyrobench.bench.report.statements import VERDICT_COLOURS
+from gyrobench.bench.runs.provenance import SIMULATED
 
 _VARIANT = "pdf/a-3a"
 #: Plateaus in one table of coefficients.

@@ -90,6 +90,7 @@ class Findings:
     facts: Mapping[str, str]  #: Names and values.
     sections: Sequence[Section]  #: The details.
     dwells_sha256: str = ""  #: Hash of the dwell table analysed; empty without one.
+    watermark: str = ""  #: Word across the page and its figures; usually empty.
 
     @property
     def chapter(self) -> Section:
@@ -157,8 +158,9 @@ def write_findings(path: Path, findings: Findings) -> Path:
     """
     folder = path.parent
     make_folder(folder / "figures")
-    drawn = replace(findings, sections=with_figure_files(folder / "figures", findings.sections))
-    write_whole(path, render_page(drawn.chapter, findings.source).encode())
+    sections = with_figure_files(folder / "figures", findings.sections, watermark=findings.watermark)
+    page = replace(findings, sections=sections).chapter
+    write_whole(path, render_page(page, findings.source, watermark=findings.watermark).encode())
     write_whole(folder / FINDINGS_FILE, _FINDINGS.dump_json(findings, indent=1) + b"\n")
     return path
 

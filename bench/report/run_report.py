@@ -38,7 +38,7 @@ from gyrobench.bench.report.budget_section import CAPTION, budget_box, budget_se
 from gyrobench.bench.report.calibration_check import dwells_text, verification_section, verification_sentence
 from gyrobench.bench.report.characteristics import characteristics_sections
 from gyrobench.bench.report.coefficients import coefficients_section
-from gyrobench.bench.report.content import SIMULATED, Entry, RunContent, read_run
+from gyrobench.bench.report.content import Entry, RunContent, read_run
 from gyrobench.bench.report.estimator_sections import (
     estimators_note,
     estimators_section,
@@ -58,7 +58,7 @@ from gyrobench.bench.report.journal_sections import durations_section, events_se
 from gyrobench.bench.report.page import Box, Section, SectionFigure, render_page, with_figure_files
 from gyrobench.bench.report.statements import VERDICT_COLOURS, latitude_sentence, verdict_sentence
 from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.bench.runs.provenance import DataHash, data_hashes, note_preparer
+from gyrobench.bench.runs.provenance import SIMULATED, DataHash, data_hashes, note_preparer
 from gyrobench.bench.runs.seal import keep_sealed
 
 if TYPE_CHECKING:
