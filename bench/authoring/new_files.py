@@ -264,14 +264,7 @@ def new_world(name: str, like: str, path: Path) -> str:
 def new_effect(name: str, path: Path) -> str:
     """Write the text of an effect file, to be changed: an onset of the electronics temperature.
 
-    Raises DocumentError if the name can't be one.
-
-    Parameters
-    ----------
-    name : str
-        Of the effect.
-    path : Path
-        Of the new file.
+    ``name``: of the effect. ``path``: of the new file. Raises DocumentError if the name can't be one.
     """
     values = {
         "effect": name,

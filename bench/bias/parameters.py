@@ -75,15 +75,9 @@ def transients(windows: int) -> IntArray:
 def prior_root(prior: PriorKnowledge, windows: int, earth_rate: FloatArray) -> FloatArray:
     """Root ``L`` (p, p) of the parameters' prior covariance ``L @ L.T``.
 
-    What the data must decide alone (initial errors, headings, jumps of velocity) has a prior so
-    wide that it only keeps the problem regular.
-
-    Parameters
-    ----------
-    windows : int
-        Number of windows.
-    earth_rate : ndarray, shape (3,)
-        Rotation of the Earth in ENU, rad/s: with a wrong latitude the INS takes it wrongly.
+    What the data must decide alone (initial errors, headings, jumps of velocity) has a prior so wide that it
+    only keeps the problem regular. ``windows``: number of windows. ``earth_rate`` (3,): rotation of the Earth
+    in ENU, rad/s: with a wrong latitude the INS takes it wrongly.
     """
     root = np.zeros((COMMON + PER_WINDOW * windows,) * 2)
     sigmas = np.diagonal(root).copy()

@@ -60,10 +60,7 @@ def mission_error(
 ) -> MissionError:
     """Error of a mission of a day with what is left of the coefficients.
 
-    Parameters
-    ----------
-    values, covariance : ndarray, shape (21,) and (21, 21)
-        Of :data:`gyrobench.bench.calibration.coefficients.COEFFICIENTS`, SI.
+    ``values`` (21,), ``covariance`` (21, 21): of :data:`~.coefficients.COEFFICIENTS`, SI.
     """
     time_s, responses = _responses(site, scheme)
     stated = np.hypot(*navigate(SensorErrors.from_vector(values), site, scheme)[1])

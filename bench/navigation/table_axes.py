@@ -72,21 +72,11 @@ class TwoAxisTable:
     def angles(self, C_nb: FloatArray, turns_deg: Sequence[TurnOrMove] = ()) -> Angles:
         """Axis angles that give an attitude.
 
+        ``C_nb`` (3, 3): attitude wanted. ``turns_deg``: turns about Up, and moves of both axes, that will
+        follow one another; of equivalent angles those are taken that leave room for them within the limits
+        (see :meth:`turn`). Result: outer and inner angle, each in (-180, 180] unless the limits exclude that.
         Raises DocumentError if no angles of this table and mounting give the attitude, or none within the
         limits.
-
-        Parameters
-        ----------
-        C_nb : ndarray, shape (3, 3)
-            Attitude wanted.
-        turns_deg : sequence of float or pair
-            Turns about Up, and moves of both axes, that will follow one another; of equivalent angles those
-            are taken that leave room for them within the limits (see :meth:`turn`).
-
-        Returns
-        -------
-        tuple of float
-            Outer and inner angle, each in (-180, 180] unless the limits exclude that.
         """
         outer, inner = self._principal_angles(C_nb)
         for start in _nearest_first(outer, inner):
