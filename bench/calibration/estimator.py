@@ -144,7 +144,7 @@ class Information:
             block[:, -1] = data + rows[:, used] @ common[used]
             blocks.append(block)
         if not any(section.epochs.has_vertical for section in sections):
-            # Gravity in place of the vertical force says nothing of what the scale factors share.
+            # Gravity in place of the vertical force does not show the mean of the scale factors.
             mean = np.zeros((1, blocks[0].shape[1]))
             mean[0, np.flatnonzero(_IS_FORCE_SCALE)] = 1.0 / _COMMON_SCALE
             blocks.append(mean)

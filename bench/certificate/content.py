@@ -295,7 +295,6 @@ def certificate_of(folder: RunFolder, order: Order, *, simulated: bool = False) 
     if not run.is_simulated and not order.authorised_by:
         raise DocumentError("a certificate names who authorises it. Add --authorised-by NAME")
     results = list(_results(run.bins, _coverage(folder)))
-    coefficients = folder.path / "coefficients.csv"
     digest = file_sha256(folder.path / last.where)
     options = {**run.provenance.get("options", {}), **run.facts.options}
     given = {
@@ -311,7 +310,7 @@ def certificate_of(folder: RunFolder, order: Order, *, simulated: bool = False) 
         results=results,
         model=model,
         model_note=note,
-        coefficients=read_coefficients(coefficients) if coefficients.exists() else [],
+        coefficients=read_coefficients(folder.coefficients) if folder.coefficients.exists() else [],
         issued=WallClock().utc().date(),
     )
     if not (certificate.results or certificate.coefficients):

@@ -4,7 +4,7 @@ The dwells of a plateau show gyro biases and, through their half turns, parts of
 (:mod:`gyrobench.bench.calibration.joint_coefficients`). Rotations between rests show all coefficients, from
 the increments of the INS. Where it sends none they follow from its navigation output: the change of attitude
 and velocity from epoch to epoch is what its sensors measured, but for the vertical specific force, which an
-INS of fixed altitude does not show. Gravity stands in its place, and says nothing.
+INS of fixed altitude does not show. Gravity stands in its place, and shows nothing.
 """
 
 from __future__ import annotations

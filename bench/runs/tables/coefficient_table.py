@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS
+from gyrobench.bench.calibration.results import correlation_cells
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.csv_tables import (
     CsvTable,
@@ -18,10 +19,6 @@ from gyrobench.bench.foundations.csv_tables import (
     read_text,
     write_text,
 )
-from gyrobench.bench.foundations.text import format_number
-
-#: Decimals of a correlation.
-_DECIMALS = 4
 
 
 @dataclass(frozen=True)
@@ -57,9 +54,8 @@ def write_correlations(path: Path, plateaus: Sequence[tuple[int, FloatArray]]) -
     names = [f"{each.name}_{each.axis}" for each in COEFFICIENTS]
     lines = [",".join(["plateau", "coefficient", *names])]
     for plateau, correlations in plateaus:
-        for name, row in zip(names, correlations.tolist(), strict=True):
-            cells = ["" if np.isnan(value) else format_number(round(value, _DECIMALS)) for value in row]
-            lines.append(",".join([str(plateau), name, *cells]))
+        for name, row in zip(names, correlations, strict=True):
+            lines.append(",".join([str(plateau), name, *correlation_cells(row)]))
     write_text(path, "\n".join(lines) + "\n")
 
 
