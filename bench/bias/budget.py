@@ -107,7 +107,7 @@ SOURCES: Mapping[str, Source] = MappingProxyType(
             RAD_TO_ARCSEC,
             note="declared in rate_table.repeatability_arcsec",
         ),
-        "gravity": Source("gravity", "m/s^2", 1.0, note="declared"),
+        "gravity": Source("gravity", "m/s^2", 1.0, note="declared, or an anomaly of 30 mGal"),
         "misfit": Source("residuals beyond the noise", "", 1.0, note="the model does not explain the data"),
         "assumed_size": Source(
             "assumed size of the coefficients", "", 1.0, note="large; the data decide what they show"

@@ -92,6 +92,7 @@ class CalibrationOptions:
     #: Random walks of gyros (rad/sqrt(s)) and accelerometers (m/s/sqrt(s)); None: as measured at rest.
     walks: tuple[float, float] | None = None
     gravity_sigma: float = 0.0  #: Standard uncertainty of gravity, m/s^2.
+    latitude_sigma: float = 0.0  #: Standard uncertainty of the latitude, rad.
     #: Standard uncertainties, rad, of tilt and heading of the rotations that a recording's table measures;
     #: None: they do not count.
     table: tuple[float, float] | None = None
@@ -187,6 +188,8 @@ class Calibration(CoefficientEstimate):
     sections: tuple[Section, ...]  #: Of each recording, between rests.
     starts: tuple[FloatArray, ...]  #: Attitude ``C_nb`` (3, 3) at the start of each.
     unknowns: FloatArray  #: Shape (34,). Values that the increments are freed of, observed or not.
+    #: Shapes (n, n). Parts of the covariance by the uncertainty of gravity and latitude.
+    by_site: Mapping[str, FloatArray]
 
 
 def calibrate(
@@ -240,14 +243,11 @@ def calibrate(
                 "and whether the unit drifts or moves at rest"
             )
         covariance = covariance * widening**2
-    # An error of gravity is one of all three scale factors, which the residuals do not show.
     coefficients = tuple((*COEFFICIENTS, *BESIDE)[each] for each in options.columns)
-    count = len(coefficients)
-    is_scale = [each.name == "accelerometer_scale_factor" for each in coefficients]
-    by_gravity = np.where(is_scale, options.gravity_sigma / gravity, 0.0)
+    count, by_site = len(coefficients), problem.site_parts(found)
     return Calibration(
         values=found.values[:count],
-        covariance=covariance[:count, :count] + np.outer(by_gravity, by_gravity),
+        covariance=covariance[:count, :count] + sum(by_site.values()),
         is_observed=is_observed[:count],
         coefficients=coefficients,
         noise=noise,
@@ -259,6 +259,7 @@ def calibrate(
         sections=tuple(sections),
         starts=tuple(found.starts),
         unknowns=found.common,
+        by_site=by_site,
     )
 
 
@@ -299,7 +300,7 @@ class _Problem:
             common[used] = values[: len(used)]
             origin[len(used) :] -= attitudes.ravel()
             starts = [turn @ start for turn, start in zip(rotation_matrices(attitudes), starts, strict=True)]
-            # Sizes count in units of the residuals where these exceed the self.noise.
+            # Sizes count in units of the residuals where these exceed the noise.
             excess = max(1.0, left / sum(map(len, found.blocks)))
             is_still = np.abs(step) < _MAX_STEP * np.sqrt(excess * np.diag(covariance))
             if abs(left - before) < _CONVERGED * excess and is_still[is_observed].all():
@@ -329,6 +330,28 @@ class _Problem:
             left += list(error - path * (path @ error) / (path @ path))
         turns = float(np.hypot(self.options.whole_turns or 0.0, np.sqrt(np.mean(np.square(left)))))
         return replace(self, options=replace(self.options, whole_turns=turns)).solve()
+
+    def site_parts(self, found: _Solution) -> dict[str, FloatArray]:
+        """Covariances (k, k) by what is assumed of the place, which the residuals hardly show."""
+        options, count = self.options, len(self.options.columns)
+        gravity = options.gravity or self.site.gravity
+        # An error of gravity is one of all three scale factors.
+        is_scale = np.isin(options.columns, np.flatnonzero(_IS_FORCE_SCALE))
+        shifts = {"gravity": np.where(is_scale, options.gravity_sigma / gravity, 0.0)}
+        if options.latitude_sigma:
+            sites = [
+                replace(self.site, latitude=self.site.latitude + each)
+                for each in (0.0, options.latitude_sigma)
+            ]
+            fixed = replace(options, gravity=gravity)
+            here, there = (
+                Information.of(self.sections, found.starts, found.common, self.noise, each, fixed).solve(
+                    found.values
+                )[0][:count]
+                for each in (self.site, beside)
+            )
+            shifts["latitude"] = there - here
+        return {name: np.outer(shift, shift) for name, shift in shifts.items()}
 
     def check_alternatives(self, found: _Solution) -> None:
         """Raise MeasurementError if a mistake in the map explains what the noise does not."""
@@ -395,12 +418,10 @@ def covariances_by_source(
     # The step leaves a thousandth.
     factors = np.sqrt(np.diag(base) / np.sum([np.diag(part) for part in parts.values()], axis=0))
     parts = {name: part * np.outer(factors, factors) for name, part in parts.items()}
-    by_gravity = np.zeros(COUNT)
-    if options.gravity_sigma:
-        by_gravity[_IS_FORCE_SCALE] = options.gravity_sigma / calibration.gravity[0]
-        parts["gravity"] = np.outer(by_gravity, by_gravity)
-    beyond = calibration.covariance[:COUNT, :COUNT] - base - np.outer(by_gravity, by_gravity)
-    return parts | {"misfit": beyond}
+    by_site = {name: part[:COUNT, :COUNT] for name, part in calibration.by_site.items()}
+    beyond = calibration.covariance[:COUNT, :COUNT] - base - sum(by_site.values())
+    # Without a misfit what is left is rounding.
+    return parts | by_site | {"misfit": beyond * (calibration.fit.p_value < MIN_P_VALUE)}
 
 
 def _check_force(

@@ -54,8 +54,9 @@ class Epochs:
 
     ends: IntArray  #: Shape (n,). Number of increments up to the end of each epoch.
     at_rest: BoolArray  #: Shape (n,). Whether the unit rests at the end of each.
-    #: Epochs, counted from 0 at the start, in the rests before and after whole turns.
-    spins: Sequence[tuple[int, int]]
+    #: Epochs, counted from 0 at the start, in the rests before and after whole turns, and the rotation
+    #: (3, 3), ENU, that the table's readings leave.
+    spins: Sequence[tuple[int, int, FloatArray]]
     has_vertical: bool = True  #: Whether the vertical velocity is measured; otherwise its rows are zero.
     #: Epochs before and after each rotation that the table measures, and that rotation (3, 3), ENU.
     rotations: Sequence[tuple[int, int, FloatArray]] = ()
@@ -327,7 +328,7 @@ def _turns(epochs: Epochs, whole_turns: float | None, table: tuple[float, float]
         tilt, heading = table
         turns |= {a: (a, b, R, (tilt, tilt, heading)) for a, b, R in epochs.rotations}
     if whole_turns is not None:
-        turns |= {a: (a, b, np.eye(3), (whole_turns, whole_turns, whole_turns)) for a, b in epochs.spins}
+        turns |= {a: (a, b, R, (whole_turns, whole_turns, whole_turns)) for a, b, R in epochs.spins}
     return list(turns.values())
 
 

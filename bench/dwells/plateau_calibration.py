@@ -205,7 +205,9 @@ def _plateau(
         finding = f"dwells and rotations contradict each other (p = {p_value:.1g})"
     estimate = _combined(estimates) if estimates else None
     chamber_set_c = math.nan if set_c is None else set_c
-    inputs = {"latitude": setup.prior.latitude, "table_return": setup.table_repeatability}
+    inputs = {"latitude": setup.prior.latitude, "table_return": setup.table_repeatability} | {
+        "gravity": setup.gravity[1]
+    }
     return PlateauCalibration(
         number, cycle, chamber_set_c, gyro_c, case_c, estimate, finding, with_force, rotations, inputs
     )
@@ -260,7 +262,14 @@ def calibrate_rotations(
             raise MeasurementError("too many increments are missing in the rotations. Check the CAN bus")
         noise = setup.noise
         walks = None if noise is None else (noise.angle_random_walk, noise.velocity_random_walk)
-        options = CalibrationOptions(whole_turns=setup.table_repeatability, walks=walks)
+        gravity, gravity_sigma = setup.gravity
+        options = CalibrationOptions(
+            whole_turns=setup.table_repeatability,
+            gravity=gravity,
+            walks=walks,
+            gravity_sigma=gravity_sigma,
+            latitude_sigma=setup.prior.latitude,
+        )
         found = calibrate(recordings, setup.site, options, rests)
         with_force = None
         if not all(each.has_vertical for each in recordings):
@@ -279,7 +288,8 @@ def _with_force(found: Calibration, site: Site, options: CalibrationOptions) -> 
     sections = [replace(each, epochs=replace(each.epochs, has_vertical=True)) for each in found.sections]
     information = Information.of(sections, found.starts, found.unknowns, found.noise, site, options)
     _, covariance, is_observed = information.solve()
-    return CoefficientEstimate(found.values, covariance[:COUNT, :COUNT], is_observed[:COUNT])
+    by_site = sum(part[:COUNT, :COUNT] for part in found.by_site.values())
+    return CoefficientEstimate(found.values, covariance[:COUNT, :COUNT] + by_site, is_observed[:COUNT])
 
 
 def _measured(
@@ -307,9 +317,16 @@ def _measured(
             for each in marks.windows
         ]
         rests = [Rest(int(a), int(b)) for a, b in ends if b > a]
+        # Up to the end of a rest the table stands as it was read there.
+        counts = np.diff([0, *(int(end) for _, end in ends[:-1]), part.stop - part.start])
+        table = np.repeat(
+            [setup.table.attitude(each.outer_deg, each.inner_deg) for each in marks.windows], counts, axis=0
+        )
         if sum(rest.end - rest.begin for rest in rests) * increments.interval_s >= MIN_REST_TOTAL_S:
             angle, velocity = increments.angle[part], increments.velocity[part]
-            recording = IncrementRecording(increments.interval_s, angle, velocity, has_vertical=is_sent)
+            recording = IncrementRecording(
+                increments.interval_s, angle, velocity, has_vertical=is_sent, table=table
+            )
             pieces.append((recording, rests))
     return pieces, np.array([*temperatures.gyro_c, temperatures.case_c, *temperatures.gyro_rate_c_per_h])
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS
-from gyrobench.bench.calibration.results import correlation_cells
+from gyrobench.bench.calibration.results import NOT_OBSERVABLE, correlation_cells
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.csv_tables import (
     CsvTable,
@@ -42,6 +43,40 @@ class PlateauCoefficientRow:
 
 
 _COLUMNS = [each.name for each in fields(PlateauCoefficientRow)]
+
+#: Frame and temperatures of the rows, as reports state them.
+FRAME_TEXT = (
+    "The body frame is that of the accelerometers: x is the input axis of the x accelerometer, and that of y "
+    "lies in the plane of x and y; so 21 of the 24 coefficients are independent, and the others are zero. A "
+    "misalignment xy is what sensor x senses of axis y."
+)
+TEMPERATURE_TEXT = (
+    "Columns are headed by the temperatures of x gyro and case: coefficients of gyros belong to the "
+    "first, those of accelerometers to the second."
+)
+
+
+def plateau_heads(rows: Iterable[PlateauCoefficientRow]) -> dict[int, str]:
+    """Temperatures of the x gyro and of the case at each plateau, ``67 / 63 °C``, by its number."""
+    found: dict[int, dict[str, float]] = {}
+    for row in rows:
+        sensor = "gyro" if row.coefficient.startswith("gyro") else "case"
+        found.setdefault(row.plateau, {}).setdefault(sensor, row.temperature_c)
+    return {
+        plateau: " / ".join("–" if math.isnan(each) else f"{each:.0f}" for each in temperatures.values())
+        + " °C"
+        for plateau, temperatures in found.items()
+    }
+
+
+def plateau_findings(rows: Iterable[PlateauCoefficientRow]) -> list[str]:
+    """What is wrong with plateaus."""
+    texts = dict.fromkeys(
+        (row.plateau, row.finding.removeprefix(f"{NOT_OBSERVABLE}; "))
+        for row in rows
+        if row.finding not in ("", NOT_OBSERVABLE)
+    )
+    return [f"Plateau {plateau}: {text}." for plateau, text in texts]
 
 
 def write_coefficients(path: Path, rows: Sequence[PlateauCoefficientRow]) -> None:

@@ -35,6 +35,27 @@ def found_in(increments, noise, seed, options=OPTIONS):
     return calibrate([recording], SITE, options)
 
 
+def test_parts_of_the_place_are_the_shifts_that_wrong_gravity_and_latitude_cause(increments, known_noise):
+    wrong_latitude, wrong_gravity = 1e-4, 1e-3
+    uncertain = replace(OPTIONS, latitude_sigma=wrong_latitude, gravity_sigma=wrong_gravity)
+    recording = IncrementRecording(0.05, *NOISE.added(*increments, 0.05, np.random.default_rng(2)))
+    found = calibrate([recording], SITE, uncertain)
+    parts = covariances_by_source(found, SITE, uncertain)
+    elsewhere = Site(SITE.latitude + wrong_latitude)
+    exact = replace(OPTIONS, gravity_sigma=0.0)
+    for name, site, gravity in (
+        ("latitude", elsewhere, SITE.gravity),
+        ("gravity", SITE, SITE.gravity + wrong_gravity),
+    ):
+        shift = calibrate([recording], site, replace(exact, gravity=gravity)).values - found.values
+        wrong = np.sqrt(np.diag(parts[name])) - np.abs(shift)
+        assert (np.abs(wrong) < 0.01 * found.sigmas).all(), name
+    # Beyond half a minute of arc the latitude is what limits the biases of gyros.
+    assert np.sqrt(np.diag(parts["latitude"]))[:3].max() > 5e-10
+    total = np.sum([np.diag(part) for part in parts.values()], axis=0)
+    assert total == pytest.approx(np.diag(found.covariance), rel=1e-9)
+
+
 def test_the_parts_add_up_to_the_covariance(increments, known_noise):
     found = found_in(increments, NOISE, 1)
     parts = covariances_by_source(found, SITE, OPTIONS)
