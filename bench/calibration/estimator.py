@@ -339,16 +339,11 @@ class _Problem:
         is_scale = np.isin(options.columns, np.flatnonzero(_IS_FORCE_SCALE))
         shifts = {"gravity": np.where(is_scale, options.gravity_sigma / gravity, 0.0)}
         if options.latitude_sigma:
-            sites = [
-                replace(self.site, latitude=self.site.latitude + each)
-                for each in (0.0, options.latitude_sigma)
-            ]
-            fixed = replace(options, gravity=gravity)
+            beside = replace(self.site, latitude=self.site.latitude + options.latitude_sigma)
+            known, fixed = (found.starts, found.common, self.noise), replace(options, gravity=gravity)
             here, there = (
-                Information.of(self.sections, found.starts, found.common, self.noise, each, fixed).solve(
-                    found.values
-                )[0][:count]
-                for each in (self.site, beside)
+                Information.of(self.sections, *known, site, fixed).solve(found.values)[0][:count]
+                for site in (self.site, beside)
             )
             shifts["latitude"] = there - here
         return {name: np.outer(shift, shift) for name, shift in shifts.items()}
