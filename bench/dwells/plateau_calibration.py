@@ -46,6 +46,9 @@ from gyrobench.drivers.ins.navigation_data import Increments, NavigationData
 
 #: Part of the usual interval by which the time between two epochs may differ from it.
 _MAX_STEP_ERROR = 0.5
+#: Sum, rad or m/s, from which increments are compared with attitude and velocity, by how much of it they may
+#: differ, as by gaps, and largest angle between two attitudes, rad.
+_MIN_TURN, _MAX_AWAY, _MAX_STEP = 0.5, 0.5, 2.0
 #: Dwells and rotations contradict each other where chance gives the difference less often than this.
 _MIN_P_VALUE = 1e-3
 
@@ -306,8 +309,11 @@ def _measured(
     temperatures = dwell_temperatures(navigation, first, end)
     increments = setup.decode_increments(frames)
     is_sent = increments is not None and len(increments.row) > 0
+    navigated = navigated_increments(navigation, setup.site)
     if increments is None or not is_sent:
-        increments = navigated_increments(navigation, setup.site)
+        increments = navigated
+    else:
+        _check_axes(increments, navigated, marks)
     begin, stop = np.searchsorted(increments.row, [first, end])
     gaps = begin + 1 + np.flatnonzero(~increments.follows[begin + 1 : stop])
     pieces = []
@@ -329,6 +335,39 @@ def _measured(
             )
             pieces.append((recording, rests))
     return pieces, np.array([*temperatures.gyro_c, temperatures.case_c, *temperatures.gyro_rate_c_per_h])
+
+
+def _check_axes(sent: Increments, navigated: Increments, marks: DwellMarks) -> None:
+    """Raise MeasurementError if increments have other axes, signs or units than attitude and velocity.
+
+    Coefficients of axes that are exchanged in angle and velocity alike fit the increments as well.
+    """
+    rests = [(each.first_frame, each.end_frame) for each in marks.windows]
+    between = [(before[1], after[0]) for before, after in itertools.pairwise(rests)]
+    for name, spans in (("velocity", rests), ("angle", between)):
+        for span in spans:
+            found, expected = (
+                getattr(each, name)[slice(*np.searchsorted(each.row, span))].sum(axis=0)
+                for each in (sent, navigated)
+            )
+            if name == "angle" and _fastest(sent, span) * navigated.interval_s > _MAX_STEP:
+                continue  # further between two epochs than attitudes show
+            away = np.linalg.norm(found - expected)
+            if np.linalg.norm(expected) > _MIN_TURN and away > _MAX_AWAY * np.linalg.norm(expected):
+                raise MeasurementError(
+                    f"the {name} increments add up to {_triple_text(found)}, by attitude and velocity "
+                    f"{_triple_text(expected)}. Check axes, signs and units of ins.signals.increments"
+                )
+
+
+def _fastest(sent: Increments, span: tuple[int, int]) -> float:
+    """Largest rate, rad/s."""
+    angle = sent.angle[slice(*np.searchsorted(sent.row, span))]
+    return float(np.linalg.norm(angle, axis=1).max(initial=0.0)) / sent.interval_s
+
+
+def _triple_text(values: FloatArray) -> str:
+    return "({:.4g}, {:.4g}, {:.4g})".format(*values)
 
 
 def navigated_increments(navigation: NavigationData, site: Site) -> Increments:
