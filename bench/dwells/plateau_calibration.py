@@ -4,7 +4,7 @@ The dwells of a plateau show gyro biases and, through their half turns, parts of
 (:mod:`gyrobench.bench.calibration.joint_coefficients`). Rotations between rests show all coefficients, from
 the increments of the INS. Where it sends none they follow from its navigation output: the change of attitude
 and velocity from epoch to epoch is what its sensors measured, but for the vertical specific force, which an
-INS of fixed altitude does not show. Gravity stands in its place, and says nothing.
+INS of fixed altitude does not show. Gravity stands in its place, and shows nothing.
 """
 
 from __future__ import annotations
@@ -21,8 +21,13 @@ from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow, Triple
 from gyrobench.bench.bias.joint_solution import JointDwell, JointSolution
 from gyrobench.bench.bias.statistics import chi2_p_value
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, Coefficient, CoefficientEstimate
-from gyrobench.bench.calibration.error_split import rotation_parts
-from gyrobench.bench.calibration.estimator import Calibration, CalibrationOptions, Information, calibrate
+from gyrobench.bench.calibration.estimator import (
+    Calibration,
+    CalibrationOptions,
+    Information,
+    calibrate,
+    covariances_by_source,
+)
 from gyrobench.bench.calibration.joint_coefficients import joint_coefficients
 from gyrobench.bench.calibration.recording import MIN_REST_TOTAL_S, IncrementRecording, Rest
 from gyrobench.bench.calibration.results import coefficient_rows
@@ -330,7 +335,9 @@ def calibrate_rotations(
     except MeasurementError as error:
         return replace(rotations, finding=f"the rotations give no coefficients: {error}")
     # The increments themselves are of no more use.
-    found = replace(found, recordings=(), sections=(), parts=rotation_parts(found, setup.site, options))
+    found = replace(
+        found, recordings=(), sections=(), parts=covariances_by_source(found, setup.site, options)
+    )
     return replace(rotations, calibration=found, with_force=with_force)
 
 
