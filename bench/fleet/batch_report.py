@@ -244,10 +244,7 @@ def write_batch(
     The name of the batch may be empty; the page, which is returned, shows the source. ``watermark`` is a
     word across page and figures.
 
-    Raises
-    ------
-    RunFolderError
-        A file can't be written.
+    Raises RunFolderError if a file can't be written.
     """
     make_folder(folder)
     text = json.dumps(batch_document(name, batch), indent=1, allow_nan=False) + "\n"

@@ -291,10 +291,7 @@ def write_search(
     than gyro biases with its name. Returns the page and the
     updated report, None for files outside a run or of several.
 
-    Raises
-    ------
-    RunFolderError
-        A file can't be written.
+    Raises RunFolderError if a file can't be written.
     """
     name = CLOSURE if closure.quantity.is_gyro_bias else f"{CLOSURE}_{closure.quantity.name}"
     first, source = tables[0], ", ".join(map(str, tables))
