@@ -148,7 +148,7 @@ _Vector = tuple[float, float, float]
 
 
 @compiled
-def _set_turn(turn: FloatArray, vector: _Vector) -> None:
+def set_turn(turn: FloatArray, vector: _Vector) -> None:
     """Set ``turn`` (3, 3) to the rotation by a vector."""
     x, y, z = vector
     square = x * x + y * y + z * z
@@ -219,7 +219,7 @@ def _integrate(
         moved = _sum(_sum(dv, cross, 0.5), _cross(theta, cross), 1.0 / 6.0)
         moved = _sum(_sum(moved, _cross(theta_before, dv), 1.0 / 12.0), _cross(dv_before, theta), 1.0 / 12.0)
         lift = _times(half, _times(C, moved))
-        _set_turn(turn, _sum(theta, _cross(theta_before, theta), 1.0 / 12.0))
+        set_turn(turn, _sum(theta, _cross(theta_before, theta), 1.0 / 12.0))
         _set_product(turned, C, turn)
         _set_product(C, earth[1], turned)
         before, after = max(k - 1, 0), min(k + 1, count - 1)

@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gyrobench.bench import __version__
-from gyrobench.bench.certificate.content import COVERAGE, NORMAL_K, BiasResult, Certificate
+from gyrobench.bench.bias.budget import COVERAGE, NORMAL_K
+from gyrobench.bench.certificate.content import BiasResult, Certificate
 from gyrobench.bench.foundations.arrays import STANDARD_GRAVITY
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.packages import require

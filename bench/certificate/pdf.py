@@ -10,7 +10,8 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from gyrobench.bench.certificate.content import NORMAL_K, BiasResult, Certificate
+from gyrobench.bench.bias.budget import NORMAL_K
+from gyrobench.bench.certificate.content import BiasResult, Certificate
 from gyrobench.bench.foundations.text import bin_label, decimals_of
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.report.figures.style import stamp

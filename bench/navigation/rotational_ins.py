@@ -160,17 +160,8 @@ def rotate_for(
 def navigate_with_drift(steps_s: FloatArray, drift_enu_dph: FloatArray, site: Site) -> PositionError:
     """Navigate at rest with gyro drifts in the navigation frame, each constant over a step.
 
-    Parameters
-    ----------
-    steps_s : ndarray, shape (n,)
-        Lengths of the steps.
-    drift_enu_dph : ndarray, shape (n, 3)
-        Drift East, North and Up.
-
-    Raises
-    ------
-    MeasurementError
-        A drift is not finite.
+    ``steps_s`` (n,): lengths of the steps. ``drift_enu_dph`` (n, 3): drift East, North and Up. Raises
+    MeasurementError if a drift is not finite.
     """
     if not np.isfinite(drift_enu_dph).all():
         raise MeasurementError("rotational INS: the residual bias must be finite at all times")
@@ -200,16 +191,9 @@ def bias_by_position(biases_dph: Mapping[str, ArrayLike]) -> ResidualBias:
     On the way from one position to another the biases are weighted by the squares of the direction
     cosines of Up, which add up to one.
 
-    Parameters
-    ----------
-    biases_dph : mapping of str to array_like, each of shape (3,)
-        Bias of the gyros, body axes, by the names of :data:`gyrobench.bench.navigation.positions.POSITIONS`.
-        Where one of two opposite positions is missing the scheme must not pass it.
-
-    Raises
-    ------
-    MeasurementError
-        A name is not that of a position.
+    ``biases_dph``: bias of the gyros, body axes, by the names of
+    :data:`gyrobench.bench.navigation.positions.POSITIONS`. Where one of two opposite positions is missing the
+    scheme must not pass it. Raises MeasurementError if a name is not that of a position.
     """
     unknown = biases_dph.keys() - POSITIONS.keys()
     if unknown:

@@ -13,7 +13,7 @@ from rich.text import Text
 from gyrobench.bench.calibration.results import NOT_OBSERVABLE
 from gyrobench.bench.report.figures.style import GYRO_STYLES, house_style, new_figure
 from gyrobench.bench.report.page import Section, SectionFigure, SectionTable
-from gyrobench.bench.report.terminal.tables import titled_table
+from gyrobench.bench.report.terminal.tables import plain_table
 from gyrobench.bench.runs.tables.coefficient_table import (
     FRAME_TEXT,
     TEMPERATURE_TEXT,
@@ -78,12 +78,7 @@ def coefficients_tables(rows: Sequence[PlateauCoefficientRow]) -> RenderableType
     """Values with standard uncertainties for a terminal."""
     parts: list[RenderableType] = [Text(_TITLE, style="bold")]
     for header, cells in _tables(rows, _PER_TABLE, is_concise=True):
-        table = titled_table()
-        for number, head in enumerate(header):
-            table.add_column(head, justify="left" if number < 3 else "right", no_wrap=True)
-        for row in cells:
-            table.add_row(*map(Text, row))
-        parts.append(table)
+        parts.append(plain_table(header, 3, cells, fold=False, gap=0))
     parts.append(Text("In parentheses: standard uncertainty in units of the last digits."))
     parts.append(Text(f"{TEMPERATURE_TEXT} {FRAME_TEXT}"))
     if any(row.finding.startswith(NOT_OBSERVABLE) for row in rows):

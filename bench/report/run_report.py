@@ -89,6 +89,8 @@ def write_report(
     The report names parts that are missing because the run failed or was interrupted, and replaces an
     earlier one. A run that has ended is sealed with it.
 
+    Raises RunFolderError if a file can't be written.
+
     Parameters
     ----------
     prepared_by : str
@@ -101,11 +103,6 @@ def write_report(
         Temperatures in degC that figures mark beside those of the procedure.
     vectors : sequence of str
         Formats beside PNG that the figures are written in: ``svg``, ``pdf``.
-
-    Raises
-    ------
-    RunFolderError
-        A file can't be written.
     """
     into = RunFolder(out or folder.path)
     if prepared_by:

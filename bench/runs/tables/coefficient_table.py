@@ -10,13 +10,16 @@ from pathlib import Path
 import numpy as np
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS
-from gyrobench.bench.calibration.results import NOT_OBSERVABLE
+from gyrobench.bench.calibration.results import NOT_OBSERVABLE, correlation_cells
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.bench.foundations.csv_tables import CsvTable, format_rows, read_text, write_text
-from gyrobench.bench.foundations.text import format_number
-
-#: Decimals of a correlation.
-_DECIMALS = 4
+from gyrobench.bench.foundations.csv_tables import (
+    CsvTable,
+    format_rows,
+    one_of,
+    read_rows,
+    read_text,
+    write_text,
+)
 
 
 @dataclass(frozen=True)
@@ -86,9 +89,8 @@ def write_correlations(path: Path, plateaus: Sequence[tuple[int, FloatArray]]) -
     names = [f"{each.name}_{each.axis}" for each in COEFFICIENTS]
     lines = [",".join(["plateau", "coefficient", *names])]
     for plateau, correlations in plateaus:
-        for name, row in zip(names, correlations.tolist(), strict=True):
-            cells = ["" if np.isnan(value) else format_number(round(value, _DECIMALS)) for value in row]
-            lines.append(",".join([str(plateau), name, *cells]))
+        for name, row in zip(names, correlations, strict=True):
+            lines.append(",".join([str(plateau), name, *correlation_cells(row)]))
     write_text(path, "\n".join(lines) + "\n")
 
 
@@ -109,29 +111,6 @@ def read_correlations(path: Path) -> dict[int, FloatArray]:
 
 
 def read_coefficients(path: Path) -> list[PlateauCoefficientRow]:
-    """Read ``coefficients.csv``.
-
-    Raises DocumentError if the file can't be read or is wrong; the message lists all problems.
-    """
-    table = CsvTable(read_text(path), str(path), required=_COLUMNS)
-
-    def row(index: int) -> PlateauCoefficientRow:
-        def number(name: str) -> float:
-            return table.number(index, name, may_be_empty=True)
-
-        return PlateauCoefficientRow(
-            table.integer(index, "plateau"),
-            table.integer(index, "cycle"),
-            number("chamber_set_c"),
-            number("temperature_c"),
-            table.choice(index, "coefficient", {each.name for each in COEFFICIENTS}),
-            table.choice(index, "axis", {each.axis for each in COEFFICIENTS}),
-            number("value"),
-            number("sigma"),
-            table.text(index, "unit"),
-            table.text(index, "finding"),
-            number("sigma_with_force"),
-            number("gyro_rate_c_per_h"),
-        )
-
-    return table.rows(row)
+    """Read ``coefficients.csv``; errors as for :func:`gyrobench.bench.foundations.csv_tables.read_rows`."""
+    names, axes = ({getattr(each, field) for each in COEFFICIENTS} for field in ("name", "axis"))
+    return read_rows(path, PlateauCoefficientRow, {"coefficient": one_of(names), "axis": one_of(axes)})
