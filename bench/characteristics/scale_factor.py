@@ -9,7 +9,7 @@ for normal values, as of :mod:`gyrobench.bench.characteristics.turn_on`. The unc
 the residuals, with a t distribution (Knapp and Hartung).
 
 Asymmetry and nonlinearity (one rate less the mean of all rates) are means over all measurements. The worst
-are the largest magnitudes, their intervals those in which the magnitudes at all rates are at once (Bonferroni).
+are the largest magnitudes, their intervals those in which all magnitudes are at once (Bonferroni).
 
 References
 ----------

@@ -4,7 +4,7 @@ The dwells of a plateau show gyro biases and, through their half turns, parts of
 (:mod:`gyrobench.bench.calibration.joint_coefficients`). Rotations between rests show all coefficients, from
 the increments of the INS. Where it sends none they follow from its navigation output: the change of attitude
 and velocity from epoch to epoch is what its sensors measured, but for the vertical specific force, which an
-INS of fixed altitude does not show. Gravity stands in its place, and says nothing.
+INS of fixed altitude does not show. Gravity stands in its place, and shows nothing.
 """
 
 from __future__ import annotations
@@ -21,8 +21,13 @@ from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow, Triple
 from gyrobench.bench.bias.joint_solution import JointDwell, JointSolution
 from gyrobench.bench.bias.statistics import chi2_p_value
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, Coefficient, CoefficientEstimate
-from gyrobench.bench.calibration.error_split import rotation_parts
-from gyrobench.bench.calibration.estimator import Calibration, CalibrationOptions, Information, calibrate
+from gyrobench.bench.calibration.estimator import (
+    Calibration,
+    CalibrationOptions,
+    Information,
+    calibrate,
+    covariances_by_source,
+)
 from gyrobench.bench.calibration.joint_coefficients import joint_coefficients
 from gyrobench.bench.calibration.recording import MIN_REST_TOTAL_S, IncrementRecording, Rest
 from gyrobench.bench.calibration.results import coefficient_rows
@@ -43,6 +48,9 @@ from gyrobench.drivers.ins.navigation_data import Increments, NavigationData
 
 #: Part of the usual interval by which the time between two epochs may differ from it.
 _MAX_STEP_ERROR = 0.5
+#: Sum, rad or m/s, from which increments are compared with attitude and velocity, by how much of it they may
+#: differ, as by gaps, and largest angle between two attitudes, rad.
+_MIN_TURN, _MAX_AWAY, _MAX_STEP = 0.5, 0.5, 2.0
 #: Dwells and rotations contradict each other where chance gives the difference less often than this.
 _MIN_P_VALUE = 1e-3
 
@@ -202,7 +210,9 @@ def _plateau(
         finding = f"dwells and rotations contradict each other (p = {p_value:.1g})"
     estimate = _combined(estimates) if estimates else None
     chamber_set_c = math.nan if set_c is None else set_c
-    inputs = {"latitude": setup.prior.latitude, "table_return": setup.table_repeatability}
+    inputs = {"latitude": setup.prior.latitude, "table_return": setup.table_repeatability} | {
+        "gravity": setup.gravity[1]
+    }
     return PlateauCalibration(
         number, cycle, chamber_set_c, gyro_c, case_c, estimate, finding, with_force, rotations, inputs
     )
@@ -258,7 +268,9 @@ def calibrate_rotations(
     except MeasurementError as error:
         return replace(rotations, finding=f"the rotations give no coefficients: {error}")
     # The increments themselves are of no more use.
-    found = replace(found, recordings=(), sections=(), parts=rotation_parts(found, setup.site, options))
+    found = replace(
+        found, recordings=(), sections=(), parts=covariances_by_source(found, setup.site, options)
+    )
     return replace(rotations, calibration=found, with_force=with_force)
 
 
@@ -280,7 +292,14 @@ def spin_record(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) 
 def _options(setup: MeasurementSetup) -> CalibrationOptions:
     noise = setup.noise
     walks = None if noise is None else (noise.angle_random_walk, noise.velocity_random_walk)
-    return CalibrationOptions(whole_turns=setup.table_repeatability, walks=walks)
+    gravity, gravity_sigma = setup.gravity
+    return CalibrationOptions(
+        whole_turns=setup.table_repeatability,
+        gravity=gravity,
+        walks=walks,
+        gravity_sigma=gravity_sigma,
+        latitude_sigma=setup.prior.latitude,
+    )
 
 
 def _calibrated(
@@ -297,7 +316,8 @@ def _with_force(found: Calibration, site: Site, options: CalibrationOptions) -> 
     sections = [replace(each, epochs=replace(each.epochs, has_vertical=True)) for each in found.sections]
     information = Information.of(sections, found.starts, found.unknowns, found.noise, site, options)
     _, covariance, is_observed = information.solve()
-    return CoefficientEstimate(found.values, covariance[:COUNT, :COUNT], is_observed[:COUNT])
+    by_site = sum(part[:COUNT, :COUNT] for part in found.by_site.values())
+    return CoefficientEstimate(found.values, covariance[:COUNT, :COUNT] + by_site, is_observed[:COUNT])
 
 
 def _measured(
@@ -314,8 +334,11 @@ def _measured(
     temperatures = dwell_temperatures(navigation, first, end)
     increments = setup.decode_increments(frames)
     is_sent = increments is not None and len(increments.row) > 0
+    navigated = navigated_increments(navigation, setup.site)
     if increments is None or not is_sent:
-        increments = navigated_increments(navigation, setup.site)
+        increments = navigated
+    else:
+        _check_axes(increments, navigated, marks)
     begin, stop = np.searchsorted(increments.row, [first, end])
     gaps = begin + 1 + np.flatnonzero(~increments.follows[begin + 1 : stop])
     pieces = []
@@ -325,11 +348,51 @@ def _measured(
             for each in marks.windows
         ]
         rests = [Rest(int(a), int(b)) for a, b in ends if b > a]
+        # Up to the end of a rest the table stands as it was read there.
+        counts = np.diff([0, *(int(end) for _, end in ends[:-1]), part.stop - part.start])
+        table = np.repeat(
+            [setup.table.attitude(each.outer_deg, each.inner_deg) for each in marks.windows], counts, axis=0
+        )
         if sum(rest.end - rest.begin for rest in rests) * increments.interval_s >= MIN_REST_TOTAL_S:
             angle, velocity = increments.angle[part], increments.velocity[part]
-            recording = IncrementRecording(increments.interval_s, angle, velocity, has_vertical=is_sent)
+            recording = IncrementRecording(
+                increments.interval_s, angle, velocity, has_vertical=is_sent, table=table
+            )
             pieces.append((recording, rests))
     return pieces, np.array([*temperatures.gyro_c, temperatures.case_c, *temperatures.gyro_rate_c_per_h])
+
+
+def _check_axes(sent: Increments, navigated: Increments, marks: DwellMarks) -> None:
+    """Raise MeasurementError if increments have other axes, signs or units than attitude and velocity.
+
+    Coefficients of axes that are exchanged in angle and velocity alike fit the increments as well.
+    """
+    rests = [(each.first_frame, each.end_frame) for each in marks.windows]
+    between = [(before[1], after[0]) for before, after in itertools.pairwise(rests)]
+    for name, spans in (("velocity", rests), ("angle", between)):
+        for span in spans:
+            found, expected = (
+                getattr(each, name)[slice(*np.searchsorted(each.row, span))].sum(axis=0)
+                for each in (sent, navigated)
+            )
+            if name == "angle" and _fastest(sent, span) * navigated.interval_s > _MAX_STEP:
+                continue  # further between two epochs than attitudes show
+            away = np.linalg.norm(found - expected)
+            if np.linalg.norm(expected) > _MIN_TURN and away > _MAX_AWAY * np.linalg.norm(expected):
+                raise MeasurementError(
+                    f"the {name} increments add up to {_triple_text(found)}, by attitude and velocity "
+                    f"{_triple_text(expected)}. Check axes, signs and units of ins.signals.increments"
+                )
+
+
+def _fastest(sent: Increments, span: tuple[int, int]) -> float:
+    """Largest rate, rad/s."""
+    angle = sent.angle[slice(*np.searchsorted(sent.row, span))]
+    return float(np.linalg.norm(angle, axis=1).max(initial=0.0)) / sent.interval_s
+
+
+def _triple_text(values: FloatArray) -> str:
+    return "({:.4g}, {:.4g}, {:.4g})".format(*values)
 
 
 def navigated_increments(navigation: NavigationData, site: Site) -> Increments:

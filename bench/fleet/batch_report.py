@@ -233,15 +233,15 @@ def batch_document(name: str, batch: Sequence[QuantityStatistics]) -> dict[str, 
     }
 
 
-def write_batch(folder: Path, name: str, batch: Sequence[QuantityStatistics], source: str) -> Path:
+def write_batch(
+    folder: Path, name: str, batch: Sequence[QuantityStatistics], source: str, watermark: str = ""
+) -> Path:
     """Write ``batch.json``, ``batch.html`` and figures into a folder, made if it isn't there.
 
-    The name of the batch may be empty; the page, which is returned, shows the source.
+    The name of the batch may be empty; the page, which is returned, shows the source. ``watermark`` is a
+    word across page and figures.
 
-    Raises
-    ------
-    RunFolderError
-        A file can't be written.
+    Raises RunFolderError if a file can't be written.
     """
     make_folder(folder)
     text = json.dumps(batch_document(name, batch), indent=1, allow_nan=False) + "\n"
@@ -258,6 +258,7 @@ def write_batch(folder: Path, name: str, batch: Sequence[QuantityStatistics], so
         sentence=batch_sentence(batch),
         facts={"units": ", ".join(sorted(units)), "quantities": str(len(batch))},
         sections=_sections(batch),
+        watermark=watermark,
     )
     return write_findings(folder / "batch.html", findings)
 

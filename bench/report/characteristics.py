@@ -11,7 +11,7 @@ from rich.text import Text
 from gyrobench.bench.characteristics.results import Coefficient, TestName, TestResult
 from gyrobench.bench.report.figures.characteristics import characteristics_figure
 from gyrobench.bench.report.page import Section, SectionFigure, SectionTable
-from gyrobench.bench.report.terminal.tables import titled_table
+from gyrobench.bench.report.terminal.tables import plain_table
 
 _TITLES: dict[TestName, str] = {
     "turn_on_repeatability": "Turn-on repeatability",
@@ -49,12 +49,9 @@ def characteristics_tables(results: Sequence[TestResult]) -> RenderableType:
     for result in results:
         parts.append(Text(_TITLES[result.test], style="bold"))
         if result.coefficients:
-            table = titled_table()
-            for number, header in enumerate(_HEADER):
-                # The name of the coefficient is all that may wrap.
-                table.add_column(header, justify="left" if number < 3 else "right", no_wrap=number > 0)
-            for row in _rows(result):
-                table.add_row(*map(Text, row))
+            table = plain_table(_HEADER, 3, _rows(result), gap=0)
+            for column in table.columns[1:]:  # the name of the coefficient is all that may wrap
+                column.no_wrap = True
             parts.append(table)
         parts += map(Text, result.notes)
     return Group(*parts)

@@ -42,6 +42,7 @@ from gyrobench.bench.report.number_format import p_text
 from gyrobench.bench.report.page import Findings, Section, SectionFigure, SectionTable, write_findings
 from gyrobench.bench.report.run_report import write_report
 from gyrobench.bench.runs.folder import CLOSURE, RunFolder
+from gyrobench.bench.runs.provenance import watermark_of
 
 _RESIDUALS = (
     "{}: measured minus predicted {}. Each point is a dwell, hollow points are held out; the grey band is "
@@ -255,6 +256,7 @@ def write_closure_page(folder: Path, closure: Closure, source: str, dwells: Path
         facts=_facts(closure),
         sections=closure_sections(closure),
         dwells_sha256=file_sha256(dwells) if dwells else "",
+        watermark=watermark_of(folder, *(Path(table.name) for table in closure.campaign.tables)),
     )
     return write_findings(folder / "closure.html", findings)
 
@@ -285,10 +287,7 @@ def write_search(
     than gyro biases with its name. Returns the page and the
     updated report, None for files outside a run or of several.
 
-    Raises
-    ------
-    RunFolderError
-        A file can't be written.
+    Raises RunFolderError if a file can't be written.
     """
     name = CLOSURE if closure.quantity.is_gyro_bias else f"{CLOSURE}_{closure.quantity.name}"
     first, source = tables[0], ", ".join(map(str, tables))

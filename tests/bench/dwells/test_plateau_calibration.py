@@ -1,6 +1,7 @@
 """Coefficients over temperature from runs of the emulated bench, beside the declared truth of its world."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,9 @@ import yaml
 from scipy.stats import chi2
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, SensorErrors
+from gyrobench.bench.dwells.dwell import measurement_setup
+from gyrobench.bench.dwells.plateau_calibration import calibrate_rotations
+from gyrobench.bench.dwells.run_dwells import rotated
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.report.coefficients import coefficients_section
@@ -88,6 +92,24 @@ def test_rotations_give_every_coefficient_within_its_uncertainty(with_increments
     assert max(sigma["gyro_scale_factor", axis] for axis in "xyz") < 0.2
     assert max(sigma["accelerometer_bias", axis] for axis in "xyz") < 1.0
     assert all(np.isnan(row.sigma_with_force) for row in rows)
+
+
+@pytest.mark.parametrize(
+    ("axes", "names"),
+    [((1, 2, 0), ("angle", "velocity")), ((1, 0, 2), ("angle",)), ((1, 0, 2), ("velocity",))],
+)
+def test_exchanged_axes_of_increments_give_no_coefficients(with_increments, axes, names):
+    folder, _, _ = with_increments
+    setup = measurement_setup(Station(folder.station))
+
+    def exchanged(frames):
+        sent = setup.decode_increments(frames)
+        return replace(sent, **{name: getattr(sent, name)[:, axes] for name in names})
+
+    first = next(iter(rotated(folder)))
+    found = calibrate_rotations([first], replace(setup, decode_increments=exchanged))
+    assert found.calibration is None
+    assert "Check axes, signs and units of ins.signals.increments" in found.finding
 
 
 def test_report_has_table_and_figure_of_the_coefficients(with_increments):

@@ -10,6 +10,7 @@ from rich.console import Console
 from gyrobench.bench.fleet.batch import fit_batch
 from gyrobench.bench.fleet.batch_report import batch_summary, write_batch
 from gyrobench.bench.runs.index.run_biases import LEVEL
+from gyrobench.bench.runs.index.run_index import watermark
 from tests.bench.fleet.test_batch import POSITIONS, batch
 
 
@@ -29,6 +30,14 @@ def test_page_and_file_name_the_outlier(fitted, tmp_path):
     assert len(content["quantities"]) == 12
     names = sorted(path.name for path in (tmp_path / "batch" / "figures").iterdir())
     assert names == ["batch_levels.png", "batch_positions.png"]
+
+
+def test_a_batch_of_emulated_runs_is_marked(fitted, tmp_path):
+    page = write_batch(
+        tmp_path / "batch", "B7", fitted, "30 runs", watermark([{"world": "a"}, {"world": ""}])
+    )
+    assert 'data-word="SIMULATED"' in page.read_text()
+    assert watermark([{"world": ""}]) == ""
 
 
 def test_the_terminal_needs_80_columns_and_no_colour(fitted):
