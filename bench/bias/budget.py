@@ -108,6 +108,12 @@ SOURCES: Mapping[str, Source] = MappingProxyType(
             note="declared in rate_table.repeatability_arcsec",
         ),
         "gravity": Source("gravity", "m/s^2", 1.0, note="declared, or an anomaly of 30 mGal"),
+        "temperature_change": Source(
+            "change of temperature within the plateau",
+            "",
+            1.0,
+            note="slope between plateaus times the range of temperatures; with two plateaus or more",
+        ),
         "misfit": Source("residuals beyond the noise", "", 1.0, note="the model does not explain the data"),
         "assumed_size": Source(
             "assumed size of the coefficients", "", 1.0, note="large; the data decide what they show"
@@ -292,6 +298,7 @@ def coefficient_budget(
             inputs.get(name, math.nan) * SOURCES[name].per_si,
             math.sqrt(max(variances[name], 0.0)),
             misfit_dof if name == "misfit" and variances[name] > 0.0 else math.inf,
+            "rectangular" if name == "temperature_change" else "normal",
             note=SOURCES[name].note or "noise of the increments at rest, or declared in ins.noise",
         )
         for name in SOURCES

@@ -63,6 +63,9 @@ class FoundEffect:
     rms_sigma_dph: float
     #: Interval that holds each nonlinear parameter with 95 %.
     values_range: tuple[tuple[float, float], ...]
+    #: :attr:`Form.weights` (k,), and the standard uncertainties of sizes times these, shape (3, k).
+    weights: FloatArray
+    weighted_sigma_dph: FloatArray
     quantity: Quantity = GYRO_BIAS  #: What shows it.
 
     @property
@@ -400,6 +403,8 @@ def _found_effects(
         values, sizes_drawn = (drawn[each.effect.name] for drawn in (draws.values, draws.sizes_dph))
         parts = draws.effect_dph(problem.campaign, each.effect.name)[:, problem.searched]
         parts -= parts.mean(axis=1, keepdims=True)
+        weights = each.form.weights(problem.campaign, each.values)
+        weights_drawn = np.array([each.form.weights(problem.campaign, tuple(one)) for one in values])
         shows = search.shows(found, index)
         result.append(
             FoundEffect(
@@ -416,6 +421,8 @@ def _found_effects(
                 values_sigma=draws.sigma(values, np.array(each.values)),
                 rms_sigma_dph=float(draws.sigma(np.sqrt(np.mean(parts**2, axis=(1, 2))), rms(part))),
                 values_range=tuple(map(interval, each.form.parameters, each.values, values.T)),
+                weights=weights,
+                weighted_sigma_dph=draws.sigma(sizes_drawn * weights_drawn[:, None, :], sizes * weights),
                 quantity=quantity,
             )
         )

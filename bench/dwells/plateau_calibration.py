@@ -51,6 +51,8 @@ _MAX_STEP_ERROR = 0.5
 #: Sum, rad or m/s, from which increments are compared with attitude and velocity, by how much of it they may
 #: differ, as by gaps, and largest angle between two attitudes, rad.
 _MIN_TURN, _MAX_AWAY, _MAX_STEP = 0.5, 0.5, 2.0
+#: Temperatures of plateaus, K, between which coefficients show their slopes.
+_MIN_APART_C = 2.0
 #: Dwells and rotations contradict each other where chance gives the difference less often than this.
 _MIN_P_VALUE = 1e-3
 
@@ -64,6 +66,8 @@ class PlateauRotations:
     gyro_c: Triple = NOT_MEASURED
     case_c: float = math.nan
     gyro_rate_c_per_h: Triple = NOT_MEASURED  #: Their slopes.
+    #: Lowest and highest temperatures (2, 4) of gyros and case.
+    range_c: FloatArray = field(default_factory=lambda: np.full((2, 4), np.nan))
     calibration: Calibration | None = None  #: None where there is a ``finding``, which says why.
     finding: str = ""
     #: As uncertain as if the INS sent specific forces; None where it does.
@@ -85,6 +89,8 @@ class PlateauCalibration:
     #: As uncertain as if the INS sent specific forces; None where it does.
     with_force: CoefficientEstimate | None = None
     rotations: PlateauRotations | None = None  #: None where there are none.
+    #: Shape (2, 4). Lowest and highest temperatures of gyros and case in dwells and rotations.
+    range_c: FloatArray = field(default_factory=lambda: np.full((2, 4), np.nan))
     #: Declared standard uncertainties, SI, by key of :data:`gyrobench.bench.bias.budget.SOURCES`.
     inputs: Mapping[str, float] = field(default_factory=dict)
 
@@ -171,10 +177,46 @@ def calibrate_plateaus(
         rotations = [each for each in rotations if each is not found]
         places.append((first.number, solution, found))
     places += [(each.marks.dwell, None, each) for each in rotations]
-    return [
+    plateaus = [
         _plateau(number, solution, found, cases_c, setup)
         for number, (_, solution, found) in enumerate(sorted(places, key=lambda each: each[0]), 1)
     ]
+    return [with_temperature_change(each, plateaus) for each in plateaus]
+
+
+def with_temperature_change(
+    plateau: PlateauCalibration, plateaus: Sequence[PlateauCalibration]
+) -> PlateauCalibration:
+    """The coefficients with what they may change by while the temperature changes within the plateau.
+
+    Each belongs to some time of the plateau, which its mean temperature does not name. Its slope is that to
+    the nearest other plateau.
+    """
+    if plateau.estimate is None:
+        return plateau
+    variances = np.zeros(COUNT)
+    for k, each in enumerate(COEFFICIENTS):
+        is_bias = each.kind == "bias" or plateau.rotations is None or plateau.rotations.calibration is None
+        low_c, high_c = (plateau if is_bias or plateau.rotations is None else plateau.rotations).range_c
+        sensor = AXES.index(each.axis[0]) if each.sensor == "gyro" else 3
+        here_c = (*plateau.gyro_c, plateau.case_c)[sensor]
+        others = [
+            (abs(away_c), (other.estimate.values[k] - plateau.estimate.values[k]) / away_c)
+            for other in plateaus
+            if other.estimate is not None
+            and plateau.estimate.is_observed[k]
+            and other.estimate.is_observed[k]
+            and abs(away_c := (*other.gyro_c, other.case_c)[sensor] - here_c) > _MIN_APART_C
+        ]
+        if others and math.isfinite(change_c := float(high_c[sensor] - low_c[sensor])):
+            variances[k] = (min(others)[1] * change_c) ** 2 / 12.0
+    part = np.diag(variances)
+    estimate = replace(
+        plateau.estimate,
+        covariance=plateau.estimate.covariance + part,
+        parts={**plateau.estimate.parts, "temperature_change": part},
+    )
+    return replace(plateau, estimate=estimate)
 
 
 def _key(member: DwellMarks | JointDwell) -> tuple[str, int, float | None]:
@@ -191,6 +233,7 @@ def _plateau(
     setup: MeasurementSetup,
 ) -> PlateauCalibration:
     estimates, finding, with_force = [], "", None
+    ranges = [np.full((2, 4), np.nan)]
     gyro_c, case_c = NOT_MEASURED, math.nan
     cycle, set_c = 0, None
     if solution is not None:
@@ -198,9 +241,11 @@ def _plateau(
         cycle, set_c = solution.dwells[0].cycle, solution.dwells[0].chamber_set_c
         gyro_c = triple(np.mean([each.gyro_c for each in solution.dwells], axis=0))
         case_c = float(np.mean([cases_c[each.number] for each in solution.dwells]))
+        ranges += [np.array([(*each.gyro_c, cases_c[each.number])] * 2) for each in solution.dwells]
     if rotations is not None:
         cycle, set_c = rotations.marks.cycle, rotations.marks.chamber_set_c
         finding = rotations.finding
+        ranges.append(rotations.range_c)
         if rotations.calibration is not None:
             estimates.append(rotations.calibration)
             gyro_c, case_c = rotations.gyro_c, rotations.case_c
@@ -214,8 +259,15 @@ def _plateau(
         "gravity": setup.gravity[1]
     }
     return PlateauCalibration(
-        number, cycle, chamber_set_c, gyro_c, case_c, estimate, finding, with_force, rotations, inputs
-    )
+        number, cycle, chamber_set_c, gyro_c, case_c, estimate, finding, with_force, rotations,
+        _enclosing(ranges), inputs,
+    )  # fmt: skip
+
+
+def _enclosing(ranges_c: Sequence[FloatArray]) -> FloatArray:
+    """Lowest and highest temperatures (2, 4) of several such ranges, those not measured left out."""
+    low_c, high_c = np.moveaxis(np.array(ranges_c), 1, 0)
+    return np.array([np.fmin.reduce(low_c), np.fmax.reduce(high_c)])
 
 
 def _combined(estimates: Sequence[CoefficientEstimate]) -> CoefficientEstimate:
@@ -260,6 +312,9 @@ def calibrate_rotations(
             gyro_c=triple(temperatures_c[:3]),
             case_c=float(temperatures_c[3]),
             gyro_rate_c_per_h=triple(temperatures_c[4:]),
+            range_c=_enclosing(
+                [_range_c(each_c, marks) for (_, each_c), (marks, _) in zip(measured, dwells, strict=True)]
+            ),
         )
         found = _calibrated([piece for pieces, _ in measured for piece in pieces], setup.site, options)
         with_force = None
@@ -309,6 +364,13 @@ def _calibrated(
         raise MeasurementError("too many increments are missing in the rotations. Check the CAN bus")
     recordings, rests = zip(*pieces, strict=True)
     return calibrate(recordings, site, options, rests)
+
+
+def _range_c(temperatures_c: FloatArray, marks: DwellMarks) -> FloatArray:
+    """Lowest and highest temperatures (2, 4) of a dwell from means and slopes (7,)."""
+    half = np.zeros(4)
+    half[:3] = 0.5 * np.abs(temperatures_c[4:]) * (marks.end_s - marks.start_s) / 3600.0
+    return np.array([temperatures_c[:4] - half, temperatures_c[:4] + half])
 
 
 def _with_force(found: Calibration, site: Site, options: CalibrationOptions) -> CoefficientEstimate:

@@ -98,6 +98,7 @@ def _effects(closure: Closure) -> Section | None:
     figures = []
     for each in closure.effects:
         caption = _EFFECT.format(each.effect.display_name.capitalize(), closure.quantity.label)
+        caption = f"{caption} {each.candidate.form.weights_note}".strip()
         figures.append(
             SectionFigure(
                 f"effect_{each.effect.name}", caption, partial(closure_effect_figure, closure, each)
@@ -139,7 +140,10 @@ def _sizes(closure: Closure) -> SectionTable:
         ]
         for each in closure.effects
         for term, sizes, sigmas in zip(
-            each.candidate.form.terms, each.sizes_dph.T, each.sizes_sigma_dph.T, strict=True
+            each.candidate.form.terms,
+            (each.sizes_dph * each.weights).T,
+            each.weighted_sigma_dph.T,
+            strict=True,
         )
     ]
     return SectionTable(
