@@ -31,6 +31,8 @@ from gyrobench.bench.calibration.estimator import (
 from gyrobench.bench.calibration.joint_coefficients import joint_coefficients
 from gyrobench.bench.calibration.recording import MIN_REST_TOTAL_S, IncrementRecording, Rest
 from gyrobench.bench.calibration.results import coefficient_rows
+from gyrobench.bench.calibration.spins import spin_scale_factors
+from gyrobench.bench.characteristics.scale_factor import SpinRecord
 from gyrobench.bench.dwells.dwell import MeasurementSetup, checked_navigation
 from gyrobench.bench.dwells.marks import DwellMarks
 from gyrobench.bench.dwells.temperatures import dwell_temperatures, triple
@@ -301,7 +303,7 @@ def calibrate_rotations(
     dwells: Sequence[tuple[DwellMarks, FrameBlock]], setup: MeasurementSetup
 ) -> PlateauRotations:
     """Coefficients from all dwells with rotations at one plateau."""
-    rotations = PlateauRotations(dwells[0][0])
+    rotations, options = PlateauRotations(dwells[0][0]), _options(setup)
     try:
         measured = [_measured(marks, frames, setup) for marks, frames in dwells]
         temperatures_c = np.mean([each_c for _, each_c in measured], axis=0)
@@ -314,23 +316,9 @@ def calibrate_rotations(
                 [_range_c(each_c, marks) for (_, each_c), (marks, _) in zip(measured, dwells, strict=True)]
             ),
         )
-        recordings = [recording for pieces, _ in measured for recording, _ in pieces]
-        rests = [stretches for pieces, _ in measured for _, stretches in pieces]
-        if not recordings:
-            raise MeasurementError("too many increments are missing in the rotations. Check the CAN bus")
-        noise = setup.noise
-        walks = None if noise is None else (noise.angle_random_walk, noise.velocity_random_walk)
-        gravity, gravity_sigma = setup.gravity
-        options = CalibrationOptions(
-            whole_turns=setup.table_repeatability,
-            gravity=gravity,
-            walks=walks,
-            gravity_sigma=gravity_sigma,
-            latitude_sigma=setup.prior.latitude,
-        )
-        found = calibrate(recordings, setup.site, options, rests)
+        found = _calibrated([piece for pieces, _ in measured for piece in pieces], setup.site, options)
         with_force = None
-        if not all(each.has_vertical for each in recordings):
+        if not all(each.has_vertical for each in found.recordings):
             with_force = _with_force(found, setup.site, options)
     except MeasurementError as error:
         return replace(rotations, finding=f"the rotations give no coefficients: {error}")
@@ -339,6 +327,43 @@ def calibrate_rotations(
         found, recordings=(), sections=(), parts=covariances_by_source(found, setup.site, options)
     )
     return replace(rotations, calibration=found, with_force=with_force)
+
+
+def spin_record(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) -> SpinRecord:
+    """Scale factors of the gyros by the whole turns of one dwell alone.
+
+    Their biases are those of the rests: a bias that followed whole turns would take in an asymmetry.
+    """
+    at_s = 0.5 * (marks.start_s + marks.end_s)
+    try:
+        pieces, temperatures_c = _measured(marks, frames, setup)
+        found = _calibrated(pieces, setup.site, replace(_options(setup), whole_turns=None))
+        spun = spin_scale_factors(found, setup.site, setup.table_repeatability)
+    except MeasurementError as error:
+        return SpinRecord(marks.run, at_s, NOT_MEASURED, (), str(error).rstrip("."))
+    return SpinRecord(marks.run, at_s, triple(temperatures_c[:3]), tuple(spun))
+
+
+def _options(setup: MeasurementSetup) -> CalibrationOptions:
+    noise = setup.noise
+    walks = None if noise is None else (noise.angle_random_walk, noise.velocity_random_walk)
+    gravity, gravity_sigma = setup.gravity
+    return CalibrationOptions(
+        whole_turns=setup.table_repeatability,
+        gravity=gravity,
+        walks=walks,
+        gravity_sigma=gravity_sigma,
+        latitude_sigma=setup.prior.latitude,
+    )
+
+
+def _calibrated(
+    pieces: Sequence[tuple[IncrementRecording, list[Rest]]], site: Site, options: CalibrationOptions
+) -> Calibration:
+    if not pieces:
+        raise MeasurementError("too many increments are missing in the rotations. Check the CAN bus")
+    recordings, rests = zip(*pieces, strict=True)
+    return calibrate(recordings, site, options, rests)
 
 
 def _range_c(temperatures_c: FloatArray, marks: DwellMarks) -> FloatArray:

@@ -64,7 +64,7 @@ def find_problems(plan: Plan, limits: StationLimits | None = None) -> list[Probl
         if limits is not None:
             problems += [*_chamber_problems(planned, limits), *_table_problems(planned, limits)]
             problems += find_reach_problems(plan, planned, limits)
-    problems += _test_problems(plan)
+    problems += [*_test_problems(plan), *_spin_problems(plan)]
     if limits is not None:
         problems += _gyro_problems(plan, limits)
     return problems
@@ -160,6 +160,17 @@ def _test_problems(plan: Plan) -> Iterator[Problem]:
                 f"the plan has dwells in {len(cycles)} power cycles; the test needs {least}. Repeat "
                 "power_on, a dwell and power_off",
             )
+
+
+def _spin_problems(plan: Plan) -> Iterator[Problem]:
+    test = plan.procedure.tests.scale_factor_stability
+    spun = {each.dwell for each in plan.steps if isinstance(each.step, Spin)}
+    if test and len(spun) < test.min_measurements:
+        yield Problem(
+            ("tests", "scale_factor_stability"),
+            f"the plan has {len(spun)} dwells with step spin; the test needs {test.min_measurements}. Repeat "
+            "go_to, align and spin",
+        )
 
 
 _INSEPARABLE = "biases and initial errors can't be separated"
