@@ -276,15 +276,16 @@ def _not_turned_between(dwell: Sequence[PlannedStep]) -> Iterator[Problem]:
     advice = _turn_advice(moves)
     for earlier, later in itertools.pairwise(moves):
         if isinstance(earlier.step, Navigate) and isinstance(later.step, Navigate):
-            yield Problem(later.location, f"two navigations in succession. {advice}")
+            yield Problem(later.location, f"two navigations in succession{advice}")
 
 
 def _turn_advice(moves: Sequence[PlannedStep]) -> str:
     """What to do about two navigations in succession: one alone gives a bias only in a calibration check."""
     if moves[0].is_calibration_check or moves[0].is_noise_record:
-        return "such a dwell has a single one. Make it longer, or put go_to and align between them"
+        kind = "calibration check" if moves[0].is_calibration_check else "noise record"
+        return f": a {kind} has a single one. Make it longer, or put go_to and align between them"
     has_turn = any(isinstance(planned.step, Turn) for planned in moves)
-    return "Put a turn between them" + (", or make one longer" if has_turn else "")
+    return ". Put a turn between them" + (", or make one longer" if has_turn else "")
 
 
 def _turned_to_the_same(windows: Sequence[PlannedStep], turns: Sequence[PlannedStep]) -> Iterator[Problem]:
