@@ -186,6 +186,8 @@ _HINT = "A line that begins with # and no space is optional and shows its defaul
 def new_procedure(name: str, like: str, path: Path) -> str:
     """Write the text of a procedure file.
 
+    Raises DocumentError if there is no such template, or the name can't be one.
+
     Parameters
     ----------
     name : str
@@ -194,11 +196,6 @@ def new_procedure(name: str, like: str, path: Path) -> str:
         A key of :data:`gyrobench.bench.foundations.shipped.TEMPLATES`, a shipped procedure, or a file.
     path : Path
         Of the new file.
-
-    Raises
-    ------
-    DocumentError
-        There is no such template, or the name can't be one.
     """
     template = read_document(find_document("procedures", TEMPLATES.get(like, like)))
     values = {**template.data, "procedure": name, "description": f"Made from {like}.", "assumptions": []}
@@ -222,6 +219,8 @@ def new_procedure(name: str, like: str, path: Path) -> str:
 def new_station(name: str, path: Path, table: str | None = None, chamber: str | None = None) -> str:
     """Write the text of a station file, after the shipped example.
 
+    Raises DocumentError if there is no such dialect, or the name can't be one.
+
     Parameters
     ----------
     name : str
@@ -230,11 +229,6 @@ def new_station(name: str, path: Path, table: str | None = None, chamber: str | 
         Of the new file.
     table, chamber : str, optional
         Dialects of the rate table and the chamber; the example's without them.
-
-    Raises
-    ------
-    DocumentError
-        There is no such dialect, or the name can't be one.
     """
     values = read_document(find_document("stations", _EXAMPLE_STATION)).data
     values |= {"station": name, "description": "Fill in ports, limits, mounting, and what the INS sends."}
@@ -249,6 +243,8 @@ def new_station(name: str, path: Path, table: str | None = None, chamber: str | 
 def new_world(name: str, like: str, path: Path) -> str:
     """Copy a world file under another name without reading it: only the emulators may.
 
+    Raises DocumentError if there is no such world, or the name can't be one.
+
     Parameters
     ----------
     name : str
@@ -257,11 +253,6 @@ def new_world(name: str, like: str, path: Path) -> str:
         A shipped world, or a file.
     path : Path
         Of the new file.
-
-    Raises
-    ------
-    DocumentError
-        There is no such world, or the name can't be one.
     """
     if not _NAME.fullmatch(name):
         raise DocumentError(f"{name}: not a name of a world; use letters, digits, underscore and hyphen")
@@ -273,17 +264,7 @@ def new_world(name: str, like: str, path: Path) -> str:
 def new_effect(name: str, path: Path) -> str:
     """Write the text of an effect file, to be changed: an onset of the electronics temperature.
 
-    Parameters
-    ----------
-    name : str
-        Of the effect.
-    path : Path
-        Of the new file.
-
-    Raises
-    ------
-    DocumentError
-        The name can't be one.
+    ``name``: of the effect. ``path``: of the new file. Raises DocumentError if the name can't be one.
     """
     values = {
         "effect": name,

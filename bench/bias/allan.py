@@ -110,12 +110,8 @@ class RateNoise:
 def on_grid(time_s: FloatArray, values: FloatArray) -> tuple[float, FloatArray]:
     """Put samples on an even grid; what is missing is NaN there.
 
-    Parameters
-    ----------
-    time_s : ndarray, shape (n,)
-        Increasing; jitter that is small against the interval does not matter.
-    values : ndarray, shape (n, c)
-        Samples.
+    ``time_s`` (n,): increasing; jitter that is small against the interval does not matter. ``values`` (n, c):
+    samples.
 
     Returns
     -------
@@ -133,18 +129,9 @@ def on_grid(time_s: FloatArray, values: FloatArray) -> tuple[float, FloatArray]:
 def allan_variance(segments: Sequence[FloatArray], interval_s: float) -> AllanVariance:
     """Overlapping Allan variance of a rate from its integral.
 
-    Parameters
-    ----------
-    segments : sequence of ndarray, shape (n_i,)
-        Integral of the rate on an even grid, NaN where a sample is missing: a second difference
-        counts if its three samples are there. Channels with the same noise are further segments.
-    interval_s : float
-        Time between two samples.
-
-    Raises
-    ------
-    MeasurementError
-        No segment is long enough.
+    ``segments``, each (n_i,): integral of the rate on an even grid, NaN where a sample is missing: a second
+    difference counts if its three samples are there. Channels with the same noise are further segments.
+    ``interval_s``: time between two samples. Raises MeasurementError if no segment is long enough.
     """
     longest = max((len(each) for each in segments), default=0)
     if longest < 2 * MIN_REPEATS:

@@ -151,6 +151,9 @@ class BiasFilter:
     def begin_window(self, time_s: float, C_nb: FloatArray, turn: TurnPath | None = None) -> None:
         """Begin a segment of navigation at rest.
 
+        Raises MeasurementError if a window after the first comes without its turn, or before the last one is
+        over.
+
         Parameters
         ----------
         time_s : float
@@ -159,11 +162,6 @@ class BiasFilter:
             Attitude that the INS computes then.
         turn : TurnPath, optional
             Attitude of the table from the last window to this one.
-
-        Raises
-        ------
-        MeasurementError
-            A window after the first comes without its turn, or before the last one is over.
         """
         count = parameters.COMMON + parameters.PER_WINDOW * (len(self._windows) + 1)
         state, known, covariance = np.zeros((STATES, count)), np.zeros(STATES), np.zeros((STATES, STATES))
@@ -198,6 +196,8 @@ class BiasFilter:
     ) -> None:
         """Add the next epochs of the present window.
 
+        Raises MeasurementError if no window has begun, or something is not a number.
+
         Parameters
         ----------
         time_s : ndarray, shape (n,)
@@ -208,11 +208,6 @@ class BiasFilter:
             Attitude that the INS computes.
         gyro_c : ndarray, shape (n, 3), optional
             Temperatures of the gyros; the biases may change with them.
-
-        Raises
-        ------
-        MeasurementError
-            No window has begun, or something is not a number.
         """
         if not self._windows:
             raise MeasurementError("epochs need a window that they belong to: begin one first")

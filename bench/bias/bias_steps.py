@@ -54,6 +54,8 @@ def find_bias_step(
 ) -> BiasStep | None:
     """Find the most significant step.
 
+    Result: None if the windows are too short for any.
+
     Parameters
     ----------
     windows : list of WindowFilter
@@ -64,11 +66,6 @@ def find_bias_step(
         Each column of a window for a unit of each parameter.
     parameters, covariance : ndarray, shape (p,), (p, p)
         The estimate without a step.
-
-    Returns
-    -------
-    BiasStep or None
-        None if the windows are too short for any.
     """
     size, count = STATES + _GYROS, len(parameters)
     later, later_information = np.zeros((size, count + 1)), np.zeros((size, size))

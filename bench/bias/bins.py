@@ -65,22 +65,10 @@ def bin_biases(rows: Iterable[DwellRow], width_c: float = DEFAULT_WIDTH_C) -> li
     Every position that was measured at all gets every bin from the lowest to the highest
     occupied one of the gyro, so that a missing measurement shows as an empty bin.
 
-    Parameters
-    ----------
-    rows : iterable of DwellRow
-        Dwells in any order; a gyro without result (NaN) in a dwell is left out of its bins.
-    width_c : float
-        Width of a bin; bins begin at its multiples.
-
-    Returns
-    -------
-    list of BiasBin
-        By gyro, position (in the order of the paper) and temperature.
-
-    Raises
-    ------
-    MeasurementError
-        The width is too small, or the dwells are of several units.
+    ``rows``: dwells in any order; a gyro without result (NaN) in a dwell is left out of its bins.
+    ``width_c``: width of a bin; bins begin at its multiples. Result: by gyro, position (in the order of the
+    paper) and temperature. Raises MeasurementError if the width is too small, or the dwells are of several
+    units.
     """
     rows = list(rows)
     if not (math.isfinite(width_c) and width_c >= _MIN_WIDTH_C):
@@ -231,15 +219,8 @@ class PositionComparison:
 def compare_positions(bins: Iterable[BiasBin]) -> list[PositionComparison]:
     """Compare the positions of each gyro and bin; bins with fewer than two positions are left out.
 
-    Parameters
-    ----------
-    bins : iterable of BiasBin
-        Of one unit, in any order; :func:`gyrobench.bench.bias.bins.paper_bins` for the paper's method.
-
-    Returns
-    -------
-    list of PositionComparison
-        By gyro and temperature.
+    ``bins``: of one unit, in any order; :func:`gyrobench.bench.bias.bins.paper_bins` for the paper's method.
+    Result: by gyro and temperature.
     """
     groups: dict[tuple[str, float], list[BiasBin]] = defaultdict(list)
     for each in bins:

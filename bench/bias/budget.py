@@ -31,6 +31,7 @@ from gyrobench.bench.foundations.arrays import (
     DEG_PER_SQRT_H_TO_SI,
     DPH_TO_RADPS,
     RAD_TO_ARCMIN,
+    RAD_TO_ARCSEC,
     RADPS_TO_DPH,
     UG_PER_SQRT_HZ_TO_SI,
     UG_TO_MPS2,
@@ -38,9 +39,9 @@ from gyrobench.bench.foundations.arrays import (
 )
 from gyrobench.bench.navigation.positions import AXES
 
-#: Coverage probability of the expanded uncertainty.
+#: Coverage probability of expanded uncertainties, and its factor for a normal distribution.
 COVERAGE = 0.95
-_NORMAL_FACTOR = 1.959963984540054
+NORMAL_K = 1.959963984540054
 
 
 @dataclass(frozen=True)
@@ -81,10 +82,10 @@ SOURCES: Mapping[str, Source] = MappingProxyType(
         ),
         "gyro_scale_factor": Source("gyro scale factor in the turn", "ppm", 1e6, True, _DECLARED),
         "gyro_misalignment": Source(
-            "gyro misalignment in the turn", "arcsec", 60 * RAD_TO_ARCMIN, True, _DECLARED
+            "gyro misalignment in the turn", "arcsec", RAD_TO_ARCSEC, True, _DECLARED
         ),
         "tilt_step": Source(
-            "tilt of the sensors on their mount in the turn", "arcsec", 60 * RAD_TO_ARCMIN, False, _DECLARED
+            "tilt of the sensors on their mount in the turn", "arcsec", RAD_TO_ARCSEC, False, _DECLARED
         ),
         "latitude": Source(
             "latitude and deflection of the vertical",
@@ -103,10 +104,16 @@ SOURCES: Mapping[str, Source] = MappingProxyType(
         "table_return": Source(
             "return of the table after whole turns",
             "arcsec",
-            60 * RAD_TO_ARCMIN,
+            RAD_TO_ARCSEC,
             note="declared in rate_table.repeatability_arcsec",
         ),
-        "gravity": Source("gravity", "m/s^2", 1.0, note="declared"),
+        "gravity": Source("gravity", "m/s^2", 1.0, note="declared, or an anomaly of 30 mGal"),
+        "temperature_change": Source(
+            "change of temperature within the plateau",
+            "",
+            1.0,
+            note="slope between plateaus times the range of temperatures; with two plateaus or more",
+        ),
         "misfit": Source("residuals beyond the noise", "", 1.0, note="the model does not explain the data"),
         "assumed_size": Source(
             "assumed size of the coefficients", "", 1.0, note="large; the data decide what they show"
@@ -175,7 +182,7 @@ class Combined:
 def coverage_factor(dof: float) -> float:
     """Half-width of the 95 % interval of Student's distribution."""
     if math.isinf(dof):
-        return _NORMAL_FACTOR
+        return NORMAL_K
     from scipy.special import stdtrit
 
     return float(stdtrit(dof, 0.5 * (1.0 + COVERAGE)))
@@ -291,6 +298,7 @@ def coefficient_budget(
             inputs.get(name, math.nan) * SOURCES[name].per_si,
             math.sqrt(max(variances[name], 0.0)),
             misfit_dof if name == "misfit" and variances[name] > 0.0 else math.inf,
+            "rectangular" if name == "temperature_change" else "normal",
             note=SOURCES[name].note or "noise of the increments at rest, or declared in ins.noise",
         )
         for name in SOURCES

@@ -35,10 +35,7 @@ def slots(time_s: FloatArray, first_s: float, interval_s: float) -> IntArray:
 class NavigationWindow:
     """Output of the INS while the table holds its position.
 
-    Raises
-    ------
-    MeasurementError
-        Too few epochs or too short a time, a gap, times that do not increase, not a number.
+    Raises MeasurementError for too few epochs, too short a time, a gap, times that do not increase, NaN.
     """
 
     time_s: FloatArray  #: Shape (n,). Time of each epoch on the clock of the INS, increasing.
@@ -101,10 +98,8 @@ class TurnPath:
 class Dwell:
     """Navigation in one position, with turns about the vertical between segments at rest.
 
-    Raises
-    ------
-    MeasurementError
-        Unknown position, windows out of order, or an INS whose attitude is not the table's.
+    Raises MeasurementError for an unknown position, windows out of order, or an INS whose attitude is not the
+    table's.
     """
 
     position_name: str  #: Key of :data:`gyrobench.bench.navigation.positions.POSITIONS`.

@@ -151,19 +151,19 @@ def _backward(
     walks, outputs : ndarray, shape (2, 3, 3), (3, 3, 3)
         Covariance of the biases for unit walks and for unit variance of each output.
     """
-    felt = np.empty(3)
+    by_datum = np.empty(3)
     carried = np.empty((STATES, 3))
     for k in range(len(weights) - 1, -1, -1):
         for m in range(2, -1, -1):
             h = MEASURED_STATES[m]
             for b in range(3):
-                felt[b] = scales[k, m] * weights[k, m, b]
+                by_datum[b] = scales[k, m] * weights[k, m, b]
                 for i in range(STATES):
-                    felt[b] -= gains[k, m, i] * costate[i, b]
+                    by_datum[b] -= gains[k, m, i] * costate[i, b]
             for b in range(3):
-                costate[h, b] += felt[b]
+                costate[h, b] += by_datum[b]
                 for c in range(3):
-                    outputs[m, b, c] += felt[b] * felt[c]
+                    outputs[m, b, c] += by_datum[b] * by_datum[c]
         for s in range(2):
             for i in range(STATES):
                 for b in range(3):

@@ -27,10 +27,7 @@ from gyrobench.bench.navigation.earth import MEAN_RADIUS
 class NoiseModel:
     """Noise of the INS, the same for all axes; declared, or estimated from its output.
 
-    Raises
-    ------
-    DocumentError
-        A value is out of range.
+    Raises DocumentError if a value is out of range.
     """
 
     angle_random_walk: float  #: White noise of the gyro rates, rad/sqrt(s); above zero.

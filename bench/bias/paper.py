@@ -31,13 +31,7 @@ TURN_TOLERANCE = np.deg2rad(1.0)
 
 
 class PolynomialTrend:
-    """Highest derivative of a least-squares polynomial in time.
-
-    Attributes
-    ----------
-    weights : ndarray, shape (n,)
-        The highest derivative is the sum of the values times these.
-    """
+    """Highest derivative of a least-squares polynomial in time: the sum of values times ``weights`` (n,)."""
 
     def __init__(self, time: FloatArray, degree: int) -> None:
         middle, half = 0.5 * (time[0] + time[-1]), 0.5 * (time[-1] - time[0])
@@ -60,6 +54,9 @@ class _Window:
 def estimate_paper(dwell: Dwell, gravity: float, noise: NoiseModel) -> BiasEstimate:
     """Estimate the gyro bias of one dwell by the paper's method.
 
+    Raises MeasurementError if there are not two windows with a turn of 180 deg about the vertical between
+    them.
+
     Parameters
     ----------
     dwell : Dwell
@@ -68,11 +65,6 @@ def estimate_paper(dwell: Dwell, gravity: float, noise: NoiseModel) -> BiasEstim
         Gravity at the bench, m/s^2.
     noise : NoiseModel
         Noise of the INS; sets the covariance, not the bias. Leaks of the method are not in it.
-
-    Raises
-    ------
-    MeasurementError
-        There are not two windows with a turn of 180 deg about the vertical between them.
     """
     _check_half_turn(dwell)
     before, after = (_Window(window) for window in dwell.windows)

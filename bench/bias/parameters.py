@@ -10,6 +10,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from gyrobench.bench.foundations.arrays import (
+    ARCSEC_TO_RAD,
     DPH_TO_RADPS,
     STANDARD_GRAVITY,
     UG_TO_MPS2,
@@ -74,15 +75,9 @@ def transients(windows: int) -> IntArray:
 def prior_root(prior: PriorKnowledge, windows: int, earth_rate: FloatArray) -> FloatArray:
     """Root ``L`` (p, p) of the parameters' prior covariance ``L @ L.T``.
 
-    What the data must decide alone (initial errors, headings, jumps of velocity) has a prior so
-    wide that it only keeps the problem regular.
-
-    Parameters
-    ----------
-    windows : int
-        Number of windows.
-    earth_rate : ndarray, shape (3,)
-        Rotation of the Earth in ENU, rad/s: with a wrong latitude the INS takes it wrongly.
+    What the data must decide alone (initial errors, headings, jumps of velocity) has a prior so wide that it
+    only keeps the problem regular. ``windows``: number of windows. ``earth_rate`` (3,): rotation of the Earth
+    in ENU, rad/s: with a wrong latitude the INS takes it wrongly.
     """
     root = np.zeros((COMMON + PER_WINDOW * windows,) * 2)
     sigmas = np.diagonal(root).copy()
@@ -102,8 +97,7 @@ def prior_root(prior: PriorKnowledge, windows: int, earth_rate: FloatArray) -> F
     return root
 
 
-_ARCSEC = np.pi / 180.0 / 3600.0
-_ARCMIN = 60.0 * _ARCSEC
+_ARCMIN = 60.0 * ARCSEC_TO_RAD
 
 
 @dataclass(frozen=True)
@@ -112,25 +106,22 @@ class PriorKnowledge:
 
     Each enters the estimate as a parameter of this size, so the bias's uncertainty includes it.
 
-    Raises
-    ------
-    DocumentError
-        A value is negative or not a number.
+    Raises DocumentError if a value is negative or not a number.
     """
 
     accelerometer_bias: float = 1000.0 * UG_TO_MPS2  #: m/s^2; so large that the data decide.
     #: gyro_scale_factor, gyro_misalignment: Errors of the gyros in the turn and to the Earth's rotation, 1
     #: and rad.
     gyro_scale_factor: float = 5e-6
-    gyro_misalignment: float = 2.0 * _ARCSEC
-    tilt_step: float = 1.0 * _ARCSEC  #: How far the sensors may tilt on their mount in a turn, rad.
+    gyro_misalignment: float = 2.0 * ARCSEC_TO_RAD
+    tilt_step: float = 1.0 * ARCSEC_TO_RAD  #: How far the sensors may tilt on their mount in a turn, rad.
     #: Error of the latitude that the INS uses, rad: 20 arcsec of deflection of the vertical, not surveyed.
     latitude: float = 0.33 * _ARCMIN
     #: Change of a gyro's bias with its temperature within a dwell, rad/s/K.
     bias_slope: float = 0.001 * DPH_TO_RADPS
     #: rad; lets gravity in, so accelerometer biases seem to differ between positions. Observable only in a
     #: solution of several dwells.
-    accelerometer_misalignment: float = 5.0 * _ARCSEC
+    accelerometer_misalignment: float = 5.0 * ARCSEC_TO_RAD
     #: Change of an accelerometer's bias in a dwell, m/s^3. No fit of one dwell finds it. Data sheets of
     #: quartz accelerometers state 15 to 30 ug/K; a tenth is left of it if modelled, and ramps of 10 K/h are
     #: usual.
@@ -161,11 +152,11 @@ class PriorKnowledge:
         return cls(
             accelerometer_bias_ug * UG_TO_MPS2,
             gyro_scale_factor_ppm * 1e-6,
-            gyro_misalignment_arcsec * _ARCSEC,
-            tilt_step_arcsec * _ARCSEC,
+            gyro_misalignment_arcsec * ARCSEC_TO_RAD,
+            tilt_step_arcsec * ARCSEC_TO_RAD,
             latitude_arcmin * _ARCMIN,
             bias_slope_dph_per_c * DPH_TO_RADPS,
-            accelerometer_misalignment_arcsec * _ARCSEC,
+            accelerometer_misalignment_arcsec * ARCSEC_TO_RAD,
             accelerometer_drift_ug_per_h * UG_TO_MPS2 / 3600.0,
             accelerometer_transient_ug * UG_TO_MPS2,
         )

@@ -75,18 +75,8 @@ class PositionDifferences:
 def fit_bias_curve(plateaus: Sequence[_Plateau], axis: int) -> CubicBiasCurve:
     """Fit the curve of one gyro to the means of plateaus.
 
-    Parameters
-    ----------
-    plateaus : sequence of sequences of DwellRow
-        With a result for this gyro in each dwell.
-    axis : int
-        0, 1 or 2.
-
-    Returns
-    -------
-    CubicBiasCurve
-        From the whole run. Without plateaus, or with those of one temperature, its slope is zero to
-        0.002 (deg/h)/K.
+    ``plateaus``: with a result for this gyro in each dwell. ``axis``: 0, 1 or 2. Result: from the whole run.
+    Without plateaus, or with those of one temperature, its slope is zero to 0.002 (deg/h)/K.
     """
     prior = np.full(len(_POWERS), (SLOPE_SIGMA_DPH_PER_C * _SCALE_C) ** -2.0)
     temperature_c = np.array([mean_c(plateau, axis) for plateau in plateaus])

@@ -51,10 +51,8 @@ _IQR_TO_SIGMA = 1.0 / 1.349
 class RateRecording:
     """Output of the inertial sensors at rest, in body axes.
 
-    Raises
-    ------
-    MeasurementError
-        Not a number, times that do not increase, a gap, too short, a gyro that never changes, motion.
+    Raises MeasurementError for NaN, times that do not increase, a gap, too short a time, a gyro that never
+    changes, motion.
     """
 
     time_s: FloatArray  #: Shape (n,). Increasing.
@@ -189,6 +187,8 @@ def up_down_pair(
     Where specific forces are recorded, the rates are projected on the vertical that they give;
     otherwise the axis is taken to be on it, and a tilt reads the horizontal Earth rate.
 
+    Raises MeasurementError for no such axis, an axis far from the vertical, too short recordings.
+
     Parameters
     ----------
     up, down : RateRecording
@@ -197,11 +197,6 @@ def up_down_pair(
         Which.
     tilt_sigma_rad : float
         Standard uncertainty of the vertical in body axes.
-
-    Raises
-    ------
-    MeasurementError
-        No such axis, an axis far from the vertical, too short recordings.
     """
     if axis not in AXES:
         raise MeasurementError(f"there is no body axis '{axis}'; the axes are {', '.join(AXES)}")

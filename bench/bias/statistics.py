@@ -201,12 +201,8 @@ def weighted_fit(values: FloatArray, variances: FloatArray, design: FloatArray) 
 def excess_variance(values: FloatArray, variances: FloatArray, design: FloatArray) -> float:
     """Variance by which values scatter beyond their own; zero where their own explain them.
 
-    Parameters
-    ----------
-    values, variances : ndarray, shape (n,)
-        Values and the known parts of their variances, above zero.
-    design : ndarray, shape (n, k)
-        Columns of what is fitted beside, of full rank.
+    ``values``, ``variances`` (n,): values and the known parts of their variances, above zero. ``design`` (n,
+    k): columns of what is fitted beside, of full rank.
     """
     from scipy.optimize import minimize_scalar
 

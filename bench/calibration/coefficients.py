@@ -25,6 +25,7 @@ from typing import Self
 import numpy as np
 
 from gyrobench.bench.foundations.arrays import (
+    RAD_TO_ARCSEC,
     RADPS_TO_DPH,
     STANDARD_GRAVITY,
     UG_TO_MPS2,
@@ -33,7 +34,6 @@ from gyrobench.bench.foundations.arrays import (
 )
 from gyrobench.bench.navigation.positions import AXES
 
-_RAD_TO_ARCSEC = 3600.0 * 180.0 / np.pi
 #: Elements of the accelerometers' matrix that are free, by rows.
 LOWER = np.tril_indices(3)
 
@@ -64,7 +64,7 @@ def _bias(sensor: str, axis: str) -> Coefficient:
 def _element(sensor: str, i: int, j: int) -> Coefficient:
     if i == j:
         return Coefficient(sensor, "scale_factor", AXES[i], "ppm", 1e6, 0.01)
-    return Coefficient(sensor, "misalignment", AXES[i] + AXES[j], "arcsec", _RAD_TO_ARCSEC, 0.01)
+    return Coefficient(sensor, "misalignment", AXES[i] + AXES[j], "arcsec", RAD_TO_ARCSEC, 0.01)
 
 
 _ALL = tuple((i, j) for i in range(3) for j in range(3))
@@ -118,9 +118,8 @@ class SensorErrors:
     """Errors of three gyros and three accelerometers, SI."""
 
     gyro_bias: FloatArray = field(default_factory=_nothing)  #: Shape (3,), rad/s.
-    gyro_matrix: FloatArray = field(
-        default_factory=_no_matrix
-    )  #: Shape (3, 3). Scale factors, misalignments.
+    #: Shape (3, 3). Scale factors and misalignments.
+    gyro_matrix: FloatArray = field(default_factory=_no_matrix)
     force_bias: FloatArray = field(default_factory=_nothing)  #: Shape (3,), m/s^2, of the accelerometers.
     force_matrix: FloatArray = field(default_factory=_no_matrix)  #: Shape (3, 3), of the accelerometers.
 

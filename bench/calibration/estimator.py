@@ -17,7 +17,7 @@ Symposium Gyro Technology, Stuttgart 1985.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -71,6 +71,9 @@ _IS_FORCE_SCALE = [each.name == "accelerometer_scale_factor" for each in COEFFIC
 _COMMON_SCALE = 1e-9
 #: Smallest relative error of the time that is looked for.
 _MIN_TIME_ERROR = 3e-4
+#: Relative step of the variances whose contributions are derived, and those of the noise.
+_VARIANCE_STEP = 1e-3
+_NOISE = ("angle_random_walk", "velocity_random_walk", "white_angle", "white_velocity")
 #: Epochs at rest over which residuals are summed for the test of fit.
 _FIT_EPOCHS = 60
 
@@ -89,6 +92,7 @@ class CalibrationOptions:
     #: Random walks of gyros (rad/sqrt(s)) and accelerometers (m/s/sqrt(s)); None: as measured at rest.
     walks: tuple[float, float] | None = None
     gravity_sigma: float = 0.0  #: Standard uncertainty of gravity, m/s^2.
+    latitude_sigma: float = 0.0  #: Standard uncertainty of the latitude, rad.
     #: Standard uncertainties, rad, of tilt and heading of the rotations that a recording's table measures;
     #: None: they do not count.
     table: tuple[float, float] | None = None
@@ -141,16 +145,13 @@ class Information:
             block[:, -1] = data + rows[:, used] @ common[used]
             blocks.append(block)
         if not any(section.epochs.has_vertical for section in sections):
-            # Gravity in place of the vertical force says nothing of what the scale factors share.
+            # Gravity in place of the vertical force does not show the mean of the scale factors.
             mean = np.zeros((1, blocks[0].shape[1]))
             mean[0, np.flatnonzero(_IS_FORCE_SCALE)] = 1.0 / _COMMON_SCALE
             blocks.append(mean)
-        sizes = [each.size for each in (*COEFFICIENTS, *BESIDE)]
+        sizes = np.array([each.size for each in (*COEFFICIENTS, *BESIDE)])
         if not all(each.epochs.has_vertical for each in sections):
-            sizes = [
-                _SCALE if each.name == "accelerometer_scale_factor" else each.size
-                for each in (*COEFFICIENTS, *BESIDE)
-            ]
+            sizes[np.flatnonzero(_IS_FORCE_SCALE)] = _SCALE
         attitudes = [ATTITUDE_ERROR] * (3 * len(sections))
         return cls(blocks, np.array([*(sizes[each] for each in used), *attitudes]))
 
@@ -187,6 +188,8 @@ class Calibration(CoefficientEstimate):
     sections: tuple[Section, ...]  #: Of each recording, between rests.
     starts: tuple[FloatArray, ...]  #: Attitude ``C_nb`` (3, 3) at the start of each.
     unknowns: FloatArray  #: Shape (34,). Values that the increments are freed of, observed or not.
+    #: Shapes (n, n). Parts of the covariance by the uncertainty of gravity and latitude.
+    by_site: Mapping[str, FloatArray]
 
 
 def calibrate(
@@ -198,8 +201,8 @@ def calibrate(
     """Estimate all coefficients.
 
     ``recordings``: of one unit, at one sample rate. ``rests``: of each recording; by default those found in
-    it. Raises MeasurementError if the unit does not rest long
-    enough, sample rates differ, or no coefficients explain the increments.
+    it. Raises MeasurementError if the unit does not rest long enough, sample rates differ, or no coefficients
+    explain the increments.
     """
     options = options or CalibrationOptions()
     gravity = options.gravity or site.gravity
@@ -219,8 +222,8 @@ def calibrate(
         )
     _check_force(recordings, rests, gravity)
     sections = [Section.between_rests(*each) for each in zip(recordings, rests, rotations, strict=True)]
-    used, bias = options.columns, _first_bias(recordings, rests)
-    found = _solve(sections, bias, noise, site, options)
+    problem = _Problem(sections, _first_bias(recordings, rests), noise, site, options)
+    found = problem.solve()
     is_observed = found.is_observed
     if all(turn.kind == "disturbance" for turns in rotations for turn in turns):
         is_observed[:COUNT] &= [each.sensor != "gyro" or each.kind == "bias" for each in COEFFICIENTS]
@@ -228,10 +231,10 @@ def calibrate(
         is_observed[:COUNT] &= ~np.array(_IS_FORCE_SCALE)
     _check_size(found.values, is_observed)
     if found.fit.p_value < MIN_P_VALUE and options.whole_turns is not None:
-        found = _with_uneven_turns(found, sections, bias, noise, site, options)
+        found = problem.with_uneven_turns(found)
     covariance, test = found.covariance, found.fit
     if test.p_value < MIN_P_VALUE:
-        _check_alternatives(found, sections, bias, noise, site, options)
+        problem.check_alternatives(found)
         widening = float(np.sqrt(test.chi2 / test.dof))
         if widening > _MAX_WIDENING and is_observed[:COUNT].any():
             raise MeasurementError(
@@ -240,14 +243,11 @@ def calibrate(
                 "and whether the unit drifts or moves at rest"
             )
         covariance = covariance * widening**2
-    # An error of gravity is one of all three scale factors, which the residuals do not show.
-    count, all_of_them = len(used), (*COEFFICIENTS, *BESIDE)
-    coefficients = tuple(all_of_them[each] for each in used)
-    is_scale = [each.name == "accelerometer_scale_factor" for each in coefficients]
-    by_gravity = np.where(is_scale, options.gravity_sigma / gravity, 0.0)
+    coefficients = tuple((*COEFFICIENTS, *BESIDE)[each] for each in options.columns)
+    count, by_site = len(coefficients), problem.site_parts(found)
     return Calibration(
         values=found.values[:count],
-        covariance=covariance[:count, :count] + np.outer(by_gravity, by_gravity),
+        covariance=covariance[:count, :count] + sum(by_site.values()),
         is_observed=is_observed[:count],
         coefficients=coefficients,
         noise=noise,
@@ -259,72 +259,164 @@ def calibrate(
         sections=tuple(sections),
         starts=tuple(found.starts),
         unknowns=found.common,
+        by_site=by_site,
     )
 
 
-def _check_alternatives(
-    found: _Solution,
-    sections: Sequence[Section],
-    bias: FloatArray,
-    noise: SensorNoise,
-    site: Site,
-    options: CalibrationOptions,
-) -> None:
-    """Raise MeasurementError if a mistake in the map explains what the noise does not."""
-    alternatives = [
-        (
-            sections,
-            replace(site, latitude=-site.latitude),
-            "at the opposite latitude. Correct either 'calibration.latitude_deg' or the signs of all "
-            "accelerometers in the import map",
+@dataclass(frozen=True, eq=False)
+class _Solution:
+    #: values, covariance, is_observed: Of all unknowns, attitudes at the starts included.
+    values: FloatArray
+    covariance: FloatArray
+    is_observed: BoolArray
+    common: FloatArray  #: Shape (34,).
+    starts: list[FloatArray]
+    fit: Chi2Test
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """What the coefficients are estimated from."""
+
+    sections: Sequence[Section]
+    bias: FloatArray  #: Shape (3,). Of the gyros, rad/s, where to begin.
+    noise: SensorNoise
+    site: Site
+    options: CalibrationOptions
+
+    def solve(self) -> _Solution:
+        """Estimate all unknowns. Raises MeasurementError if that does not converge."""
+        used = self.options.columns
+        common, first = np.zeros(UNKNOWNS), SensorErrors(gyro_bias=self.bias)
+        common[:COUNT] = first.vector()
+        starts = [each.aligned(first) for each in self.sections]
+        origin, left = np.concatenate([common[used], np.zeros(3 * len(self.sections))]), np.inf
+        for _ in range(_MAX_ROUNDS):
+            found = Information.of(self.sections, starts, common, self.noise, self.site, self.options)
+            values, covariance, is_observed = found.solve(origin)
+            attitudes = values[len(used) :].reshape(-1, 3)
+            step = np.concatenate([values[: len(used)] - common[used], attitudes.ravel()])
+            before, left = left, float(np.linalg.norm(found.root @ [*values, -1.0]) ** 2)
+            common[used] = values[: len(used)]
+            origin[len(used) :] -= attitudes.ravel()
+            starts = [turn @ start for turn, start in zip(rotation_matrices(attitudes), starts, strict=True)]
+            # Sizes count in units of the residuals where these exceed the noise.
+            excess = max(1.0, left / sum(map(len, found.blocks)))
+            is_still = np.abs(step) < _MAX_STEP * np.sqrt(excess * np.diag(covariance))
+            if abs(left - before) < _CONVERGED * excess and is_still[is_observed].all():
+                fit = _test_fit(values, covariance, found.blocks)
+                return _Solution(values, covariance, is_observed, common, starts, fit)
+        raise MeasurementError(
+            f"the estimate does not converge in {_MAX_ROUNDS} rounds: the increments do not follow from "
+            "rotations between rests at one place. Check signs, axes and units in the import map"
         )
-    ]
-    # A wrong interval makes all accelerometers' scale factors seem alike of increments, the gyros' of rates.
-    for sensor, of_rates in (("accelerometer", False), ("gyro", True)):
-        chosen = [each.name == f"{sensor}_scale_factor" for each in COEFFICIENTS]
-        scale = 1.0 + float(found.values[:COUNT][chosen].mean())
-        factor = 1.0 / scale if of_rates else scale
-        if abs(factor - 1.0) > _MIN_TIME_ERROR:
-            text = (
-                f"if samples are {sections[0].interval_s * factor:.4g} s apart and not "
-                f"{sections[0].interval_s:.4g} s. Correct 'time' in the import map"
+
+    def with_uneven_turns(self, found: _Solution) -> _Solution:
+        """The same with whole turns as uncertain as gyros of constant scale factors leave them.
+
+        A scale factor that depends on the rate is no fault of the rests.
+        """
+        alone = replace(self, options=replace(self.options, whole_turns=None)).solve()
+        spins = [
+            spin
+            for section, start in zip(self.sections, alone.starts, strict=True)
+            for spin in section.spin_errors(start, alone.common, self.site)
+        ]
+        if alone.fit.p_value < MIN_P_VALUE or not spins:
+            return found
+        left = []
+        for axis in {spin.axis for spin in spins}:
+            error, path = np.array([(each.error, each.path) for each in spins if each.axis == axis]).T
+            left += list(error - path * (path @ error) / (path @ path))
+        turns = float(np.hypot(self.options.whole_turns or 0.0, np.sqrt(np.mean(np.square(left)))))
+        return replace(self, options=replace(self.options, whole_turns=turns)).solve()
+
+    def site_parts(self, found: _Solution) -> dict[str, FloatArray]:
+        """Covariances (k, k) by what is assumed of the place, which the residuals hardly show."""
+        options, count = self.options, len(self.options.columns)
+        gravity = options.gravity or self.site.gravity
+        # An error of gravity is one of all three scale factors.
+        is_scale = np.isin(options.columns, np.flatnonzero(_IS_FORCE_SCALE))
+        shifts = {"gravity": np.where(is_scale, options.gravity_sigma / gravity, 0.0)}
+        if options.latitude_sigma:
+            beside = replace(self.site, latitude=self.site.latitude + options.latitude_sigma)
+            known, fixed = (found.starts, found.common, self.noise), replace(options, gravity=gravity)
+            here, there = (
+                Information.of(self.sections, *known, site, fixed).solve(found.values)[0][:count]
+                for site in (self.site, beside)
             )
-            alternatives.append(([each.retimed(factor, of_rates) for each in sections], site, text))
-    for others, place, text in alternatives:
-        try:
-            other = _solve(others, bias, noise, place, options)
-        except MeasurementError:
-            continue
-        if other.fit.chi2 < _OPPOSITE * found.fit.chi2:
-            raise MeasurementError(f"chi2 is {found.fit.chi2:.3g}, and {other.fit.chi2:.3g} {text}")
+            shifts["latitude"] = there - here
+        return {name: np.outer(shift, shift) for name, shift in shifts.items()}
+
+    def check_alternatives(self, found: _Solution) -> None:
+        """Raise MeasurementError if a mistake in the map explains what the noise does not."""
+        opposite = replace(self.site, latitude=-self.site.latitude)
+        alternatives = [
+            (
+                replace(self, site=opposite),
+                "at the opposite latitude. Correct either 'calibration.latitude_deg' or the signs of all "
+                "accelerometers in the import map",
+            )
+        ]
+        # A wrong interval makes scale factors alike: of increments the accelerometers', of rates the gyros'.
+        for sensor, of_rates in (("accelerometer", False), ("gyro", True)):
+            chosen = [each.name == f"{sensor}_scale_factor" for each in COEFFICIENTS]
+            scale = 1.0 + float(found.values[:COUNT][chosen].mean())
+            factor = 1.0 / scale if of_rates else scale
+            if abs(factor - 1.0) > _MIN_TIME_ERROR:
+                text = (
+                    f"if samples are {self.sections[0].interval_s * factor:.4g} s apart and not "
+                    f"{self.sections[0].interval_s:.4g} s. Correct 'time' in the import map"
+                )
+                retimed = [each.retimed(factor, of_rates) for each in self.sections]
+                alternatives.append((replace(self, sections=retimed), text))
+        for problem, text in alternatives:
+            try:
+                other = problem.solve()
+            except MeasurementError:
+                continue
+            if other.fit.chi2 < _OPPOSITE * found.fit.chi2:
+                raise MeasurementError(f"chi2 is {found.fit.chi2:.3g}, and {other.fit.chi2:.3g} {text}")
 
 
-def _with_uneven_turns(
-    found: _Solution,
-    sections: Sequence[Section],
-    bias: FloatArray,
-    noise: SensorNoise,
-    site: Site,
-    options: CalibrationOptions,
-) -> _Solution:
-    """The same with whole turns as uncertain as gyros of constant scale factors leave them.
+def covariances_by_source(
+    calibration: Calibration, site: Site, options: CalibrationOptions
+) -> Mapping[str, FloatArray]:
+    """Covariances (21, 21) of the coefficients by source of error; their sum is the calibration's.
 
-    A scale factor that depends on the rate is no fault of the rests.
+    At the gains of least covariance a small change of a source's variance changes the covariance as it does
+    at fixed gains, for the gains are at a minimum. So what a source contributes is the derivative of the
+    covariance with respect to the logarithm of its variance. ``options`` are those of the calibration.
     """
-    alone = _solve(sections, bias, noise, site, replace(options, whole_turns=None))
-    spins = [
-        spin
-        for section, start in zip(sections, alone.starts, strict=True)
-        for spin in section.spin_errors(start, alone.common, site)
-    ]
-    if alone.fit.p_value < MIN_P_VALUE or not spins:
-        return found
-    left = []
-    for axis in {spin.axis for spin in spins}:
-        error, path = np.array([(each.error, each.path) for each in spins if each.axis == axis]).T
-        left += list(error - path * (path @ error) / (path @ path))
-    turns = float(np.hypot(options.whole_turns or 0.0, np.sqrt(np.mean(np.square(left)))))
-    return _solve(sections, bias, noise, site, replace(options, whole_turns=turns))
+    larger = float(np.sqrt(1.0 + _VARIANCE_STEP))
+
+    def covariance(
+        noise: str = "", whole_turns: float | None = options.whole_turns, size: float = 1.0
+    ) -> FloatArray:
+        changed = {noise: getattr(calibration.noise, noise) * larger} if noise else {}
+        found = Information.of(
+            calibration.sections,
+            calibration.starts,
+            calibration.unknowns,
+            replace(calibration.noise, **changed),
+            site,
+            replace(options, whole_turns=whole_turns),
+        )
+        found = replace(found, sizes=found.sizes * size)
+        return np.asarray(found.solve()[1][:COUNT, :COUNT])
+
+    base = covariance()
+    parts = {name: (covariance(name) - base) / _VARIANCE_STEP for name in _NOISE}
+    if options.whole_turns is not None:
+        parts["table_return"] = (covariance(whole_turns=options.whole_turns * larger) - base) / _VARIANCE_STEP
+    parts["assumed_size"] = (covariance(size=larger) - base) / _VARIANCE_STEP
+    # The step leaves a thousandth.
+    factors = np.sqrt(np.diag(base) / np.sum([np.diag(part) for part in parts.values()], axis=0))
+    parts = {name: part * np.outer(factors, factors) for name, part in parts.items()}
+    by_site = {name: part[:COUNT, :COUNT] for name, part in calibration.by_site.items()}
+    beyond = calibration.covariance[:COUNT, :COUNT] - base - sum(by_site.values())
+    # Without a misfit what is left is rounding.
+    return parts | by_site | {"misfit": beyond * (calibration.fit.p_value < MIN_P_VALUE)}
 
 
 def _check_force(
@@ -354,50 +446,6 @@ def _check_size(values: FloatArray, is_observed: BoolArray) -> None:
                 f"{each.sensor} {each.kind.replace('_', ' ')} {each.axis} is {value:.3g}, at most "
                 f"{_MAX_ELEMENT:g} is possible. Check unit, signs and axes of '{columns}' in the import map"
             )
-
-
-@dataclass(frozen=True, eq=False)
-class _Solution:
-    #: values, covariance, is_observed: Of all unknowns, attitudes at the starts included.
-    values: FloatArray
-    covariance: FloatArray
-    is_observed: BoolArray
-    common: FloatArray  #: Shape (34,).
-    starts: list[FloatArray]
-    fit: Chi2Test
-
-
-def _solve(
-    sections: Sequence[Section], bias: FloatArray, noise: SensorNoise, site: Site, options: CalibrationOptions
-) -> _Solution:
-    """Estimate all unknowns.
-
-    ``bias`` (3,): of the gyros, rad/s, where to begin. Raises MeasurementError if it does not converge.
-    """
-    used = options.columns
-    common, first = np.zeros(UNKNOWNS), SensorErrors(gyro_bias=bias)
-    common[:COUNT] = first.vector()
-    starts = [each.aligned(first) for each in sections]
-    origin, left = np.concatenate([common[used], np.zeros(3 * len(sections))]), np.inf
-    for _ in range(_MAX_ROUNDS):
-        found = Information.of(sections, starts, common, noise, site, options)
-        values, covariance, is_observed = found.solve(origin)
-        attitudes = values[len(used) :].reshape(-1, 3)
-        step = np.concatenate([values[: len(used)] - common[used], attitudes.ravel()])
-        before, left = left, float(np.linalg.norm(found.root @ [*values, -1.0]) ** 2)
-        common[used] = values[: len(used)]
-        origin[len(used) :] -= attitudes.ravel()
-        starts = [turn @ start for turn, start in zip(rotation_matrices(attitudes), starts, strict=True)]
-        # Sizes count in units of the residuals where these exceed the noise.
-        excess = max(1.0, left / sum(map(len, found.blocks)))
-        is_still = np.abs(step) < _MAX_STEP * np.sqrt(excess * np.diag(covariance))
-        if abs(left - before) < _CONVERGED * excess and is_still[is_observed].all():
-            fit = _test_fit(values, covariance, found.blocks)
-            return _Solution(values, covariance, is_observed, common, starts, fit)
-    raise MeasurementError(
-        f"the estimate does not converge in {_MAX_ROUNDS} rounds: the increments do not follow from "
-        "rotations between rests at one place. Check signs, axes and units in the import map"
-    )
 
 
 def _first_bias(recordings: Sequence[IncrementRecording], rests: Sequence[Sequence[Rest]]) -> FloatArray:

@@ -20,6 +20,7 @@ from functools import lru_cache
 import numpy as np
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, SensorErrors
+from gyrobench.bench.calibration.strapdown import set_turn
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.kernels import compiled
 from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vectors
@@ -59,10 +60,7 @@ def mission_error(
 ) -> MissionError:
     """Error of a mission of a day with what is left of the coefficients.
 
-    Parameters
-    ----------
-    values, covariance : ndarray, shape (21,) and (21, 21)
-        Of :data:`gyrobench.bench.calibration.coefficients.COEFFICIENTS`, SI.
+    ``values`` (21,), ``covariance`` (21, 21): of :data:`~.coefficients.COEFFICIENTS`, SI.
     """
     time_s, responses = _responses(site, scheme)
     stated = np.hypot(*navigate(SensorErrors.from_vector(values), site, scheme)[1])
@@ -119,10 +117,8 @@ def _increments(site: Site, scheme: RotationScheme) -> tuple[FloatArray, FloatAr
     angles, lengths = [scheme.angles_deg()[0]], list[float]()
     for start, end in itertools.pairwise(scheme.angles_deg()):
         turn_deg = float(np.abs(np.subtract(end, start)).sum())
-        dwell_steps, turn_steps = (
-            int(np.ceil(scheme.dwell_s / _DWELL_STEP_S)),
-            int(np.ceil(turn_deg / _TURN_STEP_DEG)),
-        )
+        dwell_steps = int(np.ceil(scheme.dwell_s / _DWELL_STEP_S))
+        turn_steps = int(np.ceil(turn_deg / _TURN_STEP_DEG))
         angles += [start] * dwell_steps
         angles += [
             tuple(np.add(start, k / turn_steps * np.subtract(end, start))) for k in range(1, turn_steps + 1)
@@ -180,19 +176,6 @@ def _navigate(
 @compiled
 def _turned(vector: FloatArray) -> FloatArray:
     """Matrix (3, 3) of a rotation vector, rad."""
-    squared = vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2
-    size = np.sqrt(squared)
-    sine, cosine = 1.0 - squared / 6.0, 0.5 - squared / 24.0
-    if size > 1e-3:
-        sine, cosine = np.sin(size) / size, (1.0 - np.cos(size)) / squared
-    matrix = np.eye(3)
-    x, y, z = vector
-    for i in range(3):
-        matrix[i, i] += cosine * (vector[i] ** 2 - squared)
-    matrix[0, 1] += cosine * x * y - sine * z
-    matrix[1, 0] += cosine * x * y + sine * z
-    matrix[0, 2] += cosine * x * z + sine * y
-    matrix[2, 0] += cosine * x * z - sine * y
-    matrix[1, 2] += cosine * y * z - sine * x
-    matrix[2, 1] += cosine * y * z + sine * x
+    matrix = np.empty((3, 3))
+    set_turn(matrix, (vector[0], vector[1], vector[2]))
     return matrix

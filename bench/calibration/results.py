@@ -193,9 +193,12 @@ def correlations_table(estimate: CoefficientEstimate) -> str:
     seen = np.outer(estimate.is_observed, estimate.is_observed)
     correlations = np.where(seen, estimate.correlations, np.nan)
     lines = [",".join(["coefficient", *names])]
-    lines += [",".join([name, *_cells(row)]) for name, row in zip(names, correlations, strict=True)]
+    lines += [
+        ",".join([name, *correlation_cells(row)]) for name, row in zip(names, correlations, strict=True)
+    ]
     return "\n".join(lines) + "\n"
 
 
-def _cells(values: FloatArray) -> list[str]:
+def correlation_cells(values: FloatArray) -> list[str]:
+    """Cells of correlation coefficients (n,); empty for NaN."""
     return [format_number(round(float(value), 4)) if np.isfinite(value) else "" for value in values]

@@ -138,7 +138,7 @@ def forecast(
     angle, velocity = ideal_increments(attitude, site)
     size = round(EPOCH_S / STEP_S)
     ends = np.arange(size, len(angle) + 1, size, dtype=np.int64)
-    turns = [(first // size, -(-last // size)) for first, last in spins]
+    turns = [(first // size, -(-last // size), np.eye(3)) for first, last in spins]
     section = Section(STEP_S, angle, velocity, len(angle), Epochs(ends, at_rest[ends], turns))
     options = CalibrationOptions(whole_turns=whole_turns)
     information = Information.of([section], [attitude[0]], np.zeros(UNKNOWNS), noise, site, options)

@@ -52,17 +52,14 @@ class Section:
         at_rest = np.zeros(len(ends), bool)
         for rest in rests:
             at_rest |= (ends >= rest.begin - offset) & (ends <= rest.end - offset)
-        spins = [
-            ((before.end - offset) // size, -(-(after.begin - offset) // size))
-            for before, after, rotation in zip(rests, rests[1:], rotations, strict=False)
-            if rotation.is_spin
-        ]
-        turns, known = [], recording.table
-        if known is not None:
-            for before, after, rotation in zip(rests, rests[1:], rotations, strict=False):
-                if rotation.kind != "disturbance":
-                    edges = (before.end - offset) // size, -(-(after.begin - offset) // size)
-                    turns.append((*edges, known[after.begin] @ known[before.end - 1].T))
+        spins, turns, known = [], [], recording.table
+        for before, after, rotation in zip(rests, rests[1:], rotations, strict=False):
+            edges = (before.end - offset) // size, -(-(after.begin - offset) // size)
+            turned = np.eye(3) if known is None else known[after.begin] @ known[before.end - 1].T
+            if rotation.is_spin:
+                spins.append((*edges, turned))
+            if known is not None and rotation.kind != "disturbance":
+                turns.append((*edges, turned))
         angle, velocity = recording.angle[offset:], recording.velocity[offset:]
         epochs = Epochs(ends, at_rest, spins, recording.has_vertical, turns)
         return cls(recording.interval_s, angle, velocity, rests[0].end - offset, epochs)
@@ -105,13 +102,13 @@ class Section:
         angle, _ = self.freed(SensorErrors.from_vector(common[:COUNT]), None)
         attitude = attitudes(angle, self.interval_s, self.epochs.ends, start, site.latitude)
         edges, errors = np.concatenate([[0], self.epochs.ends]), []
-        for a, b in self.epochs.spins:
+        for a, b, turned in self.epochs.spins:
             moved = angle[edges[a] : edges[b]]
             travelled = moved.sum(axis=0)
             axis = int(np.argmax(np.abs(travelled)))
             if abs(travelled[axis]) < _MIN_ALONG * np.linalg.norm(travelled):
                 continue
-            away = rotation_vectors((attitude[b] @ attitude[a].T)[np.newaxis])[0]
+            away = rotation_vectors((attitude[b] @ attitude[a].T @ turned.T)[np.newaxis])[0]
             rates = moved[:, axis] / self.interval_s
             rate = float(np.median(rates[np.abs(rates) > 0.5 * np.abs(rates).max()]))
             turns = 2.0 * np.pi * round(float(travelled[axis]) / (2.0 * np.pi))

@@ -54,8 +54,9 @@ class Epochs:
 
     ends: IntArray  #: Shape (n,). Number of increments up to the end of each epoch.
     at_rest: BoolArray  #: Shape (n,). Whether the unit rests at the end of each.
-    #: Epochs, counted from 0 at the start, in the rests before and after whole turns.
-    spins: Sequence[tuple[int, int]]
+    #: Epochs, counted from 0 at the start, in the rests before and after whole turns, and the rotation
+    #: (3, 3), ENU, that the table's readings leave.
+    spins: Sequence[tuple[int, int, FloatArray]]
     has_vertical: bool = True  #: Whether the vertical velocity is measured; otherwise its rows are zero.
     #: Epochs before and after each rotation that the table measures, and that rotation (3, 3), ENU.
     rotations: Sequence[tuple[int, int, FloatArray]] = ()
@@ -147,7 +148,7 @@ _Vector = tuple[float, float, float]
 
 
 @compiled
-def _set_turn(turn: FloatArray, vector: _Vector) -> None:
+def set_turn(turn: FloatArray, vector: _Vector) -> None:
     """Set ``turn`` (3, 3) to the rotation by a vector."""
     x, y, z = vector
     square = x * x + y * y + z * z
@@ -218,7 +219,7 @@ def _integrate(
         moved = _sum(_sum(dv, cross, 0.5), _cross(theta, cross), 1.0 / 6.0)
         moved = _sum(_sum(moved, _cross(theta_before, dv), 1.0 / 12.0), _cross(dv_before, theta), 1.0 / 12.0)
         lift = _times(half, _times(C, moved))
-        _set_turn(turn, _sum(theta, _cross(theta_before, theta), 1.0 / 12.0))
+        set_turn(turn, _sum(theta, _cross(theta_before, theta), 1.0 / 12.0))
         _set_product(turned, C, turn)
         _set_product(C, earth[1], turned)
         before, after = max(k - 1, 0), min(k + 1, count - 1)
@@ -327,7 +328,7 @@ def _turns(epochs: Epochs, whole_turns: float | None, table: tuple[float, float]
         tilt, heading = table
         turns |= {a: (a, b, R, (tilt, tilt, heading)) for a, b, R in epochs.rotations}
     if whole_turns is not None:
-        turns |= {a: (a, b, np.eye(3), (whole_turns, whole_turns, whole_turns)) for a, b in epochs.spins}
+        turns |= {a: (a, b, R, (whole_turns, whole_turns, whole_turns)) for a, b, R in epochs.spins}
     return list(turns.values())
 
 

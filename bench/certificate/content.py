@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from gyrobench.bench.bias.bins import BiasBin
+from gyrobench.bench.bias.budget import NORMAL_K
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.statistics import weighted_fit
 from gyrobench.bench.closure.loadable_model import model_with_effects
@@ -29,18 +30,16 @@ from gyrobench.bench.foundations.errors import DocumentError, MeasurementError, 
 from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.text import counted, hours_minutes, listed, plain_name
 from gyrobench.bench.navigation.positions import AXES
-from gyrobench.bench.report.content import SIMULATED, RunContent, read_run
+from gyrobench.bench.report.content import RunContent, read_run
 from gyrobench.bench.report.run_report import instruments_of, serial_number_of
 from gyrobench.bench.report.statements import verdict_sentence
 from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.provenance import SIMULATED
 from gyrobench.bench.runs.seal import verify_seals
 from gyrobench.bench.runs.tables.budget_table import COMBINED, read_budget
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, read_coefficients
 from gyrobench.bench.station.station_file import StationFile, load_station_file
 
-#: Coverage probability of all expanded uncertainties, and their factor without a budget.
-COVERAGE = 0.95
-NORMAL_K = 1.959963984540054
 #: Polynomial fitted where no model was searched: its degree, and the shortest range of temperatures.
 _DEGREE, _MIN_SPAN_C = 3, 10.0
 _POLYNOMIAL = (
@@ -296,7 +295,6 @@ def certificate_of(folder: RunFolder, order: Order, *, simulated: bool = False) 
     if not run.is_simulated and not order.authorised_by:
         raise DocumentError("a certificate names who authorises it. Add --authorised-by NAME")
     results = list(_results(run.bins, _coverage(folder)))
-    coefficients = folder.path / "coefficients.csv"
     digest = file_sha256(folder.path / last.where)
     options = {**run.provenance.get("options", {}), **run.facts.options}
     given = {
@@ -312,7 +310,7 @@ def certificate_of(folder: RunFolder, order: Order, *, simulated: bool = False) 
         results=results,
         model=model,
         model_note=note,
-        coefficients=read_coefficients(coefficients) if coefficients.exists() else [],
+        coefficients=read_coefficients(folder.coefficients) if folder.coefficients.exists() else [],
         issued=WallClock().utc().date(),
     )
     if not (certificate.results or certificate.coefficients):

@@ -14,13 +14,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gyrobench.bench import __version__
-from gyrobench.bench.certificate.content import COVERAGE, NORMAL_K, BiasResult, Certificate
+from gyrobench.bench.bias.budget import COVERAGE, NORMAL_K
+from gyrobench.bench.certificate.content import BiasResult, Certificate
 from gyrobench.bench.foundations.arrays import STANDARD_GRAVITY
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.foundations.text import plain_name
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
-from gyrobench.bench.report.content import SIMULATED
+from gyrobench.bench.runs.provenance import SIMULATED
+from gyrobench.bench.runs.tables.coefficient_table import FRAME_TEXT, plateau_findings
 
 if TYPE_CHECKING:
     from lxml import etree
@@ -330,7 +332,8 @@ class _Document:
         if known:
             quantities = [
                 self._named(
-                    f"{each.coefficient.replace('_', ' ')} {each.axis}, {each.temperature_c:.1f} °C",
+                    f"{each.coefficient.replace('_', ' ')} {each.axis}, {each.temperature_c:.1f} °C "
+                    f"({'gyro' if each.coefficient.startswith('gyro') else 'case'})",
                     each.value,
                     each.unit,
                     NORMAL_K * each.sigma,
@@ -338,7 +341,16 @@ class _Document:
                 for each in known
             ]
             results.append(
-                self._measurement("Coefficients of the sensors", [self._list("Coefficients", quantities)])
+                self._measurement(
+                    "Coefficients of the sensors",
+                    [
+                        self._list(
+                            "Coefficients",
+                            quantities,
+                            " ".join([FRAME_TEXT, *plateau_findings(certificate.coefficients)]),
+                        )
+                    ],
+                )
             )
         return results
 

@@ -10,15 +10,22 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from gyrobench.bench.certificate.content import NORMAL_K, BiasResult, Certificate
+from gyrobench.bench.bias.budget import NORMAL_K
+from gyrobench.bench.certificate.content import BiasResult, Certificate
 from gyrobench.bench.foundations.text import bin_label, decimals_of
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
-from gyrobench.bench.report.content import SIMULATED
 from gyrobench.bench.report.figures.style import stamp
 from gyrobench.bench.report.number_format import BiasScale
 from gyrobench.bench.report.page import Box, Section, SectionFigure, SectionTable, render_page
 from gyrobench.bench.report.run_report import pdf_of, run_figures
 from gyrobench.bench.report.statements import VERDICT_COLOURS
+from gyrobench.bench.runs.provenance import SIMULATED
+from gyrobench.bench.runs.tables.coefficient_table import (
+    FRAME_TEXT,
+    TEMPERATURE_TEXT,
+    plateau_findings,
+    plateau_heads,
+)
 
 _VARIANT = "pdf/a-3a"
 #: Plateaus in one table of coefficients.
@@ -140,7 +147,7 @@ def _model_section(certificate: Certificate) -> Section | None:
 
 def _coefficients_section(certificate: Certificate) -> Section | None:
     by_name: dict[tuple[str, str, str], dict[int, str]] = defaultdict(dict)
-    temperatures: dict[int, float] = {}
+    heads = plateau_heads(certificate.coefficients)
     for each in certificate.coefficients:
         if not each.finding:
             factor, unit = (1000.0, "0.001 deg/h") if each.unit == "deg/h" else (1.0, each.unit)
@@ -148,19 +155,20 @@ def _coefficients_section(certificate: Certificate) -> Section | None:
             decimals = decimals_of(expanded)
             text = f"{each.value * factor:z.{decimals}f} ± {expanded:.{decimals}f}"
             by_name[each.coefficient, each.axis, unit][each.plateau] = text
-            temperatures[each.plateau] = each.temperature_c
-    plateaus = sorted(temperatures)
+    plateaus = sorted({plateau for found in by_name.values() for plateau in found})
     tables = []
     for start in range(0, len(plateaus), _PLATEAUS_ACROSS):
         shown = plateaus[start : start + _PLATEAUS_ACROSS]
-        header = ["coefficient", "unit", *(f"{temperatures[each]:.0f} °C" for each in shown)]
+        header = ["coefficient", "unit", *(heads[each] for each in shown)]
         rows = [
             [f"{name.replace('_', ' ')} {axis}", unit, *(found.get(each, "–") for each in shown)]
             for (name, axis, unit), found in by_name.items()
         ]
         caption = f"Coefficient ± U, k = {NORMAL_K:.2f}, at the plateaus from {shown[0]} to {shown[-1]}."
         tables.append(SectionTable(caption, header, rows, words=2))
-    return Section("Coefficients of the sensors", tables=tables) if tables else None
+    texts = [f"{FRAME_TEXT} {TEMPERATURE_TEXT}"] if tables else []
+    texts += [f"Not certified: {text}" for text in plateau_findings(certificate.coefficients)]
+    return Section("Coefficients of the sensors", texts, tables=tables) if texts else None
 
 
 def _figures(certificate: Certificate, folder: Path, word: str) -> Iterator[tuple[str, Path]]:

@@ -115,7 +115,7 @@ def verify_file(path: Path, trusted: Path | None = None) -> SignatureCheck:
     except Exception as error:  # noqa: BLE001 - parsers of damaged files raise anything
         return SignatureCheck("", "", f"the file is damaged: {type(error).__name__}: {error}")
     if not problem and trusted is not None and not _is_trusted(own, _certificates(trusted)):
-        problem = f"signed with a certificate that {trusted} does not vouch for"
+        problem = f"signed with a certificate that is neither in {trusted} nor issued by one in it"
     hashes = require("cryptography.hazmat.primitives.hashes")
     digest = own.fingerprint(hashes.SHA256()).hex()
     return SignatureCheck(own.subject.rfc4514_string(), digest, problem)

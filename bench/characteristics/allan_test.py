@@ -30,15 +30,14 @@ from gyrobench.bench.bias.allan import (
     mean_ramp,
 )
 from gyrobench.bench.characteristics.results import Coefficient, Curve, TestResult, coefficient
-from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, DPH_TO_RADPS, FloatArray
+from gyrobench.bench.foundations.arrays import ARCSEC_TO_RAD, DEG_PER_SQRT_H_TO_SI, DPH_TO_RADPS, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.positions import AXES
 
-_ARCSEC = np.pi / 180.0 / 3600.0
 _HOUR_S = 3600.0
 #: Name, unit and its size in SI of each coefficient.
 _TERMS = {
-    WHITE_ANGLE: ("quantisation Q", "arcsec", _ARCSEC),
+    WHITE_ANGLE: ("quantisation Q", "arcsec", ARCSEC_TO_RAD),
     RANDOM_WALK: ("angle random walk N", "deg/sqrt(h)", DEG_PER_SQRT_H_TO_SI),
     BIAS_INSTABILITY: ("bias instability B", "deg/h", DPH_TO_RADPS),
     RATE_WALK: ("rate random walk K", "deg/h/sqrt(h)", DPH_TO_RADPS / np.sqrt(_HOUR_S)),

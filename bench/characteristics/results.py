@@ -15,7 +15,9 @@ from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.files import parse_json
 
-TestName = Literal["turn_on_repeatability", "warm_up", "thermal_sensitivity", "allan_variance"]
+TestName = Literal[
+    "turn_on_repeatability", "warm_up", "thermal_sensitivity", "allan_variance", "scale_factor_stability"
+]
 
 
 class Coefficient(StrictModel):

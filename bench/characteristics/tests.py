@@ -9,6 +9,7 @@ from pydantic import Field
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.characteristics.allan_test import RateRecord, allan_test
 from gyrobench.bench.characteristics.results import TestName, TestResult
+from gyrobench.bench.characteristics.scale_factor import MIN_MEASUREMENTS, SpinRecord, scale_factor_stability
 from gyrobench.bench.characteristics.thermal import thermal_sensitivity
 from gyrobench.bench.characteristics.turn_on import MIN_POWER_CYCLES, turn_on_repeatability
 from gyrobench.bench.characteristics.warm_up import warm_up
@@ -48,6 +49,14 @@ class AllanTest(StrictModel):
     """Noise from navigations with ``purpose: noise``."""
 
 
+class ScaleFactorTest(StrictModel):
+    """Scale factors by whole turns over hours and power cycles."""
+
+    min_measurements: int = Field(
+        default=MIN_MEASUREMENTS, ge=4, le=10_000, description="dwells with step ``spin`` that the plan needs"
+    )
+
+
 class CharacteristicTests(StrictModel):
     """Tests of a procedure beyond biases."""
 
@@ -62,9 +71,14 @@ class CharacteristicTests(StrictModel):
     allan_variance: AllanTest | None = Field(
         default=None, description="five noise coefficients, from navigations with purpose: noise"
     )
+    scale_factor_stability: ScaleFactorTest | None = Field(
+        default=None, description="drift and scatter of the scale factors, from dwells with step spin"
+    )
 
-    def evaluate(self, rows: Sequence[DwellRow], records: Sequence[RateRecord]) -> list[TestResult]:
-        """Results of the tests from the dwells and noise records of a run; without enough data a note."""
+    def evaluate(
+        self, rows: Sequence[DwellRow], records: Sequence[RateRecord], spins: Sequence[SpinRecord]
+    ) -> list[TestResult]:
+        """Results from the dwells, noise records and whole turns of a run; without enough data a note."""
         results: list[TestResult] = []
         if self.turn_on_repeatability:
             results.append(_result("turn_on_repeatability", lambda: turn_on_repeatability(rows)))
@@ -76,6 +90,8 @@ class CharacteristicTests(StrictModel):
             results.append(_result("thermal_sensitivity", lambda: thermal_sensitivity(rows, zero_c, degree)))
         if self.allan_variance:
             results.append(_result("allan_variance", lambda: allan_test(records)))
+        if self.scale_factor_stability:
+            results.append(_result("scale_factor_stability", lambda: scale_factor_stability(spins)))
         return results
 
 

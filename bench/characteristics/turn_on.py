@@ -29,7 +29,7 @@ from gyrobench.bench.navigation.positions import AXES
 #: Fewest power cycles of a test of repeatability.
 MIN_POWER_CYCLES = 7
 #: Gyro temperatures of the power cycles may differ by this much, K.
-_MAX_TEMPERATURE_SPREAD_C = 1.0
+MAX_TEMPERATURE_SPREAD_C = 1.0
 
 
 def turn_on_repeatability(rows: Sequence[DwellRow]) -> TestResult:
@@ -56,7 +56,7 @@ def turn_on_repeatability(rows: Sequence[DwellRow]) -> TestResult:
     means = [_means([row for row in good if row.run == run]) for run in whole]
     biases, sigmas, temperatures = (np.array(each) for each in zip(*means, strict=True))
     spread_c = float(np.ptp(temperatures, axis=0).max())
-    if spread_c > _MAX_TEMPERATURE_SPREAD_C:
+    if spread_c > MAX_TEMPERATURE_SPREAD_C:
         notes.append(
             f"The gyros' temperatures differ by {spread_c:.1f} K between power cycles, which adds to the "
             "scatter: let the unit cool down longer."
@@ -74,26 +74,28 @@ def turn_on_repeatability(rows: Sequence[DwellRow]) -> TestResult:
     return TestResult(test="turn_on_repeatability", coefficients=coefficients, curves=curves, notes=notes)
 
 
-def variance_interval(values: FloatArray, sigmas: FloatArray) -> tuple[float, float]:
-    """95 % interval of the variance of values (n,) beyond their standard uncertainties (n,)."""
+def variance_interval(values: FloatArray, sigmas: FloatArray, design: FloatArray) -> tuple[float, float]:
+    """95 % interval of the variance of values (n,) beyond their standard uncertainties (n,).
+
+    ``design`` (n, k): columns of what is fitted beside, of full rank.
+    """
     from scipy.optimize import brentq
     from scipy.stats import chi2
 
-    ones = np.ones((len(values), 1))
-    limits = [float(chi2.ppf(each, len(values) - 1)) for each in (0.975, 0.025)]
+    limits = [float(chi2.ppf(each, len(values) - design.shape[1])) for each in (0.975, 0.025)]
     most = float(np.var(values) + np.max(sigmas) ** 2) * len(values) / limits[1] * 10.0
 
     def end(limit: float) -> float:
         def above(variance: float) -> float:
-            return weighted_fit(values, sigmas**2 + variance, ones).chi2 - limit
+            return weighted_fit(values, sigmas**2 + variance, design).chi2 - limit
 
-        return 0.0 if above(0.0) <= 0.0 else float(brentq(above, 0.0, most))
+        return 0.0 if above(0.0) <= 0.0 else float(brentq(above, 0.0, most, xtol=1e-9 * most, rtol=1e-6))
 
     return end(limits[0]), end(limits[1])
 
 
 def _of_gyro(gyro: str, bias: FloatArray, sigma: FloatArray, value: float) -> list[Coefficient]:
-    low, high = variance_interval(bias, sigma)
+    low, high = variance_interval(bias, sigma, np.ones((len(bias), 1)))
     return [
         coefficient(
             gyro, "turn-on standard deviation", "deg/h", math.sqrt(value), math.sqrt(low), math.sqrt(high)

@@ -160,7 +160,7 @@ def batch(
     """
     from gyrobench.bench.fleet.batch import fit_batch, read_batch
     from gyrobench.bench.fleet.batch_report import batch_document, batch_summary, write_batch
-    from gyrobench.bench.runs.index.run_index import find_runs
+    from gyrobench.bench.runs.index.run_index import find_runs, watermark
 
     opened = open_index(root, index)
     runs = find_runs(opened, selection)
@@ -169,7 +169,7 @@ def batch(
         raise DocumentError(_which_batch(opened, root, selection.batch, batches))
     name = batches[0]
     fitted = fit_batch(read_batch(opened, runs))
-    page = write_batch(out, name, fitted, f"{len(runs)} runs in {root}")
+    page = write_batch(out, name, fitted, f"{len(runs)} runs in {root}", watermark(runs))
     print_result(
         batch_document(name, fitted),
         as_json,

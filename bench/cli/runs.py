@@ -106,9 +106,12 @@ def _trends(
     fitted = trends(read_run_biases(index, [run["path"] for run in found]))
     if figure is not None:
         from gyrobench.bench.report.figures.campaigns import trend_figure
-        from gyrobench.bench.report.figures.style import save_figure
+        from gyrobench.bench.report.figures.style import save_figure, stamp
+        from gyrobench.bench.runs.index.run_index import watermark
 
-        save_figure(trend_figure(units[0], fitted), figure)
+        drawn = trend_figure(units[0], fitted)
+        stamp(drawn, watermark(found))
+        save_figure(drawn, figure)
     due = None if limit_dph is None else _recalibrations(index, selection, fitted, limit_dph)
     content: dict[str, Any] = {"unit": units[0], "trends": [_plain_trend(each) for each in fitted]}
     if due is not None:

@@ -19,6 +19,7 @@ from gyrobench.bench.cli.options import (
     complete_world,
 )
 from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, JsonOption, console, print_json
+from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
 
 if TYPE_CHECKING:
     from gyrobench.bench.closure.loop import Closure
@@ -38,9 +39,13 @@ class Compensated(StrEnum):
 def verify(
     run_folder: RunArgument,
     procedure: Annotated[
-        str,
-        typer.Option(help="Procedure file, or the name of a shipped one.", autocompletion=complete_procedure),
-    ] = "verify_compensation",
+        str | None,
+        typer.Option(
+            help="Procedure file, or the name of a shipped one; default: verify_compensation, with "
+            "--coefficients the run's.",
+            autocompletion=complete_procedure,
+        ),
+    ] = None,
     station: Annotated[
         str | None, typer.Option(help=f"{STATION_HELP} Default: the run's.", autocompletion=complete_station)
     ] = None,
@@ -62,7 +67,7 @@ def verify(
         typer.Option(
             "--coefficients",
             help="Compensate and prove all coefficients that the run measured (coefficients.csv), and the "
-            "position error of a mission; takes a procedure with rotations.",
+            "position error of a mission.",
         ),
     ] = False,
     out: Annotated[Path | None, typer.Option(help="Output folder; default: verify in the run.")] = None,
@@ -73,8 +78,9 @@ def verify(
 
     The procedure runs without compensation, with the declared model, and with the effects that were
     found. With --coefficients both include polynomials of all other coefficients, and effects of
-    those that were searched (gyrobench close RUN --coefficient ...). Existing runs in the folder are
-    not repeated, so a verification can be continued.
+    those that were searched (gyrobench close RUN --coefficient ...). In a run of one cycle no effect
+    can be searched, and the polynomials alone are compensated. Existing runs in the folder are not
+    repeated, so a verification can be continued.
 
     With --json: {"folder", "report", "comparison"}, the last a list with the columns of comparison.csv
     as keys.
@@ -91,7 +97,7 @@ def verify(
     verification = VerificationRuns(
         run,
         closure,
-        procedure,
+        procedure or (str(run.procedure) if coefficients else "verify_compensation"),
         station or str(run.station),
         new_emulation(run, world, seed),
         out or run.verify,
@@ -107,11 +113,21 @@ def verify(
 
 
 def _search(run: RunFolder) -> Closure:
-    """Repeat the search of a run; its files are written if they are missing, or of another search."""
+    """Repeat the search of a run; its files are written if they are missing, or of another search.
+
+    A run of one cycle is not searched.
+    """
     from gyrobench.bench.closure.files import has_composed_laws, is_written, read_held_out_cycles
-    from gyrobench.bench.closure.loop import composed
+    from gyrobench.bench.closure.loop import composed, without_search
+    from gyrobench.bench.dwells.closure_inputs import read_campaign
     from gyrobench.bench.report.closure.closure_page import write_search
 
+    try:
+        campaign = read_campaign(run.path)
+        if len(campaign.cycles) == 1:
+            return without_search(campaign)
+    except MeasurementError as error:
+        raise DocumentError(str(error)) from error
     closure = search([run.path], read_held_out_cycles(run.closure))
     if not is_written(run.closure, closure):
         write_search(composed(closure) if has_composed_laws(run.closure) else closure, [run.path])

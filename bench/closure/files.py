@@ -19,6 +19,7 @@ from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.csv_tables import format_csv, write_text
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import make_folder, parse_json, read_limited
+from gyrobench.bench.runs.provenance import watermark_of
 
 _T = TypeVar("_T")
 #: Name of the file with the outcome of a search.
@@ -58,7 +59,7 @@ def is_written(folder: Path, closure: Closure) -> bool:
     except RunFolderError:
         return False
     own = closure_document(closure)
-    return written | {key: own[key] for key in ("tables", "rotation", "composed")} == own
+    return written | {key: own[key] for key in ("tables", "simulated", "rotation", "composed")} == own
 
 
 def has_composed_laws(folder: Path) -> bool:
@@ -179,6 +180,7 @@ def _document(closure: Closure) -> dict[str, Any]:
             }
             for table in closure.campaign.tables
         ],
+        "simulated": bool(watermark_of(*(Path(table.name) for table in closure.campaign.tables))),
         "held_out_cycles": sorted(set(closure.campaign.cycle[~closure.searched].tolist())),
         "dwells_searched": int(closure.searched.sum()),
         "rotation": [

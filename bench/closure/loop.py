@@ -33,6 +33,8 @@ from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms, rms_o
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.text import decimals_of, listed, plain_name, with_sigma
 
+#: Verdict without a search.
+NOT_SEARCHED = "not searched"
 _S_PER_H = 3600.0
 _UNITS = {"c": "degC"}
 #: An interval is stated in place of a standard uncertainty if its middle is off by this share of its length.
@@ -61,6 +63,9 @@ class FoundEffect:
     rms_sigma_dph: float
     #: Interval that holds each nonlinear parameter with 95 %.
     values_range: tuple[tuple[float, float], ...]
+    #: :attr:`Form.weights` (k,), and the standard uncertainties of sizes times these, shape (3, k).
+    weights: FloatArray
+    weighted_sigma_dph: FloatArray
     quantity: Quantity = GYRO_BIAS  #: What shows it.
 
     @property
@@ -134,7 +139,8 @@ class Closure:
 
     campaign: Campaign  #: All dwells.
     searched: BoolArray  #: Shape (n,). Dwells used by the search; the others are held out.
-    verdict: str  #: "clean", "explained", "ambiguous" or "unexplained".
+    #: "clean", "explained", "ambiguous" or "unexplained"; "not searched" by :func:`without_search`.
+    verdict: str
     effects: tuple[FoundEffect, ...]  #: Strongest first.
     evidence: tuple[Evidence, ...]  #: Of each effect alone.
     posterior: Posterior  #: Probabilities of all hypotheses.
@@ -236,6 +242,9 @@ def close_loop(
 ) -> Closure:
     """Search a campaign for effects that the declared model lacks.
 
+    Raises MeasurementError if there is no such cycle, or too little is left without it. Raises DocumentError
+    if an effect of another package or of a file can't be used.
+
     Parameters
     ----------
     campaign : Campaign
@@ -244,18 +253,26 @@ def close_loop(
         Cycles that the search does not use; by default :attr:`Campaign.last_cycle`.
     effects : sequence of Effect, optional
         Candidates; by default all installed ones and those of the user's files.
-
-    Raises
-    ------
-    MeasurementError
-        There is no such cycle, or too little is left without it.
-    DocumentError
-        An effect of another package or of a file can't be used.
     """
     sources = [Path(each.name) for each in campaign.tables]
     candidates = all_effects(*sources) if effects is None else tuple(effects)
     searched = _searched(campaign, hold_out_cycles)
     campaign = campaign.holding_out(np.unique(campaign.cycle[~searched]).tolist())
+    return _closure(campaign, searched, candidates)
+
+
+def without_search(campaign: Campaign) -> Closure:
+    """The declared model fitted to all dwells, with the verdict "not searched".
+
+    For a campaign of one cycle, where none can be held out. Raises MeasurementError if it has too few dwells.
+    """
+    everything = np.ones(len(campaign), dtype=bool)
+    _check_dof(campaign, everything, f"{len(campaign)} dwells")
+    return replace(_closure(campaign, everything, ()), verdict=NOT_SEARCHED)
+
+
+def _closure(campaign: Campaign, searched: BoolArray, candidates: Sequence[Effect]) -> Closure:
+    """Search the dwells ``searched`` (n,); the errors in the others are NaN where there are none."""
     selected = select(campaign, searched, candidates)
     search, found, weighed, after = selected.search, selected.found, selected.posterior, selected.after
     problem = search.problem
@@ -274,7 +291,9 @@ def close_loop(
             found,
             after,
             weighed,
-            is_confirmed=is_confirmed(before_dph, after_dph, noise_dph) and not circular,
+            is_confirmed=bool(found.candidates)
+            and not circular
+            and is_confirmed(before_dph, after_dph, noise_dph),
         ),
         circular=circular,
         posterior=weighed,
@@ -336,18 +355,23 @@ def _searched(campaign: Campaign, hold_out_cycles: Sequence[int]) -> BoolArray:
             f"there is no cycle {_numbers(unknown)} to hold out; the table has {_numbers(cycles)}"
         )
     if len(cycles) == len(set(held_out)):
+        alone = "; gyrobench verify compensates one cycle without a search" if len(cycles) == 1 else ""
         raise MeasurementError(
             f"with cycle {_numbers(held_out)} held out no dwells remain to search. Measure the profile at "
-            "least twice, preferably three times"
+            f"least twice, preferably three times{alone}"
         )
     searched: BoolArray = ~np.isin(campaign.cycle, held_out)
+    _check_dof(campaign, searched, f"{searched.sum()} dwells without cycle {_numbers(held_out)}")
+    return searched
+
+
+def _check_dof(campaign: Campaign, searched: BoolArray, dwells: str) -> None:
     dof = declared_problem(campaign, searched).dof
     if dof < 3 * 6:
         raise MeasurementError(
-            f"{searched.sum()} dwells without cycle {_numbers(held_out)} leave {dof} degrees of freedom; "
-            "required: 18. Measure more dwells per cycle or more cycles"
+            f"{dwells} leave {dof} degrees of freedom; required: 18. Measure more dwells per cycle or more "
+            "cycles"
         )
-    return searched
 
 
 def _verdict(found: Hypothesis, after: LackOfFit, weighed: Posterior, *, is_confirmed: bool) -> str:
@@ -379,6 +403,8 @@ def _found_effects(
         values, sizes_drawn = (drawn[each.effect.name] for drawn in (draws.values, draws.sizes_dph))
         parts = draws.effect_dph(problem.campaign, each.effect.name)[:, problem.searched]
         parts -= parts.mean(axis=1, keepdims=True)
+        weights = each.form.weights(problem.campaign, each.values)
+        weights_drawn = np.array([each.form.weights(problem.campaign, tuple(one)) for one in values])
         shows = search.shows(found, index)
         result.append(
             FoundEffect(
@@ -395,6 +421,8 @@ def _found_effects(
                 values_sigma=draws.sigma(values, np.array(each.values)),
                 rms_sigma_dph=float(draws.sigma(np.sqrt(np.mean(parts**2, axis=(1, 2))), rms(part))),
                 values_range=tuple(map(interval, each.form.parameters, each.values, values.T)),
+                weights=weights,
+                weighted_sigma_dph=draws.sigma(sizes_drawn * weights_drawn[:, None, :], sizes * weights),
                 quantity=quantity,
             )
         )
@@ -458,11 +486,13 @@ def _numbers(cycles: Sequence[int]) -> str:
 
 
 def _rms_sigma(errors_dph: FloatArray, noise_dph: FloatArray) -> float:
-    """Standard uncertainty of an rms error by the noise of what was measured.
+    """Standard uncertainty of an rms error by the noise of what was measured; NaN of none.
 
     The square of an error with the noise s has the variance ``2 s^4 + 4 s^2 d^2`` with its true part d.
     """
     known = ~np.isnan(errors_dph)
+    if not known.any():
+        return np.nan
     errors_dph, noise_dph = errors_dph[known], noise_dph[known]
     true = max(float(np.sum(errors_dph**2) - np.sum(noise_dph**2)), 0.0) / errors_dph.size
     variance = np.sum(2.0 * noise_dph**4 + 4.0 * noise_dph**2 * true)

@@ -116,6 +116,10 @@ class Posterior:
             if all(each.names & form for form in forms) and has_remainder in (None, each.has_remainder)
         )
 
+    def of_any(self, names: Collection[str]) -> float:
+        """Probability that at least one of these effects is there, alone or with others."""
+        return sum(each.probability for each in self.hypotheses if each.names.intersection(names))
+
     def rivals(self, names: Collection[str]) -> dict[str, float]:
         """Effects beside these, or in place of them, that are not improbable."""
         same = {*names}.union(*self.more_general.values())

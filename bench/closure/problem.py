@@ -57,12 +57,7 @@ class Problem:
     def with_columns(self, columns: FloatArray, kept: BoolArray | None = None) -> Problem:
         """Same problem after a fit of more terms.
 
-        Parameters
-        ----------
-        columns : ndarray, shape (n, 3, k)
-            Terms in all dwells.
-        kept : ndarray of bool, shape (3, k), optional
-            Which of them each gyro has.
+        ``columns`` (n, 3, k): terms in all dwells. ``kept`` (3, k): which of them each gyro has.
         """
         added = [_basis(self.independent_part(columns, gyro, kept)) for gyro in range(3)]
         bases = tuple(np.concatenate(pair, axis=1) for pair in zip(self.bases, added, strict=True))

@@ -308,6 +308,8 @@ def advise(
 ) -> list[Advice]:
     """Find the smallest change for each effect not found and each pair not distinguished at a size.
 
+    Result: shortest added time first; effects and pairs that no known change resolves are last.
+
     Parameters
     ----------
     planner : callable
@@ -316,11 +318,6 @@ def advise(
         Of the unchanged plan.
     target_dph : float
         Target size, deg/h rms.
-
-    Returns
-    -------
-    list of Advice
-        Shortest added time first; effects and pairs that no known change resolves are last.
     """
     effects = [each.effect for each in present.detections]
     hidden = set(present.not_found(target_dph))

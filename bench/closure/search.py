@@ -44,12 +44,7 @@ _MAX_EXCHANGES = 6
 class Search:
     """A search of one problem, which has the declared model alone.
 
-    Attributes
-    ----------
-    declared : Hypothesis
-        The declared model alone.
-    alone : dict of str to Hypothesis
-        Each effect alone, without those that are not significant.
+    ``declared``: that model as a hypothesis. ``alone``: each effect alone, if it is significant, by name.
     """
 
     def __init__(self, problem: Problem, effects: Sequence[Effect]) -> None:

@@ -81,15 +81,8 @@ class AssumedEffect(Fit):
 def unit_parts(columns: FloatArray) -> FloatArray:
     """Orthogonal parts of an effect whose sum with any signs is 1 rms.
 
-    Parameters
-    ----------
-    columns : ndarray, shape (n, 3, k)
-        The effect's terms.
-
-    Returns
-    -------
-    ndarray, shape (n, 3, r)
-        Each term without its means and orthogonal to the terms before it, all of one size.
+    ``columns`` (n, 3, k): the effect's terms. Result (n, 3, r): each term without its means and orthogonal to
+    the terms before it, all of one size.
     """
     count, gyros, _ = columns.shape
     centred = (columns - columns.mean(axis=0)).reshape(count * gyros, -1)

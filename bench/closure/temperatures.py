@@ -177,17 +177,12 @@ def set_point_path(
 ) -> FloatArray:
     """Set point at :data:`SAMPLES` equally spaced instants of each dwell, shape (n, SAMPLES), degC.
 
-    A dwell holds the set point if its mean equals that of a neighbour or its air is at the set point.
-    Between two holds is a ramp of constant rate; the means of the dwells at its ends determine when it
-    begins and ends. A ramp within a single dwell gets the rate of the nearest other one. The set point
-    of a chamber that ramps by itself is the end of the ramp; the ramp is then taken from the air.
-
-    Parameters
-    ----------
-    start_s, end_s : ndarray, shape (n,)
-        Times of the dwells, in order.
-    set_c, air_c : ndarray, shape (n,)
-        Means of set point and air over each dwell; NaN allowed for the air.
+    A dwell holds the set point if its mean equals that of a neighbour or its air is at the set point. Between
+    two holds is a ramp of constant rate; the means of the dwells at its ends determine when it begins and
+    ends. A ramp within a single dwell gets the rate of the nearest other one. The set point of a chamber that
+    ramps by itself is the end of the ramp; the ramp is then taken from the air. ``start_s``, ``end_s`` (n,):
+    times of the dwells, in order. ``set_c``, ``air_c`` (n,): means of set point and air over each dwell; NaN
+    allowed for the air.
     """
     count = len(set_c)
     length_s = np.maximum(end_s - start_s, 1e-9)

@@ -153,14 +153,9 @@ MEDIAN = 0.6745
 def is_confirmed(before_dph: FloatArray, after_dph: FloatArray, noise_dph: FloatArray) -> bool:
     """Whether effects reduce the errors in held-out dwells by more than chance, and to their noise.
 
-    Decided for all gyros together, and for each where the effects predict enough.
-
-    Parameters
-    ----------
-    before_dph, after_dph : ndarray, shape (n, 3)
-        Measured minus predicted bias without and with the effects.
-    noise_dph : ndarray, shape (n, 3)
-        Standard deviation of the noise.
+    Decided for all gyros together, and for each where the effects predict enough. ``before_dph``,
+    ``after_dph`` (n, 3): measured minus predicted bias without and with the effects. ``noise_dph`` (n, 3):
+    standard deviation of the noise.
 
     Notes
     -----

@@ -35,7 +35,7 @@ from gyrobench.bench.dwells.temperatures import (
 )
 from gyrobench.bench.foundations.arrays import ARCSEC_TO_RAD, UG_TO_MPS2, BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError, SignalMapError
-from gyrobench.bench.navigation.earth import earth_rate_enu
+from gyrobench.bench.navigation.earth import NORMAL_GRAVITY_SIGMA, earth_rate_enu
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.navigation.table_axes import TwoAxisTable
@@ -80,6 +80,8 @@ class MeasurementSetup:
     #: Frames to increments; None where none are mapped.
     decode_increments: Callable[[FrameBlock], Increments | None] = lambda _: None
     table_repeatability: float = ARCSEC_TO_RAD  #: Of the table's return to an angle, rad.
+    #: Local gravity, m/s^2, None for normal gravity of the site; its standard uncertainty.
+    gravity: tuple[float | None, float] = (None, NORMAL_GRAVITY_SIGMA)
 
     def turn(
         self, before: WindowMark, after: WindowMark, navigation: NavigationData, first_frame: int = 0
@@ -428,4 +430,5 @@ def measurement_setup(station: Station) -> MeasurementSetup:
         signs=SignCheck(signals, decode, station.table, station.site, velocity_lsb_mps),
         decode_increments=partial(decode_increments, signal_map=signals, codec=codec),
         table_repeatability=station.file.rate_table.repeatability_arcsec * ARCSEC_TO_RAD,
+        gravity=station.gravity,
     )

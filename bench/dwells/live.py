@@ -56,15 +56,8 @@ class LiveEstimate:
     def update(self, windows: Sequence[WindowMark]) -> StateSpaceEstimate | None:
         """Take what has come since the last call.
 
-        Parameters
-        ----------
-        windows : sequence of WindowMark
-            The windows so far; the last one is under way and ends with the last frame that has come.
-
-        Returns
-        -------
-        StateSpaceEstimate or None
-            None as long as the biases are not observable, or where the data can't be used.
+        ``windows``: the windows so far; the last one is under way and ends with the last frame that has come.
+        Result: None as long as the biases are not observable, or where the data can't be used.
         """
         if len(windows) < 2:
             return None

@@ -4,7 +4,7 @@ The dwells of a plateau show gyro biases and, through their half turns, parts of
 (:mod:`gyrobench.bench.calibration.joint_coefficients`). Rotations between rests show all coefficients, from
 the increments of the INS. Where it sends none they follow from its navigation output: the change of attitude
 and velocity from epoch to epoch is what its sensors measured, but for the vertical specific force, which an
-INS of fixed altitude does not show. Gravity stands in its place, and says nothing.
+INS of fixed altitude does not show. Gravity stands in its place, and shows nothing.
 """
 
 from __future__ import annotations
@@ -21,11 +21,18 @@ from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow, Triple
 from gyrobench.bench.bias.joint_solution import JointDwell, JointSolution
 from gyrobench.bench.bias.statistics import chi2_p_value
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, Coefficient, CoefficientEstimate
-from gyrobench.bench.calibration.error_split import rotation_parts
-from gyrobench.bench.calibration.estimator import Calibration, CalibrationOptions, Information, calibrate
+from gyrobench.bench.calibration.estimator import (
+    Calibration,
+    CalibrationOptions,
+    Information,
+    calibrate,
+    covariances_by_source,
+)
 from gyrobench.bench.calibration.joint_coefficients import joint_coefficients
 from gyrobench.bench.calibration.recording import MIN_REST_TOTAL_S, IncrementRecording, Rest
 from gyrobench.bench.calibration.results import coefficient_rows
+from gyrobench.bench.calibration.spins import spin_scale_factors
+from gyrobench.bench.characteristics.scale_factor import SpinRecord
 from gyrobench.bench.dwells.dwell import MeasurementSetup, checked_navigation
 from gyrobench.bench.dwells.marks import DwellMarks
 from gyrobench.bench.dwells.temperatures import dwell_temperatures, triple
@@ -41,6 +48,11 @@ from gyrobench.drivers.ins.navigation_data import Increments, NavigationData
 
 #: Part of the usual interval by which the time between two epochs may differ from it.
 _MAX_STEP_ERROR = 0.5
+#: Sum, rad or m/s, from which increments are compared with attitude and velocity, by how much of it they may
+#: differ, as by gaps, and largest angle between two attitudes, rad.
+_MIN_TURN, _MAX_AWAY, _MAX_STEP = 0.5, 0.5, 2.0
+#: Temperatures of plateaus, K, between which coefficients show their slopes.
+_MIN_APART_C = 2.0
 #: Dwells and rotations contradict each other where chance gives the difference less often than this.
 _MIN_P_VALUE = 1e-3
 
@@ -54,6 +66,8 @@ class PlateauRotations:
     gyro_c: Triple = NOT_MEASURED
     case_c: float = math.nan
     gyro_rate_c_per_h: Triple = NOT_MEASURED  #: Their slopes.
+    #: Lowest and highest temperatures (2, 4) of gyros and case.
+    range_c: FloatArray = field(default_factory=lambda: np.full((2, 4), np.nan))
     calibration: Calibration | None = None  #: None where there is a ``finding``, which says why.
     finding: str = ""
     #: As uncertain as if the INS sent specific forces; None where it does.
@@ -75,6 +89,8 @@ class PlateauCalibration:
     #: As uncertain as if the INS sent specific forces; None where it does.
     with_force: CoefficientEstimate | None = None
     rotations: PlateauRotations | None = None  #: None where there are none.
+    #: Shape (2, 4). Lowest and highest temperatures of gyros and case in dwells and rotations.
+    range_c: FloatArray = field(default_factory=lambda: np.full((2, 4), np.nan))
     #: Declared standard uncertainties, SI, by key of :data:`gyrobench.bench.bias.budget.SOURCES`.
     inputs: Mapping[str, float] = field(default_factory=dict)
 
@@ -161,10 +177,46 @@ def calibrate_plateaus(
         rotations = [each for each in rotations if each is not found]
         places.append((first.number, solution, found))
     places += [(each.marks.dwell, None, each) for each in rotations]
-    return [
+    plateaus = [
         _plateau(number, solution, found, cases_c, setup)
         for number, (_, solution, found) in enumerate(sorted(places, key=lambda each: each[0]), 1)
     ]
+    return [with_temperature_change(each, plateaus) for each in plateaus]
+
+
+def with_temperature_change(
+    plateau: PlateauCalibration, plateaus: Sequence[PlateauCalibration]
+) -> PlateauCalibration:
+    """The coefficients with what they may change by while the temperature changes within the plateau.
+
+    Each belongs to some time of the plateau, which its mean temperature does not name. Its slope is that to
+    the nearest other plateau.
+    """
+    if plateau.estimate is None:
+        return plateau
+    variances = np.zeros(COUNT)
+    for k, each in enumerate(COEFFICIENTS):
+        is_bias = each.kind == "bias" or plateau.rotations is None or plateau.rotations.calibration is None
+        low_c, high_c = (plateau if is_bias or plateau.rotations is None else plateau.rotations).range_c
+        sensor = AXES.index(each.axis[0]) if each.sensor == "gyro" else 3
+        here_c = (*plateau.gyro_c, plateau.case_c)[sensor]
+        others = [
+            (abs(away_c), (other.estimate.values[k] - plateau.estimate.values[k]) / away_c)
+            for other in plateaus
+            if other.estimate is not None
+            and plateau.estimate.is_observed[k]
+            and other.estimate.is_observed[k]
+            and abs(away_c := (*other.gyro_c, other.case_c)[sensor] - here_c) > _MIN_APART_C
+        ]
+        if others and math.isfinite(change_c := float(high_c[sensor] - low_c[sensor])):
+            variances[k] = (min(others)[1] * change_c) ** 2 / 12.0
+    part = np.diag(variances)
+    estimate = replace(
+        plateau.estimate,
+        covariance=plateau.estimate.covariance + part,
+        parts={**plateau.estimate.parts, "temperature_change": part},
+    )
+    return replace(plateau, estimate=estimate)
 
 
 def _key(member: DwellMarks | JointDwell) -> tuple[str, int, float | None]:
@@ -181,6 +233,7 @@ def _plateau(
     setup: MeasurementSetup,
 ) -> PlateauCalibration:
     estimates, finding, with_force = [], "", None
+    ranges = [np.full((2, 4), np.nan)]
     gyro_c, case_c = NOT_MEASURED, math.nan
     cycle, set_c = 0, None
     if solution is not None:
@@ -188,9 +241,11 @@ def _plateau(
         cycle, set_c = solution.dwells[0].cycle, solution.dwells[0].chamber_set_c
         gyro_c = triple(np.mean([each.gyro_c for each in solution.dwells], axis=0))
         case_c = float(np.mean([cases_c[each.number] for each in solution.dwells]))
+        ranges += [np.array([(*each.gyro_c, cases_c[each.number])] * 2) for each in solution.dwells]
     if rotations is not None:
         cycle, set_c = rotations.marks.cycle, rotations.marks.chamber_set_c
         finding = rotations.finding
+        ranges.append(rotations.range_c)
         if rotations.calibration is not None:
             estimates.append(rotations.calibration)
             gyro_c, case_c = rotations.gyro_c, rotations.case_c
@@ -200,10 +255,19 @@ def _plateau(
         finding = f"dwells and rotations contradict each other (p = {p_value:.1g})"
     estimate = _combined(estimates) if estimates else None
     chamber_set_c = math.nan if set_c is None else set_c
-    inputs = {"latitude": setup.prior.latitude, "table_return": setup.table_repeatability}
+    inputs = {"latitude": setup.prior.latitude, "table_return": setup.table_repeatability} | {
+        "gravity": setup.gravity[1]
+    }
     return PlateauCalibration(
-        number, cycle, chamber_set_c, gyro_c, case_c, estimate, finding, with_force, rotations, inputs
-    )
+        number, cycle, chamber_set_c, gyro_c, case_c, estimate, finding, with_force, rotations,
+        _enclosing(ranges), inputs,
+    )  # fmt: skip
+
+
+def _enclosing(ranges_c: Sequence[FloatArray]) -> FloatArray:
+    """Lowest and highest temperatures (2, 4) of several such ranges, those not measured left out."""
+    low_c, high_c = np.moveaxis(np.array(ranges_c), 1, 0)
+    return np.array([np.fmin.reduce(low_c), np.fmax.reduce(high_c)])
 
 
 def _combined(estimates: Sequence[CoefficientEstimate]) -> CoefficientEstimate:
@@ -239,7 +303,7 @@ def calibrate_rotations(
     dwells: Sequence[tuple[DwellMarks, FrameBlock]], setup: MeasurementSetup
 ) -> PlateauRotations:
     """Coefficients from all dwells with rotations at one plateau."""
-    rotations = PlateauRotations(dwells[0][0])
+    rotations, options = PlateauRotations(dwells[0][0]), _options(setup)
     try:
         measured = [_measured(marks, frames, setup) for marks, frames in dwells]
         temperatures_c = np.mean([each_c for _, each_c in measured], axis=0)
@@ -248,23 +312,65 @@ def calibrate_rotations(
             gyro_c=triple(temperatures_c[:3]),
             case_c=float(temperatures_c[3]),
             gyro_rate_c_per_h=triple(temperatures_c[4:]),
+            range_c=_enclosing(
+                [_range_c(each_c, marks) for (_, each_c), (marks, _) in zip(measured, dwells, strict=True)]
+            ),
         )
-        recordings = [recording for pieces, _ in measured for recording, _ in pieces]
-        rests = [stretches for pieces, _ in measured for _, stretches in pieces]
-        if not recordings:
-            raise MeasurementError("too many increments are missing in the rotations. Check the CAN bus")
-        noise = setup.noise
-        walks = None if noise is None else (noise.angle_random_walk, noise.velocity_random_walk)
-        options = CalibrationOptions(whole_turns=setup.table_repeatability, walks=walks)
-        found = calibrate(recordings, setup.site, options, rests)
+        found = _calibrated([piece for pieces, _ in measured for piece in pieces], setup.site, options)
         with_force = None
-        if not all(each.has_vertical for each in recordings):
+        if not all(each.has_vertical for each in found.recordings):
             with_force = _with_force(found, setup.site, options)
     except MeasurementError as error:
         return replace(rotations, finding=f"the rotations give no coefficients: {error}")
     # The increments themselves are of no more use.
-    found = replace(found, recordings=(), sections=(), parts=rotation_parts(found, setup.site, options))
+    found = replace(
+        found, recordings=(), sections=(), parts=covariances_by_source(found, setup.site, options)
+    )
     return replace(rotations, calibration=found, with_force=with_force)
+
+
+def spin_record(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) -> SpinRecord:
+    """Scale factors of the gyros by the whole turns of one dwell alone.
+
+    Their biases are those of the rests: a bias that followed whole turns would take in an asymmetry.
+    """
+    at_s = 0.5 * (marks.start_s + marks.end_s)
+    try:
+        pieces, temperatures_c = _measured(marks, frames, setup)
+        found = _calibrated(pieces, setup.site, replace(_options(setup), whole_turns=None))
+        spun = spin_scale_factors(found, setup.site, setup.table_repeatability)
+    except MeasurementError as error:
+        return SpinRecord(marks.run, at_s, NOT_MEASURED, (), str(error).rstrip("."))
+    return SpinRecord(marks.run, at_s, triple(temperatures_c[:3]), tuple(spun))
+
+
+def _options(setup: MeasurementSetup) -> CalibrationOptions:
+    noise = setup.noise
+    walks = None if noise is None else (noise.angle_random_walk, noise.velocity_random_walk)
+    gravity, gravity_sigma = setup.gravity
+    return CalibrationOptions(
+        whole_turns=setup.table_repeatability,
+        gravity=gravity,
+        walks=walks,
+        gravity_sigma=gravity_sigma,
+        latitude_sigma=setup.prior.latitude,
+    )
+
+
+def _calibrated(
+    pieces: Sequence[tuple[IncrementRecording, list[Rest]]], site: Site, options: CalibrationOptions
+) -> Calibration:
+    if not pieces:
+        raise MeasurementError("too many increments are missing in the rotations. Check the CAN bus")
+    recordings, rests = zip(*pieces, strict=True)
+    return calibrate(recordings, site, options, rests)
+
+
+def _range_c(temperatures_c: FloatArray, marks: DwellMarks) -> FloatArray:
+    """Lowest and highest temperatures (2, 4) of a dwell from means and slopes (7,)."""
+    half = np.zeros(4)
+    half[:3] = 0.5 * np.abs(temperatures_c[4:]) * (marks.end_s - marks.start_s) / 3600.0
+    return np.array([temperatures_c[:4] - half, temperatures_c[:4] + half])
 
 
 def _with_force(found: Calibration, site: Site, options: CalibrationOptions) -> CoefficientEstimate:
@@ -272,7 +378,8 @@ def _with_force(found: Calibration, site: Site, options: CalibrationOptions) -> 
     sections = [replace(each, epochs=replace(each.epochs, has_vertical=True)) for each in found.sections]
     information = Information.of(sections, found.starts, found.unknowns, found.noise, site, options)
     _, covariance, is_observed = information.solve()
-    return CoefficientEstimate(found.values, covariance[:COUNT, :COUNT], is_observed[:COUNT])
+    by_site = sum(part[:COUNT, :COUNT] for part in found.by_site.values())
+    return CoefficientEstimate(found.values, covariance[:COUNT, :COUNT] + by_site, is_observed[:COUNT])
 
 
 def _measured(
@@ -289,8 +396,11 @@ def _measured(
     temperatures = dwell_temperatures(navigation, first, end)
     increments = setup.decode_increments(frames)
     is_sent = increments is not None and len(increments.row) > 0
+    navigated = navigated_increments(navigation, setup.site)
     if increments is None or not is_sent:
-        increments = navigated_increments(navigation, setup.site)
+        increments = navigated
+    else:
+        _check_axes(increments, navigated, marks)
     begin, stop = np.searchsorted(increments.row, [first, end])
     gaps = begin + 1 + np.flatnonzero(~increments.follows[begin + 1 : stop])
     pieces = []
@@ -300,11 +410,51 @@ def _measured(
             for each in marks.windows
         ]
         rests = [Rest(int(a), int(b)) for a, b in ends if b > a]
+        # Up to the end of a rest the table stands as it was read there.
+        counts = np.diff([0, *(int(end) for _, end in ends[:-1]), part.stop - part.start])
+        table = np.repeat(
+            [setup.table.attitude(each.outer_deg, each.inner_deg) for each in marks.windows], counts, axis=0
+        )
         if sum(rest.end - rest.begin for rest in rests) * increments.interval_s >= MIN_REST_TOTAL_S:
             angle, velocity = increments.angle[part], increments.velocity[part]
-            recording = IncrementRecording(increments.interval_s, angle, velocity, has_vertical=is_sent)
+            recording = IncrementRecording(
+                increments.interval_s, angle, velocity, has_vertical=is_sent, table=table
+            )
             pieces.append((recording, rests))
     return pieces, np.array([*temperatures.gyro_c, temperatures.case_c, *temperatures.gyro_rate_c_per_h])
+
+
+def _check_axes(sent: Increments, navigated: Increments, marks: DwellMarks) -> None:
+    """Raise MeasurementError if increments have other axes, signs or units than attitude and velocity.
+
+    Coefficients of axes that are exchanged in angle and velocity alike fit the increments as well.
+    """
+    rests = [(each.first_frame, each.end_frame) for each in marks.windows]
+    between = [(before[1], after[0]) for before, after in itertools.pairwise(rests)]
+    for name, spans in (("velocity", rests), ("angle", between)):
+        for span in spans:
+            found, expected = (
+                getattr(each, name)[slice(*np.searchsorted(each.row, span))].sum(axis=0)
+                for each in (sent, navigated)
+            )
+            if name == "angle" and _fastest(sent, span) * navigated.interval_s > _MAX_STEP:
+                continue  # further between two epochs than attitudes show
+            away = np.linalg.norm(found - expected)
+            if np.linalg.norm(expected) > _MIN_TURN and away > _MAX_AWAY * np.linalg.norm(expected):
+                raise MeasurementError(
+                    f"the {name} increments add up to {_triple_text(found)}, by attitude and velocity "
+                    f"{_triple_text(expected)}. Check axes, signs and units of ins.signals.increments"
+                )
+
+
+def _fastest(sent: Increments, span: tuple[int, int]) -> float:
+    """Largest rate, rad/s."""
+    angle = sent.angle[slice(*np.searchsorted(sent.row, span))]
+    return float(np.linalg.norm(angle, axis=1).max(initial=0.0)) / sent.interval_s
+
+
+def _triple_text(values: FloatArray) -> str:
+    return "({:.4g}, {:.4g}, {:.4g})".format(*values)
 
 
 def navigated_increments(navigation: NavigationData, site: Site) -> Increments:

@@ -11,6 +11,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
+
 from gyrobench.bench.bias.acceptance import judge
 from gyrobench.bench.bias.bias_filter import Damping
 from gyrobench.bench.bias.bins import BiasBin, bin_biases, write_bins
@@ -26,8 +28,7 @@ from gyrobench.bench.dwells.check_dwell import CheckDwell, measure_check_dwell
 from gyrobench.bench.dwells.dwell import MeasuredDwell, MeasurementSetup, measure_dwell
 from gyrobench.bench.dwells.latitude import with_latitude
 from gyrobench.bench.dwells.marks import DwellMarks
-from gyrobench.bench.dwells.noise_record import rate_record
-from gyrobench.bench.dwells.plateau_calibration import PlateauCalibration
+from gyrobench.bench.dwells.plateau_calibration import PlateauCalibration, navigated_increments
 from gyrobench.bench.dwells.temperatures import stuck_sensors
 from gyrobench.bench.foundations.errors import MeasurementError, RunFolderError
 from gyrobench.bench.foundations.files import remove
@@ -86,10 +87,22 @@ def rotated(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:
 def noise_records(folder: RunFolder, setup: MeasurementSetup) -> list[RateRecord]:
     """Gyro rates of the finished noise records that nothing disturbed; raises as :func:`replay`."""
     return [
-        rate_record(marks, read_frames(folder, marks), setup)
+        _rate_record(marks, read_frames(folder, marks), setup)
         for marks in finished_marks(folder)
         if marks.is_noise_record and not marks.disturbances
     ]
+
+
+def _rate_record(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) -> RateRecord:
+    """Integrated rates of the gyros over the window of a noise record, in pieces where epochs are missing."""
+    increments = navigated_increments(setup.decode(frames), setup.site)
+    first, end = marks.windows[0].first_frame, marks.windows[-1].end_frame
+    inside = (increments.row > first) & (increments.row < end)
+    angle, follows = increments.angle[inside], increments.follows[inside]
+    every = int(np.ceil(max(len(angle), 1) / _MAX_NOISE_SAMPLES))
+    pieces = np.split(angle, np.flatnonzero(~follows[1:]) + 1)
+    segments = [np.vstack([np.zeros(3), np.cumsum(piece, axis=0)])[::every] for piece in pieces]
+    return RateRecord(increments.interval_s * every, segments)
 
 
 def finished_marks(folder: RunFolder) -> list[DwellMarks]:
@@ -155,6 +168,9 @@ def _frames(folder: RunFolder, marks: DwellMarks, logged: FrameBlock) -> FrameBl
 
 #: The noise estimate does not improve with more dwells than this.
 _MAX_WITH_NAVIGATION = 128
+#: Longest segments of a noise record are thinned to so many samples: the integral of the rate loses nothing
+#: between them.
+_MAX_NOISE_SAMPLES = 50_000
 
 
 def add_dwell(dwells: list[MeasuredDwell], measured: MeasuredDwell) -> None:

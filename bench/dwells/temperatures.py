@@ -203,10 +203,7 @@ _FROM_CHAMBER_K = 15.0
 def stuck_sensors(rows: Sequence[DwellRow]) -> Iterator[tuple[int, str]]:
     """Find sensors of the gyros' optics that are stuck at the end of a run.
 
-    Parameters
-    ----------
-    rows : sequence of DwellRow
-        Of one run so far, in the order of time.
+    ``rows``: of one run so far, in the order of time.
 
     Yields
     ------

@@ -9,7 +9,7 @@ from pathlib import Path
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells, write_dwells
 from gyrobench.bench.dwells.check_dwell import CheckDwell
 from gyrobench.bench.dwells.dwell import MeasuredDwell, MeasurementSetup, measurement_setup
-from gyrobench.bench.dwells.plateau_calibration import calibrate_plateaus
+from gyrobench.bench.dwells.plateau_calibration import calibrate_plateaus, spin_record
 from gyrobench.bench.dwells.run_dwells import (
     RunResults,
     evaluate,
@@ -46,8 +46,10 @@ def evaluate_run(
     )
     rows = [dwell.row for dwell in results.dwells]
     coefficients = calibrate_plateaus(results.joint, rows, rotated(folder), setup)
+    with_spins = procedure.tests.scale_factor_stability is not None
     records = noise_records(folder, setup) if procedure.tests.allan_variance else []
-    characteristics = procedure.tests.evaluate(rows, records)
+    spins = [spin_record(*each, setup) for each in rotated(folder)] if with_spins else []
+    characteristics = procedure.tests.evaluate(rows, records, spins)
     results = replace(results, coefficients=coefficients, characteristics=characteristics)
     if results.dwells:
         write_dwells(folder.dwells, rows)

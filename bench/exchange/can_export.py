@@ -62,10 +62,7 @@ class TimedLog:
     first frame. It is placed by the finished dwell in it, whose marks are in ``finished`` by part; without
     one at the end of the part before, which ``estimated`` lists.
 
-    Raises
-    ------
-    RunFolderError
-        Log, journal or provenance can't be read.
+    Raises RunFolderError if log, journal or provenance can't be read.
     """
 
     def __init__(self, folder: RunFolder) -> None:

@@ -78,10 +78,7 @@ def dwell_rows(logs: Sequence[ReadLog], sigma_dph: FloatArray, log_map: LogMap) 
 
     ``sigma_dph`` (3,) is the standard uncertainty of a window's mean rates.
 
-    Raises
-    ------
-    MeasurementError
-        Logs of one power-on overlap or do not follow one another.
+    Raises MeasurementError if logs of one power-on overlap or do not follow one another.
     """
     windows = [window for log in logs for window in log.valid_windows]
     offsets = _offsets_s(logs, log_map)

@@ -19,6 +19,7 @@ from gyrobench.bench.foundations.arrays import (
     IntArray,
 )
 from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.earth import NORMAL_GRAVITY_SIGMA
 from gyrobench.bench.navigation.error_model import Site
 
 #: SI units of angle and velocity, and of their rates, by the names in maps.
@@ -29,8 +30,6 @@ _INCREMENTS = ("m/s", "mm/s")
 #: Samples over which the usual interval is measured, and on each side of a gap; a gap's step differs from the
 #: usual interval by at least this part.
 _LAG, _NEAR, _MIN_STEP_ERROR = 100, 16, 0.3
-#: Standard uncertainty of normal gravity, m/s^2: a usual anomaly of 30 mGal.
-_NORMAL_GRAVITY_SIGMA = 3e-4
 
 
 def read_increments(path: Path, log_map: LogMap) -> list[IncrementRecording]:
@@ -119,7 +118,7 @@ def calibration_settings(
     whole_turns = None if turns is None else turns * _ANGLES["arcsec"]
     gravity_sigma = section.gravity_sigma_mps2
     if gravity_sigma is None:
-        gravity_sigma = _NORMAL_GRAVITY_SIGMA if section.gravity_mps2 is None else 0.0
+        gravity_sigma = NORMAL_GRAVITY_SIGMA if section.gravity_mps2 is None else 0.0
     return site, CalibrationOptions(
         lever_arms, delay, quadratic, whole_turns, section.gravity_mps2, walks, gravity_sigma
     )

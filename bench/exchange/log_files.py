@@ -54,10 +54,7 @@ class TextLog:
 
     ``truncated`` states whether the last line was cut off and left out, once all batches are read.
 
-    Raises
-    ------
-    DocumentError
-        The file can't be read or has no sample.
+    Raises DocumentError if the file can't be read or has no sample.
     """
 
     def __init__(self, path: Path, layout: TextFormat) -> None:

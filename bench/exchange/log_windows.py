@@ -56,10 +56,7 @@ class SampleReader:
     ``first_s`` is the reading of the log's clock at its first sample, from the first batch on; 0 without a
     time column.
 
-    Raises
-    ------
-    DocumentError
-        The file can't be read or has no sample.
+    Raises DocumentError if the file can't be read or has no sample.
     """
 
     def __init__(self, path: Path, log_map: LogMap, quantities: Mapping[str, Quantity] | None = None) -> None:

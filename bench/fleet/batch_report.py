@@ -20,7 +20,7 @@ from gyrobench.bench.fleet.batch import FALSE_ALARM, EffectSize, QuantityStatist
 from gyrobench.bench.foundations.files import make_folder, write_whole
 from gyrobench.bench.foundations.text import bin_label, counted, listed
 from gyrobench.bench.navigation.positions import AXES, gyro_label, position_label
-from gyrobench.bench.report.figures.style import common_legend, fitted_figure, house_style, say_empty
+from gyrobench.bench.report.figures.style import BARS, common_legend, fitted_figure, house_style, say_empty
 from gyrobench.bench.report.number_format import BiasScale, dph_with_sigma, p_text
 from gyrobench.bench.report.page import Findings, Section, SectionFigure, SectionTable, write_findings
 from gyrobench.bench.report.terminal.tables import plain_table
@@ -120,7 +120,10 @@ def levels(batch: Sequence[QuantityStatistics]) -> list[QuantityStatistics]:
 
 
 _COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+_OTHERS = "#444444"
 _WIDTH = 0.62
+#: Size of the labels of positions, and room for them, points.
+_POSITION_PT, _POSITIONS_PT = 6.0, 32.0
 
 
 @house_style
@@ -145,12 +148,26 @@ def batch_figure(batch: Sequence[QuantityStatistics], *, of_positions: bool) -> 
         panel.set_ylabel(f"{'difference' if of_positions else 'bias'} / ({scale.unit})")
         panel.grid(visible=False, axis="x")
         if mine:
-            labels = [_short_label(stats.quantity) for stats in mine if isinstance(stats.quantity, Quantity)]
-            panel.set_xticks(range(len(mine)), labels, rotation=90 if of_positions else 0, fontsize=8)
+            _label(panel, [stats.quantity for stats in mine if isinstance(stats.quantity, Quantity)])
         else:
             say_empty(panel, "measured on too few units")
-    common_legend(figure, panels, "upper center", ncols=5)
+    panels[-1].set_xlabel("temperature of the gyro, bin / °C")
+    if out:
+        panels[-1].plot([], [], "D", color=_OTHERS, markersize=5.5, label="outlier")
+    common_legend(figure, panels, "upper center", ncols=5, title=BARS)
     return figure
+
+
+def _label(panel: Axes, quantities: Sequence[Quantity]) -> None:
+    """Label places with their bins, in the middle of those of a bin, and above these with positions."""
+    names = [each.name for each in quantities]
+    bins = [(each.bin_low_c, each.bin_high_c) for each in quantities]
+    middles = {limits: np.mean([place for place, own in enumerate(bins) if own == limits]) for limits in bins}
+    panel.set_xticks(list(middles.values()), [bin_label(*limits, "..") for limits in middles], fontsize=8)
+    if LEVEL not in names:
+        labels = list(map(position_label, names))
+        panel.set_xticks(range(len(labels)), labels, minor=True, rotation=90, fontsize=_POSITION_PT)
+        panel.tick_params("x", which="major", length=0, pad=_POSITIONS_PT)
 
 
 def _draw(
@@ -173,7 +190,7 @@ def _draw(
     panel.plot(ends, [centre, centre], color="#1d2429", lw=1.2, label="mean of the batch" if first else None)
     places = place + np.linspace(-0.5, 0.5, len(stats.units)) * _WIDTH
     for x, unit in zip(places, stats.units, strict=True):
-        colour = colours.get(unit.unit, "#444444")
+        colour = colours.get(unit.unit, _OTHERS)
         panel.errorbar(
             x,
             scale.factor * unit.bias_dph,
@@ -182,22 +199,8 @@ def _draw(
             markersize=5.5 if unit.is_outlier else 2.8,
             color=colour,
             elinewidth=0.8,
-            label=_unit_label(unit.unit, unit.is_outlier, unit.unit in colours, first=first),
+            label=f"unit {unit.unit}" if unit.unit in colours else None,
         )
-
-
-def _unit_label(unit: str, is_outlier: bool, is_coloured: bool, *, first: bool) -> str | None:
-    if is_outlier:
-        return f"unit {unit}, outlier"
-    if is_coloured:
-        return f"unit {unit}" if first else None
-    return None
-
-
-def _short_label(quantity: Quantity) -> str:
-    if quantity.name == LEVEL:
-        return f"{bin_label(quantity.bin_low_c, quantity.bin_high_c)} °C"
-    return f"{position_label(quantity.name)}, {bin_label(quantity.bin_low_c, quantity.bin_high_c, '..')} °C"
 
 
 _BAND = (
@@ -233,15 +236,15 @@ def batch_document(name: str, batch: Sequence[QuantityStatistics]) -> dict[str, 
     }
 
 
-def write_batch(folder: Path, name: str, batch: Sequence[QuantityStatistics], source: str) -> Path:
+def write_batch(
+    folder: Path, name: str, batch: Sequence[QuantityStatistics], source: str, watermark: str = ""
+) -> Path:
     """Write ``batch.json``, ``batch.html`` and figures into a folder, made if it isn't there.
 
-    The name of the batch may be empty; the page, which is returned, shows the source.
+    The name of the batch may be empty; the page, which is returned, shows the source. ``watermark`` is a
+    word across page and figures.
 
-    Raises
-    ------
-    RunFolderError
-        A file can't be written.
+    Raises RunFolderError if a file can't be written.
     """
     make_folder(folder)
     text = json.dumps(batch_document(name, batch), indent=1, allow_nan=False) + "\n"
@@ -258,6 +261,7 @@ def write_batch(folder: Path, name: str, batch: Sequence[QuantityStatistics], so
         sentence=batch_sentence(batch),
         facts={"units": ", ".join(sorted(units)), "quantities": str(len(batch))},
         sections=_sections(batch),
+        watermark=watermark,
     )
     return write_findings(folder / "batch.html", findings)
 

@@ -18,8 +18,8 @@ DPH_TO_RADPS = np.pi / 180.0 / 3600.0
 RADPS_TO_DPH = 1.0 / DPH_TO_RADPS
 #: One arcsec in rad.
 ARCSEC_TO_RAD = np.pi / 180.0 / 3600.0
-#: One rad in arcmin.
-RAD_TO_ARCMIN = 60.0 * 180.0 / np.pi
+#: One rad in arcmin, and in arcsec.
+RAD_TO_ARCMIN, RAD_TO_ARCSEC = 60.0 * 180.0 / np.pi, 3600.0 * 180.0 / np.pi
 #: One degree per root hour (angle random walk) in rad/sqrt(s).
 DEG_PER_SQRT_H_TO_SI = np.pi / 180.0 / 60.0
 #: One ug (accelerometer bias) in m/s^2.

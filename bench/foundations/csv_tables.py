@@ -6,9 +6,11 @@ import csv
 import io
 import math
 import re
-from collections.abc import Callable, Collection, Iterable, Sequence
-from dataclasses import astuple
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import astuple, fields
+from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 from gyrobench.bench.foundations.errors import DocumentError
@@ -33,6 +35,8 @@ class CsvTable:
 
     A wrong cell is recorded and gives a substitute value; :meth:`raise_problems` reports them all.
 
+    Raises DocumentError for no header, a column missing or given twice, a row with too few or too many cells.
+
     Parameters
     ----------
     text : str
@@ -48,11 +52,6 @@ class CsvTable:
         Line on which each row ends, from 1.
     header : list of str
         Names of the columns.
-
-    Raises
-    ------
-    DocumentError
-        No header, a column missing or given twice, a row with too few or too many cells.
     """
 
     def __init__(self, text: str, name: str, required: Sequence[str]) -> None:
@@ -187,6 +186,41 @@ def format_csv(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 def format_rows(columns: Sequence[str], rows: Iterable[Any]) -> str:
     """CSV text of instances of a data class, whose fields are the columns."""
     return format_csv(columns, ([format_cell(value) for value in astuple(row)] for row in rows))
+
+
+CellReader = Callable[[CsvTable, int, str], Any]
+#: By the type of a field.
+_READERS: Mapping[str, CellReader] = {
+    "str": CsvTable.text,
+    "int": CsvTable.integer,
+    "int | None": lambda table, index, name: table.integer(index, name) if table.text(index, name) else None,
+    "float": partial(CsvTable.number, may_be_empty=True),
+}
+
+
+def one_of(allowed: Collection[str]) -> CellReader:
+    """Reader of a cell with one of these words."""
+    return lambda table, index, name: table.choice(index, name, allowed)
+
+
+def read_rows(
+    path: Path,
+    kind: type[RowT],
+    readers: Mapping[str, CellReader] = MappingProxyType({}),
+    columns: Mapping[str, str] = MappingProxyType({}),
+) -> list[RowT]:
+    """Read instances of a data class, whose fields of type str, int or float, or None, are the columns.
+
+    ``readers``: of fields that are read otherwise. ``columns``: names of columns that are not those of their
+    fields. Raises DocumentError if the file can't be read or is wrong; the message lists all problems.
+    """
+    known = fields(kind)  # type: ignore[arg-type]
+    readers = {each.name: readers.get(each.name, _READERS[str(each.type)]) for each in known}
+    names = {each.name: columns.get(each.name, each.name) for each in known}
+    table = CsvTable(read_text(path), str(path), required=list(names.values()))
+    return table.rows(
+        lambda index: kind(**{name: readers[name](table, index, names[name]) for name in names})
+    )
 
 
 def read_text(path: Path) -> str:

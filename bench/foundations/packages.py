@@ -62,6 +62,9 @@ def installed(group: str) -> list[str]:
 def load(group: str, name: str, kind: type[ObjectT]) -> ObjectT:
     """Import the object of one entry.
 
+    Raises DocumentError if no package or several packages provide the name, the object can't be imported, or
+    it has another type.
+
     Parameters
     ----------
     group : str
@@ -70,11 +73,6 @@ def load(group: str, name: str, kind: type[ObjectT]) -> ObjectT:
         Name of the entry, as a station file gives it.
     kind : type
         Required type of the object.
-
-    Raises
-    ------
-    DocumentError
-        No package or several packages provide the name, the object can't be imported, or it has another type.
     """
     noun = _NOUNS.get(group, "dialect")
     found = [entry for entry in _entries(group) if entry.name == name]

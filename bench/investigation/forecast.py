@@ -24,12 +24,7 @@ _S_PER_H = 3600.0
 class Forecast:
     """A unit as its dwells show it: lags and temperature rises, and its state at the end of the last dwell.
 
-    Attributes
-    ----------
-    measured : sequence of DwellRow
-        The dwells in the order of time.
-    campaign : Campaign
-        The same as arrays.
+    ``measured``: the dwells in the order of time; ``campaign``: the same as arrays.
     """
 
     def __init__(self, measured: Sequence[DwellRow]) -> None:

@@ -261,8 +261,12 @@ class Investigator:
                     )
                 if not useful:
                     return stage, self._no_block(stage)
-                hours = hours_left(useful, is_settled=stage.purpose == CALIBRATE)
-                best = max(useful, key=_test_per_h) if stage.is_test else min(useful, key=hours)
+                if stage.is_test:
+                    best = max(useful, key=_test_per_h)
+                elif self._profile:
+                    best = min(useful, key=hours_left(useful, is_settled=stage.purpose == CALIBRATE))
+                else:
+                    best = max(useful, key=lambda each: each.gain_per_h)
                 if not self._is_approved(best, stage, journal):
                     return stage, ("declined", "The proposed block was declined.")
             try:

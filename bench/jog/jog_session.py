@@ -36,6 +36,10 @@ _TICKS_TO_FIRST_FRAME = 2
 def jog_bench(name: str, commands: Sequence[str], emulation: Emulation, leave: bool) -> bool:
     """Open a bench, execute commands, and leave it in its safe state.
 
+    Result: whether all commands succeeded and the bench was left as intended. Raises DocumentError if the
+    station file is wrong. Raises BenchInUseError if another process holds the bench. Raises InstrumentError
+    if no instrument can be reached when the bench is opened; one that can't is left out.
+
     Parameters
     ----------
     name : str
@@ -44,20 +48,6 @@ def jog_bench(name: str, commands: Sequence[str], emulation: Emulation, leave: b
         Commands; if empty, lines of standard input.
     leave : bool
         Whether chamber, INS power and servos stay as they are at the end.
-
-    Returns
-    -------
-    bool
-        Whether all commands succeeded and the bench was left as intended.
-
-    Raises
-    ------
-    DocumentError
-        The station file is wrong.
-    BenchInUseError
-        Another process holds the bench.
-    InstrumentError
-        No instrument can be reached when the bench is opened; one that can't is left out.
     """
     station = Station(find_document("stations", name))
     station.check_dbc()

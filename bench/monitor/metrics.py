@@ -59,15 +59,8 @@ class _Sample(NamedTuple):
 def metrics_text(runs: Iterable[tuple[Path, RunSnapshot, float]]) -> bytes:
     """Metrics of runs in the text format of Prometheus.
 
-    Parameters
-    ----------
-    runs : iterable of (Path, RunSnapshot, float)
-        Run folder, its snapshot, and the age of that in seconds.
-
-    Raises
-    ------
-    MissingPackageError
-        The package prometheus-client is not installed.
+    ``runs``: run folder, its snapshot, and the age of that in seconds. Raises MissingPackageError if the
+    package prometheus-client is not installed.
     """
     core, exposition = require("prometheus_client.core"), require("prometheus_client.exposition")
     families = {

@@ -47,20 +47,10 @@ def rotation_vectors(turns: FloatArray) -> FloatArray:
 def rotation_vector_enu(C_nb: FloatArray, C_nb_reference: FloatArray) -> FloatArray:
     """Rotation vectors in ENU that lead from a reference attitude to the given ones.
 
-    The Up component is a heading without singularity: for rotations much smaller than 1 rad it
-    changes as the yaw of whichever Euler sequence is regular.
-
-    Parameters
-    ----------
-    C_nb : ndarray, shape (n, 3, 3)
-        Attitudes, less than half a turn away from the reference.
-    C_nb_reference : ndarray, shape (3, 3)
-        Attitude from which to count.
-
-    Returns
-    -------
-    ndarray, shape (n, 3)
-        Rotation vectors, rad.
+    The Up component is a heading without singularity: for rotations much smaller than 1 rad it changes as the
+    yaw of whichever Euler sequence is regular. ``C_nb`` (n, 3, 3): attitudes, less than half a turn away from
+    the reference. ``C_nb_reference`` (3, 3): attitude from which to count. Result (n, 3): rotation vectors,
+    rad.
     """
     return rotation_vectors(C_nb @ C_nb_reference.T)
 

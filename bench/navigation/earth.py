@@ -30,6 +30,10 @@ def earth_rate_enu(latitude: float) -> FloatArray:
     return EARTH_RATE * np.array([0.0, np.cos(latitude), np.sin(latitude)])
 
 
+#: Standard uncertainty of normal gravity, m/s^2: a usual anomaly of 30 mGal.
+NORMAL_GRAVITY_SIGMA = 3e-4
+
+
 def gravity(latitude: float, height: float = 0.0) -> float:
     """Compute normal gravity, m/s^2, by Somigliana's formula with the second-order term of height.
 

@@ -91,12 +91,9 @@ def integrate(
 ) -> Intervals:
     """Integrate the model over times at rest.
 
-    Parameters
-    ----------
-    durations : ndarray, shape (n,)
-        Times, s; power series in them, good to 1e-7 up to a quarter of an hour.
-    angle_random_walk, velocity_random_walk : float
-        Noise of each gyro and accelerometer, rad/sqrt(s) and m/s/sqrt(s).
+    ``durations`` (n,): times, s; power series in them, good to 1e-7 up to a quarter of an hour.
+    ``angle_random_walk``, ``velocity_random_walk``: noise of each gyro and accelerometer, rad/sqrt(s) and
+    m/s/sqrt(s).
     """
     F = dynamics(site)
     transition, response, covariance = np.eye(STATES), _INPUT, np.zeros((STATES, STATES))

@@ -72,23 +72,11 @@ class TwoAxisTable:
     def angles(self, C_nb: FloatArray, turns_deg: Sequence[TurnOrMove] = ()) -> Angles:
         """Axis angles that give an attitude.
 
-        Parameters
-        ----------
-        C_nb : ndarray, shape (3, 3)
-            Attitude wanted.
-        turns_deg : sequence of float or pair
-            Turns about Up, and moves of both axes, that will follow one another; of equivalent angles those
-            are taken that leave room for them within the limits (see :meth:`turn`).
-
-        Returns
-        -------
-        tuple of float
-            Outer and inner angle, each in (-180, 180] unless the limits exclude that.
-
-        Raises
-        ------
-        DocumentError
-            No angles of this table and mounting give the attitude, or none within the limits.
+        ``C_nb`` (3, 3): attitude wanted. ``turns_deg``: turns about Up, and moves of both axes, that will
+        follow one another; of equivalent angles those are taken that leave room for them within the limits
+        (see :meth:`turn`). Result: outer and inner angle, each in (-180, 180] unless the limits exclude that.
+        Raises DocumentError if no angles of this table and mounting give the attitude, or none within the
+        limits.
         """
         outer, inner = self._principal_angles(C_nb)
         for start in _nearest_first(outer, inner):
@@ -230,6 +218,8 @@ class SingleAxisTable(TwoAxisTable):
     def about(cls, axis_enu: FloatArray, C_mount: FloatArray, limits_deg: tuple[float, float]) -> Self:
         """Make a table that turns about one axis.
 
+        Raises DocumentError if ``C_mount`` is not a rotation.
+
         Parameters
         ----------
         axis_enu : ndarray, shape (3,)
@@ -238,11 +228,6 @@ class SingleAxisTable(TwoAxisTable):
             Attitude ``C_nb`` of the unit at angle zero.
         limits_deg : tuple of float
             Lowest and highest angle.
-
-        Raises
-        ------
-        DocumentError
-            ``C_mount`` is not a rotation.
         """
         fixed = np.roll(np.abs(axis_enu), 1)  # any direction perpendicular to the axis
         return cls(fixed, axis_enu, C_mount, (0.0, 0.0), limits_deg)

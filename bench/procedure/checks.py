@@ -64,7 +64,7 @@ def find_problems(plan: Plan, limits: StationLimits | None = None) -> list[Probl
         if limits is not None:
             problems += [*_chamber_problems(planned, limits), *_table_problems(planned, limits)]
             problems += find_reach_problems(plan, planned, limits)
-    problems += _test_problems(plan)
+    problems += [*_test_problems(plan), *_spin_problems(plan)]
     if limits is not None:
         problems += _gyro_problems(plan, limits)
     return problems
@@ -160,6 +160,17 @@ def _test_problems(plan: Plan) -> Iterator[Problem]:
                 f"the plan has dwells in {len(cycles)} power cycles; the test needs {least}. Repeat "
                 "power_on, a dwell and power_off",
             )
+
+
+def _spin_problems(plan: Plan) -> Iterator[Problem]:
+    test = plan.procedure.tests.scale_factor_stability
+    spun = {each.dwell for each in plan.steps if isinstance(each.step, Spin)}
+    if test and len(spun) < test.min_measurements:
+        yield Problem(
+            ("tests", "scale_factor_stability"),
+            f"the plan has {len(spun)} dwells with step spin; the test needs {test.min_measurements}. Repeat "
+            "go_to, align and spin",
+        )
 
 
 _INSEPARABLE = "biases and initial errors can't be separated"
@@ -265,15 +276,16 @@ def _not_turned_between(dwell: Sequence[PlannedStep]) -> Iterator[Problem]:
     advice = _turn_advice(moves)
     for earlier, later in itertools.pairwise(moves):
         if isinstance(earlier.step, Navigate) and isinstance(later.step, Navigate):
-            yield Problem(later.location, f"two navigations in succession. {advice}")
+            yield Problem(later.location, f"two navigations in succession{advice}")
 
 
 def _turn_advice(moves: Sequence[PlannedStep]) -> str:
     """What to do about two navigations in succession: one alone gives a bias only in a calibration check."""
     if moves[0].is_calibration_check or moves[0].is_noise_record:
-        return "such a dwell has a single one. Make it longer, or put go_to and align between them"
+        kind = "calibration check" if moves[0].is_calibration_check else "noise record"
+        return f": a {kind} has a single one. Make it longer, or put go_to and align between them"
     has_turn = any(isinstance(planned.step, Turn) for planned in moves)
-    return "Put a turn between them" + (", or make one longer" if has_turn else "")
+    return ". Put a turn between them" + (", or make one longer" if has_turn else "")
 
 
 def _turned_to_the_same(windows: Sequence[PlannedStep], turns: Sequence[PlannedStep]) -> Iterator[Problem]:

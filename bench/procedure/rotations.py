@@ -9,6 +9,7 @@ from pydantic import Field, field_validator
 from typing_extensions import override
 
 from gyrobench.bench.foundations.documents import StrictModel
+from gyrobench.bench.foundations.text import counted
 from gyrobench.bench.procedure.estimate import BenchEstimate
 from gyrobench.bench.procedure.steps import Duration, DurationOrZero, Step, TableRate, span
 
@@ -76,8 +77,7 @@ class Rotate(RotatingStep):
 
     @override
     def describe(self) -> str:
-        count = len(self.rotations)
-        return f"{count} rotation{'s' if count != 1 else ''} with rests of {span(self.rest_s)}"
+        return f"{counted(len(self.rotations), 'rotation')} with rests of {span(self.rest_s)}"
 
 
 class Spin(RotatingStep):
@@ -100,4 +100,4 @@ class Spin(RotatingStep):
     @override
     def describe(self) -> str:
         rates = ", ".join(f"{rate_dps:g}" for rate_dps in self.rates_dps)
-        return f"spin the {self.axis} axis by {self.turns} turns each way at {rates} deg/s"
+        return f"spin the {self.axis} axis by {counted(self.turns, 'turn')} each way at {rates} deg/s"

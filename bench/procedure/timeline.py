@@ -47,11 +47,9 @@ def timeline_rows(plan: Plan) -> list[TimelineRow]:
 def temperature_profile(plan: Plan, interval_s: float = 60.0) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Predict the temperatures over a plan.
 
-    Returns
-    -------
-    time_s, chamber_c, gyro_c : ndarray, shape (n,)
-        Time from the start of the plan every ``interval_s`` (wider in very long steps) and twice at the
-        borders of steps, the chamber's ramped set point, and the predicted temperature of the gyros.
+    Returns time_s, chamber_c, gyro_c: time from the start of the plan every ``interval_s`` (wider in very
+    long steps) and twice at the borders of steps, the chamber's ramped set point, and the predicted
+    temperature of the gyros.
     """
     rows = [row for planned in plan.steps for row in _samples(planned, interval_s)]
     time_s, chamber_c, gyro_c = np.array(rows).T

@@ -31,6 +31,8 @@ _WIDTH = 110
 def write_station_file(path: Path, station: Station, urls: Mapping[str, str], speed: float) -> None:
     """Write a station file for the served emulators; replaces an existing file.
 
+    Raises DocumentError if no emulated INS sends the frames of the station's DBC file.
+
     Parameters
     ----------
     station : Station
@@ -39,11 +41,6 @@ def write_station_file(path: Path, station: Station, urls: Mapping[str, str], sp
         Addresses of ``table``, ``chamber`` and ``ins``.
     speed : float
         The emulators' factor on real time.
-
-    Raises
-    ------
-    DocumentError
-        No emulated INS sends the frames of the station's DBC file.
     """
     if emulated_dbc(station) is None:
         raise DocumentError(

@@ -60,6 +60,8 @@ _MAX_PROXY_BYTES = 4096
 class Recorder:
     """Records the instruments of a station.
 
+    Raises DocumentError if the station file is wrong.
+
     Parameters
     ----------
     station : str
@@ -70,11 +72,6 @@ class Recorder:
         Goes into the header of each recording.
     report : callable
         Receives a line of progress.
-
-    Raises
-    ------
-    DocumentError
-        The station file is wrong.
     """
 
     def __init__(
@@ -117,6 +114,10 @@ class Recorder:
     def proxy(self, instrument: Instrument, path: Path, where: str, duration_s: float | None) -> None:
         """Serve an instrument to other programs until Ctrl-C, and record the bytes.
 
+        Raises DocumentError if the instrument is not on a serial line, or nothing can be served at ``where``.
+        Raises ConnectionFailedError if the instrument's port can't be opened, or went away. Raises
+        RunFolderError if the recording can't be written.
+
         Parameters
         ----------
         path : Path
@@ -126,15 +127,6 @@ class Recorder:
             pseudo-terminal without a link.
         duration_s : float or None
             Time after which it ends without Ctrl-C.
-
-        Raises
-        ------
-        DocumentError
-            The instrument is not on a serial line, or nothing can be served at ``where``.
-        ConnectionFailedError
-            The instrument's port can't be opened, or went away.
-        RunFolderError
-            The recording can't be written.
         """
         _check_absent(path)
         clock = WallClock()

@@ -32,19 +32,15 @@ _DEFAULT_BAUDRATE, _DEFAULT_PARITY = 9600, "N"
 def replay(path: Path) -> tuple[Recording, list[Call]]:
     """Make the recorded calls to the driver again, in virtual time.
 
+    Raises DocumentError if the recording is wrong, or its dialect is not installed. Raises
+    ConnectionFailedError if the driver sends other bytes than recorded while it is opened.
+
     Returns
     -------
     Recording
         As read; its header has the recorded results.
     list of Call
         The same calls with the results of the replay.
-
-    Raises
-    ------
-    DocumentError
-        The recording is wrong, or its dialect is not installed.
-    ConnectionFailedError
-        The driver sends other bytes than recorded while it is opened.
     """
     recording = read_recording(path)
     header, calls = recording.header, checked_calls(recording)

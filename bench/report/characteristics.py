@@ -11,13 +11,14 @@ from rich.text import Text
 from gyrobench.bench.characteristics.results import Coefficient, TestName, TestResult
 from gyrobench.bench.report.figures.characteristics import characteristics_figure
 from gyrobench.bench.report.page import Section, SectionFigure, SectionTable
-from gyrobench.bench.report.terminal.tables import titled_table
+from gyrobench.bench.report.terminal.tables import plain_table
 
 _TITLES: dict[TestName, str] = {
     "turn_on_repeatability": "Turn-on repeatability",
     "warm_up": "Warm-up",
     "thermal_sensitivity": "Thermal sensitivities",
     "allan_variance": "Allan variance",
+    "scale_factor_stability": "Scale-factor stability",
 }
 _TEXTS: dict[TestName, str] = {
     "turn_on_repeatability": "Scatter of each gyro's bias from power cycle to power cycle, beyond the "
@@ -28,6 +29,10 @@ _TEXTS: dict[TestName, str] = {
     "behind the temperature in proportion to its rate, as a gradient does, is in the ramp sensitivity.",
     "allan_variance": "Noise of each gyro in a long navigation at rest, from the rates that attitude and "
     "velocity of the INS imply. The intervals are those of chi-squared with effective degrees of freedom.",
+    "scale_factor_stability": "Scale factor of each gyro by whole turns, dwell after dwell: a drift within "
+    "each power cycle, and the scatter beyond the uncertainty of the measurement. Asymmetry (positive less "
+    "negative direction) and nonlinearity (one rate less all rates) are means over all dwells; "
+    "the worst rate counts.",
 }
 _HEADER = ("coefficient", "gyro", "unit", "value", "95 % interval")
 _DIGITS = 3
@@ -44,11 +49,9 @@ def characteristics_tables(results: Sequence[TestResult]) -> RenderableType:
     for result in results:
         parts.append(Text(_TITLES[result.test], style="bold"))
         if result.coefficients:
-            table = titled_table()
-            for number, header in enumerate(_HEADER):
-                table.add_column(header, justify="left" if number < 3 else "right")
-            for row in _rows(result):
-                table.add_row(*map(Text, row))
+            table = plain_table(_HEADER, 3, _rows(result), gap=0)
+            for column in table.columns[1:]:  # the name of the coefficient is all that may wrap
+                column.no_wrap = True
             parts.append(table)
         parts += map(Text, result.notes)
     return Group(*parts)

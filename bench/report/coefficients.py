@@ -13,15 +13,19 @@ from rich.text import Text
 from gyrobench.bench.calibration.results import NOT_OBSERVABLE
 from gyrobench.bench.report.figures.style import GYRO_STYLES, house_style, new_figure
 from gyrobench.bench.report.page import Section, SectionFigure, SectionTable
-from gyrobench.bench.report.terminal.tables import titled_table
-from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow
+from gyrobench.bench.report.terminal.tables import plain_table
+from gyrobench.bench.runs.tables.coefficient_table import (
+    FRAME_TEXT,
+    TEMPERATURE_TEXT,
+    PlateauCoefficientRow,
+    plateau_findings,
+    plateau_heads,
+)
 
 _TITLE = "Coefficients of gyros and accelerometers"
 _TEXT = (
     "Biases, scale factor errors and misalignments at each plateau, from its dwells and its rotations "
-    "together, with standard uncertainties. The body frame is that of the accelerometers: x is the input "
-    "axis of the x accelerometer, and that of y lies in the plane of x and y. A misalignment xy is what "
-    "sensor x senses of axis y."
+    f"together, with standard uncertainties. {FRAME_TEXT} {TEMPERATURE_TEXT}"
 )
 _WITHOUT_FORCE = (
     "The INS sends no specific forces: rotations are evaluated from its velocity and attitude, which do not "
@@ -62,7 +66,7 @@ def coefficients_section(rows: Sequence[PlateauCoefficientRow]) -> Section | Non
     if not has_rotations(rows):
         return None
     tables = [SectionTable(_TITLE, header, cells, words=3) for header, cells in _tables(rows, _PER_PAGE)]
-    notes = _findings(rows)
+    notes = plateau_findings(rows)
     if any(not math.isnan(row.sigma_with_force) for row in rows):
         notes.insert(0, _WITHOUT_FORCE)
         tables.append(_cost_table(rows))
@@ -74,16 +78,12 @@ def coefficients_tables(rows: Sequence[PlateauCoefficientRow]) -> RenderableType
     """Values with standard uncertainties for a terminal."""
     parts: list[RenderableType] = [Text(_TITLE, style="bold")]
     for header, cells in _tables(rows, _PER_TABLE, is_concise=True):
-        table = titled_table()
-        for number, head in enumerate(header):
-            table.add_column(head, justify="left" if number < 3 else "right", no_wrap=True)
-        for row in cells:
-            table.add_row(*map(Text, row))
-        parts.append(table)
+        parts.append(plain_table(header, 3, cells, fold=False, gap=0))
     parts.append(Text("In parentheses: standard uncertainty in units of the last digits."))
+    parts.append(Text(f"{TEMPERATURE_TEXT} {FRAME_TEXT}"))
     if any(row.finding.startswith(NOT_OBSERVABLE) for row in rows):
         parts.append(Text(f"{_NOT_OBSERVED}: {NOT_OBSERVABLE}."))
-    return Group(*parts, *map(Text, _findings(rows)))
+    return Group(*parts, *map(Text, plateau_findings(rows)))
 
 
 @house_style
@@ -115,7 +115,9 @@ def coefficients_figure(rows: Sequence[PlateauCoefficientRow]) -> Figure:
             legend = axes.legend(ncols=3, loc="upper center")
             axes.set_ylim(low, high + _LEGEND_ROW * (high - low) * math.ceil(len(legend.texts) / 3))
     for axes in panels[1]:
-        axes.set_xlabel("temperature / °C")
+        axes.set_xlabel("case temperature / °C")
+    for axes in panels[0]:
+        axes.set_xlabel("gyro temperature / °C")
     return figure
 
 
@@ -123,11 +125,12 @@ def _tables(
     rows: Sequence[PlateauCoefficientRow], per_table: int, is_concise: bool = False
 ) -> Iterator[tuple[list[str], list[list[str]]]]:
     """Header and cells of tables with so many plateaus side by side."""
-    plateaus = list(dict.fromkeys(row.plateau for row in rows))
+    heads = plateau_heads(rows)
+    plateaus = list(heads)
     for begin in range(0, len(plateaus), per_table):
         chosen = plateaus[begin : begin + per_table]
         columns = [[row for row in rows if row.plateau == plateau] for plateau in chosen]
-        header = ["coefficient", "axis", "unit", *(_temperature(column) for column in columns)]
+        header = ["coefficient", "axis", "unit", *(heads[plateau] for plateau in chosen)]
         cells = [
             [
                 *(_NAMES[several[0].coefficient], several[0].axis, _unit(several[0].unit)),
@@ -136,11 +139,6 @@ def _tables(
             for several in zip(*columns, strict=True)
         ]
         yield header, cells
-
-
-def _temperature(column: Sequence[PlateauCoefficientRow]) -> str:
-    """Head of a plateau's column: the temperature of the x gyro."""
-    return f"{column[0].temperature_c:.0f} °C"
 
 
 def _unit(unit: str) -> str:
@@ -154,16 +152,6 @@ def _cell(row: PlateauCoefficientRow, is_concise: bool) -> str:
     if is_concise:
         return f"{row.value:.{digits}f}({row.sigma * 10**digits:.0f})"
     return f"{row.value:.{digits}f} ± {row.sigma:.{digits}f}"
-
-
-def _findings(rows: Sequence[PlateauCoefficientRow]) -> list[str]:
-    """What is wrong with plateaus."""
-    texts = dict.fromkeys(
-        (row.plateau, row.finding.removeprefix(f"{NOT_OBSERVABLE}; "))
-        for row in rows
-        if row.finding not in ("", NOT_OBSERVABLE)
-    )
-    return [f"Plateau {plateau}: {text}." for plateau, text in texts]
 
 
 def _cost_table(rows: Sequence[PlateauCoefficientRow]) -> SectionTable:

@@ -21,7 +21,7 @@ from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.report.page import FINDINGS_FILE, Findings, read_findings_file
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import RunFacts, facts_of, read_journal
-from gyrobench.bench.runs.provenance import read_provenance
+from gyrobench.bench.runs.provenance import is_emulated, read_provenance
 from gyrobench.bench.runs.tables.budget_table import BudgetRow, read_budget
 from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow, read_calibration_check
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, read_coefficients
@@ -33,9 +33,6 @@ from gyrobench.bench.runs.tables.joint_table import (
 )
 from gyrobench.bench.runs.tables.noise_file import read_noise
 from gyrobench.bench.runs.telemetry import read_telemetry
-
-#: Word across all that a run with emulated instruments gives.
-SIMULATED = "SIMULATED"
 
 T = TypeVar("T")
 Entry = Mapping[str, Any]
@@ -77,10 +74,8 @@ class RunContent:
 
     @property
     def is_simulated(self) -> bool:
-        """Whether instruments were emulated: by the run's options, or an instrument's identification."""
-        options = {**self.provenance.get("options", {}), **self.facts.options}
-        identities = self.provenance.get("instruments", {}).values()
-        return "world" in options or any("emulator" in str(text) for text in identities)
+        """Whether instruments were emulated."""
+        return is_emulated(self.provenance, self.facts.options)
 
     @property
     def marked_temperatures_c(self) -> list[float]:

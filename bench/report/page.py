@@ -80,34 +80,17 @@ class Section:
 
 @dataclass(frozen=True, eq=False, config=_CONFIG)
 class Findings:
-    """Result of an analysis, as a separate page and as a chapter of the report of its run.
-
-    Attributes
-    ----------
-    title : str
-        Title of the page.
-    source : str
-        What was analysed.
-    judgement, sentence : str
-        Verdict in a word or two, and in a sentence.
-    colour : str
-        Colour of the verdict, as in :class:`Box`.
-    facts : mapping of str to str
-        Names and values.
-    sections : sequence of Section
-        The details.
-    dwells_sha256 : str
-        Hash of the dwell table analysed; empty without one.
-    """
+    """Result of an analysis, as a separate page and as a chapter of the report of its run."""
 
     title: str
-    source: str
-    judgement: str
-    colour: Annotated[str, Field(pattern="^[a-z]+$")]
-    sentence: str
-    facts: Mapping[str, str]
-    sections: Sequence[Section]
-    dwells_sha256: str = ""
+    source: str  #: What was analysed.
+    judgement: str  #: Verdict in a word or two.
+    colour: Annotated[str, Field(pattern="^[a-z]+$")]  #: Of the verdict, as in :class:`Box`.
+    sentence: str  #: The verdict in a sentence.
+    facts: Mapping[str, str]  #: Names and values.
+    sections: Sequence[Section]  #: The details.
+    dwells_sha256: str = ""  #: Hash of the dwell table analysed; empty without one.
+    watermark: str = ""  #: Word across the page and its figures; usually empty.
 
     @property
     def chapter(self) -> Section:
@@ -175,8 +158,9 @@ def write_findings(path: Path, findings: Findings) -> Path:
     """
     folder = path.parent
     make_folder(folder / "figures")
-    drawn = replace(findings, sections=with_figure_files(folder / "figures", findings.sections))
-    write_whole(path, render_page(drawn.chapter, findings.source).encode())
+    sections = with_figure_files(folder / "figures", findings.sections, watermark=findings.watermark)
+    page = replace(findings, sections=sections).chapter
+    write_whole(path, render_page(page, findings.source, watermark=findings.watermark).encode())
     write_whole(folder / FINDINGS_FILE, _FINDINGS.dump_json(findings, indent=1) + b"\n")
     return path
 

@@ -38,7 +38,7 @@ from gyrobench.bench.report.budget_section import CAPTION, budget_box, budget_se
 from gyrobench.bench.report.calibration_check import dwells_text, verification_section, verification_sentence
 from gyrobench.bench.report.characteristics import characteristics_sections
 from gyrobench.bench.report.coefficients import coefficients_section
-from gyrobench.bench.report.content import SIMULATED, Entry, RunContent, read_run
+from gyrobench.bench.report.content import Entry, RunContent, read_run
 from gyrobench.bench.report.estimator_sections import (
     estimators_note,
     estimators_section,
@@ -58,7 +58,7 @@ from gyrobench.bench.report.journal_sections import durations_section, events_se
 from gyrobench.bench.report.page import Box, Section, SectionFigure, render_page, with_figure_files
 from gyrobench.bench.report.statements import VERDICT_COLOURS, latitude_sentence, verdict_sentence
 from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.bench.runs.provenance import DataHash, data_hashes, note_preparer
+from gyrobench.bench.runs.provenance import SIMULATED, DataHash, data_hashes, note_preparer
 from gyrobench.bench.runs.seal import keep_sealed
 
 if TYPE_CHECKING:
@@ -89,6 +89,8 @@ def write_report(
     The report names parts that are missing because the run failed or was interrupted, and replaces an
     earlier one. A run that has ended is sealed with it.
 
+    Raises RunFolderError if a file can't be written.
+
     Parameters
     ----------
     prepared_by : str
@@ -101,11 +103,6 @@ def write_report(
         Temperatures in degC that figures mark beside those of the procedure.
     vectors : sequence of str
         Formats beside PNG that the figures are written in: ``svg``, ``pdf``.
-
-    Raises
-    ------
-    RunFolderError
-        A file can't be written.
     """
     into = RunFolder(out or folder.path)
     if prepared_by:

@@ -20,6 +20,9 @@ from gyrobench.bench.runs.folder import RunFolder
 
 _PACKAGES = ("numpy", "scipy", "pyserial", "python-can", "cantools", "pymodbus", "pydantic", "pyarrow")
 
+#: Word across all that a run with emulated instruments gives.
+SIMULATED = "SIMULATED"
+
 _MAX_BYTES = 10_000_000
 _OBJECTS = ("instruments", "options", "files_sha256", "packages")
 
@@ -92,6 +95,29 @@ def read_provenance(folder: RunFolder) -> dict[str, Any]:
             f"{folder.provenance}: damaged: it, and {', '.join(_OBJECTS)} in it, must be JSON objects"
         )
     return dict(content)
+
+
+def is_emulated(provenance: Mapping[str, Any], options: Mapping[str, Any] | None = None) -> bool:
+    """Whether instruments were emulated: by the run's options, or an instrument's identification.
+
+    ``options``: those that its journal states, where they are known.
+    """
+    identities = provenance.get("instruments", {}).values()
+    return "world" in {**provenance.get("options", {}), **(options or {})} or any(
+        "emulator" in str(text) for text in identities
+    )
+
+
+def watermark_of(*sources: Path) -> str:
+    """Word across what was computed from runs, folders in them or their tables: empty if none is emulated."""
+    folders = {RunFolder(folder) for path in sources for folder in (path, path.parent)}
+    for folder in folders:
+        try:
+            if is_emulated(read_provenance(folder)):
+                return SIMULATED
+        except RunFolderError:
+            continue  # damaged: its own report says so
+    return ""
 
 
 def started_utc(folder: RunFolder) -> datetime:

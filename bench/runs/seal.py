@@ -264,11 +264,14 @@ def _paths(root: Path, below: str = "") -> Iterator[str]:
         raise RunFolderError(f"{root / below}: can't be read: {error.strerror}") from error
     for each in found:
         path = f"{below}{each.name}"
-        if each.name.startswith(".") or path in _TRANSIENT or path == _SEALS or each.is_symlink():
+        is_evidence = _is_evidence(path) or path in _EVIDENCE_FOLDERS
+        if each.name.startswith(".") or path in _TRANSIENT or path == _SEALS:
+            continue
+        if each.is_symlink() and not is_evidence:
             continue
         if not each.is_dir():
             yield path
-        elif not (each / _SEALS).exists():  # another run, with its seals
+        elif is_evidence or not (each / _SEALS).exists():  # another run, with its seals
             yield from _paths(root, f"{path}/")
 
 

@@ -14,6 +14,7 @@ from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.clock import Clock, VirtualClock, WallClock
 from gyrobench.bench.foundations.documents import Document, Problem
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.navigation.earth import NORMAL_GRAVITY_SIGMA
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.navigation.table_axes import Angles, SingleAxisTable, TurnOrMove, TwoAxisTable
@@ -63,6 +64,15 @@ class Station:
         """Where the bench is."""
         place = self.file.location
         return Site(np.deg2rad(place.latitude_deg), place.height_m)
+
+    @property
+    def gravity(self) -> tuple[float | None, float]:
+        """Local gravity, m/s^2, None where it is not known, and its standard uncertainty."""
+        place = self.file.location
+        sigma = place.gravity_uncertainty_mps2
+        if sigma is None:
+            sigma = NORMAL_GRAVITY_SIGMA if place.gravity_mps2 is None else 0.0
+        return place.gravity_mps2, sigma
 
     @cached_property
     def dbc_path(self) -> Path:

@@ -77,6 +77,16 @@ class Location(StrictModel):
         description="standard uncertainty of the latitude that the INS uses, arcmin; the default holds the "
         "deflection of the vertical to the north, 20 arcsec without an astronomical survey",
     )
+    gravity_mps2: float | None = Field(
+        default=None, ge=9.7, le=9.9, description="local gravity; default: normal gravity of the place"
+    )
+    gravity_uncertainty_mps2: float | None = Field(
+        default=None,
+        ge=0.0,
+        le=0.1,
+        description="standard uncertainty of gravity, which all scale factors of accelerometers share; "
+        "default: 0 with 'gravity_mps2', else 3e-4",
+    )
 
     @field_validator("latitude_deg")
     @classmethod

@@ -32,6 +32,13 @@ _ONSET = (
     Parameter("onset_width_c", 0.5, 20.0, fixed(2.0, 6.0)),
 )
 
+_SCALE = "direction cosine of gravity and by the course below the onset, which is 1 at the coldest gyro"
+_IN_KELVIN = (
+    f"Heat flow in K is the temperature of the electronics above the optics, multiplied by the {_SCALE}. "
+    "Only the product of heat flow and sensitivity shows in the bias: watts are not identifiable."
+)
+_WITHOUT_UNIT = f"The heat flow is not known: shown is the {_SCALE}."
+
 
 def _saturating(below: FloatArray) -> FloatArray:
     from scipy.special import expit
@@ -52,7 +59,7 @@ def _form(name: str, shape: Callable[[FloatArray], FloatArray]) -> Form:
         return needs_positions(campaign) or needs_electronics(campaign)
 
     terms = ("heat flow, K", *(f"heat flow by gravity along {axis}, K" for axis in "xyz"))
-    return Form(terms, columns, _ONSET, missing_input, name)
+    return Form(terms, columns, _ONSET, missing_input, name, _weights(shape, 1), _IN_KELVIN)
 
 
 def _form_without_flow(name: str, shape: Callable[[FloatArray], FloatArray]) -> Form:
@@ -64,7 +71,20 @@ def _form_without_flow(name: str, shape: Callable[[FloatArray], FloatArray]) -> 
         return needs_positions(campaign) or known
 
     terms = tuple(f"gravity along {axis} below the onset" for axis in "xyz")
-    return Form(terms, columns, _ONSET, missing_input, name)
+    return Form(terms, columns, _ONSET, missing_input, name, _weights(shape, 0), _WITHOUT_UNIT)
+
+
+def _weights(
+    shape: Callable[[FloatArray], FloatArray], unweighted: int
+) -> Callable[[Campaign, tuple[float, ...]], FloatArray]:
+    """Shape at the coldest gyro for the three terms along gravity, 1 for those before them."""
+
+    def weights(campaign: Campaign, onset: tuple[float, ...]) -> FloatArray:
+        onset_c, width_c = onset
+        coldest = shape((onset_c - campaign.gyro_c.min(keepdims=True)) / width_c).item()
+        return np.array([1.0] * unweighted + [coldest] * 3)
+
+    return weights
 
 
 def _along(

@@ -50,6 +50,10 @@ class Form:
     #: The input that the form needs and a campaign does not have; None if it has all.
     missing_input: Callable[[Campaign], str | None] = lambda campaign: None  # noqa: ARG005
     name: str = ""  #: Distinguishes the forms of an effect; empty for a single one.
+    #: Largest factor between each term and what it follows, shape (k,), in a campaign at values of the
+    #: parameters. Figures and tables divide terms by it, to show them in the unit of what they follow.
+    weights: Callable[[Campaign, tuple[float, ...]], FloatArray] = lambda campaign, values: np.ones(1)  # noqa: ARG005
+    weights_note: str = ""  #: What the terms in that unit are; one or two sentences.
 
 
 @dataclass(frozen=True)

@@ -51,6 +51,8 @@ def check_bench(
 
     An INS that is off and that the bench can switch on is on during the check.
 
+    Raises DocumentError if the station file is wrong. Raises BenchInUseError if a run holds the bench.
+
     Parameters
     ----------
     station, procedure : str
@@ -61,13 +63,6 @@ def check_bench(
         Default: the clock of the station.
     acknowledged : sequence of str
         Instruments whose calibration may be past due, in the operator's name.
-
-    Raises
-    ------
-    DocumentError
-        The station file is wrong.
-    BenchInUseError
-        A run holds the bench.
     """
     bench = Station(find_document("stations", station))
     bench.check_dbc()

@@ -41,6 +41,7 @@ BEFORE_COLOUR, AFTER_COLOUR = "#AAAAAA", "#0072B2"
 FOUND_COLOUR, TIED_COLOUR, OTHER_COLOUR = "#0072B2", "#E69F00", "#CCCCCC"
 _KIND_COLOURS = {"found": FOUND_COLOUR, "tied": TIED_COLOUR, "others": OTHER_COLOUR}
 NOTE_COLOUR, NOISE_COLOUR, BAND_COLOUR = "#666666", "#222222", "#E3E3E3"
+_NOISE_LABEL = "± noise (k = 1)"
 _HELD_OUT_COLOUR = "#D55E00"
 _S_PER_H, _PERCENT = 3600.0, 100.0
 _MARGIN, _POINT_SIZE, _BAR_HEIGHT_IN, _MAX_POWER = 1.1, 2.2, 0.27, 12.0
@@ -96,7 +97,7 @@ def closure_residual_figure(closure: Closure, gyro: str) -> Figure:
         for axes, along in zip(row, against.values(), strict=True):
             draw_dwells(axes, along, values_dph * scale.factor, closure.searched, gyro, size=_POINT_SIZE)
             axes.axhspan(
-                -noise * scale.factor, noise * scale.factor, color=BAND_COLOUR, zorder=0.5, label="± noise"
+                -noise * scale.factor, noise * scale.factor, color=BAND_COLOUR, zorder=0.5, label=_NOISE_LABEL
             )
     for axes, label in zip(grid[-1], against, strict=True):
         axes.set_xlabel(label, fontsize=8)
@@ -218,7 +219,7 @@ class _MainTerm:
         campaign, searched = closure.campaign, closure.searched
         parts_dph = columns[:, axis] * found.sizes_dph[axis]
         term = int(np.argmax(np.std(parts_dph[searched], axis=0)))
-        self.along: FloatArray = columns[:, axis, term]
+        self.along: FloatArray = (columns / found.weights)[:, axis, term]
         self.label = found.candidate.form.terms[term]
         self.bias_dph: FloatArray = parts_dph[:, term] - parts_dph[searched, term].mean()
         if np.all(np.diff(self.along) >= 0.0):
@@ -240,7 +241,7 @@ def _draw(
     along, line = main.along[order], main.bias_dph[order] * scale.factor
     band = noise_dph * scale.factor
     axes.fill_between(
-        along, line - band, line + band, color=BAND_COLOUR, zorder=0.5, linewidth=0, label="± noise"
+        along, line - band, line + band, color=BAND_COLOUR, zorder=0.5, linewidth=0, label=_NOISE_LABEL
     )
     draw_dwells(axes, main.along, values, searched, gyro)
     axes.plot(along, line, color="black", linewidth=1.0, label="fit")

@@ -42,6 +42,7 @@ from gyrobench.bench.report.number_format import p_text
 from gyrobench.bench.report.page import Findings, Section, SectionFigure, SectionTable, write_findings
 from gyrobench.bench.report.run_report import write_report
 from gyrobench.bench.runs.folder import CLOSURE, RunFolder
+from gyrobench.bench.runs.provenance import watermark_of
 
 _RESIDUALS = (
     "{}: measured minus predicted {}. Each point is a dwell, hollow points are held out; the grey band is "
@@ -97,6 +98,7 @@ def _effects(closure: Closure) -> Section | None:
     figures = []
     for each in closure.effects:
         caption = _EFFECT.format(each.effect.display_name.capitalize(), closure.quantity.label)
+        caption = f"{caption} {each.candidate.form.weights_note}".strip()
         figures.append(
             SectionFigure(
                 f"effect_{each.effect.name}", caption, partial(closure_effect_figure, closure, each)
@@ -138,7 +140,10 @@ def _sizes(closure: Closure) -> SectionTable:
         ]
         for each in closure.effects
         for term, sizes, sigmas in zip(
-            each.candidate.form.terms, each.sizes_dph.T, each.sizes_sigma_dph.T, strict=True
+            each.candidate.form.terms,
+            (each.sizes_dph * each.weights).T,
+            each.weighted_sigma_dph.T,
+            strict=True,
         )
     ]
     return SectionTable(
@@ -255,6 +260,7 @@ def write_closure_page(folder: Path, closure: Closure, source: str, dwells: Path
         facts=_facts(closure),
         sections=closure_sections(closure),
         dwells_sha256=file_sha256(dwells) if dwells else "",
+        watermark=watermark_of(folder, *(Path(table.name) for table in closure.campaign.tables)),
     )
     return write_findings(folder / "closure.html", findings)
 
@@ -285,10 +291,7 @@ def write_search(
     than gyro biases with its name. Returns the page and the
     updated report, None for files outside a run or of several.
 
-    Raises
-    ------
-    RunFolderError
-        A file can't be written.
+    Raises RunFolderError if a file can't be written.
     """
     name = CLOSURE if closure.quantity.is_gyro_bias else f"{CLOSURE}_{closure.quantity.name}"
     first, source = tables[0], ", ".join(map(str, tables))

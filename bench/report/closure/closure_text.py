@@ -10,7 +10,7 @@ from scipy.special import chdtri
 
 from gyrobench.bench.closure.candidates import start_count
 from gyrobench.bench.closure.loop import Closure, Evidence, FoundEffect
-from gyrobench.bench.closure.posterior import CLEAN, EXPLAINED, POWER
+from gyrobench.bench.closure.posterior import CLEAN, EXPLAINED, POWER, RIVAL
 from gyrobench.bench.closure.problem import Solution
 from gyrobench.bench.closure.search import SIGNIFICANCE
 from gyrobench.bench.closure.validation import LACK_OF_FIT_P, measured_minus
@@ -148,6 +148,11 @@ def verdict_sentence(closure: Closure) -> str:
             likely = f"An effect is likely ({probability_text(some)})"
             present = "An effect is present" if some >= EXPLAINED else likely
             return f"{present}, but {_unsettled(closure)}" if found else _undecided(closure)
+        case "not searched":
+            return (
+                "A search needs a second cycle to test what it finds, so polynomials over temperature "
+                "alone are compensated."
+            )
         case _:
             part = _part(closure)
             unknown = probability_text(closure.posterior.not_on_list)
@@ -160,16 +165,27 @@ def verdict_sentence(closure: Closure) -> str:
 
 def _part(closure: Closure) -> str:
     """What the effects found are beside an unexplained residual."""
-    likely = [each for each in closure.effects if each.probability >= _LIKELY]
-    other = [
-        f"{each.effect.display_name} ({probability_text(each.probability)})"
-        for each in closure.effects
-        if each not in likely
+    likely, tied, other = [], [], []
+    for each in closure.effects:
+        rivals = [name for name in each.tied_with if closure.posterior.of_effect.get(name, 0.0) >= RIVAL]
+        fit = f"{each.effect.display_name} ({probability_text(each.probability)})"
+        if rivals and closure.posterior.of_any([each.effect.name, *rivals]) >= _LIKELY:
+            tied.append(" or ".join([fit, *(_with_probability(closure, name) for name in rivals)]))
+        elif each.probability >= _LIKELY:
+            likely.append(each.effect.display_name)
+        else:
+            other.append(fit)
+    sentences = []
+    if likely:
+        names, verb = listed(likely), "explains" if len(likely) == 1 else "explain"
+        sentences.append(f"{names[0].upper()}{names[1:]} {verb} only a part.")
+    sentences += [
+        f"A part is explained by {fits}, which the data do not distinguish; something else is left."
+        for fits in tied
     ]
-    names = listed([each.effect.display_name for each in likely])
-    verb = "explains" if len(likely) == 1 else "explain"
-    part = f" {names[0].upper()}{names[1:]} {verb} only a part." if names else ""
-    return part + (f" Fitted, but not probable beside what is left: {listed(other)}." if other else "")
+    if other:
+        sentences.append(f"Fitted, but not probable beside what is left: {listed(other)}.")
+    return "".join(f" {each}" for each in sentences)
 
 
 def _not_excluded(closure: Closure) -> str:

@@ -19,6 +19,7 @@ from gyrobench.bench.bias.bins import BiasBin, PositionComparison, paper_bins
 from gyrobench.bench.bias.dwell_table import DwellRow, paper_rows
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.report.figures.style import (
+    BARS,
     GYRO_STYLES,
     POSITION_STYLES,
     common_legend,
@@ -31,7 +32,11 @@ from gyrobench.bench.report.number_format import PAPER, STATE_SPACE, BiasScale, 
 from gyrobench.bench.report.statements import SIGNIFICANCE, differing
 
 #: Title of legends: what bars and numbers are.
-_BARS = "bars: standard uncertainty (k = 1); numbers: dwells"
+_BARS = f"{BARS}; numbers: dwells"
+#: Where the number of a line stands, in points from the end of its bar: of lines that coincide none covers
+#: another. By the place of a position or gyro: column; rows above for the first three, below for the others.
+_COLUMN_PT, _ROW_PT = 7.5, (2.0, -6.5)
+_PLACES = ("x_up", "z_up", "y_up", "x_down", "z_down", "y_down")
 #: Margin above and below the biases, as matplotlib's.
 _MARGIN = 1.1
 
@@ -154,8 +159,8 @@ def draw_bins(axes: Axes, bins: Sequence[BiasBin], scale: BiasScale) -> None:
     if not bins:
         return
     style = POSITION_STYLES[bins[0].position]
-    label = position_label(bins[0].position)
-    _draw_line(axes, bins, scale, label, style.line, style.marker, style.colour, style.face)
+    label, place = position_label(bins[0].position), _PLACES.index(bins[0].position)
+    _draw_line(axes, bins, scale, label, place, style.line, style.marker, style.colour, style.face)
 
 
 def _draw_line(
@@ -163,12 +168,14 @@ def _draw_line(
     bins: Sequence[BiasBin],
     scale: BiasScale,
     label: str,
+    place: int,
     line: str,
     marker: str,
     colour: str,
     face: str = "",
 ) -> None:
-    """Join bins by a line, each with its bar and its number of dwells."""
+    """Join bins by a line, each with its bar and its number of dwells at one of six places around it."""
+    row, column = divmod(place, 3)
     axes.errorbar(
         [each.temperature_c for each in bins],
         [each.bias_dph * scale.factor for each in bins],
@@ -184,8 +191,8 @@ def _draw_line(
     for each in bins:
         axes.annotate(
             str(each.count),
-            (each.temperature_c, (each.bias_dph + each.sigma_dph) * scale.factor),
-            (0, 2),
+            (each.temperature_c, (each.bias_dph + (1 - 2 * row) * each.sigma_dph) * scale.factor),
+            (_COLUMN_PT * (column - 1), _ROW_PT[row]),
             textcoords="offset points",
             ha="center",
             fontsize=5.5,
@@ -231,13 +238,14 @@ def position_pair_figure(bins: Sequence[BiasBin], marked_c: Sequence[float] = ()
     panels = figure.subplots(1, 2, sharex=True, sharey=True)
     for axes, own in zip(panels, pairs, strict=True):
         axes.set(title=position_label(own[0].position), xlabel="temperature of the gyro / °C")
-        for gyro in AXES:
+        for place, gyro in enumerate(AXES):
             colour, line, marker = GYRO_STYLES[gyro]
             _draw_line(
                 axes,
                 [each for each in own if each.gyro == gyro],
                 scale,
                 gyro_label(gyro),
+                place,
                 line,
                 marker,
                 colour,
@@ -281,9 +289,7 @@ def position_difference_figure(
         if limit_dph is not None:
             _mark_limit(axes, limit_dph * scale.factor)
         mark_temperatures(axes, "x", marked_c)
-        common_legend(
-            figure, [axes], "upper center", ncols=len(AXES), title="bars: standard uncertainty (k = 1)"
-        )
+        common_legend(figure, [axes], "upper center", ncols=len(AXES), title=BARS)
     else:
         say_empty(axes, "no bin has dwells in two positions")
     return figure

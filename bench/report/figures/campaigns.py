@@ -15,7 +15,7 @@ from matplotlib.patches import Rectangle
 from gyrobench.bench.closure.separability import Separability
 from gyrobench.bench.foundations.text import bin_label
 from gyrobench.bench.navigation.positions import AXES, gyro_label
-from gyrobench.bench.report.figures.style import fitted_figure, house_style, say_empty
+from gyrobench.bench.report.figures.style import BARS_SHORT, fitted_figure, house_style, say_empty
 from gyrobench.bench.report.number_format import BiasScale, p_text
 from gyrobench.bench.runs.index.run_biases import Trend, months_since_first
 
@@ -86,7 +86,12 @@ def trend_figure(unit: str, trends: Sequence[Trend]) -> Figure:
         panel.set_title(gyro_label(gyro))
         panel.set_ylabel(f"bias / ({scale.unit})")
         if mine:
-            panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), title="bin; slope per month")
+            panel.legend(
+                loc="center left",
+                bbox_to_anchor=(1.0, 0.5),
+                title=f"bin; slope per month\n{BARS_SHORT}",
+                title_fontsize=8,
+            )
         else:
             say_empty(panel, "no uncompensated bias")
     locator = AutoDateLocator(minticks=3, maxticks=9)

@@ -30,6 +30,9 @@ _AXES: dict[TestName, _Axes] = {
     "allan_variance": _Axes(
         "averaging time / s", "Allan deviation / (deg/h)", "fit", is_log=True, factor=1.0
     ),
+    "scale_factor_stability": _Axes(
+        "time since the first dwell / h", "scale factor less mean / ppm", "drift", factor=1.0
+    ),
 }
 
 

@@ -14,6 +14,7 @@ from gyrobench.bench.bias.dwell_table import DwellRow, paper_rows
 from gyrobench.bench.bias.statistics import uniformity_band
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.report.figures.style import (
+    BARS,
     POSITION_STYLES,
     common_legend,
     house_style,
@@ -45,7 +46,7 @@ def estimators_figure(dwells: Iterable[DwellRow], marked_c: Sequence[float] = ()
         _draw_estimator_differences(axes, axis, both, scale, marked_c)
     panels[0].set_ylabel(f"{PAPER} minus\n{STATE_SPACE} / ({scale.unit})")
     panels[1].set_xlabel("temperature of the gyro / °C")
-    common_legend(figure, panels[:1], ncols=len(POSITIONS))
+    common_legend(figure, panels[:1], ncols=len(POSITIONS), title=BARS)
     if not both:
         say_empty(panels[1], "the paper's method gave no bias")
     return figure

@@ -12,6 +12,7 @@ from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, DPH_TO_RADPS, UG_PER_SQRT_HZ_TO_SI
 from gyrobench.bench.navigation.positions import AXES, gyro_label
 from gyrobench.bench.report.figures.style import (
+    BARS_SHORT,
     GYRO_STYLES,
     WIDTH_IN,
     house_style,
@@ -126,4 +127,5 @@ def _draw_walks(
         side.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < _FEW_DECADES * low else (1.0,)))
         side.set_major_formatter("{x:g}")
         side.set_minor_formatter(NullFormatter())
-    axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0))
+    title = BARS_SHORT if has_fit else None
+    axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), title=title, title_fontsize=8)

@@ -26,8 +26,12 @@ _PNG = {"compress_level": 3}
 _POINTS_PER_INCH, _LEGEND_PT = 72.0, 8
 #: Width of a character and height of a legend's row in parts of the size of the font.
 _CHARACTER, _LEGEND_ROW = 0.58, 1.75
+_KEY_IN = 0.53  # of a column of a legend: its line, and the space to the next column
 #: Name of the text of a PNG file that holds the key, near its beginning.
 _KEY, _KEY_WITHIN_BYTES = "Inputs", 1000
+
+#: Title of legends where bars are uncertainties.
+BARS, BARS_SHORT = "bars: standard uncertainty (k = 1)", "bars: k = 1"
 
 #: Decorator of drawing functions: makes figures independent of matplotlibrc and other code.
 house_style = matplotlib.style.context(
@@ -145,7 +149,7 @@ def common_legend(
     ncols: int = 0,
     title: str = "",
 ) -> None:
-    """Draw one legend for several panels, each label once, by default in one row; none without labels.
+    """Draw one legend for several panels, each label once, by default in one row if it fits; none without.
 
     It widens the lower or upper margin. ``title`` stands above the labels.
     """
@@ -155,7 +159,8 @@ def common_legend(
             handles.setdefault(label, handle)
     if not handles:
         return
-    ncols = ncols or len(handles)
+    within = int(WIDTH_IN / (_KEY_IN + text_width_in(handles, _LEGEND_PT)))
+    ncols = max(min(ncols or len(handles), within), 1)
     if figure.get_layout_engine():
         side = f"outside {side}"  # type: ignore[assignment]
     else:

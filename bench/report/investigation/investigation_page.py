@@ -17,6 +17,7 @@ from gyrobench.bench.report.investigation import investigation_text as text
 from gyrobench.bench.report.page import Findings, Section, SectionFigure, SectionTable, write_findings
 from gyrobench.bench.report.verification.verification_page import residual_bars_figure
 from gyrobench.bench.report.verification.verification_text import SIZES, UNITS, outcome_sentence, total_rows
+from gyrobench.bench.runs.provenance import watermark_of
 from gyrobench.bench.verification.compensation_verification import VerificationResult
 
 _CURVES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
@@ -45,6 +46,7 @@ def write_investigation_page(
             "blocks": f"{len(found.stages) - 1}, {found.spent_h - first_h:.1f} h",
             "verdict": f"{found.closure.verdict}: {verdict_sentence(found.closure)}",
         },
+        watermark=watermark_of(folder, *(Path(each.name) for each in found.closure.campaign.tables)),
         sections=[_story(found), *_blocks(found), *_proof(proof), *closure_sections(found.closure)],
     )
     return write_findings(folder / "investigation.html", findings)

@@ -37,10 +37,10 @@ from gyrobench.bench.station.preflight_check import Check, Verdict
 
 
 def plain_table(
-    headers: Sequence[str], words: int, rows: Iterable[Sequence[str]] = (), *, fold: bool = True
+    headers: Sequence[str], words: int, rows: Iterable[Sequence[str]] = (), *, fold: bool = True, gap: int = 1
 ) -> Table:
     """Table with columns of words at the left and of numbers after them."""
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, gap, 0, 0))
     for number, header in enumerate(headers):
         table.add_column(header, justify="left" if number < words else "right", no_wrap=not fold)
     for row in rows:

@@ -34,6 +34,7 @@ from gyrobench.bench.report.verification.verification_text import (
     reading_sentences,
     total_rows,
 )
+from gyrobench.bench.runs.provenance import watermark_of
 from gyrobench.bench.verification.compensation_verification import (
     DECLARED,
     EFFECT,
@@ -198,6 +199,7 @@ def write_verification_page(folder: Path, result: VerificationResult, dwells: Pa
         facts=_facts(result),
         sections=verification_sections(result),
         dwells_sha256=file_sha256(dwells) if dwells else "",
+        watermark=watermark_of(folder, *(Path(each.name) for each in result.closure.campaign.tables)),
     )
     return write_findings(folder / "verification.html", findings)
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from gyrobench.bench.closure.loadable_model import LoadableModel
-from gyrobench.bench.closure.loop import Closure
+from gyrobench.bench.closure.loop import NOT_SEARCHED, Closure
 from gyrobench.bench.closure.validation import LACK_OF_FIT_P
 from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.navigation.positions import AXES
@@ -65,7 +65,8 @@ def model_sentences(closure: Closure, models: Mapping[str, LoadableModel]) -> li
     elif closure.effects:
         what = f"One compensation, the declared model. No INS term exists for {found_labels(closure)}."
     else:
-        what = "One compensation, the declared model. No effect was found."
+        done = "searched" if closure.verdict == NOT_SEARCHED else "found"
+        what = f"One compensation, the declared model. No effect was {done}."
     notes = models[EFFECT].notes if EFFECT in models else models[DECLARED].notes
     return [f"{what} {limits}", *(f"{note[0].upper()}{note[1:]}." for note in notes)]
 

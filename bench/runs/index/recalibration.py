@@ -81,6 +81,9 @@ def recalibration(
 ) -> Recalibration:
     """Date until which the bias of a unit stays within a limit of either sign.
 
+    Raises MeasurementError if the unit has no run, or all units together have too few to know the scatter
+    between runs.
+
     Parameters
     ----------
     runs : mapping of str to sequence of RunBias
@@ -91,11 +94,6 @@ def recalibration(
         Largest bias of either sign in a run, deg/h.
     confidence : float
         Probability that the bias of a run on that date is within the limit.
-
-    Raises
-    ------
-    MeasurementError
-        The unit has no run, or all units together have too few to know the scatter between runs.
     """
     units = {name: _Unit.of(each) for name, each in runs.items() if each}
     if unit not in units:

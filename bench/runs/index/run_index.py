@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -32,6 +32,7 @@ from gyrobench.bench.runs.index.tables import (
     read_run_record,
     rows_of,
 )
+from gyrobench.bench.runs.provenance import SIMULATED
 
 if TYPE_CHECKING:
     import duckdb
@@ -280,6 +281,11 @@ def find_runs(index: RunIndex, selection: Selection) -> list[dict[str, Any]]:
     condition, parameters = selection.condition()
     sql = f"SELECT * FROM runs WHERE {condition} ORDER BY started_utc DESC, path DESC"  # noqa: S608 - ours
     return index.query(sql, parameters).records()
+
+
+def watermark(runs: Sequence[Mapping[str, Any]]) -> str:
+    """Word across what is drawn from rows of :func:`find_runs`; empty where no world is behind them."""
+    return SIMULATED if any(run["world"] for run in runs) else ""
 
 
 Grouping = Literal["unit", "batch", "bench", "procedure", "month"]

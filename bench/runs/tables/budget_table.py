@@ -12,41 +12,40 @@ from typing import Any
 
 from gyrobench.bench.bias.budget import SOURCES, BiasBudget, Budget, Combined
 from gyrobench.bench.calibration.coefficients import Coefficient
-from gyrobench.bench.foundations.csv_tables import CsvTable, format_csv, read_text, write_text
-from gyrobench.bench.foundations.text import format_cell
+from gyrobench.bench.foundations.csv_tables import CsvTable, format_rows, read_rows, write_text
 
 #: Names of the sums in the column ``contribution``: the stated uncertainty, and that with what lies outside.
 COMBINED, ANY_POWER_CYCLE = "combined", "combined_any_power_cycle"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class BudgetRow:
     """A contribution to the uncertainty of one result, or a sum."""
 
     result: str  #: ``dwell``, ``bin`` or ``coefficient``.
     quantity: str  #: ``gyro_bias``, or the name of the coefficient.
     axis: str  #: "x", "y" or "z"; of misalignments the sensor and the axis that it senses.
-    dwell: int | None  #: Number of the dwell; None for other results.
-    plateau: int | None  #: Number of the plateau; None but for coefficients.
-    position: str  #: Position of the unit; empty for coefficients.
+    dwell: int | None = None  #: Number of the dwell; None for other results.
+    plateau: int | None = None  #: Number of the plateau; None but for coefficients.
+    position: str = ""  #: Position of the unit; empty for coefficients.
     #: bin_low_c, bin_high_c: Range of the gyro's temperature; NaN but for bins.
-    bin_low_c: float
-    bin_high_c: float
+    bin_low_c: float = math.nan
+    bin_high_c: float = math.nan
     contribution: str  #: Key of :data:`gyrobench.bench.bias.budget.SOURCES`, or name of a sum.
-    type: str  #: "A" or "B"; empty for a sum.
+    type: str = ""  #: "A" or "B"; empty for a sum.
     distribution: str  #: ``normal`` or ``rectangular``; ``t`` for a sum with finite degrees of freedom.
     #: input_sigma, input_unit: Standard uncertainty of the input quantity; NaN where it has none.
-    input_sigma: float
-    input_unit: str
-    sensitivity: float  #: Sensitivity coefficient, unit of the result per unit of the input; NaN likewise.
+    input_sigma: float = math.nan
+    input_unit: str = ""
+    sensitivity: float = math.nan  #: Unit of the result per unit of the input; NaN likewise.
     sigma: float  #: Standard uncertainty of the result by this; NaN where not evaluated.
     unit: str  #: Of the result.
     share: float  #: Share of the stated variance; NaN for what lies outside.
     dof: float  #: Degrees of freedom, of a sum the effective ones; infinite where declared.
     #: k, expanded: Coverage factor for 95 % and expanded uncertainty of a sum; NaN for contributions.
-    k: float
-    expanded: float
-    note: str
+    k: float = math.nan
+    expanded: float = math.nan
+    note: str = ""
 
     @property
     def is_sum(self) -> bool:
@@ -55,17 +54,6 @@ class BudgetRow:
 
 
 _COLUMNS = tuple(field.name for field in fields(BudgetRow))
-_TEXTS = {
-    "result",
-    "quantity",
-    "axis",
-    "position",
-    "contribution",
-    "type",
-    "distribution",
-    "input_unit",
-    "unit",
-}
 
 
 def budget_rows(budgets: Iterable[BiasBudget]) -> list[BudgetRow]:
@@ -80,7 +68,6 @@ def budget_rows(budgets: Iterable[BiasBudget]) -> list[BudgetRow]:
             quantity="gyro_bias",
             axis=each.gyro,
             dwell=each.dwell,
-            plateau=None,
             position=each.position,
             bin_low_c=each.bin_low_c,
             bin_high_c=each.bin_high_c,
@@ -99,11 +86,7 @@ def coefficient_budget_rows(plateau: int, budgets: Iterable[tuple[Coefficient, B
             result="coefficient",
             quantity=coefficient.name,
             axis=coefficient.axis,
-            dwell=None,
             plateau=plateau,
-            position="",
-            bin_low_c=math.nan,
-            bin_high_c=math.nan,
         )
     ]
 
@@ -124,8 +107,6 @@ def rows_of(budget: Budget, unit: str, **result: Any) -> Iterator[BudgetRow]:
             unit=unit,
             share=(each.sigma / stated.sigma) ** 2 if each.is_within else math.nan,
             dof=each.dof,
-            k=math.nan,
-            expanded=math.nan,
             note=each.note,
         )
     yield _sum(COMBINED, stated, unit, 1.0, "", result)
@@ -140,11 +121,7 @@ def _sum(
     return BudgetRow(
         **result,
         contribution=name,
-        type="",
         distribution="normal" if math.isinf(combined.dof) else "t",
-        input_sigma=math.nan,
-        input_unit="",
-        sensitivity=math.nan,
         sigma=combined.sigma,
         unit=unit,
         share=share,
@@ -157,26 +134,17 @@ def _sum(
 
 def write_budget(path: Path, rows: Iterable[BudgetRow]) -> None:
     """Write ``budget.csv``. Raises RunFolderError if the file can't be written."""
-    cells = ([format_cell(value) for value in vars(row).values()] for row in rows)
-    write_text(path, format_csv(_COLUMNS, cells))
+    write_text(path, format_rows(_COLUMNS, rows))
 
 
 def read_budget(path: Path) -> list[BudgetRow]:
-    """Read ``budget.csv``.
-
-    Raises DocumentError if the file can't be read or is wrong; the message lists all problems.
-    """
-    table = CsvTable(read_text(path), str(path), required=_COLUMNS)
-    return table.rows(lambda index: BudgetRow(**{name: _value(table, index, name) for name in _COLUMNS}))
+    """Read ``budget.csv``; errors as for :func:`gyrobench.bench.foundations.csv_tables.read_rows`."""
+    return read_rows(path, BudgetRow, {"dof": _dof})
 
 
-def _value(table: CsvTable, index: int, name: str) -> Any:
-    text = table.text(index, name)
-    if name in _TEXTS or name == "note":
-        return text
-    if name in ("dwell", "plateau"):
-        return table.integer(index, name) if text else None
-    return math.inf if name == "dof" and text == "inf" else table.number(index, name, may_be_empty=True)
+def _dof(table: CsvTable, index: int, name: str) -> float:
+    is_infinite = table.text(index, name) == "inf"
+    return math.inf if is_infinite else table.number(index, name, may_be_empty=True)
 
 
 def budget_records(rows: Sequence[BudgetRow]) -> list[dict[str, Any]]:

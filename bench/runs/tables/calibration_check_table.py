@@ -6,9 +6,8 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
 
-from gyrobench.bench.foundations.csv_tables import CsvTable, format_rows, read_text, write_text
+from gyrobench.bench.foundations.csv_tables import CsvTable, format_rows, one_of, read_rows, write_text
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
 #: Ways to see a bias: in the heading after alignment, or in the velocity of a navigation after it.
@@ -67,10 +66,6 @@ class CalibrationCheckRow:
 COLUMNS = tuple(field.name for field in fields(CalibrationCheckRow))
 
 _MEASURED = ("bias_dph", "sigma_dph", "accelerometer_ug", "accelerometer_sigma_ug")
-_SIGMAS = tuple(name for name in COLUMNS if "sigma" in name)
-_CHOICES = {"position": tuple(POSITIONS), "gyro": AXES, "method": METHODS}
-_TEXTS = ("unit", "run", "flags")
-_INTEGERS = ("dwell", "cycle")
 
 
 def write_calibration_check(path: Path, rows: Iterable[CalibrationCheckRow]) -> None:
@@ -81,28 +76,18 @@ def write_calibration_check(path: Path, rows: Iterable[CalibrationCheckRow]) -> 
 def read_calibration_check(path: Path) -> list[CalibrationCheckRow]:
     """Read the table of a calibration check.
 
-    Raises DocumentError if the file can't be read or is wrong; the message lists all problems.
+    Errors as for :func:`gyrobench.bench.foundations.csv_tables.read_rows`.
     """
-    table = CsvTable(read_text(path), str(path), required=COLUMNS)
-    return table.rows(
-        lambda index: CalibrationCheckRow(**{name: _value(table, index, name) for name in COLUMNS})
-    )
+    words = {"position": one_of(POSITIONS), "gyro": one_of(AXES), "method": one_of(METHODS)}
+    numbers = {field.name: _number for field in fields(CalibrationCheckRow) if field.type == "float"}
+    return read_rows(path, CalibrationCheckRow, words | numbers)
 
 
-def _value(table: CsvTable, index: int, name: str) -> Any:
-    text = table.text(index, name)
-    if name in _TEXTS:
-        return text
-    if name in _CHOICES:
-        return table.choice(index, name, _CHOICES[name])
-    if name in _INTEGERS or (name == "turned_dwell" and text):
-        return table.integer(index, name)
-    if name == "turned_dwell":
-        return None
+def _number(table: CsvTable, index: int, name: str) -> float:
     failed = bool(table.text(index, "flags"))
     may_be_empty = name != "azimuth_deg" and (name not in _MEASURED or failed)
     if name == "temperature_c":
         return table.temperature(index, name, may_be_empty)
-    if name in _SIGMAS:
+    if "sigma" in name:
         return table.uncertainty(index, name, may_be_empty)
     return table.number(index, name, may_be_empty)

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS
+from gyrobench.bench.calibration.results import NOT_OBSERVABLE, correlation_cells
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.bench.foundations.csv_tables import CsvTable, format_rows, read_text, write_text
-from gyrobench.bench.foundations.text import format_number
-
-#: Decimals of a correlation.
-_DECIMALS = 4
+from gyrobench.bench.foundations.csv_tables import (
+    CsvTable,
+    format_rows,
+    one_of,
+    read_rows,
+    read_text,
+    write_text,
+)
 
 
 @dataclass(frozen=True)
@@ -39,6 +44,40 @@ class PlateauCoefficientRow:
 
 _COLUMNS = [each.name for each in fields(PlateauCoefficientRow)]
 
+#: Frame and temperatures of the rows, as reports state them.
+FRAME_TEXT = (
+    "The body frame is that of the accelerometers: x is the input axis of the x accelerometer, and that of y "
+    "lies in the plane of x and y; so 21 of the 24 coefficients are independent, and the others are zero. A "
+    "misalignment xy is what sensor x senses of axis y."
+)
+TEMPERATURE_TEXT = (
+    "Columns are headed by the temperatures of x gyro and case: coefficients of gyros belong to the "
+    "first, those of accelerometers to the second."
+)
+
+
+def plateau_heads(rows: Iterable[PlateauCoefficientRow]) -> dict[int, str]:
+    """Temperatures of the x gyro and of the case at each plateau, ``67 / 63 °C``, by its number."""
+    found: dict[int, dict[str, float]] = {}
+    for row in rows:
+        sensor = "gyro" if row.coefficient.startswith("gyro") else "case"
+        found.setdefault(row.plateau, {}).setdefault(sensor, row.temperature_c)
+    return {
+        plateau: " / ".join("–" if math.isnan(each) else f"{each:.0f}" for each in temperatures.values())
+        + " °C"
+        for plateau, temperatures in found.items()
+    }
+
+
+def plateau_findings(rows: Iterable[PlateauCoefficientRow]) -> list[str]:
+    """What is wrong with plateaus."""
+    texts = dict.fromkeys(
+        (row.plateau, row.finding.removeprefix(f"{NOT_OBSERVABLE}; "))
+        for row in rows
+        if row.finding not in ("", NOT_OBSERVABLE)
+    )
+    return [f"Plateau {plateau}: {text}." for plateau, text in texts]
+
 
 def write_coefficients(path: Path, rows: Sequence[PlateauCoefficientRow]) -> None:
     """Write the coefficients. Raises RunFolderError if the file can't be written."""
@@ -50,9 +89,8 @@ def write_correlations(path: Path, plateaus: Sequence[tuple[int, FloatArray]]) -
     names = [f"{each.name}_{each.axis}" for each in COEFFICIENTS]
     lines = [",".join(["plateau", "coefficient", *names])]
     for plateau, correlations in plateaus:
-        for name, row in zip(names, correlations.tolist(), strict=True):
-            cells = ["" if np.isnan(value) else format_number(round(value, _DECIMALS)) for value in row]
-            lines.append(",".join([str(plateau), name, *cells]))
+        for name, row in zip(names, correlations, strict=True):
+            lines.append(",".join([str(plateau), name, *correlation_cells(row)]))
     write_text(path, "\n".join(lines) + "\n")
 
 
@@ -73,29 +111,6 @@ def read_correlations(path: Path) -> dict[int, FloatArray]:
 
 
 def read_coefficients(path: Path) -> list[PlateauCoefficientRow]:
-    """Read ``coefficients.csv``.
-
-    Raises DocumentError if the file can't be read or is wrong; the message lists all problems.
-    """
-    table = CsvTable(read_text(path), str(path), required=_COLUMNS)
-
-    def row(index: int) -> PlateauCoefficientRow:
-        def number(name: str) -> float:
-            return table.number(index, name, may_be_empty=True)
-
-        return PlateauCoefficientRow(
-            table.integer(index, "plateau"),
-            table.integer(index, "cycle"),
-            number("chamber_set_c"),
-            number("temperature_c"),
-            table.choice(index, "coefficient", {each.name for each in COEFFICIENTS}),
-            table.choice(index, "axis", {each.axis for each in COEFFICIENTS}),
-            number("value"),
-            number("sigma"),
-            table.text(index, "unit"),
-            table.text(index, "finding"),
-            number("sigma_with_force"),
-            number("gyro_rate_c_per_h"),
-        )
-
-    return table.rows(row)
+    """Read ``coefficients.csv``; errors as for :func:`gyrobench.bench.foundations.csv_tables.read_rows`."""
+    names, axes = ({getattr(each, field) for each in COEFFICIENTS} for field in ("name", "axis"))
+    return read_rows(path, PlateauCoefficientRow, {"coefficient": one_of(names), "axis": one_of(axes)})

@@ -12,7 +12,7 @@ import numpy as np
 
 from gyrobench.bench.bias.vertical_pairs import Finding, UpRate
 from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN, RADPS_TO_DPH, UG_TO_MPS2
-from gyrobench.bench.foundations.csv_tables import CsvTable, format_rows, read_text, write_text
+from gyrobench.bench.foundations.csv_tables import format_rows, one_of, read_rows, write_text
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
 if TYPE_CHECKING:
@@ -49,49 +49,31 @@ class JointBiasRow:
 
 @dataclass(frozen=True)
 class JointPlateauRow:
-    """What the dwells of one plateau share.
+    """What the dwells of one plateau share."""
 
-    Attributes
-    ----------
-    plateau, cycle, dwells : int
-        Number of the plateau, from 1 (column ``stop``), cycle, number of dwells. Plateau 0 is all plateaus
-        together: its row has the rate Up alone.
-    chamber_set_c : float
-        Set point; NaN where there is none.
-    accelerometer_x_ug, ... : float
-        Biases and their standard uncertainties.
-    north_rate_dph, up_rate_dph, ... : float
-        Rates fixed in the navigation frame, and their standard uncertainties; NaN where not observable.
-    latitude_error_arcmin, latitude_error_sigma_arcmin : float
-        Latitude error that would explain both.
-    up_rate_p_value : float
-        Test that the half-differences of all gyros are equal.
-    finding : str
-        What the half-differences of the vertical gyros are: name of a
-        :class:`gyrobench.bench.bias.vertical_pairs.Finding`.
-    fit_p_value, any_north_p_value : float
-        Test that the dwells agree on what they share, with the latitude as declared and with any
-        rate North.
-    """
-
-    plateau: int
+    plateau: int  #: Number, from 1 (column ``stop``); 0 is all plateaus together, with the rate Up alone.
     cycle: int
-    dwells: int
-    chamber_set_c: float
+    dwells: int  #: Number of dwells.
+    chamber_set_c: float  #: Set point; NaN where there is none.
+    #: Biases of the accelerometers and their standard uncertainties.
     accelerometer_x_ug: float
     accelerometer_y_ug: float
     accelerometer_z_ug: float
     accelerometer_x_sigma_ug: float
     accelerometer_y_sigma_ug: float
     accelerometer_z_sigma_ug: float
+    #: Rates fixed in the navigation frame and their standard uncertainties; NaN where not observable.
     north_rate_dph: float
     north_rate_sigma_dph: float
     up_rate_dph: float
     up_rate_sigma_dph: float
+    #: Latitude error that would explain both.
     latitude_error_arcmin: float
     latitude_error_sigma_arcmin: float
-    up_rate_p_value: float
+    up_rate_p_value: float  #: Test that the half-differences of all gyros are equal.
+    #: What those of the vertical gyros are: name of a :class:`gyrobench.bench.bias.vertical_pairs.Finding`.
     finding: str
+    #: Test that the dwells agree on what they share, with the latitude as declared and with any rate North.
     fit_p_value: float
     any_north_p_value: float
 
@@ -114,7 +96,7 @@ def joint_plateau_rows(solutions: Sequence[JointSolution], up_rate: UpRate | Non
 
 def columns(kind: type[Row]) -> list[str]:
     """Columns of the file with rows of a kind."""
-    return [_column(field.name) for field in fields(kind)]
+    return [_COLUMNS.get(field.name, field.name) for field in fields(kind)]
 
 
 def write_joint(path: Path, rows: Iterable[Row], kind: type[Row]) -> None:
@@ -123,16 +105,14 @@ def write_joint(path: Path, rows: Iterable[Row], kind: type[Row]) -> None:
 
 
 def read_joint_biases(path: Path) -> list[JointBiasRow]:
-    """Read ``joint_biases.csv``.
-
-    Raises DocumentError if the file can't be read or is wrong; the message lists all problems.
-    """
-    return _read(path, JointBiasRow)
+    """Read ``joint_biases.csv``; errors as for :func:`gyrobench.bench.foundations.csv_tables.read_rows`."""
+    return read_rows(path, JointBiasRow, {"position": one_of(POSITIONS), "gyro": one_of(AXES)}, _COLUMNS)
 
 
 def read_joint_plateaus(path: Path) -> list[JointPlateauRow]:
-    """Read ``joint.csv``; errors as for :func:`read_joint_biases`."""
-    return _read(path, JointPlateauRow)
+    """Read ``joint.csv``; errors as for :func:`gyrobench.bench.foundations.csv_tables.read_rows`."""
+    findings = [finding.name.lower() for finding in Finding]
+    return read_rows(path, JointPlateauRow, {"finding": one_of(findings)}, _COLUMNS)
 
 
 def _bias_rows(plateau: int, solution: JointSolution, up_rate: UpRate | None) -> Iterator[JointBiasRow]:
@@ -193,29 +173,5 @@ def _up(rate: UpRate) -> dict[str, Any]:
     }
 
 
-def _read(path: Path, kind: type[Row]) -> list[Row]:
-    names = [field.name for field in fields(kind)]
-    table = CsvTable(read_text(path), str(path), required=columns(kind))
-    return table.rows(lambda index: kind(**{name: _value(table, index, name) for name in names}))
-
-
-_CHOICES = {
-    "position": tuple(POSITIONS),
-    "gyro": AXES,
-    "finding": tuple(finding.name.lower() for finding in Finding),
-}
-_INTEGERS = ("plateau", "dwell", "cycle", "dwells")
 #: Columns whose name in the files is another one.
 _COLUMNS = {"plateau": "stop"}
-
-
-def _column(name: str) -> str:
-    return _COLUMNS.get(name, name)
-
-
-def _value(table: CsvTable, index: int, name: str) -> Any:
-    if name in _CHOICES:
-        return table.choice(index, name, _CHOICES[name])
-    if name in _INTEGERS:
-        return table.integer(index, _column(name))
-    return table.number(index, name, may_be_empty=True)

@@ -97,6 +97,24 @@ class ScaleFactorRate(Effect):
         return np.zeros(now.optics_c.shape)
 
 
+class ScaleFactorDrift(Effect):
+    """The scale factor of each gyro drifts after power-on, and swings with the time since."""
+
+    kind: Literal["scale_factor_drift"] = Field(description="name of the effect")
+    drift_ppm_per_h: Vector = Field(description="drift of each gyro's scale factor, ppm/h")
+    swing_ppm: Vector = Field([0.0, 0.0, 0.0], description="amplitude of each gyro's swing, ppm")
+    period_h: Positive = Field(1.0, description="period of the swing, h")
+
+    @override
+    def added_scale_factor_ppm(self, now: Conditions) -> FloatArray:
+        hours = np.where(np.isfinite(now.since_power_on_s), now.since_power_on_s, 0.0) / _HOUR_S
+        swing = np.array(self.swing_ppm) * np.sin(2.0 * math.pi * hours / self.period_h)
+        return np.asarray(np.array(self.drift_ppm_per_h) * hours + swing)
+
+    def _added_dph(self, now: Conditions) -> FloatArray:
+        return np.zeros(now.optics_c.shape)
+
+
 class ThermalGradient(Effect):
     """The bias follows the difference between electronics and optics temperature of each gyro."""
 

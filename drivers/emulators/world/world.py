@@ -72,7 +72,10 @@ class World:
         self._pulses = np.array([triad.pulse for triad in triads])
         self._wander = BiasWander(file.gyro, np.random.default_rng((seed, 2, start_s)))
         self._wander_dph = np.zeros((1, 3))
-        self._power_on_bias = np.zeros(3)
+        self._power_on_bias, self._power_on_ppm = np.zeros(3), np.zeros(3)
+        self._scale_random = np.random.default_rng((seed, 3, start_s))
+        over_rate = file.gyro.scale_factor_asymmetry_ppm, file.gyro.scale_factor_ppm_per_dps
+        self._half_asymmetry_ppm, self._ppm_per_dps = np.array(over_rate) * [[0.5], [1.0]]
         self._sample = start_s * SAMPLE_RATE_HZ
         self._powered_on_sample = self._sample
         self.air_s = start_s  #: Time that the chamber's air has reached.
@@ -84,10 +87,12 @@ class World:
         self._update_undeclared(self.attitude()[2])
 
     def power_unit(self, on: bool) -> None:
-        """Switch the unit's supply; each power-on draws another repeatability error of the gyro biases."""
+        """Switch the unit's supply; each power-on draws another repeatability error of the gyros."""
         if on and not self.thermal.powered:
             spread = self.file.gyro.power_on_repeatability_dph * DPH_TO_RADPS
             self._power_on_bias = self._random.normal(0.0, 1.0, 3) * spread
+            spread_ppm = self.file.gyro.scale_factor_repeatability_ppm
+            self._power_on_ppm = self._scale_random.normal(0.0, 1.0, 3) * spread_ppm
             self._powered_on_sample = self._sample
         self.thermal.powered = on
         self._update_undeclared(self.attitude()[2])
@@ -162,7 +167,7 @@ class World:
             course = ThermalCourse(*(each[-1:] for each in course))
         self._undeclared_dph = np.zeros((len(duty), 3)) + self._wander_dph
         if not self.file.undeclared_effects:
-            self._undeclared_ppm = np.zeros((len(duty), 3))
+            self._undeclared_ppm = np.zeros((len(duty), 3)) + self._power_on_ppm
             return
         sample = self._sample + SAMPLE_RATE_HZ * np.arange(float(len(duty)))[:, np.newaxis]
         on_s = (sample - self._powered_on_sample) * _DT_S
@@ -177,7 +182,7 @@ class World:
             compressor_duty=duty,
         )
         self._undeclared_dph += self._undeclared.added_dph(now)
-        self._undeclared_ppm = self._undeclared.added_scale_factor_ppm(now)
+        self._undeclared_ppm = self._undeclared.added_scale_factor_ppm(now) + self._power_on_ppm
 
     def _step_samples(
         self, seconds: int, count: int, resting: tuple[FloatArray, FloatArray, FloatArray] | None
@@ -227,10 +232,14 @@ class World:
             _NONE_DPH if compensation is None else compensation.bias_dph,
             normal, count, _DT_S, self._walks, self._pulses, self._remainders,
         )  # fmt: skip
-        if self._undeclared_ppm.any():
-            added = np.repeat(PPM * self._undeclared_ppm[-len(normal) :], count, axis=0)
+        if self._undeclared_ppm.any() or self._half_asymmetry_ppm.any() or self._ppm_per_dps.any():
             true = np.tile(rotation[:count], (len(normal), 1))
-            measured = np.ascontiguousarray(measured[0] + added * true), measured[1]
+            ppm = np.repeat(self._undeclared_ppm[-len(normal) :], count, axis=0)
+            ppm += (
+                self._half_asymmetry_ppm * np.sign(true)
+                + self._ppm_per_dps * np.degrees(np.abs(true)) / _DT_S
+            )
+            measured = np.ascontiguousarray(measured[0] + PPM * ppm * true), measured[1]
         return measured if compensation is None else compensation.corrected(*measured, _DT_S)
 
     def _at_rest(self) -> tuple[FloatArray, FloatArray, FloatArray] | None:

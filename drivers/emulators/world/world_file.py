@@ -72,6 +72,17 @@ class GyroErrors(StrictModel):
     bias_instability_dph: NotNegative = Field(0.0, description="bias instability (flicker noise), deg/h")
     rate_random_walk_dph_per_sqrt_h: NotNegative = Field(0.0, description="rate random walk, deg/h/sqrt(h)")
     pulse_arcsec: NotNegative = Field(0.0, description="angle of one output pulse, arcsec")
+    scale_factor_repeatability_ppm: NotNegative = Field(
+        0.0, description="standard deviation of the scale factor over power-ons, ppm"
+    )
+    scale_factor_asymmetry_ppm: Vector = Field(
+        [0.0, 0.0, 0.0],
+        description="scale factor of each gyro in positive direction less that in negative, ppm",
+    )
+    scale_factor_ppm_per_dps: Vector = Field(
+        [0.0, 0.0, 0.0],
+        description="change of each gyro's scale factor with the size of its rate, ppm per deg/s",
+    )
 
 
 class AccelerometerErrors(StrictModel):

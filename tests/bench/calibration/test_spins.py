@@ -8,6 +8,7 @@ import pytest
 from gyrobench.bench.calibration.estimator import CalibrationOptions, calibrate
 from gyrobench.bench.calibration.recording import IncrementRecording
 from gyrobench.bench.calibration.spins import spin_scale_factors
+from gyrobench.bench.navigation.attitude import rotation_matrices
 from gyrobench.bench.navigation.error_model import Site
 from tests.bench.calibration.rotated_unit import EIGHTEEN, Noise, Unit
 
@@ -76,3 +77,27 @@ def test_nonlinearity_and_asymmetry_are_those_of_the_gyro_and_widen_its_scale_fa
     # The rests fit: the scale factor is uncertain by what the rates differ.
     assert found.fit.p_value > 1e-3
     assert 0.3e-6 < found.sigmas[11] < 3e-6
+
+
+def test_what_the_table_does_not_return_by_is_no_error_of_the_gyro():
+    short_deg = 0.002  # within the tolerance of a table's position: 5.6 ppm of a turn
+    spins = [("inner", sign * (360.0 - short_deg), rate) for rate in RATES_DPS for sign in (1.0, -1.0)]
+    made = Unit(
+        rotations=(*EIGHTEEN[:9], *spins),
+        dwell_s=60.0,
+        sample_hz=20.0,
+        gravity=SITE.gravity,
+        gyro_matrix=SCALE_PPM * 1e-6 * np.eye(3),
+    )
+    increments = Noise().added(*made.increments(), 0.05, np.random.default_rng(3))
+    outer, inner = made.profile(0.05 * np.arange(1.0, len(increments[0]) + 1.0))
+    table = rotation_matrices(np.outer(outer[0], [1.0, 0.0, 0.0])) @ rotation_matrices(
+        np.outer(inner[0], [0.0, 0.0, 1.0])
+    )
+    found = calibrate([IncrementRecording(0.05, *increments, table=table)], SITE, OPTIONS)
+    (spun,) = spin_scale_factors(found, SITE, ARCSEC)
+    for value, sigma in (
+        (spun.scale_factor_ppm, spun.sigma_ppm),
+        (1e6 * found.values[11], 1e6 * found.sigmas[11]),
+    ):
+        assert abs(value - SCALE_PPM) < 4.0 * sigma < 3.0

@@ -77,10 +77,11 @@ def test_noise_whose_square_overflows_is_refused(value, tmp_path):
     text = find_document("stations", "emulated").read_text()
     text = re.sub(r"(angle_random_walk_deg_per_sqrt_h: )\S+", rf"\g<1>{value}", text)
     (tmp_path / "noisy.yaml").write_text(text)
+    [line] = [number for number, each in enumerate(text.splitlines(), 1) if "angle_random_walk" in each]
     answer = gyrobench("validate", "noisy.yaml", cwd=tmp_path)
     assert answer.returncode == 2
     assert value.replace(".0", "") in answer.stdout
-    assert "noisy.yaml:104" in answer.stdout
+    assert f"noisy.yaml:{line}:" in answer.stdout
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,52 @@ COMMAND = (
 )  # fmt: skip
 
 
+TWO_CYCLES = """
+procedure: two_cycles
+bin_width_c: 5
+steps:
+  - power_on: {settle_s: 60}
+  - repeat:
+      over: {cycle: [1, 2], temperature_c: [60, 25, -20, 10]}
+      steps:
+        - chamber: {temperature_c: $temperature_c, ramp_c_per_min: 5.0, within_c: 50}
+        - soak: {for_s: 480}
+        - repeat:
+            over: {position: [z_up, y_down, x_down, z_down]}
+            steps:
+              - go_to: {position: $position, rate_dps: 30}
+              - align: {duration_s: 16}
+              - navigate: {duration_s: 60}
+              - turn: {angle_deg: 180, rate_dps: 30, settle_s: 1}
+              - navigate: {duration_s: 60}
+  - power_off
+  - chamber_off
+"""
+
+
+@pytest.mark.long
+def test_several_runs_of_one_unit_are_investigated_together(tmp_path):
+    (tmp_path / "two_cycles.yaml").write_text(TWO_CYCLES)
+    runs = ("first", "second")
+    for seed, name in enumerate(runs):
+        done = gyrobench(
+            *("run", "two_cycles.yaml", "--station", "quick", "--world", "quick_warm_up"),
+            *("--seed", str(seed), "--out", name, "--view", "lines"),
+            cwd=tmp_path,
+        )
+        assert done.returncode == 0, done.stderr
+    answer = gyrobench(
+        *("investigate", *runs, "--approve", "auto", "--verification", "none", "--budget-h", "12"),
+        *("--out", "found", "--view", "lines", "--json"),
+        cwd=tmp_path,
+    )
+    assert answer.returncode == 0, answer.stderr
+    found = json.loads(answer.stdout)
+    assert found["ended"] == "settled"
+    assert found["effects"]["warm_up"] >= 0.99
+    assert len((tmp_path / "found" / "start.csv").read_text().splitlines()) == 1 + 2 * 32
+
+
 def test_blocks_without_approval_need_a_station_that_allows_them(tmp_path):
     station = find_document("stations", "quick").read_text()
     (tmp_path / "careful.yaml").write_text(station.replace("block_approval: auto\n", ""))

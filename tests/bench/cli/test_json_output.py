@@ -77,7 +77,7 @@ def test_bins_of_a_run(short_run, tmp_path):
     expected = read_bins(RunFolder(tmp_path / "run").bias_bins)
     assert [each["bias_dph"] for each in found["bins"]] == [each.bias_dph for each in expected]
     assert (tmp_path / found["report"]).is_file()
-    assert {each["result"] for each in found["budget"]} == {"dwell", "bin"}
+    assert {each["result"] for each in found["budget"]} == {"dwell", "bin", "coefficient"}
     assert all(each["combined"]["share"] == 1.0 for each in found["budget"])
     assert found["verification"] == []
     assert found["acceptance"] == json.loads((tmp_path / "run" / "acceptance.json").read_text())

@@ -27,6 +27,8 @@ def found(module, *values, axes=("x", "y", "z"), sigma=(), within=()):
         np.array(sigma),
         0.0004,
         within,
+        np.ones(1),
+        np.zeros(shape),
     )
 
 

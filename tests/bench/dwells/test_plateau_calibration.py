@@ -1,13 +1,21 @@
 """Coefficients over temperature from runs of the emulated bench, beside the declared truth of its world."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import yaml
 from scipy.stats import chi2
 
-from gyrobench.bench.calibration.coefficients import COEFFICIENTS, SensorErrors
+from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, CoefficientEstimate, SensorErrors
+from gyrobench.bench.dwells.dwell import measurement_setup
+from gyrobench.bench.dwells.plateau_calibration import (
+    PlateauCalibration,
+    calibrate_rotations,
+    with_temperature_change,
+)
+from gyrobench.bench.dwells.run_dwells import rotated
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.report.coefficients import coefficients_section
@@ -88,6 +96,48 @@ def test_rotations_give_every_coefficient_within_its_uncertainty(with_increments
     assert max(sigma["gyro_scale_factor", axis] for axis in "xyz") < 0.2
     assert max(sigma["accelerometer_bias", axis] for axis in "xyz") < 1.0
     assert all(np.isnan(row.sigma_with_force) for row in rows)
+
+
+@pytest.mark.parametrize(
+    ("axes", "names"),
+    [((1, 2, 0), ("angle", "velocity")), ((1, 0, 2), ("angle",)), ((1, 0, 2), ("velocity",))],
+)
+def test_exchanged_axes_of_increments_give_no_coefficients(with_increments, axes, names):
+    folder, _, _ = with_increments
+    setup = measurement_setup(Station(folder.station))
+
+    def exchanged(frames):
+        sent = setup.decode_increments(frames)
+        return replace(sent, **{name: getattr(sent, name)[:, axes] for name in names})
+
+    first = next(iter(rotated(folder)))
+    found = calibrate_rotations([first], replace(setup, decode_increments=exchanged))
+    assert found.calibration is None
+    assert "Check axes, signs and units of ins.signals.increments" in found.finding
+
+
+def test_a_temperature_that_changes_within_the_plateau_adds_the_slope_between_plateaus_times_its_range():
+    slopes = np.linspace(-1.0, 1.0, COUNT) * 1e-6  # per K
+
+    def plateau(number, temperature_c, change_c):
+        estimate = CoefficientEstimate(
+            slopes * temperature_c,
+            1e-16 * np.eye(COUNT),
+            np.ones(COUNT, bool),
+            parts={"dwells": np.eye(COUNT)},
+        )
+        around_c = np.full((2, 4), temperature_c) + 0.5 * change_c * np.array([[-1.0], [1.0]])
+        at_c = (temperature_c,) * 3
+        return PlateauCalibration(number, 1, temperature_c, at_c, temperature_c, estimate, range_c=around_c)
+
+    plateaus = [plateau(1, 60.0, 1.5), plateau(2, 25.0, 0.0), plateau(3, -35.0, 0.5)]
+    found = [with_temperature_change(each, plateaus).estimate for each in plateaus]
+    for estimate, change_c in zip(found, (1.5, 0.0, 0.5), strict=True):
+        added = np.diag(estimate.covariance) - 1e-16
+        assert np.diag(estimate.parts["temperature_change"]) == pytest.approx(added, abs=1e-25)
+        assert added == pytest.approx((slopes * change_c) ** 2 / 12.0, abs=1e-25)
+    alone = with_temperature_change(plateaus[0], plateaus[:1]).estimate
+    assert not alone.parts["temperature_change"].any()
 
 
 def test_report_has_table_and_figure_of_the_coefficients(with_increments):

@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from scipy.stats import chi2
 
 from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.characteristics.results import read_characteristics
+from gyrobench.bench.dwells.run_dwells import finished_marks
 from gyrobench.bench.engine.evaluation import recompute_run
 from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.operator import ConsentingOperator
@@ -77,6 +79,29 @@ steps:
   - navigate: {duration_s: 10800, purpose: noise}
   - power_off
 """
+SPIN = "rates_dps: [10, 20], rest_s: 30}"
+HALF = "{axis: outer, angle_deg: -90}"
+REST = "rate_dps: 20, rest_s: 180}"
+STABILITY = f"""procedure: stability
+tests: {{scale_factor_stability: {{min_measurements: 6}}}}
+steps:
+  - repeat:
+      over: {{power_cycle: [1, 2]}}
+      steps:
+        - power_on: {{settle_s: 10800}}
+        - repeat:
+            over: {{measurement: [1, 2, 3]}}
+            steps:
+              - go_to: {{position: z_up, rate_dps: 20}}
+              - align: {{duration_s: 300}}
+              - spin: {{axis: inner, turns: 1, {SPIN}
+              - rotate: {{rotations: [{HALF}, {HALF}], {REST}
+              - spin: {{axis: outer, turns: 1, {SPIN}
+              - rotate: {{rotations: [{{axis: inner, angle_deg: 90}}], {REST}
+              - spin: {{axis: outer, turns: 1, {SPIN}
+        - power_off
+"""
+DRIFT = {"drift_ppm_per_h": [2.0, -3.0, 4.0], "swing_ppm": [1.5, 2.0, 1.0], "period_h": 3.4}
 HYSTERESIS = {
     "kind": "thermal_hysteresis",
     "half_width_c": 2.0,
@@ -88,16 +113,16 @@ WARMING = {"kind": "warm_up", "bias_dph": [0.02, -0.015, 0.018], "time_constant_
 
 @pytest.fixture
 def job(tmp_path):
-    """Job of a procedure in the world ``quick`` with other gyros and effects."""
+    """Job of a procedure in a shipped world with other gyros and effects."""
 
-    def make(procedure, effects=(), **gyro):
-        world = yaml.safe_load(find_document("worlds", "quick").read_text())
-        world["gyro"].update(gyro)
-        world["undeclared_effects"] = list(effects)
-        (tmp_path / "world.yaml").write_text(yaml.safe_dump(world))
+    def make(procedure, effects=(), world="quick", station="quick", **gyro):
+        document = yaml.safe_load(find_document("worlds", world).read_text())
+        document["gyro"].update(gyro)
+        document["undeclared_effects"] = list(effects)
+        (tmp_path / "world.yaml").write_text(yaml.safe_dump(document))
         (tmp_path / "procedure.yaml").write_text(procedure)
         return prepare_job(
-            str(tmp_path / "procedure.yaml"), "quick", Emulation(str(tmp_path / "world.yaml"), 3, "")
+            str(tmp_path / "procedure.yaml"), station, Emulation(str(tmp_path / "world.yaml"), 3, "")
         )
 
     return make
@@ -172,3 +197,38 @@ def test_the_noise_coefficients_of_the_world_are_found_in_a_long_navigation(job,
     for each in named(result, "quantisation"):
         assert each.value == pytest.approx(0.02 / np.sqrt(12.0), rel=0.1)
     assert not folder.dwells.exists()
+
+
+def test_drift_scatter_and_dependence_on_rate_of_the_scale_factors_are_found(job, tmp_path):
+    gyro = {
+        "scale_factor_ppm": {"x": 10.0, "y": -20.0, "z": 5.0},
+        "scale_factor_repeatability_ppm": 3.0,
+        "scale_factor_asymmetry_ppm": [0.0, 0.0, -3.0],
+        "scale_factor_ppm_per_dps": [0.1, -0.1, 0.2],
+    }
+    effect = {"kind": "scale_factor_drift", **DRIFT}
+    made = job(STABILITY, [effect], world="all_coefficients", station="emulated", **gyro)
+    folder, outcome = run_job(made, tmp_path / "run", Watcher(), ConsentingOperator())
+    (result,) = read_characteristics(folder.characteristics)
+    assert result.notes == []
+    scatter = 0.0
+    marks = finished_marks(folder)
+    since_h = np.array([each.since_power_on_s for each in marks]) / 3600.0
+    length_h = np.array([each.end_s - each.start_s for each in marks]) / 3600.0
+    # Of the dwell's length: the middle of the spins of x, y and z.
+    for axis, part in enumerate((0.55, 0.92, 0.08)):
+        at_h = since_h + part * length_h
+        swing = DRIFT["swing_ppm"][axis] * np.sin(2.0 * np.pi * at_h / DRIFT["period_h"])
+        left = result.curves[axis].value - DRIFT["drift_ppm_per_h"][axis] * at_h - swing
+        sigma = np.subtract(result.curves[axis].high, result.curves[axis].value)
+        apart = np.reshape(left, (2, 3)) - np.reshape(left, (2, 3)).mean(axis=1, keepdims=True)
+        scatter += float(np.sum(np.square(apart.ravel() / sigma)))
+    assert scatter < chi2.ppf(0.999, 12)  # three values less their mean, of three gyros in two power cycles
+    held = [holds(each, truth) for each, truth in zip(named(result, "worst asym"), (0, 0, 3.0), strict=True)]
+    held += [
+        holds(each, truth) for each, truth in zip(named(result, "worst non"), (0.5, 0.5, 1.0), strict=True)
+    ]
+    assert sum(held) >= 5  # of 95 % intervals one in twenty misses
+    planned_s, took_s = np.sum([pair for pairs in outcome.took_s.values() for pair in pairs], axis=0)
+    assert took_s == pytest.approx(planned_s, rel=0.02)
+    assert (write_report(folder).parent / "figures" / "scale_factor_stability.png").exists()

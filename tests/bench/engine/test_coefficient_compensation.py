@@ -79,17 +79,28 @@ def folder(tmp_path_factory):
     files = {
         "station": station(),
         "campaign": procedure("ramps", [1, 2], [-20, -8], [5, 20, 35, 50], [60, 55], [45, 30, 15, 0]),
+        "one_cycle": procedure("one_cycle", [1], [-20, -8], [5, 20, 35, 50], [60, 55], [45, 30, 15, 0]),
         "proof": procedure("ramps_proof", [1], [-15], [12, 28], [52], [40, 25]),
     }
     for name, data in files.items():
         (folder / f"{name}.yaml").write_text(yaml.safe_dump(data, sort_keys=False))
+    measure(folder, "campaign.yaml", "run")
+    return folder
+
+
+def measure(folder, procedure, out):
     done = gyrobench(
-        *("run", "campaign.yaml", "--station", "station.yaml", "--world", "world.yaml"),
-        *("--seed", "6", "--out", "run", "--view", "lines"),
+        *("run", procedure, "--station", "station.yaml", "--world", "world.yaml"),
+        *("--seed", "6", "--out", out, "--view", "lines"),
         cwd=folder,
     )
     assert done.returncode == 0, done.stderr
-    return folder
+
+
+def remaining(run):
+    """Rms of each coefficient by compensation, and coefficient with its axis."""
+    rows = csv.DictReader((run / "verify/coefficient_comparison.csv").read_text().splitlines())
+    return {(row["compensation"], row["coefficient"]): float(row["rms"]) for row in rows}
 
 
 @pytest.fixture(scope="module")
@@ -116,8 +127,7 @@ def test_it_is_compensated_over_can_and_proved_on_new_measurements(folder, close
     loaded = read_compensation(folder / "run/verify/effect/compensation.yaml").coefficients
     assert loaded["gyro_scale_factor_x"].rate_per_c_per_h == pytest.approx(RATE_PPM[0], rel=0.05)
     assert len(loaded) == 18
-    rows = csv.DictReader((folder / "run/verify/coefficient_comparison.csv").read_text().splitlines())
-    left = {(row["compensation"], row["coefficient"]): float(row["rms"]) for row in rows}
+    left = remaining(folder / "run")
     for axis in "xyz":
         none, declared, effect = (
             left[name, f"gyro_scale_factor_{axis}"] for name in ("none", "declared", "effect")
@@ -134,6 +144,18 @@ def test_it_is_compensated_over_can_and_proved_on_new_measurements(folder, close
     assert worst["effect"] < worst["declared"] < worst["none"]
     page = (folder / "run/verify/verification.html").read_text()
     assert "A mission of a rotational INS" in page
+
+
+def test_polynomials_of_one_cycle_are_proved_by_the_same_procedure_without_a_search(folder):
+    measure(folder, "one_cycle.yaml", "one")
+    done = gyrobench("verify", "one", "--coefficients", "--view", "lines", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("Not searched. A search needs a second cycle")
+    assert not (folder / "one/verify/effect").exists()
+    left = remaining(folder / "one")
+    for axis in "xyz":
+        for name, share in (("gyro_scale_factor", 0.7), ("accelerometer_bias", 0.05)):
+            assert left["declared", f"{name}_{axis}"] < share * left["none", f"{name}_{axis}"]
 
 
 def test_an_accelerometer_bias_that_follows_attitude_is_found_with_its_true_size(tmp_path):

@@ -2,14 +2,17 @@
 
 import io
 import json
+from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from rich.console import Console
 
 from gyrobench.bench.fleet.batch import fit_batch
-from gyrobench.bench.fleet.batch_report import batch_summary, write_batch
+from gyrobench.bench.fleet.batch_report import batch_figure, batch_summary, write_batch
 from gyrobench.bench.runs.index.run_biases import LEVEL
+from gyrobench.bench.runs.index.run_index import watermark
 from tests.bench.fleet.test_batch import POSITIONS, batch
 
 
@@ -29,6 +32,37 @@ def test_page_and_file_name_the_outlier(fitted, tmp_path):
     assert len(content["quantities"]) == 12
     names = sorted(path.name for path in (tmp_path / "batch" / "figures").iterdir())
     assert names == ["batch_levels.png", "batch_positions.png"]
+
+
+def test_a_batch_of_emulated_runs_is_marked(fitted, tmp_path):
+    page = write_batch(
+        tmp_path / "batch", "B7", fitted, "30 runs", watermark([{"world": "a"}, {"world": ""}])
+    )
+    assert 'data-word="SIMULATED"' in page.read_text()
+    assert watermark([{"world": ""}]) == ""
+
+
+def test_labels_of_bins_do_not_overlap_and_the_legend_is_inside_without_repeats():
+    values = {}
+    for low_c in range(-25, 75, 10):
+        part = batch(
+            np.random.default_rng(low_c + 25), names=(LEVEL, *POSITIONS), outlier=("z", "x_up", 0.03)
+        )
+        values |= {replace(name, bin_low_c=low_c, bin_high_c=low_c + 5): runs for name, runs in part.items()}
+    ten_bins = fit_batch(values)
+    for of_positions in (False, True):
+        figure = batch_figure(ten_bins, of_positions=of_positions)
+        figure.canvas.draw()
+        for panel in figure.axes:
+            for is_minor in (False, True):
+                labels = [each.get_window_extent() for each in panel.get_xticklabels(minor=is_minor)]
+                assert not any(one.x1 > other.x0 for one, other in pairwise(labels))
+        [legend] = figure.legends
+        texts = [text.get_text() for text in legend.texts]
+        assert sorted(set(texts)) == sorted(texts)
+        box = legend.get_window_extent()
+        assert figure.bbox.contains(box.x0, box.y0)
+        assert figure.bbox.contains(box.x1, box.y1)
 
 
 def test_the_terminal_needs_80_columns_and_no_colour(fitted):

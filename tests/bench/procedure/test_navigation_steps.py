@@ -126,7 +126,7 @@ WRONG = [
     (Navigate, {"until": {"bias_sigma_below_dph": 11.0}, "at_most_s": 900}, "less than or equal to 10"),
     (Navigate, {"until": {"bias_sigma_below_dph": "1"}, "at_most_s": 900}, "valid number"),
     (Navigate, {"until": {}, "at_most_s": 900}, "'bias_sigma_below_dph' is missing"),
-    (Navigate, {"duration_s": 600, "purpose": "verify"}, "'calibration' or 'calibration_check'"),
+    (Navigate, {"duration_s": 600, "purpose": "verify"}, "'calibration', 'calibration_check' or 'noise'"),
 ]
 
 

@@ -109,7 +109,7 @@ WRONG_FILES = {
     "unknown purpose": (
         "- navigate: {duration_s: 600, purpose: verify}",
         "3:31",
-        ["'calibration' or 'calibration_check'", '"verify"'],
+        ["'calibration', 'calibration_check' or 'noise'", '"verify"'],
     ),
     "variable after its loop": (
         "- repeat: {over: {a: [1]}, steps: [power_off]}\n- wait: {duration_s: $a}",

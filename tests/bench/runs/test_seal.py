@@ -94,6 +94,23 @@ def test_a_file_that_is_missing_and_a_part_that_was_added_are_found(folder):
     assert check.not_sealed == ["notes.txt"]
 
 
+@pytest.mark.parametrize("how", ["link", "seals"])
+def test_an_added_part_of_the_log_is_found_though_it_is_a_link_or_beside_a_folder_named_seals(
+    folder, tmp_path, how
+):
+    seal_run(folder)
+    added = folder.can / "part-00003.blf"
+    if how == "link":
+        other = tmp_path / "other.blf"
+        other.write_bytes(b"other")
+        added.symlink_to(other)
+    else:
+        (folder.can / "seals").mkdir()
+        added.write_bytes(b"other")
+    found = verify_seals(folder.path)
+    assert [each.path for each in found.findings] == ["can/part-00003.blf"]
+
+
 def test_what_is_added_later_is_in_a_further_seal_with_who_and_by_which_command(folder, key, monkeypatch):
     seal_run(folder, key)
     monkeypatch.setenv(OPERATOR_VARIABLE, "B. Jones")

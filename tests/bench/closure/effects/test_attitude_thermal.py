@@ -67,3 +67,13 @@ def test_with_an_unknown_flow_the_forms_without_it_are_fitted(clean):
 def test_where_the_flow_is_known_it_is_not_taken_for_constant(clean):
     assert all(form.missing_input(clean) is None for form in WITH_FLOW)
     assert all("the heat flow is known" in form.missing_input(clean) for form in WITHOUT_FLOW)
+
+
+@pytest.mark.parametrize("form", EFFECT.forms, ids=lambda form: form.name)
+@pytest.mark.parametrize("onset", [(30.0, 2.0), (30.0, 0.5)], ids=str)
+def test_divided_by_its_weights_no_term_exceeds_the_flow_at_the_coldest_gyro(clean, form, onset):
+    flow = (clean.board_c - clean.gyro_c)[:, :, None] if form in WITH_FLOW else 1.0
+    along = along_gravity(form, clean, onset) / form.weights(clean, onset)[-3:] / flow
+    length = np.linalg.norm(along, axis=2)
+    assert length.max() <= 1.0 + 1e-9
+    np.testing.assert_allclose(length.flat[clean.gyro_c.argmin()], 1.0, rtol=1e-6)

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.loop import close_loop
+from gyrobench.bench.closure.loadable_model import declared_model
+from gyrobench.bench.closure.loop import close_loop, without_search
 from gyrobench.bench.report.closure import closure_text
+from gyrobench.bench.report.verification.verification_text import model_sentences
 from tests.bench.report.made_up_closure import (
     EFFECTS,
     SENSITIVITY,
@@ -36,6 +38,22 @@ from tests.bench.report.made_up_closure import (
 def test_each_verdict_has_a_sentence(search, verdict, said):
     assert search().verdict == verdict
     assert said in closure_text.verdict_sentence(search())
+
+
+def test_a_tie_beside_an_unexplained_residual_names_both_causes_and_what_is_left():
+    sentence = closure_text.verdict_sentence(replace(ambiguous(), verdict="unexplained"))
+    assert sentence.endswith(
+        "A part is explained by temperature rate (P = 0.50) or twin (P = 0.50), which the data do not "
+        "distinguish; something else is left."
+    )
+
+
+def test_one_cycle_that_was_not_searched_is_compensated_by_the_declared_model():
+    closure = without_search(campaign_of(made_up_rows(cycles=1)))
+    assert (closure.verdict, closure.effects, closure.searched.all()) == ("not searched", (), True)
+    assert "a second cycle" in closure_text.verdict_sentence(closure)
+    models = {"declared": declared_model(closure)}
+    assert "No effect was searched." in model_sentences(closure, models)[0]
 
 
 def test_without_an_accepted_effect_the_most_probable_cause_is_stated_with_the_objection():

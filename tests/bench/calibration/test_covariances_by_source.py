@@ -7,8 +7,7 @@ import pytest
 
 from gyrobench.bench.calibration import estimator
 from gyrobench.bench.calibration.coefficients import COUNT
-from gyrobench.bench.calibration.error_split import rotation_parts
-from gyrobench.bench.calibration.estimator import CalibrationOptions, calibrate
+from gyrobench.bench.calibration.estimator import CalibrationOptions, calibrate, covariances_by_source
 from gyrobench.bench.calibration.recording import IncrementRecording, SensorNoise
 from gyrobench.bench.navigation.error_model import Site
 from tests.bench.calibration.rotated_unit import EIGHTEEN, Noise, Unit
@@ -36,9 +35,30 @@ def found_in(increments, noise, seed, options=OPTIONS):
     return calibrate([recording], SITE, options)
 
 
+def test_parts_of_the_place_are_the_shifts_that_wrong_gravity_and_latitude_cause(increments, known_noise):
+    wrong_latitude, wrong_gravity = 1e-4, 1e-3
+    uncertain = replace(OPTIONS, latitude_sigma=wrong_latitude, gravity_sigma=wrong_gravity)
+    recording = IncrementRecording(0.05, *NOISE.added(*increments, 0.05, np.random.default_rng(2)))
+    found = calibrate([recording], SITE, uncertain)
+    parts = covariances_by_source(found, SITE, uncertain)
+    elsewhere = Site(SITE.latitude + wrong_latitude)
+    exact = replace(OPTIONS, gravity_sigma=0.0)
+    for name, site, gravity in (
+        ("latitude", elsewhere, SITE.gravity),
+        ("gravity", SITE, SITE.gravity + wrong_gravity),
+    ):
+        shift = calibrate([recording], site, replace(exact, gravity=gravity)).values - found.values
+        wrong = np.sqrt(np.diag(parts[name])) - np.abs(shift)
+        assert (np.abs(wrong) < 0.01 * found.sigmas).all(), name
+    # Beyond half a minute of arc the latitude is what limits the biases of gyros.
+    assert np.sqrt(np.diag(parts["latitude"]))[:3].max() > 5e-10
+    total = np.sum([np.diag(part) for part in parts.values()], axis=0)
+    assert total == pytest.approx(np.diag(found.covariance), rel=1e-9)
+
+
 def test_the_parts_add_up_to_the_covariance(increments, known_noise):
     found = found_in(increments, NOISE, 1)
-    parts = rotation_parts(found, SITE, OPTIONS)
+    parts = covariances_by_source(found, SITE, OPTIONS)
     total = np.sum([np.diag(part) for part in parts.values()], axis=0)
     assert total == pytest.approx(np.diag(found.covariance), rel=1e-9)
     for part in parts.values():
@@ -53,7 +73,7 @@ def test_a_part_is_the_scatter_by_its_noise_alone(increments, known_noise, sourc
     alone = replace(NOISE, **nothing | {source: getattr(NOISE, source)})
     options = replace(OPTIONS, whole_turns=None)
     found = [found_in(increments, alone, seed, options) for seed in range(8)]
-    variances = np.diag(rotation_parts(found_in(increments, NOISE, 1, options), SITE, options)[source])
+    variances = np.diag(covariances_by_source(found_in(increments, NOISE, 1, options), SITE, options)[source])
     values = np.array([each.values[:COUNT] for each in found])
     scatter = np.sum((values - values.mean(axis=0)) ** 2, axis=0) / (len(found) - 1)
     seen = variances > 1e-4 * np.diag(found[0].covariance)[:COUNT]
