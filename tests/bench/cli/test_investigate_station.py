@@ -25,9 +25,7 @@ bin_width_c: 5
 steps:
   - power_on: {settle_s: 60}
   - repeat:
-      over:
-        cycle: [1, 1, 1, 1, 2, 2, 2, 2]
-        temperature_c: [60, 20, -20, 20, 60, 20, -20, 20]
+      over: {cycle: [1, 2], temperature_c: [60, 25, -20, 10]}
       steps:
         - chamber: {temperature_c: $temperature_c, ramp_c_per_min: 5.0, within_c: 50}
         - soak: {for_s: 480}
