@@ -21,12 +21,12 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gyrobench.bench.bias.bins import BiasBin
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.bias.error_split import ErrorPart
 from gyrobench.bench.foundations.arrays import (
     DEG_PER_SQRT_H_TO_SI,
     DPH_TO_RADPS,
@@ -38,6 +38,9 @@ from gyrobench.bench.foundations.arrays import (
     FloatArray,
 )
 from gyrobench.bench.navigation.positions import AXES
+
+if TYPE_CHECKING:  # it brings numba, which a report does not need
+    from gyrobench.bench.bias.error_split import ErrorPart
 
 #: Coverage probability of expanded uncertainties, and its factor for a normal distribution.
 COVERAGE = 0.95
@@ -270,11 +273,10 @@ def bias_budgets(
             and not dwell.row.flags
             and each.bin_low_c <= dwell.row.gyro_c[axis] < each.bin_high_c
         ]
-        if not members:
-            continue
-        weights = np.array([dwell.row.sigma_dph[axis] ** -2.0 for dwell in members])
-        budget = _budget(axis, members, (weights / weights.sum()).tolist(), inputs, outside[axis])
-        result.append(BiasBudget(each.gyro, each.position, budget, None, each.bin_low_c, each.bin_high_c))
+        if members:
+            weights = np.array([dwell.row.sigma_dph[axis] ** -2.0 for dwell in members])
+            budget = _budget(axis, members, (weights / weights.sum()).tolist(), inputs, outside[axis])
+            result.append(BiasBudget(each.gyro, each.position, budget, None, each.bin_low_c, each.bin_high_c))
     return result
 
 
@@ -421,9 +423,8 @@ def _budget(
 
 
 def _note(name: str, dof: float) -> str:
-    if math.isfinite(dof):
-        return "estimated from the output of the dwell"
-    return SOURCES[name].note or "declared in ins.noise"
+    declared = SOURCES[name].note or "declared in ins.noise"
+    return "estimated from the output of the dwell" if math.isfinite(dof) else declared
 
 
 def _as_stated(axis: int, dwell: BudgetedDwell) -> Mapping[str, ErrorPart]:

@@ -41,7 +41,15 @@ from gyrobench.bench.calibration.recording import (
     measure_noise,
 )
 from gyrobench.bench.calibration.section import Section
-from gyrobench.bench.calibration.strapdown import ATTITUDE, DELAY, LEVER_ARMS, QUADRATIC, UNKNOWNS, white_rows
+from gyrobench.bench.calibration.strapdown import (
+    ATTITUDE,
+    DELAY,
+    LEVER_ARMS,
+    QUADRATIC,
+    UNKNOWNS,
+    Trajectory,
+    white_rows,
+)
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import rotation_matrices
@@ -105,6 +113,18 @@ class CalibrationOptions:
         return [*range(COUNT), *arms, *([DELAY] if self.delay else []), *squares]
 
 
+def _integrated(
+    sections: Sequence[Section],
+    starts: Sequence[FloatArray],
+    common: FloatArray,
+    site: Site,
+    options: CalibrationOptions,
+) -> list[Trajectory]:
+    gravity = options.gravity or site.gravity
+    pairs = zip(sections, starts, strict=True)
+    return [section.integrated(start, common, site.latitude, gravity) for section, start in pairs]
+
+
 @dataclass(frozen=True, eq=False)
 class Information:
     """White rows as a function of the coefficients and of all other unknowns, at assumed values of them."""
@@ -123,19 +143,21 @@ class Information:
         noise: SensorNoise,
         site: Site,
         options: CalibrationOptions,
+        trajectories: Sequence[Trajectory] | None = None,
     ) -> Information:
-        """Integrate increments from attitudes (3, 3) at the ``starts``, with the values ``common`` (34,)."""
+        """Integrate increments from attitudes (3, 3) at the ``starts``, with the values ``common`` (34,).
+
+        ``trajectories``: what :func:`_integrated` gives with these values, where it is known.
+        """
         used, blocks = options.columns, []
-        for number, (section, start) in enumerate(zip(sections, starts, strict=True)):
-            freed = section.freed(SensorErrors.from_vector(common[:COUNT]), common)
+        trajectories = trajectories or _integrated(sections, starts, common, site, options)
+        for number, (section, trajectory) in enumerate(zip(sections, trajectories, strict=True)):
             rows, data = white_rows(
-                *freed,
-                section.interval_s,
+                trajectory,
+                section.lengths_s,
                 section.epochs,
-                start,
                 noise,
                 site.latitude,
-                options.gravity or site.gravity,
                 options.whole_turns,
                 options.table,
             )
@@ -390,26 +412,24 @@ def covariances_by_source(
     """
     larger = float(np.sqrt(1.0 + _VARIANCE_STEP))
 
-    def covariance(
-        noise: str = "", whole_turns: float | None = options.whole_turns, size: float = 1.0
-    ) -> FloatArray:
+    known = (calibration.sections, calibration.starts, calibration.unknowns)
+    trajectories = _integrated(*known, site, options)
+
+    def information(noise: str = "", whole_turns: float | None = options.whole_turns) -> Information:
         changed = {noise: getattr(calibration.noise, noise) * larger} if noise else {}
-        found = Information.of(
-            calibration.sections,
-            calibration.starts,
-            calibration.unknowns,
-            replace(calibration.noise, **changed),
-            site,
-            replace(options, whole_turns=whole_turns),
-        )
-        found = replace(found, sizes=found.sizes * size)
+        assumed = replace(calibration.noise, **changed), site, replace(options, whole_turns=whole_turns)
+        return Information.of(*known, *assumed, trajectories)
+
+    def covariance(found: Information) -> FloatArray:
         return np.asarray(found.solve()[1][:COUNT, :COUNT])
 
-    base = covariance()
-    parts = {name: (covariance(name) - base) / _VARIANCE_STEP for name in _NOISE}
+    unchanged = information()
+    base = covariance(unchanged)
+    parts = {name: covariance(information(name)) for name in _NOISE}
     if options.whole_turns is not None:
-        parts["table_return"] = (covariance(whole_turns=options.whole_turns * larger) - base) / _VARIANCE_STEP
-    parts["assumed_size"] = (covariance(size=larger) - base) / _VARIANCE_STEP
+        parts["table_return"] = covariance(information(whole_turns=options.whole_turns * larger))
+    parts["assumed_size"] = covariance(replace(unchanged, sizes=unchanged.sizes * larger))
+    parts = {name: (part - base) / _VARIANCE_STEP for name, part in parts.items()}
     # The step leaves a thousandth.
     factors = np.sqrt(np.diag(base) / np.sum([np.diag(part) for part in parts.values()], axis=0))
     parts = {name: part * np.outer(factors, factors) for name, part in parts.items()}

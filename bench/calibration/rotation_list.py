@@ -15,10 +15,7 @@ from pydantic import Field
 
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.calibration.coefficients import COUNT
-from gyrobench.bench.calibration.estimator import CalibrationOptions, Information
 from gyrobench.bench.calibration.recording import SensorNoise
-from gyrobench.bench.calibration.section import EPOCH_S, Section
-from gyrobench.bench.calibration.strapdown import UNKNOWNS, Epochs
 from gyrobench.bench.foundations.arrays import (
     DEG_PER_SQRT_H_TO_SI,
     UG_PER_SQRT_HZ_TO_SI,
@@ -132,6 +129,11 @@ def forecast(
     ``max_rate_dps``: limit of the table. ``whole_turns``: standard uncertainty, rad, of its return after
     whole turns. Raises DocumentError if the table can't do the rotations.
     """
+    # They bring numba, which reading a list does not need.
+    from gyrobench.bench.calibration.estimator import CalibrationOptions, Information
+    from gyrobench.bench.calibration.section import EPOCH_S, Section
+    from gyrobench.bench.calibration.strapdown import UNKNOWNS, Epochs
+
     start = table.angles(POSITIONS[rotations.start].C_nb())
     _check(rotations, table, start, max_rate_dps)
     attitude, at_rest, spins = motion(rotations, table, start)

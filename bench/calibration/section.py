@@ -9,7 +9,15 @@ import numpy as np
 
 from gyrobench.bench.calibration.coefficients import COUNT, SensorErrors
 from gyrobench.bench.calibration.recording import IncrementRecording, Rest, Rotation
-from gyrobench.bench.calibration.strapdown import DELAY, LEVER_ARMS, QUADRATIC, Epochs, attitudes
+from gyrobench.bench.calibration.strapdown import (
+    DELAY,
+    LEVER_ARMS,
+    QUADRATIC,
+    Epochs,
+    Trajectory,
+    attitudes,
+    integrated,
+)
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.attitude import rotation_vectors
 from gyrobench.bench.navigation.error_model import Site
@@ -86,6 +94,18 @@ class Section:
             velocity += common[DELAY] * np.cross(velocity, rate)
             velocity -= common[QUADRATIC] * velocity**2 / interval_s
         return angle, velocity
+
+    def integrated(
+        self, start: FloatArray, common: FloatArray, latitude: float, gravity: float
+    ) -> Trajectory:
+        """From an attitude (3, 3) at the start, freed of ``common`` (34,)."""
+        freed = self.freed(SensorErrors.from_vector(common[:COUNT]), common)
+        return integrated(*freed, self.interval_s, self.epochs.ends, start, latitude, gravity)
+
+    @property
+    def lengths_s(self) -> FloatArray:
+        """Of the epochs, shape (n,)."""
+        return np.asarray(np.diff(self.epochs.ends, prepend=0) * self.interval_s)
 
     def retimed(self, factor: float, of_rates: bool) -> Section:
         """The same with another interval; ``of_rates``: increments are rates times the interval."""

@@ -63,14 +63,11 @@ class Epochs:
 
 
 def white_rows(
-    angle: FloatArray,
-    velocity: FloatArray,
-    interval_s: float,
+    trajectory: Trajectory,
+    lengths_s: FloatArray,
     epochs: Epochs,
-    C_nb: FloatArray,
     noise: SensorNoise,
     latitude: float,
-    gravity: float,
     whole_turns: float | None,
     table: tuple[float, float] | None = None,
 ) -> tuple[FloatArray, FloatArray]:
@@ -78,10 +75,10 @@ def white_rows(
 
     Parameters
     ----------
-    angle, velocity : ndarray, shape (k, 3)
-        Increments, body axes, rad and m/s, freed of the errors known so far.
-    C_nb : ndarray, shape (3, 3)
-        Attitude at the start.
+    trajectory : Trajectory
+        Of the increments freed of the errors known so far.
+    lengths_s : ndarray, shape (n,)
+        Of the epochs.
     whole_turns : float, optional
         Standard uncertainty, rad, of the table's return after whole turns; without it spins count as any
         other rotation.
@@ -89,8 +86,6 @@ def white_rows(
         Standard uncertainties, rad, of tilt and heading of the table's rotations; without it they do not
         count.
     """
-    trajectory = _trajectory(angle, velocity, interval_s, epochs.ends, C_nb, latitude, gravity)
-    lengths_s = np.diff(epochs.ends, prepend=0) * interval_s
     n, turns = len(lengths_s), _turns(epochs, whole_turns, table)
     starts, ends = np.full((2, n + 1), -1, np.int64)
     turned = (trajectory.response[b, :3] - R @ trajectory.response[a, :3] for a, b, R, _ in turns)
@@ -112,7 +107,7 @@ def white_rows(
 
 
 @dataclass(frozen=True, eq=False)
-class _Trajectory:
+class Trajectory:
     """Integrated increments at the ends of n epochs, and at the start."""
 
     attitude: FloatArray  #: Shape (n + 1, 3, 3). C_nb.
@@ -122,7 +117,7 @@ class _Trajectory:
     response: FloatArray
 
 
-def _trajectory(
+def integrated(
     angle: FloatArray,
     velocity: FloatArray,
     interval_s: float,
@@ -130,7 +125,8 @@ def _trajectory(
     C_nb: FloatArray,
     latitude: float,
     gravity: float,
-) -> _Trajectory:
+) -> Trajectory:
+    """Integrate increments (k, 3), body axes, rad and m/s, from the attitude ``C_nb`` up to ``ends`` (n,)."""
     steps = interval_s * np.arange(np.diff(ends, prepend=0).max() + 1.0)
     earth = rotation_matrices(-earth_rate_enu(latitude) * steps[:, np.newaxis])
     half = rotation_matrices(-0.5 * earth_rate_enu(latitude) * interval_s)
@@ -140,7 +136,7 @@ def _trajectory(
     attitude[0] = C_nb
     response[0, :3, ATTITUDE] = np.eye(3)
     _integrate(angle, velocity, interval_s, ends, earth, half, gravity, attitude, integral, force, response)
-    return _Trajectory(attitude, integral, force, response)
+    return Trajectory(attitude, integral, force, response)
 
 
 # Tuples stay in registers, where small arrays would be allocated for every sample.
@@ -293,7 +289,7 @@ def attitudes(
     angle: FloatArray, interval_s: float, ends: IntArray, C_nb: FloatArray, latitude: float
 ) -> FloatArray:
     """Attitudes (n + 1, 3, 3) at the start and the ends of epochs, from increments of angle."""
-    return _trajectory(angle, np.zeros_like(angle), interval_s, ends, C_nb, latitude, 0.0).attitude
+    return integrated(angle, np.zeros_like(angle), interval_s, ends, C_nb, latitude, 0.0).attitude
 
 
 def epoch_steps(
@@ -309,9 +305,9 @@ def epoch_steps(
     """Transition (n, 6, 6), noise (n, 6, 6) and drive (n, 6, 37) of psi and u over each epoch.
 
     The response to the coefficients at the end of an epoch is that at its start times the transition, plus
-    the drive; :func:`white_rows` has the parameters.
+    the drive; :func:`integrated` has the parameters.
     """
-    trajectory = _trajectory(angle, velocity, interval_s, ends, C_nb, latitude, gravity)
+    trajectory = integrated(angle, velocity, interval_s, ends, C_nb, latitude, gravity)
     transition, covariance = _intervals(trajectory, np.diff(ends, prepend=0) * interval_s, noise, latitude)
     response = trajectory.response.copy()
     response[:, :, ATTITUDE] = 0.0
@@ -332,14 +328,14 @@ def _turns(epochs: Epochs, whole_turns: float | None, table: tuple[float, float]
     return list(turns.values())
 
 
-def _returned(trajectory: _Trajectory, a: int, b: int, rotation: FloatArray) -> FloatArray:
+def _returned(trajectory: Trajectory, a: int, b: int, rotation: FloatArray) -> FloatArray:
     """Error (3,) of the computed attitude, negated, after a rotation that is known."""
     turn = trajectory.attitude[b] @ trajectory.attitude[a].T @ rotation.T
     return np.asarray(-rotation_vectors(turn[np.newaxis])[0])
 
 
 def _intervals(
-    trajectory: _Trajectory, lengths_s: FloatArray, noise: SensorNoise, latitude: float
+    trajectory: Trajectory, lengths_s: FloatArray, noise: SensorNoise, latitude: float
 ) -> tuple[FloatArray, FloatArray]:
     """Transition and noise (n, 6, 6) of psi and u over each epoch."""
     n = len(lengths_s)

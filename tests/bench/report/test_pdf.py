@@ -28,6 +28,7 @@ def test_a_missing_library_of_the_system_is_stated_with_what_to_install(tmp_path
             if name == "weasyprint":
                 raise OSError("cannot load library 'libpango-1.0-0'")
 
+    (tmp_path / "report.html").write_text("<p>A page.</p>")
     for name in [name for name in sys.modules if name.split(".")[0] == "weasyprint"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setattr(sys, "meta_path", [Missing(), *sys.meta_path])
