@@ -155,6 +155,8 @@ def test_the_station_is_the_emulated_one_except_for_its_unit():
         "instruments_period_s",
         "chamber.limits.ramp_c_per_min",
         "ins.signals.epoch_period_s",
+        *("ins.signals.increments", "ins.commands.send_increments"),
+        *("rate_table.repeatability_arcsec", "location.gravity_uncertainty_mps2"),
         "ins.noise.angle_random_walk_deg_per_sqrt_h",
         "ins.noise.velocity_random_walk_ug_per_sqrt_hz",
         "ins.uncertainty",
