@@ -109,7 +109,7 @@ def recalibration(
     weight = prior * np.exp(log_likelihood - log_likelihood.max())
     weight /= weight.sum()
     own = units[unit]
-    predict = _Prediction(own, sd, mean_drift - _drift_information(own, sd), weight)
+    predict = _Prediction(own, sd, mean_drift - _without_bias(own, sd)[0], weight)
     last = own.months[-1]
 
     def is_within(months: float) -> bool:
@@ -174,10 +174,6 @@ def _without_bias(unit: _Unit, sd: FloatArray) -> tuple[FloatArray, FloatArray, 
     information = np.column_stack([inverse @ t @ t - at**2 / a, inverse @ y @ t - at * ay / a])
     quadratic = inverse @ y @ y - ay**2 / a
     return information, quadratic, np.log(a) - np.linalg.slogdet(inverse)[1]
-
-
-def _drift_information(unit: _Unit, sd: FloatArray) -> FloatArray:
-    return _without_bias(unit, sd)[0]
 
 
 class _Prediction:
