@@ -276,11 +276,12 @@ def _enclosing(ranges_c: Sequence[FloatArray]) -> FloatArray:
 
 
 def _combined(estimates: Sequence[CoefficientEstimate]) -> CoefficientEstimate:
-    """Mean of estimates from separate data, weighted by their covariances."""
+    """Mean of estimates from separate data, by their covariances but for gravity, which none shows."""
     if len(estimates) == 1:
         return estimates[0]
     sizes = np.array([each.size for each in COEFFICIENTS])
-    weights = [np.linalg.inv(each.covariance / np.outer(sizes, sizes)) for each in estimates]
+    shown = [each.covariance - each.parts.get("gravity", 0.0) for each in estimates]
+    weights = [np.linalg.inv(each / np.outer(sizes, sizes)) for each in shown]
     covariance = np.linalg.inv(sum(weights))
     sums = sum(weight @ (each.values / sizes) for weight, each in zip(weights, estimates, strict=True))
     is_observed = np.any([each.is_observed for each in estimates], axis=0)
@@ -289,8 +290,8 @@ def _combined(estimates: Sequence[CoefficientEstimate]) -> CoefficientEstimate:
         gain = covariance @ weight * np.outer(sizes, 1.0 / sizes)
         for name, part in each.parts.items():
             parts[name] = parts.get(name, 0.0) + gain @ part @ gain.T
-    values = sizes * (covariance @ sums)
-    return CoefficientEstimate(values, covariance * np.outer(sizes, sizes), is_observed, parts=parts)
+    whole = covariance * np.outer(sizes, sizes) + parts.get("gravity", 0.0)
+    return CoefficientEstimate(sizes * (covariance @ sums), whole, is_observed, parts=parts)
 
 
 def _agreement(one: CoefficientEstimate, other: CoefficientEstimate) -> float:
