@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from rich.console import Group, RenderableType
 from rich.text import Text
 
+from gyrobench.bench.bias.budget import NORMAL_K
 from gyrobench.bench.calibration.results import NOT_OBSERVABLE
 from gyrobench.bench.report.figures.style import GYRO_STYLES, house_style, new_figure
 from gyrobench.bench.report.page import Section, SectionFigure, SectionTable
@@ -33,8 +34,9 @@ _WITHOUT_FORCE = (
     "forces."
 )
 _CAPTION = (
-    "Coefficients over the temperature of the gyro, for accelerometers that of the case; bars are 95 % "
-    "intervals, where they are larger than the marker."
+    "Coefficients over the temperature of the gyro, for accelerometers that of the case; lines join the "
+    "plateaus of a cycle in the order of time. Bars are 95 % intervals (k = 1.96), where larger than the "
+    "marker."
 )
 _NAMES = {
     "gyro_bias": "gyro bias",
@@ -46,10 +48,11 @@ _NAMES = {
 }
 _UNITS = {"ug": "µg"}
 _NOT_OBSERVED = "–"
+_BARS = f"± 95 % (k = {NORMAL_K:.2f})"
 #: Height of a row of a legend as a part of its panel's.
 _LEGEND_ROW = 0.12
-#: Plateaus side by side in a terminal of 80 columns and on a page; half width of a 95 % interval in sigmas.
-_PER_TABLE, _PER_PAGE, _INTERVAL = 3, 5, 1.96
+#: Plateaus side by side in a terminal of 80 columns and on a page.
+_PER_TABLE, _PER_PAGE = 3, 5
 
 
 def has_rotations(rows: Sequence[PlateauCoefficientRow]) -> bool:
@@ -94,15 +97,15 @@ def coefficients_figure(rows: Sequence[PlateauCoefficientRow]) -> Figure:
     for (kind, title), axes in zip(_NAMES.items(), panels.ravel(), strict=True):
         own = [row for row in rows if row.coefficient == kind and not math.isnan(row.value)]
         axes.set_title(f"{title} / {_unit(own[0].unit)}" if own else title, fontsize=8)
-        for name in dict.fromkeys(row.axis for row in own):
-            chosen = sorted((row for row in own if row.axis == name), key=lambda row: row.temperature_c)
+        for name, cycle in dict.fromkeys((row.axis, row.cycle) for row in own):
+            chosen = [row for row in own if (row.axis, row.cycle) == (name, cycle)]
             colour, line, marker = GYRO_STYLES[name[0]]
             is_second = len(name) > 1 and name[1] == max(set("xyz") - {name[0]})
             axes.errorbar(
                 [row.temperature_c for row in chosen],
                 [row.value for row in chosen],
-                [_INTERVAL * row.sigma for row in chosen],
-                label=name,
+                [NORMAL_K * row.sigma for row in chosen],
+                label=name if cycle == own[0].cycle else None,
                 color=colour,
                 linestyle=line,
                 marker=marker,
@@ -112,8 +115,8 @@ def coefficients_figure(rows: Sequence[PlateauCoefficientRow]) -> Figure:
             )
         if own:
             low, high = axes.get_ylim()
-            legend = axes.legend(ncols=3, loc="upper center")
-            axes.set_ylim(low, high + _LEGEND_ROW * (high - low) * math.ceil(len(legend.texts) / 3))
+            legend = axes.legend(ncols=3, loc="upper center", title=_BARS, title_fontsize=7)
+            axes.set_ylim(low, high + _LEGEND_ROW * (high - low) * (1 + math.ceil(len(legend.texts) / 3)))
     for axes in panels[1]:
         axes.set_xlabel("case temperature / °C")
     for axes in panels[0]:
