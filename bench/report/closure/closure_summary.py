@@ -45,10 +45,11 @@ def closure_summary(closure: Closure) -> RenderableType:
     headers, rows = evidence_table(closure)
     parts += [Text("Candidate effects", style="bold"), plain_table(headers, 2, rows)]
     parts += [Text(f"{evidence_caption(closure)}."), Text()]
-    title = f"Error in {held_out_cycles(closure)} (held out), rms in {scale_of_errors(closure).unit}"
-    errors = _errors(closure)
-    table = plain_table(list(errors), 0, [list(errors.values())])
-    parts += [Text(title, style="bold"), table, Text()]
+    if not closure.searched.all():
+        title = f"Error in {held_out_cycles(closure)} (held out), rms in {scale_of_errors(closure).unit}"
+        errors = _errors(closure)
+        table = plain_table(list(errors), 0, [list(errors.values())])
+        parts += [Text(title, style="bold"), table, Text()]
     if closure.rotation:
         title = f"Each cycle held out in turn, rms in {scale_of_errors(closure).unit}"
         headers, rows = rotation_table(closure)
