@@ -6,7 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import can
+import numpy as np
 from cantools.database import Database
+from numpy.typing import NDArray
 
 from gyrobench.bench.foundations.clock import Clock, Deadline
 from gyrobench.bench.foundations.errors import (
@@ -46,7 +48,9 @@ class CanIns:
     """An INS that a DBC file, a signal map and a command map describe.
 
     ``bus`` is from :func:`~gyrobench.drivers.ins.can_bus.open_bus`. ``on_frames`` receives every block of
-    frames that is polled, also while a command waits. Raises DocumentError if a map does not fit the DBC.
+    frames that is polled, also while a command waits. ``name`` is the instrument in errors. ``is_shared``:
+    whether other units send on the bus too; their frames are left out. Raises DocumentError if a map does not
+    fit the DBC.
     """
 
     def __init__(
@@ -57,8 +61,12 @@ class CanIns:
         clock: Clock,
         commands: CommandMap | None = None,
         on_frames: Callable[[FrameBlock], None] | None = None,
+        name: str = INSTRUMENT,
+        is_shared: bool = False,
     ) -> None:
+        self.name = name
         self.codec = DbcCodec(database)
+        self._own: NDArray[np.uint32] | None = self.codec.arbitration_ids() if is_shared else None
         self.signal_map = signal_map
         self._signals = bind_signals(signal_map, self.codec)
         self._commands = commands or CommandMap()
@@ -92,9 +100,11 @@ class CanIns:
         try:
             block = self._receive()
         except (ValueError, LookupError) as error:
-            raise ReplyError(INSTRUMENT, f"{self._bus}: received bytes are no CAN frame: {error}") from error
+            raise ReplyError(self.name, f"{self._bus}: received bytes are no CAN frame: {error}") from error
         except (can.CanError, OSError) as error:
             raise self._gone(error) from error
+        if self._own is not None:
+            block = block.take(np.isin(block.arbitration_id, self._own))
         if len(block):
             self._take(block)
         return block
@@ -192,7 +202,7 @@ class CanIns:
         unsupported = command.unsupported(compensation)
         if unsupported:
             raise RefusedError(
-                INSTRUMENT,
+                self.name,
                 f"can't compensate {', '.join(unsupported)}. It supports a polynomial of degree "
                 f"{command.coefficients - 1}{''.join(f', {term}' for term in command.supported_terms())}, by "
                 "the station file's ins.commands.load_compensation",
@@ -240,7 +250,7 @@ class CanIns:
         def is_confirmed(status: InsStatus) -> bool:
             if status.mode is InsMode.FAULT:
                 raise FaultError(
-                    INSTRUMENT, f"reports a fault after '{name}'. Read its fault code; switch it off and on."
+                    self.name, f"reports a fault after '{name}'. Read its fault code; switch it off and on."
                 )
             return confirms(status)
 
@@ -257,7 +267,7 @@ class CanIns:
                 return
             if deadline.expired():
                 raise NoReplyError(
-                    INSTRUMENT,
+                    self.name,
                     f"no {what} within {timeout_s:g} s on {self._bus}; last frame {status.age_s:.1f} s ago, "
                     f"mode {status.mode.name}. Check its power, the bus and the DBC.",
                 )
@@ -271,10 +281,10 @@ class CanIns:
         self._sent += 1
 
     def _gone(self, error: Exception) -> ConnectionFailedError:
-        return ConnectionFailedError(INSTRUMENT, f"{self._bus} went away: {error}. Check adapter and cable.")
+        return ConnectionFailedError(self.name, f"{self._bus} went away: {error}. Check adapter and cable.")
 
     def _no_command(self, name: str) -> RefusedError:
-        return RefusedError(INSTRUMENT, f"has no command '{name}'; add it to the station file's ins.commands")
+        return RefusedError(self.name, f"has no command '{name}'; add it to the station file's ins.commands")
 
 
 def _lost(bus: can.BusABC) -> int:

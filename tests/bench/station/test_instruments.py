@@ -13,7 +13,6 @@ from gyrobench.bench.foundations.errors import ConnectionFailedError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.instruments import (
     CHAMBER,
-    INS,
     RATE_TABLE,
     Emulation,
     Instruments,
@@ -21,6 +20,7 @@ from gyrobench.bench.station.instruments import (
     open_ins,
 )
 from gyrobench.bench.station.station import Station
+from gyrobench.drivers.ins.can_bus import INSTRUMENT as INS
 
 
 @pytest.fixture
