@@ -189,9 +189,7 @@ def test_p_value_of_the_agreement_is_uniform_for_misalignments_beyond_the_declar
         unit = any_unit(random)
         beside = np.where(np.eye(3, dtype=bool), 1.0, 8.0)
         unit = dataclasses.replace(
-            unit,
-            gyro_matrix=beside * unit.gyro_matrix,
-            accelerometer_matrix=8.0 * unit.accelerometer_matrix,
+            unit, gyro_matrix=beside * unit.gyro_matrix, accelerometer_matrix=8.0 * unit.accelerometer_matrix
         )
         p_values.append(joint_solution_of(measure(unit, random), prior).fit.p_value)
     assert uniformity_p_value(p_values) > 0.01
