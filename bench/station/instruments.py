@@ -392,6 +392,8 @@ def open_ins_bus(
     options: dict[str, str | int | float | bool] = dict(section.options)
     if section.interface == _EMULATOR:
         options.update(_emulated_bench(bench or station, emulation))
+        if section.identifier_offset:
+            options["identifier_offset"] = section.identifier_offset
         if bench is not None and bench.power_events and len(bench.units) > 1:
             options["power_event"] = station.file.unit.power_event
     return open_bus(section.interface, section.channel, clock, section.bitrate, **options)
