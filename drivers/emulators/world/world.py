@@ -67,6 +67,7 @@ class World:
         self._number = number
         self._unit_air = self.surroundings.join(number)
         self._neighbours_k = np.zeros(1)
+        self._switched_on = self._has_lost_supply = False
         self.thermal = ThermalNetwork(file.thermal, file.chamber.ambient_c)
         self.unit = InertialUnit(file.ins, self._latitude, file.height_m)  #: The INS.
         #: Called with the navigation epochs in order of time.
@@ -94,6 +95,8 @@ class World:
 
     def power_unit(self, on: bool) -> None:
         """Switch the unit's supply; each power-on draws another repeatability error of the gyros."""
+        self._switched_on = on
+        on = on and not self._has_lost_supply
         if on and not self.thermal.powered:
             spread = self.file.gyro.power_on_repeatability_dph * DPH_TO_RADPS
             self._power_on_bias = self._random.normal(0.0, 1.0, 3) * spread
@@ -104,6 +107,16 @@ class World:
         self.surroundings.dissipated_w[self._number] = self.thermal.power_w if on else 0.0
         self._update_undeclared(self.attitude()[2])
         self.unit.power(on)
+
+    def lose_supply(self) -> None:
+        """Switch the unit off until the supply is restored, also if it is switched on before."""
+        self._has_lost_supply = True
+        self.power_unit(self._switched_on)
+
+    def restore_supply(self) -> None:
+        """End the loss of the supply: the unit is on if it was switched on."""
+        self._has_lost_supply = False
+        self.power_unit(self._switched_on)
 
     def temperatures_c(self) -> FloatArray:
         """Read the unit's temperature sensors: case, three optics, three electronics; shape (7,)."""

@@ -236,6 +236,12 @@ class NeighbourHeating(StrictModel):
     coupling_k_per_w: NotNegative = Field(description="rise of the air per watt that it dissipates, K/W")
     time_constant_s: Positive = Field(600.0, description="lag of the rise behind the power, s")
 
+    @model_validator(mode="after")
+    def _is_of_two(self) -> NeighbourHeating:
+        if self.from_unit == self.to_unit:
+            raise ValueError("from_unit and to_unit must be two different units")
+        return self
+
 
 _UNIT_KEYS = ("gyro", "accelerometer", "thermal", "ins", "undeclared_effects")
 _MOUNTING_KEYS = ("mounting", "mounting_error_arcsec")
