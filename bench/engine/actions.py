@@ -43,6 +43,7 @@ from gyrobench.bench.procedure.steps import (
     Wait,
 )
 from gyrobench.drivers.ins.attitude import EulerSequence
+from gyrobench.drivers.ins.can_ins import POLL_PERIOD_S
 from gyrobench.drivers.ins.readout import Alignment, InsMode
 
 Ticks = Iterator[None]
@@ -196,19 +197,60 @@ def _go_to(step: GoTo, context: StepContext) -> Ticks:
 
 @perform.register
 def _align(step: Align, context: StepContext) -> Ticks:
-    yield from context.units.each(lambda unit: _aligned(step, context, unit))
-
-
-def _aligned(step: Align, context: StepContext, unit: Unit) -> Ticks:
     bench = context.bench
-    unit.recorder.begin()
-    yield from _choose_euler_sequence(step, context, unit)
-    yield from tried(context, unit.live.ins.align)
+    for unit in context.units.measuring:
+        unit.recorder.begin()
+    yield from _commanded(context, lambda unit: _choosing_euler_sequence(step, unit))
+    yield from _commanded(context, lambda unit: unit.live.ins.aligning())
     begin_s = bench.clock.now()
     yield
     yield from _lasting(bench, (step.duration_s or 0.0) - (bench.clock.now() - begin_s))
-    while step.until_fine and unit.live.status().alignment is not Alignment.FINE:
+    if step.until_fine:
+        yield from context.units.each(_fine)
+
+
+def _fine(unit: Unit) -> Ticks:
+    while unit.live.status().alignment is not Alignment.FINE:
         yield
+
+
+def _commanded(context: StepContext, command: Callable[[Unit], Ticks | None]) -> Ticks:
+    """Command all units at once, those with a command, and wait until each confirms it.
+
+    A failed one is tried again as often as the step allows; then its unit is dropped, or the error raised.
+    """
+    found = {unit: command(unit) for unit in context.units.measuring}
+    waiting = {unit: steps for unit, steps in found.items() if steps is not None}
+    for left in range(context.retries, -1, -1):
+        errors = _confirmed_by_all(context, waiting)
+        for unit, error in errors.items():
+            if not left or isinstance(error, FaultError):
+                context.units.fail(unit, error)
+                continue
+            context.run.record_retry(error)
+            if isinstance(error, ConnectionFailedError):
+                context.bench.reopen(error.instrument)
+            waiting[unit] = command(unit) or iter(())
+        if not waiting:
+            return
+        yield from _lasting(context.bench, _RETRY_PAUSE_S)
+
+
+def _confirmed_by_all(context: StepContext, waiting: dict[Unit, Ticks]) -> dict[Unit, InstrumentError]:
+    """Exchange until each command has been confirmed or has failed; empties ``waiting``, returns errors."""
+    errors: dict[Unit, InstrumentError] = {}
+    while waiting:
+        for unit, steps in list(waiting.items()):
+            try:
+                next(steps)
+            except StopIteration:
+                del waiting[unit]
+            except InstrumentError as error:
+                del waiting[unit]
+                errors[unit] = error
+        if waiting:
+            context.bench.clock.sleep(POLL_PERIOD_S)
+    return errors
 
 
 @perform.register
@@ -232,20 +274,22 @@ def _window_ended(context: StepContext) -> Ticks:
 
 
 def _navigation_begun(context: StepContext) -> Ticks:
-    yield from context.units.each(lambda unit: _let_navigate(context, unit))
+    """Let each INS navigate; that one has stopped since the last window disturbs its dwell."""
+    for unit in context.units.measuring:
+        status = unit.live.status()
+        if status.mode is InsMode.NAVIGATE:
+            continue
+        if unit.recorder.has_window:
+            unit.recorder.disturb("the INS left navigation in the turn")
+        elif status.alignment is Alignment.NONE:
+            why = "the INS has not aligned, so it can't navigate. Increase the duration of align."
+            context.units.fail(unit, InvalidDwellError(why))
 
+    def navigating(unit: Unit) -> Ticks | None:
+        is_begun = unit.live.ins.status().mode is InsMode.NAVIGATE or unit.recorder.has_window
+        return None if is_begun else unit.live.ins.navigating()
 
-def _let_navigate(context: StepContext, unit: Unit) -> Ticks:
-    """Let the INS navigate; that it has stopped since the last window disturbs the dwell."""
-    status = unit.live.status()
-    if status.mode is not InsMode.NAVIGATE and unit.recorder.has_window:
-        unit.recorder.disturb("the INS left navigation in the turn")
-    elif status.mode is not InsMode.NAVIGATE:
-        if status.alignment is Alignment.NONE:
-            raise InvalidDwellError(
-                "the INS has not aligned, so it can't navigate. Increase the duration of align."
-            )
-        yield from tried(context, unit.live.ins.navigate)
+    yield from _commanded(context, navigating)
 
 
 def _navigating(step: Navigate, context: StepContext) -> Ticks:
@@ -421,15 +465,15 @@ def _is_sending(unit: Unit) -> bool:
     return status.age_s < _BOOT_FRAMES_AGE_S and status.mode is not InsMode.BOOT
 
 
-def _choose_euler_sequence(step: Align, context: StepContext, unit: Unit) -> Ticks:
+def _choosing_euler_sequence(step: Align, unit: Unit) -> Ticks | None:
     """Select the Euler sequence that is regular in this position, where the INS supports that."""
     if not unit.live.ins.supports("set_euler_sequence"):
-        return
+        return None
     y_is_vertical = unit.live.state.position in ("y_up", "y_down")
     automatic = EulerSequence.PRY_231 if y_is_vertical else EulerSequence.RPY_321
     chosen = automatic if step.euler_sequence == "automatic" else EulerSequence(step.euler_sequence)
-    if unit.live.status().euler_sequence is not chosen:
-        yield from tried(context, lambda: unit.live.ins.set_euler_sequence(chosen))
+    is_chosen = unit.live.status().euler_sequence is chosen
+    return None if is_chosen else unit.live.ins.setting_euler_sequence(chosen)
 
 
 def _gyro_rate_c_per_h(unit: Unit, history: deque[tuple[float, ...]]) -> float | None:

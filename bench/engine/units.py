@@ -91,7 +91,7 @@ class Units:
                     except StopIteration:
                         del self._waiting[unit]
                     except (InstrumentError, InvalidDwellError) as error:
-                        self._fail(unit, error)
+                        self.fail(unit, error)
                 if self._waiting:
                     yield
         finally:
@@ -120,7 +120,7 @@ class Units:
             try:
                 self._identify(unit)
             except InstrumentError as error:
-                self._fail(unit, error)
+                self.fail(unit, error)
 
     def _identify(self, unit: Unit) -> None:
         ins, known = unit.live.ins, unit.live.state.number
@@ -142,7 +142,7 @@ class Units:
             try:
                 yield from unit.compensation.settle(after_power_on)
             except InstrumentError as error:
-                self._fail(unit, error)
+                self.fail(unit, error)
 
     def finish_dwell(self, dwell: int) -> bool:
         """Measure the dwell that is over; returns False where a unit has to repeat it."""
@@ -151,7 +151,7 @@ class Units:
             try:
                 is_over = unit.dwells.finish() and is_over
             except SignalMapError as error:
-                self._fail(unit, error)
+                self.fail(unit, error)
         if is_over:
             run.state.finished.add(dwell)
             if len(run.records) > 1:
@@ -198,7 +198,7 @@ class Units:
             state.skipped.add(dwell)
         self._run.observers.noted(f"dwell {dwell} is skipped")
 
-    def _fail(self, unit: Unit, error: GyrobenchError) -> None:
+    def fail(self, unit: Unit, error: GyrobenchError) -> None:
         """Drop the unit for an error of its own, or raise that."""
         is_other = isinstance(error, InstrumentError) and error.instrument != unit.live.name
         if not self._may_drop or is_other:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import can
@@ -31,7 +31,8 @@ from gyrobench.drivers.ins.signal_map import SignalMap, bind_signals
 #: The status is sent about once a second, and the INS needs time for a command.
 REPLY_TIMEOUT_S = 5.0
 _SEND_TIMEOUT_S = 1.0
-_POLL_PERIOD_S = 0.05
+#: Period at which a confirmation is looked for.
+POLL_PERIOD_S = 0.05
 
 
 @dataclass(frozen=True)
@@ -159,11 +160,22 @@ class CanIns:
         RefusedError if the INS has no such command. Raises NoReplyError if the INS did not confirm in time.
         Raises FaultError if the INS reports a fault. Raises ConnectionFailedError if the bus is gone.
         """
-        self._command("align", "mode", lambda status: status.mode is InsMode.ALIGN, timeout_s)
+        self._complete(self.aligning(timeout_s))
+
+    def aligning(self, timeout_s: float = REPLY_TIMEOUT_S) -> Iterator[None]:
+        """:meth:`align` in steps: yields until the INS confirms it, for several INS at once.
+
+        :data:`POLL_PERIOD_S` is to be waited at each yield.
+        """
+        return self._commanding("align", "mode", lambda status: status.mode is InsMode.ALIGN, timeout_s)
 
     def navigate(self, timeout_s: float = REPLY_TIMEOUT_S) -> None:
         """Begin to navigate; waits and raises as :meth:`align`."""
-        self._command("navigate", "mode", lambda status: status.mode is InsMode.NAVIGATE, timeout_s)
+        self._complete(self.navigating(timeout_s))
+
+    def navigating(self, timeout_s: float = REPLY_TIMEOUT_S) -> Iterator[None]:
+        """:meth:`navigate` in steps, as :meth:`aligning`."""
+        return self._commanding("navigate", "mode", lambda status: status.mode is InsMode.NAVIGATE, timeout_s)
 
     def standby(self, timeout_s: float = REPLY_TIMEOUT_S) -> None:
         """Stop aligning or navigating; waits and raises as :meth:`align`."""
@@ -171,10 +183,16 @@ class CanIns:
 
     def set_euler_sequence(self, sequence: EulerSequence, timeout_s: float = REPLY_TIMEOUT_S) -> None:
         """Choose the sequence of the Euler angles; waits and raises as :meth:`align`."""
+        self._complete(self.setting_euler_sequence(sequence, timeout_s))
+
+    def setting_euler_sequence(
+        self, sequence: EulerSequence, timeout_s: float = REPLY_TIMEOUT_S
+    ) -> Iterator[None]:
+        """:meth:`set_euler_sequence` in steps, as :meth:`aligning`."""
         command = self._commands.set_euler_sequence
         given = {"$sequence": float(command.number(sequence))} if command is not None else {}
         path = "attitude.euler.sequence"
-        self._command(
+        return self._commanding(
             "set_euler_sequence", path, lambda status: status.euler_sequence is sequence, timeout_s, given
         )
 
@@ -240,6 +258,20 @@ class CanIns:
         timeout_s: float,
         given: dict[str, float] | None = None,
     ) -> None:
+        self._complete(self._commanding(name, path, confirms, timeout_s, given))
+
+    def _complete(self, steps: Iterator[None]) -> None:
+        for _ in steps:
+            self._clock.sleep(POLL_PERIOD_S)
+
+    def _commanding(
+        self,
+        name: str,
+        path: str,
+        confirms: Callable[[InsStatus], bool],
+        timeout_s: float,
+        given: dict[str, float] | None = None,
+    ) -> Iterator[None]:
         """Send a command and wait for a later frame with the quantity ``path`` that confirms it."""
         command: Command | None = getattr(self._commands, name)
         if command is None:
@@ -256,9 +288,12 @@ class CanIns:
 
         if path in self._signals:
             self._newest.forget(self._signals[path].message)
-            self._wait(is_confirmed, f"confirmation of '{name}'", timeout_s)
+            yield from self._waiting(is_confirmed, f"confirmation of '{name}'", timeout_s)
 
     def _wait(self, condition: Callable[[InsStatus], bool], what: str, timeout_s: float) -> None:
+        self._complete(self._waiting(condition, what, timeout_s))
+
+    def _waiting(self, condition: Callable[[InsStatus], bool], what: str, timeout_s: float) -> Iterator[None]:
         deadline = Deadline(self._clock, timeout_s)
         while True:
             self.poll()
@@ -271,7 +306,7 @@ class CanIns:
                     f"no {what} within {timeout_s:g} s on {self._bus}; last frame {status.age_s:.1f} s ago, "
                     f"mode {status.mode.name}. Check its power, the bus and the DBC.",
                 )
-            self._clock.sleep(_POLL_PERIOD_S)
+            yield
 
     def _send(self, command: Command, given: dict[str, float]) -> None:
         try:
