@@ -175,7 +175,10 @@ def _rotation_to_lower(matrix: FloatArray) -> FloatArray:
 
 
 def _removed(measured: FloatArray, bias: FloatArray, matrix: FloatArray, interval_s: float) -> FloatArray:
-    return np.ascontiguousarray((measured - bias * interval_s) @ np.linalg.inv(np.eye(3) + matrix).T)
+    inverse = np.ascontiguousarray(np.linalg.inv(np.eye(3) + matrix).T)
+    found = measured @ inverse
+    found -= interval_s * bias @ inverse
+    return np.asarray(found)
 
 
 @dataclass(frozen=True, eq=False)
