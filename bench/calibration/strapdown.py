@@ -367,7 +367,8 @@ def _propagate(F: FloatArray, X: FloatArray) -> None:
 
 @compiled
 def _correct(
-    X: FloatArray, P: FloatArray, innovation: FloatArray, gain: FloatArray, spread: FloatArray, variance: float
+    X: FloatArray, P: FloatArray, innovation: FloatArray, gain: FloatArray, spread: FloatArray,
+    variance: float,
 ) -> None:  # fmt: skip
     """Correct states by an innovation, and make that one white with unit variance."""
     scale = 1.0 / np.sqrt(variance)
