@@ -46,7 +46,8 @@ class RotatedDwell:
         """Lowest and highest temperatures (2, 4) of gyros and case."""
         change_c = np.abs(self.gyro_rate_c_per_h) * (self.marks.end_s - self.marks.start_s) / 3600.0
         half = 0.5 * np.array([*change_c, 0.0])
-        return np.asarray([*self.gyro_c, self.case_c] + np.array([-half, half]))
+        middle_c = np.array([*self.gyro_c, self.case_c])
+        return np.array([middle_c - half, middle_c + half])
 
 
 def measure_rotations(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) -> RotatedDwell:
