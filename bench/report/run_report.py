@@ -221,7 +221,7 @@ def _with_hashes(folder: RunFolder) -> tuple[RunContent, list[DataHash]]:
 def _analysis_sections(content: RunContent, marked_c: Sequence[float]) -> list[Section]:
     """Sections that this run has data for."""
     sections = [
-        coefficients_section(content.coefficients),
+        coefficients_section(content.coefficients, content.budget),
         *characteristics_sections(content.characteristics),
         budget_section(content.budget),
         estimators_section(content.dwells, marked_c),
