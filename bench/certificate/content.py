@@ -104,6 +104,7 @@ class Order:
     number: str = ""  #: Of the certificate.
     authorised_by: str = ""
     ambient: str = ""  #: Conditions of the room.
+    recalibration: str = ""  #: Until when the biases stay within a limit agreed with the customer.
 
 
 @dataclass(frozen=True)
@@ -307,7 +308,7 @@ def certificate_of(folder: RunFolder, order: Order, *, simulated: bool = False) 
     certificate = Certificate(
         run=run,
         station=station,
-        order=Order(**given, number=number, authorised_by=order.authorised_by, ambient=order.ambient),
+        order=replace(order, **given, number=number),
         seal=f"seal {last.number}, SHA-256 {digest[:16]}…, {last.key or 'not signed'}",
         results=list(_results(run.bins, covered)),
         model=model,

@@ -244,8 +244,15 @@ class _Document:
             self._dcc(
                 "statement",
                 self._text("name", "Deviations from the procedure"),
-                self._text("declaration", *[" ".join(certificate.deviations)]),
+                self._text("declaration", " ".join(certificate.deviations)),
             ),
+            self._dcc(
+                "statement",
+                self._text("name", "Recalibration"),
+                self._text("declaration", certificate.order.recalibration),
+            )
+            if certificate.order.recalibration
+            else None,
         )
 
     def _common(self, certificate: Certificate) -> list[etree._Element | None]:

@@ -71,6 +71,9 @@ def _page(certificate: Certificate, figures: Mapping[str, Path]) -> Section:
         *_bias_sections(certificate.results, figures),
         _model_section(certificate),
         _coefficients_section(certificate),
+        Section("Recalibration", [certificate.order.recalibration])
+        if certificate.order.recalibration
+        else None,
         Section("Inputs of the estimator as used", facts=certificate.inputs),
         *(
             Section(title, figures=[SectionFigure(name, text, figures[name])])

@@ -183,6 +183,7 @@ def render(
         *(found.chapter for found in content.chapters),
         dwells_section(content.dwells, no_dwell),
         events_section(content.journal),
+        _list_section("Approvals of the investigation", content.approvals),
         durations_section(took_in_journal(content.journal)),
         _list_section("Assumptions of the procedure", content.procedure.get("assumptions")),
         _instruments_section(content),

@@ -1,5 +1,6 @@
 """Certificates of runs: what they state, as PDF and DCC, marked where emulated, signed and verified."""
 
+import json
 import math
 import os
 import shutil
@@ -15,6 +16,7 @@ from gyrobench.bench.certificate.content import Order, certificate_of
 from gyrobench.bench.certificate.dcc import certificate_dcc, validate_dcc
 from gyrobench.bench.certificate.pdf import certificate_pdf, file_names
 from gyrobench.bench.certificate.signatures import load_signing_key, sign_dcc, sign_pdf, verify_file
+from gyrobench.bench.cli.output import EXIT_WRONG_INPUT
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
 from gyrobench.bench.foundations.operator_name import OPERATOR_VARIABLE
 from gyrobench.bench.runs.folder import RunFolder
@@ -102,7 +104,7 @@ def test_a_coefficient_has_k_and_u_of_its_budget(measured_run):
     known, unknown = made.coefficients
     assert (known.k, known.expanded) == pytest.approx((2.5706, 2.5706 * 0.18), abs=1e-4)
     assert (unknown.k, unknown.expanded) == (NORMAL_K, NORMAL_K * 0.18)
-    assert "2.5706" in texts(etree.fromstring(certificate_dcc(made)), "//si:coverageFactor")
+    assert "2.5706" in texts(certificate_dcc(made), ".//si:coverageFactor")
 
 
 def test_a_polynomial_whose_scatter_is_estimated_has_its_degrees_of_freedom(measured_run):
@@ -155,6 +157,11 @@ def test_an_emulated_certificate_says_so_in_document_figures_and_file_names(simu
 
 
 @pytest.mark.skipif(not SCHEMA, reason="GYROBENCH_DCC_SCHEMA names no folder with dcc.xsd and SI_Format.xsd")
+def test_the_folder_of_an_emulated_run_says_so_beside_its_tables(emulated_run):
+    assert "were emulated" in (emulated_run.path / "SIMULATED.txt").read_text()
+    assert json.loads(emulated_run.provenance.read_text())["simulated"] is True
+
+
 def test_the_dcc_is_valid_against_the_schema_signed_too(measured_run, simulated, signing_key):
     for made in (certificate_of(measured_run, SIGNED_BY), simulated):
         document = certificate_dcc(made)
@@ -247,3 +254,25 @@ def test_the_command_writes_seals_and_verifies(emulated_run, signing_key, tmp_pa
     changed = gyrobench("certificate", "--verify", pdf, cwd=tmp_path)
     assert changed.returncode == 1
     assert "does not fit" in changed.stdout or "damaged" in changed.stdout
+
+
+def test_a_certificate_states_until_when_the_biases_stay_within_an_agreed_limit(emulated_run, tmp_path):
+    for month in (1, 4, 7):
+        run = tmp_path / f"run-{month}"
+        shutil.copytree(emulated_run.path, run, ignore=shutil.ignore_patterns("seals", "certificate"))
+        provenance = json.loads((run / "provenance.json").read_text())
+        provenance["started_utc"] = f"2026-0{month}-01T00:00:00+00:00"
+        (run / "provenance.json").write_text(json.dumps(provenance))
+        seal_run(RunFolder(run))
+    options = ("--simulated", "--format", "dcc", "--limit-dph")
+    done = gyrobench("certificate", "run-7", *options, "2.0", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    [written] = (tmp_path / "run-7" / "certificate").iterdir()
+    assert any(
+        "stay within 2 deg/h with 95 %" in text for text in texts(written.read_bytes(), ".//dcc:content")
+    )
+    shutil.rmtree(tmp_path / "run-1")
+    shutil.rmtree(tmp_path / "run-4")
+    refused = gyrobench("certificate", "run-7", *options, "2.0", cwd=tmp_path)
+    assert refused.returncode == EXIT_WRONG_INPUT
+    assert "too few runs of unit" in refused.stderr
