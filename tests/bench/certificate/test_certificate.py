@@ -156,12 +156,12 @@ def test_an_emulated_certificate_says_so_in_document_figures_and_file_names(simu
     assert "authorised by" not in simulated.laboratory
 
 
-@pytest.mark.skipif(not SCHEMA, reason="GYROBENCH_DCC_SCHEMA names no folder with dcc.xsd and SI_Format.xsd")
 def test_the_folder_of_an_emulated_run_says_so_beside_its_tables(emulated_run):
     assert "were emulated" in (emulated_run.path / "SIMULATED.txt").read_text()
     assert json.loads(emulated_run.provenance.read_text())["simulated"] is True
 
 
+@pytest.mark.skipif(not SCHEMA, reason="GYROBENCH_DCC_SCHEMA names no folder with dcc.xsd and SI_Format.xsd")
 def test_the_dcc_is_valid_against_the_schema_signed_too(measured_run, simulated, signing_key):
     for made in (certificate_of(measured_run, SIGNED_BY), simulated):
         document = certificate_dcc(made)
