@@ -134,7 +134,7 @@ def test_a_wrong_world_ends_it_with_a_message():
     assert result.returncode == 2
     assert result.stdout == ""
     assert result.stderr.startswith("gyrobench emulate: atlantis: no such file or shipped name")
-    assert "gyro_a, gyro_b, ideal" in result.stderr
+    assert "gyro_a, gyro_b, heating_neighbour, ideal" in result.stderr
     assert "Traceback" not in result.stderr
 
 
