@@ -93,7 +93,7 @@ class LiveBench:
         station: Station,
         instruments: Instruments,
         clock: Clock,
-        recordings: Sequence[tuple[CanLog, Telemetry | None]],
+        recordings: Sequence[tuple[CanLog | None, Telemetry | None]],
         report_failure: Callable[[str, InstrumentError | None], None],
         telemetry: Telemetry | None = None,
     ) -> None:
