@@ -218,7 +218,8 @@ class UnitBench(AfterLastDwell):
 def test_a_law_composed_for_what_is_on_no_list_is_tested_by_a_new_cycle(tmp_path, law, verdict, probability):
     steps = first_campaign([45.0, 30.0, 10.0, -20.0], cycles=3)
     unit = {"unit": "S1", "seed": 2, "effects": {"resonance": 0.03}, "steps": steps}
-    bench = UnitBench(unit | {"effects": {law: 0.03}})
+    bench = UnitBench(unit)
+    bench.unit = unit | {"effects": {law: 0.03}}
     found = Investigator(bench, tmp_path / law, 60.0, lambda *_: True).run(WallClock())
     assert found.ended == "not_on_list"
     assert (found.test.purpose, found.test.proposal.block.name) == ("test_law", "new cycle")
