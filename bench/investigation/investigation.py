@@ -41,7 +41,9 @@ from gyrobench.bench.investigation.proposal import (
     propose,
     proposed,
 )
+from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal, read_journal
+from gyrobench.bench.station.locks import RunLock
 
 #: Hypotheses less probable than this, and more than so many, are not predicted.
 _MIN_PROBABILITY = 1e-3
@@ -179,7 +181,7 @@ class Investigator:
         self._flagged: list[tuple[str, ...]] = []
         self._earlier: list[dict[str, Any]] = []
         self._stages: list[Stage] = []
-        table = folder / "start.csv"
+        table = RunFolder(folder).first_dwells
         if not table.exists():
             write_dwells(table, self._rows)
         elif table.read_text(encoding="utf-8") != format_dwells(self._rows):
@@ -195,9 +197,10 @@ class Investigator:
         path = self._folder / "journal.jsonl"
         self._earlier = list(read_journal(path)) if path.exists() else []
         self._stages = []
-        with Journal(path, clock) as journal:
+        with RunLock(self._folder, clock), Journal(path, clock) as journal:
             event = "investigation_resumed" if self._earlier else "investigation_started"
-            journal.record(event, budget_h=self._budget_h)
+            first = {"unit": self._rows[0].unit, "dwells": len(self._rows)}
+            journal.record(event, procedure="investigation", budget_h=self._budget_h, **first)
             self._refused = {
                 tuple(entry["kinds"]): entry["reason"]
                 for entry in self._earlier
@@ -246,13 +249,13 @@ class Investigator:
                 measured = [each.proposal.block.kinds for each in self._stages if each.proposal]
                 found = propose(
                     forecast, stage.rivals, scale, refused, left_h, self._bench, measured,
-                    self._profile, stage.calibration if stage.is_uncertain and not stage.is_test else None,
+                    self._profile, stage.calibration if stage.is_uncertain else None,
                 )  # fmt: skip
                 useful = [
                     each
                     for each in found
                     if max(each.fall, each.replaced_h) > MIN_GAIN
-                    and (stage.purpose != TEST_LAW or each.block.name == NEW_CYCLE)
+                    and (stage.purpose != TEST_LAW or stage.is_uncertain or each.block.name == NEW_CYCLE)
                 ]
                 if not useful and stage.is_uncertain:
                     return stage, (
@@ -261,10 +264,10 @@ class Investigator:
                     )
                 if not useful:
                     return stage, self._no_block(stage)
-                if stage.is_test:
+                if stage.is_test and not self._profile:
                     best = max(useful, key=_test_per_h)
                 elif self._profile:
-                    best = min(useful, key=hours_left(useful, is_settled=stage.purpose == CALIBRATE))
+                    best = min(useful, key=hours_left(useful, is_settled=stage.purpose != DISTINGUISH))
                 else:
                     best = max(useful, key=lambda each: each.gain_per_h)
                 if not self._is_approved(best, stage, journal):
@@ -311,7 +314,12 @@ class Investigator:
         )
 
     def _test(self, last: Stage, ended: str) -> Stage | None:
-        """A stage whose block tests what an investigation ends with: its cause, or a composed law."""
+        """A stage whose block tests what an investigation ends with: its cause, or a composed law.
+
+        With a profile, a block that its biases need is the test; none is measured for it alone.
+        """
+        if self._profile is not None and not last.is_uncertain:
+            return None
         if ended == "settled":
             found = tuple(each.candidate for each in last.closure.effects)
             cause = Rival(tuple(sorted(each.effect.name for each in found)), found, 0.5)

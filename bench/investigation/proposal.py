@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -31,8 +31,8 @@ from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.investigation.profile import Calibration, Profile
 from gyrobench.bench.navigation.positions import AXES
 
-#: Blocks of which pairs are tried.
-_PAIRED = 4
+#: Blocks that are tried with another one after them, and visits of a profile in a block.
+_PAIRED, _VISITS = 4, 3
 #: Least spread of the bias from one power-on to the next, in units of the noise: the search takes nothing
 #: from the constant of a power-on, and a block must not be chosen for what it would say.
 _MIN_RUN_SPREAD = 30.0
@@ -139,10 +139,20 @@ def propose(
 
     more = profile.kinds() if profile else ()
     paired = {kind for kinds in refused if len(kinds) > 1 for kind in kinds}
-    found = [proposal(each) for each in usable(catalogue(rows, start=start, more=more))]
-    found.sort(key=lambda each: -each.gain_per_h)
-    best = {each.block.name for each in found[:_PAIRED]}
-    found += [proposal(each) for each in usable(catalogue(rows, best - paired, start, more))]
+
+    def proposals(sequences: Iterable[Sequence[str]] | None = None) -> list[Proposal]:
+        return [proposal(each) for each in usable(catalogue(rows, sequences, start, more))]
+
+    found = sorted(proposals(), key=lambda each: -each.gain_per_h)
+    best = [each.block.name for each in found[:_PAIRED]]
+    found += proposals(itertools.permutations([name for name in best if name not in paired], 2))
+    if calibration is not None:
+        names = [each.name for each in more]
+        visits = [each for each in found if each.block.name in names]
+        for _ in range(_VISITS - 1):
+            visits = sorted(visits, key=hours_left(found, is_settled=True))[:_PAIRED]
+            visits = proposals((*each.block.kinds, name) for each in visits for name in names)
+            found += visits
     return sorted(found, key=lambda each: -each.gain_per_h)
 
 
@@ -163,7 +173,7 @@ def hours_left(proposals: Sequence[Proposal], *, is_settled: bool = False) -> Ca
             unsettled = each.trust * each.expected.unsettled + doubt
             hours += max(entropy_left / max(fastest, 1e-9), unsettled * shortest_h)
         if each.missing_h:
-            hours += max(each.missing_h / max(replacing, 1e-9), shortest_h)
+            hours += each.missing_h / max(replacing, 1e-9) + shortest_h
         return hours
 
     return left
