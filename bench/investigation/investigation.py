@@ -247,9 +247,10 @@ class Investigator:
             else:
                 refused = [*self._refused, *idle]
                 measured = [each.proposal.block.kinds for each in self._stages if each.proposal]
+                is_settled = stage.is_uncertain and stage.purpose != DISTINGUISH
                 found = propose(
                     forecast, stage.rivals, scale, refused, left_h, self._bench, measured,
-                    self._profile, stage.calibration if stage.is_uncertain else None,
+                    self._profile, stage.calibration if stage.is_uncertain else None, is_settled=is_settled,
                 )  # fmt: skip
                 useful = [
                     each
@@ -264,12 +265,14 @@ class Investigator:
                     )
                 if not useful:
                     return stage, self._no_block(stage)
-                if stage.is_test and not self._profile:
+                if is_settled:
+                    best = proposal_of(forecast, useful[0].block, stage.rivals, scale)
+                elif stage.is_test:
                     best = max(useful, key=_test_per_h)
                 elif self._profile:
-                    best = min(useful, key=hours_left(useful, is_settled=stage.purpose != DISTINGUISH))
+                    best = min(useful, key=hours_left(useful))
                 else:
-                    best = max(useful, key=lambda each: each.gain_per_h)
+                    best = useful[0]
                 if not self._is_approved(best, stage, journal):
                     return stage, ("declined", "The proposed block was declined.")
             try:

@@ -93,8 +93,10 @@ def propose(
     measured: Sequence[Sequence[str]] = (),
     profile: Profile | None = None,
     calibration: Calibration | None = None,
+    *,
+    is_settled: bool = False,
 ) -> list[Proposal]:
-    """Blocks with their utilities, best first.
+    """Blocks with their utilities, best first: by doubt removed in an hour, or with a profile by hours left.
 
     Parameters
     ----------
@@ -117,6 +119,8 @@ def propose(
         Its dwells are blocks too.
     calibration : Calibration, optional
         Where given, information about the biases of the profile counts as well.
+    is_settled : bool
+        Whether only that counts; the proposals are without predictions then.
     """
     rows, planner = forecast.measured, planner or AfterLastDwell()
     start = planner.start(rows)
@@ -128,7 +132,11 @@ def propose(
 
     def proposal(block: Block) -> Proposal:
         repeats = max(sum(kind in kinds for kinds in measured) for kind in block.kinds)
-        found = replace(proposal_of(forecast, block, rivals, noise_scale), repeats=repeats)
+        if is_settled:
+            new = tuple(forecast.rows(block.plan))
+            found = Proposal(block, new, (), 0.0, Expected(0.0, 0.0, 0.0), repeats)
+        else:
+            found = replace(proposal_of(forecast, block, rivals, noise_scale), repeats=repeats)
         if calibration is None:
             return found
         whole, means = calibration.whole, calibration.profile.means
@@ -140,20 +148,25 @@ def propose(
     more = profile.kinds() if profile else ()
     paired = {kind for kinds in refused if len(kinds) > 1 for kind in kinds}
 
+    def ordered(found: Sequence[Proposal]) -> list[Proposal]:
+        key = hours_left(found, is_settled=is_settled) if calibration else lambda each: -each.gain_per_h
+        return sorted(found, key=key)
+
     def proposals(sequences: Iterable[Sequence[str]] | None = None) -> list[Proposal]:
         return [proposal(each) for each in usable(catalogue(rows, sequences, start, more))]
 
-    found = sorted(proposals(), key=lambda each: -each.gain_per_h)
+    found = ordered(proposals())
     best = [each.block.name for each in found[:_PAIRED]]
     found += proposals(itertools.permutations([name for name in best if name not in paired], 2))
     if calibration is not None:
         names = [each.name for each in more]
         visits = [each for each in found if each.block.name in names]
         for _ in range(_VISITS - 1):
-            visits = sorted(visits, key=hours_left(found, is_settled=True))[:_PAIRED]
-            visits = proposals((*each.block.kinds, name) for each in visits for name in names)
+            visits = proposals(
+                (*each.block.kinds, name) for each in ordered(visits)[:_PAIRED] for name in names
+            )
             found += visits
-    return sorted(found, key=lambda each: -each.gain_per_h)
+    return ordered(found)
 
 
 def hours_left(proposals: Sequence[Proposal], *, is_settled: bool = False) -> Callable[[Proposal], float]:
@@ -162,9 +175,9 @@ def hours_left(proposals: Sequence[Proposal], *, is_settled: bool = False) -> Ca
     Afterwards the entropy and what is missing of a profile fall at the rates of the best blocks of today,
     and where anything is left at least the shortest block follows. ``is_settled``: the cause is.
     """
-    fastest = max(each.gain_per_h for each in proposals)
-    replacing = max(each.replaced_h / each.block.plan.duration_h for each in proposals)
-    shortest_h = min(each.block.plan.duration_h for each in proposals)
+    fastest = max((each.gain_per_h for each in proposals), default=0.0)
+    replacing = max((each.replaced_h / each.block.plan.duration_h for each in proposals), default=0.0)
+    shortest_h = min((each.block.plan.duration_h for each in proposals), default=0.0)
 
     def left(each: Proposal) -> float:
         hours, doubt = each.block.plan.duration_h, 1.0 - each.trust
