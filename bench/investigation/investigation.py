@@ -215,7 +215,10 @@ class Investigator:
                 )
                 ended = self._end(stage)
                 if ended is None:
-                    stage, ended = self._with_block(stage, journal)
+                    confirm = self._confirmation(stage)
+                    stage, ended = self._with_block(confirm or stage, journal)
+                    if ended and ended[0] == "no_block" and (confirm := self._confirmation(stage, ended[0])):
+                        stage, ended = self._with_block(confirm, journal)
                 if ended and (test := self._test(stage, ended[0])):
                     test, failed = self._with_block(test, journal)
                     stage = test if failed is None else stage
@@ -268,7 +271,7 @@ class Investigator:
                 if is_settled:
                     best = proposal_of(forecast, useful[0].block, stage.rivals, scale)
                 elif stage.is_test:
-                    best = max(useful, key=_test_per_h)
+                    best = max(useful, key=tested_per_h)
                 elif self._profile:
                     best = min(useful, key=hours_left(useful))
                 else:
@@ -316,6 +319,21 @@ class Investigator:
             f"{experiments or 'a measurement of other quantities'}."
         )
 
+    def _confirmation(self, stage: Stage, ended: str = "") -> Stage | None:
+        """A stage whose block confirms a cause that the held-out dwells left open, if that is all.
+
+        ``ended``: where no block distinguishes, effects that a single dwell shows count no longer.
+        """
+        is_probable = only_unconfirmed(stage.closure, with_single_dwells=not ended)
+        return self._cause_test(stage) if is_probable else None
+
+    def _cause_test(self, last: Stage) -> Stage | None:
+        """A stage whose block tests the cause that a search found, unless one did."""
+        cause, without = confirming_rivals(last.closure)
+        if not cause.names or self._tested(CONFIRM, cause.names) is not None:
+            return None
+        return replace(last, rivals=(cause, without), purpose=CONFIRM)
+
     def _test(self, last: Stage, ended: str) -> Stage | None:
         """A stage whose block tests what an investigation ends with: its cause, or a composed law.
 
@@ -324,10 +342,7 @@ class Investigator:
         if self._profile is not None and not last.is_uncertain:
             return None
         if ended == "settled":
-            found = tuple(each.candidate for each in last.closure.effects)
-            cause = Rival(tuple(sorted(each.effect.name for each in found)), found, 0.5)
-            if cause.names and self._tested(CONFIRM, cause.names) is None:
-                return replace(last, rivals=(cause, Rival((), (), 0.5)), purpose=CONFIRM)
+            return self._cause_test(last)
         is_tested = any(each.purpose == TEST_LAW and each.outcome for each in self._stages)
         if ended == "not_on_list" and not is_tested:
             law = composed(last.closure).composed
@@ -357,8 +372,11 @@ class Investigator:
     def _end(self, stage: Stage) -> tuple[str, str] | None:
         posterior = stage.closure.posterior
         names = tuple(sorted(each.effect.name for each in stage.closure.effects))
-        if is_settled(stage.closure):
-            tested = self._tested(CONFIRM, names)
+        tested = self._tested(CONFIRM, names)
+        is_confirmed = tested is not None and tested.agrees
+        if is_settled(stage.closure) or (
+            is_confirmed and only_unconfirmed(stage.closure, with_single_dwells=False)
+        ):
             if tested is not None and tested.probabilities[0] <= 1.0 - SETTLED:
                 return ("refuted", f"A block contradicts what {' + '.join(names)} predicted for it.")
             what = listed(sorted(map(stage.closure.label, names))) or "nothing beside the declared model"
@@ -454,6 +472,19 @@ def is_settled(closure: Closure) -> bool:
     return is_stated and closure.probability >= SETTLED and not closure.posterior.rivals(names)
 
 
+def only_unconfirmed(closure: Closure, *, with_single_dwells: bool) -> bool:
+    """Whether a cause has enough probability, and is open only since held-out dwells do not confirm it.
+
+    A block that was predicted can confirm it in their place. ``with_single_dwells``: whether effects beside
+    it that a single dwell shows leave it open as well.
+    """
+    names = {each.effect.name for each in closure.effects}
+    others = closure.posterior.rivals(names).keys()
+    single = {each.effect.name for each in closure.evidence if each.rests_on_one_dwell}
+    is_probable = bool(names) and closure.verdict == "ambiguous" and closure.probability >= SETTLED
+    return is_probable and not (others if with_single_dwells else others - single)
+
+
 def rivals_of(closure: Closure) -> tuple[Rival, ...]:
     """The most probable hypotheses of a search; together they have probability 1."""
     best = [each for each in closure.posterior.hypotheses if each.probability > _MIN_PROBABILITY]
@@ -473,6 +504,12 @@ def rivals_of(closure: Closure) -> tuple[Rival, ...]:
     )
 
 
+def confirming_rivals(closure: Closure) -> tuple[Rival, Rival]:
+    """The cause that a search found, and nothing: what a block distinguishes to confirm it."""
+    found = tuple(each.candidate for each in closure.effects)
+    return Rival(tuple(sorted(each.effect.name for each in found)), found, 0.5), Rival((), (), 0.5)
+
+
 def _remainder_dph(closure: Closure) -> float:
     """Rms of what the model leaves beyond the noise; at least half of the noise."""
     residual_dph = (closure.campaign.bias_dph - closure.model.bias_dph)[closure.searched]
@@ -480,7 +517,8 @@ def _remainder_dph(closure: Closure) -> float:
     return float(max(np.sqrt(max(variance, 0.0)), 0.5 * closure.noise_dph))
 
 
-def _test_per_h(proposal: Proposal) -> float:
+def tested_per_h(proposal: Proposal) -> float:
+    """How far a block tests a prediction, as far as that is needed, per hour."""
     return min(proposal.difference, _ENOUGH) / proposal.block.plan.duration_h
 
 

@@ -38,6 +38,8 @@ _PAIRED, _VISITS = 4, 3
 _MIN_RUN_SPREAD = 30.0
 #: Temperatures of dwells that differ by less from the forecast are not worth a notice.
 _MIN_OFF_K = 10.0
+#: Dwells of which every prediction is less probable by chi2 fit none.
+_MIN_P_VALUE = 1e-4
 #: A cause is settled at this probability.
 SETTLED = 0.99
 
@@ -132,18 +134,19 @@ def propose(
 
     def proposal(block: Block) -> Proposal:
         repeats = max(sum(kind in kinds for kinds in measured) for kind in block.kinds)
-        if is_settled:
-            new = tuple(forecast.rows(block.plan))
-            found = Proposal(block, new, (), 0.0, Expected(0.0, 0.0, 0.0), repeats)
-        else:
-            found = replace(proposal_of(forecast, block, rivals, noise_scale), repeats=repeats)
         if calibration is None:
-            return found
-        whole, means = calibration.whole, calibration.profile.means
-        after = _next_pass(forecast, whole, means, found.rows, calibration.rivals, noise_scale)
-        missing_h = calibration.missing_h(after)
+            return replace(proposal_of(forecast, block, rivals, noise_scale), repeats=repeats)
+        new = tuple(forecast.rows(block.plan))
+        counting = calibration.rivals if is_settled else rivals
+        after, predictions = _next_pass(
+            forecast, calibration.whole, calibration.profile.means, new, counting, noise_scale
+        )
+        missing_h = calibration.missing_h(after[: len(calibration.rivals)])
         replaced_h = calibration.missing_h(calibration.variances) - missing_h
-        return replace(found, replaced_h=replaced_h, missing_h=missing_h)
+        found = Proposal(block, new, (), 0.0, Expected(0.0, 0.0, 0.0))
+        if not is_settled:
+            found = _weighed(block, new, predictions, rivals)
+        return replace(found, repeats=repeats, replaced_h=replaced_h, missing_h=missing_h)
 
     more = profile.kinds() if profile else ()
     paired = {kind for kinds in refused if len(kinds) > 1 for kind in kinds}
@@ -195,15 +198,15 @@ def hours_left(proposals: Sequence[Proposal], *, is_settled: bool = False) -> Ca
 def proposal_of(forecast: Forecast, block: Block, rivals: Sequence[Rival], noise_scale: float) -> Proposal:
     """The proposal of a block."""
     new = forecast.rows(block.plan)
-    predictions = _predictions(forecast, new, rivals, noise_scale)
+    return _weighed(block, new, _predictions(forecast, new, rivals, noise_scale), rivals)
+
+
+def _weighed(
+    block: Block, new: Sequence[DwellRow], predictions: Sequence[Prediction], rivals: Sequence[Rival]
+) -> Proposal:
     probabilities = np.array([each.probability for each in rivals])
-    return Proposal(
-        block,
-        tuple(new),
-        tuple(predictions),
-        entropy(probabilities),
-        expected_after(predictions, probabilities, SETTLED),
-    )
+    expected = expected_after(predictions, probabilities, SETTLED)
+    return Proposal(block, tuple(new), tuple(predictions), entropy(probabilities), expected)
 
 
 def proposed(proposal: Proposal, rivals: Sequence[Rival]) -> dict[str, Any]:
@@ -248,8 +251,8 @@ def calibration_of(
         profile,
         whole,
         rivals,
-        _next_pass(forecast, whole, means, (), rivals, noise_scale),
-        _next_pass(forecast, whole, means, whole, rivals, noise_scale, is_alone=True),
+        _next_pass(forecast, whole, means, (), rivals, noise_scale)[0],
+        _next_pass(forecast, whole, means, whole, rivals, noise_scale, is_alone=True)[0],
     )
 
 
@@ -270,8 +273,8 @@ def _next_pass(
     noise_scale: float,
     *,
     is_alone: bool = False,
-) -> FloatArray:
-    """Variances of means of the dwells of a profile after new ones, for each rival, (k, m).
+) -> tuple[FloatArray, list[Prediction]]:
+    """Variances of means of the dwells of a profile after new ones, (k, m), and predictions of the new ones.
 
     The power-on is the one that is known best. ``is_alone``: the new dwells are all that is measured.
     """
@@ -290,12 +293,21 @@ def _next_pass(
         )
         for index, row in enumerate(whole)
     ]
-    found = []
-    for each, _ in _linearized(forecast, [*new, *rows], rivals, noise_scale):
+    found, predictions = [], []
+    for each, variance in _linearized(forecast, [*new, *rows], rivals, noise_scale):
         place = np.arange(len(each.sigma_dph) // 3) - len(each.sigma_dph) // 3 + len(rows)
-        known = (place < 0) & ((place >= -len(new)) | (not is_alone))
+        is_new = (place < 0) & (place >= -len(new))
+        known = is_new if is_alone else place < 0
         found.append(np.diag(means @ each.covariance(known, place >= 0) @ means.T))
-    return np.array(found)
+        if new and not is_alone:
+            predictions.append(_prediction(each, place < -len(new), is_new, variance))
+    return np.array(found), predictions
+
+
+def _prediction(linear: Linearized, measured: BoolArray, is_new: BoolArray, variance: float) -> Prediction:
+    """Prediction of new dwells, with the variance of what a rival can't predict."""
+    found = linear.prediction(measured, is_new)
+    return replace(found, covariance=found.covariance + variance * np.eye(len(found.mean_dph)))
 
 
 def _predictions(
@@ -305,9 +317,7 @@ def _predictions(
     found = []
     for each, variance in _linearized(forecast, new, rivals, noise_scale):
         is_new = np.arange(len(each.sigma_dph) // 3) >= len(each.sigma_dph) // 3 - len(new)
-        prediction = each.prediction(~is_new, is_new)
-        more = variance * np.eye(len(prediction.mean_dph))
-        found.append(Prediction(prediction.mean_dph, prediction.covariance + more))
+        found.append(_prediction(each, ~is_new, is_new, variance))
     return found
 
 
@@ -371,6 +381,16 @@ class Outcome:
     #: Largest difference of a dwell's temperature from its forecast, K; zero unless it is above 10 K and half
     #: of what the block changes it by.
     off_forecast_k: float
+
+    @property
+    def fits(self) -> bool:
+        """Whether the dwells fit the prediction of one rival."""
+        return max(self.p_value) >= _MIN_P_VALUE
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the dwells fit, and settle the first rival."""
+        return self.fits and self.probabilities[0] >= SETTLED
 
 
 def outcome_of(
