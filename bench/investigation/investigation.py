@@ -58,6 +58,9 @@ _MAX_FLAGGED = 2
 _MIN_AGEING_S = 26.0 * 3600.0
 #: A prediction is tested where it differs by this square from that without it, in units of its uncertainty.
 _ENOUGH = 60.0
+#: Both follow the time alone: an exponential and a line together fit any law that settles slowly, as a
+#: logarithm, so that they are not stated as two causes.
+SLOW = frozenset({"ageing", "time_drift"})
 #: Purposes of a block.
 DISTINGUISH, CONFIRM, TEST_LAW, CALIBRATE = "distinguish", "confirm", "test_law", "calibrate"
 #: Ends after which an adaptive campaign still determines biases.
@@ -379,6 +382,10 @@ class Investigator:
         ):
             if tested is not None and tested.probabilities[0] <= 1.0 - SETTLED:
                 return ("refuted", f"A block contradicts what {' + '.join(names)} predicted for it.")
+            if tested is not None and set(names) >= SLOW:
+                return "not_on_list", (
+                    "Not on the list of effects: ageing and a drift together imitate one slow law of time."
+                )
             what = listed(sorted(map(stage.closure.label, names))) or "nothing beside the declared model"
             return "settled", f"{what.capitalize()}: probability {stage.closure.probability:.4f}."
         is_listed = posterior.not_on_list <= 1.0 - SETTLED

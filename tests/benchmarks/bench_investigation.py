@@ -23,6 +23,7 @@ from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.investigation.investigation import (
     MIN_GAIN,
+    SLOW,
     confirming_rivals,
     is_settled,
     only_unconfirmed,
@@ -93,9 +94,10 @@ class Tie:
         while True:
             state = self._known[blocks]
             names = frozenset(each.effect.name for each in state.closure.effects)
-            if is_settled(state.closure) or (
+            is_stated = is_settled(state.closure) or (
                 names in state.confirmed and only_unconfirmed(state.closure, with_single_dwells=False)
-            ):
+            )
+            if is_stated and not names >= SLOW:
                 return Settled(hours, True, names == self.truth, blocks, choice_s)
             chosen, is_test = self._next(state, value, self.campaign_h - hours)
             choice_s = max(choice_s, state.choice_s)
