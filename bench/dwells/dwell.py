@@ -14,7 +14,7 @@ from gyrobench.bench.bias.bias_filter import StateSpaceEstimate, estimate_state_
 from gyrobench.bench.bias.bias_steps import BiasStep
 from gyrobench.bench.bias.budget import BudgetInputs
 from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, TurnPath
-from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow
+from gyrobench.bench.bias.dwell_table import NEIGHBOURS_ON, NOT_MEASURED, DwellRow
 from gyrobench.bench.bias.joint_solution import DwellRows
 from gyrobench.bench.bias.noise_estimate import RestMotion, estimate_noise
 from gyrobench.bench.bias.noise_model import NoiseModel
@@ -402,6 +402,7 @@ def _row(
         else NOT_MEASURED,
         fit_ratio=estimate.fit.ratio if estimate else math.nan,
         fit_p_value=estimate.fit.p_value if estimate else math.nan,
+        other=() if marks.neighbours_on is None else ((NEIGHBOURS_ON, marks.neighbours_on),),
         flags="; ".join(flags),
     )
 
