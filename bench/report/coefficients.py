@@ -1,4 +1,4 @@
-"""Coefficients of the sensors over temperature in report and terminal."""
+"""Coefficients of the sensors over temperature."""
 
 from __future__ import annotations
 
@@ -7,14 +7,11 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 
 from matplotlib.figure import Figure
-from rich.console import Group, RenderableType
-from rich.text import Text
 
 from gyrobench.bench.bias.budget import NORMAL_K
-from gyrobench.bench.calibration.results import NOT_OBSERVABLE
 from gyrobench.bench.report.figures.style import GYRO_STYLES, house_style, new_figure
 from gyrobench.bench.report.page import Section, SectionFigure, SectionTable
-from gyrobench.bench.report.terminal.tables import plain_table
+from gyrobench.bench.runs.tables.budget_table import BudgetRow, coverage
 from gyrobench.bench.runs.tables.coefficient_table import (
     FRAME_TEXT,
     TEMPERATURE_TEXT,
@@ -24,6 +21,7 @@ from gyrobench.bench.runs.tables.coefficient_table import (
 )
 
 _TITLE = "Coefficients of gyros and accelerometers"
+_TABLE = "Value ± standard uncertainty (k = 1) at each plateau"
 _TEXT = (
     "Biases, scale factor errors and misalignments at each plateau, from its dwells and its rotations "
     f"together, with standard uncertainties. {FRAME_TEXT} {TEMPERATURE_TEXT}"
@@ -35,8 +33,8 @@ _WITHOUT_FORCE = (
 )
 _CAPTION = (
     "Coefficients over the temperature of the gyro, for accelerometers that of the case; lines join the "
-    "plateaus of a cycle in the order of time. Bars are 95 % intervals (k = 1.96), where larger than the "
-    "marker."
+    "plateaus of a cycle in the order of time. Bars are expanded uncertainties (95 %), where they are larger "
+    "than the marker."
 )
 _NAMES = {
     "gyro_bias": "gyro bias",
@@ -48,11 +46,10 @@ _NAMES = {
 }
 _UNITS = {"ug": "µg"}
 _NOT_OBSERVED = "–"
-_BARS = f"± 95 % (k = {NORMAL_K:.2f})"
 #: Height of a row of a legend as a part of its panel's.
 _LEGEND_ROW = 0.12
-#: Plateaus side by side in a terminal of 80 columns and on a page.
-_PER_TABLE, _PER_PAGE = 3, 5
+#: Plateaus side by side.
+_PER_TABLE = 5
 
 
 def has_rotations(rows: Sequence[PlateauCoefficientRow]) -> bool:
@@ -64,47 +61,44 @@ def has_rotations(rows: Sequence[PlateauCoefficientRow]) -> bool:
     )
 
 
-def coefficients_section(rows: Sequence[PlateauCoefficientRow]) -> Section | None:
-    """Tables and figure; None without rotations."""
+def coefficients_section(
+    rows: Sequence[PlateauCoefficientRow], budget: Sequence[BudgetRow] = ()
+) -> Section | None:
+    """Tables and figure with the expanded uncertainties of the budget; None without rotations."""
     if not has_rotations(rows):
         return None
-    tables = [SectionTable(_TITLE, header, cells, words=3) for header, cells in _tables(rows, _PER_PAGE)]
+    tables = list(_tables(rows))
     notes = plateau_findings(rows)
     if any(not math.isnan(row.sigma_with_force) for row in rows):
         notes.insert(0, _WITHOUT_FORCE)
         tables.append(_cost_table(rows))
-    figure = SectionFigure("coefficients", _CAPTION, partial(coefficients_figure, rows))
+    figure = SectionFigure("coefficients", _CAPTION, partial(coefficients_figure, rows, budget))
     return Section(_TITLE, [_TEXT, *notes], [figure], tables)
 
 
-def coefficients_tables(rows: Sequence[PlateauCoefficientRow]) -> RenderableType:
-    """Values with standard uncertainties for a terminal."""
-    parts: list[RenderableType] = [Text(_TITLE, style="bold")]
-    for header, cells in _tables(rows, _PER_TABLE, is_concise=True):
-        parts.append(plain_table(header, 3, cells, fold=False, gap=0))
-    parts.append(Text("In parentheses: standard uncertainty in units of the last digits."))
-    parts.append(Text(f"{TEMPERATURE_TEXT} {FRAME_TEXT}"))
-    if any(row.finding.startswith(NOT_OBSERVABLE) for row in rows):
-        parts.append(Text(f"{_NOT_OBSERVED}: {NOT_OBSERVABLE}."))
-    return Group(*parts, *map(Text, plateau_findings(rows)))
-
-
 @house_style
-def coefficients_figure(rows: Sequence[PlateauCoefficientRow]) -> Figure:
-    """Each coefficient over temperature with bars of 95 %."""
+def coefficients_figure(rows: Sequence[PlateauCoefficientRow], budget: Sequence[BudgetRow] = ()) -> Figure:
+    """Each coefficient over temperature with bars of 95 %, by the budget, or for a normal distribution."""
+    covered = coverage(budget)
     figure = new_figure(5.6, left_in=0.62, right_in=0.1, wspace=0.3, hspace=0.34)
     panels = figure.subplots(2, 3)
     for (kind, title), axes in zip(_NAMES.items(), panels.ravel(), strict=True):
         own = [row for row in rows if row.coefficient == kind and not math.isnan(row.value)]
         axes.set_title(f"{title} / {_unit(own[0].unit)}" if own else title, fontsize=8)
+        factors: set[str] = set()
         for name, cycle in dict.fromkeys((row.axis, row.cycle) for row in own):
             chosen = [row for row in own if (row.axis, row.cycle) == (name, cycle)]
             colour, line, marker = GYRO_STYLES[name[0]]
             is_second = len(name) > 1 and name[1] == max(set("xyz") - {name[0]})
+            bars = [
+                covered.get((kind, name, row.plateau, 0.0), (NORMAL_K, NORMAL_K * row.sigma))
+                for row in chosen
+            ]
+            factors |= {f"{k:.2f}" for k, _ in bars}
             axes.errorbar(
                 [row.temperature_c for row in chosen],
                 [row.value for row in chosen],
-                [NORMAL_K * row.sigma for row in chosen],
+                [expanded for _, expanded in bars],
                 label=name if cycle == own[0].cycle else None,
                 color=colour,
                 linestyle=line,
@@ -115,8 +109,10 @@ def coefficients_figure(rows: Sequence[PlateauCoefficientRow]) -> Figure:
             )
         if own:
             low, high = axes.get_ylim()
-            legend = axes.legend(ncols=3, loc="upper center", title=_BARS, title_fontsize=7)
-            axes.set_ylim(low, high + _LEGEND_ROW * (high - low) * (1 + math.ceil(len(legend.texts) / 3)))
+            title = f"bars: 95 %, k = {' to '.join(sorted({min(factors), max(factors)}))}"
+            legend = axes.legend(ncols=3, loc="upper center", title=title, title_fontsize=7)
+            rows_in_it = 1 + math.ceil(len(legend.texts) / 3)
+            axes.set_ylim(low, high + _LEGEND_ROW * (high - low) * rows_in_it)
     for axes in panels[1]:
         axes.set_xlabel("case temperature / °C")
     for axes in panels[0]:
@@ -124,36 +120,27 @@ def coefficients_figure(rows: Sequence[PlateauCoefficientRow]) -> Figure:
     return figure
 
 
-def _tables(
-    rows: Sequence[PlateauCoefficientRow], per_table: int, is_concise: bool = False
-) -> Iterator[tuple[list[str], list[list[str]]]]:
-    """Header and cells of tables with so many plateaus side by side."""
+def _tables(rows: Sequence[PlateauCoefficientRow]) -> Iterator[SectionTable]:
     heads = plateau_heads(rows)
-    plateaus = list(heads)
-    for begin in range(0, len(plateaus), per_table):
-        chosen = plateaus[begin : begin + per_table]
-        columns = [[row for row in rows if row.plateau == plateau] for plateau in chosen]
-        header = ["coefficient", "axis", "unit", *(heads[plateau] for plateau in chosen)]
+    for begin in range(0, len(heads), _PER_TABLE):
+        plateaus = list(heads)[begin : begin + _PER_TABLE]
+        columns = [[row for row in rows if row.plateau == plateau] for plateau in plateaus]
+        header = ["coefficient", "axis", "unit", *(heads[plateau] for plateau in plateaus)]
         cells = [
-            [
-                *(_NAMES[several[0].coefficient], several[0].axis, _unit(several[0].unit)),
-                *(_cell(row, is_concise) for row in several),
-            ]
-            for several in zip(*columns, strict=True)
+            [_NAMES[first.coefficient], first.axis, _unit(first.unit), *map(_cell, (first, *others))]
+            for first, *others in zip(*columns, strict=True)
         ]
-        yield header, cells
+        yield SectionTable(_TABLE, header, cells, words=3)
 
 
 def _unit(unit: str) -> str:
     return _UNITS.get(unit, unit)
 
 
-def _cell(row: PlateauCoefficientRow, is_concise: bool) -> str:
+def _cell(row: PlateauCoefficientRow) -> str:
     if math.isnan(row.value):
         return _NOT_OBSERVED
     digits = max(0, 1 - math.floor(math.log10(row.sigma)))
-    if is_concise:
-        return f"{row.value:.{digits}f}({row.sigma * 10**digits:.0f})"
     return f"{row.value:.{digits}f} ± {row.sigma:.{digits}f}"
 
 

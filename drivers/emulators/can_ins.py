@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Protocol
 
 import can
+import numpy as np
 
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.drivers.emulators.can_formats import CanFormat
 from gyrobench.drivers.emulators.can_formats.canaerospace import CanaerospaceFormat
 from gyrobench.drivers.emulators.can_formats.gyrobench_ins import GyrobenchFormat
 from gyrobench.drivers.emulators.can_formats.sbg import SbgFormat
+from gyrobench.drivers.emulators.dialect import Connection
 from gyrobench.drivers.emulators.world.inertial_unit import Epochs, Mode
 from gyrobench.drivers.emulators.world.world import World
-from gyrobench.drivers.frames import FrameBlock
+from gyrobench.drivers.frames import FrameBlock, concatenate
 
 #: Makes each set of frames, by the name of its DBC file.
 CAN_FORMATS: MappingProxyType[str, Callable[[World, float], CanFormat]] = MappingProxyType(
@@ -69,3 +73,57 @@ class CanInsEmulator:
         frames = self.format.frames(epochs)
         for listener in self.listeners:
             listener(frames)
+
+
+@dataclass
+class EmulatedUnit:
+    """One inertial unit on the table of an emulated bench."""
+
+    world: World
+    ins: CanInsEmulator
+    bus: CanNode  #: The INS at its bus, with faults.
+    connection: Connection  #: Its plug.
+    power_event: int  #: Event output of the chamber that feeds it.
+
+
+class CanChannel:
+    """A CAN bus with one unit on it, or several whose identifiers differ by an offset; a :class:`CanNode`."""
+
+    def __init__(self) -> None:
+        self.listeners: list[Callable[[FrameBlock], None]] = []
+        self.units: list[EmulatedUnit] = []  #: The connected units.
+        self._offsets: list[int] = []
+
+    def connect(self, unit: EmulatedUnit, identifier_offset: int = 0) -> None:
+        """Connect a unit, once."""
+
+        def forward(frames: FrameBlock) -> None:
+            if identifier_offset:
+                frames = frames.with_fields(id=frames.arbitration_id + np.uint32(identifier_offset))
+            for listener in self.listeners:
+                listener(frames)
+
+        if not any(connected is unit for connected in self.units):
+            self.units.append(unit)
+            self._offsets.append(identifier_offset)
+            unit.bus.listeners.append(forward)
+
+    @property
+    def generation(self) -> int:
+        """Changes whenever the bench's controller leaves the bus or may reopen it."""
+        return sum(unit.connection.generation for unit in self.units)
+
+    def receive(self, message: can.Message) -> None:
+        """Take a frame from the bus."""
+        for unit, offset in zip(self.units, self._offsets, strict=True):
+            if message.arbitration_id >= offset:
+                own = copy.copy(message)
+                own.arbitration_id -= offset
+                unit.bus.receive(own)
+
+    def in_order(self, blocks: list[FrameBlock]) -> FrameBlock:
+        """Join blocks from all units in order of time."""
+        frames = concatenate(blocks)
+        if len(self.units) > 1:
+            frames = frames.take(np.argsort(frames.timestamp_s, kind="stable"))
+        return frames

@@ -14,8 +14,8 @@ from gyrobench.bench.closure.quantity import QUANTITIES, quantity
 from gyrobench.bench.dwells.closure_inputs import coefficient_columns, read_campaign
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
 from gyrobench.bench.navigation.positions import POSITIONS
-from gyrobench.bench.report.closure.closure_page import write_closure_page
-from gyrobench.bench.report.closure.closure_text import chain, verdict_sentence
+from gyrobench.bench.report.closure.closure_page import closure_sections, write_closure_page
+from gyrobench.bench.report.closure.closure_text import verdict_sentence
 from gyrobench.drivers.ins.command_map import Correction
 from tests.bench.closure.thermal_bench import UP, measure
 
@@ -172,7 +172,8 @@ def test_one_cycle_of_plateaus_is_searched_whole_and_confirms_nothing(scale_fact
     [effect] = closure.effects
     assert effect.effect.name == "temperature_rate"
     assert effect.rms_dph == pytest.approx(whole.effects[0].rms_dph, rel=0.1)
-    said = " ".join([verdict_sentence(closure), *(text for _, text in chain(closure))])
+    sentences = [each for section in closure_sections(closure) for each in section.paragraphs]
+    said = " ".join([verdict_sentence(closure), *sentences])
     assert "no cycle is held out to confirm temperature rate" in said
     assert "Measure the profile a second time." in said
     assert f"in the {len(closure.campaign)} plateaus searched" in said
