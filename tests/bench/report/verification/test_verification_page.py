@@ -49,9 +49,9 @@ def test_the_bars_of_each_compensation_are_at_its_plateaus():
     expected = [[1000.0 * row.spread_dph for row in left.rows] for left in confirmed().results]
     np.testing.assert_allclose(heights, expected)
     assert [text.get_text() for text in spread.get_xticklabels()] == [
-        "62 °C\ncycle 1",
-        "32 °C\ncycle 2",
-        "2 °C\ncycle 1",
+        "62 °C (1)",
+        "32 °C (2)",
+        "2 °C (1)",
     ]
 
 
