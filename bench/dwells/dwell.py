@@ -41,7 +41,7 @@ from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.navigation.table_axes import TwoAxisTable
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.frames import FrameBlock
-from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
+from gyrobench.drivers.ins.dbc_codec import DbcCodec
 from gyrobench.drivers.ins.navigation_data import (
     EpochCounts,
     Increments,
@@ -412,7 +412,7 @@ def measurement_setup(station: Station) -> MeasurementSetup:
 
     Raises DocumentError if the DBC file is wrong, or lacks signals that the station file maps.
     """
-    codec = DbcCodec(load_dbc(station.dbc_path))
+    codec = DbcCodec(station.database())
     signals = station.file.ins.signals
     limits = resolution_report(signals, codec)
     velocity_lsb_mps = max(limit.lsb for limit in limits if limit.unit == "m/s")

@@ -42,6 +42,7 @@ class Journal:
     def __init__(self, path: Path, clock: Clock) -> None:
         self._path = path
         self._clock = clock
+        self.followers: list[Journal] = []  #: Journals that get each entry too.
         self._writing = threading.Lock()  # messages are sent by separate threads
         try:
             self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
@@ -76,6 +77,8 @@ class Journal:
         """
         with self._writing:
             self._write({"event": event} | details)
+        for follower in tuple(self.followers):
+            follower.record(event, **details)
 
     def _write(self, content: dict[str, Any]) -> None:
         entry = {"time_s": round(self._clock.now(), 6), "utc": self._clock.utc().isoformat()}
