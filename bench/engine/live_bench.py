@@ -6,7 +6,6 @@ import contextlib
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from itertools import zip_longest
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -94,7 +93,7 @@ class LiveBench:
         station: Station,
         instruments: Instruments,
         clock: Clock,
-        recordings: Sequence[tuple[CanLog, Telemetry | None]],
+        recordings: Sequence[tuple[CanLog | None, Telemetry | None]],
         report_failure: Callable[[str, InstrumentError | None], None],
         telemetry: Telemetry | None = None,
     ) -> None:
@@ -116,9 +115,11 @@ class LiveBench:
         self._next_safe_s = 0.0
         #: The units that are measured, in the order of the station file.
         self.units = [
-            LiveUnit(self, each, instruments.units[each.instrument], *(recorded or (None, None)))
-            for each, recorded in zip_longest(
-                (each for each in station.units if each.instrument in instruments.units), recordings
+            LiveUnit(self, each, instruments.units[each.instrument], instruments.absent, *recorded)
+            for each, recorded in zip(
+                (each for each in station.units if each.instrument in instruments.units),
+                recordings or [(None, None)] * len(instruments.units),
+                strict=True,
             )
         ]
         self._placed = tuple(self.units)  # also those that are left out

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from gyrobench.bench.engine.bench_state import Readings, UnitState
 from gyrobench.bench.engine.interlocks.watch import InterlockWatch, Trip
-from gyrobench.bench.foundations.errors import NoReplyError
+from gyrobench.bench.foundations.clock import Clock
+from gyrobench.bench.foundations.errors import InstrumentError, NoReplyError
 from gyrobench.bench.navigation.table_axes import Angles
 from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE
 from gyrobench.bench.station.station import Station
@@ -18,7 +20,6 @@ from gyrobench.drivers.ins.ins_status import InsStatus
 from gyrobench.drivers.ins.readout import InsMode
 
 if TYPE_CHECKING:
-    from gyrobench.bench.engine.live_bench import LiveBench
     from gyrobench.bench.runs.can_log import CanLog
     from gyrobench.bench.runs.telemetry import Telemetry
 
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 _EPOCH_COUNT_TOLERANCE_S = 3.0
 #: A CAN bus that is silent for this long may have been disconnected without an error.
 BUS_SILENCE_S = 4.0
+
+T = TypeVar("T")
 
 
 @dataclass
@@ -57,18 +60,35 @@ class Capture:
         return concatenate(self._blocks[begin:]).take(slice(first - start, None))
 
 
+class Polled(Protocol):
+    """The bench that polls a unit."""
+
+    clock: Clock
+
+    def asked(self, instrument: str, ask: Callable[[], T]) -> T | None:
+        """Return an instrument's answer; None where it fails, which is reported."""
+
+    def failed(self, error: InstrumentError) -> None:
+        """Report a failed exchange; the instrument is reopened until it answers."""
+
+    def neighbours_on(self, unit: LiveUnit) -> int:
+        """Number of other units that are on, as far as is known."""
+
+
 class LiveUnit:
     """One unit on a bench that is polled.
 
-    ``station`` is the bench with this unit alone. ``can_log`` and ``telemetry`` keep everything received and
-    read; they are None for a unit that is not recorded.
+    ``station`` is the bench with this unit alone, ``absent`` what the bench was opened without.
+    ``can_log`` and ``telemetry`` keep everything received and read; they are None for a unit that is not
+    recorded.
     """
 
     def __init__(
         self,
-        bench: LiveBench,
+        bench: Polled,
         station: Station,
         ins: CanIns,
+        absent: Collection[str],
         can_log: CanLog | None,
         telemetry: Telemetry | None,
     ) -> None:
@@ -81,8 +101,7 @@ class LiveUnit:
         self.readings: Readings  #: newest answers; set by :meth:`observe`
         self._can_log = can_log
         self._telemetry = telemetry
-        absent = {RATE_TABLE, CHAMBER, *bench.instruments.absent}
-        self._watch = InterlockWatch(station, bench.clock, absent)
+        self._watch = InterlockWatch(station, bench.clock, {RATE_TABLE, CHAMBER, *absent})
         self._mode = InsMode.UNKNOWN
         self._epochs: tuple[float, int] | None = None
         ins.on_frames = self._received
@@ -116,7 +135,7 @@ class LiveUnit:
         if self.capture and readings.chamber_s >= readings.asked_s:
             self.capture.chamber_c.append(readings.chamber.temperature_c)
         if self.capture and readings.table_s >= readings.asked_s:
-            self.capture.table_deg.append(self._bench.table_angles())
+            self.capture.table_deg.append(self.station.table_axes_of(readings.table.position_deg))
         if self.capture:
             self.capture.neighbours_on.append(self._bench.neighbours_on(self))
 

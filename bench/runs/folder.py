@@ -70,6 +70,7 @@ class RunFolder:
     can = PathInside("can")  #: Folder of the raw CAN log.
     telemetry = PathInside("telemetry")  #: Folder of the bench's readings.
     dwells = PathInside(DWELLS)  #: The dwell table.
+    first_dwells = PathInside("start.csv")  #: Of an investigation: the dwells that it began with.
     bias_bins = PathInside(BIAS_BINS)  #: Bias per gyro, position and temperature bin.
     budget = PathInside("budget.csv")  #: Uncertainty budget of each dwell and bin.
     joint_biases = PathInside("joint_biases.csv")  #: Biases of the dwells of each plateau solved together.
