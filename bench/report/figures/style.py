@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import math
 import struct
-import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import Any, Literal
 
 import matplotlib.style
 import numpy as np
+from isal import isal_zlib
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -24,8 +24,6 @@ from gyrobench.bench.foundations.files import write_whole
 #: Width of all figures, inch: the text of an A4 page.
 WIDTH_IN = 7.2
 _PNG_DPI = 160
-#: Of zlib; takes half as long as the default, for 13 % larger files.
-_PNG_LEVEL = 3
 _INCH_M = 0.0254
 _POINTS_PER_INCH, _LEGEND_PT = 72.0, 8
 #: Width of a character and height of a legend's row in parts of the size of the font.
@@ -206,7 +204,7 @@ def png_bytes(figure: Figure, key: str = "") -> bytes:
     figure.set_dpi(_PNG_DPI)
     canvas.draw()  # type: ignore[no-untyped-call]  # unlike savefig, which draws everything twice
     figure.set_dpi(dpi)
-    # In less than half of the time of PIL, which looks for the best filter of each row.
+    # In a fifth of the time of PIL, which looks for the best filter of each row.
     pixels = np.asarray(canvas.buffer_rgba())[:, :, :3]  # type: ignore[no-untyped-call]
     height, width, _ = pixels.shape
     rows = np.zeros((height, 1 + 3 * width), np.uint8)  # a zero before each: not filtered
@@ -216,11 +214,11 @@ def png_bytes(figure: Figure, key: str = "") -> bytes:
         (b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)),  # 8 bits of red, green and blue
         *([(b"tEXt", text.encode())] if key else []),
         (b"pHYs", struct.pack(">IIB", dots_per_m, dots_per_m, 1)),
-        (b"IDAT", zlib.compress(rows.data, _PNG_LEVEL)),
+        (b"IDAT", isal_zlib.compress(rows.data, 1)),
         (b"IEND", b""),
     ]
     return b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", isal_zlib.crc32(kind + data))
         for kind, data in chunks
     )
 
