@@ -19,6 +19,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from inspect import Parameter, signature
 from pathlib import Path
+from typing import TYPE_CHECKING
 from urllib.parse import parse_qsl, urlsplit
 
 from pydantic import TypeAdapter, ValidationError
@@ -29,13 +30,12 @@ from gyrobench.bench.foundations.packages import EMULATORS, load
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.drivers.emulators.can_ins import CanInsEmulator, CanNode
 from gyrobench.drivers.emulators.dialect import ChamberEmulation, Connection, SerialInstrument, TableEmulation
-from gyrobench.drivers.emulators.faults.fault import BenchParts
-from gyrobench.drivers.emulators.faults.fault_list import FaultList, check_faults, load_faults
-from gyrobench.drivers.emulators.faults.faulty_lines import FaultyCan, FaultySerial
-from gyrobench.drivers.emulators.faults.injector import InjectionLog, Injector
 from gyrobench.drivers.emulators.world.strapdown import table_attitude
 from gyrobench.drivers.emulators.world.world import OUTER, World
 from gyrobench.drivers.emulators.world.world_file import load_world
+
+if TYPE_CHECKING:
+    from gyrobench.drivers.emulators.faults.injector import Injection, Injector
 
 #: The chamber controller's event output that feeds the unit's power supply.
 UNIT_POWER_EVENT = 2
@@ -97,11 +97,9 @@ class EmulatedBench:
         self.bus: CanNode = self.ins
         #: The plugs of ``table``, ``chamber`` and ``ins``.
         self.connections = {"table": Connection(), "chamber": Connection(), "ins": Connection()}
-        self.injected = InjectionLog()  #: The faults injected so far.
+        self.injected: list[Injection] = []  #: The faults injected so far.
         if faults is not None:
-            listed = load_faults(faults)
-            listed_log = faults.parent / listed.log if listed.log else None
-            self._inject(listed, seed, start_s, faults_log or listed_log, faults)
+            self._inject(faults, seed, start_s, faults_log)
         self.advance()
 
     def advance(self) -> None:
@@ -125,15 +123,22 @@ class EmulatedBench:
         """Whether it makes no difference when the frames of the INS are received: no real time, no faults."""
         return self.clock.is_virtual and self._injector is None
 
-    def _inject(self, faults: FaultList, seed: int, start_s: int, log: Path | None, path: Path) -> None:
+    def _inject(self, path: Path, seed: int, start_s: int, log: Path | None) -> None:
+        # Without faults, a run starts faster without their models.
+        from gyrobench.drivers.emulators.faults.fault import BenchParts
+        from gyrobench.drivers.emulators.faults.fault_list import check_faults, load_faults
+        from gyrobench.drivers.emulators.faults.faulty_lines import FaultyCan, FaultySerial
+        from gyrobench.drivers.emulators.faults.injector import InjectionLog, Injector
+
+        listed = load_faults(path)
         lines = {name: FaultySerial(instrument) for name, instrument in self.serial.items()}
         self.bus = bus = FaultyCan(self.ins)
         self.serial = dict(lines)
         self.connections = {name: line.connection for name, line in lines.items()} | {"ins": bus.connection}
         parts = BenchParts(self.world, self.table, self.chamber, self.ins, lines, bus, self.dialects)
-        check_faults(path, faults, parts)
-        self.injected = InjectionLog(log)
-        self._injector = Injector(faults.faults, parts, seed, start_s, self.injected)
+        check_faults(path, listed, parts)
+        self.injected = injected = InjectionLog(log or (path.parent / listed.log if listed.log else None))
+        self._injector = Injector(listed.faults, parts, seed, start_s, injected)
 
     def _chamber(self, dialect: str, options: Mapping[str, str]) -> SerialInstrument:
         make = load(EMULATORS, dialect, ChamberEmulation).make
