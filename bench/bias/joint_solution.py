@@ -47,6 +47,10 @@ _SHOWN = np.r_[
 _BIAS, _ACCELERATION, _RATE, _MATRIX = slice(0, 3), slice(3, 6), slice(6, 8), slice(8, 17)
 
 _NORTH = NAVIGATION_RATE.start
+#: Sizes, SI, of accelerometer biases and of elements of the matrices that are large for a unit whose INS
+#: compensates them.
+_LARGE_BIAS, _LARGE_ELEMENT = 0.1, 1e-3
+_LOWER, _OFF_DIAGONAL = np.tril(np.ones((3, 3))).ravel(), ~np.eye(3, dtype=bool).ravel()
 #: Dwells agree no more where chance alone makes them differ as much less often than this.
 _MIN_P_VALUE = 1e-3
 
@@ -101,7 +105,8 @@ class JointFit:
     #: of the m dwells.
     unknowns: FloatArray
     covariance: FloatArray
-    #: chi2, dof, p_value: Test that the dwells agree on what they share.
+    #: chi2, dof, p_value: Test that the dwells agree on what they share, with any accelerometer biases and
+    #: misalignments: a unit with larger ones than declared contradicts the declaration, not its dwells.
     chi2: float
     dof: int
     p_value: float
@@ -124,6 +129,20 @@ def north_free_root(prior: PriorKnowledge, earth_rate: FloatArray) -> FloatArray
     return root
 
 
+def free_root(root: FloatArray, gyro_scale_factors: bool = True) -> FloatArray:
+    """The prior root (23, 23) with any accelerometer biases and matrices, body frame of the accelerometers.
+
+    ``gyro_scale_factors``: theirs too; a common one acts as an error of the latitude.
+    """
+    free = root.copy()
+    sizes = np.diagonal(root).copy()
+    sizes[ACCELEROMETER_BIAS], sizes[ACCELEROMETER_MATRIX] = _LARGE_BIAS, _LARGE_ELEMENT * _LOWER
+    sizes[GYRO_MATRIX] = np.where(_OFF_DIAGONAL | gyro_scale_factors, _LARGE_ELEMENT, sizes[GYRO_MATRIX])
+    for part in (ACCELEROMETER_BIAS, ACCELEROMETER_MATRIX, GYRO_MATRIX):
+        free[part, part] = np.diag(sizes[part])
+    return free
+
+
 def solve_alone(dwell: DwellRows, shared_root: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Solve one dwell by itself; its biases (3,) and their covariance (3, 3)."""
     unknowns, covariance = solve(*_system([dwell], shared_root))
@@ -134,7 +153,8 @@ def solve_together(dwells: Sequence[DwellRows], shared_root: FloatArray) -> Join
     """Solve for what the dwells share and for the biases of each."""
     rows, data, prior_root = _system(dwells, shared_root)
     unknowns, covariance = solve(rows, data, prior_root)
-    test = chi2_test(data - rows @ unknowns, rows, covariance)
+    free, free_covariance = solve(*_system(dwells, free_root(shared_root, gyro_scale_factors=False)))
+    test = chi2_test(data - rows @ free, rows, free_covariance)
     return JointFit(unknowns, covariance, test.chi2, test.dof, test.p_value)
 
 

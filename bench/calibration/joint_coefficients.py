@@ -16,15 +16,15 @@ from gyrobench.bench.bias.joint_solution import (
     JointFit,
     JointSolution,
     declared_root,
+    free_root,
     solve_together,
 )
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.calibration.coefficients import COUNT, LOWER, CoefficientEstimate
 from gyrobench.bench.foundations.arrays import FloatArray
 
-#: Sizes, SI, of accelerometer biases and of elements of the matrices that are large for a unit whose INS
-#: compensates them; a coefficient is observed if the data leave less than this part of its size.
-_BIAS, _ELEMENT, _MAX_LEFT = 0.1, 1e-3, 0.2
+#: A coefficient is observed if the data leave less than this part of its size.
+_MAX_LEFT = 0.2
 
 
 def joint_coefficients(solution: JointSolution, prior: PriorKnowledge) -> CoefficientEstimate:
@@ -35,13 +35,7 @@ def joint_coefficients(solution: JointSolution, prior: PriorKnowledge) -> Coeffi
     bias is the mean of the dwells. ``prior``: as for the solution.
     """
     rows = [dwell.rows for dwell in solution.dwells]
-    sizes = np.full(SHARED, _ELEMENT)
-    sizes[ACCELEROMETER_BIAS] = _BIAS
-    # Nothing above the diagonal: the body frame is that of the accelerometers.
-    sizes[ACCELEROMETER_MATRIX] *= np.tril(np.ones((3, 3))).ravel()
-    root = declared_root(prior, rows[0].earth_rate)
-    for part in (ACCELEROMETER_BIAS, ACCELEROMETER_MATRIX, GYRO_MATRIX):
-        root[part, part] = np.diag(sizes[part])
+    root = free_root(declared_root(prior, rows[0].earth_rate))
     fit = solve_together(rows, root)
     shared = np.arange(SHARED)
     lower = np.ravel_multi_index(LOWER, (3, 3))
@@ -50,11 +44,11 @@ def joint_coefficients(solution: JointSolution, prior: PriorKnowledge) -> Coeffi
     to_coefficients[:3, SHARED:] = np.tile(np.eye(3), len(rows)) / len(rows)
     to_coefficients[np.arange(3, COUNT), chosen] = 1.0
     covariance = to_coefficients @ fit.covariance @ to_coefficients.T
-    is_observed = np.sqrt(np.diag(covariance)) < _MAX_LEFT * np.array([np.inf] * 3 + list(sizes[chosen]))
+    sizes = np.array([np.inf] * 3 + list(np.diag(root)[chosen]))
     return CoefficientEstimate(
         to_coefficients @ fit.unknowns,
         covariance,
-        is_observed,
+        np.sqrt(np.diag(covariance)) < _MAX_LEFT * sizes,
         parts=_parts(rows, root, fit, to_coefficients),
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from gyrobench.bench.cli.options import RunArgument
-from gyrobench.bench.cli.output import JsonOption, console, print_biases, print_json
+from gyrobench.bench.cli.output import JsonOption, console, print_json, print_tables
 
 
 def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
@@ -19,8 +19,6 @@ def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
     from gyrobench.bench.bias.verdicts import read_acceptance
     from gyrobench.bench.characteristics.results import read_characteristics
     from gyrobench.bench.engine.evaluation import recompute_run
-    from gyrobench.bench.report.characteristics import characteristics_tables
-    from gyrobench.bench.report.coefficients import coefficients_tables, has_rotations
     from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.runs.tables.budget_table import budget_records, read_budget
     from gyrobench.bench.runs.tables.calibration_check_table import read_calibration_check
@@ -42,12 +40,14 @@ def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
         )
         return
     terminal = console()
-    print_biases(terminal, read_bins(folder.bias_bins), check, read_acceptance(folder.acceptance))
-    rows = read_coefficients(folder.coefficients) if folder.coefficients.exists() else []
-    if has_rotations(rows):
-        terminal.print(coefficients_tables(rows))
-    if folder.characteristics.exists():
-        terminal.print(characteristics_tables(read_characteristics(folder.characteristics)))
+    print_tables(
+        terminal,
+        read_bins(folder.bias_bins),
+        check,
+        read_acceptance(folder.acceptance),
+        read_coefficients(folder.coefficients) if folder.coefficients.exists() else [],
+        read_characteristics(folder.characteristics) if folder.characteristics.exists() else [],
+    )
     results = (
         folder.bias_bins,
         folder.budget,

@@ -108,8 +108,8 @@ def close(
     import json
 
     from gyrobench.bench.closure.loop import composed
-    from gyrobench.bench.report.closure.closure_page import write_search
-    from gyrobench.bench.report.closure.closure_summary import closure_summary
+    from gyrobench.bench.report.closure.closure_page import closure_findings, write_search
+    from gyrobench.bench.report.terminal.tables import section_view
 
     closure = search(tables, hold_out_cycle or (), hold_out or (), rotate=rotate, coefficient=coefficient)
     if compose:
@@ -121,7 +121,7 @@ def close(
         print_json({"folder": folder, "report": page, "closure": found})
         return
     terminal = console()
-    terminal.print(closure_summary(closure))
+    terminal.print(section_view(closure_findings(closure).chapter))
     written = "closure.json, predictions.csv, model.yaml"
     if closure.composed and closure.composed.laws:
         written += ", composed_law.yaml"

@@ -160,6 +160,7 @@ def batch(
     """
     from gyrobench.bench.fleet.batch import fit_batch, read_batch
     from gyrobench.bench.fleet.batch_report import batch_document, batch_summary, write_batch
+    from gyrobench.bench.report.terminal.tables import section_view
     from gyrobench.bench.runs.index.run_index import find_runs, watermark
 
     opened = open_index(root, index)
@@ -173,7 +174,7 @@ def batch(
     print_result(
         batch_document(name, fitted),
         as_json,
-        batch_summary(name, fitted),
+        section_view(batch_summary(name, fitted)),
         f"Report   {page}\nFigures  {out / 'figures'}\nTables   {out / 'batch.json'}",
     )
 

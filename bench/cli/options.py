@@ -101,11 +101,20 @@ class FailOn(StrEnum):
     FLAGGED = "flagged"
 
 
-def _name_operator(name: str) -> str:
-    """Keep the name in the environment, also for processes that the command starts."""
+def _name_operator(context: typer.Context, name: str) -> str:
+    """Keep the name in the environment until the command ends, also for processes that it starts."""
     if name:
+        before = os.environ.get(OPERATOR_VARIABLE)
         os.environ[OPERATOR_VARIABLE] = name
+        context.call_on_close(lambda: _restore_operator(before))
     return name
+
+
+def _restore_operator(before: str | None) -> None:
+    if before is None:
+        os.environ.pop(OPERATOR_VARIABLE, None)
+    else:
+        os.environ[OPERATOR_VARIABLE] = before
 
 
 PROCEDURE_HELP = "Procedure file, or the name of a shipped one."

@@ -20,11 +20,13 @@ if TYPE_CHECKING:
 
     from gyrobench.bench.bias.bins import BiasBin
     from gyrobench.bench.bias.verdicts import Acceptance
+    from gyrobench.bench.characteristics.results import TestResult
     from gyrobench.bench.cli.options import FailOn
     from gyrobench.bench.engine.observers import RunOutcome
     from gyrobench.bench.monitor.terminal import RunConsole
     from gyrobench.bench.runs.folder import RunFolder
     from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow
+    from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow
 
 
 #: The run did not finish, or a check failed.
@@ -105,19 +107,31 @@ def plain(value: Any) -> Any:
     return value if isinstance(value, str | int | None) else str(value)
 
 
-def print_biases(
-    console: Console, bins: list[BiasBin], verification: list[CalibrationCheckRow], acceptance: Acceptance
+def print_tables(
+    console: Console,
+    bins: list[BiasBin],
+    verification: list[CalibrationCheckRow],
+    acceptance: Acceptance,
+    coefficients: list[PlateauCoefficientRow],
+    characteristics: list[TestResult],
 ) -> None:
-    """Print bins with the comparison of positions, or the calibration check; and the verdict."""
-    from gyrobench.bench.bias.bins import compare_positions
-    from gyrobench.bench.report.calibration_check import verification_table
-    from gyrobench.bench.report.terminal.tables import acceptance_summary, bins_table
+    """Print the results of a run: biases or calibration check, the verdict, coefficients, characteristics."""
+    from gyrobench.bench.report.bias_sections import acceptance_summary, bins_summary
+    from gyrobench.bench.report.calibration_check import verification_section
+    from gyrobench.bench.report.characteristics import characteristics_sections
+    from gyrobench.bench.report.coefficients import coefficients_section
+    from gyrobench.bench.report.terminal.tables import section_view
 
-    if bins or not verification:
-        console.print(bins_table(bins, compare_positions(bins)))
-    if verification:
-        console.print(verification_table(verification))
-    console.print(acceptance_summary(acceptance))
+    sections = [
+        bins_summary(bins) if bins or not verification else None,
+        verification_section(verification),
+        acceptance_summary(acceptance),
+        coefficients_section(coefficients),
+        *characteristics_sections(characteristics),
+    ]
+    for section in filter(None, sections):
+        console.print(section_view(section))
+        console.print()
 
 
 def print_end(
@@ -132,11 +146,10 @@ def print_end(
     Exits with an error if it did not finish, or is what ``fail_on`` says.
     """
     from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN
-    from gyrobench.bench.report.characteristics import characteristics_tables
-    from gyrobench.bench.report.coefficients import coefficients_tables, has_rotations
+    from gyrobench.bench.report.journal_sections import durations_section
     from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.report.statements import latitude_sentence
-    from gyrobench.bench.report.terminal.tables import durations_table
+    from gyrobench.bench.report.terminal.tables import section_view
 
     safe_state = "\n".join(each.text for each in outcome.safe_state)
     is_finished = outcome.ended == "finished"
@@ -145,12 +158,10 @@ def print_end(
         console.print(safe_state, soft_wrap=True)
     report = write_report(folder)
     results = outcome.results
-    print_biases(console, results.bins, results.calibration_check, results.acceptance)
     rows = [row for plateau in results.coefficients for row in plateau.rows()]
-    if has_rotations(rows):
-        console.print(coefficients_tables(rows))
-    if results.characteristics:
-        console.print(characteristics_tables(results.characteristics))
+    print_tables(
+        console, results.bins, results.calibration_check, results.acceptance, rows, results.characteristics
+    )
     rate = results.up_rate
     if rate is not None and (
         text := latitude_sentence(
@@ -158,7 +169,7 @@ def print_end(
         )
     ):
         console.print(text, soft_wrap=True, style="bold red")
-    console.print(durations_table(outcome.took_s))
+    console.print(section_view(durations_section(outcome.took_s)))
     if is_finished:
         console.print(safe_state, soft_wrap=True)
     console.print(f"Report   {report}\nFigures  {folder.figures}\nFolder   {folder.path}", soft_wrap=True)

@@ -54,8 +54,9 @@ def report(
     Example: gyrobench report runs/six_position_fig7-001 --by "A. Smith" --pdf
     """
     from gyrobench.bench.bias.verdicts import read_acceptance
+    from gyrobench.bench.report.bias_sections import acceptance_summary
     from gyrobench.bench.report.run_report import write_report
-    from gyrobench.bench.report.terminal.tables import acceptance_summary
+    from gyrobench.bench.report.terminal.tables import section_view
     from gyrobench.bench.runs.folder import open_run_folder
 
     folder = open_run_folder(run_folder)
@@ -64,7 +65,7 @@ def report(
     page = write_report(folder, by, out, earlier, mark_temperature or (), formats)
     terminal = console()
     if folder.acceptance.exists():
-        terminal.print(acceptance_summary(read_acceptance(folder.acceptance)))
+        terminal.print(section_view(acceptance_summary(read_acceptance(folder.acceptance))))
     terminal.print(f"Report   {page}", soft_wrap=True)
     if pdf:
         from gyrobench.bench.report.run_report import write_pdf

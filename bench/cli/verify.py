@@ -88,7 +88,8 @@ def verify(
     Example: gyrobench verify runs/six_position_fig7-001
     """
     from gyrobench.bench.engine.verification_runs import VerificationRuns, new_emulation
-    from gyrobench.bench.report.verification.verification_summary import verification_plan
+    from gyrobench.bench.report.terminal.tables import section_view
+    from gyrobench.bench.report.verification.verification_page import verification_plan
     from gyrobench.bench.runs.folder import open_run_folder
 
     terminal = console(as_json)
@@ -106,7 +107,8 @@ def verify(
     )
     missing = [name for name in verification.selected if not verification.is_finished(name)]
     job = verification.jobs[verification.selected[0]]
-    terminal.print(verification_plan(closure, verification.models, missing, job.plan.duration_s))
+    plan = verification_plan(closure, verification.models, missing, job.plan.duration_s)
+    terminal.print(section_view(plan))
     for name in missing:
         _measure(terminal, verification, name, view)
     _report_result(terminal, verification, run, as_json)
@@ -154,8 +156,11 @@ def _report_result(
 ) -> None:
     """Evaluate what was measured, write the files, print the result."""
     from gyrobench.bench.report.run_report import write_report
-    from gyrobench.bench.report.verification.verification_page import write_verification_page
-    from gyrobench.bench.report.verification.verification_summary import verification_summary
+    from gyrobench.bench.report.terminal.tables import section_view
+    from gyrobench.bench.report.verification.verification_page import (
+        verification_findings,
+        write_verification_page,
+    )
     from gyrobench.bench.verification.coefficient_verification import write_coefficient_tables
     from gyrobench.bench.verification.compensation_verification import table_records, write_verification_table
 
@@ -169,7 +174,7 @@ def _report_result(
     if as_json:
         print_json({"folder": folder, "report": page, "comparison": table_records(result.results)})
         return
-    terminal.print(verification_summary(result))
+    terminal.print(section_view(verification_findings(result).chapter))
     terminal.print(
         f"Report   {page}\nFigures  {folder / 'figures'}\nTable    {table}\nFolder   {folder}", soft_wrap=True
     )

@@ -21,7 +21,7 @@ from gyrobench.bench.foundations.errors import MeasurementError, RunFolderError
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
 from gyrobench.bench.runs.provenance import read_provenance, started_utc
-from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, read_coefficients
+from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, read_coefficients_apart
 from gyrobench.bench.runs.telemetry import read_telemetry
 
 if TYPE_CHECKING:
@@ -100,7 +100,8 @@ def _rows_of(rows: Sequence[DwellRow], quantity: Quantity, run: Path | None) -> 
         values = np.array([[row.accelerometer_ug, row.accelerometer_sigma_ug] for row in rows]).mT
         values[np.arange(len(rows)), [POSITIONS[row.position].up_axis for row in rows]] = np.nan
     elif run is not None and RunFolder(run).coefficients.exists():
-        return _plateau_rows(rows, read_coefficients(RunFolder(run).coefficients), quantity)
+        known = read_coefficients_apart(RunFolder(run).coefficients, RunFolder(run).budget)
+        return _plateau_rows(rows, known, quantity)
     else:
         raise MeasurementError(
             f"has no columns {columns[0][0]}, {columns[0][1]}, ... Search a table with the coefficients of "

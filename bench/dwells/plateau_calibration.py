@@ -51,8 +51,8 @@ _MAX_STEP_ERROR = 0.5
 #: Sum, rad or m/s, from which increments are compared with attitude and velocity, by how much of it they may
 #: differ, as by gaps, and largest angle between two attitudes, rad.
 _MIN_TURN, _MAX_AWAY, _MAX_STEP = 0.5, 0.5, 2.0
-#: Temperatures of plateaus, K, between which coefficients show their slopes.
-_MIN_APART_C = 2.0
+#: Temperatures of plateaus, K, between which coefficients show their slopes, and degree of the curve.
+_MIN_APART_C, _SLOPE_DEGREE = 2.0, 2
 #: Dwells and rotations contradict each other where chance gives the difference less often than this.
 _MIN_P_VALUE = 1e-3
 
@@ -93,6 +93,23 @@ class PlateauCalibration:
     range_c: FloatArray = field(default_factory=lambda: np.full((2, 4), np.nan))
     #: Declared standard uncertainties, SI, by key of :data:`gyrobench.bench.bias.budget.SOURCES`.
     inputs: Mapping[str, float] = field(default_factory=dict)
+
+    def value(self, k: int) -> float:
+        """Value of one of :data:`COEFFICIENTS`, SI; NaN where not observed."""
+        return float(self.estimate.values[k]) if self.estimate and self.estimate.is_observed[k] else math.nan
+
+    def change_c(self, coefficient: Coefficient, sensor: int) -> float:
+        """Range of a temperature, 0 to 2 of the gyros, 3 of the case, while a coefficient was measured."""
+        is_bias = coefficient.kind == "bias" or self.rotations is None or self.rotations.calibration is None
+        low_c, high_c = (self if is_bias or self.rotations is None else self.rotations).range_c
+        return float(high_c[sensor] - low_c[sensor])
+
+    def with_part(self, name: str, part: FloatArray) -> PlateauCalibration:
+        """The same with one more source of uncertainty, of covariance (21, 21)."""
+        if self.estimate is None:
+            return self
+        covariance, parts = self.estimate.covariance + part, {**self.estimate.parts, name: part}
+        return replace(self, estimate=replace(self.estimate, covariance=covariance, parts=parts))
 
     @property
     def correlations(self) -> FloatArray:
@@ -181,42 +198,30 @@ def calibrate_plateaus(
         _plateau(number, solution, found, cases_c, setup)
         for number, (_, solution, found) in enumerate(sorted(places, key=lambda each: each[0]), 1)
     ]
-    return [with_temperature_change(each, plateaus) for each in plateaus]
+    return with_temperature_change(plateaus)
 
 
-def with_temperature_change(
-    plateau: PlateauCalibration, plateaus: Sequence[PlateauCalibration]
-) -> PlateauCalibration:
-    """The coefficients with what they may change by while the temperature changes within the plateau.
+def with_temperature_change(plateaus: Sequence[PlateauCalibration]) -> list[PlateauCalibration]:
+    """The coefficients with what they may change by while the temperature changes within their plateau.
 
-    Each belongs to some time of the plateau, which its mean temperature does not name. Its slope is that to
-    the nearest other plateau.
+    Each belongs to some time of the plateau, which its mean temperature does not name. Slopes are those of a
+    parabola over all plateaus, for neighbours in temperature may differ by more, as on ramps up and down.
     """
-    if plateau.estimate is None:
-        return plateau
-    variances = np.zeros(COUNT)
-    for k, each in enumerate(COEFFICIENTS):
-        is_bias = each.kind == "bias" or plateau.rotations is None or plateau.rotations.calibration is None
-        low_c, high_c = (plateau if is_bias or plateau.rotations is None else plateau.rotations).range_c
-        sensor = AXES.index(each.axis[0]) if each.sensor == "gyro" else 3
-        here_c = (*plateau.gyro_c, plateau.case_c)[sensor]
-        others = [
-            (abs(away_c), (other.estimate.values[k] - plateau.estimate.values[k]) / away_c)
-            for other in plateaus
-            if other.estimate is not None
-            and plateau.estimate.is_observed[k]
-            and other.estimate.is_observed[k]
-            and abs(away_c := (*other.gyro_c, other.case_c)[sensor] - here_c) > _MIN_APART_C
-        ]
-        if others and math.isfinite(change_c := float(high_c[sensor] - low_c[sensor])):
-            variances[k] = (min(others)[1] * change_c) ** 2 / 12.0
-    part = np.diag(variances)
-    estimate = replace(
-        plateau.estimate,
-        covariance=plateau.estimate.covariance + part,
-        parts={**plateau.estimate.parts, "temperature_change": part},
-    )
-    return replace(plateau, estimate=estimate)
+    variances = np.zeros((len(plateaus), COUNT))
+    for k, coefficient in enumerate(COEFFICIENTS):
+        sensor = AXES.index(coefficient.axis[0]) if coefficient.sensor == "gyro" else 3
+        at_c = np.array([(*each.gyro_c, each.case_c)[sensor] for each in plateaus])
+        values = np.array([each.value(k) for each in plateaus])
+        known = np.isfinite(at_c) & np.isfinite(values)
+        apart = int(np.count_nonzero(np.diff(np.sort(at_c[known])) > _MIN_APART_C))
+        if apart:
+            curve = np.polynomial.Polynomial.fit(at_c[known], values[known], min(apart, _SLOPE_DEGREE))
+            changes = curve.deriv()(at_c) * [each.change_c(coefficient, sensor) for each in plateaus]
+            variances[:, k] = np.where(known & np.isfinite(changes), changes**2 / 12.0, 0.0)
+    return [
+        each.with_part("temperature_change", np.diag(its))
+        for each, its in zip(plateaus, variances, strict=True)
+    ]
 
 
 def _key(member: DwellMarks | JointDwell) -> tuple[str, int, float | None]:
@@ -271,11 +276,12 @@ def _enclosing(ranges_c: Sequence[FloatArray]) -> FloatArray:
 
 
 def _combined(estimates: Sequence[CoefficientEstimate]) -> CoefficientEstimate:
-    """Mean of estimates from separate data, weighted by their covariances."""
+    """Mean of estimates from separate data, by their covariances but for gravity, which none shows."""
     if len(estimates) == 1:
         return estimates[0]
     sizes = np.array([each.size for each in COEFFICIENTS])
-    weights = [np.linalg.inv(each.covariance / np.outer(sizes, sizes)) for each in estimates]
+    shown = [each.covariance - each.parts.get("gravity", 0.0) for each in estimates]
+    weights = [np.linalg.inv(each / np.outer(sizes, sizes)) for each in shown]
     covariance = np.linalg.inv(sum(weights))
     sums = sum(weight @ (each.values / sizes) for weight, each in zip(weights, estimates, strict=True))
     is_observed = np.any([each.is_observed for each in estimates], axis=0)
@@ -284,8 +290,8 @@ def _combined(estimates: Sequence[CoefficientEstimate]) -> CoefficientEstimate:
         gain = covariance @ weight * np.outer(sizes, 1.0 / sizes)
         for name, part in each.parts.items():
             parts[name] = parts.get(name, 0.0) + gain @ part @ gain.T
-    values = sizes * (covariance @ sums)
-    return CoefficientEstimate(values, covariance * np.outer(sizes, sizes), is_observed, parts=parts)
+    whole = covariance * np.outer(sizes, sizes) + parts.get("gravity", 0.0)
+    return CoefficientEstimate(sizes * (covariance @ sums), whole, is_observed, parts=parts)
 
 
 def _agreement(one: CoefficientEstimate, other: CoefficientEstimate) -> float:

@@ -31,7 +31,11 @@ from gyrobench.bench.runs.compensation_file import read_compensation
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import facts_of, read_journal
 from gyrobench.bench.runs.provenance import read_provenance
-from gyrobench.bench.runs.tables.coefficient_table import read_coefficients, read_correlations
+from gyrobench.bench.runs.tables.coefficient_table import (
+    read_coefficients,
+    read_coefficients_apart,
+    read_correlations,
+)
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.bench.verification.coefficient_verification import (
     CoefficientResult,
@@ -219,7 +223,7 @@ def _with_coefficients(run: RunFolder, *models: LoadableModel) -> list[LoadableM
             f"{run.path}: has no {run.coefficients.name}. Measure a procedure with rotations, as "
             "full_calibration"
         )
-    polynomials = corrections(read_coefficients(run.coefficients))
+    polynomials = corrections(read_coefficients_apart(run.coefficients, run.budget))
     folders = [run.closure.with_name(f"{run.closure.name}_{each.name}") for each in QUANTITIES]
     closures = [read_closure(folder) for folder in folders if (folder / CLOSURE_FILE).exists()]
     return [

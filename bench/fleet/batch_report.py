@@ -13,8 +13,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from rich.console import Group, RenderableType
-from rich.text import Text
 
 from gyrobench.bench.fleet.batch import FALSE_ALARM, EffectSize, QuantityStatistics, UnitStatistics, outliers
 from gyrobench.bench.foundations.files import make_folder, write_whole
@@ -22,8 +20,7 @@ from gyrobench.bench.foundations.text import bin_label, counted, listed
 from gyrobench.bench.navigation.positions import AXES, gyro_label, position_label
 from gyrobench.bench.report.figures.style import BARS, common_legend, fitted_figure, house_style, say_empty
 from gyrobench.bench.report.number_format import BiasScale, dph_with_sigma, p_text
-from gyrobench.bench.report.page import Findings, Section, SectionFigure, SectionTable, write_findings
-from gyrobench.bench.report.terminal.tables import plain_table
+from gyrobench.bench.report.page import Box, Findings, Section, SectionFigure, SectionTable, write_findings
 from gyrobench.bench.runs.index.run_biases import LEVEL, Quantity
 
 OUTLIER_HEADER = ("unit", "runs", "quantity", "measured", "predicted", "p corrected")
@@ -266,19 +263,13 @@ def write_batch(
     return write_findings(folder / "batch.html", findings)
 
 
-def batch_summary(name: str, batch: Sequence[QuantityStatistics]) -> RenderableType:
-    """Outliers, and the spread of the units."""
-    scale = batch_scale(batch)
-    title = f"Batch {name}. " if name else ""
-    parts: list[RenderableType] = [Text(f"{title}{batch_sentence(batch)}", style="bold"), Text()]
-    if outliers(batch):
-        parts += [plain_table(OUTLIER_HEADER, 3, outlier_rows(batch)), Text()]
-    parts += [plain_table(SPREAD_HEADER, 1, spread_rows(levels(batch))), Text()]
-    parts.append(Text(f"In {scale.unit}. Between units and between runs: standard deviations without noise."))
-    return Group(*parts)
+def batch_summary(name: str, batch: Sequence[QuantityStatistics]) -> Section:
+    """Outliers, and the spread of the units, without figures."""
+    box = Box("open", f"Batch {name}." if name else "", batch_sentence(batch))
+    return Section("", boxes=[box], sections=_spread_sections(batch))
 
 
-def _sections(batch: Sequence[QuantityStatistics]) -> list[Section]:
+def _spread_sections(batch: Sequence[QuantityStatistics]) -> list[Section]:
     scale = batch_scale(batch)
     spread = SectionTable(
         f"Mean ± standard uncertainty, and standard deviations between units (with its interval) and "
@@ -294,6 +285,11 @@ def _sections(batch: Sequence[QuantityStatistics]) -> list[Section]:
         )
         out = SectionTable(caption, OUTLIER_HEADER, outlier_rows(batch), words=3)
         sections.insert(0, Section("Outliers", tables=[out]))
+    return sections
+
+
+def _sections(batch: Sequence[QuantityStatistics]) -> list[Section]:
+    sections = _spread_sections(batch)
     for of_positions, title, what in (
         (False, "Levels", "Mean bias of all positions by gyro temperature."),
         (True, "Differences between positions", "Bias of a position minus the mean of all positions."),
@@ -305,7 +301,7 @@ def _sections(batch: Sequence[QuantityStatistics]) -> list[Section]:
     sections.append(
         Section(
             "Spread of the position differences",
-            tables=[SectionTable(scale.unit, SPREAD_HEADER, spread_rows(positions))],
+            tables=[SectionTable(batch_scale(batch).unit, SPREAD_HEADER, spread_rows(positions))],
         )
     )
     header = ("unit", "runs", "mean of its runs", "shrunk to the batch", "p", "p corrected")

@@ -16,15 +16,23 @@ from gyrobench.bench.foundations.text import bin_label, hours_minutes, listed
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.report.content import RunContent
 from gyrobench.bench.report.figures.bias import before_after_figure
-from gyrobench.bench.report.number_format import BiasScale, bins_by_temperature, p_text, scale_of_bins
+from gyrobench.bench.report.number_format import (
+    NO_PAPER,
+    BiasScale,
+    bins_by_temperature,
+    p_text,
+    scale_of_bins,
+)
 from gyrobench.bench.report.page import Box, Mark, Section, SectionFigure, SectionTable
 from gyrobench.bench.report.statements import (
     NOTHING_TO_COMPARE,
+    VERDICT_COLOURS,
     agreement_sentence,
     differing,
     equality_sentence,
     place_of,
     scatter_sentence,
+    verdict_sentence,
 )
 
 _UNCERTAIN_MAXIMUM = (
@@ -48,6 +56,14 @@ _COMPARED = (
     "positions. Spread: difference of the positions' mean temperatures inside the bin."
 )
 _PAPER_P = "; in grey by the paper's method, whose systematic errors are not in its p"
+_P_EQUAL = (
+    "p equal: probability of differences this large if the bias were the same in all positions; * "
+    "significant."
+)
+_PAPER_BELOW = (
+    "Second line: result of the paper's method, which neglects the Schuler loop, the coupling by the Earth's "
+    "rotation and the accelerometers; its uncertainty does not include the resulting errors."
+)
 _DWELLS = (
     "Bias ± standard uncertainty in {}; start in h:mm; temperatures in °C.{} Fit: p-value of the residuals. "
     "Flagged dwells are not in the bins."
@@ -108,10 +124,51 @@ def gyro_section(gyro: str, bins: Sequence[BiasBin], figures: Mapping[str, Path]
     return Section(gyro_label(gyro), figures=drawn, tables=[each for each in tables if each.rows])
 
 
-def _bin_cells(members: Sequence[BiasBin], positions: Iterable[str], scale: BiasScale) -> list[str]:
+def bins_summary(bins: Sequence[BiasBin]) -> Section:
+    """Biases of all gyros by bin and position with the p-value of the comparison, without figures."""
+    if not bins:
+        return Section("", ["No dwell gave a bias, so there are no temperature bins."])
+    is_compared = bool(compare_positions(bins))
+    positions = [name for name in POSITIONS if name in {each.position for each in bins}]
+    parts = []
+    for gyro in AXES:
+        own = [each for each in bins if each.gyro == gyro]
+        scale = scale_of_bins([*own, *paper_bins(own)])
+        p_values = [_p_values(compare_positions(each)) for each in (own, paper_bins(own))]
+        rows = []
+        for low, high, members in bins_by_temperature(own):
+            cells = _bin_cells(members, positions, scale, has_count=False) or ["empty"] * len(positions)
+            p_value = "\n".join(each[low] for each in p_values if low in each)
+            rows.append([bin_label(low, high, ".."), *cells, *([p_value] if p_values[0] else [])])
+        caption = f"Bias ± standard uncertainty in {scale.unit} by gyro temperature"
+        header = ["bin / °C", *map(position_label, positions), *(["p equal"] if p_values[0] else [])]
+        box = _gyro_box(gyro, own)
+        sentences = [*([box.text] if is_compared else []), *box.notes]
+        parts += (
+            [Section(gyro_label(gyro), sentences, tables=[SectionTable(caption, header, rows)])]
+            if own
+            else []
+        )
+    has_paper = any(not each.is_empty for each in paper_bins(bins))
+    notes = [_P_EQUAL if is_compared else NOTHING_TO_COMPARE, _PAPER_BELOW if has_paper else NO_PAPER]
+    return Section("", sections=[*parts, Section("Notes", notes)])
+
+
+def _p_values(comparisons: Sequence[PositionComparison]) -> dict[float, str]:
+    """P-values by the lower end of their bin; a star marks a significant difference."""
+    different = differing(comparisons)
+    return {
+        each.bin_low_c: f"{p_text(each.p_value)}{'*' if each in different else ' '}" for each in comparisons
+    }
+
+
+def _bin_cells(
+    members: Sequence[BiasBin], positions: Iterable[str], scale: BiasScale, *, has_count: bool = True
+) -> list[str]:
     """Texts of the positions of one bin, the paper's result in a second line; none where all are empty."""
     texts = {
-        each.position: f"{scale.with_sigma(each.bias_dph, each.sigma_dph)} ({each.count})"
+        each.position: scale.with_sigma(each.bias_dph, each.sigma_dph)
+        + (f" ({each.count})" if has_count else "")
         for each in members
         if not each.is_empty
     }
@@ -259,7 +316,7 @@ def acceptance_section(acceptance: Acceptance | None) -> Section | None:
     return Section(
         "Acceptance",
         [text for text in paragraphs if text],
-        tables=[_acceptance_table(acceptance)] if acceptance.judgements else [],
+        tables=[_acceptance_table(acceptance, acceptance.judgements)] if acceptance.judgements else [],
     )
 
 
@@ -301,9 +358,28 @@ def _lacking_sentence(acceptance: Acceptance) -> str:
     return _LACKING.format(listed([*named, f"{more} more"] if more else named))
 
 
-def _acceptance_table(acceptance: Acceptance) -> SectionTable:
-    judged = acceptance.judgements
-    scale = BiasScale.of([each.limit_dph for each in judged], [each.sigma_dph for each in judged])
+def verdict_box(acceptance: Acceptance) -> Box:
+    """The verdict on the unit."""
+    verdict = acceptance.verdict
+    return Box(VERDICT_COLOURS[verdict], f"Unit {verdict}.", verdict_sentence(acceptance))
+
+
+def acceptance_summary(acceptance: Acceptance) -> Section:
+    """The verdict on the unit, and what decides on each gyro."""
+    deciding = [each for each in map(acceptance.deciding, AXES) if each]
+    table = _acceptance_table(acceptance, deciding)
+    lacking = [
+        [gyro_label(gyro), "", "", acceptance.gyros.get(gyro, "")]
+        for gyro in AXES
+        if gyro not in {each.gyro for each in deciding}
+    ]
+    table = replace(table, rows=[*table.rows, *lacking], marks=())
+    return Section("", boxes=[verdict_box(acceptance)], tables=[table] if deciding else [])
+
+
+def _acceptance_table(acceptance: Acceptance, judged: Sequence[Judgement]) -> SectionTable:
+    judgements = acceptance.judgements
+    scale = BiasScale.of([each.limit_dph for each in judgements], [each.sigma_dph for each in judgements])
     return SectionTable(
         _CAPTIONS[any(each.quantity == "bias" for each in judged)].format(scale.unit),
         ["gyro", "bin / °C", "positions", "verdict", "measured ± 1 σ", "lower", "upper", "limit"],

@@ -1,19 +1,15 @@
-"""The calibration check in report and terminal: measured biases beside the calibrated ones."""
+"""The calibration check: measured biases beside the calibrated ones."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 
-from rich.console import Group, JustifyMethod, RenderableType
-from rich.text import Text
-
 from gyrobench.bench.foundations.text import counted
 from gyrobench.bench.navigation.positions import gyro_label, position_label
 from gyrobench.bench.report.number_format import BiasScale, dph_with_sigma
 from gyrobench.bench.report.page import Section, SectionTable
 from gyrobench.bench.report.statements import SIGNIFICANCE
-from gyrobench.bench.report.terminal.tables import titled_table
 from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow
 
 _METHODS = (
@@ -170,30 +166,3 @@ def _difference(row: CalibrationCheckRow, differs: bool) -> str:
 
 def _with_sigma(scale: BiasScale, bias_dph: float, sigma_dph: float) -> str:
     return "" if math.isnan(bias_dph) else scale.with_sigma(bias_dph, sigma_dph)
-
-
-_HEADERS = ("position", "gyro", "method", "°C", "bias", "slope", "calibrated", "diff")
-_WORDS = 3
-_LEGEND = (
-    "slope: by the second derivative of the East velocity alone. diff: measured minus calibrated bias in "
-    "combined standard uncertainties; * significant. Turn-on bias is not included in the uncertainties."
-)
-
-
-def verification_table(rows: Sequence[CalibrationCheckRow]) -> RenderableType:
-    """Measured beside calibrated biases, and the result."""
-    if not rows:
-        return Text("No biases to check.")
-    # Not the table's title: rich wraps titles at the width of the table.
-    unit = verification_scale(rows).unit
-    heading = Text(f"Calibration check: bias ± 1 sigma in {unit} by gyro temperature, °C", style="bold")
-    table = titled_table()
-    for number, header in enumerate(_HEADERS):
-        is_word = number < _WORDS
-        justify: JustifyMethod = "left" if is_word else "right"
-        table.add_column(header, justify=justify, no_wrap=is_word, min_width=len(header))
-    for cells in verification_rows(rows):
-        table.add_row(*(Text(cell.replace(" ± ", " ±")) for cell in cells))
-    flags = [f"{where}: {what}" for where, what in flag_lines(rows)]
-    sentences = [verification_sentence(rows), accelerometer_sentence(rows), *flags, _LEGEND]
-    return Group(heading, table, *(Text(one) for one in sentences if one))

@@ -1,17 +1,13 @@
-"""Results of characteristic tests in report and terminal."""
+"""Results of characteristic tests."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
 
-from rich.console import Group, RenderableType
-from rich.text import Text
-
 from gyrobench.bench.characteristics.results import Coefficient, TestName, TestResult
 from gyrobench.bench.report.figures.characteristics import characteristics_figure
 from gyrobench.bench.report.page import Section, SectionFigure, SectionTable
-from gyrobench.bench.report.terminal.tables import plain_table
 
 _TITLES: dict[TestName, str] = {
     "turn_on_repeatability": "Turn-on repeatability",
@@ -41,20 +37,6 @@ _DIGITS = 3
 def characteristics_sections(results: Sequence[TestResult]) -> list[Section]:
     """One section for each test."""
     return [_section(result) for result in results]
-
-
-def characteristics_tables(results: Sequence[TestResult]) -> RenderableType:
-    """Coefficients and notes of each test, for a terminal."""
-    parts: list[RenderableType] = []
-    for result in results:
-        parts.append(Text(_TITLES[result.test], style="bold"))
-        if result.coefficients:
-            table = plain_table(_HEADER, 3, _rows(result), gap=0)
-            for column in table.columns[1:]:  # the name of the coefficient is all that may wrap
-                column.no_wrap = True
-            parts.append(table)
-        parts += map(Text, result.notes)
-    return Group(*parts)
 
 
 def _section(result: TestResult) -> Section:

@@ -1,4 +1,4 @@
-"""Coefficients of the sensors over temperature in report and terminal."""
+"""Coefficients of the sensors over temperature."""
 
 from __future__ import annotations
 
@@ -7,13 +7,9 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 
 from matplotlib.figure import Figure
-from rich.console import Group, RenderableType
-from rich.text import Text
 
-from gyrobench.bench.calibration.results import NOT_OBSERVABLE
 from gyrobench.bench.report.figures.style import GYRO_STYLES, house_style, new_figure
 from gyrobench.bench.report.page import Section, SectionFigure, SectionTable
-from gyrobench.bench.report.terminal.tables import plain_table
 from gyrobench.bench.runs.tables.coefficient_table import (
     FRAME_TEXT,
     TEMPERATURE_TEXT,
@@ -23,6 +19,7 @@ from gyrobench.bench.runs.tables.coefficient_table import (
 )
 
 _TITLE = "Coefficients of gyros and accelerometers"
+_TABLE = "Value ± standard uncertainty (k = 1) at each plateau"
 _TEXT = (
     "Biases, scale factor errors and misalignments at each plateau, from its dwells and its rotations "
     f"together, with standard uncertainties. {FRAME_TEXT} {TEMPERATURE_TEXT}"
@@ -48,8 +45,8 @@ _UNITS = {"ug": "µg"}
 _NOT_OBSERVED = "–"
 #: Height of a row of a legend as a part of its panel's.
 _LEGEND_ROW = 0.12
-#: Plateaus side by side in a terminal of 80 columns and on a page; half width of a 95 % interval in sigmas.
-_PER_TABLE, _PER_PAGE, _INTERVAL = 3, 5, 1.96
+#: Plateaus side by side; half width of a 95 % interval in sigmas.
+_PER_TABLE, _INTERVAL = 5, 1.96
 
 
 def has_rotations(rows: Sequence[PlateauCoefficientRow]) -> bool:
@@ -65,25 +62,13 @@ def coefficients_section(rows: Sequence[PlateauCoefficientRow]) -> Section | Non
     """Tables and figure; None without rotations."""
     if not has_rotations(rows):
         return None
-    tables = [SectionTable(_TITLE, header, cells, words=3) for header, cells in _tables(rows, _PER_PAGE)]
+    tables = list(_tables(rows))
     notes = plateau_findings(rows)
     if any(not math.isnan(row.sigma_with_force) for row in rows):
         notes.insert(0, _WITHOUT_FORCE)
         tables.append(_cost_table(rows))
     figure = SectionFigure("coefficients", _CAPTION, partial(coefficients_figure, rows))
     return Section(_TITLE, [_TEXT, *notes], [figure], tables)
-
-
-def coefficients_tables(rows: Sequence[PlateauCoefficientRow]) -> RenderableType:
-    """Values with standard uncertainties for a terminal."""
-    parts: list[RenderableType] = [Text(_TITLE, style="bold")]
-    for header, cells in _tables(rows, _PER_TABLE, is_concise=True):
-        parts.append(plain_table(header, 3, cells, fold=False, gap=0))
-    parts.append(Text("In parentheses: standard uncertainty in units of the last digits."))
-    parts.append(Text(f"{TEMPERATURE_TEXT} {FRAME_TEXT}"))
-    if any(row.finding.startswith(NOT_OBSERVABLE) for row in rows):
-        parts.append(Text(f"{_NOT_OBSERVED}: {NOT_OBSERVABLE}."))
-    return Group(*parts, *map(Text, plateau_findings(rows)))
 
 
 @house_style
@@ -121,36 +106,27 @@ def coefficients_figure(rows: Sequence[PlateauCoefficientRow]) -> Figure:
     return figure
 
 
-def _tables(
-    rows: Sequence[PlateauCoefficientRow], per_table: int, is_concise: bool = False
-) -> Iterator[tuple[list[str], list[list[str]]]]:
-    """Header and cells of tables with so many plateaus side by side."""
+def _tables(rows: Sequence[PlateauCoefficientRow]) -> Iterator[SectionTable]:
     heads = plateau_heads(rows)
-    plateaus = list(heads)
-    for begin in range(0, len(plateaus), per_table):
-        chosen = plateaus[begin : begin + per_table]
-        columns = [[row for row in rows if row.plateau == plateau] for plateau in chosen]
-        header = ["coefficient", "axis", "unit", *(heads[plateau] for plateau in chosen)]
+    for begin in range(0, len(heads), _PER_TABLE):
+        plateaus = list(heads)[begin : begin + _PER_TABLE]
+        columns = [[row for row in rows if row.plateau == plateau] for plateau in plateaus]
+        header = ["coefficient", "axis", "unit", *(heads[plateau] for plateau in plateaus)]
         cells = [
-            [
-                *(_NAMES[several[0].coefficient], several[0].axis, _unit(several[0].unit)),
-                *(_cell(row, is_concise) for row in several),
-            ]
-            for several in zip(*columns, strict=True)
+            [_NAMES[first.coefficient], first.axis, _unit(first.unit), *map(_cell, (first, *others))]
+            for first, *others in zip(*columns, strict=True)
         ]
-        yield header, cells
+        yield SectionTable(_TABLE, header, cells, words=3)
 
 
 def _unit(unit: str) -> str:
     return _UNITS.get(unit, unit)
 
 
-def _cell(row: PlateauCoefficientRow, is_concise: bool) -> str:
+def _cell(row: PlateauCoefficientRow) -> str:
     if math.isnan(row.value):
         return _NOT_OBSERVED
     digits = max(0, 1 - math.floor(math.log10(row.sigma)))
-    if is_concise:
-        return f"{row.value:.{digits}f}({row.sigma * 10**digits:.0f})"
     return f"{row.value:.{digits}f} ± {row.sigma:.{digits}f}"
 
 

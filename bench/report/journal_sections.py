@@ -130,12 +130,12 @@ def run_events(journal: Sequence[Entry]) -> list[RunEvent]:
     return sorted(events, key=lambda each: each.first_s)
 
 
-def durations_section(journal: Sequence[Entry]) -> Section:
+def durations_section(took: Took) -> Section:
     """Planned and actual durations in a table."""
-    kinds = durations_by_kind(took_in_journal(journal))
+    kinds = durations_by_kind(took)
     title = "Planned and actual duration"
     if not kinds:
-        return Section(title, ["The journal has no finished step."])
+        return Section(title, ["No step was finished."])
     header = ["kind of step", "steps", "planned / h:mm:ss", "actual / h:mm:ss", "difference"]
     marks: list[Mark] = ["sum" if each is kinds[-1] else "" for each in kinds]
     return Section(title, tables=[SectionTable("", header, [each.cells for each in kinds], marks=marks)])

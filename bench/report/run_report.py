@@ -33,6 +33,7 @@ from gyrobench.bench.report.bias_sections import (
     comparison_section,
     dwells_section,
     gyro_section,
+    verdict_box,
 )
 from gyrobench.bench.report.budget_section import CAPTION, budget_box, budget_section, shares
 from gyrobench.bench.report.calibration_check import dwells_text, verification_section, verification_sentence
@@ -54,9 +55,9 @@ from gyrobench.bench.report.figures.bias import (
 )
 from gyrobench.bench.report.figures.budget import budget_figure
 from gyrobench.bench.report.figures.temperatures import Readings, temperature_figure
-from gyrobench.bench.report.journal_sections import durations_section, events_section
+from gyrobench.bench.report.journal_sections import durations_section, events_section, took_in_journal
 from gyrobench.bench.report.page import Box, Section, SectionFigure, render_page, with_figure_files
-from gyrobench.bench.report.statements import VERDICT_COLOURS, latitude_sentence, verdict_sentence
+from gyrobench.bench.report.statements import latitude_sentence
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.provenance import SIMULATED, DataHash, data_hashes, note_preparer
 from gyrobench.bench.runs.seal import keep_sealed
@@ -182,7 +183,7 @@ def render(
         *(found.chapter for found in content.chapters),
         dwells_section(content.dwells, no_dwell),
         events_section(content.journal),
-        durations_section(content.journal),
+        durations_section(took_in_journal(content.journal)),
         _list_section("Assumptions of the procedure", content.procedure.get("assumptions")),
         _instruments_section(content),
         _hashes_section(hashes),
@@ -246,8 +247,7 @@ def verdict_boxes(content: RunContent) -> list[Box]:
     gist = f"The run {facts.ended}." if facts.ended else "The run has not ended."
     boxes = [Box(colour, gist, facts.reason or ("" if facts.ended else _INTERRUPTED), notes)]
     if acceptance:
-        verdict = acceptance.verdict
-        boxes.append(Box(VERDICT_COLOURS[verdict], f"Unit {verdict}.", verdict_sentence(acceptance)))
+        boxes.append(verdict_box(acceptance))
     if found := budget_box(content.budget):
         boxes.append(found)
     for last in content.joint_plateaus[-1:]:

@@ -5,8 +5,8 @@ the same keys as options of python-can's ``interface="emulator"``. Equal clock, 
 faults select the same bench. Without a clock the bench runs on wall time, without a world it is
 ``gyro_a``, without a list of faults nothing fails.
 
-The keys ``table`` and ``chamber`` select their dialects; the first address of a bench decides, and later
-ones may omit them.
+The keys ``table`` and ``chamber`` select their dialects, ``units`` is the number of inertial units on the
+table; the first address of a bench decides, and later ones may omit them.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ from gyrobench.bench.foundations.clock import Clock, VirtualClock, WallClock, cl
 from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError
 from gyrobench.bench.foundations.packages import EMULATORS, load
 from gyrobench.bench.foundations.shipped import find_document
-from gyrobench.drivers.emulators.can_ins import CanInsEmulator, CanNode
+from gyrobench.drivers.emulators.can_ins import CanChannel, CanInsEmulator, CanNode
 from gyrobench.drivers.emulators.dialect import ChamberEmulation, Connection, SerialInstrument, TableEmulation
 from gyrobench.drivers.emulators.world.strapdown import table_attitude
-from gyrobench.drivers.emulators.world.world import OUTER, World
+from gyrobench.drivers.emulators.world.surroundings import OUTER
+from gyrobench.drivers.emulators.world.world import World
 from gyrobench.drivers.emulators.world.world_file import load_world
 
 if TYPE_CHECKING:
+    from gyrobench.drivers.emulators.faults.fault import BenchParts
+    from gyrobench.drivers.emulators.faults.faulty_lines import FaultySerial
     from gyrobench.drivers.emulators.faults.injector import Injection, Injector
-
-#: The chamber controller's event output that feeds the unit's power supply.
-UNIT_POWER_EVENT = 2
 
 _LOG = logging.getLogger("gyrobench")
 _DEFAULT_WORLD = "gyro_a"
@@ -55,15 +55,28 @@ class BenchAddress:
     faults: str = ""
     table: str = ""
     chamber: str = ""
+    units: int = 1  #: Minimum number of units; a world may have more.
 
 
 ADDRESS_KEYS = tuple(field.name for field in fields(BenchAddress))
 
 
+@dataclass
+class EmulatedUnit:
+    """One inertial unit on the table of an emulated bench."""
+
+    world: World
+    ins: CanInsEmulator
+    bus: CanNode  #: The INS at its bus, with faults.
+    connection: Connection  #: Its plug.
+    power_event: int  #: Event output of the chamber that feeds it.
+
+
 class EmulatedBench:
     """One simulated world behind the emulators of its instruments.
 
-    It starts at the clock's present time, everything switched off and at room temperature. ``faults`` are
+    It starts at the clock's present time, everything switched off and at room temperature, with ``units`` or
+    as many as the world has. ``faults`` are
     injected, and logged in ``faults_log`` in place of the list's own ``log``; ``table`` and ``chamber`` are
     the dialects of these two; ``chamber_options`` are keyword arguments of the chamber's emulator. Raises
     DocumentError if the world file, the list of faults or an option is wrong, the seed is negative, or no
@@ -80,65 +93,95 @@ class EmulatedBench:
         table: str = _DEFAULT_TABLE,
         chamber: str = _DEFAULT_CHAMBER,
         chamber_options: Mapping[str, str] | None = None,
+        units: int = 1,
     ) -> None:
         if seed < 0:
             raise DocumentError(f"emulated bench: the seed must not be negative; found {seed}")
         self.clock = clock
         self._injector: Injector | None = None
-        start_s = math.floor(clock.now())
-        self.world = World(load_world(world), seed, start_s)
+        self._seed, self._start_s = seed, math.floor(clock.now())
+        self._file = load_world(world)
+        #: The units in order of their numbers, from 1; ``world``, ``ins`` and ``bus`` are those of the first.
+        self.units: list[EmulatedUnit] = []
+        self.world = World(self._file, seed, self._start_s)
         self.dialects = {"table": table, "chamber": chamber}
         #: table, chamber, ins: The emulated instruments.
         self.table = load(EMULATORS, table, TableEmulation).make(self.world.axes)
         self.chamber = self._chamber(chamber, chamber_options or {})
-        self.ins = CanInsEmulator(self.world, clock.epoch.timestamp())
         #: serial, bus: ``table`` and ``chamber`` at their ports, and the INS at the bus, with faults.
         self.serial: dict[str, SerialInstrument] = {"table": self.table, "chamber": self.chamber}
-        self.bus: CanNode = self.ins
-        #: The plugs of ``table``, ``chamber`` and ``ins``.
-        self.connections = {"table": Connection(), "chamber": Connection(), "ins": Connection()}
+        #: The plugs of ``table`` and ``chamber``, and of each unit's bus: ``ins``, ``ins-2`` and so on.
+        self.connections = {"table": Connection(), "chamber": Connection()}
+        #: CAN buses with clients, by channel: they connect the units.
+        self.channels: dict[str, CanChannel] = {}
         self.injected: list[Injection] = []  #: The faults injected so far.
+        self._lines: dict[str, FaultySerial] = {}
+        self._parts: list[BenchParts] = []
+        if faults is not None:  # without, a run starts faster without their models
+            from gyrobench.drivers.emulators.faults.faulty_lines import FaultySerial
+
+            self._lines = {name: FaultySerial(instrument) for name, instrument in self.serial.items()}
+            self.serial = dict(self._lines)
+            self.connections = {name: line.connection for name, line in self._lines.items()}
+        self.has_units(max(units, 1 + len(self._file.units)))
+        self.ins, self.bus = self.units[0].ins, self.units[0].bus
         if faults is not None:
-            self._inject(faults, seed, start_s, faults_log)
+            self._inject(faults, faults_log)
         self.advance()
+
+    def has_units(self, count: int) -> None:
+        """Put further units on the table until there are that many."""
+        for number in range(len(self.units) + 1, count + 1):
+            world = self.world
+            if number > 1:
+                file = self._file.of_unit(number)
+                world = World(file, self._seed, self._start_s, self.world.surroundings, number)
+            ins = CanInsEmulator(world, self.clock.epoch.timestamp())
+            unit = EmulatedUnit(world, ins, ins, Connection(), self._file.power_event(number))
+            if self._lines:
+                from gyrobench.drivers.emulators.faults.fault import BenchParts
+                from gyrobench.drivers.emulators.faults.faulty_lines import FaultyCan
+
+                unit.bus = bus = FaultyCan(ins)
+                unit.connection = bus.connection
+                self._parts.append(
+                    BenchParts(world, self.table, self.chamber, ins, self._lines, bus, self.dialects)
+                )
+            self.connections[channel_name(number)] = unit.connection
+            self.units.append(unit)
+
+    def _inject(self, path: Path, log: Path | None) -> None:
+        from gyrobench.drivers.emulators.faults.fault_list import check_faults, load_faults
+        from gyrobench.drivers.emulators.faults.injector import InjectionLog, Injector
+
+        listed = load_faults(path)
+        check_faults(path, listed, self._parts)
+        self.injected = injected = InjectionLog(log or (path.parent / listed.log if listed.log else None))
+        self._injector = Injector(listed.faults, self._parts, self._seed, self._start_s, injected)
 
     def advance(self) -> None:
         """Advance the world to the present."""
-        if self._injector is None:
-            self.world.advance(self.clock.now())
-        else:
-            self._injector.advance(self.clock.now())
+        now_s = self.clock.now()
+        if self._injector is not None:
+            self._injector.advance(now_s)
+            return
+        for unit in self.units:
+            unit.world.advance(now_s)
 
     def advance_instruments(self) -> None:
         """Advance what table and chamber depend on: the air and whole seconds, if there are no faults."""
         now_s = self.clock.now()
         if self._injector is not None:
             self.advance()
-        elif now_s >= self.world.air_s:  # not yet in this second
-            self.world.advance(math.floor(now_s))
+        elif now_s >= self.world.surroundings.air_s:  # not yet in this second
+            for unit in self.units:
+                unit.world.advance(math.floor(now_s))
             self.world.advance_air(now_s)
 
     @property
     def keeps_frames(self) -> bool:
         """Whether it makes no difference when the frames of the INS are received: no real time, no faults."""
         return self.clock.is_virtual and self._injector is None
-
-    def _inject(self, path: Path, seed: int, start_s: int, log: Path | None) -> None:
-        # Without faults, a run starts faster without their models.
-        from gyrobench.drivers.emulators.faults.fault import BenchParts
-        from gyrobench.drivers.emulators.faults.fault_list import check_faults, load_faults
-        from gyrobench.drivers.emulators.faults.faulty_lines import FaultyCan, FaultySerial
-        from gyrobench.drivers.emulators.faults.injector import InjectionLog, Injector
-
-        listed = load_faults(path)
-        lines = {name: FaultySerial(instrument) for name, instrument in self.serial.items()}
-        self.bus = bus = FaultyCan(self.ins)
-        self.serial = dict(lines)
-        self.connections = {name: line.connection for name, line in lines.items()} | {"ins": bus.connection}
-        parts = BenchParts(self.world, self.table, self.chamber, self.ins, lines, bus, self.dialects)
-        check_faults(path, listed, parts)
-        self.injected = injected = InjectionLog(log or (path.parent / listed.log if listed.log else None))
-        self._injector = Injector(listed.faults, parts, seed, start_s, injected)
 
     def _chamber(self, dialect: str, options: Mapping[str, str]) -> SerialInstrument:
         make = load(EMULATORS, dialect, ChamberEmulation).make
@@ -152,13 +195,20 @@ class EmulatedBench:
                 unknown = f"no such option; there are {', '.join(known)}"
                 why = error.errors()[0]["msg"] if isinstance(error, ValidationError) else unknown
                 raise DocumentError(f"emulated chamber {dialect}: {key}={text}: {why}") from error
-        return make(self.world.air, self._chamber_event, **given)
+        return make(self.world.air, self.chamber_event, **given)
 
-    def _chamber_event(self, number: int, on: bool) -> None:
-        if number == UNIT_POWER_EVENT:
-            if self._injector is None:
-                self.advance()
-            self.world.power_unit(on)
+    def chamber_event(self, number: int, on: bool) -> None:
+        """Switch the units that this event output of the chamber powers."""
+        units = [unit for unit in self.units if unit.power_event == number]
+        if units and self._injector is None:
+            self.advance()
+        for unit in units:
+            unit.world.power_unit(on)
+
+
+def channel_name(number: int) -> str:
+    """CAN channel of the unit of that number: ``ins``, ``ins-2`` and so on."""
+    return "ins" if number == 1 else f"ins-{number}"
 
 
 @functools.cache
@@ -216,7 +266,9 @@ def emulated_bench(address: BenchAddress) -> EmulatedBench:
             faults,
             table=address.table or _DEFAULT_TABLE,
             chamber=address.chamber or _DEFAULT_CHAMBER,
+            units=address.units,
         )
+    bench.has_units(address.units)
     for name, dialect in (("table", address.table), ("chamber", address.chamber)):
         if dialect and dialect != bench.dialects[name]:
             raise GyrobenchError(
@@ -238,7 +290,9 @@ def parse_address(url: str) -> tuple[str, BenchAddress]:
     unknown = values.keys() - ADDRESS_KEYS
     if unknown:
         raise DocumentError(f"{url}: unknown {sorted(unknown)}; allowed: {', '.join(ADDRESS_KEYS)}")
-    seed = values.get("seed", "0")
-    if not seed.isdecimal():
-        raise DocumentError(f"{url}: seed must be a non-negative integer; found {seed!r}")
-    return parts.netloc, BenchAddress(**{**values, "seed": int(seed)})  # type: ignore[arg-type]
+    numbers = {key: values.get(key, default) for key, default in (("seed", "0"), ("units", "1"))}
+    for key, text in numbers.items():
+        if not text.isdecimal():
+            raise DocumentError(f"{url}: {key} must be a non-negative integer; found {text!r}")
+    given = {**values, **{key: int(text) for key, text in numbers.items()}}
+    return parts.netloc, BenchAddress(**given)  # type: ignore[arg-type]

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from types import MappingProxyType
 from typing import Protocol
 
 import can
+import numpy as np
 
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.drivers.emulators.can_formats import CanFormat
 from gyrobench.drivers.emulators.can_formats.canaerospace import CanaerospaceFormat
 from gyrobench.drivers.emulators.can_formats.gyrobench_ins import GyrobenchFormat
 from gyrobench.drivers.emulators.can_formats.sbg import SbgFormat
+from gyrobench.drivers.emulators.dialect import Connection
 from gyrobench.drivers.emulators.world.inertial_unit import Epochs, Mode
 from gyrobench.drivers.emulators.world.world import World
-from gyrobench.drivers.frames import FrameBlock
+from gyrobench.drivers.frames import FrameBlock, concatenate
 
 #: Makes each set of frames, by the name of its DBC file.
 CAN_FORMATS: MappingProxyType[str, Callable[[World, float], CanFormat]] = MappingProxyType(
@@ -69,3 +72,44 @@ class CanInsEmulator:
         frames = self.format.frames(epochs)
         for listener in self.listeners:
             listener(frames)
+
+
+class CanChannel:
+    """A CAN bus with one unit on it, or several whose identifiers differ by an offset; a :class:`CanNode`."""
+
+    def __init__(self) -> None:
+        self.listeners: list[Callable[[FrameBlock], None]] = []
+        self._connected: list[tuple[CanNode, Connection, int]] = []
+
+    def connect(self, node: CanNode, connection: Connection, identifier_offset: int = 0) -> None:
+        """Connect a unit, once."""
+
+        def forward(frames: FrameBlock) -> None:
+            if identifier_offset:
+                frames = frames.with_fields(id=frames.arbitration_id + np.uint32(identifier_offset))
+            for listener in self.listeners:
+                listener(frames)
+
+        if not any(connected is node for connected, _, _ in self._connected):
+            self._connected.append((node, connection, identifier_offset))
+            node.listeners.append(forward)
+
+    @property
+    def generation(self) -> int:
+        """Changes whenever the bench's controller leaves the bus or may reopen it."""
+        return sum(connection.generation for _, connection, _ in self._connected)
+
+    def receive(self, message: can.Message) -> None:
+        """Take a frame from the bus."""
+        for node, _, offset in self._connected:
+            if message.arbitration_id >= offset:
+                own = copy.copy(message)
+                own.arbitration_id -= offset
+                node.receive(own)
+
+    def in_order(self, blocks: list[FrameBlock]) -> FrameBlock:
+        """Join blocks from all units in order of time."""
+        frames = concatenate(blocks)
+        if len(self._connected) > 1:
+            frames = frames.take(np.argsort(frames.timestamp_s, kind="stable"))
+        return frames

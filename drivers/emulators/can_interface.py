@@ -1,8 +1,9 @@
-"""python-can interface ``emulator``: the emulated INS as a CAN bus."""
+"""python-can interface ``emulator``: an emulated INS as a CAN bus."""
 
 from __future__ import annotations
 
 import math
+import re
 from collections import deque
 from typing import Any
 
@@ -10,43 +11,69 @@ import can
 
 from gyrobench.bench.foundations.errors import GyrobenchError
 from gyrobench.drivers.emulators.bench import ADDRESS_KEYS, BenchAddress, emulated_bench
+from gyrobench.drivers.emulators.can_ins import CanChannel
 from gyrobench.drivers.frames import FrameBlock, concatenate
+
+_CHANNEL = re.compile(r"ins(?:-([2-9]|[1-9][0-9]))?")
 
 
 class EmulatorBus(can.BusABC):
-    """A bus with the emulated INS on it, on the bench's clock.
+    """A bus with an emulated INS on it, on the bench's clock.
 
-    The options are the address of the bench, see :mod:`gyrobench.drivers.emulators.bench`, and ``frames``: a
-    name in :data:`gyrobench.drivers.emulators.can_ins.CAN_FORMATS`. Raises can.CanInitializationError if
-    there is no such channel, clock, world or list of faults.
+    Channel ``ins`` is the first unit on the table, ``ins-2``, ``ins-3`` and so on are further ones. The
+    options are the address of the bench, see :mod:`gyrobench.drivers.emulators.bench`, and
+
+    * ``frames``: a name in :data:`gyrobench.drivers.emulators.can_ins.CAN_FORMATS`;
+    * ``power_event``: the chamber's event output that powers the unit, in place of that in the world;
+    * ``unit`` and ``identifier_offset``: connect the unit of that number to this channel, with the offset
+      added to its identifiers. All clients of a channel receive the frames of all units on it.
+
+    Raises can.CanInitializationError if there is no such channel, clock, world or list of faults.
     """
 
-    def __init__(self, channel: str = "ins", frames: str = "", **options: Any) -> None:
+    def __init__(
+        self,
+        channel: str = "ins",
+        frames: str = "",
+        power_event: int | None = None,
+        unit: int | None = None,
+        identifier_offset: int = 0,
+        **options: Any,
+    ) -> None:
         address = BenchAddress(**{key: options.pop(key) for key in ADDRESS_KEYS if key in options})
-        if channel != "ins":
-            raise can.CanInitializationError(f"no emulated CAN channel {channel!r}; available: ins")
+        matched = _CHANNEL.fullmatch(channel)
+        if matched is None:
+            raise can.CanInitializationError(
+                f"no emulated CAN channel {channel!r}; available: ins, and ins-2 to ins-99 for further units"
+            )
+        number = int(matched[1] or 1) if unit is None else unit
         try:
             self._bench = emulated_bench(address)
             self._bench.advance()
+            self._bench.has_units(number)
+            self._unit = self._bench.units[number - 1]
             if frames:
-                self._bench.ins.use_format(frames)
+                self._unit.ins.use_format(frames)
+            if power_event is not None:
+                self._unit.power_event = power_event
         except GyrobenchError as error:
             raise can.CanInitializationError(str(error)) from error
-        self._connection = self._bench.connections["ins"]
-        self._generation = self._connection.generation
+        self._channel = self._bench.channels.setdefault(channel, CanChannel())
+        self._channel.connect(self._unit.bus, self._unit.connection, identifier_offset)
+        self._generation = self._channel.generation
         self.keeps_frames = self._bench.keeps_frames
         self._blocks: list[FrameBlock] = []
         #: Frames of the oldest block, once :meth:`recv` is used.
         self._messages: deque[can.Message] = deque()
-        self.channel_info = f"emulated INS, world {address.world}, seed {address.seed}"
+        self.channel_info = f"emulated INS {number}, world {address.world}, seed {address.seed}"
         super().__init__(channel, **options)
-        self._bench.bus.listeners.append(self._blocks.append)
+        self._channel.listeners.append(self._blocks.append)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002
         """Send a frame to the INS; it arrives immediately."""
         self._bench.advance()
         self._check_bus()
-        self._bench.bus.receive(msg)
+        self._channel.receive(msg)
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """Wait for a frame that passes the filters; None if none came in ``timeout`` seconds.
@@ -61,21 +88,22 @@ class EmulatorBus(can.BusABC):
             self._check_bus()
             while self._messages or self._blocks:
                 if not self._messages:
-                    self._messages.extend(self._blocks.pop(0).messages())
+                    self._messages.extend(self._channel.in_order(self._blocks).messages())
+                    self._blocks.clear()
                 message = self._messages.popleft()
                 if self._matches_filters(message):
                     return message
             remaining_s = end_s - clock.now()
             if remaining_s <= 0.0:
                 return None
-            clock.sleep(min(self._bench.world.file.ins.epoch_period_s, remaining_s))
+            clock.sleep(min(self._unit.world.file.ins.epoch_period_s, remaining_s))
             self._bench.advance()
 
     def recv_block(self) -> FrameBlock:
         """Take all frames that have arrived and pass the filters, without waiting."""
         self._bench.advance()
         self._check_bus()
-        frames = concatenate(self._blocks)
+        frames = self._channel.in_order(self._blocks)
         self._blocks.clear()
         if self._messages:
             frames = concatenate([FrameBlock.from_messages(self._messages), frames])
@@ -83,12 +111,12 @@ class EmulatorBus(can.BusABC):
         return frames if self.filters is None else frames.matching(self.filters)
 
     def _check_bus(self) -> None:
-        if self._connection.generation != self._generation:
+        if self._channel.generation != self._generation:
             raise can.CanOperationError("bus-off: the controller has left the bus; reopen it")
 
     def shutdown(self) -> None:
         """Leave the bus; the INS continues."""
-        listeners = self._bench.bus.listeners
+        listeners = self._channel.listeners
         if self._blocks.append in listeners:
             listeners.remove(self._blocks.append)
         super().shutdown()

@@ -70,6 +70,7 @@ LISTED: Mapping[str, Sequence[Mapping[str, Any]]] = {
     "second_node": [{"for_s": 10}, {"for_s": 60}],
     "foreign_frames": [{"for_s": 10}],
     "ins_restarts": [{}],
+    "ins_supply_lost": [{"for_s": 30}, {"for_s": 600}],
     "falls_back_to_alignment": [{}],
     "alignment_never_done": [{"for_s": 120}],
     "stuck_output": [{"for_s": 30}, {"for_s": 60, "signals": ["velocity_east"]}, {"for_s": 5}],

@@ -1,8 +1,9 @@
-"""The page of a search for effects (closure.html), and all files that a search writes."""
+"""Findings of a search for effects for page (closure.html) and terminal, and all files that it writes."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from gyrobench.bench.closure.files import write_closure
 from gyrobench.bench.closure.loop import Closure
 from gyrobench.bench.foundations.arrays import rms_of_known
 from gyrobench.bench.foundations.files import file_sha256
-from gyrobench.bench.foundations.text import counted, with_sigma
+from gyrobench.bench.foundations.text import counted, listed, probability_number, with_sigma
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.report.closure import closure_text as text
 from gyrobench.bench.report.closure.closure_figures import (
@@ -21,24 +22,19 @@ from gyrobench.bench.report.closure.closure_figures import (
     closure_evidence_figure,
     closure_residual_figure,
 )
-from gyrobench.bench.report.closure.closure_tables import (
-    COMPOSED,
-    composed_table,
-    effect_table,
-    evidence_caption,
-    evidence_table,
-    rotation_table,
-)
 from gyrobench.bench.report.closure.closure_text import (
+    cycles_text,
     held_out_cycles,
     is_noise_only,
+    labels,
     models_of,
     noise_dph,
     residuals_dph,
     scale_of_errors,
+    share_text,
     verdict_sentence,
 )
-from gyrobench.bench.report.number_format import p_text
+from gyrobench.bench.report.number_format import odds_text, p_text
 from gyrobench.bench.report.page import Findings, Section, SectionFigure, SectionTable, write_findings
 from gyrobench.bench.report.run_report import write_report
 from gyrobench.bench.runs.folder import CLOSURE, RunFolder
@@ -62,6 +58,10 @@ _ERRORS = "Rms of measured minus predicted {} in the held-out cycles; the black 
 _UNEXPLAINED = (
     "Do not rely on the model below that size: the cause is none of the candidate effects, or follows an "
     "input that was not measured."
+)
+_COMPOSED = (
+    "Laws composed from the grammar of effects, fitted beside the effects found. They are empirical: "
+    "hypotheses from the data that they explain, until cycles of other runs confirm them."
 )
 #: Limit of the name of a folder, characters.
 _MAX_NAME = 100
@@ -104,27 +104,87 @@ def _effects(closure: Closure) -> Section | None:
                 f"effect_{each.effect.name}", caption, partial(closure_effect_figure, closure, each)
             )
         )
-    effects = SectionTable(
-        f"Size: rms in the dwells searched, without its mean, in {scale_of_errors(closure).unit}. "
-        "Cross-validated: share of chi2 explained in each cycle, with the size fitted to the other cycles",
-        *effect_table(closure),
-        words=4,
-    )
     title = "Effect" if len(closure.effects) == 1 else "Effects"
     return Section(
-        title, text.effect_sentences(closure), figures, [effects, _sizes(closure), *_parameters(closure)]
+        title,
+        text.effect_sentences(closure),
+        figures,
+        [effect_table(closure), _sizes(closure), *_parameters(closure)],
     )
+
+
+def effect_table(closure: Closure) -> SectionTable:
+    """The effects found."""
+    scale = scale_of_errors(closure)
+    rows = [
+        [
+            each.effect.display_name,
+            listed(each.axes),
+            labels(closure, each.tied_with) or "none",
+            ", ".join(f"{cycle}: {share_text(gain)}" for cycle, gain in each.gains.items()) or "no",
+            scale.with_sigma(each.rms_dph, each.rms_sigma_dph),
+            probability_number(each.probability),
+        ]
+        for each in closure.effects
+    ]
+    shown = "coefficients" if closure.quantity.axes[0][1:] else f"{closure.quantity.sensor}s"
+    return SectionTable(
+        f"Size: rms in the dwells searched, without its mean, in {scale.unit}. "
+        "Cross-validated: share of chi2 explained in each cycle, with the size fitted to the other cycles",
+        ["effect", shown, "tied with", "cross-validated", "size", "P"],
+        rows,
+        words=4,
+    )
+
+
+def evidence_table(closure: Closure) -> SectionTable:
+    """Each candidate alone, without columns that would be empty."""
+    found = {each.effect.name for each in closure.effects}
+    tied = {name for each in closure.effects for name in each.tied_with}
+    explanations = {
+        "share": "" if is_noise_only(closure) else "share of excess variance explained",
+        "p": "corrected for all candidate fits",
+        "odds": "of the effects found to this one" if closure.effects else "",
+    }
+    shown = {column: what for column, what in explanations.items() if what}
+    rows = []
+    for each in closure.evidence:
+        if each.missing_input is None:
+            name = each.effect.name
+            cells = {
+                "share": share_text(each.share),
+                "p": p_text(each.p_value),
+                "odds": odds_text(each.log_odds_against) if each.log_odds_against > 0.0 else "",
+            }
+            state = "found" if name in found else "tied" if name in tied else ""
+            rows.append([each.effect.display_name, state, *(cells[column] for column in shown)])
+    caption = f"Each effect alone. {'; '.join(f'{column}: {what}' for column, what in shown.items())}"
+    return SectionTable(caption, ["effect", "", *shown], rows, words=2)
 
 
 def _composed(closure: Closure) -> Section | None:
-    if closure.composed is None:
+    scale, composed = scale_of_errors(closure), closure.composed
+    if composed is None:
         return None
+    rows = [
+        [
+            law.follows,
+            law.file.shape,
+            law.file.memory,
+            f"{law.probability:.2f}",
+            scale.text(law.error_after_dph),
+        ]
+        for law in composed.laws
+    ]
+    rows.append(["no law of the grammar, or one and something else", "", "", f"{composed.other:.2f}", ""])
+    rows.append(["of this: a law and something else", "", "", f"{composed.law_and_remainder:.2f}", ""])
     table = SectionTable(
-        f"Composed laws, of {closure.composed.tried} tried; the best one is composed_law.yaml",
-        *composed_table(closure),
+        f"Composed laws, of {composed.tried} tried; the best one is composed_law.yaml",
+        [f"{closure.quantity.label} follows", "shape", "memory", "P", f"held-out error, {scale.unit}"],
+        rows,
         words=3,
     )
-    return Section("Composed laws (empirical)", [COMPOSED], [], [table])
+    return Section("Composed laws (empirical)", [_COMPOSED], [], [table])
 
 
 def _sizes(closure: Closure) -> SectionTable:
@@ -168,7 +228,6 @@ def _alternatives(closure: Closure) -> Section:
     drawn = not is_noise_only(closure) or bool(closure.effects)
     caption = _P_VALUES if is_noise_only(closure) else _EVIDENCE
     figures = [SectionFigure("evidence", caption, partial(closure_evidence_figure, closure))] if drawn else []
-    table = SectionTable(evidence_caption(closure), *evidence_table(closure), words=2)
     paragraphs = [
         text.probability_sentence(closure),
         text.alternative_sentence(closure),
@@ -178,7 +237,7 @@ def _alternatives(closure: Closure) -> Section:
     paragraphs += [*text.missing_input_sentences(closure), *closure.confounding]
     paragraphs += [text.sensitivity_sentence(closure)] if closure.verdict == "clean" else []
     title = "Alternatives" if closure.effects else "Candidate effects"
-    return Section(title, _paragraphs(*paragraphs), figures, [table])
+    return Section(title, _paragraphs(*paragraphs), figures, [evidence_table(closure)])
 
 
 def _error(closure: Closure) -> Section:
@@ -212,9 +271,23 @@ def _error(closure: Closure) -> Section:
 def _rotation(closure: Closure) -> Section | None:
     if not closure.rotation:
         return None
+    scale = scale_of_errors(closure)
+    rows = [
+        [
+            cycles_text(closure, [turn.cycle]),
+            turn.verdict or f"not possible: {turn.reason}",
+            labels(closure, turn.effects) or ("none" if turn.verdict else ""),
+            *(
+                scale.text(value) if turn.verdict else ""
+                for value in (turn.error_before_dph, turn.error_after_dph, turn.noise_dph)
+            ),
+        ]
+        for turn in closure.rotation
+    ]
     table = SectionTable(
-        f"Outcome with each cycle held out in turn; rms in that cycle in {scale_of_errors(closure).unit}",
-        *rotation_table(closure),
+        f"Outcome with each cycle held out in turn; rms in that cycle in {scale.unit}",
+        ["held out", "verdict", "effects", "before", "after", "noise"],
+        rows,
         words=3,
     )
     return Section("Rotation", [text.rotation_sentence(closure)], tables=[table])
@@ -245,13 +318,9 @@ def _paragraphs(*sentences: str) -> list[str]:
     return [sentence for sentence in sentences if sentence]
 
 
-def write_closure_page(folder: Path, closure: Closure, source: str, dwells: Path | None = None) -> Path:
-    """Write figures and page into an existing folder.
-
-    ``source`` is displayed; ``dwells`` is the table searched: the report of its run includes only a page with
-    its hash. Raises RunFolderError if a file can't be written.
-    """
-    findings = Findings(
+def closure_findings(closure: Closure, source: str = "") -> Findings:
+    """Verdict, facts and all sections; ``source`` is displayed."""
+    return Findings(
         title=text.title(closure),
         source=source,
         judgement=closure.verdict,
@@ -259,6 +328,17 @@ def write_closure_page(folder: Path, closure: Closure, source: str, dwells: Path
         sentence=verdict_sentence(closure),
         facts=_facts(closure),
         sections=closure_sections(closure),
+    )
+
+
+def write_closure_page(folder: Path, closure: Closure, source: str, dwells: Path | None = None) -> Path:
+    """Write figures and page into an existing folder.
+
+    ``source`` is displayed; ``dwells`` is the table searched: the report of its run includes only a page with
+    its hash. Raises RunFolderError if a file can't be written.
+    """
+    findings = replace(
+        closure_findings(closure, source),
         dwells_sha256=file_sha256(dwells) if dwells else "",
         watermark=watermark_of(folder, *(Path(table.name) for table in closure.campaign.tables)),
     )

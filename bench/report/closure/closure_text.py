@@ -475,20 +475,3 @@ def sensitivity_sentence(closure: Closure) -> str:
         "with temperature or with the constants of the power cycles. An effect of several terms must be "
         "larger."
     )
-
-
-def chain(closure: Closure) -> list[tuple[str, str]]:
-    """All sentences that apply, in order, each with its topic."""
-    several = table_texts(closure) if len(closure.campaign.tables) > 1 else []
-    pairs = [("" if index else "Tables", f"{text}.") for index, text in enumerate(several)]
-    pairs += [("Residual", before_sentence(closure)), *(("", text) for text in closure.noise_sentences)]
-    pairs += [("Effect", text) for text in effect_sentences(closure)]
-    pairs += [("Probability", probability_sentence(closure))]
-    pairs += [("Alternatives", alternative_sentence(closure))]
-    pairs += [("", text) for text in (*tie_sentences(closure), *rejection_sentences(closure))]
-    pairs += [("", text) for text in (*missing_input_sentences(closure), *closure.confounding)]
-    pairs += [("Held-out", error_sentence(closure)), ("", constants_sentence(closure))]
-    pairs += [("Rotation", rotation_sentence(closure))]
-    pairs += [("Lack of fit", after_sentence(closure)), ("", power_sentence(closure))]
-    pairs += [("Sensitivity", sensitivity_sentence(closure))] if closure.verdict == "clean" else []
-    return [(topic, text) for topic, text in pairs if text]

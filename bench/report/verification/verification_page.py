@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -11,12 +12,15 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from gyrobench.bench.calibration.coefficients import COEFFICIENTS
+from gyrobench.bench.calibration.mission import HOURS
+from gyrobench.bench.closure.loadable_model import LoadableModel
+from gyrobench.bench.closure.loop import Closure
 from gyrobench.bench.foundations.files import file_sha256
-from gyrobench.bench.foundations.text import counted, listed
+from gyrobench.bench.foundations.text import counted, hours_minutes, listed, plain_name
 from gyrobench.bench.report.closure.closure_text import verdict_sentence
 from gyrobench.bench.report.figures.style import common_legend, house_style, new_figure, say_empty
-from gyrobench.bench.report.page import Findings, Section, SectionFigure, SectionTable, write_findings
-from gyrobench.bench.report.verification.coefficient_sections import coefficient_parts
+from gyrobench.bench.report.page import Box, Findings, Section, SectionFigure, SectionTable, write_findings
 from gyrobench.bench.report.verification.verification_text import (
     CONFIRMED,
     IMPROVED,
@@ -25,7 +29,7 @@ from gyrobench.bench.report.verification.verification_text import (
     NOT_CONFIRMED,
     SIZES,
     UNITS,
-    chain,
+    change_sentences,
     model_sentences,
     number_rows,
     outcome,
@@ -33,6 +37,7 @@ from gyrobench.bench.report.verification.verification_text import (
     plateau_rows,
     reading_sentences,
     total_rows,
+    with_text,
 )
 from gyrobench.bench.runs.provenance import watermark_of
 from gyrobench.bench.verification.compensation_verification import (
@@ -160,6 +165,146 @@ _PLATEAUS = (
 )
 
 
+_MARKERS = {NONE: "o", DECLARED: "s", EFFECT: "D"}
+_SHORT = {"gyro": "gyro", "accelerometer": "acc."}
+_UNITS = tuple(dict.fromkeys(each.unit for each in COEFFICIENTS))
+_COEFFICIENTS_CAPTION = (
+    "Rms of each coefficient over the plateaus with each compensation, and of the standard uncertainty of "
+    "the measurement (lines). The body frame is that of the accelerometers."
+)
+_MISSION_CAPTION = (
+    "Distance from the true position with the coefficients left at the plateau where it is largest after a "
+    "day. Dashed: by their uncertainty 95 % of all missions stay below, up to 1, 8 and 24 h."
+)
+_SCHEME = (
+    "The mission is a mechanisation of the increments of a dual-axis rotational INS at rest: sixteen half "
+    "turns at 10 deg/s between rests of 3 min, of which the last eight retrace the first eight; fixed "
+    "altitude, a start without error, and coefficients constant at those of one plateau. What is not "
+    "observable counts as zero. Position errors are the largest up to the time stated, at the plateau where "
+    "that is largest."
+)
+
+
+def mission_sentence(result: VerificationResult) -> str:
+    """Position error after each time, with each compensation."""
+    times = listed([f"{hours:g}" for hours in HOURS])
+    errors = [
+        f"{', '.join(map(_nmi, each.worst.error.stated_nmi))} nmi {with_text(each)}"
+        for each in result.coefficients
+    ]
+    high = ", ".join(map(_nmi, result.coefficients[-1].worst.error.high_nmi))
+    return (
+        f"A mission with the coefficients left errs by up to ({times} h): {'; '.join(errors)}. By the "
+        f"uncertainty of the last, 95 % of all are below {high} nmi."
+    )
+
+
+def _nmi(distance_nmi: float) -> str:
+    return f"{distance_nmi:.2g}" if distance_nmi < 1.0 else f"{distance_nmi:.1f}"
+
+
+def _coefficient_table(result: VerificationResult) -> SectionTable:
+    results = result.coefficients
+    head = ["coefficient", "unit", *(LABELS[each.compensation] for each in results), "noise"]
+    rows = []
+    for place, known in enumerate(COEFFICIENTS):
+        sizes = [*(each.rms[place] for each in results), results[-1].noise[place]]
+        texts = ["not observable" if np.isnan(size) else f"{size:.3g}" for size in sizes]
+        rows.append([f"{plain_name(known.name)} {known.axis}", known.unit, *texts])
+    return SectionTable("Rms over the plateaus", head, rows, words=2)
+
+
+def _mission_table(result: VerificationResult) -> SectionTable:
+    rows = [
+        [
+            LABELS[each.compensation],
+            f"{each.worst.gyro_c:z.0f}",
+            *(
+                f"{_nmi(stated)} (< {_nmi(high)})"
+                for stated, high in zip(each.worst.error.stated_nmi, each.worst.error.high_nmi, strict=True)
+            ),
+        ]
+        for each in result.coefficients
+    ]
+    head = ["compensation", "°C", *(f"{hours:g} h" for hours in HOURS)]
+    return SectionTable("Position error in nmi, in brackets the limit of 95 %", head, rows)
+
+
+@house_style
+def coefficient_figure(result: VerificationResult) -> Figure:
+    """Draw the rms of each coefficient with each compensation, by unit, on logarithmic scales."""
+    figure = new_figure(5.2, bottom_in=0.6, top_in=0.1, wspace=0.22, hspace=0.45)
+    panels = figure.subplots(2, 2).ravel()
+    for axes, unit in zip(panels, _UNITS, strict=True):
+        mine = [place for place, each in enumerate(COEFFICIENTS) if each.unit == unit]
+        names = [f"{_SHORT[COEFFICIENTS[place].sensor]} {COEFFICIENTS[place].axis}" for place in mine]
+        factor, label = (1000.0, f"0.001 {unit}") if unit == "deg/h" else (1.0, unit)
+        for each in result.coefficients:
+            axes.plot(
+                names,
+                factor * each.rms[mine],
+                linestyle="none",
+                marker=_MARKERS[each.compensation],
+                markersize=4,
+                color=STYLES[each.compensation][0],
+                label=LABELS[each.compensation],
+            )
+        places = np.arange(len(mine))
+        noise = factor * result.coefficients[-1].noise[mine]
+        axes.hlines(noise, places - 0.35, places + 0.35, color=_NOISE_COLOUR, linewidth=1.2, label="noise")
+        axes.set_yscale("log")
+        low, high = axes.get_ylim()
+        axes.set_ylim(10.0 ** np.floor(np.log10(low)), 10.0 ** np.ceil(np.log10(high)))
+        axes.set_xticks(places, names, rotation=90 if len(mine) > 3 else 0, fontsize=7)
+        axes.set_ylabel(f"rms / ({label})")
+    common_legend(figure, panels[:1])
+    return figure
+
+
+@house_style
+def mission_figure(result: VerificationResult) -> Figure:
+    """Draw the position error over a day with each compensation, and the limit of 95 %."""
+    figure = new_figure(3.2)
+    axes = figure.subplots()
+    for each in result.coefficients:
+        error = each.worst.error
+        colour, label = STYLES[each.compensation][0], LABELS[each.compensation]
+        axes.plot(error.time_s / 3600.0, error.distance_nmi, color=colour, linewidth=1.0, label=label)
+        ends = [0.0, *HOURS]
+        high = [error.high_nmi[0], *error.high_nmi]
+        axes.step(
+            ends, high, where="pre", color=colour, linewidth=0.8, linestyle="--", label=f"{label}, 95 %"
+        )
+    axes.set(xlabel="time / h", ylabel="distance / nmi", xlim=(0.0, HOURS[-1]), yscale="log")
+    axes.set_xticks(np.arange(0, 25, 4))
+    axes.set_ylim(
+        bottom=max(1e-4, 0.03 * min(float(each.worst.error.high_nmi[0]) for each in result.coefficients))
+    )
+    common_legend(figure, [axes])
+    return figure
+
+
+def _coefficient_parts(result: VerificationResult) -> list[Section]:
+    """Sections of the page; none where no coefficients were compensated."""
+    if not result.coefficients:
+        return []
+    return [
+        Section(
+            "All coefficients",
+            figures=[
+                SectionFigure("coefficients", _COEFFICIENTS_CAPTION, partial(coefficient_figure, result))
+            ],
+            tables=[_coefficient_table(result)],
+        ),
+        Section(
+            "A mission of a rotational INS",
+            [mission_sentence(result), _SCHEME],
+            [SectionFigure("mission", _MISSION_CAPTION, partial(mission_figure, result))],
+            [_mission_table(result)],
+        ),
+    ]
+
+
 def verification_sections(result: VerificationResult) -> list[Section]:
     """Compensations, residual, a day of a rotational INS, definitions."""
     totals = SectionTable(_TOTAL.format(UNITS), ["compensation", *SIZES], total_rows(result))
@@ -170,11 +315,11 @@ def verification_sections(result: VerificationResult) -> list[Section]:
     figures = [SectionFigure("residuals", _RESIDUALS, partial(residual_bars_figure, result))]
     return [
         Section("Compensations", model_sentences(result.closure, result.models), tables=[numbers]),
-        Section("Residual", [sentence for _, sentence in chain(result)], figures, [totals, plateaus]),
+        Section("Residual", change_sentences(result), figures, [totals, plateaus]),
         Section(
             "A day of a rotational INS", figures=[SectionFigure("day", _DAY, partial(day_figure, result))]
         ),
-        *coefficient_parts(result),
+        *_coefficient_parts(result),
         Section("Definitions", reading_sentences(result)),
     ]
 
@@ -183,14 +328,10 @@ def verification_sections(result: VerificationResult) -> list[Section]:
 _COLOURS = {CONFIRMED: "finished", IMPROVED: "stopped", NOT_CONFIRMED: "failed", INCONCLUSIVE: "stopped"}
 
 
-def write_verification_page(folder: Path, result: VerificationResult, dwells: Path | None = None) -> Path:
-    """Write figures and page into an existing folder, with at least one compensation measured.
-
-    ``dwells`` is the table that the model was fitted to: the report of its run includes only a page with its
-    hash. Raises RunFolderError if a file can't be written.
-    """
+def verification_findings(result: VerificationResult) -> Findings:
+    """Judgement, facts and all sections, with at least one compensation measured."""
     judgement = outcome(result)
-    findings = Findings(
+    return Findings(
         title="Verification of a compensation",
         source=result.source,
         judgement=judgement,
@@ -198,6 +339,17 @@ def write_verification_page(folder: Path, result: VerificationResult, dwells: Pa
         sentence=outcome_sentence(result),
         facts=_facts(result),
         sections=verification_sections(result),
+    )
+
+
+def write_verification_page(folder: Path, result: VerificationResult, dwells: Path | None = None) -> Path:
+    """Write figures and page into an existing folder.
+
+    ``dwells`` is the table that the model was fitted to: the report of its run includes only a page with its
+    hash. Raises RunFolderError if a file can't be written.
+    """
+    findings = replace(
+        verification_findings(result),
         dwells_sha256=file_sha256(dwells) if dwells else "",
         watermark=watermark_of(folder, *(Path(each.name) for each in result.closure.campaign.tables)),
     )
@@ -212,3 +364,19 @@ def _facts(result: VerificationResult) -> dict[str, str]:
         "compensations": f"{counted(len(measured), 'run')}: {listed(measured)}",
         "dwells": f"{result.dwells} per run, at {counted(len(result.results[0].rows), 'plateau')}",
     }
+
+
+def verification_plan(
+    closure: Closure, models: Mapping[str, LoadableModel], missing: Sequence[str], run_s: float
+) -> Section:
+    """Verdict of the search, compensations, and duration of the remaining runs."""
+    sentences = model_sentences(closure, models)
+    if missing:
+        runs = (
+            f"{hours_minutes(len(missing) * run_s)} h in total: {listed([LABELS[name] for name in missing])}"
+        )
+        sentences.append(f"{counted(len(missing), 'run')} of {hours_minutes(run_s)} h remaining, {runs}.")
+    else:
+        sentences.append("All runs are complete.")
+    box = Box("open", f"{closure.verdict.capitalize()}.", verdict_sentence(closure))
+    return Section("", boxes=[box], paragraphs=sentences)

@@ -1,4 +1,4 @@
-"""A verification in sentences and table rows, the same on the page and in the terminal."""
+"""A verification in sentences and table rows."""
 
 from __future__ import annotations
 
@@ -135,44 +135,40 @@ def outcome_sentence(result: VerificationResult) -> str:
             return f"{sizes} Both residuals are consistent with noise."
 
 
-def chain(result: VerificationResult) -> list[tuple[str, str]]:
-    """Topics and sentences: new conditions, and the change of bias, spread, velocity and position."""
+def change_sentences(result: VerificationResult) -> list[str]:
+    """New conditions, uncertainty, the change of bias, spread, velocity and position, and notes."""
     totals = [each.total for each in result.results]
     last = totals[-1]
     changes = [
         (
-            "Bias",
             "Bias in deg/h, rms over all dwells, including the constant of the power cycle",
             [size_text(each.bias_rms_dph) for each in totals if each.bias_rms_dph >= 0.0],
             size_text(last.bias_noise_dph),
         ),
         (
-            "Positions",
             "Largest difference between positions in deg/h",
             [size_text(each.spread_dph) for each in totals if each.spread_dph >= 0.0],
             size_text(last.spread_noise_dph),
         ),
         (
-            "Velocity",
             "Largest error of the velocity East in mm/s",
             [f"{1000.0 * each.velocity_east_mps:.1f}" for each in totals if each.velocity_east_mps >= 0.0],
             f"{1000.0 * last.velocity_noise_mps:.1f}",
         ),
         (
-            "24 h",
             "Largest position error of a rotational INS in nmi",
             [f"{each.position_nmi:.2f}" for each in totals if each.position_nmi >= 0.0],
             f"{last.position_noise_nmi:.2f}",
         ),
     ]
-    topics = [("New", new_conditions_sentence(result)), *(("Fit", text) for text in fit_sentences(result))]
-    for topic, what, values, noise in changes:
+    sentences = [new_conditions_sentence(result), *fit_sentences(result)]
+    for what, values, noise in changes:
         if len(values) == len(totals):
             steps = listed(
                 [f"{value} {with_text(each)}" for value, each in zip(values, result.results, strict=True)]
             )
-            topics.append((topic, f"{what}: {steps}; noise {noise}."))
-    return topics + [("Note", note) for note in result.notes]
+            sentences.append(f"{what}: {steps}; noise {noise}.")
+    return [*sentences, *result.notes]
 
 
 def fit_sentences(result: VerificationResult) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,7 @@ from gyrobench.bench.foundations.csv_tables import (
     read_text,
     write_text,
 )
+from gyrobench.bench.runs.tables.budget_table import read_budget
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,8 @@ class PlateauCoefficientRow:
 
 
 _COLUMNS = [each.name for each in fields(PlateauCoefficientRow)]
+#: Contributions to uncertainty that are one error at all plateaus.
+_COMMON = ("gravity", "latitude")
 
 #: Frame and temperatures of the rows, as reports state them.
 FRAME_TEXT = (
@@ -114,3 +117,20 @@ def read_coefficients(path: Path) -> list[PlateauCoefficientRow]:
     """Read ``coefficients.csv``; errors as for :func:`gyrobench.bench.foundations.csv_tables.read_rows`."""
     names, axes = ({getattr(each, field) for each in COEFFICIENTS} for field in ("name", "axis"))
     return read_rows(path, PlateauCoefficientRow, {"coefficient": one_of(names), "axis": one_of(axes)})
+
+
+def read_coefficients_apart(coefficients: Path, budget: Path) -> list[PlateauCoefficientRow]:
+    """Coefficients with the uncertainties by which plateaus differ, for fits over plateaus.
+
+    An error of gravity or latitude is the same at all plateaus. It is left out where ``budget.csv`` states
+    it; errors as for :func:`gyrobench.bench.foundations.csv_tables.read_rows`.
+    """
+    variances: dict[tuple[int | None, str, str], float] = {}
+    for each in read_budget(budget) if budget.exists() else ():
+        if each.result == "coefficient" and not each.is_sum and each.contribution not in _COMMON:
+            key = each.plateau, each.quantity, each.axis
+            variances[key] = variances.get(key, 0.0) + float(np.nan_to_num(each.sigma)) ** 2
+    return [
+        replace(row, sigma=math.sqrt(variances.get((row.plateau, row.coefficient, row.axis), row.sigma**2)))
+        for row in read_coefficients(coefficients)
+    ]

@@ -52,6 +52,7 @@ class Timing(StrictModel):
         None, description="maximum number of times; by default, at_s and during once, every_s unlimited"
     )
     for_s: Positive | None = Field(None, description="duration, s")
+    unit: Count = Field(1, description="number of the unit that it affects, and whose phase during means")
 
     @property
     def duration_s(self) -> float:
@@ -90,7 +91,7 @@ class UnsupportedFaultError(Exception):
 
 @dataclass(frozen=True)
 class BenchParts:
-    """The emulated bench as faults see it."""
+    """The emulated bench as faults see it, with one of its units."""
 
     world: World
     table: SerialInstrument

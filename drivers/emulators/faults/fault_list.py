@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import operator
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -51,15 +52,19 @@ def load_faults(path: Path) -> FaultList:
     return validate(read_document(path), FaultList)
 
 
-def check_faults(path: Path, listed: FaultList, bench: BenchParts) -> None:
-    """Refuse faults that the dialects of this bench do not support.
+def check_faults(path: Path, listed: FaultList, benches: Sequence[BenchParts]) -> None:
+    """Refuse faults that the dialects of this bench do not support, and of units that it lacks.
+
+    ``benches``: the bench as seen with each of its units.
 
     Raises DocumentError, which lists them, each with its place in the file.
     """
     problems = []
     for index, fault in enumerate(listed.faults):
         try:
-            fault.check(bench)
+            if fault.unit > len(benches):
+                raise UnsupportedFaultError(f"unit {fault.unit} is not on the bench; it has {len(benches)}")
+            fault.check(benches[fault.unit - 1])
         except UnsupportedFaultError as error:
             problems.append(Problem(("faults", index), f"the fault {fault.kind!r}: {error}"))
     if problems:

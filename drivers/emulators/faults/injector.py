@@ -121,13 +121,19 @@ class Injector:
 
     Phases of the bench are evaluated at each step, and at least once a second. Each entry has a separate
     stream of random numbers, so its times do not depend on the other entries; another ``start_s`` has other
-    times. ``log`` receives every fault that takes effect.
+    times. ``benches`` is the bench as seen with each of its units; ``log`` receives every fault that takes
+    effect.
     """
 
     def __init__(
-        self, faults: Sequence[Fault], bench: BenchParts, seed: int, start_s: float, log: InjectionLog
+        self,
+        faults: Sequence[Fault],
+        benches: Sequence[BenchParts],
+        seed: int,
+        start_s: float,
+        log: InjectionLog,
     ) -> None:
-        self._bench = bench
+        self._benches = benches
         self._now_s = start_s
         self._planned = [
             _PlannedFault(fault, np.random.default_rng((seed, int(start_s), number)), start_s)
@@ -143,21 +149,25 @@ class Injector:
             next_s = min((planned.schedule.next_s for planned in self._planned), default=math.inf)
             whole_s = math.floor(self._now_s) + 1.0 if self._by_phase else math.inf
             self._now_s = min(now_s, next_s, whole_s)
-            self._bench.world.advance(self._now_s)
+            for bench in self._benches:
+                bench.world.advance(self._now_s)
             self._update()
 
     def _update(self) -> None:
         if self._by_phase:
-            phases = _active_phases(self._bench.world, self._now_s)
+            units = {planned.fault.unit for planned in self._by_phase}
+            phases = {unit: _active_phases(self._benches[unit - 1].world, self._now_s) for unit in units}
             for planned in self._by_phase:
-                planned.schedule.observe(planned.fault.during in phases, self._now_s)
+                planned.schedule.observe(planned.fault.during in phases[planned.fault.unit], self._now_s)
         for planned in self._planned:
             while planned.schedule.next_s <= self._now_s:
                 if planned.schedule.ends(self._now_s):
                     if planned.end is not None:
                         planned.end()
                 elif planned.schedule.begins(self._now_s):
-                    planned.end = planned.fault.begin(self._bench, self._occurrence(planned))
+                    planned.end = planned.fault.begin(
+                        self._benches[planned.fault.unit - 1], self._occurrence(planned)
+                    )
 
     def _occurrence(self, planned: _PlannedFault) -> Occurrence:
         recorded = False

@@ -57,6 +57,17 @@ class InsRestarts(Fault):
         return None
 
 
+class InsSupplyLost(Fault):
+    """The INS's supply fails: it is off, also while the chamber's event output is on."""
+
+    fault: Literal["ins_supply_lost"]
+
+    def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
+        bench.world.lose_supply()
+        bench.ins.format.reset_counters()
+        return bench.world.restore_supply
+
+
 class FallsBackToAlignment(Fault):
     """The INS restarts its alignment without a command."""
 

@@ -40,6 +40,8 @@ class ThermalNetwork:
     def __init__(self, thermal: Thermal, start_c: float) -> None:
         gyros = (thermal.x, thermal.y, thermal.z)
         self.powered = False  #: Whether the unit's electronics dissipate.
+        #: Heat that it dissipates while it is powered, W.
+        self.power_w = sum(gyro.optics_power_w + gyro.electronics_power_w for gyro in gyros)
         self._case = np.array([thermal.case_j_per_k, thermal.case_to_air_w_per_k])
         self._gyro = np.array([_row(gyro) for gyro in gyros])
         paths = np.array([gyro.heat_path for gyro in gyros])

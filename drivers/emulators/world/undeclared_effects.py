@@ -44,6 +44,9 @@ class Conditions(NamedTuple):
     convected_w: FloatArray
     up_body: FloatArray  #: Shape (3,). Up in body axes.
     compressor_duty: FloatArray  #: Shape (n, 1). Share of the time that the chamber's compressor runs.
+    neighbours_k: FloatArray = np.zeros(
+        (1, 1)
+    )  #: Shape (n, 1). What the neighbours' heat adds to the air around the unit, K.
 
 
 #: Called for all seconds in order of time: returns what an effect adds to the biases, deg/h, shape (n, 3).
@@ -257,6 +260,21 @@ class ChamberState(Effect):
 
     def _added_dph(self, now: Conditions) -> FloatArray:
         return np.array(self.bias_dph) * now.compressor_duty
+
+
+class NeighbouringUnit(Effect):
+    """The heat of the units beside it warms one side of the case: a bias in proportion to what it adds.
+
+    The key ``neighbour_heating`` says which unit heats which.
+    """
+
+    kind: Literal["neighbouring_unit"] = Field(description="name of the effect")
+    sensitivity_dph_per_k: Vector = Field(
+        description="bias of each gyro per kelvin that the neighbours add to the air around it, deg/h/K"
+    )
+
+    def _added_dph(self, now: Conditions) -> FloatArray:
+        return np.array(self.sensitivity_dph_per_k) * now.neighbours_k
 
 
 class ModeHop(Effect):

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable, Sequence
 from itertools import groupby
 
 import numpy as np
 
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, FloatArray
-from gyrobench.drivers.emulators.world.chamber_air import ChamberAir, ChamberParameters
 from gyrobench.drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs, InertialUnit, Mode
 from gyrobench.drivers.emulators.world.sensor_errors import (
     ARCSEC,
@@ -21,44 +19,55 @@ from gyrobench.drivers.emulators.world.sensor_errors import (
     measure,
 )
 from gyrobench.drivers.emulators.world.strapdown import table_attitude, true_increments
-from gyrobench.drivers.emulators.world.table_axis import AxisParameters, TableAxis
+from gyrobench.drivers.emulators.world.surroundings import INNER, OUTER, Surroundings
 from gyrobench.drivers.emulators.world.thermal import ThermalCourse, ThermalNetwork
 from gyrobench.drivers.emulators.world.undeclared_effects import Conditions, UndeclaredBias
 from gyrobench.drivers.emulators.world.world_file import TableGeometry, WorldFile
 
-OUTER, INNER = 1, 2
 _DT_S = 1.0 / SAMPLE_RATE_HZ
 #: Seconds that are simulated at once while nothing but the sensors changes.
 _MAX_SECONDS = 60
 #: Stands for the sensors' output while the unit does not use it.
 _UNUSED = np.zeros((_MAX_SECONDS * SAMPLE_RATE_HZ, 3))
 _NONE_DPH = np.zeros(3)
-_AXIS_KEYS = {"rate_limit_dps", "acceleration_limit_dps2", "jerk_limit_dps3", "position_error_arcsec"}
 _OUTER_AXES = {"east": (1.0, 0.0, 0.0), "up": (0.0, 0.0, 1.0)}
 _INNER_AXES = {"east": (0.0, 0.0, 1.0), "up": (1.0, 0.0, 0.0)}
 
 
 class World:
-    """The simulated physics behind the emulated instruments.
+    """The simulated physics of one unit behind the emulated instruments.
 
     ``seed`` is that of all random numbers, together with ``start_s``: the whole second at which this world
     starts, at room temperature, the unit off, the table at zero. Effects that depend on time count it from
-    zero.
+    zero. Further units stand in the ``surroundings`` of the first one, each with another ``number``.
     """
 
-    def __init__(self, file: WorldFile, seed: int, start_s: int = 0) -> None:
+    def __init__(
+        self,
+        file: WorldFile,
+        seed: int,
+        start_s: int = 0,
+        surroundings: Surroundings | None = None,
+        number: int = 1,
+    ) -> None:
+        def random(stream: int) -> np.random.Generator:
+            # A bench that starts in the middle of a run must not repeat the noise of the run's start.
+            return np.random.default_rng((seed, stream, start_s, *([number - 1] if number > 1 else [])))
+
         self.file = file
-        # A bench that starts in the middle of a run must not repeat the noise of the run's start.
-        self._random = np.random.default_rng((seed, 0, start_s) if start_s else seed)
+        self._random = random(0)
         # A separate stream: the unit's own readings do not change the other random numbers.
-        self._unit_random = np.random.default_rng((seed, 1, start_s) if start_s else (seed, 1))
+        self._unit_random = random(1)
         self._latitude = math.radians(file.latitude_deg)
         self._geometry = _geometry(file.table)
-        axis = AxisParameters(**file.table.model_dump(include=_AXIS_KEYS))
-        #: The table's axes: 1 outer, 2 inner.
-        self.axes = {number: TableAxis(axis) for number in (OUTER, INNER)}
+        self.surroundings = surroundings or Surroundings(file, start_s)  #: Shared with the other units.
+        #: axes, air: The table's axes, 1 outer and 2 inner, and the chamber, of the surroundings.
+        self.axes, self.air = self.surroundings.axes, self.surroundings.air
         self._outer, self._inner = self.axes[OUTER], self.axes[INNER]
-        self.air = ChamberAir(ChamberParameters(**file.chamber.model_dump()))  #: The chamber.
+        self._number = number
+        self._unit_air = self.surroundings.join(number)
+        self._neighbours_k = np.zeros(1)
+        self._switched_on = self._has_lost_supply = False
         self.thermal = ThermalNetwork(file.thermal, file.chamber.ambient_c)
         self.unit = InertialUnit(file.ins, self._latitude, file.height_m)  #: The INS.
         #: Called with the navigation epochs in order of time.
@@ -70,17 +79,15 @@ class World:
         self._polynomials = np.array([triad.polynomials for triad in triads])
         self._walks = np.array([triad.random_walk for triad in triads])
         self._pulses = np.array([triad.pulse for triad in triads])
-        self._wander = BiasWander(file.gyro, np.random.default_rng((seed, 2, start_s)))
+        self._wander = BiasWander(file.gyro, random(2))
         self._wander_dph = np.zeros((1, 3))
         self._power_on_bias, self._power_on_ppm = np.zeros(3), np.zeros(3)
-        self._scale_random = np.random.default_rng((seed, 3, start_s))
+        self._scale_random = random(3)
         over_rate = file.gyro.scale_factor_asymmetry_ppm, file.gyro.scale_factor_ppm_per_dps
         self._half_asymmetry_ppm, self._ppm_per_dps = np.array(over_rate) * [[0.5], [1.0]]
         self._scale_varies = bool(np.any(over_rate))
         self._sample = start_s * SAMPLE_RATE_HZ
         self._powered_on_sample = self._sample
-        self.air_s = start_s  #: Time that the chamber's air has reached.
-        self._air_course: deque[tuple[float, float]] = deque()  # in seconds that are not yet simulated
         self._remainders = np.zeros((2, 3))
         self._resting: tuple[FloatArray, FloatArray, FloatArray] | None = None
         self._resting_from_s: tuple[float, float] | None = None
@@ -89,6 +96,8 @@ class World:
 
     def power_unit(self, on: bool) -> None:
         """Switch the unit's supply; each power-on draws another repeatability error of the gyros."""
+        self._switched_on = on
+        on = on and not self._has_lost_supply
         if on and not self.thermal.powered:
             spread = self.file.gyro.power_on_repeatability_dph * DPH_TO_RADPS
             self._power_on_bias = self._random.normal(0.0, 1.0, 3) * spread
@@ -96,8 +105,19 @@ class World:
             self._power_on_ppm = self._scale_random.normal(0.0, 1.0, 3) * spread_ppm
             self._powered_on_sample = self._sample
         self.thermal.powered = on
+        self.surroundings.dissipated_w[self._number] = self.thermal.power_w if on else 0.0
         self._update_undeclared(self.attitude()[2])
         self.unit.power(on)
+
+    def lose_supply(self) -> None:
+        """Switch the unit off until the supply is restored, also if it is switched on before."""
+        self._has_lost_supply = True
+        self.power_unit(self._switched_on)
+
+    def restore_supply(self) -> None:
+        """End the loss of the supply: the unit is on if it was switched on."""
+        self._has_lost_supply = False
+        self.power_unit(self._switched_on)
 
     def temperatures_c(self) -> FloatArray:
         """Read the unit's temperature sensors: case, three optics, three electronics; shape (7,)."""
@@ -134,18 +154,12 @@ class World:
 
     def advance_air(self, time_s: float) -> None:
         """Advance the chamber's air alone to ``time_s``."""
-        self._step_air(math.ceil(_samples(time_s) / SAMPLE_RATE_HZ))
-
-    def _step_air(self, seconds: int) -> None:
-        while self.air_s < seconds:
-            self.air_s += 1
-            self.air.step(1.0)
-            self._air_course.append((self.air.air_c, self.air.compressor_duty))
+        self.surroundings.step_air(math.ceil(_samples(time_s) / SAMPLE_RATE_HZ))
 
     def _begin_seconds(self, seconds: int, up_body: FloatArray) -> None:
         """Step chamber, temperatures and undeclared effects to the beginning of each of the next seconds."""
-        self._step_air(self._sample // SAMPLE_RATE_HZ + seconds)
-        air_c, duty = np.array([self._air_course.popleft() for _ in range(seconds)]).T
+        self.surroundings.step_air(self._sample // SAMPLE_RATE_HZ + seconds)
+        air_c, duty, self._neighbours_k = self._unit_air.take(seconds)
         self.thermal.step(1.0, air_c, up_body)
         self._update_undeclared(up_body, duty[:, np.newaxis])
         if self.unit.powered:
@@ -181,6 +195,7 @@ class World:
             convected_w=course.convected_w,
             up_body=up_body,
             compressor_duty=duty,
+            neighbours_k=self._neighbours_k[-len(duty) :, np.newaxis],
         )
         self._undeclared_dph += self._undeclared.added_dph(now)
         self._undeclared_ppm = self._undeclared.added_scale_factor_ppm(now) + self._power_on_ppm
@@ -271,7 +286,7 @@ def _geometry(table: TableGeometry) -> tuple[FloatArray, FloatArray, FloatArray]
     """True outer and inner table axis in ENU and mounting of the unit, with their errors."""
     tilt, error = _turned(table.tilt_arcsec), _turned(table.mounting_error_arcsec)
     axes = (tilt @ np.array(by_outer[table.outer_axis]) for by_outer in (_OUTER_AXES, _INNER_AXES))
-    return *axes, np.ascontiguousarray(tilt @ error)
+    return *axes, np.ascontiguousarray(tilt @ table.mounting.matrix @ error)
 
 
 def _turned(vector_arcsec: Sequence[float]) -> FloatArray:

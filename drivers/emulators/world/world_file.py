@@ -5,8 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field
+import numpy as np
+from pydantic import AfterValidator, Field, model_validator
 
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.documents import StrictModel, read_document, validate
 from gyrobench.drivers.emulators.world.undeclared_effects import (
     NotNegative,
@@ -154,11 +156,38 @@ class InsBehaviour(StrictModel):
     ] = Field(0.1, description="time between navigation outputs, s")
 
 
+Direction = Literal["east", "north", "up", "west", "south", "down"]
+_EAST, _NORTH, _UP = np.eye(3)
+_DIRECTIONS = {"east": _EAST, "north": _NORTH, "up": _UP, "west": -_EAST, "south": -_NORTH, "down": -_UP}
+
+
+class Mounting(StrictModel):
+    """Where the unit's axes point while both axes of the table are at zero."""
+
+    x: Direction = Field(description="direction of x")
+    y: Direction = Field(description="direction of y")
+    z: Direction = Field(description="direction of z")
+
+    @property
+    def matrix(self) -> FloatArray:
+        """Body axes as columns, shape (3, 3), ENU."""
+        return np.array([_DIRECTIONS[direction] for direction in (self.x, self.y, self.z)]).T
+
+    @model_validator(mode="after")
+    def _is_rotation(self) -> Mounting:
+        if np.linalg.det(self.matrix) < 0.5:
+            raise ValueError("the axes must be three different, right-handed directions")
+        return self
+
+
 class TableGeometry(StrictModel):
     """Installation of the table in the laboratory and of the unit on the table."""
 
     outer_axis: Literal["east", "up"] = Field("east", description="direction of the outer axis")
     tilt_arcsec: Vector = Field([0.0, 0.0, 0.0], description="tilt about East, North and Up, arcsec")
+    mounting: Mounting = Field(
+        Mounting(x="east", y="north", z="up"), description="direction of the unit's axes at zero"
+    )
     mounting_error_arcsec: Vector = Field(
         [0.0, 0.0, 0.0], description="rotation of the unit about x, y, z, arcsec"
     )
@@ -175,6 +204,47 @@ class ChamberBehaviour(StrictModel):
     cooling_limit_c_per_min: Positive = Field(4.0, description="maximum cooling rate, degC/min")
     control_time_constant_s: Positive = Field(90.0, description="lag of the air behind its set point, s")
     ambient_c: float = Field(23.0, description="temperature of the laboratory, degC")
+
+
+class FurtherUnit(StrictModel):
+    """A unit beside the first one; each key that is absent is as in the first unit."""
+
+    serial_number: Annotated[int, Field(ge=0, lt=2**32)] | None = Field(
+        None, description="serial number that it reports; default: counted up from that of the first unit"
+    )
+    power_event: Annotated[int, Field(ge=1)] | None = Field(
+        None, description="chamber event output that powers it; default: its number plus one"
+    )
+    mounting: Mounting | None = Field(None, description="direction of the unit's axes at zero")
+    mounting_error_arcsec: Vector | None = Field(
+        None, description="rotation of the unit about x, y, z, arcsec"
+    )
+    gyro: GyroErrors | None = Field(None, description="errors of its gyros")
+    accelerometer: AccelerometerErrors | None = Field(None, description="errors of its accelerometers")
+    thermal: Thermal | None = Field(None, description="its thermal network")
+    ins: InsBehaviour | None = Field(None, description="behaviour of its INS")
+    undeclared_effects: list[UndeclaredEffect] | None = Field(
+        None, description="effects on its gyro biases beyond the polynomials"
+    )
+
+
+class NeighbourHeating(StrictModel):
+    """One unit heats the air around another."""
+
+    from_unit: Annotated[int, Field(ge=1)] = Field(description="number of the unit that dissipates")
+    to_unit: Annotated[int, Field(ge=1)] = Field(description="number of the unit whose air it heats")
+    coupling_k_per_w: NotNegative = Field(description="rise of the air per watt that it dissipates, K/W")
+    time_constant_s: Positive = Field(600.0, description="lag of the rise behind the power, s")
+
+    @model_validator(mode="after")
+    def _is_of_two(self) -> NeighbourHeating:
+        if self.from_unit == self.to_unit:
+            raise ValueError("from_unit and to_unit must be two different units")
+        return self
+
+
+_UNIT_KEYS = ("gyro", "accelerometer", "thermal", "ins", "undeclared_effects")
+_MOUNTING_KEYS = ("mounting", "mounting_error_arcsec")
 
 
 class WorldFile(StrictModel):
@@ -196,6 +266,29 @@ class WorldFile(StrictModel):
     undeclared_effects: list[UndeclaredEffect] = Field(
         [], description="effects on the gyro biases beyond the polynomials; they add up"
     )
+    units: list[FurtherUnit] = Field(
+        [], description="units beside the first one, from number 2 on, on the same table"
+    )
+    neighbour_heating: list[NeighbourHeating] = Field([], description="which unit heats the air of which")
+
+    def of_unit(self, number: int) -> WorldFile:
+        """World of one unit alone; beyond ``units`` it is as the first, with another serial number."""
+        if number == 1:
+            return self
+        further = self.units[number - 2] if number - 2 < len(self.units) else FurtherUnit()
+        own = {name: value for name in _UNIT_KEYS if (value := getattr(further, name)) is not None}
+        mounted = {name: value for name in _MOUNTING_KEYS if (value := getattr(further, name)) is not None}
+        ins = own.pop("ins", self.ins)
+        serial_number = further.serial_number
+        if serial_number is None:
+            serial_number = (self.ins.serial_number + number - 1) % 2**32
+        own["ins"] = ins.model_copy(update={"serial_number": serial_number})
+        return self.model_copy(update=own | {"table": self.table.model_copy(update=mounted)})
+
+    def power_event(self, number: int) -> int:
+        """Event output of the chamber that powers the unit of that number."""
+        listed = self.units[number - 2].power_event if 0 <= number - 2 < len(self.units) else None
+        return number + 1 if listed is None else listed
 
 
 def load_world(path: Path) -> WorldFile:

@@ -9,6 +9,7 @@ from gyrobench.bench.bias.bias_filter import estimate_state_space
 from gyrobench.bench.bias.joint_solution import JointDwell, pooled_up_rate
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.bias.plateaus import group_plateaus
+from gyrobench.bench.bias.statistics import uniformity_p_value
 from gyrobench.bench.bias.vertical_pairs import Finding
 from gyrobench.bench.foundations.arrays import RADPS_TO_DPH
 from gyrobench.bench.foundations.errors import MeasurementError
@@ -179,6 +180,20 @@ def test_accelerometer_biases_that_changed_between_dwells_are_noticed():
     after = dataclasses.replace(before, accelerometer_ug=before.accelerometer_ug + 150.0)
     dwells = measure(before, random, ALL[:3]) + measure(after, random, ALL[3:], first=4)
     assert joint_solution_of(dwells, PRIOR).fit.p_value < 1e-4
+
+
+def test_p_value_of_the_agreement_is_uniform_for_misalignments_beyond_the_declared_ones():
+    random, prior = np.random.default_rng(24), dataclasses.replace(PRIOR, accelerometer_transient=0.0)
+    p_values = []
+    for _ in range(16):
+        unit = any_unit(random)
+        beside = np.where(np.eye(3, dtype=bool), 1.0, 8.0)
+        unit = dataclasses.replace(
+            unit, gyro_matrix=beside * unit.gyro_matrix, accelerometer_matrix=8.0 * unit.accelerometer_matrix
+        )
+        p_values.append(joint_solution_of(measure(unit, random), prior).fit.p_value)
+    assert uniformity_p_value(p_values) > 0.01
+    assert min(p_values) > 1e-3
 
 
 def test_latitude_that_is_wrong_by_more_than_declared_is_noticed_and_distinguished_from_other_faults(

@@ -12,6 +12,7 @@ from gyrobench.bench.certificate.dcc import certificate_dcc, validate_dcc
 from gyrobench.bench.certificate.pdf import certificate_pdf, file_names
 from gyrobench.bench.certificate.signatures import load_signing_key, sign_dcc, sign_pdf, verify_file
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
+from gyrobench.bench.foundations.operator_name import OPERATOR_VARIABLE
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.seal import seal_run, verify_seals
 from gyrobench.bench.runs.tables.budget_table import COMBINED, read_budget
@@ -185,6 +186,7 @@ def test_a_file_without_key_or_certificate_is_refused(tmp_path, signing_key):
 
 def test_the_command_writes_seals_and_verifies(emulated_run, signing_key, tmp_path, monkeypatch):
     monkeypatch.delenv("GYROBENCH_DCC_SCHEMA", raising=False)
+    monkeypatch.setenv(OPERATOR_VARIABLE, "A. Smith")
     pytest.importorskip("weasyprint")
     run = RunFolder(tmp_path / "run")
     shutil.copytree(emulated_run.path, run.path)
@@ -194,6 +196,7 @@ def test_the_command_writes_seals_and_verifies(emulated_run, signing_key, tmp_pa
     assert "The DCC is not validated" in done.stdout
     last = verify_seals(run.path).seals[-1]
     assert last.operator == "B. Jones"
+    assert os.environ[OPERATOR_VARIABLE] == "A. Smith"  # the option holds for its command alone
     assert last.changes.added == [f"certificate/certificate_SIMULATED.{kind}" for kind in ("pdf", "xml")]
     pdf = run.path / "certificate" / "certificate_SIMULATED.pdf"
     good = gyrobench("certificate", "--verify", pdf, cwd=tmp_path)

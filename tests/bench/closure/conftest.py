@@ -11,7 +11,7 @@ from tests.bench.closure.thermal_bench import measure
 EQUIPPED = {
     "headings_deg": (0.0, 90.0, 180.0, 270.0, 45.0),
     "power_on_each_cycle": True,
-    "sensors": ("set", "air", "board", "supply", "room"),
+    "sensors": ("set", "air", "board", "supply", "room", "neighbours"),
 }
 
 

@@ -18,6 +18,7 @@ STEP_S = 60.0
 SIGMA_DPH = 0.002
 #: Of the effects: hours and degC.
 WARM_UP_H, LAG_H, SINUSOID_H, SQUARE_WAVE_C = 2.0, 1.5, 3.1, 10.7
+NEIGHBOUR_LAG_H = 0.4
 HALF_WIDTH_C, ONSET_C, ONSET_WIDTH_C, COLD_C = 5.0, 45.0, 3.0, 5.0
 
 #: Set points of a cycle: temperature, ramp rate in K/min, hours of hold. It begins and ends at 20 degC.
@@ -55,6 +56,7 @@ class Course:
     board_c: np.ndarray
     supply_w: np.ndarray
     room_c: np.ndarray
+    neighbours_on: np.ndarray
     #: Unit vector of the Earth's magnetic field in body axes, (m, 3).
     field: np.ndarray
 
@@ -140,6 +142,7 @@ def course(
         board_c=states[:, 5:8],
         supply_w=40.0 + 3.0 * np.sign(np.sin(hours / 1.7)) + np.sin(hours / 0.9),
         room_c=21.0 + 1.5 * np.sin(2.0 * np.pi * (hours - 9.0) / 24.0) + 0.3 * np.sin(hours / 2.3),
+        neighbours_on=(np.sin(hours / 2.9) > -0.4) + (np.sin(hours / 4.7) > 0.1) * 1.0,
         field=np.cos(inclination) * north - np.sin(inclination) * up,
     )
 
@@ -156,6 +159,13 @@ def _lag(temperature_c):
     for before, now in itertools.pairwise(lagged):
         now[:] = before + (now - before) * STEP_S / 3600.0 / LAG_H
     return lagged - temperature_c
+
+
+def _neighbours(c: Course):
+    heat = c.neighbours_on.copy()
+    for at in range(1, len(heat)):
+        heat[at] = heat[at - 1] + (c.neighbours_on[at] - heat[at - 1]) * STEP_S / 3600.0 / NEIGHBOUR_LAG_H
+    return heat[:, None]
 
 
 def _cooling(c: Course):
@@ -186,6 +196,7 @@ EFFECTS: Mapping[str, Callable[[Course], np.ndarray]] = {
     "magnetic_sensitivity": lambda c: c.field @ np.array([[0.2, 1.0, 0.4], [0.9, 0.1, 0.3], [0.5, 0.6, 0.8]]),
     "supply_power": lambda c: c.supply_w[:, None],
     "daily_course": lambda c: c.room_c[:, None],
+    "neighbouring_unit": _neighbours,
     "ageing": lambda c: np.exp(-c.time_h / AGEING_H)[:, None],
     "chamber_state": _cooling,
     "bias_jump": jump(0.4),
@@ -230,7 +241,8 @@ def measure(
     noise : float
         True noise over the stated ``sigma_dph``.
     sensors : sequence of str
-        What is measured beside the optics: of "set", "air", "case", "board", "supply" and "room".
+        What is measured beside the optics: of "set", "air", "case", "board", "supply", "room" and
+        "neighbours".
     """
     draw = np.random.default_rng(seed)
     period, steps = round((dwell_s + pause_s) / STEP_S), round(dwell_s / STEP_S)
@@ -271,6 +283,7 @@ def measure(
     gyro_c = sensor(c.optics_c, 0.002)
     board_c = sensor(c.board_c, 0.005, "board" in sensors)
     other = {"supply_w": ("supply", c.supply_w), "room_c": ("room", c.room_c)}
+    other["neighbours_on"] = "neighbours", c.neighbours_on
     other = {name: over_dwells(values).tolist() for name, (kind, values) in other.items() if kind in sensors}
     rows = [
         DwellRow(

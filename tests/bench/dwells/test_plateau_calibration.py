@@ -131,13 +131,13 @@ def test_a_temperature_that_changes_within_the_plateau_adds_the_slope_between_pl
         return PlateauCalibration(number, 1, temperature_c, at_c, temperature_c, estimate, range_c=around_c)
 
     plateaus = [plateau(1, 60.0, 1.5), plateau(2, 25.0, 0.0), plateau(3, -35.0, 0.5)]
-    found = [with_temperature_change(each, plateaus).estimate for each in plateaus]
+    found = [each.estimate for each in with_temperature_change(plateaus)]
     for estimate, change_c in zip(found, (1.5, 0.0, 0.5), strict=True):
         added = np.diag(estimate.covariance) - 1e-16
         assert np.diag(estimate.parts["temperature_change"]) == pytest.approx(added, abs=1e-25)
         assert added == pytest.approx((slopes * change_c) ** 2 / 12.0, abs=1e-25)
-    alone = with_temperature_change(plateaus[0], plateaus[:1]).estimate
-    assert not alone.parts["temperature_change"].any()
+    [alone] = with_temperature_change(plateaus[:1])
+    assert not alone.estimate.parts["temperature_change"].any()
 
 
 def test_report_has_table_and_figure_of_the_coefficients(with_increments):

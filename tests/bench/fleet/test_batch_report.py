@@ -11,6 +11,7 @@ from rich.console import Console
 
 from gyrobench.bench.fleet.batch import fit_batch
 from gyrobench.bench.fleet.batch_report import batch_figure, batch_summary, write_batch
+from gyrobench.bench.report.terminal.tables import section_view
 from gyrobench.bench.runs.index.run_biases import LEVEL
 from gyrobench.bench.runs.index.run_index import watermark
 from tests.bench.fleet.test_batch import POSITIONS, batch
@@ -67,7 +68,7 @@ def test_labels_of_bins_do_not_overlap_and_the_legend_is_inside_without_repeats(
 
 def test_the_terminal_needs_80_columns_and_no_colour(fitted):
     console = Console(width=80, no_color=True, file=io.StringIO())
-    console.print(batch_summary("B7", fitted))
+    console.print(section_view(batch_summary("B7", fitted)))
     text = console.file.getvalue()
     assert max(map(len, text.splitlines())) <= 80
     assert "1 outlying unit: unit 0 in Z gyro at 20 to 25 °C, X-Up" in text.replace("\n", " ")

@@ -441,7 +441,7 @@ def test_empty_folder_still_gives_a_report(empty_folder: RunFolder) -> None:
     page = page_of(empty_folder)
     assert "serial number unknown" in page.text
     assert page.loads == []
-    assert "The journal has no finished step." in page.text
+    assert "No step was finished." in page.text
 
 
 def test_dwells_that_are_all_flagged_still_give_a_report(

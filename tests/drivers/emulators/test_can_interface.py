@@ -1,14 +1,17 @@
 import time
 
 import can
+import numpy as np
 import pytest
 
 from gyrobench.bench.foundations.clock import VirtualClock, WallClock
 from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
 from gyrobench.drivers.emulators.can_interface import EmulatorBus
+from gyrobench.drivers.emulators.world.inertial_unit import Mode
 
 STANDBY_DATA, ALIGN_DATA = b"\1\0", b"\2\0"
 HEADING, STATUS, COMMAND = 0x007, 0x010, 0x200
+IDENTITY, OPTICS_TEMPERATURE = 0x011, 0x020
 BOOTED_S = 9.0  # the shipped world boots for eight seconds
 
 
@@ -174,10 +177,10 @@ def test_several_buses_get_all_frames_and_one_world(join, clock, bench):
 
 def test_shutdown_leaves_the_bus_and_the_ins_continues(join, clock, bench):
     leaving, staying = join(), join()
-    listeners = len(bench.ins.listeners)
+    listeners = len(bench.channels["ins"].listeners)
     leaving.shutdown()
     leaving.shutdown()
-    assert len(bench.ins.listeners) == listeners - 1
+    assert len(bench.channels["ins"].listeners) == listeners - 1
     bench.world.power_unit(True)
     clock.sleep(BOOTED_S + 2.0)
     assert len(drained(staying)) > 30
@@ -186,8 +189,8 @@ def test_shutdown_leaves_the_bus_and_the_ins_continues(join, clock, bench):
 
 def test_as_a_context_it_leaves_at_the_end(clock, bench):
     with can.Bus(interface="emulator", channel="ins", clock=clock.name, world="ideal", ignore_config=True):
-        assert len(bench.ins.listeners) == 1
-    assert bench.ins.listeners == []
+        assert len(bench.channels["ins"].listeners) == 1
+    assert bench.channels["ins"].listeners == []
 
 
 def test_it_takes_the_wall_clock_where_that_is_the_clock():
@@ -227,3 +230,71 @@ def test_another_seed_or_world_is_another_bench(clock, bench):
     assert emulated_bench(BenchAddress(clock.name, "ideal", 1)) is not bench
     assert emulated_bench(BenchAddress(clock.name, "gyro_b", 0)) is not bench
     assert emulated_bench(BenchAddress(VirtualClock().name, "ideal", 0)) is not bench
+
+
+# Several units on the table.
+
+
+def serial_number(frames):
+    return int.from_bytes(frames.with_id(IDENTITY).data[0, :4].tobytes(), "little")
+
+
+def test_each_channel_is_a_unit_with_its_own_serial_number_and_noise(join, clock):
+    first, second = join(world="quick"), join(world="quick", channel="ins-2")
+    quick = emulated_bench(BenchAddress(clock.name, "quick", 0))
+    for unit in quick.units:
+        unit.world.power_unit(True)
+    clock.sleep(20.0)
+    frames = [bus.recv_block() for bus in (first, second)]
+    assert [serial_number(each) for each in frames] == [1003, 1004]
+    temperatures = [each.with_id(OPTICS_TEMPERATURE).data.tolist() for each in frames]
+    assert temperatures[0] != temperatures[1]
+    assert np.ptp(temperatures[0], axis=0).max() < 100 > np.ptp(temperatures[1], axis=0).max()
+
+
+def test_the_frames_of_the_first_unit_do_not_depend_on_the_others():
+    def frames_of_first(count):
+        clock = VirtualClock()
+        bus = can.Bus(interface="emulator", channel="ins", clock=clock.name, world="quick", units=count,
+                      ignore_config=True)  # fmt: skip
+        bench = emulated_bench(BenchAddress(clock.name, "quick"))
+        for unit in bench.units:
+            unit.world.power_unit(True)
+        clock.sleep(8.0)
+        bus.send(message(ALIGN_DATA))
+        clock.sleep(20.0)
+        frames = bus.recv_block()
+        bus.shutdown()
+        assert len(bench.units) == count
+        return frames.rows.tobytes()
+
+    assert frames_of_first(1) == frames_of_first(4)
+
+
+def test_units_on_one_bus_differ_by_their_identifiers(join, clock):
+    address = BenchAddress(clock.name, "quick")
+    first = join(world="quick")
+    second = join(world="quick", unit=2, identifier_offset=0x100)
+    bench = emulated_bench(address)
+    for unit in bench.units:
+        unit.world.power_unit(True)
+    clock.sleep(8.0)
+    second.send(message(ALIGN_DATA, COMMAND + 0x100))
+    clock.sleep(1.0)
+    assert [unit.world.unit.mode for unit in bench.units] == [Mode.STANDBY, Mode.ALIGN]
+    for frames in (first.recv_block(), second.recv_block()):
+        assert set(frames.arbitration_id // 0x100) == {0, 1}
+        assert np.all(np.diff(frames.timestamp_s) >= 0.0)
+        assert serial_number(frames) == 1003
+        assert serial_number(frames.with_fields(id=frames.arbitration_id - np.uint32(0x100))) == 1004
+
+
+def test_a_unit_is_powered_by_its_event_output(join, clock):
+    join(world="quick")
+    join(world="quick", channel="ins-2")
+    join(world="quick", channel="ins-3", power_event=2)
+    bench = emulated_bench(BenchAddress(clock.name, "quick"))
+    bench.chamber_event(2, True)
+    assert [unit.world.unit.powered for unit in bench.units] == [True, False, True]
+    bench.chamber_event(3, True)
+    assert [unit.world.unit.powered for unit in bench.units] == [True, True, True]

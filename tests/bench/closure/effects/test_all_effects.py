@@ -15,6 +15,7 @@ from tests.bench.closure.thermal_bench import (
     HALF_WIDTH_C,
     INCLINATION_DEG,
     LAG_H,
+    NEIGHBOUR_LAG_H,
     ONSET_C,
     ONSET_WIDTH_C,
     WARM_UP_H,
@@ -32,13 +33,14 @@ TRUE = {
     "thermal_lag": (LAG_H * 3600.0,),
     "warm_up": (WARM_UP_H * 3600.0,),
     "chamber_state": (5.0,),
+    "neighbouring_unit": (NEIGHBOUR_LAG_H * 3600.0,),
     "bias_jump": (0.4 * 3 * 67_200.0,),
     "ageing": (AGEING_H * 3600.0,),
     "magnetic_sensitivity": (INCLINATION_DEG,),
 }
-NEED_EQUIPMENT = {"magnetic_sensitivity", "supply_power", "daily_course", "ageing"}
+NEED_EQUIPMENT = {"magnetic_sensitivity", "supply_power", "daily_course", "ageing", "neighbouring_unit"}
 #: What the columns may miss of a simulated effect: its course between the dwells has to be guessed.
-MISSED = {"thermal_hysteresis": 0.02, "chamber_state": 0.01}
+MISSED = {"thermal_hysteresis": 0.02, "chamber_state": 0.01, "neighbouring_unit": 0.005}
 
 
 def label(value):

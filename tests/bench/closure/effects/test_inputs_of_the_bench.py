@@ -1,5 +1,7 @@
 """Effects that a bench finds only where it varies or measures what they follow."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -25,6 +27,7 @@ def closed(effect, options, size=6.0):
         ("thermal_g_sensitivity", {"headings_deg": HEADINGS}),
         ("supply_power", {"sensors": ("set", "air", "board", "supply")}),
         ("daily_course", {"sensors": ("set", "air", "board", "room")}),
+        ("neighbouring_unit", {"sensors": ("set", "air", "board", "neighbours")}),
         ("ageing", {"power_on_each_cycle": True, "cycles": 4}),
     ],
 )
@@ -62,7 +65,9 @@ def test_a_drift_in_less_than_two_days_may_be_the_room():
     assert "daily_course" not in longer.effects[0].tied_with
 
 
-@pytest.mark.parametrize("name", ["supply_power", "daily_course", "magnetic_sensitivity", "ageing"])
+@pytest.mark.parametrize(
+    "name", ["supply_power", "daily_course", "magnetic_sensitivity", "ageing", "neighbouring_unit"]
+)
 def test_what_the_bench_lacks_is_named(name):
     campaign = campaign_of(measure(cycles=2).rows)
     assert len(EFFECTS[name].missing_input(campaign).split()) > 3
@@ -77,3 +82,14 @@ def test_other_columns_are_read_and_written():
     np.testing.assert_allclose(
         campaign.columns["room_c"][:2], [dict(each.other)["room_c"] for each in again[:2]]
     )
+
+
+def test_a_neighbour_without_heat_is_not_named():
+    closure = close_loop(campaign_of(measure(cycles=3, sensors=("set", "air", "board", "neighbours")).rows))
+    assert closure.verdict == "clean"
+
+
+def test_a_neighbour_that_is_always_on_is_no_candidate():
+    rows = [replace(row, other=(("neighbours_on", 1.0),)) for row in measure(cycles=2).rows]
+    missing = EFFECTS["neighbouring_unit"].missing_input(campaign_of(rows))
+    assert missing == "dwells with the unit beside it on, and others with it off"

@@ -2,11 +2,11 @@
 
 import io
 
-import numpy as np
 import pytest
 from rich.console import Console
 
-from gyrobench.bench.report.closure.closure_summary import closure_summary
+from gyrobench.bench.report.closure.closure_page import closure_findings
+from gyrobench.bench.report.terminal.tables import section_view
 from tests.bench.report.made_up_closure import (
     ambiguous,
     clean,
@@ -21,7 +21,7 @@ from tests.bench.report.made_up_closure import (
 
 def printed(closure):
     stream = io.StringIO()
-    Console(file=stream, width=80).print(closure_summary(closure))
+    Console(file=stream, width=80).print(section_view(closure_findings(closure).chapter))
     return stream.getvalue()
 
 
@@ -37,8 +37,8 @@ def test_it_fits_a_terminal_without_colour_and_nothing_is_cut_off(search):
 
 
 def test_it_begins_with_the_verdict():
-    assert printed(explained()).startswith("Explained. One effect explains the residual")
-    assert printed(clean()).startswith("Clean. ")
+    assert printed(explained()).splitlines()[1].startswith("Explained. One effect explains the residual")
+    assert printed(clean()).splitlines()[1].startswith("Clean. ")
 
 
 def test_effects_and_candidates_are_tables():
@@ -48,21 +48,19 @@ def test_effects_and_candidates_are_tables():
 
 
 def test_the_error_stands_beside_its_noise():
-    text = printed(explained())
-    table = text[text.index("Error in cycle 3 (held out), rms in 0.001 deg/h") :].splitlines()
-    assert table[1].split() == ["before", "after", "noise"]
-    before, sigma_before, after, sigma_after, noise = map(float, table[3].replace("±", "").split())
-    sigmas_dph = explained().error_before_sigma_dph, explained().error_after_sigma_dph
-    assert (sigma_before, sigma_after) == pytest.approx(1000.0 * np.array(sigmas_dph), abs=0.005)
-    assert before == pytest.approx(1000.0 * explained().error_before_dph, abs=0.005)
-    assert after == pytest.approx(1000.0 * explained().error_after_dph, abs=0.005)
-    assert noise == pytest.approx(2.0)
+    rows = {line[:22].strip(): line[22:].split() for line in printed(explained()).splitlines()}
+    for name, error_dph in (
+        ("declared model", explained().error_before_dph),
+        ("with the effects found", explained().error_after_dph),
+        ("noise", 0.002),
+    ):
+        assert float(rows[name][3]) == pytest.approx(1000.0 * error_dph, abs=0.005)
 
 
 def test_without_effects_there_is_one_error():
     text = printed(clean())
-    assert "Effects found" not in text
-    assert text[text.index("Error in cycle") :].splitlines()[1].split() == ["error", "noise"]
+    assert "with the effects found" not in text
+    assert "declared model " in text
 
 
 def test_the_measurement_that_resolves_a_tie_is_stated():

@@ -10,12 +10,14 @@ from itertools import pairwise
 import pytest
 from rich.console import Console, RenderableType
 
-from gyrobench.bench.bias.bins import BiasBin, compare_positions
+from gyrobench.bench.bias.bins import BiasBin
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.procedure.plan import expand
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.procedure.timeline import timeline_rows
-from gyrobench.bench.report.terminal.tables import bins_table, durations_table, timeline_table
+from gyrobench.bench.report.bias_sections import bins_summary
+from gyrobench.bench.report.journal_sections import durations_section
+from gyrobench.bench.report.terminal.tables import section_view, timeline_table
 
 
 def printed(renderable: RenderableType) -> list[str]:
@@ -33,24 +35,25 @@ def coldest_of_x(bins: list[BiasBin]) -> list[BiasBin]:
 
 
 def test_papers_method_is_explained_where_it_is_shown(bins: list[BiasBin]) -> None:
-    lines = printed(bins_table(bins, compare_positions(bins)))
-    assert sum(line.startswith("paper: result of the paper's method") for line in lines) == 1
+    lines = printed(section_view(bins_summary(bins)))
+    assert sum(line.startswith("Second line: result of the paper's method") for line in lines) == 1
     assert sum(line.startswith("The paper's method disagrees") for line in lines) == 3
 
 
 def test_run_without_the_papers_method_says_why(bins: list[BiasBin]) -> None:
     alone = [replace(each, paper_bias_dph=math.nan, paper_sigma_dph=math.nan) for each in bins]
-    lines = printed(bins_table(alone, compare_positions(alone)))
-    assert not any(line.strip().startswith("paper") for line in lines)
+    lines = printed(section_view(bins_summary(alone)))
+    assert not any(line.startswith("Second line") for line in lines)
     assert (
         sum(line.startswith("The paper's method needs two windows half a turn apart") for line in lines) == 1
     )
 
 
 def test_bins_table_shows_bias_and_p_value(bins: list[BiasBin]) -> None:
-    lines = printed(bins_table(bins, compare_positions(bins)))
-    assert lines[0] == "X gyro: bias ± 1 sigma in 0.001 deg/h by gyro temperature, °C"
-    assert lines[1].split() == ["bin", "Z-Up", "Z-Down", "Y-Up", "Y-Down", "X-Up", "X-Down", "p", "equal"]
+    lines = [line.replace(" ± ", "±") for line in printed(section_view(bins_summary(bins)))]
+    assert lines[0] == "X gyro"
+    head = lines.index("Bias±standard uncertainty in 0.001 deg/h by gyro temperature") + 1
+    assert " ".join(lines[head + 1].split()) == "bin / °C Z-Up Z-Down Y-Up Y-Down X-Up X-Down equal"
     coldest, by_paper = next((line, below) for line, below in pairwise(lines) if line.startswith("-25..-20"))
     assert coldest.split()[1:] == [
         "-6.8±0.6",
@@ -62,21 +65,21 @@ def test_bins_table_shows_bias_and_p_value(bins: list[BiasBin]) -> None:
         "<1e-9*",
     ]
     assert by_paper.split() == [
-        "paper",
         *(f"{1e3 * each.paper_bias_dph:.1f}±{1e3 * each.paper_sigma_dph:.1f}" for each in coldest_of_x(bins)),
         "<1e-9*",
     ]
-    assert next(line for line in lines if line.startswith("  -20..5")).split()[1:] == ["empty"] * 6
-    hottest = next(line for line in lines if line.startswith("  75..80"))
+    assert next(line for line in lines if line.startswith("-20..5")).split()[1:] == ["empty"] * 6
+    hottest = next(line for line in lines if line.startswith("75..80"))
     assert not hottest.endswith("*")
-    assert sum("gyro: bias" in line for line in lines) == 3
+    assert [line for line in lines if line.endswith(" gyro")] == ["X gyro", "Y gyro", "Z gyro"]
     assert sum(line.startswith("The bias differs between positions") for line in lines) == 3
 
 
 def test_sentences_of_a_run_without_differences_say_so(equal_bins: list[BiasBin]) -> None:
-    lines = printed(bins_table(equal_bins, compare_positions(equal_bins)))
+    lines = printed(section_view(bins_summary(equal_bins)))
     assert sum(line.startswith("No significant difference between positions") for line in lines) == 3
-    assert {line.split()[0] for line in lines if line.endswith("*")} == {"paper"}
+    assert all(line.startswith(" ") for line in lines if line.endswith("*"))
+    assert any(line.endswith("*") for line in lines)
 
 
 @pytest.mark.parametrize(("bias_dph", "narrowing"), [(0.9, 30.0), (123.0, 1000.0), (0.0, 0.01)])
@@ -88,25 +91,25 @@ def test_wide_numbers_put_the_uncertainty_below(
         for each in bins
         if each.gyro == "x"
     ]
-    lines = printed(bins_table(wide, compare_positions(wide)))
+    lines = printed(section_view(bins_summary(wide)))
     assert sum(line.count("±") for line in lines if not line.startswith(("X gyro", "Largest"))) >= 36
 
 
 def test_single_position_is_not_compared_and_that_is_said_once(bins: list[BiasBin]) -> None:
     alone = [each for each in bins if each.position == "z_up"]
-    lines = printed(bins_table(alone, compare_positions(alone)))
+    lines = printed(section_view(bins_summary(alone)))
     assert sum(line.startswith("Nothing to compare") for line in lines) == 1
     assert not any("p equal" in line for line in lines)
 
 
 def test_a_gyro_without_anything_to_compare_says_so_beside_the_others(bins: list[BiasBin]) -> None:
     some = [each for each in bins if each.position == "z_up" or each.gyro == "y"]
-    lines = printed(bins_table(some, compare_positions(some)))
+    lines = printed(section_view(bins_summary(some)))
     assert sum(line.startswith("Nothing to compare") for line in lines) == 2
 
 
 def test_run_without_biases_says_so() -> None:
-    assert printed(bins_table([], []))[0].startswith("No dwell gave a bias")
+    assert printed(section_view(bins_summary([])))[0].startswith("No dwell gave a bias")
 
 
 @pytest.mark.parametrize("name", ["six_position_fig7", "ten_minute_check", "three_temperature_shift"])
@@ -121,10 +124,15 @@ def test_timeline_shows_all_rows_and_the_total(name: str) -> None:
 
 
 def test_durations_by_kind_end_with_all() -> None:
-    lines = printed(durations_table({"go_to": [(23.0, 25.0)] * 60, "soak": [(5400.0, 3700.0)]}))
+    lines = printed(
+        section_view(durations_section({"go_to": [(23.0, 25.0)] * 60, "soak": [(5400.0, 3700.0)]}))
+    )
     assert lines[-1].split()[:4] == ["all", "61", "1:53:00", "1:26:40"]
-    assert any(line.startswith("go to           60 0:23:00 0:25:00") for line in lines)
+    assert ["go", "to", "60", "0:23:00", "0:25:00"] in [line.split()[:5] for line in lines]
 
 
 def test_nothing_done_says_so() -> None:
-    assert printed(durations_table({})) == ["No step was finished."]
+    assert printed(section_view(durations_section({}))) == [
+        "Planned and actual duration",
+        "No step was finished.",
+    ]

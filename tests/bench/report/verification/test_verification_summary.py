@@ -5,27 +5,28 @@ import io
 import pytest
 from rich.console import Console
 
-from gyrobench.bench.report.verification.verification_summary import verification_plan, verification_summary
+from gyrobench.bench.report.terminal.tables import section_view
+from gyrobench.bench.report.verification.verification_page import verification_findings, verification_plan
 from tests.bench.report.made_up_verification import alone, confirmed, improved, inconclusive, not_confirmed
 
 
 def printed(content):
     stream = io.StringIO()
-    Console(file=stream, width=80).print(content)
+    Console(file=stream, width=80).print(section_view(content))
     return stream.getvalue()
 
 
 @pytest.mark.parametrize("comparison", [confirmed, improved, not_confirmed, inconclusive, alone])
 def test_it_fits_a_terminal_without_colour_and_nothing_is_cut_off(comparison):
-    text = printed(verification_summary(comparison()))
+    text = printed(verification_findings(comparison()).chapter)
     assert max(map(len, text.splitlines())) <= 80
     assert "…" not in text
     assert "\x1b" not in text
 
 
 def test_it_begins_with_the_judgement_and_has_the_numbers_with_their_noise():
-    text = printed(verification_summary(confirmed()))
-    assert text.startswith("Confirmed. Varying bias:")
+    text = printed(verification_findings(confirmed()).chapter)
+    assert text.splitlines()[1].startswith("Confirmed. Varying bias:")
     rows = [line.split() for line in text.splitlines()]
     first = [row[0] for row in rows if row].index("none")
     totals = [row for row in rows if row][first : first + 4]
@@ -34,7 +35,7 @@ def test_it_begins_with_the_judgement_and_has_the_numbers_with_their_noise():
 
 
 def test_each_plateau_is_named_once():
-    lines = [line.split() for line in printed(verification_summary(confirmed())).splitlines()]
+    lines = [line.split() for line in printed(verification_findings(confirmed()).chapter).splitlines()]
     assert sum(line[:2] == ["62", "1"] for line in lines) == 1
 
 

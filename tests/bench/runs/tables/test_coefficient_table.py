@@ -2,10 +2,18 @@
 
 import math
 
+import pytest
+
+from gyrobench.bench.bias.budget import Budget, Contribution
+from gyrobench.bench.calibration.coefficients import Coefficient
+from gyrobench.bench.runs.tables.budget_table import coefficient_budget_rows, write_budget
 from gyrobench.bench.runs.tables.coefficient_table import (
     PlateauCoefficientRow,
     plateau_findings,
     plateau_heads,
+    read_coefficients,
+    read_coefficients_apart,
+    write_coefficients,
 )
 
 
@@ -33,3 +41,17 @@ def test_findings_are_named_once_for_each_plateau_and_not_for_what_is_not_observ
         row(2, 20.0, "accelerometer_bias", "too few rests"),
     ]
     assert plateau_findings(rows) == ["Plateau 2: too few rests."]
+
+
+def test_what_all_plateaus_share_is_left_out_of_the_uncertainties_by_which_they_differ(tmp_path):
+    rows = [row(1, 20.0, "accelerometer_scale_factor"), row(2, 50.0, "accelerometer_scale_factor")]
+    coefficients, budget = tmp_path / "coefficients.csv", tmp_path / "budget.csv"
+    write_coefficients(coefficients, rows)
+    assert read_coefficients_apart(coefficients, budget) == read_coefficients(coefficients)
+    parts = {"gravity": 30.0, "latitude": 2.0, "velocity_random_walk": 0.3, "temperature_change": 0.4}
+    contributions = [Contribution(name, math.nan, sigma) for name, sigma in parts.items()]
+    known = Coefficient("accelerometer", "scale_factor", "x", "ppm", 1e6, 0.01)
+    write_budget(budget, coefficient_budget_rows(1, [(known, Budget(tuple(contributions)))]))
+    first, second = read_coefficients_apart(coefficients, budget)
+    assert first.sigma == pytest.approx(0.5)
+    assert second.sigma == rows[1].sigma

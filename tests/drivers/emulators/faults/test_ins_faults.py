@@ -2,6 +2,7 @@ import struct
 
 import pytest
 
+from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.drivers.emulators.world.inertial_unit import Alignment, Mode
 
 VELOCITY_NE, ROLL_PITCH, HEADING, STATUS, OPTICS, ELECTRONICS = 0x004, 0x006, 0x007, 0x010, 0x020, 0x021
@@ -115,3 +116,41 @@ def test_a_frozen_temperature_sensor_keeps_a_plausible_value(rig):
     bench.world.air.disturb(-30.0)
     assert temperatures_c(bench, 300.0)[6] == frozen_c
     assert bench.world.thermal.nodes_c[0] < frozen_c - 5.0
+
+
+def test_a_supply_that_fails_keeps_the_ins_off_until_it_returns(rig):
+    bench = rig({"fault": "ins_supply_lost", "at_s": 40, "for_s": 20})
+    bench.world.power_unit(True)
+    for time_s, on in ((30.0, True), (45.0, False), (61.0, True)):
+        bench.until(time_s)
+        assert bench.world.unit.powered == on
+        if time_s == 45.0:
+            bench.world.power_unit(True)
+            assert not bench.world.unit.powered
+    assert bench.kinds == ["ins_supply_lost"]
+
+
+def test_a_fault_affects_its_unit_alone(rig):
+    bench = rig(
+        {"fault": "ins_supply_lost", "at_s": 40, "unit": 2},
+        {"fault": "falls_back_to_alignment", "during": "navigate", "after_s": 3, "unit": 3},
+        world="four_units",
+    )
+    worlds = [unit.world for unit in bench.bench.units]
+    for world in worlds:
+        world.power_unit(True)
+    bench.until(10.0)
+    for world in worlds:
+        world.unit.align()
+    bench.until(30.0)
+    for world in worlds:
+        world.unit.navigate()
+    bench.until(45.0)
+    modes = [Mode.NAVIGATE, Mode.OFF, Mode.ALIGN, Mode.NAVIGATE]
+    assert [world.unit.mode for world in worlds] == modes
+    assert bench.kinds == ["falls_back_to_alignment", "ins_supply_lost"]
+
+
+def test_a_fault_of_a_unit_that_is_not_there_is_refused(rig):
+    with pytest.raises(DocumentError, match="unit 5 is not on the bench; it has 4"):
+        rig({"fault": "ins_supply_lost", "at_s": 40, "unit": 5}, world="four_units")

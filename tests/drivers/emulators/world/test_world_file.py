@@ -12,7 +12,15 @@ from gyrobench.drivers.emulators.world.world_file import WorldFile, load_world
 
 SHIPPED = {
     name: find_document("worlds", name).read_text()
-    for name in ("gyro_a", "gyro_b", "ideal", "quick", "large_accelerometer_biases")
+    for name in (
+        "gyro_a",
+        "gyro_b",
+        "ideal",
+        "quick",
+        "four_units",
+        "heating_neighbour",
+        "large_accelerometer_biases",
+    )
 }
 WORLDS_PAGE = (Path(__file__).parents[4] / "docs" / "worlds.md").read_text()
 WORLD = """\
@@ -214,3 +222,25 @@ def outcome(text):
 @given(text=mutated())
 def test_a_mutated_world_either_loads_or_is_a_document_error(text):
     assert re.match(r"loads|w\.yaml:\d+:\d+: ", outcome(text))
+
+
+# Several units.
+
+
+def test_a_further_unit_is_as_the_first_but_for_its_own_keys():
+    file = load(WORLD + "units:\n  - {gyro: {bias_dph: {x: 1}}, power_event: 7}\n  - {serial_number: 5}\n")
+    second, third, fourth = (file.of_unit(number) for number in (2, 3, 4))
+    assert [each.ins.serial_number for each in (file, second, third, fourth)] == [1000, 1001, 5, 1003]
+    assert [each.gyro.bias_dph.x for each in (second, third, fourth)] == [1.0, 0.003, 0.003]
+    assert second.undeclared_effects == fourth.undeclared_effects == file.undeclared_effects
+    assert [file.power_event(number) for number in (1, 2, 3, 4)] == [2, 7, 4, 5]
+
+
+def test_a_mounting_is_a_right_handed_rotation():
+    wrong = WORLD.replace("table:\n", "table:\n  mounting: {x: east, y: north, z: down}\n")
+    assert "right-handed" in complaint(wrong)
+
+
+def test_heat_goes_from_one_unit_to_another():
+    heating = "neighbour_heating:\n  - {from_unit: 2, to_unit: 2, coupling_k_per_w: 0.1}\n"
+    assert "two different units" in complaint(WORLD + heating)

@@ -1,0 +1,31 @@
+"""Bias that follows the power of the other units in the chamber: their heat warms one side of the unit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from gyrobench.bench.closure.campaign import Campaign
+from gyrobench.bench.closure.effects.effect import Effect, no_ins_term, time_constant
+from gyrobench.bench.closure.effects.grammar import Law, form_of
+
+#: Column of the dwell table: number of other units that were on, mean over the dwell.
+COLUMN = "neighbours_on"
+_LAW = Law(COLUMN, memory="lag", parameters=(time_constant(60.0, 300.0, 1800.0),))
+
+
+def _missing_input(campaign: Campaign) -> str | None:
+    missing = _LAW.missing_input(campaign)
+    if missing is None and np.ptp(campaign.columns[COLUMN]) == 0.0:
+        return "dwells with the unit beside it on, and others with it off"
+    return missing
+
+
+EFFECT = Effect(
+    name="neighbouring_unit",
+    statement="the bias changes while another unit in the chamber is on, and follows its heat",
+    experiment="leave this unit on and switch the one beside it off and on again, for several dwells each",
+    forms=(replace(form_of(_LAW, ("other units on",)), missing_input=_missing_input),),
+    compensation=no_ins_term("it belongs to the unit beside it"),
+)
