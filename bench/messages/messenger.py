@@ -15,6 +15,7 @@ from gyrobench.bench.foundations.clock import Clock, Deadline, WallClock
 from gyrobench.bench.foundations.documents import Problem
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.messages.delivery import UndeliveredError, deliver
 from gyrobench.bench.messages.message import Message
 from gyrobench.bench.station.receivers import Receiver
 from gyrobench.bench.station.station_file import load_station_file
@@ -108,8 +109,6 @@ class Sender:
             return self._waiting[0] if self._waiting and not self._is_over.is_set() else None
 
     def _send(self, message: Message) -> None:
-        from gyrobench.bench.messages.delivery import UndeliveredError, deliver
-
         for attempt, pause_s in zip(
             count(1), chain(self._pauses_s, repeat(self._pauses_s[-1])), strict=False
         ):
@@ -227,8 +226,6 @@ def send_test(station: str, text: str) -> list[Attempt]:
 
 
 def _attempt(receiver: Receiver, message: Message) -> Attempt:
-    from gyrobench.bench.messages.delivery import UndeliveredError, deliver
-
     try:
         return Attempt(receiver.name, True, deliver(receiver, message))
     except UndeliveredError as error:
