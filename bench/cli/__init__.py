@@ -36,8 +36,8 @@ os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
 sys.modules.setdefault("coverage", None)  # type: ignore[arg-type]
 
 #: Modules leave half a million objects that stay: to search them for cycles as often as Python does takes a
-#: fifth of the time to start. A whole run makes fewer cycles than that, and collects those of its figures.
-_GC_THRESHOLD = (500_000, 10, 10)
+#: fifth of the time to start.
+_GC_THRESHOLD = (50_000, 10, 10)
 
 app = typer.Typer(
     epilog=EXIT_CODES_HELP,
