@@ -19,7 +19,7 @@ Symposium Gyro Technology, Stuttgart 1985: body frame fixed to the accelerometer
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
@@ -175,7 +175,10 @@ def _rotation_to_lower(matrix: FloatArray) -> FloatArray:
 
 
 def _removed(measured: FloatArray, bias: FloatArray, matrix: FloatArray, interval_s: float) -> FloatArray:
-    return np.ascontiguousarray((measured - bias * interval_s) @ np.linalg.inv(np.eye(3) + matrix).T)
+    inverse = np.ascontiguousarray(np.linalg.inv(np.eye(3) + matrix).T)
+    found = measured @ inverse
+    found -= interval_s * bias @ inverse
+    return np.asarray(found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,28 +205,38 @@ class CoefficientEstimate:
         return np.asarray(self.covariance / np.outer(self.sigmas, self.sigmas))
 
     @property
+    def frame(self) -> str:
+        """Sensors that the body frame is fixed to: "accelerometers" or "gyros"."""
+        return "gyros" if self.coefficients[:COUNT] == GYRO_FRAME_COEFFICIENTS else "accelerometers"
+
+    @property
     def errors(self) -> SensorErrors:
         """The coefficients, in the accelerometers' body frame, as matrices."""
         return SensorErrors.from_vector(np.where(self.is_observed, self.values, 0.0)[:COUNT])
 
-    def in_gyro_frame(self) -> CoefficientEstimate:
-        """The 21 coefficients, from the accelerometers' body frame, in that of the gyros.
+    def in_gyro_frame(self) -> Self:
+        """The estimate, from the accelerometers' body frame, in that of the gyros.
 
         A coefficient is observed there if all those are that it depends on.
         """
         is_observed = self.is_observed[:COUNT]
         values = np.where(is_observed, self.values[:COUNT], 0.0)
         steps = _STEP * np.array([each.size for each in COEFFICIENTS])
-        jacobian = np.column_stack(
+        jacobian = np.eye(len(self.values))
+        jacobian[:COUNT, :COUNT] = np.column_stack(
             [
                 (_gyro_frame_vector(values + step) - _gyro_frame_vector(values - step)) / (2.0 * step.sum())
                 for step in np.diag(steps)
             ]
         )
-        rests_on_unseen = (np.abs(jacobian) > _MIN_SHARE)[:, ~is_observed].any(axis=1)
-        covariance = jacobian @ self.covariance[:COUNT, :COUNT] @ jacobian.T
-        return CoefficientEstimate(
-            _gyro_frame_vector(values), covariance, ~rests_on_unseen, coefficients=GYRO_FRAME_COEFFICIENTS
+        rests_on_unseen = (np.abs(jacobian[:COUNT, :COUNT]) > _MIN_SHARE)[:, ~is_observed].any(axis=1)
+        return replace(
+            self,
+            values=np.concatenate([_gyro_frame_vector(values), self.values[COUNT:]]),
+            covariance=jacobian @ self.covariance @ jacobian.T,
+            is_observed=np.concatenate([~rests_on_unseen, self.is_observed[COUNT:]]),
+            coefficients=(*GYRO_FRAME_COEFFICIENTS, *self.coefficients[COUNT:]),
+            parts={name: jacobian @ part @ jacobian.T for name, part in self.parts.items()},
         )
 
 

@@ -266,7 +266,8 @@ def calibrate(
             )
         covariance = covariance * widening**2
     coefficients = tuple((*COEFFICIENTS, *BESIDE)[each] for each in options.columns)
-    count, by_site = len(coefficients), problem.site_parts(found)
+    count = len(coefficients)
+    by_site = site_parts(sections, found.starts, found.common, noise, site, options, found.values)
     return Calibration(
         values=found.values[:count],
         covariance=covariance[:count, :count] + sum(by_site.values()),
@@ -353,23 +354,6 @@ class _Problem:
         turns = float(np.hypot(self.options.whole_turns or 0.0, np.sqrt(np.mean(np.square(left)))))
         return replace(self, options=replace(self.options, whole_turns=turns)).solve()
 
-    def site_parts(self, found: _Solution) -> dict[str, FloatArray]:
-        """Covariances (k, k) by what is assumed of the place, which the residuals hardly show."""
-        options, count = self.options, len(self.options.columns)
-        gravity = options.gravity or self.site.gravity
-        # An error of gravity is one of all three scale factors.
-        is_scale = np.isin(options.columns, np.flatnonzero(_IS_FORCE_SCALE))
-        shifts = {"gravity": np.where(is_scale, options.gravity_sigma / gravity, 0.0)}
-        if options.latitude_sigma:
-            beside = replace(self.site, latitude=self.site.latitude + options.latitude_sigma)
-            known, fixed = (found.starts, found.common, self.noise), replace(options, gravity=gravity)
-            here, there = (
-                Information.of(self.sections, *known, site, fixed).solve(found.values)[0][:count]
-                for site in (self.site, beside)
-            )
-            shifts["latitude"] = there - here
-        return {name: np.outer(shift, shift) for name, shift in shifts.items()}
-
     def check_alternatives(self, found: _Solution) -> None:
         """Raise MeasurementError if a mistake in the map explains what the noise does not."""
         opposite = replace(self.site, latitude=-self.site.latitude)
@@ -399,6 +383,34 @@ class _Problem:
                 continue
             if other.fit.chi2 < _OPPOSITE * found.fit.chi2:
                 raise MeasurementError(f"chi2 is {found.fit.chi2:.3g}, and {other.fit.chi2:.3g} {text}")
+
+
+def site_parts(
+    sections: Sequence[Section],
+    starts: Sequence[FloatArray],
+    common: FloatArray,
+    noise: SensorNoise,
+    site: Site,
+    options: CalibrationOptions,
+    values: FloatArray | None = None,
+) -> Mapping[str, FloatArray]:
+    """Covariances (k, k) by what is assumed of the place, which the residuals hardly show.
+
+    ``starts``, ``common``: as of :meth:`Information.of`. ``values``: all unknowns, which the data may leave
+    open.
+    """
+    gravity, count = options.gravity or site.gravity, len(options.columns)
+    # An error of gravity is one of all three scale factors.
+    is_scale = np.isin(options.columns, np.flatnonzero(_IS_FORCE_SCALE))
+    shifts = {"gravity": np.where(is_scale, options.gravity_sigma / gravity, 0.0)}
+    if options.latitude_sigma:
+        beside, fixed = site.latitude + options.latitude_sigma, replace(options, gravity=gravity)
+        here, there = (
+            Information.of(sections, starts, common, noise, replace(site, latitude=each), fixed)
+            for each in (site.latitude, beside)
+        )
+        shifts["latitude"] = (there.solve(values)[0] - here.solve(values)[0])[:count]
+    return {name: np.outer(shift, shift) for name, shift in shifts.items()}
 
 
 def covariances_by_source(

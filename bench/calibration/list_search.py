@@ -87,13 +87,14 @@ def shortest_list(
     noise: SensorNoise,
     max_rate_dps: float,
     whole_turns: float | None = None,
+    site_sigmas: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[RotationList, Forecast]:
     """A list of rotations that reaches the targets, and its forecast.
 
     ``pattern``: gives start, dwell and rate; its rotations are used, as far as needed, if nothing quicker is
     found. ``targets`` (21,): largest uncertainties, SI; infinite where there is none. ``max_rate_dps``,
-    ``whole_turns``: as of :func:`forecast`; whole turns are tried only with the latter. Raises DocumentError
-    if no list reaches the targets.
+    ``site_sigmas``, ``whole_turns``: as of :func:`forecast`; whole turns are tried only with the latter.
+    Raises DocumentError if no list reaches the targets.
     """
     left: list[str] = []
     for margin in _MARGINS:
@@ -108,7 +109,7 @@ def shortest_list(
                 "rotations": rotations,
             }
         )
-        expected = forecast(found, table, site, noise, max_rate_dps, whole_turns)
+        expected = forecast(found, table, site, noise, max_rate_dps, whole_turns, site_sigmas)
         if (expected.sigmas <= targets)[np.isfinite(targets)].all():
             return found, expected
     raise DocumentError(

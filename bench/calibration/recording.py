@@ -144,16 +144,18 @@ def find_rotations(recording: IncrementRecording, rests: Sequence[Rest]) -> list
     rotations = []
     for before, after in itertools.pairwise(rests):
         steps = recording.angle[before.end : after.begin] - level
-        turned = np.eye(3)
-        for turn in rotation_matrices(steps):
-            turned = turned @ turn
+        turns = np.concatenate([[np.eye(3)], rotation_matrices(steps)])
+        while len(turns) > 1:  # products of neighbours
+            if len(turns) % 2:
+                turns = np.concatenate([turns, [np.eye(3)]])
+            turns = turns[::2] @ turns[1::2]
         travelled = steps.sum(axis=0)
         axis = int(np.argmax(np.abs(travelled)))
         rotations.append(
             Rotation(
                 before.end * recording.interval_s,
                 len(steps) * recording.interval_s,
-                rotation_vectors(turned[np.newaxis])[0],
+                rotation_vectors(turns)[0],
                 float(travelled[axis]),
                 axis,
             )

@@ -146,6 +146,7 @@ def calibration_record(
     noise = calibration.noise
     return {
         **origin,
+        "body_frame": calibration.frame,
         "coefficients": [vars(row) for row in coefficient_rows(calibration)],
         "noise": {
             "angle_random_walk_deg_per_sqrt_h": noise.angle_random_walk / DEG_PER_SQRT_H_TO_SI,

@@ -123,14 +123,16 @@ def forecast(
     noise: SensorNoise,
     max_rate_dps: float,
     whole_turns: float | None = None,
+    site_sigmas: tuple[float, float] = (0.0, 0.0),
 ) -> Forecast:
     """Expected uncertainties by Fisher information.
 
     ``max_rate_dps``: limit of the table. ``whole_turns``: standard uncertainty, rad, of its return after
-    whole turns. Raises DocumentError if the table can't do the rotations.
+    whole turns. ``site_sigmas``: of gravity, m/s^2, and latitude, rad. Raises DocumentError if the table
+    can't do the rotations.
     """
     # They bring numba, which reading a list does not need.
-    from gyrobench.bench.calibration.estimator import CalibrationOptions, Information
+    from gyrobench.bench.calibration.estimator import CalibrationOptions, Information, site_parts
     from gyrobench.bench.calibration.section import EPOCH_S, Section
     from gyrobench.bench.calibration.strapdown import UNKNOWNS, Epochs
 
@@ -142,10 +144,14 @@ def forecast(
     ends = np.arange(size, len(angle) + 1, size, dtype=np.int64)
     turns = [(first // size, -(-last // size), np.eye(3)) for first, last in spins]
     section = Section(STEP_S, angle, velocity, len(angle), Epochs(ends, at_rest[ends], turns))
-    options = CalibrationOptions(whole_turns=whole_turns)
-    information = Information.of([section], [attitude[0]], np.zeros(UNKNOWNS), noise, site, options)
-    _, covariance, is_observed = information.solve()
-    return Forecast(rotations.duration_s, np.sqrt(np.diag(covariance))[:COUNT], is_observed[:COUNT])
+    gravity_sigma, latitude_sigma = site_sigmas
+    options = CalibrationOptions(
+        whole_turns=whole_turns, gravity_sigma=gravity_sigma, latitude_sigma=latitude_sigma
+    )
+    ideal = [section], [attitude[0]], np.zeros(UNKNOWNS), noise, site, options
+    _, covariance, is_observed = Information.of(*ideal).solve()
+    covariance = covariance[:COUNT, :COUNT] + sum(site_parts(*ideal).values())
+    return Forecast(rotations.duration_s, np.sqrt(np.diag(covariance)), is_observed[:COUNT])
 
 
 def _check(rotations: RotationList, table: TwoAxisTable, start: Angles, max_rate_dps: float) -> None:

@@ -356,6 +356,32 @@ def _intervals(
 
 
 @compiled
+def _propagate(F: FloatArray, X: FloatArray) -> None:
+    """Multiply the first six rows of ``X`` by ``F`` (6, 6), whose upper right block is zero, in place."""
+    for j in range(X.shape[1]):
+        a, b, c = X[0, j], X[1, j], X[2, j]
+        for i in range(3):
+            X[i, j] = F[i, 0] * a + F[i, 1] * b + F[i, 2] * c
+            X[3 + i, j] += F[3 + i, 0] * a + F[3 + i, 1] * b + F[3 + i, 2] * c
+
+
+@compiled
+def _correct(
+    X: FloatArray, P: FloatArray, innovation: FloatArray, gain: FloatArray, spread: FloatArray,
+    variance: float,
+) -> None:  # fmt: skip
+    """Correct states by an innovation, and make that one white with unit variance."""
+    scale = 1.0 / np.sqrt(variance)
+    for k in range(9):
+        for j in range(X.shape[1]):
+            X[k, j] += gain[k] * innovation[j]
+        for j in range(9):
+            P[k, j] -= gain[k] * spread[j]
+    for j in range(X.shape[1]):
+        innovation[j] *= scale
+
+
+@compiled
 def _whiten(
     transition: FloatArray, covariance: FloatArray, stacked: FloatArray, at_rest: BoolArray,
     starts: IntArray, ends: IntArray, rotations: FloatArray, variances: FloatArray, white: float,
@@ -364,35 +390,42 @@ def _whiten(
     n, columns = len(transition), stacked.shape[2]
     rows = np.zeros((3 * len(stacked), columns))
     used = 0
-    X, P = np.zeros((9, columns)), np.zeros((9, 9))
+    X, P, gain, spread = np.zeros((9, columns)), np.zeros((9, 9)), np.empty(9), np.empty(9)
     # The velocity at the start is as uncertain as any that is measured.
     for i in range(3, 6):
         P[i, i] = white
     for epoch in range(n + 1):
         if epoch > 0:
-            F, Q = transition[epoch - 1], covariance[epoch - 1]
-            X[:6] = F @ X[:6]
-            P[:6] = F @ P[:6]
-            P = P.T.copy()
-            P[:6] = F @ P[:6]
-            P[:6, :6] += Q
+            F = transition[epoch - 1]
+            _propagate(F, X)
+            _propagate(F, P)
+            for i in range(9):
+                for j in range(i):
+                    P[i, j], P[j, i] = P[j, i], P[i, j]
+            _propagate(F, P)
+            for i in range(6):
+                for j in range(6):
+                    P[i, j] += covariance[epoch - 1, i, j]
             if at_rest[epoch - 1]:
                 for i in range(measured):
-                    gain = P[:, 3 + i] / (P[3 + i, 3 + i] + white)
-                    scale = 1.0 / np.sqrt(P[3 + i, 3 + i] + white)
-                    innovation = stacked[epoch - 1, i] - X[3 + i]
-                    X += np.outer(gain, innovation)
-                    P -= np.outer(gain, P[3 + i].copy())
-                    rows[used + i] = innovation * scale
+                    variance = P[3 + i, 3 + i] + white
+                    for k in range(9):
+                        spread[k] = P[3 + i, k]
+                        gain[k] = P[k, 3 + i] / variance
+                    for j in range(columns):
+                        rows[used + i, j] = stacked[epoch - 1, i, j] - X[3 + i, j]
+                    _correct(X, P, rows[used + i], gain, spread, variance)
                 used += 3
         if ends[epoch] >= 0:
             for i in range(3):
-                spread = P[:, i] - P[:, 6 + i]
+                for k in range(9):
+                    spread[k] = P[k, i] - P[k, 6 + i]
                 variance = spread[i] - spread[6 + i] + variances[ends[epoch], i]
-                innovation = stacked[n + ends[epoch], i] - X[i] + X[6 + i]
-                X += np.outer(spread / variance, innovation)
-                P -= np.outer(spread / variance, spread)
-                rows[used] = innovation / np.sqrt(variance)
+                for k in range(9):
+                    gain[k] = spread[k] / variance
+                for j in range(columns):
+                    rows[used, j] = stacked[n + ends[epoch], i, j] - X[i, j] + X[6 + i, j]
+                _correct(X, P, rows[used], gain, spread, variance)
                 used += 1
         if starts[epoch] >= 0:
             R = rotations[starts[epoch]]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -36,6 +36,9 @@ def calibrate(
     quadratic: Annotated[
         bool, typer.Option("--quadratic", help="Estimate the quadratic terms of the accelerometers, too.")
     ] = False,
+    body_frame: Annotated[
+        Literal["accelerometers", "gyros"], typer.Option(help="Sensors that the body frame is fixed to.")
+    ] = "accelerometers",
     as_json: JsonOption = False,
 ) -> None:
     """Estimate all sensor coefficients from rates or increments of a unit that is turned between rests.
@@ -44,8 +47,8 @@ def calibrate(
     rotations are found in the logs; what the data do not determine is stated. Missing samples divide a log.
 
     With --out: coefficients.csv, correlations.csv, calibration.json, which is also what --json prints:
-    {"logs", "map", "coefficients", "noise", "gravity_mps2", "gravity_sigma_mps2", "earth_rate_up_dph",
-    "rests", "rotations", "spins", "fit"}; spins need 'whole_turns_arcsec' in the map.
+    {"logs", "map", "body_frame", "coefficients", "noise", "gravity_mps2", "gravity_sigma_mps2",
+    "earth_rate_up_dph", "rests", "rotations", "spins", "fit"}; spins need 'whole_turns_arcsec' in the map.
 
     Example: gyrobench calibrate rotations.csv --map my_imu.yaml --out calibration
     """
@@ -69,6 +72,8 @@ def calibrate(
     }
     turns = options.whole_turns
     spins = [] if turns is None else spin_scale_factors(found, site, turns)
+    if body_frame == "gyros":
+        found = found.in_gyro_frame()
     record = plain(calibration_record(found, site, spins, origin))
     paths = write_calibration(out, found, record) if out else []
     print_result(

@@ -70,8 +70,9 @@ def plan(
     "what", "start_s", "duration_s", "dwell", "cycle"}]}, times from the start of the plan.
 
     With --observability, for a list of rotations: the expected uncertainty of each coefficient of the
-    sensors' error model; with --json {"rotation_list", "station", "duration_s", "coefficients"}. With --reach
-    for the proposed list, written to LIST_shortest.yaml ("file").
+    sensors' error model, with those of gravity and latitude of the station; with --json {"rotation_list",
+    "station", "duration_s", "coefficients"}. With --reach for the proposed list, written to
+    LIST_shortest.yaml ("file").
 
     Example: gyrobench plan six_position_fig7 --figure plan.png
     """
@@ -123,7 +124,8 @@ def _show_observability(
     noise = expected_noise(station.noise(0.0, 0.0))
     whole_turns = None if whole_turns_arcsec is None else whole_turns_arcsec * pi / 648000.0
     max_rate_dps = station.file.rate_table.limits.rate_dps
-    bench = (station.table, station.site, noise, max_rate_dps, whole_turns)
+    site_sigmas = station.gravity[1], station.prior().latitude
+    bench = (station.table, station.site, noise, max_rate_dps, whole_turns, site_sigmas)
     files = []
     if reach:
         rotations, found = shortest_list(rotations, parse_targets(reach), *bench)
@@ -138,7 +140,7 @@ def _show_observability(
         "coefficients": forecast_rows(found),
         "file": files[0] if files else None,
     }
-    summary = forecast_summary(rotations, found, noise)
+    summary = forecast_summary(rotations, found, noise, site_sigmas)
     print_result(record, as_json, summary, *(f"Written  {path}" for path in files))
 
 

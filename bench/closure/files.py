@@ -180,7 +180,7 @@ def _document(closure: Closure) -> dict[str, Any]:
             }
             for table in closure.campaign.tables
         ],
-        "simulated": bool(watermark_of(*(Path(table.name) for table in closure.campaign.tables))),
+        "simulated": is_simulated(closure),
         "held_out_cycles": sorted(set(closure.campaign.cycle[~closure.searched].tolist())),
         "dwells_searched": int(closure.searched.sum()),
         "rotation": [
@@ -257,10 +257,16 @@ def format_predictions(closure: Closure) -> str:
     return format_csv(columns_written, rows)
 
 
+def is_simulated(closure: Closure) -> bool:
+    """Whether a table is of a run with emulated instruments."""
+    return bool(watermark_of(*(Path(table.name) for table in closure.campaign.tables)))
+
+
 def model_document(closure: Closure) -> dict[str, Any]:
     """Content of ``model.yaml``: the declared model and the effects, complete for predictions."""
     draws, axes = closure.model_draws, closure.quantity.axes
     document = {
+        "simulated": is_simulated(closure),
         "degree": DEGREE,
         "scale_c": SCALE_C,
         "fitted_c": {

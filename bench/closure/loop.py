@@ -19,7 +19,7 @@ from gyrobench.bench.closure.noise import Noise
 from gyrobench.bench.closure.posterior import CLEAN, EXPLAINED, Posterior, detectable_dph
 from gyrobench.bench.closure.problem import Solution, declared_problem
 from gyrobench.bench.closure.quantity import GYRO_BIAS, Quantity
-from gyrobench.bench.closure.search import Search
+from gyrobench.bench.closure.search import RESTS_ON_DWELL, Search
 from gyrobench.bench.closure.selection import NotAccepted, Selected, select
 from gyrobench.bench.closure.uncertainty import Draws, bound_of, draw, interval
 from gyrobench.bench.closure.validation import (
@@ -117,6 +117,11 @@ class Evidence:
     #: Twice the logarithm of the odds of the effects found to this one alone.
     log_odds_against: float = np.nan
     rejected: str = ""  #: Why it is not found though significant alone; empty otherwise.
+
+    @property
+    def rests_on_one_dwell(self) -> bool:
+        """Whether it is rejected since a single dwell shows it."""
+        return self.rejected.startswith(RESTS_ON_DWELL)
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,8 @@
 
 The dwells of a plateau show gyro biases and, through their half turns, parts of the matrices
 (:mod:`gyrobench.bench.calibration.joint_coefficients`). Rotations between rests show all coefficients, from
-the increments of the INS. Where it sends none they follow from its navigation output: the change of attitude
-and velocity from epoch to epoch is what its sensors measured, but for the vertical specific force, which an
-INS of fixed altitude does not show. Gravity stands in its place, and shows nothing.
+the increments of the INS. Where it sends none they follow from its navigation output
+(:mod:`gyrobench.bench.dwells.rotated_dwell`).
 """
 
 from __future__ import annotations
@@ -19,6 +18,7 @@ import numpy as np
 from gyrobench.bench.bias.budget import Budget, coefficient_budget
 from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow, Triple
 from gyrobench.bench.bias.joint_solution import JointDwell, JointSolution
+from gyrobench.bench.bias.plateaus import MAX_FROM_MEAN_K
 from gyrobench.bench.bias.statistics import chi2_p_value
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, Coefficient, CoefficientEstimate
 from gyrobench.bench.calibration.estimator import (
@@ -29,30 +29,27 @@ from gyrobench.bench.calibration.estimator import (
     covariances_by_source,
 )
 from gyrobench.bench.calibration.joint_coefficients import joint_coefficients
-from gyrobench.bench.calibration.recording import MIN_REST_TOTAL_S, IncrementRecording, Rest
+from gyrobench.bench.calibration.recording import IncrementRecording, Rest
 from gyrobench.bench.calibration.results import coefficient_rows
 from gyrobench.bench.calibration.spins import spin_scale_factors
 from gyrobench.bench.characteristics.scale_factor import SpinRecord
-from gyrobench.bench.dwells.dwell import MeasurementSetup, checked_navigation
+from gyrobench.bench.dwells.dwell import MeasurementSetup
 from gyrobench.bench.dwells.marks import DwellMarks
-from gyrobench.bench.dwells.temperatures import dwell_temperatures, triple
+from gyrobench.bench.dwells.rotated_dwell import RotatedDwell, measure_rotations
+from gyrobench.bench.dwells.temperatures import triple
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
-from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vectors
-from gyrobench.bench.navigation.earth import EARTH_RATE, curvature_radii
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow
 from gyrobench.drivers.frames import FrameBlock
-from gyrobench.drivers.ins.navigation_data import Increments, NavigationData
 
-#: Part of the usual interval by which the time between two epochs may differ from it.
-_MAX_STEP_ERROR = 0.5
-#: Sum, rad or m/s, from which increments are compared with attitude and velocity, by how much of it they may
-#: differ, as by gaps, and largest angle between two attitudes, rad.
-_MIN_TURN, _MAX_AWAY, _MAX_STEP = 0.5, 0.5, 2.0
 #: Temperatures of plateaus, K, between which coefficients show their slopes, and degree of the curve.
 _MIN_APART_C, _SLOPE_DEGREE = 2.0, 2
+#: Slopes of a gyro's temperature by which dwells with rotations of one plateau may differ: after the soaks of
+#: the shipped procedures they are up to 4 K/h.
+_MAX_RATE_APART_C_PER_H = 5.0
+_OF_GYROS = ("gyro_c", "gyro_rate_c_per_h")
 #: Dwells and rotations contradict each other where chance gives the difference less often than this.
 _MIN_P_VALUE = 1e-3
 
@@ -185,17 +182,17 @@ def calibrate_plateaus(
         Dwells with rotations, in the order of time; those of one plateau are held at once.
     """
     groups = itertools.groupby(rotated, lambda each: _key(each[0]))
-    rotations = [calibrate_rotations(list(group), setup) for _, group in groups]
-    cases_c = {row.dwell: row.case_c for row in rows}
+    rotations = [each for _, group in groups for each in calibrate_rotations(list(group), setup)]
+    by_number = {row.dwell: row for row in rows}
     places: list[tuple[int, JointSolution | None, PlateauRotations | None]] = []
     for solution in solutions:
-        first = solution.dwells[0]
-        found = next((each for each in rotations if _key(each.marks) == _key(first)), None)
+        measured = [by_number[each.number] for each in solution.dwells]
+        found = _of_plateau(rotations, solution.dwells[0], measured)
         rotations = [each for each in rotations if each is not found]
-        places.append((first.number, solution, found))
+        places.append((measured[0].dwell, solution, found))
     places += [(each.marks.dwell, None, each) for each in rotations]
     plateaus = [
-        _plateau(number, solution, found, cases_c, setup)
+        _plateau(number, solution, found, by_number, setup)
         for number, (_, solution, found) in enumerate(sorted(places, key=lambda each: each[0]), 1)
     ]
     return with_temperature_change(plateaus)
@@ -230,11 +227,24 @@ def _key(member: DwellMarks | JointDwell) -> tuple[str, int, float | None]:
     return member.run, member.cycle, None if set_c is None or math.isnan(set_c) else round(set_c, 3)
 
 
+def _of_plateau(
+    rotations: Sequence[PlateauRotations], first: JointDwell, rows: Sequence[DwellRow]
+) -> PlateauRotations | None:
+    """The rotations at the set point and the temperatures of these dwells; of several those as steady."""
+    gyro_c, rates = (np.mean([getattr(row, name) for row in rows], axis=0) for name in _OF_GYROS)
+    near = [
+        (float(np.nan_to_num(np.abs(rates - each.gyro_rate_c_per_h)).max()), number)
+        for number, each in enumerate(rotations)
+        if _key(each.marks) == _key(first) and not (np.abs(gyro_c - each.gyro_c) > MAX_FROM_MEAN_K).any()
+    ]
+    return rotations[min(near)[1]] if near else None
+
+
 def _plateau(
     number: int,
     solution: JointSolution | None,
     rotations: PlateauRotations | None,
-    cases_c: Mapping[int, float],
+    rows: Mapping[int, DwellRow],
     setup: MeasurementSetup,
 ) -> PlateauCalibration:
     estimates, finding, with_force = [], "", None
@@ -245,8 +255,8 @@ def _plateau(
         estimates.append(joint_coefficients(solution, setup.prior))
         cycle, set_c = solution.dwells[0].cycle, solution.dwells[0].chamber_set_c
         gyro_c = triple(np.mean([each.gyro_c for each in solution.dwells], axis=0))
-        case_c = float(np.mean([cases_c[each.number] for each in solution.dwells]))
-        ranges += [np.array([(*each.gyro_c, cases_c[each.number])] * 2) for each in solution.dwells]
+        case_c = float(np.mean([rows[each.number].case_c for each in solution.dwells]))
+        ranges += [np.array([(*each.gyro_c, rows[each.number].case_c)] * 2) for each in solution.dwells]
     if rotations is not None:
         cycle, set_c = rotations.marks.cycle, rotations.marks.chamber_set_c
         finding = rotations.finding
@@ -307,22 +317,37 @@ def _agreement(one: CoefficientEstimate, other: CoefficientEstimate) -> float:
 
 def calibrate_rotations(
     dwells: Sequence[tuple[DwellMarks, FrameBlock]], setup: MeasurementSetup
-) -> PlateauRotations:
-    """Coefficients from all dwells with rotations at one plateau."""
-    rotations, options = PlateauRotations(dwells[0][0]), _options(setup)
+) -> list[PlateauRotations]:
+    """Coefficients from all dwells with rotations at one set point; those on a ramp to it are kept apart."""
+    groups: list[list[RotatedDwell]] = []
     try:
-        measured = [_measured(marks, frames, setup) for marks, frames in dwells]
-        temperatures_c = np.mean([each_c for _, each_c in measured], axis=0)
-        rotations = replace(
-            rotations,
-            gyro_c=triple(temperatures_c[:3]),
-            case_c=float(temperatures_c[3]),
-            gyro_rate_c_per_h=triple(temperatures_c[4:]),
-            range_c=_enclosing(
-                [_range_c(each_c, marks) for (_, each_c), (marks, _) in zip(measured, dwells, strict=True)]
-            ),
-        )
-        found = _calibrated([piece for pieces, _ in measured for piece in pieces], setup.site, options)
+        for each in dwells:
+            dwell = measure_rotations(*each, setup)
+            if not (groups and _is_alike(groups[-1], dwell)):
+                groups.append([])
+            groups[-1].append(dwell)
+    except MeasurementError as error:
+        return [PlateauRotations(dwells[0][0], finding=f"the rotations give no coefficients: {error}")]
+    return [_calibrated_rotations(group, setup) for group in groups]
+
+
+def _is_alike(group: Sequence[RotatedDwell], dwell: RotatedDwell) -> bool:
+    """Whether a dwell has the temperatures of a group and their slopes; those not measured count as alike."""
+    gyro_c, rates = (np.mean([getattr(each, name) for each in group], axis=0) for name in _OF_GYROS)
+    is_apart = np.abs(gyro_c - dwell.gyro_c) > MAX_FROM_MEAN_K
+    return not (is_apart | (np.abs(rates - dwell.gyro_rate_c_per_h) > _MAX_RATE_APART_C_PER_H)).any()
+
+
+def _calibrated_rotations(dwells: Sequence[RotatedDwell], setup: MeasurementSetup) -> PlateauRotations:
+    options = _options(setup)
+    gyro_c, gyro_rate_c_per_h = (
+        triple(np.mean([getattr(each, name) for each in dwells], axis=0)) for name in _OF_GYROS
+    )
+    case_c = float(np.mean([each.case_c for each in dwells]))
+    range_c = _enclosing([each.range_c for each in dwells])
+    rotations = PlateauRotations(dwells[0].marks, gyro_c, case_c, gyro_rate_c_per_h, range_c)
+    try:
+        found = _calibrated([piece for each in dwells for piece in each.pieces], setup.site, options)
         with_force = None
         if not all(each.has_vertical for each in found.recordings):
             with_force = _with_force(found, setup.site, options)
@@ -342,12 +367,12 @@ def spin_record(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) 
     """
     at_s = 0.5 * (marks.start_s + marks.end_s)
     try:
-        pieces, temperatures_c = _measured(marks, frames, setup)
-        found = _calibrated(pieces, setup.site, replace(_options(setup), whole_turns=None))
+        dwell = measure_rotations(marks, frames, setup)
+        found = _calibrated(dwell.pieces, setup.site, replace(_options(setup), whole_turns=None))
         spun = spin_scale_factors(found, setup.site, setup.table_repeatability)
     except MeasurementError as error:
         return SpinRecord(marks.run, at_s, NOT_MEASURED, (), str(error).rstrip("."))
-    return SpinRecord(marks.run, at_s, triple(temperatures_c[:3]), tuple(spun))
+    return SpinRecord(marks.run, at_s, dwell.gyro_c, tuple(spun))
 
 
 def _options(setup: MeasurementSetup) -> CalibrationOptions:
@@ -372,13 +397,6 @@ def _calibrated(
     return calibrate(recordings, site, options, rests)
 
 
-def _range_c(temperatures_c: FloatArray, marks: DwellMarks) -> FloatArray:
-    """Lowest and highest temperatures (2, 4) of a dwell from means and slopes (7,)."""
-    half = np.zeros(4)
-    half[:3] = 0.5 * np.abs(temperatures_c[4:]) * (marks.end_s - marks.start_s) / 3600.0
-    return np.array([temperatures_c[:4] - half, temperatures_c[:4] + half])
-
-
 def _with_force(found: Calibration, site: Site, options: CalibrationOptions) -> CoefficientEstimate:
     """The same estimate as uncertain as it would be if the vertical specific force were measured."""
     sections = [replace(each, epochs=replace(each.epochs, has_vertical=True)) for each in found.sections]
@@ -386,115 +404,3 @@ def _with_force(found: Calibration, site: Site, options: CalibrationOptions) -> 
     _, covariance, is_observed = information.solve()
     by_site = sum(part[:COUNT, :COUNT] for part in found.by_site.values())
     return CoefficientEstimate(found.values, covariance[:COUNT, :COUNT] + by_site, is_observed[:COUNT])
-
-
-def _measured(
-    marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
-) -> tuple[list[tuple[IncrementRecording, list[Rest]]], FloatArray]:
-    """Increments of a dwell in pieces without a gap, each with its rests; temperatures (7,).
-
-    These are of gyros and case, and slopes of those of the gyros.
-
-    Raises MeasurementError if what the INS sent can't be used.
-    """
-    navigation = checked_navigation(marks, frames, setup, [])
-    first, end = marks.windows[0].first_frame, marks.windows[-1].end_frame
-    temperatures = dwell_temperatures(navigation, first, end)
-    increments = setup.decode_increments(frames)
-    is_sent = increments is not None and len(increments.row) > 0
-    navigated = navigated_increments(navigation, setup.site)
-    if increments is None or not is_sent:
-        increments = navigated
-    else:
-        _check_axes(increments, navigated, marks)
-    begin, stop = np.searchsorted(increments.row, [first, end])
-    gaps = begin + 1 + np.flatnonzero(~increments.follows[begin + 1 : stop])
-    pieces = []
-    for part in itertools.starmap(slice, itertools.pairwise([begin, *gaps.tolist(), stop])):
-        ends = [
-            np.searchsorted(increments.row[part], [each.first_frame, each.end_frame])
-            for each in marks.windows
-        ]
-        rests = [Rest(int(a), int(b)) for a, b in ends if b > a]
-        # Up to the end of a rest the table stands as it was read there.
-        counts = np.diff([0, *(int(end) for _, end in ends[:-1]), part.stop - part.start])
-        table = np.repeat(
-            [setup.table.attitude(each.outer_deg, each.inner_deg) for each in marks.windows], counts, axis=0
-        )
-        if sum(rest.end - rest.begin for rest in rests) * increments.interval_s >= MIN_REST_TOTAL_S:
-            angle, velocity = increments.angle[part], increments.velocity[part]
-            recording = IncrementRecording(
-                increments.interval_s, angle, velocity, has_vertical=is_sent, table=table
-            )
-            pieces.append((recording, rests))
-    return pieces, np.array([*temperatures.gyro_c, temperatures.case_c, *temperatures.gyro_rate_c_per_h])
-
-
-def _check_axes(sent: Increments, navigated: Increments, marks: DwellMarks) -> None:
-    """Raise MeasurementError if increments have other axes, signs or units than attitude and velocity.
-
-    Coefficients of axes that are exchanged in angle and velocity alike fit the increments as well.
-    """
-    rests = [(each.first_frame, each.end_frame) for each in marks.windows]
-    between = [(before[1], after[0]) for before, after in itertools.pairwise(rests)]
-    for name, spans in (("velocity", rests), ("angle", between)):
-        for span in spans:
-            found, expected = (
-                getattr(each, name)[slice(*np.searchsorted(each.row, span))].sum(axis=0)
-                for each in (sent, navigated)
-            )
-            if name == "angle" and _fastest(sent, span) * navigated.interval_s > _MAX_STEP:
-                continue  # further between two epochs than attitudes show
-            away = np.linalg.norm(found - expected)
-            if np.linalg.norm(expected) > _MIN_TURN and away > _MAX_AWAY * np.linalg.norm(expected):
-                raise MeasurementError(
-                    f"the {name} increments add up to {_triple_text(found)}, by attitude and velocity "
-                    f"{_triple_text(expected)}. Check axes, signs and units of ins.signals.increments"
-                )
-
-
-def _fastest(sent: Increments, span: tuple[int, int]) -> float:
-    """Largest rate, rad/s."""
-    angle = sent.angle[slice(*np.searchsorted(sent.row, span))]
-    return float(np.linalg.norm(angle, axis=1).max(initial=0.0)) / sent.interval_s
-
-
-def _triple_text(values: FloatArray) -> str:
-    return "({:.4g}, {:.4g}, {:.4g})".format(*values)
-
-
-def navigated_increments(navigation: NavigationData, site: Site) -> Increments:
-    """What the sensors of an INS measured from epoch to epoch, by its attitude and velocity.
-
-    The navigation frame turns with the Earth and with the velocity that the INS computes; to that belong the
-    Coriolis acceleration and, in place of the vertical specific force, gravity.
-    """
-    time_s, C_nb = navigation.ins_time_s, navigation.attitude
-    velocity = navigation.velocity_enu_mps[:, :2]
-    interval_s = float(np.median(np.diff(time_s)))
-    east, north = (0.5 * (velocity[1:] + velocity[:-1])).T
-    meridian, across = curvature_radii(site.latitude, site.height)
-    transport = np.stack([-north / meridian, east / across, east * np.tan(site.latitude) / across], axis=-1)
-    # Where the INS takes itself to be: in hours its drift changes the Earth's rate that it subtracts.
-    latitude = site.latitude + np.cumsum(north) * interval_s / meridian
-    earth = EARTH_RATE * np.stack([np.zeros_like(latitude), np.cos(latitude), np.sin(latitude)], axis=-1)
-    turned, half = (rotation_matrices(part * (earth + transport) * interval_s) for part in (1.0, 0.5))
-    angle = rotation_vectors(C_nb[:-1].transpose(0, 2, 1) @ turned @ C_nb[1:])
-    force = np.cross(2.0 * earth + transport, np.stack([east, north, np.zeros_like(east)], axis=-1))
-    force[:, :2] += np.diff(velocity, axis=0) / interval_s
-    force[:, 2] = site.gravity
-    in_body = np.einsum("nji,njk,nk->ni", C_nb[:-1], half, force * interval_s)
-    turning = np.cross(angle, in_body)
-    sums = in_body - 0.5 * turning + np.cross(angle, turning) / 12.0
-    # Rotation vectors and velocities hold coning and sculling, which increments of sensors do not.
-    last = np.maximum(np.arange(len(angle)) - 1, 0)
-    coning = np.cross(angle[last], angle) / 12.0
-    sculling = (np.cross(angle[last], sums) + np.cross(sums[last], angle)) / 12.0
-    steady = np.abs(np.diff(time_s) / interval_s - 1.0) < _MAX_STEP_ERROR
-    return Increments(
-        row=navigation.row[1:],
-        angle=angle - coning,
-        velocity=sums - sculling,
-        follows=steady,
-        interval_s=interval_s,
-    )

@@ -28,7 +28,8 @@ from gyrobench.bench.dwells.check_dwell import CheckDwell, measure_check_dwell
 from gyrobench.bench.dwells.dwell import MeasuredDwell, MeasurementSetup, measure_dwell
 from gyrobench.bench.dwells.latitude import with_latitude
 from gyrobench.bench.dwells.marks import DwellMarks
-from gyrobench.bench.dwells.plateau_calibration import PlateauCalibration, navigated_increments
+from gyrobench.bench.dwells.plateau_calibration import PlateauCalibration
+from gyrobench.bench.dwells.rotated_dwell import navigated_increments
 from gyrobench.bench.dwells.temperatures import stuck_sensors
 from gyrobench.bench.foundations.errors import MeasurementError, RunFolderError
 from gyrobench.bench.foundations.files import remove

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
+from pathlib import Path
 from typing import Any, TypeVar, overload
 
 import llvmlite.binding
@@ -22,11 +25,40 @@ _IS_TESTED = numba.version_info.short == (0, 68)
 
 
 class _LoadedAlone(Cache):
-    """Loads code without all that numba needs to compile any: 0.3 s and 60 MB in each process."""
+    """Loads code without all that numba needs to compile any: 0.3 s and 60 MB in each process.
+
+    What is not there yet one process compiles, while others that need it wait.
+    """
+
+    _lock: int | None = None
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
+        found = self._loaded(sig, target_context)
+        if found is None and self._lock is None:
+            with suppress(ImportError, OSError):
+                import fcntl
+
+                self._impl.locator.ensure_cache_path()
+                path = Path(self.cache_path, f"{self._impl.filename_base}.lock")
+                self._lock = os.open(path, os.O_CREAT | os.O_RDWR)
+                fcntl.flock(self._lock, fcntl.LOCK_EX)
+            found = self._loaded(sig, target_context)
+            if found is not None:
+                self._release()
+        return found
+
+    def _loaded(self, sig: Any, target_context: Any) -> Any:
         with self._guard_against_spurious_io_errors():
             return self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        super().save_overload(sig, data)  # type: ignore[no-untyped-call]
+        self._release()
+
+    def _release(self) -> None:
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
 
 
 class _Result(CompileResultCacheImpl):
@@ -58,7 +90,7 @@ def _array_allocation(target_context: Any) -> Any:
         library.enable_object_caching()
         library.add_ir_module(module)
         library.finalize()
-        cache.save_overload((), library)  # type: ignore[no-untyped-call]
+        cache.save_overload((), library)
     else:
         engine = target_context.codegen()._engine  # noqa: SLF001
         engine._load_defined_symbols(library._get_module_for_linking())  # noqa: SLF001

@@ -41,7 +41,9 @@ from gyrobench.bench.investigation.proposal import (
     propose,
     proposed,
 )
+from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal, read_journal
+from gyrobench.bench.station.locks import RunLock
 
 #: Hypotheses less probable than this, and more than so many, are not predicted.
 _MIN_PROBABILITY = 1e-3
@@ -56,6 +58,9 @@ _MAX_FLAGGED = 2
 _MIN_AGEING_S = 26.0 * 3600.0
 #: A prediction is tested where it differs by this square from that without it, in units of its uncertainty.
 _ENOUGH = 60.0
+#: Both follow the time alone: an exponential and a line together fit any law that settles slowly, as a
+#: logarithm, so that they are not stated as two causes.
+SLOW = frozenset({"ageing", "time_drift"})
 #: Purposes of a block.
 DISTINGUISH, CONFIRM, TEST_LAW, CALIBRATE = "distinguish", "confirm", "test_law", "calibrate"
 #: Ends after which an adaptive campaign still determines biases.
@@ -179,7 +184,7 @@ class Investigator:
         self._flagged: list[tuple[str, ...]] = []
         self._earlier: list[dict[str, Any]] = []
         self._stages: list[Stage] = []
-        table = folder / "start.csv"
+        table = RunFolder(folder).first_dwells
         if not table.exists():
             write_dwells(table, self._rows)
         elif table.read_text(encoding="utf-8") != format_dwells(self._rows):
@@ -195,9 +200,10 @@ class Investigator:
         path = self._folder / "journal.jsonl"
         self._earlier = list(read_journal(path)) if path.exists() else []
         self._stages = []
-        with Journal(path, clock) as journal:
+        with RunLock(self._folder, clock), Journal(path, clock) as journal:
             event = "investigation_resumed" if self._earlier else "investigation_started"
-            journal.record(event, budget_h=self._budget_h)
+            first = {"unit": self._rows[0].unit, "dwells": len(self._rows)}
+            journal.record(event, procedure="investigation", budget_h=self._budget_h, **first)
             self._refused = {
                 tuple(entry["kinds"]): entry["reason"]
                 for entry in self._earlier
@@ -212,7 +218,10 @@ class Investigator:
                 )
                 ended = self._end(stage)
                 if ended is None:
-                    stage, ended = self._with_block(stage, journal)
+                    confirm = self._confirmation(stage)
+                    stage, ended = self._with_block(confirm or stage, journal)
+                    if ended and ended[0] == "no_block" and (confirm := self._confirmation(stage, ended[0])):
+                        stage, ended = self._with_block(confirm, journal)
                 if ended and (test := self._test(stage, ended[0])):
                     test, failed = self._with_block(test, journal)
                     stage = test if failed is None else stage
@@ -244,15 +253,16 @@ class Investigator:
             else:
                 refused = [*self._refused, *idle]
                 measured = [each.proposal.block.kinds for each in self._stages if each.proposal]
+                is_settled = stage.is_uncertain and stage.purpose != DISTINGUISH
                 found = propose(
                     forecast, stage.rivals, scale, refused, left_h, self._bench, measured,
-                    self._profile, stage.calibration if stage.is_uncertain and not stage.is_test else None,
+                    self._profile, stage.calibration if stage.is_uncertain else None, is_settled=is_settled,
                 )  # fmt: skip
                 useful = [
                     each
                     for each in found
                     if max(each.fall, each.replaced_h) > MIN_GAIN
-                    and (stage.purpose != TEST_LAW or each.block.name == NEW_CYCLE)
+                    and (stage.purpose != TEST_LAW or stage.is_uncertain or each.block.name == NEW_CYCLE)
                 ]
                 if not useful and stage.is_uncertain:
                     return stage, (
@@ -261,12 +271,14 @@ class Investigator:
                     )
                 if not useful:
                     return stage, self._no_block(stage)
-                if stage.is_test:
-                    best = max(useful, key=_test_per_h)
+                if is_settled:
+                    best = proposal_of(forecast, useful[0].block, stage.rivals, scale)
+                elif stage.is_test:
+                    best = max(useful, key=tested_per_h)
                 elif self._profile:
-                    best = min(useful, key=hours_left(useful, is_settled=stage.purpose == CALIBRATE))
+                    best = min(useful, key=hours_left(useful))
                 else:
-                    best = max(useful, key=lambda each: each.gain_per_h)
+                    best = useful[0]
                 if not self._is_approved(best, stage, journal):
                     return stage, ("declined", "The proposed block was declined.")
             try:
@@ -310,13 +322,30 @@ class Investigator:
             f"{experiments or 'a measurement of other quantities'}."
         )
 
+    def _confirmation(self, stage: Stage, ended: str = "") -> Stage | None:
+        """A stage whose block confirms a cause that the held-out dwells left open, if that is all.
+
+        ``ended``: where no block distinguishes, effects that a single dwell shows count no longer.
+        """
+        is_probable = only_unconfirmed(stage.closure, with_single_dwells=not ended)
+        return self._cause_test(stage) if is_probable else None
+
+    def _cause_test(self, last: Stage) -> Stage | None:
+        """A stage whose block tests the cause that a search found, unless one did."""
+        cause, without = confirming_rivals(last.closure)
+        if not cause.names or self._tested(CONFIRM, cause.names) is not None:
+            return None
+        return replace(last, rivals=(cause, without), purpose=CONFIRM)
+
     def _test(self, last: Stage, ended: str) -> Stage | None:
-        """A stage whose block tests what an investigation ends with: its cause, or a composed law."""
+        """A stage whose block tests what an investigation ends with: its cause, or a composed law.
+
+        With a profile, a block that its biases need is the test; none is measured for it alone.
+        """
+        if self._profile is not None and not last.is_uncertain:
+            return None
         if ended == "settled":
-            found = tuple(each.candidate for each in last.closure.effects)
-            cause = Rival(tuple(sorted(each.effect.name for each in found)), found, 0.5)
-            if cause.names and self._tested(CONFIRM, cause.names) is None:
-                return replace(last, rivals=(cause, Rival((), (), 0.5)), purpose=CONFIRM)
+            return self._cause_test(last)
         is_tested = any(each.purpose == TEST_LAW and each.outcome for each in self._stages)
         if ended == "not_on_list" and not is_tested:
             law = composed(last.closure).composed
@@ -346,10 +375,17 @@ class Investigator:
     def _end(self, stage: Stage) -> tuple[str, str] | None:
         posterior = stage.closure.posterior
         names = tuple(sorted(each.effect.name for each in stage.closure.effects))
-        if is_settled(stage.closure):
-            tested = self._tested(CONFIRM, names)
+        tested = self._tested(CONFIRM, names)
+        is_confirmed = tested is not None and tested.agrees
+        if is_settled(stage.closure) or (
+            is_confirmed and only_unconfirmed(stage.closure, with_single_dwells=False)
+        ):
             if tested is not None and tested.probabilities[0] <= 1.0 - SETTLED:
                 return ("refuted", f"A block contradicts what {' + '.join(names)} predicted for it.")
+            if tested is not None and set(names) >= SLOW:
+                return "not_on_list", (
+                    "Not on the list of effects: ageing and a drift together imitate one slow law of time."
+                )
             what = listed(sorted(map(stage.closure.label, names))) or "nothing beside the declared model"
             return "settled", f"{what.capitalize()}: probability {stage.closure.probability:.4f}."
         is_listed = posterior.not_on_list <= 1.0 - SETTLED
@@ -443,6 +479,19 @@ def is_settled(closure: Closure) -> bool:
     return is_stated and closure.probability >= SETTLED and not closure.posterior.rivals(names)
 
 
+def only_unconfirmed(closure: Closure, *, with_single_dwells: bool) -> bool:
+    """Whether a cause has enough probability, and is open only since held-out dwells do not confirm it.
+
+    A block that was predicted can confirm it in their place. ``with_single_dwells``: whether effects beside
+    it that a single dwell shows leave it open as well.
+    """
+    names = {each.effect.name for each in closure.effects}
+    others = closure.posterior.rivals(names).keys()
+    single = {each.effect.name for each in closure.evidence if each.rests_on_one_dwell}
+    is_probable = bool(names) and closure.verdict == "ambiguous" and closure.probability >= SETTLED
+    return is_probable and not (others if with_single_dwells else others - single)
+
+
 def rivals_of(closure: Closure) -> tuple[Rival, ...]:
     """The most probable hypotheses of a search; together they have probability 1."""
     best = [each for each in closure.posterior.hypotheses if each.probability > _MIN_PROBABILITY]
@@ -462,6 +511,12 @@ def rivals_of(closure: Closure) -> tuple[Rival, ...]:
     )
 
 
+def confirming_rivals(closure: Closure) -> tuple[Rival, Rival]:
+    """The cause that a search found, and nothing: what a block distinguishes to confirm it."""
+    found = tuple(each.candidate for each in closure.effects)
+    return Rival(tuple(sorted(each.effect.name for each in found)), found, 0.5), Rival((), (), 0.5)
+
+
 def _remainder_dph(closure: Closure) -> float:
     """Rms of what the model leaves beyond the noise; at least half of the noise."""
     residual_dph = (closure.campaign.bias_dph - closure.model.bias_dph)[closure.searched]
@@ -469,7 +524,8 @@ def _remainder_dph(closure: Closure) -> float:
     return float(max(np.sqrt(max(variance, 0.0)), 0.5 * closure.noise_dph))
 
 
-def _test_per_h(proposal: Proposal) -> float:
+def tested_per_h(proposal: Proposal) -> float:
+    """How far a block tests a prediction, as far as that is needed, per hour."""
     return min(proposal.difference, _ENOUGH) / proposal.block.plan.duration_h
 
 

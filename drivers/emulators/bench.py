@@ -15,7 +15,7 @@ import functools
 import logging
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from inspect import Parameter, signature
 from pathlib import Path
@@ -28,7 +28,7 @@ from gyrobench.bench.foundations.clock import Clock, VirtualClock, WallClock, cl
 from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError
 from gyrobench.bench.foundations.packages import EMULATORS, load
 from gyrobench.bench.foundations.shipped import find_document
-from gyrobench.drivers.emulators.can_ins import CanChannel, CanInsEmulator, CanNode
+from gyrobench.drivers.emulators.can_ins import CanChannel, CanInsEmulator, EmulatedUnit
 from gyrobench.drivers.emulators.dialect import ChamberEmulation, Connection, SerialInstrument, TableEmulation
 from gyrobench.drivers.emulators.world.strapdown import table_attitude
 from gyrobench.drivers.emulators.world.surroundings import OUTER
@@ -59,17 +59,6 @@ class BenchAddress:
 
 
 ADDRESS_KEYS = tuple(field.name for field in fields(BenchAddress))
-
-
-@dataclass
-class EmulatedUnit:
-    """One inertial unit on the table of an emulated bench."""
-
-    world: World
-    ins: CanInsEmulator
-    bus: CanNode  #: The INS at its bus, with faults.
-    connection: Connection  #: Its plug.
-    power_event: int  #: Event output of the chamber that feeds it.
 
 
 class EmulatedBench:
@@ -159,24 +148,21 @@ class EmulatedBench:
         self.injected = injected = InjectionLog(log or (path.parent / listed.log if listed.log else None))
         self._injector = Injector(listed.faults, self._parts, self._seed, self._start_s, injected)
 
-    def advance(self) -> None:
-        """Advance the world to the present."""
+    def advance(self, units: Sequence[EmulatedUnit] | None = None) -> None:
+        """Advance the world to the present: some units, if there are no faults, or all."""
         now_s = self.clock.now()
         if self._injector is not None:
             self._injector.advance(now_s)
             return
-        for unit in self.units:
+        for unit in self.units if units is None else units:
             unit.world.advance(now_s)
 
     def advance_instruments(self) -> None:
-        """Advance what table and chamber depend on: the air and whole seconds, if there are no faults."""
-        now_s = self.clock.now()
+        """Advance what table and chamber depend on: the air alone, if there are no faults."""
         if self._injector is not None:
             self.advance()
-        elif now_s >= self.world.surroundings.air_s:  # not yet in this second
-            for unit in self.units:
-                unit.world.advance(math.floor(now_s))
-            self.world.advance_air(now_s)
+        else:
+            self.world.advance_air(self.clock.now())
 
     @property
     def keeps_frames(self) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Protocol
 
@@ -74,14 +75,26 @@ class CanInsEmulator:
             listener(frames)
 
 
+@dataclass
+class EmulatedUnit:
+    """One inertial unit on the table of an emulated bench."""
+
+    world: World
+    ins: CanInsEmulator
+    bus: CanNode  #: The INS at its bus, with faults.
+    connection: Connection  #: Its plug.
+    power_event: int  #: Event output of the chamber that feeds it.
+
+
 class CanChannel:
     """A CAN bus with one unit on it, or several whose identifiers differ by an offset; a :class:`CanNode`."""
 
     def __init__(self) -> None:
         self.listeners: list[Callable[[FrameBlock], None]] = []
-        self._connected: list[tuple[CanNode, Connection, int]] = []
+        self.units: list[EmulatedUnit] = []  #: The connected units.
+        self._offsets: list[int] = []
 
-    def connect(self, node: CanNode, connection: Connection, identifier_offset: int = 0) -> None:
+    def connect(self, unit: EmulatedUnit, identifier_offset: int = 0) -> None:
         """Connect a unit, once."""
 
         def forward(frames: FrameBlock) -> None:
@@ -90,26 +103,27 @@ class CanChannel:
             for listener in self.listeners:
                 listener(frames)
 
-        if not any(connected is node for connected, _, _ in self._connected):
-            self._connected.append((node, connection, identifier_offset))
-            node.listeners.append(forward)
+        if not any(connected is unit for connected in self.units):
+            self.units.append(unit)
+            self._offsets.append(identifier_offset)
+            unit.bus.listeners.append(forward)
 
     @property
     def generation(self) -> int:
         """Changes whenever the bench's controller leaves the bus or may reopen it."""
-        return sum(connection.generation for _, connection, _ in self._connected)
+        return sum(unit.connection.generation for unit in self.units)
 
     def receive(self, message: can.Message) -> None:
         """Take a frame from the bus."""
-        for node, _, offset in self._connected:
+        for unit, offset in zip(self.units, self._offsets, strict=True):
             if message.arbitration_id >= offset:
                 own = copy.copy(message)
                 own.arbitration_id -= offset
-                node.receive(own)
+                unit.bus.receive(own)
 
     def in_order(self, blocks: list[FrameBlock]) -> FrameBlock:
         """Join blocks from all units in order of time."""
         frames = concatenate(blocks)
-        if len(self._connected) > 1:
+        if len(self.units) > 1:
             frames = frames.take(np.argsort(frames.timestamp_s, kind="stable"))
         return frames

@@ -59,7 +59,7 @@ class EmulatorBus(can.BusABC):
         except GyrobenchError as error:
             raise can.CanInitializationError(str(error)) from error
         self._channel = self._bench.channels.setdefault(channel, CanChannel())
-        self._channel.connect(self._unit.bus, self._unit.connection, identifier_offset)
+        self._channel.connect(self._unit, identifier_offset)
         self._generation = self._channel.generation
         self.keeps_frames = self._bench.keeps_frames
         self._blocks: list[FrameBlock] = []
@@ -71,7 +71,7 @@ class EmulatorBus(can.BusABC):
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002
         """Send a frame to the INS; it arrives immediately."""
-        self._bench.advance()
+        self._bench.advance(self._channel.units)
         self._check_bus()
         self._channel.receive(msg)
 
@@ -83,7 +83,7 @@ class EmulatorBus(can.BusABC):
         clock = self._bench.clock
         end_s = math.inf if timeout is None else clock.now() + timeout
         if not (self._messages or self._blocks):
-            self._bench.advance()
+            self._bench.advance(self._channel.units)
         while True:
             self._check_bus()
             while self._messages or self._blocks:
@@ -97,11 +97,11 @@ class EmulatorBus(can.BusABC):
             if remaining_s <= 0.0:
                 return None
             clock.sleep(min(self._unit.world.file.ins.epoch_period_s, remaining_s))
-            self._bench.advance()
+            self._bench.advance(self._channel.units)
 
     def recv_block(self) -> FrameBlock:
         """Take all frames that have arrived and pass the filters, without waiting."""
-        self._bench.advance()
+        self._bench.advance(self._channel.units)
         self._check_bus()
         frames = self._channel.in_order(self._blocks)
         self._blocks.clear()

@@ -6,18 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 
+from gyrobench.bench.bias.dwell_table import NEIGHBOURS_ON
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.effects.effect import Effect, no_ins_term, time_constant
 from gyrobench.bench.closure.effects.grammar import Law, form_of
 
-#: Column of the dwell table: number of other units that were on, mean over the dwell.
-COLUMN = "neighbours_on"
-_LAW = Law(COLUMN, memory="lag", parameters=(time_constant(60.0, 300.0, 1800.0),))
+_LAW = Law(NEIGHBOURS_ON, memory="lag", parameters=(time_constant(60.0, 300.0, 1800.0),))
 
 
 def _missing_input(campaign: Campaign) -> str | None:
     missing = _LAW.missing_input(campaign)
-    if missing is None and np.ptp(campaign.columns[COLUMN]) == 0.0:
+    if missing is None and np.ptp(campaign.columns[NEIGHBOURS_ON]) == 0.0:
         return "dwells with the unit beside it on, and others with it off"
     return missing
 

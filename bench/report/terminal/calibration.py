@@ -22,7 +22,12 @@ from gyrobench.bench.calibration.results import (
 )
 from gyrobench.bench.calibration.rotation_list import Forecast, RotationList
 from gyrobench.bench.calibration.spins import SpinScaleFactor
-from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, RADPS_TO_DPH, UG_PER_SQRT_HZ_TO_SI
+from gyrobench.bench.foundations.arrays import (
+    DEG_PER_SQRT_H_TO_SI,
+    RAD_TO_ARCMIN,
+    RADPS_TO_DPH,
+    UG_PER_SQRT_HZ_TO_SI,
+)
 from gyrobench.bench.foundations.text import counted, decimals_of, listed, plain_name
 from gyrobench.bench.navigation.earth import earth_rate_enu
 from gyrobench.bench.navigation.error_model import Site
@@ -40,15 +45,20 @@ def calibration_summary(
     headers = ("Coefficient", "Axis", "Unit", "Value", "Standard uncertainty")
     table = plain_table(headers, 3, map(_cells, coefficient_rows(calibration)), fold=False)
     return Group(
-        Text("Coefficients in the body frame of the accelerometers", style="bold"),
+        Text(f"Coefficients in the body frame of the {calibration.frame}", style="bold"),
         table,
         Text(),
         topics([*_topics(calibration, site), *map(_spin_topic, spins)]),
     )
 
 
-def forecast_summary(rotations: RotationList, expected: Forecast, noise: SensorNoise) -> RenderableType:
-    """What a calibration over a list of rotations will know of each coefficient."""
+def forecast_summary(
+    rotations: RotationList, expected: Forecast, noise: SensorNoise, site_sigmas: tuple[float, float]
+) -> RenderableType:
+    """What a calibration over a list of rotations will know of each coefficient.
+
+    ``site_sigmas``: included uncertainties of gravity, m/s^2, and latitude, rad.
+    """
     rows = [
         (
             plain_name(row["coefficient"]),
@@ -67,7 +77,7 @@ def forecast_summary(rotations: RotationList, expected: Forecast, noise: SensorN
     basis = (
         f"Noise: angle random walk {walk:.2g} deg/sqrt(h), velocity random walk {velocity_walk:.2g} "
         f"ug/sqrt(Hz), velocity at rest {1e3 * noise.white_velocity[0]:.2g} mm/s at 1 Hz. "
-        "Accelerometer scale factors: relative to gravity, whose error adds to them."
+        f"Included: gravity {site_sigmas[0]:.1g} m/s^2, latitude {site_sigmas[1] * RAD_TO_ARCMIN:.2g} arcmin."
     )
     headers = ("Coefficient", "Axis", "Unit", "Standard uncertainty")
     return Group(Text(title, style="bold"), plain_table(headers, 3, rows, fold=False), Text(), Text(basis))

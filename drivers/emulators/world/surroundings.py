@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -29,23 +30,31 @@ class AirSeconds(NamedTuple):
 class Surroundings:
     """Table and chamber around the units, from ``start_s``, a whole second.
 
-    Each unit joins once and then takes the air of every second, all units up to the same time before the
+    Each unit joins once and then takes the air of every second. Units are advanced when their output is
+    needed, each to another time; all of them before the table's motion changes, and by the caller before the
     supply of any of them is switched.
     """
 
     def __init__(self, file: WorldFile, start_s: int) -> None:
-        axis = AxisParameters(**file.table.model_dump(include=_AXIS_KEYS))
+        parameters = AxisParameters(**file.table.model_dump(include=_AXIS_KEYS))
         #: The table's axes: 1 outer, 2 inner.
-        self.axes = {number: TableAxis(axis) for number in (OUTER, INNER)}
+        self.axes = {number: TableAxis(parameters) for number in (OUTER, INNER)}
         self.air = ChamberAir(ChamberParameters(**file.chamber.model_dump()))  #: The chamber.
         self.air_s = start_s  #: Time that the chamber's air has reached.
         self.dissipated_w: dict[int, float] = {}  #: Heat of each unit at present, by its number.
         self._start_s = start_s
         self._heating = file.neighbour_heating
         self._courses: list[deque[tuple[float, float]]] = []
+        self._advance: list[Callable[[float], None]] = []
+        for axis in self.axes.values():
+            axis.before_motion = self._before_motion
 
-    def join(self, number: int) -> UnitAir:
-        """Give the unit of that number its air; before it joins, the air was as at present."""
+    def join(self, number: int, advance: Callable[[float], None]) -> UnitAir:
+        """Give the unit of that number its air; before it joins, the air was as at present.
+
+        ``advance`` advances the unit to a time.
+        """
+        self._advance.append(advance)
         present = self.air.air_c, self.air.compressor_duty
         course = deque([present] * (self.air_s - self._start_s))
         self._courses.append(course)
@@ -59,6 +68,10 @@ class Surroundings:
             second = self.air.air_c, self.air.compressor_duty
             for course in self._courses:
                 course.append(second)
+
+    def _before_motion(self, now_s: float) -> None:
+        for advance in self._advance:
+            advance(math.floor(now_s))
 
 
 class UnitAir:

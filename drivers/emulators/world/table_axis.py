@@ -7,6 +7,7 @@ encoder's error, which is repeatable over angle.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -62,6 +63,8 @@ class TableAxis:
 
     def __init__(self, parameters: AxisParameters, position_deg: float = 0.0) -> None:
         self.parameters = parameters
+        #: Called before the motion changes, with the time: what depends on the angle until then.
+        self.before_motion: Callable[[float], None] = lambda now_s: None  # noqa: ARG005
         self.limits = parameters.limits  #: Limits of later commands; a motion under way keeps its own.
         rest = Motion(0.0, AxisState(position_deg), [], Settling(0.0, 1.0))
         self._motions = [rest]
@@ -194,6 +197,7 @@ class TableAxis:
 
     def _follow(self, motion: Motion) -> None:
         now_s = motion.start_s
+        self.before_motion(now_s)
         # a motion is kept while its end, the start of the next one, is recent
         ends_s = [later.start_s for later in self._motions[1:]] + [now_s]
         recent = [m for m, end_s in zip(self._motions, ends_s, strict=True) if end_s > now_s - _MEMORY_S]

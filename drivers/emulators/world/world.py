@@ -65,7 +65,7 @@ class World:
         self.axes, self.air = self.surroundings.axes, self.surroundings.air
         self._outer, self._inner = self.axes[OUTER], self.axes[INNER]
         self._number = number
-        self._unit_air = self.surroundings.join(number)
+        self._unit_air = self.surroundings.join(number, self.advance)
         self._neighbours_k = np.zeros(1)
         self._switched_on = self._has_lost_supply = False
         self.thermal = ThermalNetwork(file.thermal, file.chamber.ambient_c)

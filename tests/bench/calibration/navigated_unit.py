@@ -10,7 +10,7 @@ import numpy as np
 
 from gyrobench.bench.calibration.coefficients import COUNT, SensorErrors
 from gyrobench.bench.calibration.recording import IncrementRecording, Rest
-from gyrobench.bench.dwells.plateau_calibration import navigated_increments
+from gyrobench.bench.dwells.rotated_dwell import navigated_increments
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.navigation.table_axes import TwoAxisTable

@@ -65,7 +65,8 @@ def test_eighteen_rotations_give_the_expected_uncertainties():
     assert np.isfinite(list(found.values())).all()
 
 
-def test_the_forecast_is_what_a_calibration_of_simulated_increments_then_states():
+@pytest.mark.parametrize("site_sigmas", [(0.0, 0.0), (1e-4, np.deg2rad(1.0 / 60.0))])
+def test_the_forecast_is_what_a_calibration_of_simulated_increments_then_states(site_sigmas):
     rotations = RotationList(
         rotation_list="short",
         dwell_s=60.0,
@@ -76,8 +77,9 @@ def test_the_forecast_is_what_a_calibration_of_simulated_increments_then_states(
     unit = Unit(FORTH, dwell_s=60.0, sample_hz=20.0, gravity=SITE.gravity)
     increments = noise.added(*unit.increments(), 0.05, np.random.default_rng(9))
     walks = noise.angle_random_walk, noise.velocity_random_walk
-    measured = calibrate([IncrementRecording(0.05, *increments)], SITE, CalibrationOptions(walks=walks))
-    expected = sigmas(rotations)
+    options = CalibrationOptions(walks=walks, gravity_sigma=site_sigmas[0], latitude_sigma=site_sigmas[1])
+    measured = calibrate([IncrementRecording(0.05, *increments)], SITE, options)
+    expected = sigmas(rotations, site_sigmas=site_sigmas)
     np.testing.assert_allclose(measured.sigmas * SHOWN, list(expected.values()), rtol=0.1)
 
 

@@ -74,6 +74,20 @@ def test_a_log_gives_a_table_of_coefficients_with_their_uncertainties(tmp_path, 
     assert "31 ppm of the accelerometer scale factors" in " ".join(result.stdout.split())
 
 
+def test_the_body_frame_may_be_that_of_the_gyros(tmp_path):
+    write_log(tmp_path, unit())
+    command = ("calibrate", "log.csv", "--map", "map.yaml", "--body-frame", "gyros")
+    record = json.loads(gyrobench(*command, "--json", cwd=tmp_path).stdout)
+    assert record["body_frame"] == "gyros"
+    names = [row["coefficient"] for row in record["coefficients"]]
+    assert (names.count("gyro_misalignment"), names.count("accelerometer_misalignment")) == (3, 6)
+    for row in record["coefficients"]:
+        assert row["sigma"] > 0.0
+        if "misalignment" in row["coefficient"]:
+            assert abs(row["value"]) < 4.0 * row["sigma"] < 20.0
+    assert "in the body frame of the gyros" in gyrobench(*command, cwd=tmp_path).stdout
+
+
 def test_spins_against_the_table_are_listed_with_linearity_and_asymmetry(tmp_path):
     spins = [("inner", sign * 3600.0, rate) for rate in (30.0, 90.0) for sign in (1.0, -1.0)]
     write_log(tmp_path, unit(rotations=(*EIGHTEEN[:6], *spins)))
@@ -178,6 +192,8 @@ def test_plan_shows_what_a_list_of_rotations_will_show(tmp_path):
     sigmas = {(row["coefficient"], row["axis"]): row["sigma"] for row in record["coefficients"]}
     assert sigmas["gyro_scale_factor", "x"] < 0.6
     assert sigmas["gyro_scale_factor", "z"] is None
+    text = " ".join(result.stdout.split())
+    assert "Included: gravity 1e-06 m/s^2, latitude 0.02 arcmin" in text
     refused = gyrobench("plan", "outer_axi", "--observability", cwd=tmp_path)
     assert refused.returncode == 2
     assert "Shipped rotations: eighteen_rotations" in " ".join(refused.stderr.split())

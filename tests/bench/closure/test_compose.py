@@ -3,6 +3,7 @@
 import json
 import shutil
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -35,11 +36,21 @@ def table(law, size=15.0, seed=0, **options):
     return measure({law: size}, seed=seed, sensors=SENSORS, **({"cycles": 3} | options)).rows
 
 
+@cache
+def searched(law):
+    return close_loop(campaign_of(table(law)))
+
+
 @pytest.mark.parametrize(
-    ("law", "driver"), [(striction, "board_c"), (onset_of_case, "case_c"), (supply_limit, "supply_w")]
+    ("law", "driver"),
+    [
+        (striction, "board_c"),
+        pytest.param(onset_of_case, "case_c", marks=pytest.mark.long),
+        pytest.param(supply_limit, "supply_w", marks=pytest.mark.long),
+    ],
 )
 def test_the_driver_of_an_unknown_effect_is_the_most_probable(law, driver):
-    closure = composed(close_loop(campaign_of(table(law))))
+    closure = composed(searched(law))
     assert closure.verdict == "unexplained"
     assert next(iter(closure.composed.of_driver)) == driver
     best = closure.composed.laws[0]
@@ -67,7 +78,7 @@ def test_noise_on_no_law_of_the_grammar_stays_other():
 
 def test_a_law_beside_something_else_is_no_law_alone(monkeypatch):
     """With a remainder nearly certain before, what is left to the laws alone is small."""
-    closure = close_loop(campaign_of(table(striction)))
+    closure = searched(striction)
     monkeypatch.setattr(posterior, "REMAINDER_PRIOR", 1.0 - 1e-9)
     found = composed(closure).composed
     assert found.law_and_remainder > 0.99

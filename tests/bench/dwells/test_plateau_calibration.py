@@ -111,7 +111,7 @@ def test_exchanged_axes_of_increments_give_no_coefficients(with_increments, axes
         return replace(sent, **{name: getattr(sent, name)[:, axes] for name in names})
 
     first = next(iter(rotated(folder)))
-    found = calibrate_rotations([first], replace(setup, decode_increments=exchanged))
+    [found] = calibrate_rotations([first], replace(setup, decode_increments=exchanged))
     assert found.calibration is None
     assert "Check axes, signs and units of ins.signals.increments" in found.finding
 
@@ -138,6 +138,33 @@ def test_a_temperature_that_changes_within_the_plateau_adds_the_slope_between_pl
         assert added == pytest.approx((slopes * change_c) ** 2 / 12.0, abs=1e-25)
     [alone] = with_temperature_change(plateaus[:1])
     assert not alone.estimate.parts["temperature_change"].any()
+
+
+def test_rotations_on_the_ramp_and_after_the_soak_of_one_set_point_are_two_plateaus(run_procedure, tmp_path):
+    rotations = [{"axis": axis, "angle_deg": angle} for axis in ("outer", "inner") for angle in (90, -90)]
+    rotated_once = [
+        {"go_to": {"position": "z_up", "rate_dps": 10}},
+        {"align": {"duration_s": 120}},
+        {"rotate": {"rest_s": 60, "rate_dps": 10, "rotations": rotations}},
+    ]
+    steps = [
+        {"power_on": {"settle_s": 20}},
+        {"chamber": {"temperature_c": 32, "ramp_c_per_min": 1.0, "within_c": 50}},
+        *rotated_once,
+        {"soak": {"until_gyro_rate_below_c_per_h": 2, "at_least_s": 7200, "at_most_s": 14400}},
+        *rotated_once,
+        *rotated_once,
+        "power_off",
+        "chamber_off",
+    ]
+    path = tmp_path / "ramp.yaml"
+    path.write_text(yaml.safe_dump({"procedure": "ramp", "bin_width_c": 5, "steps": steps}))
+    folder, _, _ = run_procedure(path, tmp_path / "run", WORLD)
+    rows = [row for row in read_coefficients(folder.coefficients) if row.coefficient == "gyro_bias"]
+    rates = {row.plateau: row.gyro_rate_c_per_h for row in rows if row.axis == "x"}
+    assert list(rates) == [1, 2]
+    assert rates[1] > 5.0
+    assert abs(rates[2]) < 2.0
 
 
 def test_report_has_table_and_figure_of_the_coefficients(with_increments):

@@ -1,0 +1,160 @@
+"""Increments of a dwell with rotations: as the INS sent them, or from its navigation output.
+
+The change of attitude and velocity from epoch to epoch is what its sensors measured, but for the vertical
+specific force, which an INS of fixed altitude does not show. Gravity stands in its place, and shows nothing.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrobench.bench.bias.dwell_table import Triple
+from gyrobench.bench.calibration.recording import MIN_REST_TOTAL_S, IncrementRecording, Rest
+from gyrobench.bench.dwells.dwell import MeasurementSetup, checked_navigation
+from gyrobench.bench.dwells.marks import DwellMarks
+from gyrobench.bench.dwells.temperatures import dwell_temperatures
+from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vectors
+from gyrobench.bench.navigation.earth import EARTH_RATE, curvature_radii
+from gyrobench.bench.navigation.error_model import Site
+from gyrobench.drivers.frames import FrameBlock
+from gyrobench.drivers.ins.navigation_data import Increments, NavigationData
+
+#: Part of the usual interval by which the time between two epochs may differ from it.
+_MAX_STEP_ERROR = 0.5
+#: Sum, rad or m/s, from which increments are compared with attitude and velocity, by how much of it they may
+#: differ, as by gaps, and largest angle between two attitudes, rad.
+_MIN_TURN, _MAX_AWAY, _MAX_STEP = 0.5, 0.5, 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class RotatedDwell:
+    """What the INS measured in a dwell with rotations."""
+
+    marks: DwellMarks
+    pieces: list[tuple[IncrementRecording, list[Rest]]]  #: Increments without a gap, each with its rests.
+    gyro_c: Triple  #: Mean temperatures of the gyros; NaN where not measured.
+    gyro_rate_c_per_h: Triple  #: Their slopes.
+    case_c: float  #: Mean temperature of the case; NaN where not measured.
+
+    @property
+    def range_c(self) -> FloatArray:
+        """Lowest and highest temperatures (2, 4) of gyros and case."""
+        change_c = np.abs(self.gyro_rate_c_per_h) * (self.marks.end_s - self.marks.start_s) / 3600.0
+        half = 0.5 * np.array([*change_c, 0.0])
+        middle_c = np.array([*self.gyro_c, self.case_c])
+        return np.array([middle_c - half, middle_c + half])
+
+
+def measure_rotations(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) -> RotatedDwell:
+    """Increments and temperatures of a dwell.
+
+    Raises MeasurementError if what the INS sent can't be used.
+    """
+    navigation = checked_navigation(marks, frames, setup, [])
+    first, end = marks.windows[0].first_frame, marks.windows[-1].end_frame
+    temperatures = dwell_temperatures(navigation, first, end)
+    increments = setup.decode_increments(frames)
+    is_sent = increments is not None and len(increments.row) > 0
+    navigated = navigated_increments(navigation, setup.site)
+    if increments is None or not is_sent:
+        increments = navigated
+    else:
+        _check_axes(increments, navigated, marks)
+    begin, stop = np.searchsorted(increments.row, [first, end])
+    gaps = begin + 1 + np.flatnonzero(~increments.follows[begin + 1 : stop])
+    pieces = []
+    for part in itertools.starmap(slice, itertools.pairwise([begin, *gaps.tolist(), stop])):
+        ends = [
+            np.searchsorted(increments.row[part], [each.first_frame, each.end_frame])
+            for each in marks.windows
+        ]
+        rests = [Rest(int(a), int(b)) for a, b in ends if b > a]
+        # Up to the end of a rest the table stands as it was read there.
+        counts = np.diff([0, *(int(end) for _, end in ends[:-1]), part.stop - part.start])
+        table = np.repeat(
+            [setup.table.attitude(each.outer_deg, each.inner_deg) for each in marks.windows], counts, axis=0
+        )
+        if sum(rest.end - rest.begin for rest in rests) * increments.interval_s >= MIN_REST_TOTAL_S:
+            angle, velocity = increments.angle[part], increments.velocity[part]
+            recording = IncrementRecording(
+                increments.interval_s, angle, velocity, has_vertical=is_sent, table=table
+            )
+            pieces.append((recording, rests))
+    return RotatedDwell(
+        marks, pieces, temperatures.gyro_c, temperatures.gyro_rate_c_per_h, temperatures.case_c
+    )
+
+
+def _check_axes(sent: Increments, navigated: Increments, marks: DwellMarks) -> None:
+    """Raise MeasurementError if increments have other axes, signs or units than attitude and velocity.
+
+    Coefficients of axes that are exchanged in angle and velocity alike fit the increments as well.
+    """
+    rests = [(each.first_frame, each.end_frame) for each in marks.windows]
+    between = [(before[1], after[0]) for before, after in itertools.pairwise(rests)]
+    for name, spans in (("velocity", rests), ("angle", between)):
+        for span in spans:
+            found, expected = (
+                getattr(each, name)[slice(*np.searchsorted(each.row, span))].sum(axis=0)
+                for each in (sent, navigated)
+            )
+            if name == "angle" and _fastest(sent, span) * navigated.interval_s > _MAX_STEP:
+                continue  # further between two epochs than attitudes show
+            away = np.linalg.norm(found - expected)
+            if np.linalg.norm(expected) > _MIN_TURN and away > _MAX_AWAY * np.linalg.norm(expected):
+                raise MeasurementError(
+                    f"the {name} increments add up to {_triple_text(found)}, by attitude and velocity "
+                    f"{_triple_text(expected)}. Check axes, signs and units of ins.signals.increments"
+                )
+
+
+def _fastest(sent: Increments, span: tuple[int, int]) -> float:
+    """Largest rate, rad/s."""
+    angle = sent.angle[slice(*np.searchsorted(sent.row, span))]
+    return float(np.linalg.norm(angle, axis=1).max(initial=0.0)) / sent.interval_s
+
+
+def _triple_text(values: FloatArray) -> str:
+    return "({:.4g}, {:.4g}, {:.4g})".format(*values)
+
+
+def navigated_increments(navigation: NavigationData, site: Site) -> Increments:
+    """What the sensors of an INS measured from epoch to epoch, by its attitude and velocity.
+
+    The navigation frame turns with the Earth and with the velocity that the INS computes; to that belong the
+    Coriolis acceleration and, in place of the vertical specific force, gravity.
+    """
+    time_s, C_nb = navigation.ins_time_s, navigation.attitude
+    velocity = navigation.velocity_enu_mps[:, :2]
+    interval_s = float(np.median(np.diff(time_s)))
+    east, north = (0.5 * (velocity[1:] + velocity[:-1])).T
+    meridian, across = curvature_radii(site.latitude, site.height)
+    transport = np.stack([-north / meridian, east / across, east * np.tan(site.latitude) / across], axis=-1)
+    # Where the INS takes itself to be: in hours its drift changes the Earth's rate that it subtracts.
+    latitude = site.latitude + np.cumsum(north) * interval_s / meridian
+    earth = EARTH_RATE * np.stack([np.zeros_like(latitude), np.cos(latitude), np.sin(latitude)], axis=-1)
+    turned, half = (rotation_matrices(part * (earth + transport) * interval_s) for part in (1.0, 0.5))
+    angle = rotation_vectors(C_nb[:-1].transpose(0, 2, 1) @ turned @ C_nb[1:])
+    force = np.cross(2.0 * earth + transport, np.stack([east, north, np.zeros_like(east)], axis=-1))
+    force[:, :2] += np.diff(velocity, axis=0) / interval_s
+    force[:, 2] = site.gravity
+    in_body = np.einsum("nji,njk,nk->ni", C_nb[:-1], half, force * interval_s)
+    turning = np.cross(angle, in_body)
+    sums = in_body - 0.5 * turning + np.cross(angle, turning) / 12.0
+    # Rotation vectors and velocities hold coning and sculling, which increments of sensors do not.
+    last = np.maximum(np.arange(len(angle)) - 1, 0)
+    coning = np.cross(angle[last], angle) / 12.0
+    sculling = (np.cross(angle[last], sums) + np.cross(sums[last], angle)) / 12.0
+    steady = np.abs(np.diff(time_s) / interval_s - 1.0) < _MAX_STEP_ERROR
+    return Increments(
+        row=navigation.row[1:],
+        angle=angle - coning,
+        velocity=sums - sculling,
+        follows=steady,
+        interval_s=interval_s,
+    )
