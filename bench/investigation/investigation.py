@@ -11,13 +11,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
-import numpy as np
-
 from gyrobench.bench.bias.dwell_table import DwellRow, format_dwells, read_dwells, write_dwells
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.effects import all_effects
-from gyrobench.bench.closure.effects.effect import Effect, searched_length_s
-from gyrobench.bench.closure.loop import Closure, close_loop, composed
+from gyrobench.bench.closure.loop import Closure, composed
 from gyrobench.bench.closure.posterior import CLEAN, RIVAL
 from gyrobench.bench.closure.search import MAX_EFFECTS
 from gyrobench.bench.foundations.clock import Clock
@@ -27,6 +23,15 @@ from gyrobench.bench.foundations.operator_name import operator_name
 from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.investigation.blocks import NEW_CYCLE, Block, BlockPlanner
 from gyrobench.bench.investigation.choice import Rival
+from gyrobench.bench.investigation.doubt import (
+    SLOW,
+    confirming_rivals,
+    is_settled,
+    only_unconfirmed,
+    remainder_dph,
+    rivals_of,
+    searched,
+)
 from gyrobench.bench.investigation.external_bench import BlockPlan, BlockRefusedError
 from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.investigation.profile import Calibration, Profile
@@ -45,22 +50,12 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal, read_journal
 from gyrobench.bench.station.locks import RunLock
 
-#: Hypotheses less probable than this, and more than so many, are not predicted.
-_MIN_PROBABILITY = 1e-3
-_MAX_RIVALS = 6
 #: A block that is expected to remove less of the entropy, nats, is not worth its time.
 MIN_GAIN = 0.02
 #: The plan of a block, once it was approved, and its dwells, once they were checked.
 _PLAN, _DONE = "plan.json", "dwells.csv"
 #: Times that a kind of block is measured while the blocks bring only dwells with flags.
 _MAX_FLAGGED = 2
-#: Ageing is a hypothesis of dwells over more than this: its shortest time constant is a day.
-_MIN_AGEING_S = 26.0 * 3600.0
-#: A prediction is tested where it differs by this square from that without it, in units of its uncertainty.
-_ENOUGH = 60.0
-#: Both follow the time alone: an exponential and a line together fit any law that settles slowly, as a
-#: logarithm, so that they are not stated as two causes.
-SLOW = frozenset({"ageing", "time_drift"})
 #: Purposes of a block.
 DISTINGUISH, CONFIRM, TEST_LAW, CALIBRATE = "distinguish", "confirm", "test_law", "calibrate"
 #: Ends after which an adaptive campaign still determines biases.
@@ -274,7 +269,7 @@ class Investigator:
                 if is_settled:
                     best = proposal_of(forecast, useful[0].block, stage.rivals, scale)
                 elif stage.is_test:
-                    best = max(useful, key=tested_per_h)
+                    best = max(useful, key=lambda each: each.tested_per_h)
                 elif self._profile:
                     best = min(useful, key=hours_left(useful))
                 else:
@@ -354,7 +349,7 @@ class Investigator:
                 names = tuple(each.effect.name for each in found)
                 best = law.laws[0].candidate
                 with_law = Rival((*names, best.effect.name), (*found, best), 0.5)
-                without = Rival(names, found, 0.5, _remainder_dph(last.closure))
+                without = Rival(names, found, 0.5, remainder_dph(last.closure))
                 return replace(last, rivals=(with_law, without), purpose=TEST_LAW)
         return None
 
@@ -454,79 +449,6 @@ class Investigator:
             ],
         )
         return replace(stage, proposal=proposal, outcome=outcome)
-
-
-def searched(campaign: Campaign, held_out: Sequence[int]) -> Closure:
-    """Search with the effects that only the first dwells do not show, as far as they are long enough.
-
-    A single power cycle does not exclude ageing, so that a search leaves it out; the next block may have
-    another one.
-    """
-    effects = all_effects(*(Path(each.name) for each in campaign.tables))
-    if searched_length_s(campaign.holding_out(held_out)) > _MIN_AGEING_S:
-        effects = tuple(_in_one_power_cycle(each) if each.name == "ageing" else each for each in effects)
-    return close_loop(campaign, held_out, effects)
-
-
-def _in_one_power_cycle(effect: Effect) -> Effect:
-    return replace(effect, forms=tuple(replace(form, missing_input=lambda _: None) for form in effect.forms))
-
-
-def is_settled(closure: Closure) -> bool:
-    """Whether a search states its cause, or that there is nothing, with enough probability."""
-    names = [each.effect.name for each in closure.effects]
-    is_stated = closure.verdict in ("explained", "clean")
-    return is_stated and closure.probability >= SETTLED and not closure.posterior.rivals(names)
-
-
-def only_unconfirmed(closure: Closure, *, with_single_dwells: bool) -> bool:
-    """Whether a cause has enough probability, and is open only since held-out dwells do not confirm it.
-
-    A block that was predicted can confirm it in their place. ``with_single_dwells``: whether effects beside
-    it that a single dwell shows leave it open as well.
-    """
-    names = {each.effect.name for each in closure.effects}
-    others = closure.posterior.rivals(names).keys()
-    single = {each.effect.name for each in closure.evidence if each.rests_on_one_dwell}
-    is_probable = bool(names) and closure.verdict == "ambiguous" and closure.probability >= SETTLED
-    return is_probable and not (others if with_single_dwells else others - single)
-
-
-def rivals_of(closure: Closure) -> tuple[Rival, ...]:
-    """The most probable hypotheses of a search; together they have probability 1."""
-    best = [each for each in closure.posterior.hypotheses if each.probability > _MIN_PROBABILITY]
-    best = best[:_MAX_RIVALS]
-    total = sum(each.probability for each in best)
-    effects = {each.effect.name: each.effect for each in closure.evidence}
-    remainder_dph = _remainder_dph(closure)
-    return tuple(
-        Rival(
-            tuple(sorted(each.names)),
-            each.candidates,
-            each.probability / total,
-            remainder_dph if each.has_remainder else 0.0,
-            tuple(effects[name] for name in each.names - {one.effect.name for one in each.candidates}),
-        )
-        for each in best
-    )
-
-
-def confirming_rivals(closure: Closure) -> tuple[Rival, Rival]:
-    """The cause that a search found, and nothing: what a block distinguishes to confirm it."""
-    found = tuple(each.candidate for each in closure.effects)
-    return Rival(tuple(sorted(each.effect.name for each in found)), found, 0.5), Rival((), (), 0.5)
-
-
-def _remainder_dph(closure: Closure) -> float:
-    """Rms of what the model leaves beyond the noise; at least half of the noise."""
-    residual_dph = (closure.campaign.bias_dph - closure.model.bias_dph)[closure.searched]
-    variance = float(np.mean(residual_dph**2)) - closure.noise_dph**2
-    return float(max(np.sqrt(max(variance, 0.0)), 0.5 * closure.noise_dph))
-
-
-def tested_per_h(proposal: Proposal) -> float:
-    """How far a block tests a prediction, as far as that is needed, per hour."""
-    return min(proposal.difference, _ENOUGH) / proposal.block.plan.duration_h
 
 
 def probabilities(closure: Closure) -> dict[str, Any]:

@@ -40,6 +40,8 @@ _MIN_RUN_SPREAD = 30.0
 _MIN_OFF_K = 10.0
 #: Dwells of which every prediction is less probable by chi2 fit none.
 _MIN_P_VALUE = 1e-4
+#: A prediction is tested where it differs by this square from that without it, in units of its uncertainty.
+_ENOUGH = 60.0
 #: A cause is settled at this probability.
 SETTLED = 0.99
 
@@ -83,6 +85,11 @@ class Proposal:
         first, second = self.predictions[:2]
         apart_dph = first.mean_dph - second.mean_dph
         return float(apart_dph @ np.linalg.solve(second.covariance, apart_dph))
+
+    @property
+    def tested_per_h(self) -> float:
+        """How far the block tests the first of two rivals, as far as that is needed, per hour."""
+        return min(self.difference, _ENOUGH) / self.block.plan.duration_h
 
 
 def propose(

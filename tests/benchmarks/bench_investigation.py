@@ -20,17 +20,16 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.investigation.forecast import Forecast
-from gyrobench.bench.investigation.investigation import (
-    MIN_GAIN,
+from gyrobench.bench.investigation.doubt import (
     SLOW,
     confirming_rivals,
     is_settled,
     only_unconfirmed,
     rivals_of,
     searched,
-    tested_per_h,
 )
+from gyrobench.bench.investigation.forecast import Forecast
+from gyrobench.bench.investigation.investigation import MIN_GAIN
 from gyrobench.bench.investigation.proposal import hours_left, outcome_of, propose
 from tests.benchmarks.closure_laws import ON_THE_LIST
 from tests.benchmarks.investigation_units import SimulatedUnit
@@ -128,7 +127,7 @@ class Tie:
         for with_single_dwells in (True, False):
             is_open = only_unconfirmed(state.closure, with_single_dwells=with_single_dwells)
             if is_open and names not in state.tested and (usable := short(state.confirming)):
-                return max(usable, key=tested_per_h), True
+                return max(usable, key=lambda each: each.tested_per_h), True
             useful = [each for each in short(state.proposals) if each.fall > MIN_GAIN]
             if useful:
                 return max(useful, key=lambda each: value(each, state)), False

@@ -8,9 +8,10 @@ import pytest
 from gyrobench.bench.closure.loop import Evidence
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.investigation.doubt import only_unconfirmed
 from gyrobench.bench.investigation.external_bench import AfterLastDwell, ExternalBench
 from gyrobench.bench.investigation.forecast import Forecast
-from gyrobench.bench.investigation.investigation import Investigator, only_unconfirmed
+from gyrobench.bench.investigation.investigation import Investigator
 from gyrobench.bench.investigation.proposal import outcome_of
 from gyrobench.bench.report.investigation import investigation_text
 from gyrobench.bench.runs.journal import read_journal

@@ -7,8 +7,8 @@ import pytest
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.investigation.blocks import Block, catalogue
 from gyrobench.bench.investigation.choice import Expected
+from gyrobench.bench.investigation.doubt import rivals_of, searched
 from gyrobench.bench.investigation.forecast import Forecast
-from gyrobench.bench.investigation.investigation import rivals_of, searched
 from gyrobench.bench.investigation.proposal import Proposal, hours_left, outcome_of, propose
 from tests.bench.investigation.simulated_bench import first_campaign, simulate
 
