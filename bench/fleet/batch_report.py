@@ -206,10 +206,11 @@ _BAND = (
 )
 
 
-def batch_document(name: str, batch: Sequence[QuantityStatistics]) -> dict[str, Any]:
-    """Content of ``batch.json``."""
+def batch_document(name: str, batch: Sequence[QuantityStatistics], watermark: str = "") -> dict[str, Any]:
+    """Content of ``batch.json``; ``watermark`` is the word across the page, if a run was emulated."""
     return {
         "batch": name,
+        "simulated": bool(watermark),
         "standing_out": [
             {"unit": unit.unit, "in": stats.quantity.label, "p_adjusted": unit.p_adjusted}
             for stats, unit in outliers(batch)
@@ -244,7 +245,7 @@ def write_batch(
     Raises RunFolderError if a file can't be written.
     """
     make_folder(folder)
-    text = json.dumps(batch_document(name, batch), indent=1, allow_nan=False) + "\n"
+    text = json.dumps(batch_document(name, batch, watermark), indent=1, allow_nan=False) + "\n"
     write_whole(folder / "batch.json", text.encode())
     units = {unit.unit for stats in batch for unit in stats.units}
     out = {unit.unit for _, unit in outliers(batch)}
