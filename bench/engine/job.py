@@ -112,6 +112,12 @@ def prepare_job(
             "or choose a procedure with `purpose: calibration_check`"
         )
     rows = tuple(read_calibration(calibration)) if calibration else ()
+    known = {row.unit for row in rows}
+    lacking = [unit.number for unit in bench.units if unit.number and unit.number not in known]
+    if rows and lacking:
+        raise DocumentError(
+            f"{calibration}: has no dwell of unit {', '.join(lacking)}. Give a calibration of all units"
+        )
     if compensation is not None:
         _check_compensation(bench, compensation)
     given = {name: text for name, text in (order or {}).items() if text}
