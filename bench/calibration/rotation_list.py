@@ -132,7 +132,7 @@ def forecast(
     can't do the rotations.
     """
     # They bring numba, which reading a list does not need.
-    from gyrobench.bench.calibration.estimator import CalibrationOptions, Information, site_parts
+    from gyrobench.bench.calibration.information import CalibrationOptions, Information, site_parts
     from gyrobench.bench.calibration.section import EPOCH_S, Section
     from gyrobench.bench.calibration.strapdown import UNKNOWNS, Epochs
 
