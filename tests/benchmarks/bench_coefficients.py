@@ -86,7 +86,7 @@ def test_rms_over_the_cramer_rao_bound_and_coverage():
     assert 0.93 < coverage < 0.97
 
 
-@pytest.mark.parametrize("drift_dph_per_h", [0.0, 0.05, 0.2])
+@pytest.mark.parametrize("drift_dph_per_h", [0.0, 0.05, 0.1])
 def test_a_drift_of_the_biases_is_part_of_the_model(drift_dph_per_h):
     rotations = load_rotation_list(find_document("rotations", "eighteen_rotations"))
     site, noise, dt = Site(np.deg2rad(45.0)), Noise(), 0.05
