@@ -1,5 +1,8 @@
-"""Order of the tests, which of them one worker runs, and where their locks are."""
+"""Order of the tests, which of them one worker runs, what workers compile, and where their locks are."""
 
+import contextlib
+import gc
+import importlib
 import signal
 
 import hypothesis
@@ -7,6 +10,7 @@ import pytest
 from xdist.scheduler import LoadFileScheduling
 
 from gyrobench.bench.station.locks import LOCK_DIR_VARIABLE
+from gyrobench.drivers.emulators.bench import compile_world
 
 # A shell that starts the tests in the background leaves these ignored, for every process that a test starts.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -49,6 +53,31 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.nodeid.partition("::")[0] not in LONG,
         )
     )
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Share the compiling: one worker the simulated bench, each other a part of the tests.
+
+    Without that, and without caches from an earlier time, every worker would compile all.
+    """
+    config = session.config
+    if not hasattr(config, "workerinput"):
+        return
+    number, others = int(config.workerinput["workerid"][2:]), config.workerinput["workercount"] - 1
+    if number == 0:
+        compile_world()
+        return
+    paths = [path for arg in config.args for path in sorted((config.rootpath / arg).rglob("test_*.py"))]
+    for path in paths[number - 1 :: others]:
+        with contextlib.suppress(Exception, pytest.skip.Exception):  # collecting reports it
+            importlib.import_module(".".join(path.relative_to(config.rootpath).with_suffix("").parts))
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_finish() -> None:
+    """Leave what was imported out of garbage collection, which tests that draw figures do often."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session", autouse=True)

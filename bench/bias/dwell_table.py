@@ -53,6 +53,8 @@ _REQUIRED = _columns(name for name in _NAMES if name not in _OPTIONAL)
 
 #: Columns that a table is written with.
 COLUMNS = (*_columns(_NAMES), "flags")
+#: Other column: number of other units in the chamber that were on, mean over the dwell.
+NEIGHBOURS_ON = "neighbours_on"
 #: Values of three gyros that nothing was measured of.
 NOT_MEASURED: Triple = (math.nan, math.nan, math.nan)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime, timedelta
 from functools import cached_property
@@ -19,8 +19,7 @@ from typing import Any
 import numpy as np
 
 from gyrobench.bench.bias.bins import BiasBin
-from gyrobench.bench.bias.budget import NORMAL_K
-from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.budget import NORMAL_K, coverage_factor
 from gyrobench.bench.bias.statistics import weighted_fit
 from gyrobench.bench.closure.loadable_model import model_with_effects
 from gyrobench.bench.dwells.closure_inputs import read_closure
@@ -36,8 +35,8 @@ from gyrobench.bench.report.statements import verdict_sentence
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.provenance import SIMULATED
 from gyrobench.bench.runs.seal import verify_seals
-from gyrobench.bench.runs.tables.budget_table import COMBINED, read_budget
-from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, read_coefficients
+from gyrobench.bench.runs.tables.budget_table import COMBINED, Coverage, coverage
+from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow
 from gyrobench.bench.station.station_file import StationFile, load_station_file
 
 #: Polynomial fitted where no model was searched: its degree, and the shortest range of temperatures.
@@ -105,6 +104,7 @@ class Order:
     number: str = ""  #: Of the certificate.
     authorised_by: str = ""
     ambient: str = ""  #: Conditions of the room.
+    recalibration: str = ""  #: Until when the biases stay within a limit agreed with the customer.
 
 
 @dataclass(frozen=True)
@@ -123,13 +123,16 @@ class BiasResult:
 
 @dataclass(frozen=True)
 class ModelNumber:
-    """One number of the bias model of a gyro, with expanded uncertainty for k = 1.96."""
+    """One number of the bias model of a gyro, or a coefficient of a sensor, with expanded uncertainty."""
 
     name: str
-    gyro: str
+    axis: str  #: "x", "y" or "z"; of misalignments the sensor and the axis that it senses.
     value: float
     expanded: float
+    k: float
     unit: str
+    plateau: int = 0  #: Number of the plateau of a coefficient.
+    temperature_c: float = math.nan  #: There, of the gyro, of accelerometers that of the case.
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +146,7 @@ class Certificate:
     results: Sequence[BiasResult]
     model: Sequence[ModelNumber]  #: Polynomial over temperature, and effects that a search found.
     model_note: str  #: What the model is.
-    coefficients: Sequence[PlateauCoefficientRow]  #: Of a full calibration; empty without one.
+    coefficients: Sequence[ModelNumber]  #: Observed ones of a full calibration; empty without one.
     issued: date
 
     @property
@@ -294,7 +297,7 @@ def certificate_of(folder: RunFolder, order: Order, *, simulated: bool = False) 
         raise DocumentError(f"{folder.station}: has no section laboratory. Add it before the run")
     if not run.is_simulated and not order.authorised_by:
         raise DocumentError("a certificate names who authorises it. Add --authorised-by NAME")
-    results = list(_results(run.bins, _coverage(folder)))
+    covered = coverage(run.budget)
     digest = file_sha256(folder.path / last.where)
     options = {**run.provenance.get("options", {}), **run.facts.options}
     given = {
@@ -305,12 +308,12 @@ def certificate_of(folder: RunFolder, order: Order, *, simulated: bool = False) 
     certificate = Certificate(
         run=run,
         station=station,
-        order=Order(**given, number=number, authorised_by=order.authorised_by, ambient=order.ambient),
+        order=replace(order, **given, number=number),
         seal=f"seal {last.number}, SHA-256 {digest[:16]}…, {last.key or 'not signed'}",
-        results=results,
+        results=list(_results(run.bins, covered)),
         model=model,
         model_note=note,
-        coefficients=read_coefficients(folder.coefficients) if folder.coefficients.exists() else [],
+        coefficients=list(_coefficients(run.coefficients, covered)),
         issued=WallClock().utc().date(),
     )
     if not (certificate.results or certificate.coefficients):
@@ -333,37 +336,44 @@ def _sentence(text: object) -> str:
     return f"{str(text)[:1].upper()}{str(text)[1:]}"
 
 
-def _coverage(folder: RunFolder) -> Mapping[tuple[str, str, float], tuple[float, float]]:
-    """Coverage factor and expanded uncertainty in deg/h by gyro, position and bin, from ``budget.csv``."""
-    return {
-        (row.axis, row.position, row.bin_low_c): (row.k, row.expanded)
-        for row in (read_budget(folder.budget) if folder.budget.exists() else ())
-        if (row.result, row.quantity, row.contribution) == ("bin", "gyro_bias", COMBINED)
-    }
-
-
-def _results(
-    bins: Sequence[BiasBin], coverage: Mapping[tuple[str, str, float], tuple[float, float]]
-) -> Iterator[BiasResult]:
+def _results(bins: Sequence[BiasBin], covered: Coverage) -> Iterator[BiasResult]:
     for each in bins:
         if each.is_empty:
             continue
         place = each.gyro, each.position, each.bin_low_c
-        k, expanded = coverage.get(place, (NORMAL_K, NORMAL_K * each.sigma_dph))
+        k, expanded = covered.get(("gyro_bias", *place), (NORMAL_K, NORMAL_K * each.sigma_dph))
         yield BiasResult(*place, each.bin_high_c, each.temperature_c, each.bias_dph, expanded, k)
+
+
+def _coefficients(rows: Sequence[PlateauCoefficientRow], covered: Coverage) -> Iterator[ModelNumber]:
+    for row in rows:
+        if not row.finding:
+            place = row.coefficient, row.axis, row.plateau, 0.0
+            k, expanded = covered.get(place, (NORMAL_K, NORMAL_K * row.sigma))
+            yield ModelNumber(
+                *(plain_name(row.coefficient), row.axis, row.value, expanded, k, row.unit),
+                *(row.plateau, row.temperature_c),
+            )
 
 
 def _model(folder: RunFolder, run: RunContent) -> tuple[list[ModelNumber], str]:
     """Numbers of the model of `gyrobench close`, else of a polynomial fitted to the dwells."""
     if not (folder.closure / "closure.json").exists():
-        return [number for gyro in AXES for number in _polynomial(gyro, run.dwells)], _POLYNOMIAL
+        return [number for gyro in AXES for number in _polynomial(gyro, run)], _POLYNOMIAL
     try:
-        model = model_with_effects(read_closure(folder.path))
+        closure = read_closure(folder.path)
+        model = model_with_effects(closure)
     except (MeasurementError, DocumentError) as error:
         raise RunFolderError(f"{folder.closure}: {error}. Repeat gyrobench close") from error
     numbers = model.compensation
+    terms = sum(each.sizes_dph.shape[1] + len(each.parameter_texts) for each in closure.effects)
+    residual_dof = float(closure.searched.sum()) - _DEGREE - len(closure.campaign.run_names) - terms
+    ks = {
+        gyro: coverage_factor(_dwells_dof(gyro, run) if closure.noise_scale == 1.0 else residual_dof)
+        for gyro in AXES
+    }
     rows = [
-        ModelNumber(f"{label}{suffix}", gyro, float(value), NORMAL_K * float(sigma), unit)
+        ModelNumber(f"{label}{suffix}", gyro, float(value), ks[gyro] * float(sigma), ks[gyro], unit)
         for name, sigmas in numbers.sigma.items()
         for (label, unit) in [_LABELS.get(name, (plain_name(name), ""))]
         for gyro, values, own in zip(AXES, getattr(numbers, name), sigmas, strict=True)
@@ -392,9 +402,17 @@ def _with_power(row: ModelNumber) -> ModelNumber:
     return replace(row, unit=f"deg/h/K{power}" if power > 1 else "deg/h/K" if power else "deg/h")
 
 
-def _polynomial(gyro: str, dwells: Sequence[DwellRow]) -> Iterator[ModelNumber]:
+def _dwells_dof(gyro: str, run: RunContent) -> float:
+    """Lower bound of the effective degrees of freedom of a combination of dwells: the smallest of them."""
+    sums = [
+        row.dof for row in run.budget if (row.result, row.axis, row.contribution) == ("dwell", gyro, COMBINED)
+    ]
+    return min(sums, default=math.inf)
+
+
+def _polynomial(gyro: str, run: RunContent) -> Iterator[ModelNumber]:
     axis = AXES.index(gyro)
-    rows = [row for row in dwells if not row.flags]
+    rows = [row for row in run.dwells if not row.flags]
     columns = zip(*((row.gyro_c[axis], row.bias_dph[axis], row.sigma_dph[axis]) for row in rows), strict=True)
     temperature_c, bias, sigma = (np.array(column) for column in columns) if rows else np.empty((3, 0))
     known = np.isfinite(temperature_c) & np.isfinite(bias) & (sigma > 0.0)
@@ -402,6 +420,8 @@ def _polynomial(gyro: str, dwells: Sequence[DwellRow]) -> Iterator[ModelNumber]:
         return
     design = np.vander(temperature_c[known], _DEGREE + 1, increasing=True)
     fit = weighted_fit(bias[known], sigma[known] ** 2, design)
-    expanded = NORMAL_K * max(math.sqrt(fit.chi2 / fit.dof), 1.0) * np.sqrt(np.diag(fit.covariance))
+    ratio = math.sqrt(fit.chi2 / fit.dof)
+    k = coverage_factor(fit.dof if ratio > 1.0 else _dwells_dof(gyro, run))
+    expanded = k * max(ratio, 1.0) * np.sqrt(np.diag(fit.covariance))
     for power, (value, own) in enumerate(zip(fit.values.tolist(), expanded.tolist(), strict=True)):
-        yield _with_power(ModelNumber(f"{_POWER}{power}", gyro, value, own, ""))
+        yield _with_power(ModelNumber(f"{_POWER}{power}", gyro, value, own, k, ""))

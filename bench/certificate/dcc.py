@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gyrobench.bench import __version__
-from gyrobench.bench.bias.budget import COVERAGE, NORMAL_K
+from gyrobench.bench.bias.budget import COVERAGE
 from gyrobench.bench.certificate.content import BiasResult, Certificate
 from gyrobench.bench.foundations.arrays import STANDARD_GRAVITY
 from gyrobench.bench.foundations.errors import DocumentError
@@ -244,8 +244,15 @@ class _Document:
             self._dcc(
                 "statement",
                 self._text("name", "Deviations from the procedure"),
-                self._text("declaration", *[" ".join(certificate.deviations)]),
+                self._text("declaration", " ".join(certificate.deviations)),
             ),
+            self._dcc(
+                "statement",
+                self._text("name", "Recalibration"),
+                self._text("declaration", certificate.order.recalibration),
+            )
+            if certificate.order.recalibration
+            else None,
         )
 
     def _common(self, certificate: Certificate) -> list[etree._Element | None]:
@@ -320,7 +327,9 @@ class _Document:
         results = [self._measurement("Gyro biases by position and temperature", found)] if found else []
         if certificate.model:
             numbers = [
-                self._named(f"{gyro_label(each.gyro)}, {each.name}", each.value, each.unit, each.expanded)
+                self._named(
+                    f"{gyro_label(each.axis)}, {each.name}", each.value, each.unit, each.expanded, each.k
+                )
                 for each in certificate.model
             ]
             results.append(
@@ -328,15 +337,16 @@ class _Document:
                     "Bias model", [self._list("Numbers of the model", numbers, certificate.model_note)]
                 )
             )
-        known = [each for each in certificate.coefficients if not each.finding and each.unit in _UNITS]
+        known = [each for each in certificate.coefficients if each.unit in _UNITS]
         if known:
             quantities = [
                 self._named(
-                    f"{each.coefficient.replace('_', ' ')} {each.axis}, {each.temperature_c:.1f} °C "
-                    f"({'gyro' if each.coefficient.startswith('gyro') else 'case'})",
+                    f"{each.name} {each.axis}, {each.temperature_c:.1f} °C "
+                    f"({'gyro' if each.name.startswith('gyro') else 'case'})",
                     each.value,
                     each.unit,
-                    NORMAL_K * each.sigma,
+                    each.expanded,
+                    each.k,
                 )
                 for each in known
             ]
@@ -347,7 +357,7 @@ class _Document:
                         self._list(
                             "Coefficients",
                             quantities,
-                            " ".join([FRAME_TEXT, *plateau_findings(certificate.coefficients)]),
+                            " ".join([FRAME_TEXT, *plateau_findings(certificate.run.coefficients)]),
                         )
                     ],
                 )
@@ -385,8 +395,8 @@ class _Document:
             "result", self._text("name", name), self._dcc("data", self._dcc("list", *quantities))
         )
 
-    def _named(self, name: str, value: float, unit: str, expanded: float) -> etree._Element:
-        return self._dcc("quantity", self._text("name", name), self._real(value, unit, expanded, NORMAL_K))
+    def _named(self, name: str, value: float, unit: str, expanded: float, k: float) -> etree._Element:
+        return self._dcc("quantity", self._text("name", name), self._real(value, unit, expanded, k))
 
     def _list(self, name: str, quantities: Sequence[etree._Element], note: str = "") -> etree._Element:
         return self._dcc(

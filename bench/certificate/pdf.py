@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import tempfile
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -10,9 +11,8 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from gyrobench.bench.bias.budget import NORMAL_K
-from gyrobench.bench.certificate.content import BiasResult, Certificate
-from gyrobench.bench.foundations.text import bin_label, decimals_of
+from gyrobench.bench.certificate.content import BiasResult, Certificate, ModelNumber
+from gyrobench.bench.foundations.text import bin_label, decimals_of, with_sigma
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.report.figures.style import stamp
 from gyrobench.bench.report.number_format import BiasScale
@@ -30,10 +30,16 @@ from gyrobench.bench.runs.tables.coefficient_table import (
 _VARIANT = "pdf/a-3a"
 #: Plateaus in one table of coefficients.
 _PLATEAUS_ACROSS = 5
+#: Numbers below this power of ten are written with it.
+_MIN_POWER = -4
 _CAPTIONS = {
     "position_differences": (
         "Differences between positions",
         "Largest difference between two positions in each temperature bin; bars are standard uncertainties.",
+    ),
+    "position_pair": (
+        "Z-Up and Y-Up",
+        "Biases in Z-Up and in Y-Up, means of the temperature bins; bars are standard uncertainties (k = 1).",
     ),
     "temperature": ("Temperatures", "Temperatures over the run; bands and bars are dwells by position."),
 }
@@ -72,6 +78,9 @@ def _page(certificate: Certificate, figures: Mapping[str, Path]) -> Section:
         *_bias_sections(certificate.results, figures),
         _model_section(certificate),
         _coefficients_section(certificate),
+        Section("Recalibration", [certificate.order.recalibration])
+        if certificate.order.recalibration
+        else None,
         Section("Inputs of the estimator as used", facts=certificate.inputs),
         *(
             Section(title, figures=[SectionFigure(name, text, figures[name])])
@@ -135,40 +144,57 @@ def _bias_table(results: Sequence[BiasResult]) -> SectionTable:
 def _model_section(certificate: Certificate) -> Section | None:
     table: dict[tuple[str, str], dict[str, str]] = defaultdict(dict)
     for each in certificate.model:
-        table[each.name, each.unit][each.gyro] = f"{each.value:.4g} ± {each.expanded:.2g}"
+        table[each.name, _printed(each.unit)][each.axis] = _with_expanded(each.value, each.expanded)
     if not table:
         return None
     header = ["number", "unit", *map(gyro_label, AXES)]
     rows = [[name, unit, *(found.get(gyro, "–") for gyro in AXES)] for (name, unit), found in table.items()]
-    caption = f"Value ± U, k = {NORMAL_K:.2f}; the numbers of one gyro are correlated."
+    caption = f"Value ± U, {_factors(certificate.model)}; the numbers of one gyro are correlated."
     shown = SectionTable(caption, header, rows, words=2)
     return Section("Bias model", [certificate.model_note], tables=[shown])
 
 
 def _coefficients_section(certificate: Certificate) -> Section | None:
     by_name: dict[tuple[str, str, str], dict[int, str]] = defaultdict(dict)
-    heads = plateau_heads(certificate.coefficients)
+    heads = plateau_heads(certificate.run.coefficients)
     for each in certificate.coefficients:
-        if not each.finding:
-            factor, unit = (1000.0, "0.001 deg/h") if each.unit == "deg/h" else (1.0, each.unit)
-            expanded = NORMAL_K * each.sigma * factor
-            decimals = decimals_of(expanded)
-            text = f"{each.value * factor:z.{decimals}f} ± {expanded:.{decimals}f}"
-            by_name[each.coefficient, each.axis, unit][each.plateau] = text
-    plateaus = sorted({plateau for found in by_name.values() for plateau in found})
+        factor, unit = (1000.0, "0.001 deg/h") if each.unit == "deg/h" else (1.0, _printed(each.unit))
+        decimals = decimals_of(each.expanded * factor)
+        text = f"{each.value * factor:z.{decimals}f} ± {each.expanded * factor:.{decimals}f}"
+        by_name[each.name, each.axis, unit][each.plateau] = text
+    plateaus = sorted({each.plateau for each in certificate.coefficients})
     tables = []
     for start in range(0, len(plateaus), _PLATEAUS_ACROSS):
         shown = plateaus[start : start + _PLATEAUS_ACROSS]
         header = ["coefficient", "unit", *(heads[each] for each in shown)]
         rows = [
-            [f"{name.replace('_', ' ')} {axis}", unit, *(found.get(each, "–") for each in shown)]
+            [f"{name} {axis}", unit, *(found.get(each, "–") for each in shown)]
             for (name, axis, unit), found in by_name.items()
         ]
-        caption = f"Coefficient ± U, k = {NORMAL_K:.2f}, at the plateaus from {shown[0]} to {shown[-1]}."
+        factors = _factors([each for each in certificate.coefficients if each.plateau in shown])
+        caption = f"Coefficient ± U, {factors}, at the plateaus from {shown[0]} to {shown[-1]}."
         tables.append(SectionTable(caption, header, rows, words=2))
     texts = [f"{FRAME_TEXT} {TEMPERATURE_TEXT}"] if tables else []
-    texts += [f"Not certified: {text}" for text in plateau_findings(certificate.coefficients)]
+    texts += [f"Not certified: {text}" for text in plateau_findings(certificate.run.coefficients)]
     return Section("Coefficients of the sensors", texts, tables=tables) if texts else None
+
+
+def _with_expanded(value: float, expanded: float) -> str:
+    """Value ± U with the digits that U leaves; small numbers with a common power of ten."""
+    power = min(math.floor(math.log10(max(abs(value), expanded))), 0)
+    if power > _MIN_POWER:
+        return with_sigma(value, expanded)
+    return f"({with_sigma(value / 10.0**power, expanded / 10.0**power)})e{power}"
+
+
+def _printed(unit: str) -> str:
+    return unit.replace("ug", "µg").replace("K2", "K²").replace("K3", "K³")
+
+
+def _factors(numbers: Sequence[ModelNumber]) -> str:
+    """The coverage factor, or the smallest and largest."""
+    ends = [f"{end(each.k for each in numbers):.2f}" for end in (min, max)]
+    return f"k = {' to '.join(dict.fromkeys(ends))}"
 
 
 def _figures(certificate: Certificate, folder: Path, word: str) -> Iterator[tuple[str, Path]]:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from gyrobench.bench.cli.options import OperatorOption, complete_run
 from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, JsonOption, console, print_json
 from gyrobench.bench.foundations.errors import DocumentError
+
+if TYPE_CHECKING:
+    from gyrobench.bench.runs.folder import RunFolder
 
 _FORMATS = ("dcc", "pdf")
 
@@ -28,6 +31,14 @@ def certificate(
     order: Annotated[str, typer.Option(help="Number of the order; default: as in the run.")] = "",
     item: Annotated[str, typer.Option(help="Item of the order; default: as in the run.")] = "",
     ambient: Annotated[str, typer.Option(help="Conditions of the room, as '23 °C, 45 % RH'.")] = "",
+    limit_dph: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0,
+            help="Limit of the biases, agreed with the customer: the certificate states until when they stay "
+            "within it, by the runs of the unit and of others beside this run (see runs --trend).",
+        ),
+    ] = None,
     simulated: Annotated[
         bool, typer.Option("--simulated", help="Of a run with emulated instruments; it says so everywhere.")
     ] = False,
@@ -80,7 +91,8 @@ def certificate(
     from gyrobench.bench.runs.seal import keep_sealed
 
     folder = open_run_folder(run_folder)
-    stated = content.Order(customer, order, item, number, authorised_by, ambient)
+    recalibration = _recalibration(folder, limit_dph) if limit_dph else ""
+    stated = content.Order(customer, order, item, number, authorised_by, ambient, recalibration)
     made = content.certificate_of(folder, stated, simulated=simulated)
     names = pdf.file_names(made, wanted)
     signing = signatures.load_signing_key(key) if key else None
@@ -119,6 +131,29 @@ def certificate(
         terminal.print(
             "The DCC is not validated: --schema FOLDER names PTB's dcc.xsd and SI_Format.xsd.", soft_wrap=True
         )
+
+
+def _recalibration(folder: RunFolder, limit_dph: float) -> str:
+    """Until when the biases of the unit stay within a limit; raises DocumentError if that is not known."""
+    from gyrobench.bench.cli.run_selection import open_index
+    from gyrobench.bench.report.content import read_run
+    from gyrobench.bench.report.run_report import serial_number_of
+    from gyrobench.bench.report.terminal.runs import recalibration_sentence
+    from gyrobench.bench.runs.index.recalibration import recalibrations
+    from gyrobench.bench.runs.index.run_biases import read_run_biases, trends
+    from gyrobench.bench.runs.index.run_index import find_runs
+    from gyrobench.bench.runs.index.selection import Selection
+
+    index = open_index(str(folder.path.resolve().parent))
+    own = Selection(unit=serial_number_of(read_run(folder)))
+    fitted = trends(read_run_biases(index, [run["path"] for run in find_runs(index, own)]))
+    due = recalibrations(index, own, fitted, limit_dph)
+    if not any(due):
+        raise DocumentError(
+            f"{folder.path.parent}: holds too few runs of unit {own.unit} to state until when its "
+            "biases stay within a limit. Leave --limit-dph out"
+        )
+    return recalibration_sentence(str(own.unit), due)
 
 
 def _verify(path: Path, trusted: Path | None, as_json: bool) -> None:

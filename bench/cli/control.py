@@ -28,10 +28,13 @@ def control(
 
     from gyrobench.bench.engine.operator import COMMAND_MEANINGS, send_command
     from gyrobench.bench.foundations.operator_name import operator_name
+    from gyrobench.bench.runs.folder import RunFolder
     from gyrobench.bench.station.locks import holder_of, is_held_by
 
     if not run_folder.is_dir():
         raise MissingRunError(f"{run_folder}: no such folder. Give the folder of the run in progress")
+    if RunFolder(run_folder).first_dwells.exists():
+        raise RunFolderError(f"{run_folder}: is an investigation. Give the folder of its run in progress")
     holder = holder_of(run_folder)
     if holder is None:
         raise RunFolderError(f"{run_folder}: no run is in progress there on this machine")

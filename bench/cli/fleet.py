@@ -170,9 +170,10 @@ def batch(
         raise DocumentError(_which_batch(opened, root, selection.batch, batches))
     name = batches[0]
     fitted = fit_batch(read_batch(opened, runs))
-    page = write_batch(out, name, fitted, f"{len(runs)} runs in {root}", watermark(runs))
+    word = watermark(runs)
+    page = write_batch(out, name, fitted, f"{len(runs)} runs in {root}", word)
     print_result(
-        batch_document(name, fitted),
+        batch_document(name, fitted, word),
         as_json,
         section_view(batch_summary(name, fitted)),
         f"Report   {page}\nFigures  {out / 'figures'}\nTables   {out / 'batch.json'}",

@@ -202,6 +202,7 @@ def investigate(
         missing = [name for name in runs.selected if not runs.is_finished(name)]
         if not missing or approve is Approval.AUTO or typer.confirm("Measure it?", err=as_json):
             proof = measure_verification(runs, observe)
+    write_report(first)
     _report(terminal, found, folder, sources, proof, as_json)
 
 

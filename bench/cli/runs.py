@@ -9,14 +9,12 @@ import typer
 
 from gyrobench.bench.cli.output import JsonOption, print_result
 from gyrobench.bench.cli.run_selection import IndexOption, RootArgument, open_index, with_selection
-from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
+from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.runs.index.selection import ANY_RUN, Selection
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from gyrobench.bench.runs.index.recalibration import Recalibration
-    from gyrobench.bench.runs.index.run_biases import RunBias, Trend
     from gyrobench.bench.runs.index.run_index import RunIndex
 
 _SHOWN = 40
@@ -94,6 +92,7 @@ def _trends(
     index: RunIndex, selection: Selection, figure: Path | None, limit_dph: float | None
 ) -> tuple[dict[str, Any], RenderableType]:
     from gyrobench.bench.report.terminal.runs import trend_summary
+    from gyrobench.bench.runs.index.recalibration import recalibrations
     from gyrobench.bench.runs.index.run_biases import mixed_origins, read_run_biases, trends
     from gyrobench.bench.runs.index.run_index import find_runs
 
@@ -112,7 +111,7 @@ def _trends(
         drawn = trend_figure(units[0], fitted)
         stamp(drawn, watermark(found))
         save_figure(drawn, figure)
-    due = None if limit_dph is None else _recalibrations(index, selection, fitted, limit_dph)
+    due = None if limit_dph is None else recalibrations(index, selection, fitted, limit_dph)
     content: dict[str, Any] = {"unit": units[0], "trends": [_plain_trend(each) for each in fitted]}
     if due is not None:
         content["recalibration"] = [
@@ -120,31 +119,6 @@ def _trends(
             for each, until in zip(fitted, due, strict=True)
         ]
     return content, trend_summary(units[0], fitted, mixed_origins(found), due or [])
-
-
-def _recalibrations(
-    index: RunIndex, selection: Selection, fitted: list[Trend], limit_dph: float
-) -> list[Recalibration | None]:
-    """Until when the bias of each trend stays within the limit, with the drift of the unit's siblings."""
-    from dataclasses import replace
-
-    from gyrobench.bench.runs.index.recalibration import recalibration
-    from gyrobench.bench.runs.index.run_biases import read_run_biases
-    from gyrobench.bench.runs.index.run_index import find_runs
-
-    of_all = find_runs(index, replace(selection, unit=None))
-    biases = read_run_biases(index, [run["path"] for run in of_all])
-    due: list[Recalibration | None] = []
-    for trend in fitted:
-        by_unit: dict[str, list[RunBias]] = {trend.runs[0].unit: list(trend.runs)}
-        same = [runs for quantity, runs in biases.items() if quantity.is_same_as(trend.quantity)]
-        for run in (run for runs in same for run in runs if run.unit != trend.runs[0].unit):
-            by_unit.setdefault(run.unit, []).append(run)
-        try:
-            due.append(recalibration(by_unit, trend.runs[0].unit, limit_dph))
-        except MeasurementError:  # too few runs
-            due.append(None)
-    return due
 
 
 def _queried(index: RunIndex, sql: str) -> tuple[dict[str, Any], RenderableType]:

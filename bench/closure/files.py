@@ -167,10 +167,10 @@ def _document(closure: Closure) -> dict[str, Any]:
         "confounding": list(closure.confounding),
         "lack_of_fit_p_before": closure.before.p_value,
         "lack_of_fit_p_after": closure.after.p_value,
-        "error_before_dph": closure.error_before_dph,
-        "error_after_dph": closure.error_after_dph,
-        "error_before_sigma_dph": closure.error_before_sigma_dph,
-        "error_after_sigma_dph": closure.error_after_sigma_dph,
+        "error_before_dph": _known(closure.error_before_dph),
+        "error_after_dph": _known(closure.error_after_dph),
+        "error_before_sigma_dph": _known(closure.error_before_sigma_dph),
+        "error_after_sigma_dph": _known(closure.error_after_sigma_dph),
         "tables": [
             {
                 "path": table.name,
@@ -180,7 +180,7 @@ def _document(closure: Closure) -> dict[str, Any]:
             }
             for table in closure.campaign.tables
         ],
-        "simulated": bool(watermark_of(*(Path(table.name) for table in closure.campaign.tables))),
+        "simulated": is_simulated(closure),
         "held_out_cycles": sorted(set(closure.campaign.cycle[~closure.searched].tolist())),
         "dwells_searched": int(closure.searched.sum()),
         "rotation": [
@@ -257,10 +257,16 @@ def format_predictions(closure: Closure) -> str:
     return format_csv(columns_written, rows)
 
 
+def is_simulated(closure: Closure) -> bool:
+    """Whether a table is of a run with emulated instruments."""
+    return bool(watermark_of(*(Path(table.name) for table in closure.campaign.tables)))
+
+
 def model_document(closure: Closure) -> dict[str, Any]:
     """Content of ``model.yaml``: the declared model and the effects, complete for predictions."""
     draws, axes = closure.model_draws, closure.quantity.axes
     document = {
+        "simulated": is_simulated(closure),
         "degree": DEGREE,
         "scale_c": SCALE_C,
         "fitted_c": {

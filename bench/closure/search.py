@@ -41,6 +41,10 @@ _EVEN_ODDS = 3.0
 _MAX_EXCHANGES = 6
 
 
+#: Begin of the objection to an effect that a single dwell shows.
+RESTS_ON_DWELL = "it rests on dwell"
+
+
 class Search:
     """A search of one problem, which has the declared model alone.
 
@@ -105,7 +109,7 @@ class Search:
             return "a parameter is at its upper bound, where the effect becomes another one"
         dwell, p_without = self._without_largest_dwell(of, index)
         if p_without >= SIGNIFICANCE:
-            return f"it rests on dwell {dwell} alone (p = {p_without:.2g} without it)"
+            return f"{RESTS_ON_DWELL} {dwell} alone (p = {p_without:.2g} without it)"
         return ""
 
     def shows(self, of: Hypothesis, index: int) -> list[bool]:

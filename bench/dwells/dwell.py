@@ -14,7 +14,7 @@ from gyrobench.bench.bias.bias_filter import StateSpaceEstimate, estimate_state_
 from gyrobench.bench.bias.bias_steps import BiasStep
 from gyrobench.bench.bias.budget import BudgetInputs
 from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, TurnPath
-from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow
+from gyrobench.bench.bias.dwell_table import NEIGHBOURS_ON, NOT_MEASURED, DwellRow
 from gyrobench.bench.bias.joint_solution import DwellRows
 from gyrobench.bench.bias.noise_estimate import RestMotion, estimate_noise
 from gyrobench.bench.bias.noise_model import NoiseModel
@@ -41,7 +41,7 @@ from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.navigation.table_axes import TwoAxisTable
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.frames import FrameBlock
-from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
+from gyrobench.drivers.ins.dbc_codec import DbcCodec
 from gyrobench.drivers.ins.navigation_data import (
     EpochCounts,
     Increments,
@@ -402,6 +402,7 @@ def _row(
         else NOT_MEASURED,
         fit_ratio=estimate.fit.ratio if estimate else math.nan,
         fit_p_value=estimate.fit.p_value if estimate else math.nan,
+        other=() if marks.neighbours_on is None else ((NEIGHBOURS_ON, marks.neighbours_on),),
         flags="; ".join(flags),
     )
 
@@ -411,7 +412,7 @@ def measurement_setup(station: Station) -> MeasurementSetup:
 
     Raises DocumentError if the DBC file is wrong, or lacks signals that the station file maps.
     """
-    codec = DbcCodec(load_dbc(station.dbc_path))
+    codec = DbcCodec(station.database())
     signals = station.file.ins.signals
     limits = resolution_report(signals, codec)
     velocity_lsb_mps = max(limit.lsb for limit in limits if limit.unit == "m/s")

@@ -19,8 +19,8 @@ from gyrobench.bench.navigation.positions import POSITIONS
 
 #: What the journal calls :attr:`DwellMarks.is_calibration_check`.
 _CHECK_IN_JOURNAL = "is_verification"
-#: Attributes that the journal has only where they are true.
-_LATER = ("is_rotated", "is_noise_record")
+#: Attributes that the journal has only where they are true, or known.
+_LATER = ("is_rotated", "is_noise_record", "neighbours_on")
 _AS_WRITTEN = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
@@ -74,6 +74,7 @@ class DwellMarks:
     #: Whether the unit was rotated about the table's axes between the windows: it gives no bias by itself.
     is_rotated: bool = False
     is_noise_record: bool = False  #: Whether it is one long navigation for the gyros' noise.
+    neighbours_on: float | None = None  #: Mean number of other units that were on; None for a single unit.
     #: What went wrong while it lasted; a disturbed dwell is kept out of the bins.
     disturbances: tuple[str, ...] = ()
 
@@ -92,7 +93,7 @@ class DwellMarks:
         data = asdict(self)
         data[_CHECK_IN_JOURNAL] = data.pop("is_calibration_check")
         for name in _LATER:
-            if not data[name]:
+            if data[name] is False or data[name] is None:
                 del data[name]
         return data
 

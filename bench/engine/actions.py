@@ -14,10 +14,10 @@ from typing import TypeVar
 import numpy as np
 
 from gyrobench.bench.dwells.temperatures import slopes_c_per_h
-from gyrobench.bench.engine.dwell_recording import DwellRecorder
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.operator import ask_operator
 from gyrobench.bench.engine.run_context import RunContext
+from gyrobench.bench.engine.units import Unit, Units
 from gyrobench.bench.foundations.errors import (
     ConnectionFailedError,
     FaultError,
@@ -43,6 +43,7 @@ from gyrobench.bench.procedure.steps import (
     Wait,
 )
 from gyrobench.drivers.ins.attitude import EulerSequence
+from gyrobench.drivers.ins.can_ins import POLL_PERIOD_S
 from gyrobench.drivers.ins.readout import Alignment, InsMode
 
 Ticks = Iterator[None]
@@ -66,10 +67,10 @@ _RETRY_PAUSE_S = 2.0
 class StepContext:
     """What actions share."""
 
-    def __init__(self, run: RunContext, recorder: DwellRecorder) -> None:
+    def __init__(self, run: RunContext, units: Units) -> None:
         self.run = run
         self.bench = run.bench
-        self.recorder = recorder
+        self.units = units
         self.retries = 0  #: How often a failed exchange is tried again in the step in progress.
         #: The turns until the next position: the table is positioned so that they stay within its limits.
         self.next_turns_deg: Sequence[TurnOrMove] = ()
@@ -88,29 +89,40 @@ def _power_on(step: PowerOn, context: StepContext) -> Ticks:
         yield from _confirmed(context, "Switch the INS off and on, then answer.", ["on", "stop"])
     if bench.station.file.unit.power == "chamber_event":
         # An INS that is on already is switched off first: the time since power-on has to be known.
-        bench.state.ins_switched_off()
-        yield from tried(context, lambda: bench.instruments.power_unit(False))
+        yield from _switched_off(context)
         yield from _lasting(bench, _POWER_CYCLE_S)
-    yield from tried(context, lambda: bench.instruments.power_unit(True))
-    switched_s = reopened_s = bench.clock.now()
+    but = context.units.dropped_events
+    yield from tried(context, lambda: bench.instruments.power_unit(True, but))
+    switched_s = bench.clock.now()
     yield
-    while not _is_sending(bench):
+    yield from context.units.each(lambda unit: _sending(unit, bench))
+    bench.read_instruments()  # readings from before the INS sent data do not describe it
+    bench.state.units_powered(switched_s)
+    for unit in context.units.running:
+        unit.live.state.powered()
+    yield from _lasting(bench, step.settle_s)
+
+
+def _sending(unit: Unit, bench: LiveBench) -> Ticks:
+    """Wait until the INS sends."""
+    reopened_s = bench.clock.now()
+    while not _is_sending(unit):
         if bench.clock.now() - reopened_s > _BUS_SILENCE_S:
             reopened_s = bench.clock.now()
-            bench.reopen("INS")
+            bench.reopen(unit.live.name)
         yield
-    bench.read_instruments()  # readings from before the INS sent data do not describe it
-    bench.state.ins_powered(switched_s)
-    yield from _lasting(bench, step.settle_s)
+
+
+def _switched_off(context: StepContext) -> Ticks:
+    context.bench.units_switched_off()
+    yield from tried(context, lambda: context.bench.instruments.power_unit(False))
 
 
 @perform.register
 def _power_off(step: PowerOff, context: StepContext) -> Ticks:  # noqa: ARG001
-    bench = context.bench
-    if bench.station.file.unit.power == "operator":
+    if context.bench.station.file.unit.power == "operator":
         yield from _confirmed(context, "Switch the INS off, then answer.", ["off", "stop"])
-    bench.state.ins_switched_off()
-    yield from tried(context, lambda: bench.instruments.power_unit(False))
+    yield from _switched_off(context)
     yield
 
 
@@ -145,21 +157,27 @@ def _chamber_off(step: ChamberOff, context: StepContext) -> Ticks:  # noqa: ARG0
 
 @perform.register
 def _soak(step: Soak, context: StepContext) -> Ticks:
-    yield from _soaking(step, context.bench)
+    yield from _soaking(step, context)
     context.bench.check_set_point_reached()
 
 
-def _soaking(step: Soak, bench: LiveBench) -> Ticks:
+def _soaking(step: Soak, context: StepContext) -> Ticks:
+    bench = context.bench
     if step.for_s is not None:
         yield from _lasting(bench, step.for_s)
         return
     begin_s = bench.clock.now()
     limit = step.until_gyro_rate_below_c_per_h or 0.0
-    history: deque[tuple[float, ...]] = deque()
-    rate = None
+    histories: dict[Unit, deque[tuple[float, ...]]] = {}
+    asked_s, rate = -np.inf, None
     while (elapsed_s := bench.clock.now() - begin_s) < (step.at_most_s or np.inf):
-        if not history or history[-1][0] < bench.readings.asked_s:
-            rate = _gyro_rate_c_per_h(bench, history)
+        if asked_s < bench.readings.asked_s:
+            asked_s = bench.readings.asked_s
+            rates = [
+                _gyro_rate_c_per_h(unit, histories.setdefault(unit, deque()))
+                for unit in context.units.running
+            ]
+            rate = None if None in rates else max(each for each in rates if each is not None)
         if elapsed_s >= step.at_least_s and rate is not None and rate < limit:
             return
         yield
@@ -167,50 +185,110 @@ def _soaking(step: Soak, bench: LiveBench) -> Ticks:
 
 @perform.register
 def _go_to(step: GoTo, context: StepContext) -> Ticks:
-    if context.bench.capture:
-        context.bench.end_capture()  # of an alignment without a dwell
+    context.units.end_captures()  # of an alignment without a dwell
     table = context.bench.station.table
     C_nb = POSITIONS[step.position].C_nb(np.deg2rad(step.azimuth_deg))
     yield from _moved(context, table.angles(C_nb, context.next_turns_deg), step.rate_dps)
-    context.bench.state.position_reached(step.position, step.azimuth_deg)
+    for unit in context.units.running:
+        unit.live.state.sent_to(step.position, step.azimuth_deg)
     yield from _lasting(context.bench, step.settle_s)
 
 
 @perform.register
 def _align(step: Align, context: StepContext) -> Ticks:
     bench = context.bench
-    context.recorder.begin()
-    yield from _choose_euler_sequence(step, context)
-    yield from tried(context, lambda: bench.instruments.ins.align())
+    for unit in context.units.measuring:
+        unit.recorder.begin()
+    yield from _commanded(context, lambda unit: _choosing_euler_sequence(step, unit))
+    yield from _commanded(context, lambda unit: unit.live.ins.aligning())
     begin_s = bench.clock.now()
     yield
     yield from _lasting(bench, (step.duration_s or 0.0) - (bench.clock.now() - begin_s))
-    while step.until_fine and bench.ins_status().alignment is not Alignment.FINE:
+    if step.until_fine:
+        yield from context.units.each(_fine)
+
+
+def _fine(unit: Unit) -> Ticks:
+    while unit.live.status().alignment is not Alignment.FINE:
         yield
+
+
+def _commanded(context: StepContext, command: Callable[[Unit], Ticks | None]) -> Ticks:
+    """Command all units at once, those with a command, and wait until each confirms it.
+
+    A failed one is tried again as often as the step allows; then its unit is dropped, or the error raised.
+    """
+    found = {unit: command(unit) for unit in context.units.measuring}
+    waiting = {unit: steps for unit, steps in found.items() if steps is not None}
+    for left in range(context.retries, -1, -1):
+        errors = _confirmed_by_all(context, waiting)
+        for unit, error in errors.items():
+            if not left or isinstance(error, FaultError):
+                context.units.fail(unit, error)
+                continue
+            context.run.record_retry(error)
+            if isinstance(error, ConnectionFailedError):
+                context.bench.reopen(error.instrument)
+            waiting[unit] = command(unit) or iter(())
+        if not waiting:
+            return
+        yield from _lasting(context.bench, _RETRY_PAUSE_S)
+
+
+def _confirmed_by_all(context: StepContext, waiting: dict[Unit, Ticks]) -> dict[Unit, InstrumentError]:
+    """Exchange until each command has been confirmed or has failed; empties ``waiting``, returns errors."""
+    errors: dict[Unit, InstrumentError] = {}
+    while waiting:
+        for unit, steps in list(waiting.items()):
+            try:
+                next(steps)
+            except StopIteration:
+                del waiting[unit]
+            except InstrumentError as error:
+                del waiting[unit]
+                errors[unit] = error
+        if waiting:
+            context.bench.clock.sleep(POLL_PERIOD_S)
+    return errors
 
 
 @perform.register
 def _navigate(step: Navigate, context: StepContext) -> Ticks:
     yield from _navigation_begun(context)
-    yield from _table_read(context)
-    context.recorder.begin_window()
+    yield from _window_begun(context)
     yield from _navigating(step, context)
+    yield from _window_ended(context)
+
+
+def _window_begun(context: StepContext) -> Ticks:
     yield from _table_read(context)
-    context.recorder.end_window()
+    for unit in context.units.measuring:
+        unit.recorder.begin_window()
+
+
+def _window_ended(context: StepContext) -> Ticks:
+    yield from _table_read(context)
+    for unit in context.units.measuring:
+        unit.recorder.end_window()
 
 
 def _navigation_begun(context: StepContext) -> Ticks:
-    """Let the INS navigate; that it has stopped since the last window disturbs the dwell."""
-    instruments = context.bench.instruments
-    status = context.bench.ins_status()
-    if status.mode is not InsMode.NAVIGATE and context.recorder.has_window:
-        context.recorder.disturb("the INS left navigation in the turn")
-    elif status.mode is not InsMode.NAVIGATE:
-        if status.alignment is Alignment.NONE:
-            raise InvalidDwellError(
-                "the INS has not aligned, so it can't navigate. Increase the duration of align."
-            )
-        yield from tried(context, lambda: instruments.ins.navigate())
+    """Let each INS navigate; that one has stopped since the last window disturbs its dwell."""
+    for unit in context.units.measuring:
+        status = unit.live.status()
+        if status.mode is InsMode.NAVIGATE:
+            continue
+        if unit.recorder.has_window:
+            unit.recorder.disturb("the INS left navigation in the turn")
+        elif status.alignment is Alignment.NONE:
+            why = "the INS has not aligned, so it can't navigate. Increase the duration of align."
+            context.units.fail(unit, InvalidDwellError(why))
+
+    def navigating(unit: Unit) -> Ticks | None:
+        is_begun = unit.live.ins.status().mode is InsMode.NAVIGATE or unit.recorder.has_window
+        return None if is_begun else unit.live.ins.navigating()
+
+    yield from _commanded(context, navigating)
 
 
 def _navigating(step: Navigate, context: StepContext) -> Ticks:
@@ -221,10 +299,11 @@ def _navigating(step: Navigate, context: StepContext) -> Ticks:
     while clock.now() < begin_s + step.max_duration_s - 1e-6:
         if clock.now() >= next_estimate_s:
             next_estimate_s += _ESTIMATE_PERIOD_S
-            estimate = cache(context.recorder.estimate_so_far)
-            context.run.observers.estimable(estimate)
-            so_far = estimate() if step.until else None
-            sigma_dph = float(so_far.sigma_dph.max()) if so_far else np.inf
+            estimates = [cache(unit.recorder.estimate_so_far) for unit in context.units.measuring]
+            for estimate in estimates[:1]:
+                context.run.observers.estimable(estimate)
+            so_far = [estimate() for estimate in estimates] if step.until else [None]
+            sigma_dph = max((float(each.sigma_dph.max()) if each else np.inf for each in so_far), default=0.0)
             if step.is_satisfied(clock.now() - begin_s, sigma_dph):
                 context.run.note(f"biases known to {sigma_dph:.2g} deg/h after {clock.now() - begin_s:.0f} s")
                 return
@@ -238,15 +317,21 @@ def _navigating(step: Navigate, context: StepContext) -> Ticks:
 
 @perform.register
 def _turn(step: Turn, context: StepContext) -> Ticks:
-    state = context.bench.state
-    if state.at.angles_deg is None:
+    angles_deg = context.bench.state.at.angles_deg
+    if angles_deg is None:
         raise FaultError("rate table", "a turn needs a position first. Put go_to before it.")
-    target = context.bench.station.table.turn(state.at.angles_deg, step.angle_deg)
-    context.recorder.begin_turn()
-    yield from _moved(context, target, step.rate_dps)
-    context.recorder.end_turn()
-    state.position_reached(state.at.position, state.at.azimuth_deg + step.angle_deg)
+    yield from _turned(context, context.bench.station.table.turn(angles_deg, step.angle_deg), step.rate_dps)
+    for unit in context.units.running:
+        unit.live.state.turned(step.angle_deg)
     yield from _lasting(context.bench, step.settle_s)
+
+
+def _turned(context: StepContext, target: Angles, rate_dps: float) -> Ticks:
+    for unit in context.units.measuring:
+        unit.recorder.begin_turn()
+    yield from _moved(context, target, rate_dps)
+    for unit in context.units.measuring:
+        unit.recorder.end_turn()
 
 
 @perform.register
@@ -263,9 +348,7 @@ def _rotating(step: RotatingStep, context: StepContext) -> Ticks:
         if bench.state.at.angles_deg is None:
             raise FaultError("rate table", "a rotation needs a position first. Put go_to before it.")
         outer_deg, inner_deg = bench.state.at.angles_deg
-        context.recorder.begin_turn()
-        yield from _moved(context, (outer_deg + move[0], inner_deg + move[1]), rate_dps)
-        context.recorder.end_turn()
+        yield from _turned(context, (outer_deg + move[0], inner_deg + move[1]), rate_dps)
         yield from _lasting(bench, step.settle_s)
         yield from _navigation_begun(context)
         yield from _resting(step, context)
@@ -273,17 +356,17 @@ def _rotating(step: RotatingStep, context: StepContext) -> Ticks:
 
 
 def _increments_sent(context: StepContext, on: bool) -> Ticks:
-    instruments = context.bench.instruments
-    if instruments.ins.supports("send_increments"):
-        yield from tried(context, lambda: instruments.ins.send_increments(on))
+    def sent(unit: Unit) -> Ticks:
+        if unit.live.ins.supports("send_increments"):
+            yield from tried(context, lambda: unit.live.ins.send_increments(on))
+
+    yield from context.units.each(sent)
 
 
 def _resting(step: RotatingStep, context: StepContext) -> Ticks:
-    yield from _table_read(context)
-    context.recorder.begin_window()
+    yield from _window_begun(context)
     yield from _lasting(context.bench, step.rest_s)
-    yield from _table_read(context)
-    context.recorder.end_window()
+    yield from _window_ended(context)
 
 
 @perform.register
@@ -376,28 +459,29 @@ def _table_read(context: StepContext) -> Ticks:
         context.bench.read_table()
 
 
-def _is_sending(bench: LiveBench) -> bool:
-    status = bench.ins_status()
+def _is_sending(unit: Unit) -> bool:
+    status = unit.live.status()
     return status.age_s < _BOOT_FRAMES_AGE_S and status.mode is not InsMode.BOOT
 
 
-def _choose_euler_sequence(step: Align, context: StepContext) -> Ticks:
+def _choosing_euler_sequence(step: Align, unit: Unit) -> Ticks | None:
     """Select the Euler sequence that is regular in this position, where the INS supports that."""
-    instruments = context.bench.instruments
-    if not instruments.ins.supports("set_euler_sequence"):
-        return
-    y_is_vertical = context.bench.state.at.position in ("y_up", "y_down")
+    if not unit.live.ins.supports("set_euler_sequence"):
+        return None
+    y_is_vertical = unit.live.state.position in ("y_up", "y_down")
     automatic = EulerSequence.PRY_231 if y_is_vertical else EulerSequence.RPY_321
     chosen = automatic if step.euler_sequence == "automatic" else EulerSequence(step.euler_sequence)
-    if context.bench.ins_status().euler_sequence is not chosen:
-        yield from tried(context, lambda: instruments.ins.set_euler_sequence(chosen))
+    is_chosen = unit.live.status().euler_sequence is chosen
+    return None if is_chosen else unit.live.ins.setting_euler_sequence(chosen)
 
 
-def _gyro_rate_c_per_h(bench: LiveBench, history: deque[tuple[float, ...]]) -> float | None:
+def _gyro_rate_c_per_h(unit: Unit, history: deque[tuple[float, ...]]) -> float | None:
     """Largest rate of the gyro temperatures over the fit's span; None while it is too short."""
-    readings = bench.readings
+    readings = unit.live.readings
     if np.isnan(readings.ins.optics_c).any():
-        raise InstrumentError("INS", "sends no gyro temperatures for the soak to wait for. Use for_s.")
+        raise InstrumentError(
+            unit.live.name, "sends no gyro temperatures for the soak to wait for. Use for_s."
+        )
     history.append((readings.asked_s, *readings.ins.optics_c.tolist()))
     while history[-1][0] - history[0][0] > _SOAK_FIT_S:
         history.popleft()

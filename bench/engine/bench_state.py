@@ -24,7 +24,7 @@ class Readings:
     chamber: ChamberReading
     chamber_s: float  #: on the run's clock
     chamber_alarms: tuple[str, ...]  #: alarms that the chamber reports
-    ins: InsStatus
+    ins: InsStatus  #: of the first unit that is measured
     asked_s: float = 0.0  #: when they were last asked, whether they answered or not
 
 
@@ -50,12 +50,58 @@ class RunPosition:
     is_calibration_check: bool = False  #: the dwell checks a calibration
     is_rotated: bool = False  #: the dwell rotates about the table's axes
     is_noise_record: bool = False  #: the dwell records the gyros' noise
-    unit: str = ""  #: serial number of the INS; empty before it is known
-    power_ons: int = 0  #: how often the INS was switched on
-    powered_s: float = 0.0  #: when it was switched on last, on the run's clock
-    position: str = ""  #: commanded position of the unit
-    azimuth_deg: float = 0.0
+    power_ons: int = 0  #: how often the units were switched on
+    powered_s: float = 0.0  #: when they were switched on last, on the run's clock
     angles_deg: Angles | None = None  #: outer and inner angle last commanded; None before the first motion
+
+
+class UnitState:
+    """The state of one unit on the bench, as :class:`BenchState`."""
+
+    def __init__(self, station: Station) -> None:
+        self._station = station
+        self.number = ""  #: serial number of the INS; empty before it is known
+        self.expected = ExpectedState()  #: what the INS should be doing
+        self.position = ""  #: commanded position
+        self.azimuth_deg = 0.0
+        self.has_restarted = False  #: restarted without a command since it was switched on
+
+    def sent_to(self, position: str, azimuth_deg: float) -> None:
+        """The table has brought the first unit into a position; this one's depends on its mounting."""
+        self.position, self.azimuth_deg = self._station.position_of_unit(position, azimuth_deg)
+
+    def turned(self, angle_deg: float) -> None:
+        """The table has turned about Up."""
+        self.azimuth_deg += angle_deg
+
+    def switched_off(self) -> None:
+        """Its supply was switched off; a unit that is always on stays on."""
+        self._expect_on(self._station.file.unit.power == "always_on")
+
+    def state_unknown(self) -> None:
+        """The INS may be off, regardless of what it reports; it is switched off and on before it is used."""
+        self._expect_on(False)
+
+    def seen_on(self) -> None:
+        """The INS sends data, without a known power-on."""
+        self._expect_on(True)
+
+    def powered(self) -> None:
+        """The INS was switched on and sends data."""
+        self._expect_on(True)
+        self.has_restarted = False
+
+    def restarted(self) -> None:
+        """The INS restarted without a command."""
+        self.has_restarted = self.has_restarted or self.expected.ins_on
+
+    def made_safe(self, actions: Iterable[SafeAction]) -> None:
+        """Safe values were commanded."""
+        if any(action.part is SafePart.UNIT for action in actions):
+            self._expect_on(self.expected.ins_on and self._station.file.safe_state.unit == "keep")
+
+    def _expect_on(self, on: bool) -> None:
+        self.expected = replace(self.expected, ins_on=on)
 
 
 class BenchState:
@@ -65,7 +111,6 @@ class BenchState:
         self._station = station
         self._expected = ExpectedState()
         self._at = RunPosition()
-        self._has_ins_restarted = False
 
     @property
     def expected(self) -> ExpectedState:
@@ -78,20 +123,19 @@ class BenchState:
         return self._at
 
     @property
-    def has_ins_restarted(self) -> bool:
-        """Whether the INS restarted without a command since it was switched on."""
-        return self._has_ins_restarted
-
-    @property
     def commanded_c(self) -> float | None:
         """Set point of the chamber; None while it is off or was not commanded."""
         return self._expected.chamber_set_c if self._expected.chamber_on else None
 
     # run
 
-    def run_resumed(self, unit: str, power_ons: int) -> None:
-        """Take over unit and number of power-ons of the run so far."""
-        self._at = replace(self._at, unit=unit, power_ons=power_ons)
+    def run_resumed(self, power_ons: int) -> None:
+        """Take over the number of power-ons of the run so far."""
+        self._at = replace(self._at, power_ons=power_ons)
+
+    def units_powered(self, switched_s: float) -> None:
+        """The units were switched on at a time."""
+        self._at = replace(self._at, power_ons=self._at.power_ons + 1, powered_s=switched_s)
 
     def step_started(self, planned: PlannedStep) -> None:
         """A step of the plan begins."""
@@ -131,39 +175,6 @@ class BenchState:
         """The chamber was changed at its panel, or gets a command that it has not acknowledged yet."""
         self._expect(chamber_set_c=None, chamber_on=None, chamber_reached=False)
 
-    # INS
-
-    def ins_switched_off(self) -> None:
-        """The supply of the INS was switched off; one that is always on stays on."""
-        self._expect(ins_on=self._station.file.unit.power == "always_on")
-
-    def ins_state_unknown(self) -> None:
-        """The INS may be off, regardless of what it reports; it is switched off and on before it is used."""
-        self._expect(ins_on=False)
-
-    def ins_seen_on(self) -> None:
-        """The INS sends data, without a known power-on."""
-        self._expect(ins_on=True)
-
-    def ins_powered(self, switched_s: float) -> None:
-        """The INS was switched on at a time and sends data."""
-        self._expect(ins_on=True)
-        self._has_ins_restarted = False
-        self._at = replace(self._at, power_ons=self._at.power_ons + 1, powered_s=switched_s)
-
-    def ins_restarted(self) -> None:
-        """The INS restarted without a command."""
-        if self._expected.ins_on:
-            self._has_ins_restarted = True
-
-    def ins_restart_handled(self) -> None:
-        """The run has reacted to the restart."""
-        self._has_ins_restarted = False
-
-    def ins_identified(self, unit: str) -> None:
-        """The serial number of the INS is known."""
-        self._at = replace(self._at, unit=unit)
-
     # rate table
 
     def table_prepared(self) -> None:
@@ -177,10 +188,6 @@ class BenchState:
     def table_commanded(self, angles_deg: Angles) -> None:
         """The table was sent to outer and inner angles."""
         self._at = replace(self._at, angles_deg=angles_deg)
-
-    def position_reached(self, position: str, azimuth_deg: float) -> None:
-        """The unit stands in a position."""
-        self._at = replace(self._at, position=position, azimuth_deg=azimuth_deg)
 
     # all
 
@@ -200,8 +207,6 @@ class BenchState:
                     self._expect(table_prepared=False, table_stopped=not action.problem)
                 case SafePart.TABLE_RELEASED:
                     self._expect(table_prepared=False)
-                case SafePart.UNIT:
-                    self._expect(ins_on=self._expected.ins_on and safe.unit == "keep")
 
     def _expect(self, **changes: float | bool | None) -> None:
         self._expected = replace(self._expected, **changes)  # type: ignore[arg-type]

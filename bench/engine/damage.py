@@ -37,6 +37,16 @@ class Damage:
     is_provenance_lost: bool = False  #: whether provenance.json is damaged or missing
     dwells: tuple[int, ...] = ()  #: finished dwells whose data are lost
 
+    @classmethod
+    def of_all(cls, damages: Sequence[Damage]) -> Damage:
+        """Join the damages of a run and of its units."""
+        return cls(
+            {path: lost for each in damages for path, lost in each.files.items()},
+            sum(each.lines for each in damages),
+            any(each.is_provenance_lost for each in damages),
+            tuple(sorted({dwell for each in damages for dwell in each.dwells})),
+        )
+
     def __bool__(self) -> bool:
         return bool(self.files or self.dwells)
 

@@ -1,4 +1,4 @@
-"""The dwells of a run: recorded while they last, measured at their end, repeated where data are invalid."""
+"""The dwells of a unit: recorded while they last, measured at their end, repeated where data are invalid."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from gyrobench.bench.dwells.live import LiveEstimate
 from gyrobench.bench.dwells.marks import DwellMarks, WindowMark
 from gyrobench.bench.dwells.run_dwells import add_dwell
 from gyrobench.bench.engine.live_bench import LiveBench
-from gyrobench.bench.engine.run_context import RunContext
+from gyrobench.bench.engine.live_unit import LiveUnit
+from gyrobench.bench.engine.run_context import MeasuredUnit, RunContext
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import SignalMapError
 from gyrobench.bench.navigation.table_axes import Angles
@@ -29,10 +30,11 @@ _CREEP_SIGMAS = 5.0
 
 
 class DwellRecorder:
-    """Marks of the dwell in progress."""
+    """Marks of the dwell in progress of one unit."""
 
-    def __init__(self, bench: LiveBench, setup: MeasurementSetup) -> None:
+    def __init__(self, bench: LiveBench, unit: LiveUnit, setup: MeasurementSetup) -> None:
         self._bench = bench
+        self._unit = unit
         self._setup = setup
         self._align_begin_s = 0.0
         self._start_s = 0.0
@@ -46,28 +48,25 @@ class DwellRecorder:
 
     def begin(self) -> None:
         """Begin a dwell with its alignment."""
-        self._bench.begin_capture()
+        self._unit.begin_capture()
         self._align_begin_s = self._start_s = self._bench.clock.now()
         self._windows.clear()
         self._disturbances.clear()
         self._turn = (None, None)
-        self._start_azimuth_deg = self._bench.state.at.azimuth_deg
+        self._start_azimuth_deg = self._unit.state.azimuth_deg
         self._live = LiveEstimate(self._setup, self._frames)
 
     def begin_window(self) -> None:
         """Begin a window: the INS navigates at rest."""
-        self._first_frame = self._bench.captured_frames()
+        self._first_frame = self._unit.captured_frames()
         if not self._windows:
             self._start_s = self._bench.clock.now()
         self._angles = self._bench.table_angles()
-        self._bench.begin_window(is_first=not self._windows)
+        self._unit.begin_window(is_first=not self._windows)
 
     def end_window(self) -> None:
         """End the window; a table that moved disturbs the dwell."""
-        read_deg = [
-            *(self._bench.capture.table_deg if self._bench.capture else ()),
-            self._bench.table_angles(),
-        ]
+        read_deg = [*(self._unit.capture.table_deg if self._unit.capture else ()), self._bench.table_angles()]
         moved_deg = float(np.abs(np.subtract(read_deg, self._angles)).max())
         if moved_deg > _STILL_DEG:
             self.disturb(f"the table moved by {moved_deg:.4f} deg while the INS navigated")
@@ -79,11 +78,11 @@ class DwellRecorder:
     def begin_turn(self) -> None:
         """Begin a turn."""
         if self._turn[0] is None:
-            self._turn = (self._bench.captured_frames(), None)
+            self._turn = (self._unit.captured_frames(), None)
 
     def end_turn(self) -> None:
         """End a turn: the table is at rest."""
-        self._turn = (self._turn[0], self._bench.captured_frames())
+        self._turn = (self._turn[0], self._unit.captured_frames())
 
     @property
     def has_window(self) -> bool:
@@ -95,10 +94,10 @@ class DwellRecorder:
         return self._live.update([*self._windows, self._window()]) if self._live else None
 
     def _window(self) -> WindowMark:
-        return WindowMark(self._first_frame, self._bench.captured_frames(), *self._angles, *self._turn)
+        return WindowMark(self._first_frame, self._unit.captured_frames(), *self._angles, *self._turn)
 
     def _frames(self, first: int) -> FrameBlock:
-        capture = self._bench.capture
+        capture = self._unit.capture
         return capture.frames(first) if capture else concatenate([])
 
     def disturb(self, text: str) -> None:
@@ -109,14 +108,15 @@ class DwellRecorder:
     def marks(self) -> DwellMarks:
         """Return the marks of the dwell that is over."""
         at = self._bench.state.at
-        capture = self._bench.capture
+        capture = self._unit.capture
         chamber_c = capture.chamber_c if capture else []
+        neighbours_on = capture.neighbours_on if capture and len(self._bench.station.units) > 1 else []
         return DwellMarks(
-            unit=at.unit,
+            unit=self._unit.state.number,
             run=f"{self._bench.clock.epoch:%Y%m%dT%H%M%S}-{at.power_ons}",
             dwell=at.dwell,
             cycle=at.cycle,
-            position=at.position,
+            position=self._unit.state.position,
             azimuth_deg=self._start_azimuth_deg,
             log_part=capture.log_part if capture else 0,
             windows=tuple(self._windows),
@@ -128,6 +128,7 @@ class DwellRecorder:
             is_calibration_check=at.is_calibration_check,
             is_rotated=at.is_rotated,
             is_noise_record=at.is_noise_record,
+            neighbours_on=float(np.mean(neighbours_on)) if neighbours_on else None,
             align_s=round(self._start_s - self._align_begin_s, 6),
             disturbances=tuple(self._disturbances),
         )
@@ -147,9 +148,10 @@ def _creep_deg(read_deg: FloatArray) -> float:
 class DwellLedger:
     """Decides what happens to each dwell, and keeps journal and dwell table."""
 
-    def __init__(self, run: RunContext, recorder: DwellRecorder) -> None:
+    def __init__(self, run: RunContext, unit: MeasuredUnit, recorder: DwellRecorder) -> None:
         self._run = run
-        self._bench = run.bench
+        self._unit = unit
+        self._record = unit.record
         self._recorder = recorder
         self._contradicted = False
 
@@ -159,80 +161,66 @@ class DwellLedger:
         Raises SignalMapError if it contradicts the signal map, and the dwell before did too or none of the
         run agreed: each further dwell would be invalid too. One alone after that is a disturbance.
         """
-        run = self._run
+        unit, record = self._unit, self._record
         marks = self._recorder.marks()
-        frames = self._bench.end_capture()
+        frames = unit.live.end_capture()
         if not marks.gives_bias:
             return self._finish_recorded(marks)
         measure = measure_check_dwell if marks.is_calibration_check else measure_dwell
-        measured = measure(marks, frames, run.setup)
+        measured = measure(marks, frames, record.setup)
         is_map_wrong = bool(measured.signal_fault) and (self._contradicted or not self._has_agreed())
         self._contradicted = bool(measured.signal_fault)
         if measured.is_disturbed and not is_map_wrong and self.may_repeat(marks.dwell):
             self._repeat(marks.dwell, measured.flags, counts=True)
             return False
-        run.journal.record(
+        unit.journal.record(
             "dwell_finished", marks=marks.to_json(), flags=measured.flags, epochs=asdict(measured.counts)
         )
-        run.state.finished.add(marks.dwell)
+        record.state.finished.add(marks.dwell)
         if isinstance(measured, MeasuredDwell):
-            dwells = run.outcome.dwells
+            dwells = record.outcome.dwells
             add_dwell(dwells, measured)
-            write_dwells(run.folder.dwells, [each.row for each in dwells])
-            run.observers.dwell_measured(dwells[-1].row)
+            write_dwells(record.folder.dwells, [each.row for each in dwells])
+            self._run.observers.dwell_measured(dwells[-1].row)
         else:
-            run.outcome.check_dwells.append(measured)
+            record.outcome.check_dwells.append(measured)
             text = measured.flags or "measured for the calibration check"
-            run.observers.noted(f"{marks.position} at {marks.azimuth_deg:g} deg: {text}")
+            self._noted(f"{marks.position} at {marks.azimuth_deg:g} deg: {text}")
         if is_map_wrong:
             raise SignalMapError(measured.signal_fault)
         return True
 
     def _finish_recorded(self, marks: DwellMarks) -> bool:
-        run, flags = self._run, "; ".join(marks.disturbances)
+        flags = "; ".join(marks.disturbances)
         if flags and self.may_repeat(marks.dwell):
             self._repeat(marks.dwell, flags, counts=True)
             return False
-        run.journal.record("dwell_finished", marks=marks.to_json(), flags=flags)
-        run.state.finished.add(marks.dwell)
+        self._unit.journal.record("dwell_finished", marks=marks.to_json(), flags=flags)
+        self._record.state.finished.add(marks.dwell)
         what = f"{len(marks.windows) - 1} rotations from" if marks.is_rotated else "noise in"
-        run.observers.noted(f"{what} {marks.position}: {flags or 'recorded'}")
+        self._noted(f"{what} {marks.position}: {flags or 'recorded'}")
         return True
 
     def _has_agreed(self) -> bool:
         """Whether a dwell of this run, also before a resume, agreed with the signal map."""
-        outcome = self._run.outcome
+        outcome = self._record.outcome
         return any(each.estimate for each in outcome.dwells) or any(
             each.navigation for each in outcome.check_dwells
         )
 
     def may_repeat(self, dwell: int) -> bool:
         """Whether the procedure allows that a dwell with invalid data is repeated."""
-        procedure, repeats = self._run.plan.procedure, self._run.state.repeats
+        procedure, repeats = self._run.plan.procedure, self._record.state.repeats
         return (
             procedure.disturbed_dwell == "repeat"
             and repeats[dwell] < procedure.max_repeats
             and repeats.total() < procedure.max_repeats_total
         )
 
-    def discard(self, dwell: int | None, why: str, counts: bool) -> None:
-        """Discard the dwell in progress, if there is one; it is repeated.
-
-        With ``counts``, the repeat counts against the procedure's limit.
-        """
-        if dwell and self._bench.capture:
-            self._bench.end_capture()
-            self._repeat(dwell, why, counts)
-
-    def skip(self, dwell: int) -> None:
-        """Leave a dwell out."""
-        if self._bench.capture:
-            self._bench.end_capture()
-        self._run.journal.record("dwell_skipped", dwell=dwell)
-        self._run.state.skipped.add(dwell)
-        self._run.observers.noted(f"dwell {dwell} is skipped")
-
     def _repeat(self, dwell: int, why: str, counts: bool) -> None:
-        self._run.state.repeats[dwell] += counts
-        self._run.journal.record("dwell_given_up", dwell=dwell, why=why, counts=counts)
-        self._run.observers.noted(f"dwell {dwell} is repeated: {why}")
+        self._record.state.repeats[dwell] += counts
+        self._unit.journal.record("dwell_given_up", dwell=dwell, why=why, counts=counts)
+        self._noted(f"dwell {dwell} is repeated: {why}")
+
+    def _noted(self, text: str) -> None:
+        self._run.observers.noted(self._record.named(text))

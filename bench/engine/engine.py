@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 
 from gyrobench.bench.engine.actions import StepContext, perform
-from gyrobench.bench.engine.dwell_recording import DwellLedger, DwellRecorder
 from gyrobench.bench.engine.holding import Heartbeat, Holding
 from gyrobench.bench.engine.interlocks.checks import Finding
 from gyrobench.bench.engine.interlocks.watch import Trip, TrippedError, text_of_trips, trip_of_error
 from gyrobench.bench.engine.operator import CommandReceivedError, GivenCommand, RunCommand
 from gyrobench.bench.engine.run_context import RunContext
-from gyrobench.bench.engine.stored_compensation import StoredCompensation
+from gyrobench.bench.engine.units import Units
 from gyrobench.bench.foundations.clock import Deadline
 from gyrobench.bench.foundations.errors import (
-    FaultError,
     GyrobenchError,
     InstrumentError,
     InvalidDwellError,
@@ -26,7 +24,6 @@ from gyrobench.bench.foundations.errors import (
 from gyrobench.bench.procedure.approach import RetainedState, approach, end_of_dwell, restart_of
 from gyrobench.bench.procedure.plan import PlannedStep, turns_after
 from gyrobench.bench.procedure.steps import Align, GoTo, PowerOn
-from gyrobench.bench.runs.provenance import add_identity
 from gyrobench.bench.station.interlocks import PassingRule
 from gyrobench.bench.station.safe_state import RAMP_PERIOD_S, SafeAction, SafePart, finish_ramp
 
@@ -50,16 +47,14 @@ class Engine:
         self._bench = run.bench
         self._state = run.bench.state
         self._plan = run.plan
-        self._heartbeat = Heartbeat(run)
+        self._units = Units(run)
+        self._heartbeat = Heartbeat(run, self._units)
         self._holding = Holding(run, self._heartbeat)
-        self._recorder = DwellRecorder(run.bench, run.setup)
-        self._dwells = DwellLedger(run, self._recorder)
-        self._step_context = StepContext(run, self._recorder)
-        self._compensation = StoredCompensation(run)
+        self._step_context = StepContext(run, self._units)
         self._is_hold_commanded = False
         self._unseen_faults: tuple[str, ...] = ()
         self._current: PlannedStep | None = None
-        self._state.run_resumed(run.state.unit, run.state.power_ons)
+        self._state.run_resumed(run.state.power_ons)
 
     def run(self) -> None:
         """Execute what is left of the plan, then go to the safe state in any case.
@@ -105,7 +100,7 @@ class Engine:
                 self._perform(planned)
                 index += 1
                 if planned.dwell and self._is_last_of_dwell(planned):
-                    if self._dwells.finish():
+                    if self._units.finish_dwell(planned.dwell):
                         index, retained = self._after_dwell(planned.dwell, None)
                     else:
                         retained = self._retained_for_repeat(planned.dwell)
@@ -125,6 +120,7 @@ class Engine:
         Raises TrippedError if an interlock is tripped, a safe action has failed, or the table reports faults
         that the operator has not seen.
         """
+        self._units.drop_tripped()
         trips = self._bench.trips()
         failed = self._bench.failed_safe_actions.values()
         if failed:
@@ -142,12 +138,12 @@ class Engine:
 
     def _retained(self, is_ins_on: bool, is_at_temperature: bool) -> RetainedState:
         chamber_c = self._bench.readings.chamber.temperature_c
-        return RetainedState(is_ins_on and not self._state.has_ins_restarted, is_at_temperature, chamber_c)
+        return RetainedState(is_ins_on and not self._units.have_restarted, is_at_temperature, chamber_c)
 
     def _retained_for_repeat(self, dwell: int) -> RetainedState:
         """The INS may cause the invalid data: after some repeats it is switched off and on if possible."""
         can_switch = self._bench.station.file.unit.power == "chamber_event"
-        is_ins_on = self._run.state.repeats[dwell] < _REPEATS_UNTIL_POWER_CYCLE or not can_switch
+        is_ins_on = self._units.repeats(dwell) < _REPEATS_UNTIL_POWER_CYCLE or not can_switch
         return self._retained(is_ins_on, is_at_temperature=True)
 
     # steps
@@ -178,8 +174,7 @@ class Engine:
         self._state.step_started(planned)
         self._step_context.retries = step.retries
         if isinstance(step, Align):
-            if not self._state.at.unit:
-                self._identify_ins()  # one that is always on
+            self._units.identify(again=False)  # those that are always on
             self._settle_compensation(after_power_on=False)
         if isinstance(step, GoTo):
             self._step_context.next_turns_deg = turns_after(self._plan, planned)
@@ -192,7 +187,8 @@ class Engine:
             self._tick()
             now_s = clock.now()
             observers.ticked(self._bench, end_s - now_s)
-            if now_s >= timeout_s:
+            late = f"{planned.step.describe()} did not end within {planned.timeout_s:.0f} s"
+            if now_s >= timeout_s and not self._units.drop_late(f"step {planned.number}: {late}"):
                 place = self._run.job.document.place(planned.location)
                 raise StepTimeoutError(
                     f"{place}: step {planned.number} ({planned.label}: {planned.step.describe()}) did not "
@@ -204,7 +200,7 @@ class Engine:
         run, kind = self._run, planned.step.name
         if isinstance(planned.step, PowerOn):
             run.journal.record("powered_on", run=self._state.at.power_ons)
-            self._identify_ins()
+            self._units.identify(again=True)
             self._settle_compensation(after_power_on=True)
         if not is_approach:
             run.outcome.took_s.setdefault(kind, []).append((planned.duration_s, took_s))
@@ -239,21 +235,10 @@ class Engine:
             case _:
                 raise CommandReceivedError(given)
 
-    def _identify_ins(self) -> None:
-        ins, known = self._bench.instruments.ins, self._state.at.unit
-        identity = ins.identify()
-        unit = str(ins.identity().get("serial_number", "unknown"))
-        if known not in ("", unit):
-            raise FaultError("INS", f"is unit {unit}, but this run measures {known}. Connect {known} again.")
-        self._state.ins_identified(unit)
-        self._run.journal.record("ins_identified", unit=unit, identity=identity)
-        self._run.observers.identified(unit)
-        add_identity(self._run.folder, "INS", identity)
-
     def _settle_compensation(self, after_power_on: bool) -> None:
         max_hold_s = self._bench.station.file.interlocks.max_hold_s
         deadline = Deadline(self._bench.clock, max_hold_s)
-        for _ in self._compensation.settle(after_power_on):
+        for _ in self._units.settle_compensation(after_power_on):
             self._tick()
             if deadline.expired():
                 raise RunStoppedError(
@@ -270,14 +255,15 @@ class Engine:
     def _after_failed_step(self, index: int, error: GyrobenchError) -> tuple[int, RetainedState | None]:
         """Repeat the dwell whose step failed, or continue without it; hold outside of dwells."""
         planned = self._plan.steps[index]
-        if planned.dwell is None or not self._bench.capture:
+        if planned.dwell is None or not self._units.are_captured:
             failed = self._current or planned
             return index, self._recover(index, [trip_of_error(error, self._bench.station, failed.step)])
-        if self._dwells.may_repeat(planned.dwell):
-            self._dwells.discard(planned.dwell, str(error), counts=True)
+        if self._units.may_repeat(planned.dwell):
+            self._units.discard(planned.dwell, str(error), counts=True)
         else:
-            self._recorder.disturb(str(error))
-            self._dwells.finish()
+            for unit in self._units.measuring:
+                unit.recorder.disturb(str(error))
+            self._units.finish_dwell(planned.dwell)
             return self._after_dwell(planned.dwell, self._retained_for_repeat(planned.dwell))
         return index, self._retained_for_repeat(planned.dwell)
 
@@ -297,15 +283,16 @@ class Engine:
         # Before a slow disk can delay it.
         actions = self._bench.make_safe(meanwhile=self._heartbeat.signal_guard)
         self._run.journal.record("tripped", interlocks=names, why=why)
-        self._dwells.discard(self._plan.steps[index].dwell, why, counts=False)
+        self._units.discard(self._plan.steps[index].dwell, why, counts=False)
         self._report_safe(actions)
         if _INS_TRIPS & set(names):
-            self._state.ins_state_unknown()
+            for unit in self._units.running:
+                unit.live.state.state_unknown()
         try:
             self._holding.hold(why, trips)
         except TrippedError as error:  # everything has to be good, and safe values may be lost
             return self._recover(index, [*trips, *error.trips])
-        return self._retained(self._state.expected.ins_on, is_at_temperature=False)
+        return self._retained(self._units.are_on, is_at_temperature=False)
 
     def _execute_command(
         self, index: int, given: GivenCommand, approached: RetainedState | None
@@ -319,9 +306,9 @@ class Engine:
             if not dwell:
                 self._run.note("no dwell is in progress: nothing is skipped, and the step starts again")
                 return index, retained
-            self._dwells.skip(dwell)
+            self._units.skip(dwell)
             return self._after_dwell(dwell, retained)
-        self._dwells.discard(dwell, f"paused by {given.by}", counts=False)
+        self._units.discard(dwell, f"paused by {given.by}", counts=False)
         is_safe = self._bench.station.file.safe_state.on_pause == "safe"
         if is_safe:
             self._make_safe()
@@ -329,7 +316,7 @@ class Engine:
             self._holding.hold(f"paused by {given.by}", command=RunCommand.PAUSE)
         except TrippedError as error:
             return index, self._recover(index, error.trips)
-        is_ins_on = is_ins_on and self._state.expected.ins_on
+        is_ins_on = is_ins_on and self._units.are_on
         return index, self._retained(is_ins_on, is_at_temperature and not is_safe)
 
     def _handle_pending_events(self, planned: PlannedStep) -> None:
@@ -339,10 +326,11 @@ class Engine:
         if self._is_hold_commanded:
             self._is_hold_commanded = False
             self._holding.hold("hold at this temperature commanded", command=RunCommand.HOLD)
-        if self._state.has_ins_restarted:
-            self._run.note("the INS has restarted without a command")
+        if restarted := [unit for unit in self._units.running if unit.live.state.has_restarted]:
             retained = self._retained(is_ins_on=False, is_at_temperature=True)
-            self._state.ins_restart_handled()
+            for unit in restarted:
+                unit.note("the INS has restarted without a command")
+                unit.live.state.has_restarted = False
             self._approach(planned.number - 1, retained)
 
     # safe state
@@ -362,7 +350,7 @@ class Engine:
         if not outcome.is_safe:
             outcome.fail("the bench could not be brought to its safe state")
         try:
-            self._bench.poll_ins()  # the last frames
+            self._bench.poll_units()  # the last frames
             journal.record("ticks", **self._bench.lateness.summary())
             journal.record(
                 "run_ended",
@@ -383,7 +371,8 @@ class Engine:
             if not first:
                 self._report_safe(outcome.safe_state)
                 self._run.observers.noted(_RAMP_NOTE)
-                bench.capture = None
+                for unit in bench.units:
+                    unit.capture = None
             taken = {action.what: action for action in (*outcome.safe_state, *actions)}
             outcome.safe_state = list(taken.values())
             bench.state.made_safe(each for each in actions if each.part is not SafePart.CHAMBER)

@@ -9,6 +9,7 @@ from dataclasses import asdict, replace
 from gyrobench.bench.engine.interlocks.watch import Trip, TrippedError, text_of_trips
 from gyrobench.bench.engine.operator import GivenCommand, RunCommand, take_sender
 from gyrobench.bench.engine.run_context import RunContext
+from gyrobench.bench.engine.units import Units
 from gyrobench.bench.foundations.errors import InstrumentError, RunStoppedError
 from gyrobench.bench.foundations.operator_name import operator_name
 from gyrobench.bench.foundations.text import listed
@@ -26,14 +27,16 @@ _TERMINAL = "the terminal"
 class Heartbeat:
     """Lets ticks pass: polls the bench, sends a sign of life to the guard, reads commands."""
 
-    def __init__(self, run: RunContext) -> None:
+    def __init__(self, run: RunContext, units: Units) -> None:
         self._run = run
+        self._units = units
         self._calendar_offset_s = 0.0
 
     def beat(self) -> None:
         """Let one tick pass."""
         run = self._run
         run.bench.tick()
+        self._units.drop_tripped()
         self.signal_guard()
         run.observers.beat(run.bench)
         self._check_calendar()

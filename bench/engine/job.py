@@ -37,6 +37,12 @@ class Job:
     order: Mapping[str, str] = field(default_factory=dict)
     acknowledged: tuple[str, ...] = ()  #: Instruments past due whose use the operator acknowledges.
 
+    def plan_of(self, unit: Station) -> Plan:
+        """The plan with the positions of one unit of the station, whose mounting may differ."""
+        if unit.file.rate_table.reference_mounting is None:
+            return self.plan
+        return unit.plan(self.document, self.plan.procedure)
+
     def emulated_world(self) -> dict[str, str | int]:
         """Options of the emulated instruments; empty where none is emulated."""
         if not self.station.file.is_emulated():
@@ -107,6 +113,11 @@ def prepare_job(
         )
     rows = tuple(read_calibration(calibration)) if calibration else ()
     if compensation is not None:
+        if len(bench.units) > 1:
+            raise DocumentError(
+                f"{bench.path}: has {len(bench.units)} units, and a compensation is for one of them. Leave "
+                "--compensation out, or use a station with that unit alone"
+            )
         _check_compensation(bench, compensation)
     given = {name: text for name, text in (order or {}).items() if text}
     return Job(

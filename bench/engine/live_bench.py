@@ -4,29 +4,22 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from gyrobench.bench.engine.bench_state import BenchState, Readings
 from gyrobench.bench.engine.interlocks.watch import InterlockWatch, Trip
+from gyrobench.bench.engine.live_unit import BUS_SILENCE_S, LiveUnit, telemetry_row
 from gyrobench.bench.foundations.clock import Clock
-from gyrobench.bench.foundations.errors import (
-    ConnectionFailedError,
-    FaultError,
-    InstrumentError,
-    NoReplyError,
-    ReplyError,
-)
+from gyrobench.bench.foundations.errors import ConnectionFailedError, FaultError, InstrumentError, ReplyError
 from gyrobench.bench.navigation.table_axes import Angles
 from gyrobench.bench.station.instruments import Instruments
 from gyrobench.bench.station.safe_state import SafeAction, make_safe
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.frames import FrameBlock, concatenate
-from gyrobench.drivers.ins.ins_status import InsStatus
-from gyrobench.drivers.ins.readout import InsMode
+from gyrobench.drivers.ins.can_bus import INSTRUMENT
 
 if TYPE_CHECKING:
     from gyrobench.bench.runs.can_log import CanLog
@@ -34,10 +27,6 @@ if TYPE_CHECKING:
 
 #: How often an instrument that does not answer at the start is asked again, and the pause between.
 _FIRST_TRIES, _FIRST_PAUSE_S = 5, 2.0
-#: An INS whose count of epochs is off by more than this has restarted, or lost its count.
-_EPOCH_COUNT_TOLERANCE_S = 3.0
-#: A CAN bus that is silent for this long may have been disconnected without an error.
-_BUS_SILENCE_S = 4.0
 #: Least time between reports of frames that were lost or invalid.
 _LOSS_PERIOD_S = 10.0
 #: Period at which a disconnected port is reopened.
@@ -50,34 +39,6 @@ _REACHED_C = 2.0
 _LOWEST_S, _DECADES, _PER_DECADE = 1e-5, 8, 50
 
 T = TypeVar("T")
-
-
-@dataclass
-class Capture:
-    """Frames, chamber temperatures and table angles of a dwell since its alignment began."""
-
-    log_part: int
-    chamber_c: list[float] = field(default_factory=list)
-    table_deg: list[Angles] = field(default_factory=list)
-    _blocks: list[FrameBlock] = field(default_factory=list)
-    _count: int = 0
-
-    def add(self, block: FrameBlock) -> None:
-        """Keep the data frames of a block."""
-        self._blocks.append(block.data_frames())
-        self._count += len(self._blocks[-1])
-
-    def count(self) -> int:
-        """Return the number of data frames so far."""
-        return self._count
-
-    def frames(self, first: int = 0) -> FrameBlock:
-        """Return the data frames so far, from a number on."""
-        begin, start = len(self._blocks), self._count
-        while start > first:
-            begin -= 1
-            start -= len(self._blocks[begin])
-        return concatenate(self._blocks[begin:]).take(slice(first - start, None))
 
 
 class TickLateness:
@@ -121,8 +82,9 @@ class LiveBench:
     """The opened instruments of a bench, polled at every tick.
 
     An instrument that does not answer a poll is asked again at the next tick; its last answer gets older
-    meanwhile, until its interlock trips. ``can_log`` and ``telemetry`` keep everything received and read;
-    they are None for a bench that is not recorded. ``report_failure`` gets the instrument's name and the
+    meanwhile, until its interlock trips. ``recordings`` are the CAN log and telemetry of each unit, in the
+    order of ``instruments``, and ``telemetry`` is that of a bench with several; none for a bench that is not
+    recorded. ``report_failure`` gets the instrument's name and the
     error of a failed exchange, or None when it answers again.
     """
 
@@ -131,21 +93,19 @@ class LiveBench:
         station: Station,
         instruments: Instruments,
         clock: Clock,
-        can_log: CanLog | None,
-        telemetry: Telemetry | None,
+        recordings: Sequence[tuple[CanLog | None, Telemetry | None]],
         report_failure: Callable[[str, InstrumentError | None], None],
+        telemetry: Telemetry | None = None,
     ) -> None:
         self.station = station
         self.instruments = instruments
         self.clock = clock
         self.readings: Readings  #: newest answers; set by start()
         self.state = BenchState(station)
-        self.capture: Capture | None = None  #: frames of the dwell in progress
         self.lateness = TickLateness()
-        self._can_log = can_log
         self._telemetry = telemetry
         self._report_failure = report_failure
-        self._watch = InterlockWatch(station, clock, instruments.absent)
+        self._watch = InterlockWatch(station, clock, {INSTRUMENT, *instruments.absent})
         self._failing: list[str] = []
         self._next_reopen_s = 0.0
         self._next_loss_s = 0.0
@@ -153,9 +113,16 @@ class LiveBench:
         #: Safe actions that failed and have not succeeded since, by what they do.
         self.failed_safe_actions: dict[str, SafeAction] = {}
         self._next_safe_s = 0.0
-        self._mode = InsMode.UNKNOWN
-        self._epochs: tuple[float, int] | None = None
-        instruments.ins.on_frames = self._received
+        #: The units that are measured, in the order of the station file.
+        self.units = [
+            LiveUnit(self, each, instruments.units[each.instrument], instruments.absent, *recorded)
+            for each, recorded in zip(
+                (each for each in station.units if each.instrument in instruments.units),
+                recordings or [(None, None)] * len(instruments.units),
+                strict=True,
+            )
+        ]
+        self._placed = tuple(self.units)  # also those that are left out
 
     def start(self) -> None:
         """Ask all instruments for the first time.
@@ -166,10 +133,12 @@ class LiveBench:
         faults = self._first(self.instruments.table.faults)
         chamber = self._first(self.instruments.chamber.read)
         alarms = self._first(self.instruments.chamber.alarms)
-        ins, now_s = self.ins_status(), self.clock.now()
-        self.readings = Readings(table, now_s, tuple(faults), chamber, now_s, tuple(alarms), ins, now_s)
+        found, now_s = [unit.status() for unit in self.units], self.clock.now()
+        self.readings = Readings(table, now_s, tuple(faults), chamber, now_s, tuple(alarms), found[0], now_s)
         self._next_reading_s = now_s + self.station.file.instruments_period_s
         self._watch.observe(self.readings)
+        for unit, ins in zip(self.units, found, strict=True):
+            unit.begin(replace(self.readings, ins=ins))
 
     def _first(self, ask: Callable[[], T]) -> T:
         for _ in range(_FIRST_TRIES - 1):
@@ -178,7 +147,7 @@ class LiveBench:
             except FaultError:
                 raise
             except InstrumentError as error:
-                self._failed(error)
+                self.failed(error)
                 self.clock.sleep(_FIRST_PAUSE_S)
         return ask()
 
@@ -186,15 +155,15 @@ class LiveBench:
         """Wait for the next tick, then poll what is due."""
         tick_s = self.station.file.tick_s
         next_tick_s = tick_s * (math.floor(self.clock.now() / tick_s + 1e-9) + 1)
-        if self.instruments.ins.keeps_frames:
+        if all(unit.ins.keeps_frames for unit in self.units):
             self.clock.sleep_until(next_tick_s)
         while (now_s := self.clock.now()) < next_tick_s:
             self.clock.sleep_until(min(next_tick_s, now_s + self.station.file.poll_period_s))
-            self.poll_ins()
-        if self._can_log:
-            self._can_log.write_waiting(now_s)
+            self.poll_units()
+        for unit in self.units:
+            unit.write_waiting(now_s)
         if self.instruments.is_ramping and "chamber" not in self._failing:
-            self._asked("chamber", self.instruments.advance_ramp)
+            self.asked("chamber", self.instruments.advance_ramp)
         self.lateness.add(next_tick_s, now_s, tick_s)
         if self._failing:
             self._reopen()
@@ -203,50 +172,64 @@ class LiveBench:
 
     def trips(self) -> list[Trip]:
         """Return the interlocks that are tripped."""
-        return self._watch.trips(self.clock.now(), self.state.expected)
+        trips = self._watch.trips(self.clock.now(), self.state.expected)
+        return [*trips, *(trip for unit in self.units for trip in unit.trips())]
 
     def good_for_s(self, trips: Iterable[Trip]) -> float:
         """Return for how long none of these interlocks has been tripped; zero while one is."""
-        since_s = [self._watch.good_since_s(trip.name) for trip in trips]
+        watches: list[InterlockWatch | LiveUnit] = [self._watch, *self.units]
+        since_s = [each.good_since_s(trip.name) for trip in trips for each in watches]
         now_s = self.clock.now()
         return min((0.0 if each_s is None else now_s - each_s for each_s in since_s), default=math.inf)
 
-    def poll_ins(self) -> None:
+    def poll_units(self) -> None:
         """Receive the frames that have arrived."""
-        self._asked("INS", self.instruments.ins.poll)
+        for unit in self.units:
+            unit.poll()
 
-    def ins_status(self) -> InsStatus:
-        """State of the INS with the frames that have arrived by now."""
-        self.poll_ins()
-        return self.instruments.ins.status()
+    def leave_out(self, unit: LiveUnit) -> None:
+        """Measure a unit no longer; its bus is closed."""
+        unit.end_capture()
+        unit.ins.close()
+        self.units = [each for each in self.units if each is not unit]
+        self._failing = [name for name in self._failing if name != unit.name]
+
+    def units_switched_off(self) -> None:
+        """The supplies of all units were switched off, also of those that are left out."""
+        for unit in self._placed:
+            unit.state.switched_off()
+
+    def neighbours_on(self, unit: LiveUnit) -> int:
+        """Number of other units that are on, as far as is known."""
+        return sum(other.is_on for other in self._placed if other is not unit)
 
     def reopen(self, instrument: str) -> None:
         """Reopen the port of an instrument; a failure is reported."""
-        self._asked(instrument, lambda: self.instruments.reopen(instrument))
+        self.asked(instrument, lambda: self.instruments.reopen(instrument))
 
-    def _asked(self, instrument: str, ask: Callable[[], T]) -> T | None:
+    def asked(self, instrument: str, ask: Callable[[], T]) -> T | None:
+        """Return an instrument's answer; None where it fails, which is reported."""
         try:
             answer = ask()
         except FaultError:
             return None  # it answers; the interlocks evaluate what it reports
         except InstrumentError as error:
-            self._failed(error)
+            self.failed(error)
             return None
         if instrument in self._failing:
             self._failing.remove(instrument)
             self._report_failure(instrument, None)
         return answer
 
-    def _failed(self, error: InstrumentError) -> None:
-        if isinstance(error, ReplyError) and error.instrument == "INS" and not self._is_bus_silent():
+    def failed(self, error: InstrumentError) -> None:
+        """Report a failed exchange; the instrument is reopened until it answers."""
+        ins = self.instruments.units.get(error.instrument)
+        if isinstance(error, ReplyError) and ins is not None and ins.status().age_s <= BUS_SILENCE_S:
             self._report_loss(error)  # to reopen a bus that gives frames would lose more of them
             return
         if error.instrument not in self._failing:
             self._failing.append(error.instrument)
             self._report_failure(error.instrument, error)
-
-    def _is_bus_silent(self) -> bool:
-        return self.instruments.ins.status().age_s > _BUS_SILENCE_S
 
     def _report_loss(self, error: ReplyError) -> None:
         if self.clock.now() >= self._next_loss_s:
@@ -267,89 +250,30 @@ class LiveBench:
     def read_instruments(self) -> None:
         """Read table, chamber and INS, and keep the readings in the telemetry."""
         self._next_reading_s = self.clock.now() + self.station.file.instruments_period_s
-        changes: dict[str, Any] = {"ins": self.ins_status(), "asked_s": (asked_s := self.clock.now())}
+        statuses = [unit.status() for unit in self.units]
+        changes: dict[str, Any] = {"ins": statuses[0], "asked_s": (asked_s := self.clock.now())}
         table, chamber = self.instruments.table, self.instruments.chamber
-        if (faults := self._asked("rate table", table.faults)) is not None:
+        if (faults := self.asked("rate table", table.faults)) is not None:
             changes["table_faults"] = tuple(faults)
-        if (of_table := self._asked("rate table", table.read)) is not None:
+        if (of_table := self.asked("rate table", table.read)) is not None:
             changes |= {"table": of_table, "table_s": self.clock.now()}
-        if (alarms := self._asked("chamber", chamber.alarms)) is not None:
+        if (alarms := self.asked("chamber", chamber.alarms)) is not None:
             changes["chamber_alarms"] = tuple(alarms)
-        if (of_chamber := self._asked("chamber", chamber.read)) is not None:
+        if (of_chamber := self.asked("chamber", chamber.read)) is not None:
             changes |= {"chamber": of_chamber, "chamber_s": self.clock.now()}
         self.readings = readings = replace(self.readings, **changes)
         self._watch.observe(readings)
-        self._notice_restart(readings)
-        self._notice_silent_bus(readings)
+        row = self._telemetry_row(readings, asked_s)
         if self._telemetry:
-            self._telemetry.add(self._telemetry_row(readings, asked_s))
-        if self.capture and of_chamber is not None:
-            self.capture.chamber_c.append(of_chamber.temperature_c)
-        if self.capture and of_table is not None:
-            self.capture.table_deg.append(self.table_angles())
+            self._telemetry.add(telemetry_row(row, None))
+        for unit, ins in zip(self.units, statuses, strict=True):
+            unit.observe(replace(readings, ins=ins), row)
 
     def read_table(self) -> None:
         """Read the table alone, between the regular readings."""
-        of_table = self._asked("rate table", lambda: self.instruments.table.read())
+        of_table = self.asked("rate table", lambda: self.instruments.table.read())
         if of_table is not None:
             self.readings = replace(self.readings, table=of_table, table_s=self.clock.now())
-
-    def _notice_restart(self, readings: Readings) -> None:
-        """Detect an INS that restarted: it left its mode without a command, or its count of epochs jumped."""
-        mode, epochs = readings.ins.mode, readings.ins.epochs
-        worked = self._mode in (InsMode.ALIGN, InsMode.NAVIGATE)
-        has_left = worked and mode in (InsMode.BOOT, InsMode.STANDBY)
-        if has_left or self._has_count_jumped(readings):
-            self.state.ins_restarted()
-        if mode is not InsMode.UNKNOWN:
-            self._mode = mode
-        if epochs is not None:
-            self._epochs = (readings.asked_s, epochs)
-
-    def _has_count_jumped(self, readings: Readings) -> bool:
-        """Whether the count of epochs does not match the time since the last reading."""
-        ins, before = readings.ins, self._epochs
-        if ins.epochs is None or before is None:
-            return False
-        passed_s = readings.asked_s - before[0]
-        counted_s = ((ins.epochs - before[1]) % ins.epoch_modulus) * ins.epoch_period_s
-        wrap_s = ins.epoch_modulus * ins.epoch_period_s
-        off_s = (counted_s - passed_s + wrap_s / 2.0) % wrap_s - wrap_s / 2.0
-        return abs(off_s) > _EPOCH_COUNT_TOLERANCE_S + ins.age_s
-
-    def _notice_silent_bus(self, readings: Readings) -> None:
-        """Treat a bus on which the INS has fallen silent as one that may have to be reopened."""
-        if self.state.expected.ins_on and readings.ins.age_s > _BUS_SILENCE_S:
-            self._failed(NoReplyError("INS", f"has sent nothing for {readings.ins.age_s:.0f} s"))
-
-    def begin_capture(self) -> None:
-        """Start to keep the frames of a dwell; the raw log starts a new part."""
-        self.poll_ins()
-        if self._can_log:
-            self._can_log.cut()
-        self.capture = Capture(self._can_log.next_part if self._can_log else 0)
-
-    def begin_window(self, is_first: bool) -> None:
-        """Forget readings of the dwell from before its window; those of the chamber before the first."""
-        if self.capture:
-            self.capture.table_deg.clear()
-            if is_first:
-                self.capture.chamber_c.clear()
-
-    def end_capture(self) -> FrameBlock:
-        """Stop keeping frames and return them, with log and telemetry written to the disk."""
-        self.poll_ins()
-        frames = self.capture.frames() if self.capture else concatenate([])
-        self.capture = None
-        if self._can_log and self._telemetry:
-            self._can_log.sync()
-            self._telemetry.flush()
-        return frames
-
-    def captured_frames(self) -> int:
-        """Return the number of data frames of the dwell in progress so far."""
-        self.poll_ins()
-        return self.capture.count() if self.capture else 0
 
     def table_angles(self) -> Angles:
         """Return outer and inner angle as last read, deg."""
@@ -385,6 +309,8 @@ class LiveBench:
     def _made_safe(self, actions: list[SafeAction]) -> None:
         self._next_safe_s = self.clock.now() + _REPEAT_PERIOD_S
         self.state.made_safe(actions)
+        for unit in self.units:
+            unit.state.made_safe(actions)
         for action in actions:
             self.failed_safe_actions.pop(action.what, None)
             if action.problem:
@@ -408,23 +334,15 @@ class LiveBench:
         table.prepare()
         self.state.table_prepared()
 
-    def _received(self, block: FrameBlock) -> None:
-        if self._can_log:
-            self._can_log.write(block)
-        if self.capture:
-            self.capture.add(block)
-
     def _telemetry_row(self, readings: Readings, asked_s: float) -> tuple[float, ...]:
-        """Values of this moment; NaN for an instrument that did not answer."""
-        ins = readings.ins
+        """Values of the bench at this moment; NaN for an instrument that did not answer."""
         angles = (*self.table_angles(), *self.station.table_axes_of(readings.table.rate_dps))
-        chamber_c = readings.chamber.temperature_c
         set_c = self.state.commanded_c
         return (
             asked_s,
             math.nan if set_c is None else set_c,
-            chamber_c if readings.chamber_s >= asked_s else math.nan,
+            readings.chamber.temperature_c if readings.chamber_s >= asked_s else math.nan,
             *(angles if readings.table_s >= asked_s else (math.nan,) * len(angles)),
-            *ins.optics_c.tolist(), *ins.electronics_c.tolist(), ins.case_c,
-            float(ins.mode), float(self.state.at.step), float(self.state.at.dwell),
-        )  # fmt: skip
+            float(self.state.at.step),
+            float(self.state.at.dwell),
+        )

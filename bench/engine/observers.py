@@ -31,6 +31,8 @@ class RunOutcome:
     dwells: list[MeasuredDwell] = field(default_factory=list)
     check_dwells: list[CheckDwell] = field(default_factory=list)  #: dwells that check a calibration
     results: RunResults = field(default_factory=RunResults)
+    #: Those of each unit by its number, where a run has several; it has no dwells itself then.
+    units: dict[str, RunOutcome] = field(default_factory=dict)
     duration_s: float = 0.0  #: on the run's clock
     #: Planned and actual duration of every finished step, by kind.
     took_s: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
@@ -47,6 +49,9 @@ class RunOutcome:
 
         "rejected": its unit is rejected. "flagged": that, or it has a dwell with flags.
         """
+        for number, outcome in self.units.items():
+            if text := outcome.shortcoming(fail_on) or (outcome.reason if fail_on else ""):
+                return f"Unit {number}: {text}"
         flagged = [dwell.row for dwell in self.dwells if dwell.row.flags]
         if fail_on and self.results.acceptance.verdict == "rejected":
             return "The unit is rejected: acceptance.json has the judgements."
@@ -79,6 +84,9 @@ class RunObserver:
 
     def identified(self, unit: str) -> None:
         """The serial number of the INS is known."""
+
+    def dropped(self, unit: str, why: str) -> None:
+        """A unit, one of several, is left out of the rest of the run."""
 
     def step_started(self, planned: PlannedStep, bench: LiveBench) -> None:
         """A step begins."""

@@ -15,7 +15,7 @@ from gyrobench.bench.foundations.errors import GyrobenchError, InstrumentError, 
 from gyrobench.bench.foundations.text import hours_minutes, listed
 from gyrobench.bench.procedure.approach import end_of_dwell
 from gyrobench.bench.procedure.plan import Plan
-from gyrobench.bench.runs.folder import RunFolder, open_run_folder
+from gyrobench.bench.runs.folder import UNITS, RunFolder, open_run_folder
 from gyrobench.bench.runs.journal import MAX_RUN_S
 from gyrobench.bench.runs.provenance import start_of, started_utc
 from gyrobench.bench.runs.telemetry import last_reading_s
@@ -58,6 +58,7 @@ class ResumeState:
     unsafe: dict[str, str] = field(default_factory=dict)
     in_progress: str = ""  #: the step in progress at the last entry; empty where there was none
     resumes_without_progress: int = 0  #: resumes since a step was finished
+    dropped: dict[str, str] = field(default_factory=dict)  #: units that are left out, and why
     #: The operator's decision on each compensation found in the INS.
     stored_compensation_answers: dict[str, str] = field(default_factory=dict)
 
@@ -110,6 +111,10 @@ class ResumeState:
             case "compensation_decided":
                 which = str(entry["which"]).replace("a compensation", UNKNOWN_CHECKSUM)
                 self.stored_compensation_answers[which] = str(entry["answer"])
+            case "dwell_over":  # in each journal of a run with several units
+                self._finish_up_to(end_of_dwell(plan, _number(entry["dwell"], plan.dwell_count)))
+            case "unit_dropped":
+                self.dropped[str(entry["unit"])] = str(entry["why"])
             case "powered_on":
                 self.power_ons = max(self.power_ons, _number(entry["run"], _MAX_POWER_ONS))
             case "ins_identified":
@@ -174,14 +179,45 @@ def _number(value: Any, highest: int) -> int:
 
 
 @dataclass(frozen=True)
+class Progress:
+    """An interrupted run, or the part of one of its units."""
+
+    folder: RunFolder
+    plan: Plan
+    state: ResumeState
+    number: str = ""  #: serial number of the unit, of several
+    damage: Damage = field(default_factory=Damage)  #: to be given up before the run resumes
+
+
+@dataclass(frozen=True)
 class Resumption:
     """An interrupted run and its state."""
 
     job: Job
-    folder: RunFolder
-    state: ResumeState
-    damage: Damage = field(default_factory=Damage)  #: to be given up before the run resumes
+    run: Progress
+    #: Of each unit in the order of the station file, also of dropped ones; ``run`` for a single unit.
+    units: tuple[Progress, ...]
     is_measured: bool = False  #: whether only results and report are left to be written
+
+    @property
+    def folder(self) -> RunFolder:
+        """The run folder."""
+        return self.run.folder
+
+    @property
+    def state(self) -> ResumeState:
+        """State of the run as a whole."""
+        return self.run.state
+
+    @property
+    def parts(self) -> tuple[Progress, ...]:
+        """The run and its units, each once."""
+        return self.units if self.run in self.units else (self.run, *self.units)
+
+    @property
+    def damage(self) -> Damage:
+        """All that is damaged."""
+        return Damage.of_all([part.damage for part in self.parts])
 
     def clock(self) -> Clock:
         """Make the run's clock, after its last record."""
@@ -195,10 +231,11 @@ class Resumption:
 
         Raises RunFolderError if the journal has changed.
         """
-        _, entries = find_damage(self.folder, is_log_read=False)
-        now = _state_of(entries, self.folder, self.job.plan)
-        now.lose(self.damage.dwells)
-        if replace(now, last_s=self.state.last_s) != self.state:
+        now = _read(self.folder, self.job, {part.number: part.damage for part in self.parts})
+        if any(
+            replace(new.state, last_s=old.state.last_s) != old.state
+            for new, old in zip((now.run, *now.units), (self.run, *self.units), strict=True)
+        ):
             raise RunFolderError(
                 f"{self.folder.path}: another process has resumed this run in the meantime. Resume it again"
             )
@@ -225,13 +262,15 @@ class Resumption:
     def describe(self) -> str:
         """Describe what the run folder holds and what resuming it will do."""
         state, plan = self.state, self.job.plan
+        known = [part.state.unit or part.number for part in self.units]
+        units = f", unit {listed(known)}" if all(known) else ""
         how = f"{state.ended}: {state.reason}" if state.ended else NO_END_RECORDED
         lines = [
-            f"{self.folder.path}: {plan.procedure.procedure}{f', unit {state.unit}' if state.unit else ''}; "
-            f"the run {how}.",
+            f"{self.folder.path}: {plan.procedure.procedure}{units}; the run {how}.",
             f"{len(state.finished)} of {plan.dwell_count} dwells are finished and kept"
             f"{f', {len(state.skipped)} were skipped' if state.skipped else ''}.",
         ]
+        lines += [f"Unit {number} was dropped and stays out: {why}" for number, why in state.dropped.items()]
         if state.in_progress:
             lines.append(f"Interrupted step: {state.in_progress}.")
         lines += self.damage.describe()
@@ -287,20 +326,69 @@ def prepare_resumption(path: Path, anyway: bool = False) -> Resumption:
     Raises DocumentError if its procedure, station or DBC file is wrong.
     """
     folder = open_run_folder(path)
+    if folder.path.absolute().parent.name == UNITS:
+        raise RunFolderError(
+            f"{path}: is a unit of the run {folder.path.absolute().parents[1]}. Resume that run instead"
+        )
     damage, entries = find_damage(folder)
     job = job_in(folder, start_of(folder, entries)[1] if damage.is_provenance_lost else None)
-    state = _state_of(entries, folder, job.plan)
-    damage = replace(damage, dwells=(*damage.dwells, *sorted(state.lost - _known_lost(entries))))
-    state.lose(damage.dwells)
+    found = _read(folder, job)
+    state = found.state
+    if all(unit.number in state.dropped for unit in found.units):
+        raise RunFolderError(f"{path}: every unit of this run was dropped: nothing to resume.")
     is_measured = state.ended == "finished" and state.is_over(job.plan)
-    if is_measured and not damage and _is_evaluated(folder):
+    if is_measured and not found.damage and all(_is_evaluated(unit.folder) for unit in found.units):
         raise RunFolderError(f"{path}: this run is finished and has its report: nothing to resume.")
     if state.resumes_without_progress >= MAX_RESUMES_WITHOUT_PROGRESS and not anyway:
         raise RunFolderError(
             f"{path}: was resumed {state.resumes_without_progress} times without finishing a step. "
             "Find the cause (see the end of journal.jsonl), then resume it with --anyway"
         )
-    return Resumption(job, folder, state, damage, is_measured)
+    return replace(found, is_measured=is_measured)
+
+
+def _read(folder: RunFolder, job: Job, damaged: Mapping[str, Damage] | None = None) -> Resumption:
+    """Read how far a run and its units are.
+
+    ``damaged``: what is damaged by the number of the unit, where that is known already.
+    """
+    stations = job.station.units
+    run = _progress(folder, job.plan, "", damaged, has_dwells=len(stations) == 1)
+    if len(stations) == 1:
+        return Resumption(job, run, (run,))
+    units = tuple(
+        _progress(folder.unit(unit.number), job.plan_of(unit), unit.number, damaged) for unit in stations
+    )
+    _join(run, [unit.state for unit in units if unit.number not in run.state.dropped])
+    return Resumption(job, run, units)
+
+
+def _progress(
+    folder: RunFolder, plan: Plan, number: str, damaged: Mapping[str, Damage] | None, has_dwells: bool = True
+) -> Progress:
+    if number and not folder.journal.is_file():  # of a process that was killed before anything moved
+        return Progress(folder, plan, ResumeState(), number)
+    damage, entries = find_damage(folder, is_log_read=damaged is None)
+    state = _state_of(entries, folder, plan)
+    if not has_dwells:
+        state.lost.clear()
+    if damaged is None:
+        damage = replace(damage, dwells=(*damage.dwells, *sorted(state.lost - _known_lost(entries))))
+    else:
+        damage = damaged[number]
+    state.lose(damage.dwells)
+    return Progress(folder, plan, state, number, damage)
+
+
+def _join(run: Progress, units: Sequence[ResumeState]) -> None:
+    """Complete the state of a run with those of the units that it measures, and the other way round."""
+    state = run.state
+    state.finished = set.intersection(*(unit.finished for unit in units)) if units else set()
+    for dwell in state.finished:
+        state._finish_up_to(end_of_dwell(run.plan, dwell))  # noqa: SLF001 - its own module
+    done = {planned.dwell for planned in run.plan.steps[: state.next_index] if planned.dwell}
+    state.lost = done - state.finished - state.skipped
+    state.power_ons = max([state.power_ons, *(unit.power_ons for unit in units)])
 
 
 def give_up_damage(resumption: Resumption) -> None:
@@ -312,7 +400,9 @@ def give_up_damage(resumption: Resumption) -> None:
     folder = resumption.folder
     with RunLock(folder.path, VirtualClock()):
         resumption.check_unchanged()
-        resumption.damage.give_up(folder, resumption.clock)
+        for part in resumption.parts:
+            if part.damage:
+                part.damage.give_up(part.folder, resumption.clock)
 
 
 def _known_lost(entries: Sequence[Mapping[str, Any]]) -> set[int]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
@@ -20,10 +20,10 @@ from gyrobench.bench.engine.notifications import RunNotifier
 from gyrobench.bench.engine.observers import ObservedOperator, ObserverGroup, RunObserver, RunOutcome
 from gyrobench.bench.engine.operator import CommandQueue, Operator
 from gyrobench.bench.engine.resume import ResumeState, Resumption, prepare_resumption
-from gyrobench.bench.engine.run_context import RunContext
+from gyrobench.bench.engine.run_context import MeasuredUnit, RunContext, UnitRecord
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import GyrobenchError, InstrumentError, RunFolderError
-from gyrobench.bench.foundations.files import write_whole
+from gyrobench.bench.foundations.files import make_folder, write_whole
 from gyrobench.bench.foundations.operator_name import operator_name
 from gyrobench.bench.guard.process import guard_for
 from gyrobench.bench.messages.messenger import PATIENCE_S, Messenger
@@ -61,12 +61,29 @@ def run_job(
     """
     job.check_calibrations()
     clock = after.clock if after else job.station.new_clock()
+    state = ResumeState(unit=after.unit, power_ons=after.power_ons) if after else ResumeState()
+    outcome = RunOutcome()
+
+    def units(folder: RunFolder) -> tuple[UnitRecord, ...]:
+        return tuple(
+            UnitRecord(
+                unit.number,
+                job.plan_of(unit),
+                measurement_setup(unit),
+                folder.unit(unit.number),
+                ResumeState() if unit.number else state,
+                RunOutcome() if unit.number else outcome,
+            )
+            for unit in job.station.units
+        )
+
     start = _Start(
         job,
         clock,
-        ResumeState(unit=after.unit, power_ons=after.power_ons) if after else ResumeState(),
-        RunOutcome(),
+        state,
+        outcome,
         partial(create_run_folder, out, job.plan.procedure.procedure),
+        units,
         partial(_write_inputs, job, clock),
     )
     return _execute(start, observer, operator)
@@ -85,15 +102,30 @@ def resume_run(
     if resumption.is_measured:
         return folder, _finish(resumption)
     clock = clock or resumption.clock()
-    dwells, check_dwells = replay(folder, measurement_setup(job.station))
+    outcome, units = _replayed(resumption)
 
     def check_folder(folder: RunFolder, instruments: Instruments) -> None:  # noqa: ARG001
         resumption.check_unchanged()
-        write_dwells(folder.dwells, [dwell.row for dwell in dwells])  # the journal may have more dwells
+        for unit in units:  # the journal may have more dwells
+            write_dwells(unit.folder.dwells, [dwell.row for dwell in unit.outcome.dwells])
 
-    outcome = RunOutcome(dwells=dwells, check_dwells=check_dwells)
-    start = _Start(job, clock, resumption.state, outcome, lambda: folder, check_folder)
+    start = _Start(job, clock, resumption.state, outcome, lambda: folder, lambda _: units, check_folder)
     return _execute(start, observer, operator)
+
+
+def _replayed(resumption: Resumption) -> tuple[RunOutcome, tuple[UnitRecord, ...]]:
+    """Measure the finished dwells of an interrupted run again; returns its outcome, and its units."""
+    units = []
+    for station, part in zip(resumption.job.station.units, resumption.units, strict=True):
+        setup = measurement_setup(station)
+        dwells, check_dwells = replay(part.folder, setup) if part.folder.journal.is_file() else ([], [])
+        outcome = RunOutcome(dwells=dwells, check_dwells=check_dwells)
+        if why := resumption.state.dropped.get(station.number):
+            outcome.fail(why)
+        units.append(UnitRecord(station.number, part.plan, setup, part.folder, part.state, outcome))
+    if not units[0].number:
+        return units[0].outcome, tuple(units)
+    return RunOutcome(), tuple(units)
 
 
 def is_whole(folder: RunFolder) -> bool:
@@ -119,11 +151,12 @@ def _finish(resumption: Resumption) -> RunOutcome:
     folder, job = resumption.folder, resumption.job
     with RunLock(folder.path, resumption.clock()):
         resumption.check_unchanged()
-        setup = measurement_setup(job.station)
-        dwells, check_dwells = replay(folder, setup)
-        write_dwells(folder.dwells, [dwell.row for dwell in dwells])
-        results = evaluate_run(folder, job.plan, setup, dwells, check_dwells, job.calibration)
-    return RunOutcome(dwells=results.dwells, check_dwells=check_dwells, results=results)
+        outcome, units = _replayed(resumption)
+        for unit in units:
+            write_dwells(unit.folder.dwells, [dwell.row for dwell in unit.outcome.dwells])
+            _evaluate(unit, job)
+            outcome.units |= {unit.number: unit.outcome} if unit.number else {}
+    return outcome
 
 
 @dataclass(frozen=True)
@@ -131,7 +164,7 @@ class _Start:
     """How a run starts, new or resumed.
 
     ``open_folder`` is called once the bench is locked and all instruments answer, ``prepare_folder`` once the
-    folder is locked, before anything moves.
+    folder is locked, before anything moves. ``units`` are those of the run in its folder.
     """
 
     job: Job
@@ -139,38 +172,53 @@ class _Start:
     state: ResumeState
     outcome: RunOutcome
     open_folder: Callable[[], RunFolder]
+    units: Callable[[RunFolder], tuple[UnitRecord, ...]]
     prepare_folder: Callable[[RunFolder, Instruments], None]
 
 
 def _write_inputs(job: Job, clock: Clock, folder: RunFolder, instruments: Instruments) -> None:
-    write_whole(folder.procedure, job.document.path.read_bytes())
-    write_whole(folder.station, job.station.path.read_bytes())
-    if job.calibration:
-        write_dwells(folder.calibration, job.calibration)
-    if job.compensation is not None:
-        write_compensation(folder.compensation, job.compensation)
-    write_whole(folder.path / job.station.dbc_path.name, job.station.dbc_path.read_bytes())
     identities = {"rate table": instruments.table.identify(), "chamber": instruments.chamber.identify()}
-    write_provenance(folder, clock.epoch, identities, job.options)
+    units = [(unit, folder.unit(unit.number)) for unit in job.station.units if unit.number]
+    for station, inside in (*units, (job.station, folder)):
+        make_folder(inside.path)
+        write_whole(inside.procedure, job.document.path.read_bytes())
+        write_whole(inside.station, station.text.encode())
+        if job.calibration:
+            of_unit = [row for row in job.calibration if not station.number or row.unit == station.number]
+            write_dwells(inside.calibration, of_unit)
+        if job.compensation is not None:
+            write_compensation(inside.compensation, job.compensation)
+        write_whole(inside.path / station.dbc_path.name, station.dbc_path.read_bytes())
+        write_provenance(inside, clock.epoch, identities, job.options)
 
 
 def _execute(start: _Start, observer: RunObserver, operator: Operator) -> tuple[RunFolder, RunOutcome]:
     """Run what is left of a job, and evaluate all of it."""
     job, clock, outcome = start.job, start.clock, start.outcome
-    setup = measurement_setup(job.station)
+    setup = measurement_setup(job.station.units[0])
     if compiled_s := warm_up(setup):  # no tick may wait for a compiler
         observer.noted(f"Compiled the estimators, once after installation, in {compiled_s:.1f} s.")
     with ExitStack() as opened:
         commands = opened.enter_context(CommandQueue())
         patience_s = _GUARD_TIME_S if start.state.last_s else 0.0
         bench_lock = opened.enter_context(BenchLock(job.station, RUNS, clock, patience_s=patience_s))
-        instruments = opened.enter_context(Instruments(job.station, clock, job.emulation))
+        instruments = opened.enter_context(
+            Instruments(job.station, clock, job.emulation, dropped=start.state.dropped)
+        )
         instruments.require_no_profile()
         folder = start.open_folder()
         bench_lock.sign(folder.path)
         run_lock = opened.enter_context(RunLock(folder.path, clock))
         start.prepare_folder(folder, instruments)
+        records = start.units(folder)
         journal = opened.enter_context(Journal(folder.journal, clock))
+        journals = [
+            opened.enter_context(Journal(record.folder.journal, clock)) if record.number else journal
+            for record in records
+            if record.number not in start.state.dropped
+        ]
+        journal.followers += [each for each in journals if each is not journal]
+        outcome.units = {record.number: record.outcome for record in records if record.number}
         _record_start(journal, start, setup, observer)
         for text in (*bench_lock.taken_over, *run_lock.taken_over):
             journal.record("note", text=text)
@@ -178,15 +226,15 @@ def _execute(start: _Start, observer: RunObserver, operator: Operator) -> tuple[
         messenger = opened.enter_context(Messenger(job.station.file.messages, journal.record))
         observers = ObserverGroup(observer, RunNotifier(messenger, job.plan, start.state))
         guard = opened.enter_context(guard_for(job.station, folder.path, clock))
-        can_log, telemetry = CanLog(folder.can), Telemetry(folder.telemetry)
-        opened.callback(_flush, can_log, telemetry, outcome)
-        bench = LiveBench(
-            job.station, instruments, clock, can_log, telemetry, partial(_record_failure, journal)
-        )
+        running = [record for record in records if record.number not in start.state.dropped]
+        logs = [(CanLog(record.folder.can), Telemetry(record.folder.telemetry)) for record in running]
+        telemetry = None if running[0].folder == folder else Telemetry(folder.telemetry)
+        flushes = [flush for log, readings in logs for flush in (log.cut, readings.flush)]
+        opened.callback(_flush, [*flushes, *([telemetry.flush] if telemetry else [])], outcome)
+        bench = LiveBench(job.station, instruments, clock, logs, partial(_record_failure, journal), telemetry)
         observers.begun(folder, bench, outcome)
         run = RunContext(
             job=job,
-            setup=setup,
             bench=bench,
             folder=folder,
             journal=journal,
@@ -196,12 +244,19 @@ def _execute(start: _Start, observer: RunObserver, operator: Operator) -> tuple[
             guard=guard,
             state=start.state,
             outcome=outcome,
+            records=records,
+            measured=tuple(map(MeasuredUnit, running, bench.units, journals)),
         )
         Engine(run).run()
         if outcome.is_safe:
             guard.release()
             messenger.patience_s = PATIENCE_S  # else the guard must not wait for the bench
-    _evaluate(run)
+    for record in records:
+        try:
+            _evaluate(record, job)
+        except GyrobenchError as error:
+            outcome.fail(record.named(str(error)))
+            observers.ended(outcome)
     return folder, outcome
 
 
@@ -233,23 +288,20 @@ def _record_failure(journal: Journal, instrument: str, error: InstrumentError | 
         journal.record("retry", instrument=instrument, error=str(error))
 
 
-def _flush(can_log: CanLog, telemetry: Telemetry, outcome: RunOutcome) -> None:
-    """Write log and telemetry to the disk."""
-    for flush in (can_log.cut, telemetry.flush):
+def _flush(flushes: Sequence[Callable[[], None]], outcome: RunOutcome) -> None:
+    """Write logs and telemetry to the disk."""
+    for flush in flushes:
         try:
             flush()
         except RunFolderError as error:
             outcome.fail(str(error))
 
 
-def _evaluate(run: RunContext) -> None:
-    """Compute and write the results of all dwells."""
-    outcome = run.outcome
-    try:
-        outcome.results = evaluate_run(
-            run.folder, run.plan, run.setup, outcome.dwells, outcome.check_dwells, run.job.calibration
-        )
-        outcome.dwells = outcome.results.dwells
-    except GyrobenchError as error:
-        outcome.fail(str(error))
-        run.observers.ended(outcome)
+def _evaluate(unit: UnitRecord, job: Job) -> None:
+    """Compute and write the results of all dwells of a unit; raises what :func:`evaluate_run` does."""
+    outcome = unit.outcome
+    calibration = [row for row in job.calibration if not unit.number or row.unit == unit.number]
+    outcome.results = evaluate_run(
+        unit.folder, unit.plan, unit.setup, outcome.dwells, outcome.check_dwells, calibration
+    )
+    outcome.dwells = outcome.results.dwells

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from gyrobench.bench.dwells.dwell import MeasurementSetup
 from gyrobench.bench.engine.job import Job
 from gyrobench.bench.engine.live_bench import LiveBench
+from gyrobench.bench.engine.live_unit import LiveUnit
 from gyrobench.bench.engine.observers import RunObserver, RunOutcome
 from gyrobench.bench.engine.operator import CommandQueue, Operator
 from gyrobench.bench.engine.resume import ResumeState
@@ -17,31 +18,57 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal
 
 
+@dataclass(frozen=True, eq=False)
+class UnitRecord:
+    """One unit of a run: what is known of it, and where that is kept; a single unit shares the run's."""
+
+    number: str  #: serial number by the station file; empty for a single unit
+    plan: Plan  #: with the unit's positions
+    setup: MeasurementSetup  #: how frames become biases
+    folder: RunFolder
+    state: ResumeState
+    outcome: RunOutcome  #: its dwells, and how its part of the run ends
+
+    def named(self, text: str) -> str:
+        """A message about the unit, with its number where there are several."""
+        return f"unit {self.number}: {text}" if self.number else text
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredUnit:
+    """A unit that is being measured."""
+
+    record: UnitRecord
+    live: LiveUnit
+    journal: Journal
+
+
 @dataclass(frozen=True)
 class RunContext:
     """One run on one bench."""
 
     job: Job
-    setup: MeasurementSetup  #: how frames become biases
     bench: LiveBench
     folder: RunFolder
-    journal: Journal
+    journal: Journal  #: its entries are in the journals of the units too
     observers: RunObserver
     operator: Operator
     commands: CommandQueue  #: commands that wait to be executed
     guard: Guard  #: gets a sign of life at each tick
     state: ResumeState  #: what is finished; the run keeps it up to date
-    outcome: RunOutcome  #: how the run ends, and its dwells
+    outcome: RunOutcome  #: how the run ends
+    records: tuple[UnitRecord, ...]  #: of all units, also those that were dropped
+    measured: tuple[MeasuredUnit, ...]  #: the units that are not dropped when it begins
 
     @property
     def plan(self) -> Plan:
         """The planned steps."""
         return self.job.plan
 
-    def note(self, text: str) -> None:
-        """Record something that the operator should know, and notify the observers."""
-        self.journal.record("note", text=text)
-        self.observers.noted(text)
+    def note(self, text: str, unit: MeasuredUnit | None = None) -> None:
+        """Record something that the operator should know, of one unit or of all; notify the observers."""
+        (unit or self).journal.record("note", text=text)
+        self.observers.noted(unit.record.named(text) if unit else text)
 
     def record_retry(self, error: InstrumentError) -> None:
         """Record an exchange that is tried again."""

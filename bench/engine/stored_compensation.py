@@ -11,10 +11,9 @@ from typing import Any
 
 from gyrobench.bench.engine.operator import ask_operator
 from gyrobench.bench.engine.resume import UNKNOWN_CHECKSUM
-from gyrobench.bench.engine.run_context import RunContext
+from gyrobench.bench.engine.run_context import MeasuredUnit, RunContext
 from gyrobench.bench.foundations.errors import RefusedError, RunStoppedError
 from gyrobench.bench.foundations.operator_name import operator_name
-from gyrobench.drivers.ins.can_bus import INSTRUMENT
 from gyrobench.drivers.ins.ins_status import InsStatus
 
 _CLEAR, _KEEP, _STOP = "clear", "keep", "stop"
@@ -23,11 +22,12 @@ _CLEAR, _KEEP, _STOP = "clear", "keep", "stop"
 class StoredCompensation:
     """Makes the INS compensate what the run's job says, and nothing else.
 
-    Answers of the operator are kept in the run's state, so that each question is asked once.
+    Answers of the operator are kept in the unit's state, so that each question is asked once.
     """
 
-    def __init__(self, run: RunContext) -> None:
+    def __init__(self, run: RunContext, unit: MeasuredUnit) -> None:
         self._run = run
+        self._unit = unit
         self._required = run.job.compensation
         self._agreed: InsStatus | None = None
 
@@ -38,13 +38,13 @@ class StoredCompensation:
         loaded after each power-on. Raises RunStoppedError if the operator stops the run. Raises
         InstrumentError if the INS does not accept the compensation.
         """
-        ins, run = self._run.bench.instruments.ins, self._run
-        found = run.bench.ins_status()
+        ins, unit = self._unit.live.ins, self._unit
+        found = unit.live.status()
         if self._agreed is not None and _same(found, self._agreed, unknown=not after_power_on):
             return
         before = self._agreed
         if found.compensation is None and before is None:
-            run.note("the INS does not report whether it compensates its gyros (ins.signals.compensation)")
+            self._note("the INS does not report whether it compensates its gyros (ins.signals.compensation)")
         clears = self._required is not None  # no term of an earlier one may stay
         if found.compensation:
             clears = yield from self._decide(found, appeared=before is not None)
@@ -53,11 +53,11 @@ class StoredCompensation:
         if self._required is not None:
             checksum = ins.load_compensation(self._required)
             ins.apply_compensation()
-            run.note(f"the compensation {checksum:08x} is loaded into the INS")
+            self._note(f"the compensation {checksum:08x} is loaded into the INS")
         elif before is not None and before.compensation and not found.compensation:
-            run.note("the INS has lost its stored compensation: dwells before and after differ")
+            self._note("the INS has lost its stored compensation: dwells before and after differ")
         self._agreed = ins.status()
-        run.journal.record(
+        unit.journal.record(
             "compensation",
             found=_entry(found),
             in_use=_entry(self._agreed),
@@ -66,11 +66,14 @@ class StoredCompensation:
 
     def _decide(self, found: InsStatus, appeared: bool) -> Generator[None, None, bool]:
         """Ask whether to clear the stored compensation; returns the answer."""
-        run, answered = self._run, self._run.state.stored_compensation_answers
+        run, unit = self._run, self._unit
+        answered = unit.record.state.stored_compensation_answers
         in_use = found.compensation_in_use
         which = UNKNOWN_CHECKSUM if in_use is None else f"{in_use:08x}"
-        what = f"The INS {'has begun to apply' if appeared else 'applies'} a stored compensation ({which})."
-        can_clear = run.bench.instruments.ins.supports("clear_compensation")
+        ins = unit.live.ins
+        applies = "has begun to apply" if appeared else "applies"
+        what = f"The {ins.name} {applies} a stored compensation ({which})."
+        can_clear = ins.supports("clear_compensation")
         if self._required is None:
             question = f"{what} Clear it, or keep it and measure the remaining biases?"
             answers = [_CLEAR, _KEEP, _STOP] if can_clear else [_KEEP, _STOP]
@@ -79,7 +82,7 @@ class StoredCompensation:
             answers = [_CLEAR, _STOP]
         else:
             raise RefusedError(
-                INSTRUMENT,
+                ins.name,
                 f"applies a stored compensation ({which}), and ins.commands has no clear_compensation. "
                 "Clear it by hand, or map the command",
             )
@@ -87,14 +90,17 @@ class StoredCompensation:
         if answer not in answers:
             answer = yield from ask_operator(run.operator, question, answers)
             answered[which] = answer
-            run.journal.record("compensation_decided", which=which, answer=answer, operator=operator_name())
+            unit.journal.record("compensation_decided", which=which, answer=answer, operator=operator_name())
         if answer == _STOP:
             raise RunStoppedError(f"the operator answered '{answer}' to: {question}")
         if answer == _KEEP:
-            run.note(f"the biases are those that remain with the stored compensation ({which})")
+            self._note(f"the biases are those that remain with the stored compensation ({which})")
         else:
-            run.note(f"clearing the stored compensation of the INS ({which})")
+            self._note(f"clearing the stored compensation of the INS ({which})")
         return answer == _CLEAR
+
+    def _note(self, text: str) -> None:
+        self._run.note(text, self._unit)
 
 
 def _same(found: InsStatus, agreed: InsStatus, unknown: bool) -> bool:

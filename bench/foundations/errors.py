@@ -14,6 +14,7 @@
     ├── BenchInUseError                   another process holds the bench or the run folder
     ├── StepTimeoutError (TimeoutError)   a step of the procedure did not end in its time
     ├── InvalidDwellError                 a dwell in progress can't give a result any more
+    ├── UnitsLostError                    every unit of a run was dropped
     ├── RunStoppedError                   a command or an answer stops the run
     ├── MeasurementError (ValueError)     measured data that can't give a result
     │   └── SignalMapError                they contradict the signs or axes of the signal map
@@ -84,6 +85,10 @@ class StepTimeoutError(GyrobenchError, TimeoutError):
 
 class InvalidDwellError(GyrobenchError):
     """A dwell in progress can't give a result any more, as when the INS did not align; it is repeated."""
+
+
+class UnitsLostError(GyrobenchError):
+    """Every unit of a run was dropped."""
 
 
 class RunStoppedError(GyrobenchError):

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -349,21 +348,19 @@ def _span(hours: float) -> str:
 
 def catalogue(
     rows: Sequence[DwellRow],
-    paired: Collection[str] | None = None,
+    sequences: Iterable[Sequence[str]] | None = None,
     start: BlockStart | None = None,
     more: Iterable[Kind] = (),
 ) -> list[Block]:
     """Blocks that can follow dwells in the order of time, from ``start``.
 
-    ``paired``: names of kinds; then two of them in sequence. ``more``: kinds beside the usual ones.
+    ``sequences``: names of kinds, one after the other; by default each kind alone. ``more``: kinds beside the
+    usual ones.
     """
-    kinds = [*_kinds(rows, start.times if start else BlockTimes()), *more]
-    sequences: list[tuple[Kind, ...]] = [(each,) for each in kinds]
-    if paired is not None:
-        sequences = list(itertools.permutations([each for each in kinds if each.name in paired], 2))
+    kinds = {each.name: each for each in (*_kinds(rows, start.times if start else BlockTimes()), *more)}
     blocks = []
-    for sequence in sequences:
-        timeline = Timeline(rows, start=start)
+    for names in ((name,) for name in kinds) if sequences is None else sequences:
+        timeline, sequence = Timeline(rows, start=start), [kinds[name] for name in names]
         for kind in sequence:
             kind.add(timeline)
         blocks.append(

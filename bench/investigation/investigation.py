@@ -11,13 +11,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
-import numpy as np
-
 from gyrobench.bench.bias.dwell_table import DwellRow, format_dwells, read_dwells, write_dwells
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.effects import all_effects
-from gyrobench.bench.closure.effects.effect import Effect, searched_length_s
-from gyrobench.bench.closure.loop import Closure, close_loop, composed
+from gyrobench.bench.closure.loop import Closure, composed
 from gyrobench.bench.closure.posterior import CLEAN, RIVAL
 from gyrobench.bench.closure.search import MAX_EFFECTS
 from gyrobench.bench.foundations.clock import Clock
@@ -27,6 +23,15 @@ from gyrobench.bench.foundations.operator_name import operator_name
 from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.investigation.blocks import NEW_CYCLE, Block, BlockPlanner
 from gyrobench.bench.investigation.choice import Rival
+from gyrobench.bench.investigation.doubt import (
+    SLOW,
+    confirming_rivals,
+    is_settled,
+    only_unconfirmed,
+    remainder_dph,
+    rivals_of,
+    searched,
+)
 from gyrobench.bench.investigation.external_bench import BlockPlan, BlockRefusedError
 from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.investigation.profile import Calibration, Profile
@@ -41,21 +46,16 @@ from gyrobench.bench.investigation.proposal import (
     propose,
     proposed,
 )
+from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal, read_journal
+from gyrobench.bench.station.locks import RunLock
 
-#: Hypotheses less probable than this, and more than so many, are not predicted.
-_MIN_PROBABILITY = 1e-3
-_MAX_RIVALS = 6
 #: A block that is expected to remove less of the entropy, nats, is not worth its time.
 MIN_GAIN = 0.02
 #: The plan of a block, once it was approved, and its dwells, once they were checked.
 _PLAN, _DONE = "plan.json", "dwells.csv"
 #: Times that a kind of block is measured while the blocks bring only dwells with flags.
 _MAX_FLAGGED = 2
-#: Ageing is a hypothesis of dwells over more than this: its shortest time constant is a day.
-_MIN_AGEING_S = 26.0 * 3600.0
-#: A prediction is tested where it differs by this square from that without it, in units of its uncertainty.
-_ENOUGH = 60.0
 #: Purposes of a block.
 DISTINGUISH, CONFIRM, TEST_LAW, CALIBRATE = "distinguish", "confirm", "test_law", "calibrate"
 #: Ends after which an adaptive campaign still determines biases.
@@ -179,7 +179,7 @@ class Investigator:
         self._flagged: list[tuple[str, ...]] = []
         self._earlier: list[dict[str, Any]] = []
         self._stages: list[Stage] = []
-        table = folder / "start.csv"
+        table = RunFolder(folder).first_dwells
         if not table.exists():
             write_dwells(table, self._rows)
         elif table.read_text(encoding="utf-8") != format_dwells(self._rows):
@@ -195,9 +195,10 @@ class Investigator:
         path = self._folder / "journal.jsonl"
         self._earlier = list(read_journal(path)) if path.exists() else []
         self._stages = []
-        with Journal(path, clock) as journal:
+        with RunLock(self._folder, clock), Journal(path, clock) as journal:
             event = "investigation_resumed" if self._earlier else "investigation_started"
-            journal.record(event, budget_h=self._budget_h)
+            first = {"unit": self._rows[0].unit, "dwells": len(self._rows)}
+            journal.record(event, procedure="investigation", budget_h=self._budget_h, **first)
             self._refused = {
                 tuple(entry["kinds"]): entry["reason"]
                 for entry in self._earlier
@@ -212,7 +213,10 @@ class Investigator:
                 )
                 ended = self._end(stage)
                 if ended is None:
-                    stage, ended = self._with_block(stage, journal)
+                    confirm = self._confirmation(stage)
+                    stage, ended = self._with_block(confirm or stage, journal)
+                    if ended and ended[0] == "no_block" and (confirm := self._confirmation(stage, ended[0])):
+                        stage, ended = self._with_block(confirm, journal)
                 if ended and (test := self._test(stage, ended[0])):
                     test, failed = self._with_block(test, journal)
                     stage = test if failed is None else stage
@@ -244,15 +248,16 @@ class Investigator:
             else:
                 refused = [*self._refused, *idle]
                 measured = [each.proposal.block.kinds for each in self._stages if each.proposal]
+                is_settled = stage.is_uncertain and stage.purpose != DISTINGUISH
                 found = propose(
                     forecast, stage.rivals, scale, refused, left_h, self._bench, measured,
-                    self._profile, stage.calibration if stage.is_uncertain and not stage.is_test else None,
+                    self._profile, stage.calibration if stage.is_uncertain else None, is_settled=is_settled,
                 )  # fmt: skip
                 useful = [
                     each
                     for each in found
                     if max(each.fall, each.replaced_h) > MIN_GAIN
-                    and (stage.purpose != TEST_LAW or each.block.name == NEW_CYCLE)
+                    and (stage.purpose != TEST_LAW or stage.is_uncertain or each.block.name == NEW_CYCLE)
                 ]
                 if not useful and stage.is_uncertain:
                     return stage, (
@@ -261,12 +266,14 @@ class Investigator:
                     )
                 if not useful:
                     return stage, self._no_block(stage)
-                if stage.is_test:
-                    best = max(useful, key=_test_per_h)
+                if is_settled:
+                    best = proposal_of(forecast, useful[0].block, stage.rivals, scale)
+                elif stage.is_test:
+                    best = max(useful, key=lambda each: each.tested_per_h)
                 elif self._profile:
-                    best = min(useful, key=hours_left(useful, is_settled=stage.purpose == CALIBRATE))
+                    best = min(useful, key=hours_left(useful))
                 else:
-                    best = max(useful, key=lambda each: each.gain_per_h)
+                    best = useful[0]
                 if not self._is_approved(best, stage, journal):
                     return stage, ("declined", "The proposed block was declined.")
             try:
@@ -310,13 +317,30 @@ class Investigator:
             f"{experiments or 'a measurement of other quantities'}."
         )
 
+    def _confirmation(self, stage: Stage, ended: str = "") -> Stage | None:
+        """A stage whose block confirms a cause that the held-out dwells left open, if that is all.
+
+        ``ended``: where no block distinguishes, effects that a single dwell shows count no longer.
+        """
+        is_probable = only_unconfirmed(stage.closure, with_single_dwells=not ended)
+        return self._cause_test(stage) if is_probable else None
+
+    def _cause_test(self, last: Stage) -> Stage | None:
+        """A stage whose block tests the cause that a search found, unless one did."""
+        cause, without = confirming_rivals(last.closure)
+        if not cause.names or self._tested(CONFIRM, cause.names) is not None:
+            return None
+        return replace(last, rivals=(cause, without), purpose=CONFIRM)
+
     def _test(self, last: Stage, ended: str) -> Stage | None:
-        """A stage whose block tests what an investigation ends with: its cause, or a composed law."""
+        """A stage whose block tests what an investigation ends with: its cause, or a composed law.
+
+        With a profile, a block that its biases need is the test; none is measured for it alone.
+        """
+        if self._profile is not None and not last.is_uncertain:
+            return None
         if ended == "settled":
-            found = tuple(each.candidate for each in last.closure.effects)
-            cause = Rival(tuple(sorted(each.effect.name for each in found)), found, 0.5)
-            if cause.names and self._tested(CONFIRM, cause.names) is None:
-                return replace(last, rivals=(cause, Rival((), (), 0.5)), purpose=CONFIRM)
+            return self._cause_test(last)
         is_tested = any(each.purpose == TEST_LAW and each.outcome for each in self._stages)
         if ended == "not_on_list" and not is_tested:
             law = composed(last.closure).composed
@@ -325,7 +349,7 @@ class Investigator:
                 names = tuple(each.effect.name for each in found)
                 best = law.laws[0].candidate
                 with_law = Rival((*names, best.effect.name), (*found, best), 0.5)
-                without = Rival(names, found, 0.5, _remainder_dph(last.closure))
+                without = Rival(names, found, 0.5, remainder_dph(last.closure))
                 return replace(last, rivals=(with_law, without), purpose=TEST_LAW)
         return None
 
@@ -346,10 +370,17 @@ class Investigator:
     def _end(self, stage: Stage) -> tuple[str, str] | None:
         posterior = stage.closure.posterior
         names = tuple(sorted(each.effect.name for each in stage.closure.effects))
-        if is_settled(stage.closure):
-            tested = self._tested(CONFIRM, names)
+        tested = self._tested(CONFIRM, names)
+        is_confirmed = tested is not None and tested.agrees
+        if is_settled(stage.closure) or (
+            is_confirmed and only_unconfirmed(stage.closure, with_single_dwells=False)
+        ):
             if tested is not None and tested.probabilities[0] <= 1.0 - SETTLED:
                 return ("refuted", f"A block contradicts what {' + '.join(names)} predicted for it.")
+            if tested is not None and set(names) >= SLOW:
+                return "not_on_list", (
+                    "Not on the list of effects: ageing and a drift together imitate one slow law of time."
+                )
             what = listed(sorted(map(stage.closure.label, names))) or "nothing beside the declared model"
             return "settled", f"{what.capitalize()}: probability {stage.closure.probability:.4f}."
         is_listed = posterior.not_on_list <= 1.0 - SETTLED
@@ -418,59 +449,6 @@ class Investigator:
             ],
         )
         return replace(stage, proposal=proposal, outcome=outcome)
-
-
-def searched(campaign: Campaign, held_out: Sequence[int]) -> Closure:
-    """Search with the effects that only the first dwells do not show, as far as they are long enough.
-
-    A single power cycle does not exclude ageing, so that a search leaves it out; the next block may have
-    another one.
-    """
-    effects = all_effects(*(Path(each.name) for each in campaign.tables))
-    if searched_length_s(campaign.holding_out(held_out)) > _MIN_AGEING_S:
-        effects = tuple(_in_one_power_cycle(each) if each.name == "ageing" else each for each in effects)
-    return close_loop(campaign, held_out, effects)
-
-
-def _in_one_power_cycle(effect: Effect) -> Effect:
-    return replace(effect, forms=tuple(replace(form, missing_input=lambda _: None) for form in effect.forms))
-
-
-def is_settled(closure: Closure) -> bool:
-    """Whether a search states its cause, or that there is nothing, with enough probability."""
-    names = [each.effect.name for each in closure.effects]
-    is_stated = closure.verdict in ("explained", "clean")
-    return is_stated and closure.probability >= SETTLED and not closure.posterior.rivals(names)
-
-
-def rivals_of(closure: Closure) -> tuple[Rival, ...]:
-    """The most probable hypotheses of a search; together they have probability 1."""
-    best = [each for each in closure.posterior.hypotheses if each.probability > _MIN_PROBABILITY]
-    best = best[:_MAX_RIVALS]
-    total = sum(each.probability for each in best)
-    effects = {each.effect.name: each.effect for each in closure.evidence}
-    remainder_dph = _remainder_dph(closure)
-    return tuple(
-        Rival(
-            tuple(sorted(each.names)),
-            each.candidates,
-            each.probability / total,
-            remainder_dph if each.has_remainder else 0.0,
-            tuple(effects[name] for name in each.names - {one.effect.name for one in each.candidates}),
-        )
-        for each in best
-    )
-
-
-def _remainder_dph(closure: Closure) -> float:
-    """Rms of what the model leaves beyond the noise; at least half of the noise."""
-    residual_dph = (closure.campaign.bias_dph - closure.model.bias_dph)[closure.searched]
-    variance = float(np.mean(residual_dph**2)) - closure.noise_dph**2
-    return float(max(np.sqrt(max(variance, 0.0)), 0.5 * closure.noise_dph))
-
-
-def _test_per_h(proposal: Proposal) -> float:
-    return min(proposal.difference, _ENOUGH) / proposal.block.plan.duration_h
 
 
 def probabilities(closure: Closure) -> dict[str, Any]:

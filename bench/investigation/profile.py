@@ -20,8 +20,6 @@ from gyrobench.bench.investigation.external_bench import BlockPlan
 from gyrobench.bench.procedure.plan import Plan
 
 _S_PER_H = 3600.0
-#: Soak before dwells of the procedure, in usual soaks of a block.
-_SOAK = 0.75
 #: Dwells of a block at one temperature, in those of the table.
 _LONG = 2.0
 
@@ -32,6 +30,7 @@ class Visit:
 
     set_c: float  #: Set point of the chamber.
     positions: tuple[str, ...]  #: Of the dwells.
+    wait_h: float  #: From the dwell before, or from the begin, to the first of them: ramp and soak.
 
 
 @dataclass(frozen=True)
@@ -41,6 +40,7 @@ class Profile:
     visits: tuple[Visit, ...]  #: In the order of time.
     ramp_c_per_h: float  #: Its fastest ramp.
     duration_h: float  #: Of the whole procedure.
+    pause_h: float  #: From the end of a dwell to the start of the next one at the same set point.
 
     @classmethod
     def of(cls, plan: Plan) -> Profile:
@@ -49,17 +49,20 @@ class Profile:
         Raises DocumentError if it has fewer than two temperatures, and MeasurementError without dwells.
         """
         campaign = planned_campaign(plan, PlannedUnit())
-        places = list(zip(campaign.cycle.tolist(), campaign.set_c.tolist(), campaign.position, strict=True))
-        visits = [
-            Visit(set_c, tuple(position for *_, position in members))
-            for (_, set_c), members in groupby(places, key=lambda each: each[:2])
-        ]
+        waits_h = (campaign.start_s - np.append(0.0, campaign.end_s[:-1])) / _S_PER_H
+        visits = []
+        places = zip(campaign.cycle.tolist(), campaign.set_c.tolist(), range(len(campaign)), strict=True)
+        for (_, set_c), members in groupby(places, key=lambda each: each[:2]):
+            own = [index for *_, index in members]
+            visits.append(Visit(set_c, tuple(campaign.position[each] for each in own), waits_h[own[0]]))
         if len({each.set_c for each in visits if np.isfinite(each.set_c)}) < 2:
             raise DocumentError(
                 f"{plan.procedure.procedure}: has fewer than two temperatures. Leave --adaptive out"
             )
         ramps = [each.after.ramp_c_per_s for each in plan.steps]
-        return cls(tuple(visits), max(ramps) * _S_PER_H, plan.duration_s / _S_PER_H)
+        return cls(
+            tuple(visits), max(ramps) * _S_PER_H, plan.duration_s / _S_PER_H, float(np.median(waits_h))
+        )
 
     @property
     def set_points_c(self) -> list[float]:
@@ -116,9 +119,13 @@ class Profile:
         timeline = Timeline(rows, start=start)
         timeline.off_and_on()
         for visit in self.visits:
+            before_s = timeline.now_s
             timeline.ramp(visit.set_c, self.ramp_c_per_h / timeline.times.ramp_c_per_h)
-            timeline.soak(_SOAK * timeline.times.soak_h)
-            timeline.dwells(visit.positions)
+            spent_h = (timeline.now_s - before_s) / _S_PER_H
+            timeline.soak(max(visit.wait_h - spent_h, self.pause_h))
+            for position in visit.positions:
+                timeline.dwells([position])
+                timeline.soak(self.pause_h)
         return timeline.plan()
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -31,13 +31,17 @@ from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.investigation.profile import Calibration, Profile
 from gyrobench.bench.navigation.positions import AXES
 
-#: Blocks of which pairs are tried.
-_PAIRED = 4
+#: Blocks that are tried with another one after them, and visits of a profile in a block.
+_PAIRED, _VISITS = 4, 3
 #: Least spread of the bias from one power-on to the next, in units of the noise: the search takes nothing
 #: from the constant of a power-on, and a block must not be chosen for what it would say.
 _MIN_RUN_SPREAD = 30.0
 #: Temperatures of dwells that differ by less from the forecast are not worth a notice.
 _MIN_OFF_K = 10.0
+#: Dwells of which every prediction is less probable by chi2 fit none.
+_MIN_P_VALUE = 1e-4
+#: A prediction is tested where it differs by this square from that without it, in units of its uncertainty.
+_ENOUGH = 60.0
 #: A cause is settled at this probability.
 SETTLED = 0.99
 
@@ -82,6 +86,11 @@ class Proposal:
         apart_dph = first.mean_dph - second.mean_dph
         return float(apart_dph @ np.linalg.solve(second.covariance, apart_dph))
 
+    @property
+    def tested_per_h(self) -> float:
+        """How far the block tests the first of two rivals, as far as that is needed, per hour."""
+        return min(self.difference, _ENOUGH) / self.block.plan.duration_h
+
 
 def propose(
     forecast: Forecast,
@@ -93,8 +102,10 @@ def propose(
     measured: Sequence[Sequence[str]] = (),
     profile: Profile | None = None,
     calibration: Calibration | None = None,
+    *,
+    is_settled: bool = False,
 ) -> list[Proposal]:
-    """Blocks with their utilities, best first.
+    """Blocks with their utilities, best first: by doubt removed in an hour, or with a profile by hours left.
 
     Parameters
     ----------
@@ -117,6 +128,8 @@ def propose(
         Its dwells are blocks too.
     calibration : Calibration, optional
         Where given, information about the biases of the profile counts as well.
+    is_settled : bool
+        Whether only that counts; the proposals are without predictions then.
     """
     rows, planner = forecast.measured, planner or AfterLastDwell()
     start = planner.start(rows)
@@ -128,33 +141,54 @@ def propose(
 
     def proposal(block: Block) -> Proposal:
         repeats = max(sum(kind in kinds for kinds in measured) for kind in block.kinds)
-        found = replace(proposal_of(forecast, block, rivals, noise_scale), repeats=repeats)
         if calibration is None:
-            return found
-        whole, means = calibration.whole, calibration.profile.means
-        after = _next_pass(forecast, whole, means, found.rows, calibration.rivals, noise_scale)
-        missing_h = calibration.missing_h(after)
+            return replace(proposal_of(forecast, block, rivals, noise_scale), repeats=repeats)
+        new = tuple(forecast.rows(block.plan))
+        counting = calibration.rivals if is_settled else rivals
+        after, predictions = _next_pass(
+            forecast, calibration.whole, calibration.profile.means, new, counting, noise_scale
+        )
+        missing_h = calibration.missing_h(after[: len(calibration.rivals)])
         replaced_h = calibration.missing_h(calibration.variances) - missing_h
-        return replace(found, replaced_h=replaced_h, missing_h=missing_h)
+        found = Proposal(block, new, (), 0.0, Expected(0.0, 0.0, 0.0))
+        if not is_settled:
+            found = _weighed(block, new, predictions, rivals)
+        return replace(found, repeats=repeats, replaced_h=replaced_h, missing_h=missing_h)
 
     more = profile.kinds() if profile else ()
     paired = {kind for kinds in refused if len(kinds) > 1 for kind in kinds}
-    found = [proposal(each) for each in usable(catalogue(rows, start=start, more=more))]
-    found.sort(key=lambda each: -each.gain_per_h)
-    best = {each.block.name for each in found[:_PAIRED]}
-    found += [proposal(each) for each in usable(catalogue(rows, best - paired, start, more))]
-    return sorted(found, key=lambda each: -each.gain_per_h)
+
+    def ordered(found: Sequence[Proposal]) -> list[Proposal]:
+        key = hours_left(found, is_settled=is_settled) if calibration else lambda each: -each.gain_per_h
+        return sorted(found, key=key)
+
+    def proposals(sequences: Iterable[Sequence[str]] | None = None) -> list[Proposal]:
+        return [proposal(each) for each in usable(catalogue(rows, sequences, start, more))]
+
+    found = ordered(proposals())
+    best = [each.block.name for each in found[:_PAIRED]]
+    found += proposals(itertools.permutations([name for name in best if name not in paired], 2))
+    if calibration is not None:
+        names = [each.name for each in more]
+        visits = [each for each in found if each.block.name in names]
+        for _ in range(_VISITS - 1):
+            visits = proposals(
+                (*each.block.kinds, name) for each in ordered(visits)[:_PAIRED] for name in names
+            )
+            found += visits
+    return ordered(found)
 
 
 def hours_left(proposals: Sequence[Proposal], *, is_settled: bool = False) -> Callable[[Proposal], float]:
     """Expected hours until the cause is settled and the biases are certain enough, by the next block.
 
-    Afterwards the entropy and what is missing of a profile fall at the rates of the best blocks of today,
-    and where anything is left at least the shortest block follows. ``is_settled``: the cause is.
+    Afterwards the entropy and what is missing of a profile fall at the rates of the best blocks of today.
+    Where no cause is settled at least the shortest block follows, and where biases are missing one as short
+    more than by that rate: what a block brings falls. ``is_settled``: the cause is.
     """
-    fastest = max(each.gain_per_h for each in proposals)
-    replacing = max(each.replaced_h / each.block.plan.duration_h for each in proposals)
-    shortest_h = min(each.block.plan.duration_h for each in proposals)
+    fastest = max((each.gain_per_h for each in proposals), default=0.0)
+    replacing = max((each.replaced_h / each.block.plan.duration_h for each in proposals), default=0.0)
+    shortest_h = min((each.block.plan.duration_h for each in proposals), default=0.0)
 
     def left(each: Proposal) -> float:
         hours, doubt = each.block.plan.duration_h, 1.0 - each.trust
@@ -163,7 +197,7 @@ def hours_left(proposals: Sequence[Proposal], *, is_settled: bool = False) -> Ca
             unsettled = each.trust * each.expected.unsettled + doubt
             hours += max(entropy_left / max(fastest, 1e-9), unsettled * shortest_h)
         if each.missing_h:
-            hours += max(each.missing_h / max(replacing, 1e-9), shortest_h)
+            hours += each.missing_h / max(replacing, 1e-9) + shortest_h
         return hours
 
     return left
@@ -172,15 +206,15 @@ def hours_left(proposals: Sequence[Proposal], *, is_settled: bool = False) -> Ca
 def proposal_of(forecast: Forecast, block: Block, rivals: Sequence[Rival], noise_scale: float) -> Proposal:
     """The proposal of a block."""
     new = forecast.rows(block.plan)
-    predictions = _predictions(forecast, new, rivals, noise_scale)
+    return _weighed(block, new, _predictions(forecast, new, rivals, noise_scale), rivals)
+
+
+def _weighed(
+    block: Block, new: Sequence[DwellRow], predictions: Sequence[Prediction], rivals: Sequence[Rival]
+) -> Proposal:
     probabilities = np.array([each.probability for each in rivals])
-    return Proposal(
-        block,
-        tuple(new),
-        tuple(predictions),
-        entropy(probabilities),
-        expected_after(predictions, probabilities, SETTLED),
-    )
+    expected = expected_after(predictions, probabilities, SETTLED)
+    return Proposal(block, tuple(new), tuple(predictions), entropy(probabilities), expected)
 
 
 def proposed(proposal: Proposal, rivals: Sequence[Rival]) -> dict[str, Any]:
@@ -225,8 +259,8 @@ def calibration_of(
         profile,
         whole,
         rivals,
-        _next_pass(forecast, whole, means, (), rivals, noise_scale),
-        _next_pass(forecast, whole, means, whole, rivals, noise_scale, is_alone=True),
+        _next_pass(forecast, whole, means, (), rivals, noise_scale)[0],
+        _next_pass(forecast, whole, means, whole, rivals, noise_scale, is_alone=True)[0],
     )
 
 
@@ -247,8 +281,8 @@ def _next_pass(
     noise_scale: float,
     *,
     is_alone: bool = False,
-) -> FloatArray:
-    """Variances of means of the dwells of a profile after new ones, for each rival, (k, m).
+) -> tuple[FloatArray, list[Prediction]]:
+    """Variances of means of the dwells of a profile after new ones, (k, m), and predictions of the new ones.
 
     The power-on is the one that is known best. ``is_alone``: the new dwells are all that is measured.
     """
@@ -267,12 +301,21 @@ def _next_pass(
         )
         for index, row in enumerate(whole)
     ]
-    found = []
-    for each, _ in _linearized(forecast, [*new, *rows], rivals, noise_scale):
+    found, predictions = [], []
+    for each, variance in _linearized(forecast, [*new, *rows], rivals, noise_scale):
         place = np.arange(len(each.sigma_dph) // 3) - len(each.sigma_dph) // 3 + len(rows)
-        known = (place < 0) & ((place >= -len(new)) | (not is_alone))
+        is_new = (place < 0) & (place >= -len(new))
+        known = is_new if is_alone else place < 0
         found.append(np.diag(means @ each.covariance(known, place >= 0) @ means.T))
-    return np.array(found)
+        if new and not is_alone:
+            predictions.append(_prediction(each, place < -len(new), is_new, variance))
+    return np.array(found), predictions
+
+
+def _prediction(linear: Linearized, measured: BoolArray, is_new: BoolArray, variance: float) -> Prediction:
+    """Prediction of new dwells, with the variance of what a rival can't predict."""
+    found = linear.prediction(measured, is_new)
+    return replace(found, covariance=found.covariance + variance * np.eye(len(found.mean_dph)))
 
 
 def _predictions(
@@ -282,9 +325,7 @@ def _predictions(
     found = []
     for each, variance in _linearized(forecast, new, rivals, noise_scale):
         is_new = np.arange(len(each.sigma_dph) // 3) >= len(each.sigma_dph) // 3 - len(new)
-        prediction = each.prediction(~is_new, is_new)
-        more = variance * np.eye(len(prediction.mean_dph))
-        found.append(Prediction(prediction.mean_dph, prediction.covariance + more))
+        found.append(_prediction(each, ~is_new, is_new, variance))
     return found
 
 
@@ -348,6 +389,16 @@ class Outcome:
     #: Largest difference of a dwell's temperature from its forecast, K; zero unless it is above 10 K and half
     #: of what the block changes it by.
     off_forecast_k: float
+
+    @property
+    def fits(self) -> bool:
+        """Whether the dwells fit the prediction of one rival."""
+        return max(self.p_value) >= _MIN_P_VALUE
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the dwells fit, and settle the first rival."""
+        return self.fits and self.probabilities[0] >= SETTLED
 
 
 def outcome_of(

@@ -66,7 +66,7 @@ def jog_bench(name: str, commands: Sequence[str], emulation: Emulation, leave: b
             display.print(f"Left out: {error}")
         for text in lock.taken_over:
             display.print(text)
-        bench = LiveBench(station, instruments, clock, None, None, report)
+        bench = LiveBench(station, instruments, clock, [], report)
         bench.start()
         _await_first_frame(bench)
         limits = manual_limits(station, instruments.table, instruments.chamber)

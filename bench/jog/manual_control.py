@@ -63,7 +63,7 @@ class ManualControl:
         self._turning: dict[str, float] = {}
         self._ticked_s = bench.clock.now()
         if _sends_frames(bench):
-            bench.state.ins_seen_on()
+            bench.units[0].state.seen_on()
         self.tripped: list[str] = []
         for trip in bench.trips():
             self.tripped.append(trip.name)
@@ -92,7 +92,7 @@ class ManualControl:
         bench = self.bench
         if bench.clock.is_virtual:
             return
-        bench.poll_ins()
+        bench.poll_units()
         file = bench.station.file
         # A tick lasts until the bench's next one: begun too early it delays commands, too late it skips one.
         if bench.clock.now() >= self._ticked_s + file.tick_s - min(file.poll_period_s, file.tick_s / 2.0):
@@ -189,7 +189,7 @@ class ManualControl:
         power = self.bench.station.file.unit.power
         if power == "always_on":
             raise CommandError("the INS of this bench is always on (station file: unit.power)")
-        self.bench.state.ins_state_unknown()
+        self.bench.units[0].state.state_unknown()
         if power == "operator":
             self._display.print(f"Switch the INS {'on' if on else 'off'} by hand now.")
         else:
@@ -208,7 +208,7 @@ class ManualControl:
             self._display.progress(f"INS starts, {passed_s:.0f} s")
             self.tick()
         self.bench.read_instruments()
-        self.bench.state.ins_seen_on()
+        self.bench.units[0].state.seen_on()
         self._display.print(f"INS on: {mode_words(self.bench.readings.ins)}")
 
     def ins(self, command: str) -> None:
@@ -347,5 +347,5 @@ class ManualControl:
 
 
 def _sends_frames(bench: LiveBench) -> bool:
-    status = bench.ins_status()
+    status = bench.units[0].status()
     return status.age_s < _FRESH_S and status.mode is not InsMode.BOOT

@@ -87,10 +87,10 @@ def snapshot_from_records(folder: RunFolder) -> RunSnapshot:
     return RunSnapshot(
         name=content.name,
         folder=str(folder.path),
-        procedure=str(content.procedure.get("procedure", "")),
+        procedure=str(content.procedure.get("procedure", content.facts.procedure)),
         station=str(content.station.get("station", "")),
         unit=content.facts.unit or (rows[-1].unit if rows else ""),
-        started_utc=str(content.provenance.get("started_utc", "")),
+        started_utc=str(content.provenance.get("started_utc", content.facts.started_utc)),
         updated_utc=_updated_utc(folder),
         state=state,
         reason=reason,
@@ -193,6 +193,7 @@ def _message_of(entry: Mapping[str, Any]) -> str:
 #: Self-contained pages in a run folder, and their titles.
 RECORDS = {
     "report.html": "Report",
+    "investigation.html": "Investigation",
     "closure/closure.html": "Search for effects",
     "verify/verification.html": "Verification",
     "verify/comparison.html": "Verification",  # of a run folder made before 2.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from types import MappingProxyType
@@ -117,13 +117,22 @@ class Plan:
         return (self.steps[index] for index in range(planned.number, len(self.steps)))
 
 
-def expand(document: Document, procedure: Procedure, bench: BenchEstimate | None = None) -> Plan:
+def expand(
+    document: Document,
+    procedure: Procedure,
+    bench: BenchEstimate | None = None,
+    adapt: Callable[[Step], Step] | None = None,
+) -> Plan:
     """Unroll a procedure into its plan.
 
-    ``bench``: state at the start; by default at rest at room temperature. Raises DocumentError if the loops
+    ``bench``: state at the start; by default at rest at room temperature. ``adapt`` gives each step as it is
+    for a unit with another mounting. Raises DocumentError if the loops
     give too many steps, or a variable has a value that its step can't take.
     """
-    timed = list(_timed(resolve(document, procedure), bench or BenchEstimate.at_rest()))
+    resolved = resolve(document, procedure)
+    if adapt is not None:
+        resolved = [replace(each, step=adapt(each.step)) for each in resolved]
+    timed = list(_timed(resolved, bench or BenchEstimate.at_rest()))
     return Plan(procedure, tuple(_with_dwells(timed)))
 
 

@@ -8,8 +8,10 @@ from functools import partial
 
 from matplotlib.figure import Figure
 
+from gyrobench.bench.bias.budget import NORMAL_K
 from gyrobench.bench.report.figures.style import GYRO_STYLES, house_style, new_figure
 from gyrobench.bench.report.page import Section, SectionFigure, SectionTable
+from gyrobench.bench.runs.tables.budget_table import BudgetRow, coverage
 from gyrobench.bench.runs.tables.coefficient_table import (
     FRAME_TEXT,
     TEMPERATURE_TEXT,
@@ -30,8 +32,9 @@ _WITHOUT_FORCE = (
     "forces."
 )
 _CAPTION = (
-    "Coefficients over the temperature of the gyro, for accelerometers that of the case; bars are 95 % "
-    "intervals, where they are larger than the marker."
+    "Coefficients over the temperature of the gyro, for accelerometers that of the case; lines join the "
+    "plateaus of a cycle in the order of time. Bars are expanded uncertainties (95 %), where they are larger "
+    "than the marker."
 )
 _NAMES = {
     "gyro_bias": "gyro bias",
@@ -45,8 +48,8 @@ _UNITS = {"ug": "µg"}
 _NOT_OBSERVED = "–"
 #: Height of a row of a legend as a part of its panel's.
 _LEGEND_ROW = 0.12
-#: Plateaus side by side; half width of a 95 % interval in sigmas.
-_PER_TABLE, _INTERVAL = 5, 1.96
+#: Plateaus side by side.
+_PER_TABLE = 5
 
 
 def has_rotations(rows: Sequence[PlateauCoefficientRow]) -> bool:
@@ -58,8 +61,10 @@ def has_rotations(rows: Sequence[PlateauCoefficientRow]) -> bool:
     )
 
 
-def coefficients_section(rows: Sequence[PlateauCoefficientRow]) -> Section | None:
-    """Tables and figure; None without rotations."""
+def coefficients_section(
+    rows: Sequence[PlateauCoefficientRow], budget: Sequence[BudgetRow] = ()
+) -> Section | None:
+    """Tables and figure with the expanded uncertainties of the budget; None without rotations."""
     if not has_rotations(rows):
         return None
     tables = list(_tables(rows))
@@ -67,27 +72,34 @@ def coefficients_section(rows: Sequence[PlateauCoefficientRow]) -> Section | Non
     if any(not math.isnan(row.sigma_with_force) for row in rows):
         notes.insert(0, _WITHOUT_FORCE)
         tables.append(_cost_table(rows))
-    figure = SectionFigure("coefficients", _CAPTION, partial(coefficients_figure, rows))
+    figure = SectionFigure("coefficients", _CAPTION, partial(coefficients_figure, rows, budget))
     return Section(_TITLE, [_TEXT, *notes], [figure], tables)
 
 
 @house_style
-def coefficients_figure(rows: Sequence[PlateauCoefficientRow]) -> Figure:
-    """Each coefficient over temperature with bars of 95 %."""
+def coefficients_figure(rows: Sequence[PlateauCoefficientRow], budget: Sequence[BudgetRow] = ()) -> Figure:
+    """Each coefficient over temperature with bars of 95 %, by the budget, or for a normal distribution."""
+    covered = coverage(budget)
     figure = new_figure(5.6, left_in=0.62, right_in=0.1, wspace=0.3, hspace=0.34)
     panels = figure.subplots(2, 3)
     for (kind, title), axes in zip(_NAMES.items(), panels.ravel(), strict=True):
         own = [row for row in rows if row.coefficient == kind and not math.isnan(row.value)]
         axes.set_title(f"{title} / {_unit(own[0].unit)}" if own else title, fontsize=8)
-        for name in dict.fromkeys(row.axis for row in own):
-            chosen = sorted((row for row in own if row.axis == name), key=lambda row: row.temperature_c)
+        factors: set[str] = set()
+        for name, cycle in dict.fromkeys((row.axis, row.cycle) for row in own):
+            chosen = [row for row in own if (row.axis, row.cycle) == (name, cycle)]
             colour, line, marker = GYRO_STYLES[name[0]]
             is_second = len(name) > 1 and name[1] == max(set("xyz") - {name[0]})
+            bars = [
+                covered.get((kind, name, row.plateau, 0.0), (NORMAL_K, NORMAL_K * row.sigma))
+                for row in chosen
+            ]
+            factors |= {f"{k:.2f}" for k, _ in bars}
             axes.errorbar(
                 [row.temperature_c for row in chosen],
                 [row.value for row in chosen],
-                [_INTERVAL * row.sigma for row in chosen],
-                label=name,
+                [expanded for _, expanded in bars],
+                label=name if cycle == own[0].cycle else None,
                 color=colour,
                 linestyle=line,
                 marker=marker,
@@ -97,8 +109,10 @@ def coefficients_figure(rows: Sequence[PlateauCoefficientRow]) -> Figure:
             )
         if own:
             low, high = axes.get_ylim()
-            legend = axes.legend(ncols=3, loc="upper center")
-            axes.set_ylim(low, high + _LEGEND_ROW * (high - low) * math.ceil(len(legend.texts) / 3))
+            title = f"bars: 95 %, k = {' to '.join(sorted({min(factors), max(factors)}))}"
+            legend = axes.legend(ncols=3, loc="upper center", title=title, title_fontsize=7)
+            rows_in_it = 1 + math.ceil(len(legend.texts) / 3)
+            axes.set_ylim(low, high + _LEGEND_ROW * (high - low) * rows_in_it)
     for axes in panels[1]:
         axes.set_xlabel("case temperature / °C")
     for axes in panels[0]:

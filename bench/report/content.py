@@ -65,6 +65,8 @@ class RunContent:
     acceptance: Acceptance | None = None  #: Verdict on the unit, or None.
     #: Results of the search for effects and of the verification on these dwells.
     chapters: list[Findings] = field(default_factory=list)
+    #: Who approved or declined the blocks of an investigation that this run belongs to.
+    approvals: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)  #: Missing or unreadable files.
 
     @cached_property
@@ -137,8 +139,32 @@ def read_run(folder: RunFolder) -> RunContent:
         characteristics=read(folder.characteristics, read_characteristics, [], is_optional=True),
         acceptance=read(folder.acceptance, read_acceptance, None, is_optional=True),
         chapters=_chapters(folder, problems),
+        approvals=_approvals(folder),
         problems=problems,
     )
+
+
+def approvals_in(folder: Path) -> list[str]:
+    """Who approved or declined each block of the investigation in a folder, in the order of time.
+
+    None without one. Raises RunFolderError if its journal can't be read.
+    """
+    path = folder / RunFolder.journal
+    return [
+        f"Block {entry.get('number')} {entry['event']} by {entry.get('operator', 'an unknown operator')}, "
+        f"{str(entry.get('utc', ''))[:16].replace('T', ' ')} UTC."
+        for entry in (read_journal(path) if path.is_file() else ())
+        if entry.get("event") in ("approved", "declined")
+    ]
+
+
+def _approvals(folder: RunFolder) -> list[str]:
+    """Approvals in the folder ``investigation`` of a run, or in those that hold a campaign or a block."""
+    own = folder.path.resolve()
+    try:
+        return [text for each in (own / "investigation", *own.parents[:2]) for text in approvals_in(each)]
+    except GyrobenchError:
+        return []  # of another folder: its own page says so
 
 
 def _chapters(folder: RunFolder, problems: list[str]) -> list[Findings]:

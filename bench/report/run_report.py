@@ -183,6 +183,7 @@ def render(
         *(found.chapter for found in content.chapters),
         dwells_section(content.dwells, no_dwell),
         events_section(content.journal),
+        _list_section("Approvals of the investigation", content.approvals),
         durations_section(took_in_journal(content.journal)),
         _list_section("Assumptions of the procedure", content.procedure.get("assumptions")),
         _instruments_section(content),
@@ -221,7 +222,7 @@ def _with_hashes(folder: RunFolder) -> tuple[RunContent, list[DataHash]]:
 def _analysis_sections(content: RunContent, marked_c: Sequence[float]) -> list[Section]:
     """Sections that this run has data for."""
     sections = [
-        coefficients_section(content.coefficients),
+        coefficients_section(content.coefficients, content.budget),
         *characteristics_sections(content.characteristics),
         budget_section(content.budget),
         estimators_section(content.dwells, marked_c),

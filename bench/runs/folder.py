@@ -37,11 +37,12 @@ RUNS = Path("runs")
 LOCK = ".lock"
 #: Names of files and folders, which are all that is known of a run in an object store.
 PROCEDURE, PROVENANCE, JOURNAL = "procedure.yaml", "provenance.json", "journal.jsonl"
+UNITS = "units"
 DWELLS, BIAS_BINS = "dwells.csv", "bias_bins.csv"
 ACCEPTANCE, COMPENSATION, CLOSURE = "acceptance.json", "compensation.yaml", "closure"
 #: Files that a run writes before its journal.
 _BEFORE_THE_JOURNAL = re.compile(
-    r"(procedure|station|compensation)\.yaml|calibration\.csv|provenance\.json|.*\.dbc|\.lock|\..*\.part"
+    r"units|(procedure|station|compensation)\.yaml|calibration\.csv|provenance\.json|.*\.dbc|\.lock|\..*\.part"
 )
 
 
@@ -69,6 +70,7 @@ class RunFolder:
     can = PathInside("can")  #: Folder of the raw CAN log.
     telemetry = PathInside("telemetry")  #: Folder of the bench's readings.
     dwells = PathInside(DWELLS)  #: The dwell table.
+    first_dwells = PathInside("start.csv")  #: Of an investigation: the dwells that it began with.
     bias_bins = PathInside(BIAS_BINS)  #: Bias per gyro, position and temperature bin.
     budget = PathInside("budget.csv")  #: Uncertainty budget of each dwell and bin.
     joint_biases = PathInside("joint_biases.csv")  #: Biases of the dwells of each plateau solved together.
@@ -85,6 +87,17 @@ class RunFolder:
     verify = PathInside("verify")  #: Folder of the verification of a compensation.
     figures = PathInside("figures")  #: Folder of the figures.
     report = PathInside("report.html")  #: The report.
+    units = PathInside(UNITS)  #: Folder of the run folders of its units, where it has several.
+
+    def unit(self, number: str) -> RunFolder:
+        """Run folder of a unit; that of a single unit, without a number, is this one."""
+        return RunFolder(self.units / number) if number else self
+
+    @property
+    def unit_folders(self) -> list[RunFolder]:
+        """Run folders of its units, in the order of their numbers; none for a run of a single unit."""
+        found = self.units.glob(f"*/{JOURNAL}")
+        return [RunFolder(path.parent) for path in sorted(found)]
 
 
 def create_run_folder(out: Path | None, name: str, parent: Path = RUNS) -> RunFolder:
@@ -127,6 +140,7 @@ def open_run_folder(path: Path) -> RunFolder:
         "export",
         "seals",
         "certificate",
+        UNITS,
     ):
         inner = path / name
         if not inner.resolve().is_relative_to(path.resolve()):

@@ -42,6 +42,7 @@ class Journal:
     def __init__(self, path: Path, clock: Clock) -> None:
         self._path = path
         self._clock = clock
+        self.followers: list[Journal] = []  #: Journals that get each entry too.
         self._writing = threading.Lock()  # messages are sent by separate threads
         try:
             self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
@@ -76,6 +77,8 @@ class Journal:
         """
         with self._writing:
             self._write({"event": event} | details)
+        for follower in tuple(self.followers):
+            follower.record(event, **details)
 
     def _write(self, content: dict[str, Any]) -> None:
         entry = {"time_s": round(self._clock.now(), 6), "utc": self._clock.utc().isoformat()}
@@ -217,6 +220,7 @@ class RunFacts:
     """Summary of a journal; unknown texts are empty."""
 
     #: procedure, station, unit: Procedure, station, and serial number of the INS.
+    #: The former is "investigation" for the journal of one.
     procedure: str = ""
     station: str = ""
     unit: str = ""
@@ -249,6 +253,17 @@ def _with(facts: RunFacts, entry: Mapping[str, Any]) -> RunFacts:
             return replace(_begun(facts, entry), resumes=facts.resumes + 1)
         case "ins_identified":
             return replace(facts, unit=_text(entry, "unit") or facts.unit)
+        case "investigation_started" | "investigation_resumed" as event:
+            # A resumed one replays its blocks, and records them again.
+            begun = replace(facts, unit=_text(entry, "unit") or facts.unit, dwells=_count(entry))
+            if event == "investigation_started":
+                return _begun(replace(begun, started_utc=_text(entry, "utc")), entry)
+            return replace(_begun(begun, entry), resumes=facts.resumes + 1)
+        case "measured":
+            return replace(facts, dwells=facts.dwells + _count(entry))
+        case "investigation_ended":
+            ended = {"bench_failed": "failed", "declined": "stopped"}.get(_text(entry, "ended"), "finished")
+            return replace(facts, ended=ended, reason=_text(entry, "reason"))
         case "dwell_finished":
             return replace(facts, dwells=facts.dwells + 1)
         case "run_ended":
@@ -279,6 +294,12 @@ def _begun(facts: RunFacts, entry: Mapping[str, Any]) -> RunFacts:
 def _text(entry: Mapping[str, Any], key: str) -> str:
     value = entry.get(key)
     return "" if value is None else str(value)
+
+
+def _count(entry: Mapping[str, Any]) -> int:
+    """Its number of dwells."""
+    value = entry.get("dwells")
+    return value if isinstance(value, int) else 0
 
 
 def _time_s(entry: Mapping[str, Any]) -> float:

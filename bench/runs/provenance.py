@@ -20,8 +20,10 @@ from gyrobench.bench.runs.folder import RunFolder
 
 _PACKAGES = ("numpy", "scipy", "pyserial", "python-can", "cantools", "pymodbus", "pydantic", "pyarrow")
 
-#: Word across all that a run with emulated instruments gives.
+#: Word across all that a run with emulated instruments gives, and name of a file beside its tables, whose
+#: formats have no place for it.
 SIMULATED = "SIMULATED"
+_SIMULATED_TEXT = "The instruments of this run were emulated: nothing in this folder was measured.\n"
 
 _MAX_BYTES = 10_000_000
 _OBJECTS = ("instruments", "options", "files_sha256", "packages")
@@ -46,6 +48,9 @@ def write_provenance(
         "platform": platform.platform(),
         "packages": {name: _version(name) for name in _PACKAGES},
     }
+    content["simulated"] = is_emulated(content)
+    if content["simulated"]:
+        write_whole(folder.path / f"{SIMULATED}.txt", _SIMULATED_TEXT.encode())
     _write(folder, content)
 
 

@@ -207,6 +207,11 @@ class RateTableSection(DialectSection):
     )
     inner_axis: Direction = Field(description="direction of the inner axis, angles at zero")
     mounting: Mounting = Field(description="directions of the unit's body axes, angles at zero")
+    reference_mounting: Mounting | None = Field(
+        None,
+        description="mounting for which the positions in procedures hold, where another unit on the table "
+        "has the positions; by default `mounting`",
+    )
     limits: TableLimits = Field(description="limits of the table")
     repeatability_arcsec: NotNegative = Field(
         1.0, description="standard uncertainty with which an axis returns to an angle, arcsec"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import Future, InvalidStateError, wait
 from dataclasses import dataclass
 from functools import partial
@@ -28,10 +28,8 @@ from gyrobench.bench.station.instrument_sections import DialectSection
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.chamber import Chamber, ChamberDialect, ChamberReading, running_profile
 from gyrobench.drivers.chamber.software_ramp import SoftwareRamp
-from gyrobench.drivers.ins.can_bus import INSTRUMENT as INS
 from gyrobench.drivers.ins.can_bus import close_bus, open_bus
 from gyrobench.drivers.ins.can_ins import CanIns
-from gyrobench.drivers.ins.dbc_codec import load_dbc
 from gyrobench.drivers.rate_table import RateTable, TableDialect, TableReading
 from gyrobench.drivers.serial_line import LineDefaults, SerialLine
 
@@ -165,11 +163,11 @@ class Outputs:
                 "station file. Nothing was moved.",
             )
 
-    def power_unit(self, on: bool) -> None:
-        """Switch the supply of the unit, if the bench can."""
-        unit = self._station.file.unit
-        if unit.power == "chamber_event":
-            self.chamber.switch_event(unit.power_event, on)
+    def power_unit(self, on: bool, but: Collection[int] = ()) -> None:
+        """Switch the supplies of all units, if the bench can; ``but`` are event outputs left as they are."""
+        for event in self._station.power_events:
+            if event not in but:
+                self.chamber.switch_event(event, on)
 
     def reopen(self, instrument: str) -> None:
         """Close and reopen the port of one instrument, named as in errors; after a failure it stays closed.
@@ -217,16 +215,24 @@ class Instruments(Outputs):
     """All instruments of a bench, opened; a context manager that closes them.
 
     ``may_be_absent``: whether an instrument that can't be opened is left out, if another answers. It then
-    reads nothing and refuses commands. Raises ConnectionFailedError if one, or all, can't be opened; the
-    others are closed again.
+    reads nothing and refuses commands. ``dropped``: numbers of units that are not opened. Raises
+    ConnectionFailedError if one, or all, can't be opened; the others are closed again.
     """
 
     def __init__(
-        self, station: Station, clock: Clock, emulation: Emulation, may_be_absent: bool = False
+        self,
+        station: Station,
+        clock: Clock,
+        emulation: Emulation,
+        may_be_absent: bool = False,
+        dropped: Collection[str] = (),
     ) -> None:
         super().__init__(station, clock, emulation)
         #: Instruments that are left out, and why.
         self.absent: dict[str, InstrumentError] = {}
+        #: The INS of each unit, by its name in messages, in the order of the station file.
+        self.units: dict[str, CanIns] = {}
+        self._stations = {unit.instrument: unit for unit in station.units if unit.number not in dropped}
         with contextlib.ExitStack() as opened:
             opened.callback(super().close)
             try:
@@ -239,12 +245,22 @@ class Instruments(Outputs):
             except InstrumentError as error:
                 self._leave_out(error, may_be_absent)
                 self._chamber = cast(Chamber, _AbsentChamber(error))
-            try:
-                self.ins = self._opened(INS, open_ins)
-            except InstrumentError as error:
-                self._leave_out(error, may_be_absent and len(self.absent) < _OTHERS)
-                self.ins = _silent_ins(station, clock)
+            for name, unit in self._stations.items():
+                try:
+                    self.units[name] = self._opened(name, partial(self._open_unit, unit))
+                except InstrumentError as error:
+                    self._leave_out(error, may_be_absent and len(self.absent) < _OTHERS)
+                    self.units[name] = _silent_ins(unit, clock)
+                opened.callback(self.units[name].close)
             opened.pop_all()
+
+    @property
+    def ins(self) -> CanIns:
+        """The INS of the first unit."""
+        return next(iter(self.units.values()))
+
+    def _open_unit(self, unit: Station, *_: object) -> CanIns:
+        return open_ins(unit, self.clock, self._emulation, self._station)
 
     def _leave_out(self, error: InstrumentError, may_be: bool) -> None:
         if not may_be:
@@ -256,21 +272,23 @@ class Instruments(Outputs):
 
         The INS stays the same object, on a new bus, with the data received before.
         """
-        if instrument != INS:
+        ins = self.units.get(instrument)
+        if ins is None:
             super().reopen(instrument)
             return
 
         def reopened() -> can.BusABC:
-            self.ins.close()  # first: closing the channel later would close it for both
-            return open_ins_bus(self._station, self.clock, self._emulation)
+            ins.close()  # first: closing the channel later would close it for both
+            return open_ins_bus(self._stations[instrument], self.clock, self._emulation, self._station)
 
-        self.ins.replace_bus(
-            within(self.clock, _opening_time_s(self.clock), INS, reopened, discard=close_bus)
+        ins.replace_bus(
+            within(self.clock, _opening_time_s(self.clock), instrument, reopened, discard=close_bus)
         )
 
     def close(self) -> None:
         """Close all ports; the instruments keep their state."""
-        self.ins.close()
+        for ins in self.units.values():
+            ins.close()
         super().close()
 
 
@@ -324,7 +342,7 @@ def _silent_ins(station: Station, clock: Clock) -> CanIns:
     """The INS on a bus of this process, on which no other sends."""
     section = station.file.ins
     bus = open_bus("virtual", f"absent INS {uuid4()}", clock)
-    return CanIns(bus, section.signals, load_dbc(station.dbc_path), clock, section.commands)
+    return CanIns(bus, section.signals, station.database(), clock, section.commands, name=station.instrument)
 
 
 def open_table(station: Station, clock: Clock, emulation: Emulation) -> RateTable:
@@ -348,27 +366,36 @@ def open_chamber(station: Station, clock: Clock, emulation: Emulation) -> Chambe
     return driver if getattr(driver, "can_ramp", True) else cast(Chamber, SoftwareRamp(driver, clock))
 
 
-def open_ins(station: Station, clock: Clock, emulation: Emulation) -> CanIns:
-    """Open the INS on its bus.
+def open_ins(station: Station, clock: Clock, emulation: Emulation, bench: Station | None = None) -> CanIns:
+    """Open the INS on its bus; ``bench`` is the station with all units, where there are several.
 
     Raises ConnectionFailedError if it can't be opened. Raises DocumentError if the maps of the station file
     do not fit the DBC file.
     """
-    section, database = station.file.ins, load_dbc(station.dbc_path)
-    bus = open_ins_bus(station, clock, emulation)
+    section, database = station.file.ins, station.database()
+    is_shared = bench is not None and bench.shares_bus(station)
+    bus = open_ins_bus(station, clock, emulation, bench)
     try:
-        return CanIns(bus, section.signals, database, clock, section.commands)
+        return CanIns(
+            bus, section.signals, database, clock, section.commands, None, station.instrument, is_shared
+        )
     except GyrobenchError:
         close_bus(bus)
         raise
 
 
-def open_ins_bus(station: Station, clock: Clock, emulation: Emulation) -> can.BusABC:
-    """Open the bus alone; raises ConnectionFailedError if it can't be opened."""
+def open_ins_bus(
+    station: Station, clock: Clock, emulation: Emulation, bench: Station | None = None
+) -> can.BusABC:
+    """Open the bus alone, as :func:`open_ins`; raises ConnectionFailedError if it can't be opened."""
     section = station.file.ins
     options: dict[str, str | int | float | bool] = dict(section.options)
     if section.interface == _EMULATOR:
-        options.update(_emulated_bench(station, emulation))
+        options.update(_emulated_bench(bench or station, emulation))
+        if section.identifier_offset:
+            options["identifier_offset"] = section.identifier_offset
+        if bench is not None and bench.power_events and len(bench.units) > 1:
+            options["power_event"] = station.file.unit.power_event
     return open_bus(section.interface, section.channel, clock, section.bitrate, **options)
 
 
@@ -407,4 +434,5 @@ def _emulated_bench(station: Station, emulation: Emulation) -> dict[str, str | i
         for name, section in sections.items()
         if section.port.startswith(f"{_EMULATOR}://")
     }
-    return {**emulation.options(), **dialects}
+    units = {"units": len(station.units)} if len(station.units) > 1 else {}
+    return {**emulation.options(), **dialects, **units}

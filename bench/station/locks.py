@@ -33,6 +33,7 @@ from gyrobench.bench.foundations.clock import Clock, Deadline, WallClock
 from gyrobench.bench.foundations.errors import BenchInUseError, GyrobenchError
 from gyrobench.bench.runs.folder import LOCK
 from gyrobench.bench.station.station import Station
+from gyrobench.bench.station.station_file import InsSection
 
 LOCK_DIR_VARIABLE = "GYROBENCH_LOCK_DIR"
 #: Command of a guard in its locks.
@@ -280,7 +281,11 @@ def _ports(station: Station) -> Iterator[tuple[str, str]]:
         url = section.installed_dialect.line.completed(section.port)
         if not url.startswith(f"{_EMULATED}://"):
             yield f"the {what}'s port {section.port}", _same_for_one_port(url)
-    ins = file.ins
+    for unit in station.units:
+        yield from _bus_port(unit.file.ins)
+
+
+def _bus_port(ins: InsSection) -> Iterator[tuple[str, str]]:
     if ins.interface != _EMULATED:
         name = f"the INS's port {ins.interface} {ins.channel}"
         if ins.interface == "slcan":

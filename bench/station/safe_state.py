@@ -151,7 +151,8 @@ def _steps(station: Station, instruments: Outputs, release_table: bool) -> list[
             lambda: _set_or_off(instruments.chamber, safe_c, ramp),
         )
     if safe.unit == "off":
-        add(SafePart.UNIT, "INS switched off", lambda: instruments.power_unit(False))
+        what = "INS switched off" if len(station.units) == 1 else "all INS switched off"
+        add(SafePart.UNIT, what, lambda: instruments.power_unit(False))
     else:
         add(SafePart.UNIT, "INS left as it is", lambda: None)
     if release_table:

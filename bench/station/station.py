@@ -2,29 +2,34 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
+from typing import cast
 
 import numpy as np
+from cantools.database import Database
 
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.clock import Clock, VirtualClock, WallClock
-from gyrobench.bench.foundations.documents import Document, Problem
+from gyrobench.bench.foundations.documents import Document, Problem, parse_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.navigation.earth import NORMAL_GRAVITY_SIGMA
 from gyrobench.bench.navigation.error_model import Site
-from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.navigation.positions import POSITIONS, PositionName
 from gyrobench.bench.navigation.table_axes import Angles, SingleAxisTable, TurnOrMove, TwoAxisTable
 from gyrobench.bench.procedure.checks import StationLimits, check
 from gyrobench.bench.procedure.estimate import BenchEstimate, ThermalEstimate
 from gyrobench.bench.procedure.plan import Plan, expand
 from gyrobench.bench.procedure.procedure_file import Procedure
-from gyrobench.bench.station.instrument_sections import Direction
-from gyrobench.bench.station.station_file import load_station_file
+from gyrobench.bench.procedure.steps import GoTo, Step
+from gyrobench.bench.station.instrument_sections import Direction, Mounting
+from gyrobench.bench.station.station_file import UNIT_KEYS, StationFile, load_station_file
 from gyrobench.drivers import ins
+from gyrobench.drivers.ins.can_bus import INSTRUMENT
 from gyrobench.drivers.ins.command_map import check_commands
 from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
 from gyrobench.drivers.ins.signal_map import check_signals
@@ -42,13 +47,61 @@ _DIRECTIONS: dict[Direction, tuple[float, float, float]] = {
 class Station:
     """A bench as its file describes it."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, number: str = "") -> None:
         self.path = path  #: Where it was read from; file names in it are relative to its folder.
+        self.number = number  #: Serial number of its unit, of several; else empty.
         self._document, self.file = load_station_file(path)  #: The file's content.
+        if number:
+            self._document = _of_unit(self._document, number)
+            self.file = validate(self._document, StationFile)
         try:
             self.table = self._table()  #: Kinematics of the table with the unit on it.
         except DocumentError as error:
             raise self._document.error([Problem(("rate_table", "mounting"), str(error))]) from error
+
+    @cached_property
+    def units(self) -> tuple[Station, ...]:
+        """The bench with each of its units alone; with a single unit the bench itself."""
+        return tuple(Station(self.path, unit.number) for unit in self.file.units) or (self,)
+
+    @property
+    def instrument(self) -> str:
+        """Name of the INS in messages."""
+        return f"{INSTRUMENT} {self.number}" if self.number else INSTRUMENT
+
+    @property
+    def text(self) -> str:
+        """Text of its file."""
+        return self._document.text
+
+    @property
+    def power_events(self) -> tuple[int, ...]:
+        """Event outputs of the chamber that feed its units; none where they are not switched by it."""
+        if self.file.unit.power != "chamber_event":
+            return ()
+        return tuple(sorted({station.file.unit.power_event for station in self.units}))
+
+    def shares_bus(self, unit: Station) -> bool:
+        """Whether another unit is on the same bus as one of its units."""
+        return sum(each.bus == unit.bus for each in self.units) > 1
+
+    @property
+    def bus(self) -> tuple[str, ...]:
+        """What identifies the CAN bus of its unit."""
+        ins = self.file.ins
+        return ins.interface, ins.channel, *(str(ins.options.get(key, "")) for key in ("host", "port"))
+
+    def position_of_unit(self, position: str, azimuth_deg: float) -> tuple[PositionName, float]:
+        """Position and azimuth, deg, of its unit where a procedure has these: mountings may differ."""
+        reference = self.file.rate_table.reference_mounting
+        at_zero = POSITIONS[position].C_nb()
+        C_nb = at_zero if reference is None else at_zero @ mounted(reference).T @ self.table.C_mount
+        for name, each in POSITIONS.items():
+            turned = C_nb @ each.C_nb().T
+            if np.isclose(turned[2, 2], 1.0):
+                offset_deg = round(np.rad2deg(np.arctan2(turned[1, 0], turned[0, 0])).item(), 9)
+                return cast(PositionName, name), (azimuth_deg + offset_deg) % 360.0
+        raise AssertionError("mountings have axes along directions")
 
     @property
     def is_virtual(self) -> bool:
@@ -92,15 +145,37 @@ class Station:
     def check_dbc(self) -> None:
         """Check signals and commands of the INS against the DBC file; a DocumentError lists all problems."""
         try:
-            codec = DbcCodec(load_dbc(self.dbc_path))
+            codecs = [DbcCodec(unit.database()) for unit in self.units]
         except DocumentError as error:
             raise self._document.error([Problem(("ins", "dbc"), str(error))]) from error
+        codec = codecs[0]
+        identifiers: dict[tuple[object, ...], Station] = {}
+        for unit, each in zip(self.units, codecs, strict=True):
+            for identifier in each.arbitration_ids().tolist():
+                other = identifiers.setdefault((*unit.bus, identifier), unit)
+                if other is not unit:
+                    raise self._document.error(
+                        [
+                            Problem(
+                                ("units",),
+                                f"{other.instrument} and {unit.instrument} share a bus and both use the "
+                                f"identifier {identifier}. Choose identifier_offset further apart",
+                            )
+                        ]
+                    )
         problems = [
             *check_signals(self.file.ins.signals, codec, ("ins", "signals")),
             *check_commands(self.file.ins.commands, codec, ("ins", "commands")),
         ]
         if problems:
             raise self._document.error(problems)
+
+    def database(self) -> Database:
+        """Read the DBC file, with the offset of its unit's identifiers.
+
+        Raises DocumentError if the file is missing or wrong.
+        """
+        return load_dbc(self.dbc_path, self.file.ins.identifier_offset)
 
     def noise(self, velocity_lsb_mps: float, heading_lsb_rad: float) -> NoiseModel | None:
         """Declared noise of the INS, with the output's resolution; None where it is to be estimated."""
@@ -128,9 +203,17 @@ class Station:
 
         ``bench``: state at the start; by default at rest.
         """
-        plan = expand(document, procedure, bench or self.bench_at_rest())
+        is_moved = self.file.rate_table.reference_mounting is not None
+        adapt = self._in_unit_position if is_moved else None
+        plan = expand(document, procedure, bench or self.bench_at_rest(), adapt)
         check(document, plan, self.limits())
         return plan
+
+    def _in_unit_position(self, step: Step) -> Step:
+        if not isinstance(step, GoTo):
+            return step
+        position, azimuth_deg = self.position_of_unit(step.position, step.azimuth_deg)
+        return step.model_copy(update={"position": position, "azimuth_deg": azimuth_deg})
 
     def bench_at_rest(self) -> BenchEstimate:
         """The bench before a run, for estimates of duration."""
@@ -183,8 +266,7 @@ class Station:
 
     def _table(self) -> TwoAxisTable:
         section = self.file.rate_table
-        mounting = section.mounting
-        C_mount = np.stack([_vector(axis) for axis in (mounting.x, mounting.y, mounting.z)], axis=1)
+        C_mount = mounted(section.mounting)
         inner_axis = _vector(section.inner_axis)
         if section.outer_axis is None:
             return SingleAxisTable.about(inner_axis, C_mount, section.inner_limits_deg)
@@ -195,6 +277,23 @@ class Station:
             outer_limits_deg=section.outer_limits_deg,
             inner_limits_deg=section.inner_limits_deg,
         )
+
+
+def mounted(mounting: Mounting) -> FloatArray:
+    """Attitude ``C_nb``, shape (3, 3), of a unit with this mounting, both angles of the table at zero."""
+    return np.stack([_vector(axis) for axis in (mounting.x, mounting.y, mounting.z)], axis=1)
+
+
+def _of_unit(document: Document, number: str) -> Document:
+    """Station file of a bench with one of its units alone."""
+    data = {key: value for key, value in document.data.items() if key not in ("units", "drop_units")}
+    (entry,) = (entry for entry in document.data["units"] if str(entry["number"]) == number)
+    for section, keys in UNIT_KEYS.items():
+        data[section] = data[section] | {key: entry[key] for key in keys if key in entry}
+    shared = document.data["rate_table"]["mounting"]
+    if data["rate_table"]["mounting"] != shared:
+        data["rate_table"] |= {"reference_mounting": shared}
+    return parse_document(json.dumps(data, indent=1, ensure_ascii=False), document.path)
 
 
 def _vector(direction: Direction) -> FloatArray:

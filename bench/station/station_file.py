@@ -24,6 +24,7 @@ from gyrobench.bench.navigation.error_model import MAX_LATITUDE
 from gyrobench.bench.station.instrument_sections import (
     ChamberSection,
     Identity,
+    Mounting,
     NotNegative,
     Positive,
     RateTableSection,
@@ -170,6 +171,11 @@ class InsUncertainty(StrictModel):
     )
 
 
+_IDENTIFIER_OFFSET = (
+    "added to the CAN identifier of every message of the DBC, so that several units can share one bus"
+)
+
+
 class InsSection(StrictModel):
     """The INS and its CAN bus."""
 
@@ -187,6 +193,7 @@ class InsSection(StrictModel):
         pattern=r"^[^/\\\x00]{1,100}\.[dD][bB][cC]$",
         description="name of a DBC file, NAME.dbc, beside the station file, or of a shipped one",
     )
+    identifier_offset: int = Field(0, description=_IDENTIFIER_OFFSET)
     identity: Identity = ""
     signals: SignalMap = Field(description="signals of the quantities")
     commands: CommandMap = Field(CommandMap(), description="messages of the commands")
@@ -242,6 +249,43 @@ class GuardSection(StrictModel):
     )
 
 
+def _text_of_number(value: Any) -> Any:
+    return str(value) if type(value) is int else value
+
+
+class UnitEntry(StrictModel):
+    """One of several units on the bench, and what differs from the sections that all of them share."""
+
+    number: Annotated[str, BeforeValidator(_text_of_number, json_schema_input_type=str | int)] = Field(
+        pattern="^[A-Za-z0-9][A-Za-z0-9_-]{0,39}$",
+        description="serial number; names its folder `units/NUMBER` in a run folder",
+    )
+    interface: str | None = Field(None, min_length=1, description="as in `ins`")
+    channel: Annotated[str, AfterValidator(without_password)] | None = Field(
+        None, min_length=1, description="as in `ins`"
+    )
+    bitrate: int | None = Field(None, gt=0, description="as in `ins`")
+    options: dict[Annotated[str, AfterValidator(_no_secret)], str | int | float | bool] | None = Field(
+        None, description="as in `ins`"
+    )
+    identifier_offset: int | None = Field(None, description=_IDENTIFIER_OFFSET)
+    identity: Identity | None = Field(None, description="as in `ins`")
+    noise: Noise | None = Field(None, description="as in `ins`")
+    uncertainty: InsUncertainty | None = Field(None, description="as in `ins`")
+    mounting: Mounting | None = Field(None, description="as in `rate_table`")
+    power_event: int | None = Field(None, ge=1, le=8, description="as in `unit`")
+
+
+#: Keys of a unit by the section that they replace keys of.
+UNIT_KEYS = {
+    "ins": (
+        "interface", "channel", "bitrate", "options", "identifier_offset", "identity", "noise", "uncertainty"
+    ),
+    "rate_table": ("mounting",),
+    "unit": ("power_event",),
+}  # fmt: skip
+
+
 class StationFile(StrictModel):
     """A station file."""
 
@@ -268,6 +312,14 @@ class StationFile(StrictModel):
     chamber: ChamberSection = Field(description="the thermal chamber")
     ins: InsSection = Field(description="the INS and its CAN bus")
     unit: UnitSection = Field(description="the unit under test")
+    units: Annotated[list[UnitEntry], Field(max_length=16)] = Field(
+        [], description="several units that are measured at once; without it there is one"
+    )
+    drop_units: bool = Field(
+        True,
+        description="whether a unit that fails, one of several, is left out of the rest of the run; else the "
+        "run holds for all",
+    )
     safe_state: SafeState = Field(description="state of the bench at any end of a run")
     block_approval: Literal["ask", "auto"] = Field(
         "ask",
@@ -324,19 +376,48 @@ class StationFile(StrictModel):
 
     @model_validator(mode="after")
     def _fast_only_where_emulated(self) -> Self:
-        addresses = (self.rate_table.port, self.chamber.port, self.ins.channel)
-        host = str(self.ins.options.get("host", ""))
-        why_not = why_not_fast(addresses, self.ins.interface, host) if self.speed != 1.0 else ""
+        addresses = [self.rate_table.port, self.chamber.port, self.ins.channel]
+        why_not = ""
+        for unit in self.units or [UnitEntry(number="1")]:
+            options = self.ins.options if unit.options is None else unit.options
+            here = [*addresses, unit.channel or self.ins.channel]
+            why_not = why_not or why_not_fast(
+                here, unit.interface or self.ins.interface, str(options.get("host", ""))
+            )
+        why_not = why_not if self.speed != 1.0 else ""
         if self.speed != 1.0 and self.clock == "virtual":
             why_not = "clock: virtual is as fast as possible; use clock: wall"
         if why_not:
             raise ValueError(f"speed: {self.speed:g} is for an emulated bench on this computer; {why_not}")
         return self
 
+    @model_validator(mode="after")
+    def _distinct_units(self) -> Self:
+        numbers = [unit.number for unit in self.units]
+        if len(set(numbers)) < len(numbers):
+            raise ValueError(f"units: two have the same number; found {', '.join(numbers)}")
+        places: dict[str, str] = {}
+        for unit in self.units:
+            offset = self.ins.identifier_offset if unit.identifier_offset is None else unit.identifier_offset
+            options = self.ins.options if unit.options is None else unit.options
+            place = (
+                f"{unit.interface or self.ins.interface} {unit.channel or self.ins.channel}, "
+                f"identifier_offset {offset}"
+            )
+            if (other := places.setdefault(f"{place} {options}", unit.number)) != unit.number:
+                raise ValueError(
+                    f"units: {other} and {unit.number} are at the same place of one bus ({place}); give each "
+                    "its channel, or its identifier_offset"
+                )
+            if unit.power_event is not None and self.unit.power != "chamber_event":
+                raise ValueError(f"units: power_event is not possible with unit.power: {self.unit.power}")
+        return self
+
     def is_emulated(self) -> bool:
         """Whether every instrument is emulated inside this process."""
         ports = (self.rate_table.port, self.chamber.port)
-        return self.ins.interface == "emulator" and all(port.startswith("emulator://") for port in ports)
+        interfaces = {unit.interface or self.ins.interface for unit in self.units} or {self.ins.interface}
+        return interfaces == {"emulator"} and all(port.startswith("emulator://") for port in ports)
 
 
 def load_station_file(path: Path) -> tuple[Document, StationFile]:

@@ -18,6 +18,7 @@ import tempfile
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import NoReturn
@@ -25,7 +26,7 @@ from typing import NoReturn
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document
-from gyrobench.drivers.emulators.bench import EmulatedBench, compile_world
+from gyrobench.drivers.emulators.bench import EmulatedBench, channel_name, compile_world
 from gyrobench.drivers.emulators.can_adapters import BUS_NAME, CanAdapter, SlcanAdapter, SocketcandDaemon
 from gyrobench.drivers.emulators.dialect import Connection, SerialInstrument
 from gyrobench.drivers.served_ports import Port, PseudoTerminal, TcpClient, TcpListener, TcpPort
@@ -38,10 +39,10 @@ _MAX_BACKLOG = 65536
 
 
 class Server:
-    """The three instruments of an emulated bench at ports.
+    """The instruments of an emulated bench at ports: table, chamber and the INS of each unit.
 
-    ``make_port`` makes a port from the name of its instrument. With ``socketcand`` the INS uses that instead
-    of slcan, on ``daemon_port``, for any number of clients.
+    ``make_port`` makes a port from the name of its instrument. With ``socketcand`` each INS uses that instead
+    of slcan, for any number of clients; the first one on ``daemon_port``.
     """
 
     def __init__(
@@ -53,18 +54,21 @@ class Server:
     ) -> None:
         self._bench = bench
         self._lines: list[_Line | _Daemon] = []
-        self.urls: dict[str, str] = {}  #: Addresses of ``table``, ``chamber`` and ``ins``.
+        self.urls: dict[
+            str, str
+        ] = {}  #: Addresses of ``table``, ``chamber``, ``ins``, and ``ins-2`` and so on of further units.
         for name, instrument in bench.serial.items():
             self._add(name, make_port(name), instrument, bench.connections[name])
-        # Faults of the bus act on the adapter's channel; the adapter itself stays plugged in.
-        if socketcand:
-            daemon = _Daemon(daemon_port, lambda: SocketcandDaemon(bench.bus, bench.connections["ins"]))
-            self._lines.append(daemon)
-            self.urls["ins"] = daemon.url
-        else:
-            self._add(
-                "ins", make_port("ins"), SlcanAdapter(bench.bus, bench.connections["ins"]), Connection()
-            )
+        for number, unit in enumerate(bench.units, 1):
+            name = channel_name(number)
+            # Faults of the bus act on the adapter's channel; the adapter itself stays plugged in.
+            if socketcand:
+                make_adapter = partial(SocketcandDaemon, unit.bus, unit.connection)
+                daemon = _Daemon(daemon_port if number == 1 else 0, make_adapter)
+                self._lines.append(daemon)
+                self.urls[name] = daemon.url
+            else:
+                self._add(name, make_port(name), SlcanAdapter(unit.bus, unit.connection), Connection())
 
     def _add(self, name: str, port: Port, instrument: SerialInstrument, connection: Connection) -> None:
         self._lines.append(_Line(port, instrument, connection))
@@ -207,8 +211,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 table=options.table_dialect,
                 chamber=options.chamber_dialect,
                 chamber_options=dict(each.split("=", 1) for each in options.chamber_option),
+                units=options.units,
             )
-            bench.ins.use_format(options.frames)
+            for unit in bench.units:
+                unit.ins.use_format(options.frames)
+            for unit, event in zip(bench.units, options.power_event, strict=False):
+                unit.power_event = event
         except DocumentError as error:
             parser.exit(2, f"gyrobench emulate: {error}\n")
         signal.signal(signal.SIGTERM, _end)
@@ -226,6 +234,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m gyrobench.drivers.emulators.serve", description=__doc__)
     parser.add_argument("--world", default="gyro_a", help="world file, or the name of a shipped one")
+    parser.add_argument("--units", type=int, default=1, help="minimum number of units on the table")
+    parser.add_argument(
+        "--power-event", type=int, action="append", default=[],
+        help="event output of the chamber that powers a unit; repeat it for each, in order",
+    )  # fmt: skip
     parser.add_argument("--seed", type=int, default=0, help="seed of everything random")
     parser.add_argument("--faults", default="", help="list of faults, or the name of a shipped one")
     parser.add_argument(
@@ -290,7 +303,7 @@ def _port_maker(opened: contextlib.ExitStack, options: argparse.Namespace) -> Ca
         folder = Path(name)
 
     def make_port(name: str) -> Port:
-        requested: str = getattr(options, f"{name}_port")
+        requested: str = getattr(options, f"{name}_port", "")  # further units have none
         if requested.isdecimal():
             return TcpPort(int(requested))
         if options.tcp and not requested:

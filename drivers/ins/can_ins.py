@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import can
+import numpy as np
 from cantools.database import Database
+from numpy.typing import NDArray
 
 from gyrobench.bench.foundations.clock import Clock, Deadline
 from gyrobench.bench.foundations.errors import (
@@ -29,7 +31,8 @@ from gyrobench.drivers.ins.signal_map import SignalMap, bind_signals
 #: The status is sent about once a second, and the INS needs time for a command.
 REPLY_TIMEOUT_S = 5.0
 _SEND_TIMEOUT_S = 1.0
-_POLL_PERIOD_S = 0.05
+#: Period at which a confirmation is looked for.
+POLL_PERIOD_S = 0.05
 
 
 @dataclass(frozen=True)
@@ -46,7 +49,9 @@ class CanIns:
     """An INS that a DBC file, a signal map and a command map describe.
 
     ``bus`` is from :func:`~gyrobench.drivers.ins.can_bus.open_bus`. ``on_frames`` receives every block of
-    frames that is polled, also while a command waits. Raises DocumentError if a map does not fit the DBC.
+    frames that is polled, also while a command waits. ``name`` is the instrument in errors. ``is_shared``:
+    whether other units send on the bus too; their frames are left out. Raises DocumentError if a map does not
+    fit the DBC.
     """
 
     def __init__(
@@ -57,8 +62,12 @@ class CanIns:
         clock: Clock,
         commands: CommandMap | None = None,
         on_frames: Callable[[FrameBlock], None] | None = None,
+        name: str = INSTRUMENT,
+        is_shared: bool = False,
     ) -> None:
+        self.name = name
         self.codec = DbcCodec(database)
+        self._own: NDArray[np.uint32] | None = self.codec.arbitration_ids() if is_shared else None
         self.signal_map = signal_map
         self._signals = bind_signals(signal_map, self.codec)
         self._commands = commands or CommandMap()
@@ -92,9 +101,11 @@ class CanIns:
         try:
             block = self._receive()
         except (ValueError, LookupError) as error:
-            raise ReplyError(INSTRUMENT, f"{self._bus}: received bytes are no CAN frame: {error}") from error
+            raise ReplyError(self.name, f"{self._bus}: received bytes are no CAN frame: {error}") from error
         except (can.CanError, OSError) as error:
             raise self._gone(error) from error
+        if self._own is not None:
+            block = block.take(np.isin(block.arbitration_id, self._own))
         if len(block):
             self._take(block)
         return block
@@ -149,11 +160,22 @@ class CanIns:
         RefusedError if the INS has no such command. Raises NoReplyError if the INS did not confirm in time.
         Raises FaultError if the INS reports a fault. Raises ConnectionFailedError if the bus is gone.
         """
-        self._command("align", "mode", lambda status: status.mode is InsMode.ALIGN, timeout_s)
+        self._complete(self.aligning(timeout_s))
+
+    def aligning(self, timeout_s: float = REPLY_TIMEOUT_S) -> Iterator[None]:
+        """:meth:`align` in steps: yields until the INS confirms it, for several INS at once.
+
+        :data:`POLL_PERIOD_S` is to be waited at each yield.
+        """
+        return self._commanding("align", "mode", lambda status: status.mode is InsMode.ALIGN, timeout_s)
 
     def navigate(self, timeout_s: float = REPLY_TIMEOUT_S) -> None:
         """Begin to navigate; waits and raises as :meth:`align`."""
-        self._command("navigate", "mode", lambda status: status.mode is InsMode.NAVIGATE, timeout_s)
+        self._complete(self.navigating(timeout_s))
+
+    def navigating(self, timeout_s: float = REPLY_TIMEOUT_S) -> Iterator[None]:
+        """:meth:`navigate` in steps, as :meth:`aligning`."""
+        return self._commanding("navigate", "mode", lambda status: status.mode is InsMode.NAVIGATE, timeout_s)
 
     def standby(self, timeout_s: float = REPLY_TIMEOUT_S) -> None:
         """Stop aligning or navigating; waits and raises as :meth:`align`."""
@@ -161,10 +183,16 @@ class CanIns:
 
     def set_euler_sequence(self, sequence: EulerSequence, timeout_s: float = REPLY_TIMEOUT_S) -> None:
         """Choose the sequence of the Euler angles; waits and raises as :meth:`align`."""
+        self._complete(self.setting_euler_sequence(sequence, timeout_s))
+
+    def setting_euler_sequence(
+        self, sequence: EulerSequence, timeout_s: float = REPLY_TIMEOUT_S
+    ) -> Iterator[None]:
+        """:meth:`set_euler_sequence` in steps, as :meth:`aligning`."""
         command = self._commands.set_euler_sequence
         given = {"$sequence": float(command.number(sequence))} if command is not None else {}
         path = "attitude.euler.sequence"
-        self._command(
+        return self._commanding(
             "set_euler_sequence", path, lambda status: status.euler_sequence is sequence, timeout_s, given
         )
 
@@ -192,7 +220,7 @@ class CanIns:
         unsupported = command.unsupported(compensation)
         if unsupported:
             raise RefusedError(
-                INSTRUMENT,
+                self.name,
                 f"can't compensate {', '.join(unsupported)}. It supports a polynomial of degree "
                 f"{command.coefficients - 1}{''.join(f', {term}' for term in command.supported_terms())}, by "
                 "the station file's ins.commands.load_compensation",
@@ -230,6 +258,20 @@ class CanIns:
         timeout_s: float,
         given: dict[str, float] | None = None,
     ) -> None:
+        self._complete(self._commanding(name, path, confirms, timeout_s, given))
+
+    def _complete(self, steps: Iterator[None]) -> None:
+        for _ in steps:
+            self._clock.sleep(POLL_PERIOD_S)
+
+    def _commanding(
+        self,
+        name: str,
+        path: str,
+        confirms: Callable[[InsStatus], bool],
+        timeout_s: float,
+        given: dict[str, float] | None = None,
+    ) -> Iterator[None]:
         """Send a command and wait for a later frame with the quantity ``path`` that confirms it."""
         command: Command | None = getattr(self._commands, name)
         if command is None:
@@ -240,15 +282,18 @@ class CanIns:
         def is_confirmed(status: InsStatus) -> bool:
             if status.mode is InsMode.FAULT:
                 raise FaultError(
-                    INSTRUMENT, f"reports a fault after '{name}'. Read its fault code; switch it off and on."
+                    self.name, f"reports a fault after '{name}'. Read its fault code; switch it off and on."
                 )
             return confirms(status)
 
         if path in self._signals:
             self._newest.forget(self._signals[path].message)
-            self._wait(is_confirmed, f"confirmation of '{name}'", timeout_s)
+            yield from self._waiting(is_confirmed, f"confirmation of '{name}'", timeout_s)
 
     def _wait(self, condition: Callable[[InsStatus], bool], what: str, timeout_s: float) -> None:
+        self._complete(self._waiting(condition, what, timeout_s))
+
+    def _waiting(self, condition: Callable[[InsStatus], bool], what: str, timeout_s: float) -> Iterator[None]:
         deadline = Deadline(self._clock, timeout_s)
         while True:
             self.poll()
@@ -257,11 +302,11 @@ class CanIns:
                 return
             if deadline.expired():
                 raise NoReplyError(
-                    INSTRUMENT,
+                    self.name,
                     f"no {what} within {timeout_s:g} s on {self._bus}; last frame {status.age_s:.1f} s ago, "
                     f"mode {status.mode.name}. Check its power, the bus and the DBC.",
                 )
-            self._clock.sleep(_POLL_PERIOD_S)
+            yield
 
     def _send(self, command: Command, given: dict[str, float]) -> None:
         try:
@@ -271,10 +316,10 @@ class CanIns:
         self._sent += 1
 
     def _gone(self, error: Exception) -> ConnectionFailedError:
-        return ConnectionFailedError(INSTRUMENT, f"{self._bus} went away: {error}. Check adapter and cable.")
+        return ConnectionFailedError(self.name, f"{self._bus} went away: {error}. Check adapter and cable.")
 
     def _no_command(self, name: str) -> RefusedError:
-        return RefusedError(INSTRUMENT, f"has no command '{name}'; add it to the station file's ins.commands")
+        return RefusedError(self.name, f"has no command '{name}'; add it to the station file's ins.commands")
 
 
 def _lost(bus: can.BusABC) -> int:

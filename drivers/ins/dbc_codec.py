@@ -50,10 +50,11 @@ _DBC_ERRORS = (
 )
 
 
-def load_dbc(path: Path) -> Database:
-    """Read a DBC file in UTF-8 or Windows-1252.
+def load_dbc(path: Path, identifier_offset: int = 0) -> Database:
+    """Read a DBC file in UTF-8 or Windows-1252, with an offset added to the identifier of each message.
 
-    Raises DocumentError if the file can't be read, is too large, or is not a valid DBC.
+    Raises DocumentError if the file can't be read, is too large, or is not a valid DBC, or if an identifier
+    with its offset is none.
     """
     content = read_limited(path, MAX_DBC_BYTES, DocumentError)
     database = Database()
@@ -67,7 +68,21 @@ def load_dbc(path: Path) -> Database:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise DocumentError(f"{path}: not a valid DBC file: {reason}") from error
     _refuse(path, undecodable(database))
+    if identifier_offset:
+        _add_offset(path, database, identifier_offset)
     return database
+
+
+def _add_offset(path: Path, database: Database, offset: int) -> None:
+    for message in database.messages:
+        identifier, highest = message.frame_id + offset, 0x1FFFFFFF if message.is_extended_frame else 0x7FF
+        if not 0 <= identifier <= highest:
+            raise DocumentError(
+                f"{path}: message {message.name} would have the identifier {identifier} with the offset "
+                f"{offset}; allowed: 0 to {highest}. Choose another identifier_offset"
+            )
+        message.frame_id = identifier
+    database.refresh()
 
 
 def _text(content: bytes) -> str:
@@ -99,6 +114,10 @@ class DbcCodec:
     def message_names(self) -> list[str]:
         """Names of the messages that can be decoded."""
         return list(self._layouts)
+
+    def arbitration_ids(self) -> NDArray[np.uint32]:
+        """Identifiers of all messages; see :meth:`arbitration_id`."""
+        return np.array([layout.arbitration_id for layout in self._layouts.values()], np.uint32)
 
     def arbitration_id(self, message_name: str) -> int:
         """Find the identifier of a message, with :data:`EXTENDED_ID` for one of 29 bits."""

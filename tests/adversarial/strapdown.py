@@ -11,10 +11,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+
+from gyrobench.bench.foundations.kernels import compiled
 
 Floats = NDArray[np.float64]
 Triple = tuple[float, float, float]
@@ -150,7 +151,7 @@ def _earth(latitude: float) -> Floats:
     return _SPIN * np.array([0.0, math.cos(latitude), math.sin(latitude)])
 
 
-@numba.njit(cache=True)
+@compiled
 def _gravity(latitude: float, height: float) -> float:
     s2 = math.sin(latitude) ** 2
     return 9.7803253359 * (1.0 + 0.00193185265241 * s2) / math.sqrt(1.0 - _E2 * s2) - 3.0877e-6 * height
@@ -282,7 +283,7 @@ def _enu_axes(latitude: Floats, longitude: Floats) -> Floats:
     )
 
 
-@numba.njit(cache=True)
+@compiled
 def _turned(matrix: Floats, rx: float, ry: float, rz: float, out: Floats) -> None:
     """``out = matrix @ exp([r x])``."""
     angle2 = rx * rx + ry * ry + rz * rz
@@ -299,7 +300,7 @@ def _turned(matrix: Floats, rx: float, ry: float, rz: float, out: Floats) -> Non
         out[i, 0], out[i, 1], out[i, 2] = x + s * ax + c * bx, y + s * ay + c * by, z + s * az + c * bz
 
 
-@numba.njit(cache=True)
+@compiled
 def _navigate(
     state: Floats,
     rotation: Floats,

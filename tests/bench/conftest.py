@@ -15,6 +15,7 @@ from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.monitor.terminal_view import LinesView
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
+from tests.bench.runs.index.sample_runs import emulated_run
 
 
 class Watcher(LinesView):
@@ -119,3 +120,9 @@ def shift_runs(watched_shift_runs):
 def short_run(tmp_path_factory):
     """The shipped ten-minute check in the world gyro_a."""
     return run("ten_minute_check", tmp_path_factory.mktemp("short"), "gyro_a")
+
+
+@pytest.fixture(scope="session")
+def sample(tmp_path_factory):
+    """Path of a small run for index and fleet, whose tests copy it."""
+    return emulated_run(tmp_path_factory.mktemp("sample"))

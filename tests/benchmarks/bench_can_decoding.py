@@ -8,7 +8,7 @@ import can
 import numpy as np
 
 import gyrobench.drivers.ins
-from gyrobench.bench.engine.live_bench import Capture
+from gyrobench.bench.engine.live_unit import Capture
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.documents import parse_document, validate
 from gyrobench.bench.runs.can_log import CanLog, read_can_log

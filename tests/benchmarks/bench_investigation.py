@@ -20,15 +20,24 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.investigation.doubt import (
+    SLOW,
+    confirming_rivals,
+    is_settled,
+    only_unconfirmed,
+    rivals_of,
+    searched,
+)
 from gyrobench.bench.investigation.forecast import Forecast
-from gyrobench.bench.investigation.investigation import MIN_GAIN, is_settled, rivals_of, searched
-from gyrobench.bench.investigation.proposal import hours_left, propose
+from gyrobench.bench.investigation.investigation import MIN_GAIN
+from gyrobench.bench.investigation.proposal import hours_left, outcome_of, propose
 from tests.benchmarks.closure_laws import ON_THE_LIST
 from tests.benchmarks.investigation_units import SimulatedUnit
 
 #: The units of 56 examined (0 to 7, 17 to 39, 45, 57 to 78, 80, 82) whose first campaign ends tied.
 SEEDS = (0, 3, 4, 5, 6, 18, 24, 32, 35, 36, 39, 45, 57, 61, 62, 67, 68, 70, 75, 76, 77, 80, 82)
 _MAX_BLOCKS = 8
+TO_CONFIRM = "to confirm: "
 
 
 @dataclass(frozen=True)
@@ -83,44 +92,76 @@ class Tie:
         blocks, hours, choice_s = (), 0.0, 0.0
         while True:
             state = self._known[blocks]
-            if is_settled(state.closure):
-                is_right = {each.effect.name for each in state.closure.effects} == self.truth
-                return Settled(hours, True, is_right, blocks, choice_s)
-            left_h = self.campaign_h - hours
-            useful = [
-                each
-                for each in state.proposals
-                if each.fall > MIN_GAIN and each.block.plan.duration_h <= left_h
-            ]
+            names = frozenset(each.effect.name for each in state.closure.effects)
+            is_stated = is_settled(state.closure) or (
+                names in state.confirmed and only_unconfirmed(state.closure, with_single_dwells=False)
+            )
+            if is_stated and not names >= SLOW:
+                return Settled(hours, True, names == self.truth, blocks, choice_s)
+            chosen, is_test = self._next(state, value, self.campaign_h - hours)
             choice_s = max(choice_s, state.choice_s)
-            if not useful or len(blocks) == _MAX_BLOCKS:
+            if chosen is None or len(blocks) == _MAX_BLOCKS:
                 return Settled(self.campaign_h, False, False, blocks, choice_s)
-            chosen = max(useful, key=lambda each: value(each, state))
             hours += chosen.block.plan.duration_h
-            blocks = (*blocks, chosen.block.name)
+            blocks = (*blocks, f"{TO_CONFIRM}{chosen.block.name}" if is_test else chosen.block.name)
             if blocks not in self._known:
                 unit = copy.deepcopy(state.unit)
                 new = unit.measure(chosen.block.plan)
-                self._known[blocks] = State(unit, [*state.rows, *new], self._held_out, blocks)
+                tested = set(state.tested)
+                confirmed = set(state.confirmed)
+                if is_test:
+                    tested.add(names)
+                    rivals = confirming_rivals(state.closure)
+                    outcome = outcome_of(state.forecast, chosen, new, rivals, state.closure.noise_scale)
+                    confirmed |= {names} if outcome and outcome.agrees else set()
+                rows = [*state.rows, *new]
+                self._known[blocks] = State(unit, rows, self._held_out, blocks, tested, confirmed)
+
+    def _next(self, state, value, left_h):
+        """The next block, and whether it confirms a cause, as `gyrobench investigate` chooses its purpose."""
+
+        def short(found):
+            return [each for each in found if each.block.plan.duration_h <= left_h]
+
+        names = frozenset(each.effect.name for each in state.closure.effects)
+        for with_single_dwells in (True, False):
+            is_open = only_unconfirmed(state.closure, with_single_dwells=with_single_dwells)
+            if is_open and names not in state.tested and (usable := short(state.confirming)):
+                return max(usable, key=lambda each: each.tested_per_h), True
+            useful = [each for each in short(state.proposals) if each.fall > MIN_GAIN]
+            if useful:
+                return max(useful, key=lambda each: value(each, state)), False
+        return None, False
 
 
 class State:
     """A unit and its dwells after some blocks, with their search."""
 
-    def __init__(self, unit, rows, held_out, blocks):
+    def __init__(self, unit, rows, held_out, blocks, tested=(), confirmed=()):
         self.unit, self.rows = unit, rows
-        self._measured = [each.split(", then ") for each in blocks]
+        #: Causes that a block tested, and those that it confirmed.
+        self.tested, self.confirmed = tested, confirmed
+        self._measured = [each.removeprefix(TO_CONFIRM).split(", then ") for each in blocks]
         self.closure = searched(campaign_of(rows), held_out)
         self.choice_s = 0.0
 
     @functools.cached_property
     def proposals(self):
         """All blocks with what the causes predict."""
+        return self._proposed(rivals_of(self.closure))
+
+    @functools.cached_property
+    def confirming(self):
+        """All blocks with what the cause found predicts, and what is predicted without it."""
+        return self._proposed(confirming_rivals(self.closure))
+
+    @functools.cached_property
+    def forecast(self):
+        return Forecast(self.closure.noise.weighted(self.rows))
+
+    def _proposed(self, rivals):
         begin_s = time.process_time()
-        rivals, scale = rivals_of(self.closure), self.closure.noise_scale
-        found = propose(
-            Forecast(self.closure.noise.weighted(self.rows)), rivals, scale, measured=self._measured
-        )
+        found = propose(self.forecast, rivals, self.closure.noise_scale, measured=self._measured)
         self.choice_s = time.process_time() - begin_s
         return found
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import gyrobench.drivers.ins
-from gyrobench.bench.engine.live_bench import Capture
+from gyrobench.bench.engine.live_unit import Capture
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.documents import parse_document, validate
 from gyrobench.bench.runs.can_log import CanLog, read_can_log

@@ -25,6 +25,7 @@ from gyrobench.bench.foundations.errors import (
 from gyrobench.bench.procedure.steps import PowerOn, Step
 from gyrobench.bench.station.interlocks import InterlockRule
 from gyrobench.bench.station.station import Station
+from gyrobench.drivers.ins.can_bus import INSTRUMENT
 
 _SILENCE = {"rate table": "table_silence", "chamber": "chamber_silence", "INS": "ins_silence"}
 _FAULT = {"rate table": "table_fault", "chamber": "chamber_alarm", "INS": "ins_fault"}
@@ -37,6 +38,7 @@ class Trip:
     name: str  #: key in the station file's ``interlocks``
     findings: tuple[Finding, ...]
     rule: InterlockRule  #: when the run may continue
+    unit: str = ""  #: serial number of the unit that alone is concerned, of several
 
     @property
     def text(self) -> str:
@@ -65,7 +67,8 @@ def trip_of_error(error: GyrobenchError, station: Station, step: Step | None = N
     name = "step"
     if isinstance(error, InstrumentError):
         has_fault = isinstance(error, FaultError | RefusedError)
-        name = (_FAULT if has_fault else _SILENCE)[error.instrument]
+        kind = INSTRUMENT if error.instrument.startswith(INSTRUMENT) else error.instrument
+        name = (_FAULT if has_fault else _SILENCE)[kind]
     elif isinstance(step, PowerOn):
         name = "ins_silence"
     rule = InterlockRule() if name == "step" else getattr(station.file.interlocks, name)
@@ -118,7 +121,10 @@ class InterlockWatch:
                 self._good_since_s.setdefault(name, now_s)
         trips = [Trip(name, tuple(each), self._rules[name]) for name, each in found.items() if each]
         if self._readings is not None and not trips:
-            self._good = expected, min(each.good_until_s(self._readings) for each in self._checks)
+            self._good = (
+                expected,
+                min((each.good_until_s(self._readings) for each in self._checks), default=math.inf),
+            )
         return trips
 
     def good_since_s(self, name: str) -> float | None:

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from gyrobench.bench.characteristics.results import Curve, TestName
 from gyrobench.bench.navigation.positions import gyro_label
-from gyrobench.bench.report.figures.style import GYRO_STYLES, house_style, new_figure
+from gyrobench.bench.report.figures.style import BARS_SHORT, GYRO_STYLES, house_style, new_figure
 
 
 class _Axes(NamedTuple):
@@ -63,6 +63,6 @@ def characteristics_figure(test: TestName, curves: Sequence[Curve]) -> Figure:
         if names.is_log:
             axes.set(xscale="log", yscale="log")
     panels[0].set_ylabel(names.y)
-    panels[0].legend(loc="best")
+    panels[0].legend(loc="best", title=BARS_SHORT, title_fontsize=7)
     panels[len(panels) // 2].set_xlabel(names.x)
     return figure

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from gyrobench.bench.foundations.text import plain_name, probability_number
 from gyrobench.bench.investigation.investigation import CALIBRATE, CONFIRM, TEST_LAW, Investigation
 from gyrobench.bench.report.closure.closure_page import closure_sections
 from gyrobench.bench.report.closure.closure_text import verdict_sentence
+from gyrobench.bench.report.content import approvals_in
 from gyrobench.bench.report.figures.style import fitted_figure, house_style
 from gyrobench.bench.report.investigation import investigation_text as text
 from gyrobench.bench.report.page import Findings, Section, SectionFigure, SectionTable, write_findings
@@ -47,12 +49,17 @@ def write_investigation_page(
             "verdict": f"{found.closure.verdict}: {verdict_sentence(found.closure)}",
         },
         watermark=watermark_of(folder, *(Path(each.name) for each in found.closure.campaign.tables)),
-        sections=[_story(found), *_blocks(found), *_proof(proof), *closure_sections(found.closure)],
+        sections=[
+            _story(found, approvals_in(folder)),
+            *_blocks(found),
+            *_proof(proof),
+            *closure_sections(found.closure),
+        ],
     )
     return write_findings(folder / "investigation.html", findings)
 
 
-def _story(found: Investigation) -> Section:
+def _story(found: Investigation, approvals: Sequence[str]) -> Section:
     tables = [
         SectionTable("Blocks in the order of time", text.BLOCK_COLUMNS, text.block_rows(found), words=2)
     ]
@@ -69,6 +76,7 @@ def _story(found: Investigation) -> Section:
             )
         ],
         tables if found.stages[1:] else [],
+        items=approvals,
     )
 
 

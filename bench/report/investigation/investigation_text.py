@@ -7,7 +7,8 @@ from collections.abc import Iterator, Sequence
 from gyrobench.bench.closure.loop import Closure
 from gyrobench.bench.foundations.text import counted, listed, plain_name, probability_number
 from gyrobench.bench.investigation.choice import Rival
-from gyrobench.bench.investigation.investigation import CONFIRM, Investigation, Stage, rivals_of
+from gyrobench.bench.investigation.doubt import rivals_of
+from gyrobench.bench.investigation.investigation import CONFIRM, Investigation, Stage
 from gyrobench.bench.investigation.proposal import Proposal
 from gyrobench.bench.navigation.positions import AXES
 
@@ -24,8 +25,6 @@ GISTS = {
 }
 #: Hypotheses below this probability are ruled out.
 _RULED_OUT = 0.01
-#: Dwells with a lower p-value do not fit a prediction.
-_MIN_P_VALUE = 1e-4
 
 
 def title_of(rival: Rival) -> str:
@@ -41,13 +40,13 @@ def proposal_sentences(proposal: Proposal, rivals: Sequence[Rival], limit: int =
     biases = f" For the biases it replaces {proposal.replaced_h:.1f} h of the procedure."
     yield (
         f"{what[:1].upper()}{what[1:]}: {counted(len(plan.dwells), 'dwell')} in {plan.duration_h:.1f} h. The "
-        f"entropy of the probabilities is expected to fall from {proposal.entropy:.2f} to "
-        f"{proposal.expected.entropy:.2f} nats.{biases if proposal.replaced_h else ''}"
+        f"entropy of the probabilities is expected to fall from {proposal.entropy:z.2f} to "
+        f"{proposal.expected.entropy:z.2f} nats.{biases if proposal.replaced_h else ''}"
     )
     for rival, prediction in list(zip(rivals, proposal.predictions, strict=True))[:limit]:
         mean_dph = prediction.mean_dph.reshape(3, -1)
         gyros = ", ".join(
-            f"{axis} {1e3 * each.mean():+.1f}" for axis, each in zip(AXES, mean_dph, strict=True)
+            f"{axis} {1e3 * each.mean():+z.1f}" for axis, each in zip(AXES, mean_dph, strict=True)
         )
         yield (
             f"If it is {title_of(rival)} (probability {probability_number(rival.probability)}), the mean "
@@ -103,7 +102,7 @@ def test_sentence(found: Investigation) -> str:
             ("confirms", "refutes"),
         )
     held = "leaves open"
-    if max(stage.outcome.p_value) < _MIN_P_VALUE:
+    if not stage.outcome.fits:
         held = "fits neither the declared model nor"
     elif probability >= 1.0 - _RULED_OUT or probability <= _RULED_OUT:
         held = words[0] if probability > 0.5 else words[1]

@@ -13,7 +13,7 @@ likelihood Harville, JASA 72 (1977).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from itertools import product
 
@@ -22,7 +22,9 @@ from scipy.stats import norm
 
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
-from gyrobench.bench.runs.index.run_biases import MONTH_DAYS, RunBias
+from gyrobench.bench.runs.index.run_biases import MONTH_DAYS, RunBias, Trend, read_run_biases
+from gyrobench.bench.runs.index.run_index import RunIndex, find_runs
+from gyrobench.bench.runs.index.selection import Selection
 
 #: Dates are given up to this far after the last run.
 MAX_MONTHS = 120.0
@@ -135,6 +137,28 @@ def recalibration(
         drift_sigma,
         sum(len(each.months) > 1 for name, each in units.items() if name != unit),
     )
+
+
+def recalibrations(
+    index: RunIndex, selection: Selection, trends: Sequence[Trend], limit_dph: float
+) -> list[Recalibration | None]:
+    """Until when the bias of each trend stays within a limit, with the drift of the unit's siblings.
+
+    ``selection`` is that of the unit's runs. None for a trend of too few runs.
+    """
+    of_all = find_runs(index, replace(selection, unit=None))
+    biases = read_run_biases(index, [run["path"] for run in of_all])
+    due: list[Recalibration | None] = []
+    for trend in trends:
+        by_unit: dict[str, list[RunBias]] = {trend.runs[0].unit: list(trend.runs)}
+        same = [runs for quantity, runs in biases.items() if quantity.is_same_as(trend.quantity)]
+        for run in (run for runs in same for run in runs if run.unit != trend.runs[0].unit):
+            by_unit.setdefault(run.unit, []).append(run)
+        try:
+            due.append(recalibration(by_unit, trend.runs[0].unit, limit_dph))
+        except MeasurementError:  # too few runs
+            due.append(None)
+    return due
 
 
 def _grid(units: Sequence[_Unit]) -> tuple[FloatArray, FloatArray]:

@@ -142,6 +142,23 @@ def read_budget(path: Path) -> list[BudgetRow]:
     return read_rows(path, BudgetRow, {"dof": _dof})
 
 
+#: Coverage factor and expanded uncertainty by quantity, axis, and position and lower end of the bin in degC,
+#: or number of the plateau.
+Coverage = Mapping[tuple[str, str, str | int | None, float], tuple[float, float]]
+
+
+def coverage(rows: Iterable[BudgetRow]) -> Coverage:
+    """Coverage of the results of bins and plateaus, in their units."""
+    return {
+        (row.quantity, row.axis, row.position or row.plateau, row.bin_low_c if row.position else 0.0): (
+            row.k,
+            row.expanded,
+        )
+        for row in rows
+        if row.contribution == COMBINED and row.result != "dwell"
+    }
+
+
 def _dof(table: CsvTable, index: int, name: str) -> float:
     is_infinite = table.text(index, name) == "inf"
     return math.inf if is_infinite else table.number(index, name, may_be_empty=True)

@@ -1,21 +1,33 @@
 """Certificates of runs: what they state, as PDF and DCC, marked where emulated, signed and verified."""
 
+import json
+import math
 import os
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from gyrobench.bench.bias.budget import NORMAL_K
+from gyrobench.bench.bias.budget import NORMAL_K, Budget, Contribution, coverage_factor
+from gyrobench.bench.bias.dwell_table import read_dwells, write_dwells
+from gyrobench.bench.calibration.coefficients import COEFFICIENTS
 from gyrobench.bench.certificate.content import Order, certificate_of
 from gyrobench.bench.certificate.dcc import certificate_dcc, validate_dcc
 from gyrobench.bench.certificate.pdf import certificate_pdf, file_names
 from gyrobench.bench.certificate.signatures import load_signing_key, sign_dcc, sign_pdf, verify_file
+from gyrobench.bench.cli.output import EXIT_WRONG_INPUT
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
 from gyrobench.bench.foundations.operator_name import OPERATOR_VARIABLE
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.seal import seal_run, verify_seals
-from gyrobench.bench.runs.tables.budget_table import COMBINED, read_budget
+from gyrobench.bench.runs.tables.budget_table import (
+    COMBINED,
+    coefficient_budget_rows,
+    read_budget,
+    write_budget,
+)
+from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, write_coefficients
 from tests.bench.command_line import gyrobench
 
 etree = pytest.importorskip("lxml.etree")
@@ -77,6 +89,37 @@ def test_without_a_budget_u_is_the_normal_one(measured_run):
     assert [each.expanded_dph for each in made.results] == pytest.approx([NORMAL_K * each for each in sigmas])
 
 
+def test_a_coefficient_has_k_and_u_of_its_budget(measured_run):
+    row = PlateauCoefficientRow(
+        1, 1, 50.0, 62.0, "gyro_misalignment", "xy", 6.4, 0.18, "arcsec", "", math.nan, math.nan
+    )
+    budget = Budget((Contribution("misfit", math.nan, row.sigma, 5.0),))
+    [coefficient] = [each for each in COEFFICIENTS if (each.name, each.axis) == (row.coefficient, row.axis)]
+    shutil.rmtree(measured_run.path / "seals")
+    write_coefficients(measured_run.coefficients, [row, replace(row, plateau=2)])
+    rows = [*read_budget(measured_run.budget), *coefficient_budget_rows(1, [(coefficient, budget)])]
+    write_budget(measured_run.budget, rows)
+    seal_run(measured_run)
+    made = certificate_of(measured_run, SIGNED_BY)
+    known, unknown = made.coefficients
+    assert (known.k, known.expanded) == pytest.approx((2.5706, 2.5706 * 0.18), abs=1e-4)
+    assert (unknown.k, unknown.expanded) == (NORMAL_K, NORMAL_K * 0.18)
+    assert "2.5706" in texts(certificate_dcc(made), ".//si:coverageFactor")
+
+
+def test_a_polynomial_whose_scatter_is_estimated_has_its_degrees_of_freedom(measured_run):
+    shutil.rmtree(measured_run.path / "seals")
+    [first, *_] = read_dwells(measured_run.dwells)
+    rows = [
+        replace(first, dwell=n + 1, gyro_c=(6.0 * n,) * 3, bias_dph=(0.1 * (-1) ** n,) * 3) for n in range(9)
+    ]
+    write_dwells(measured_run.dwells, rows)
+    seal_run(measured_run)
+    model = certificate_of(measured_run, SIGNED_BY).model
+    assert len(model) == 3 * 4
+    assert {each.k for each in model} == {coverage_factor(9 - 4)}
+
+
 def test_a_run_that_changed_or_has_no_name_to_authorise_it_gets_none(measured_run):
     with pytest.raises(DocumentError, match="Add --authorised-by"):
         certificate_of(measured_run, Order())
@@ -111,6 +154,11 @@ def test_an_emulated_certificate_says_so_in_document_figures_and_file_names(simu
         "pdf": "certificate_SIMULATED.pdf",
     }
     assert "authorised by" not in simulated.laboratory
+
+
+def test_the_folder_of_an_emulated_run_says_so_beside_its_tables(emulated_run):
+    assert "were emulated" in (emulated_run.path / "SIMULATED.txt").read_text()
+    assert json.loads(emulated_run.provenance.read_text())["simulated"] is True
 
 
 @pytest.mark.skipif(not SCHEMA, reason="GYROBENCH_DCC_SCHEMA names no folder with dcc.xsd and SI_Format.xsd")
@@ -206,3 +254,25 @@ def test_the_command_writes_seals_and_verifies(emulated_run, signing_key, tmp_pa
     changed = gyrobench("certificate", "--verify", pdf, cwd=tmp_path)
     assert changed.returncode == 1
     assert "does not fit" in changed.stdout or "damaged" in changed.stdout
+
+
+def test_a_certificate_states_until_when_the_biases_stay_within_an_agreed_limit(emulated_run, tmp_path):
+    for month in (1, 4, 7):
+        run = tmp_path / f"run-{month}"
+        shutil.copytree(emulated_run.path, run, ignore=shutil.ignore_patterns("seals", "certificate"))
+        provenance = json.loads((run / "provenance.json").read_text())
+        provenance["started_utc"] = f"2026-0{month}-01T00:00:00+00:00"
+        (run / "provenance.json").write_text(json.dumps(provenance))
+        seal_run(RunFolder(run))
+    options = ("--simulated", "--format", "dcc", "--limit-dph")
+    done = gyrobench("certificate", "run-7", *options, "2.0", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    [written] = (tmp_path / "run-7" / "certificate").iterdir()
+    assert any(
+        "stay within 2 deg/h with 95 %" in text for text in texts(written.read_bytes(), ".//dcc:content")
+    )
+    shutil.rmtree(tmp_path / "run-1")
+    shutil.rmtree(tmp_path / "run-4")
+    refused = gyrobench("certificate", "run-7", *options, "2.0", cwd=tmp_path)
+    assert refused.returncode == EXIT_WRONG_INPUT
+    assert "too few runs of unit" in refused.stderr

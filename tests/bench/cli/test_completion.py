@@ -1,22 +1,19 @@
 """What the shell offers while a command is typed, by the shells' own protocol."""
 
-import os
 import subprocess
 import sys
 
 import pytest
 
-PROGRAM = (
-    sys.executable,
-    "-c",
-    "import sys; sys.argv[0] = 'gyrobench'; from gyrobench.bench.cli import main; main()",
-)
+from tests.bench.command_line import gyrobench
 
 
 def asked(environment, cwd):
-    answer = subprocess.run(
-        PROGRAM, env=os.environ | environment, cwd=cwd, capture_output=True, text=True, timeout=100
-    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys.modules["__main__"], "__package__", None)  # the program is not `python -m pytest`
+        for name, value in environment.items():
+            patch.setenv(name, value)
+        answer = gyrobench(cwd=cwd)
     assert answer.stderr == ""
     return answer.stdout.split()
 

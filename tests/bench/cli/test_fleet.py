@@ -6,14 +6,13 @@ import pytest
 
 from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
 from tests.bench.command_line import gyrobench
-from tests.bench.runs.index.sample_runs import copy_run, emulated_run
+from tests.bench.runs.index.sample_runs import copy_run
 from tests.benchmarks.fleet_runs import OUTLIER, make_runs
 
 
 @pytest.fixture
-def place(tmp_path, tmp_path_factory):
+def place(tmp_path, sample):
     """Folder with two good runs and a damaged one."""
-    sample = emulated_run(tmp_path_factory.mktemp("sample"))
     for name, unit in (("a", "1001"), ("b", "1002"), ("broken", "1003")):
         copy_run(sample, tmp_path / "runs" / name, unit)
     (tmp_path / "runs" / "broken" / "station.yaml").write_text("station: [")

@@ -6,14 +6,13 @@ import pytest
 
 from gyrobench.bench.cli.output import EXIT_WRONG_INPUT
 from tests.bench.command_line import gyrobench
-from tests.bench.runs.index.sample_runs import copy_run, emulated_run
+from tests.bench.runs.index.sample_runs import copy_run
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory):
+def place(tmp_path_factory, sample):
     """A folder with runs of unit 1001 in seven months, whose x gyro drifts, and one of 1002."""
     place = tmp_path_factory.mktemp("place")
-    sample = emulated_run(tmp_path_factory.mktemp("sample"))
     for month in range(1, 8):
         started = f"2026-{month:02d}-01T08:00:00+00:00"
         copy_run(sample, place / "runs" / f"of-{month}", "1001", started, x_dph=0.004 * month)

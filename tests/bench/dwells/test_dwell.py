@@ -24,6 +24,14 @@ def halved(mark, gap_frames=0):
     return replace(mark, end_frame=middle), replace(mark, first_frame=middle + gap_frames)
 
 
+def test_the_row_has_the_number_of_other_units_on(recorded):
+    marks, frames, setup = recorded
+    assert measure_dwell(marks, frames, setup).row.other == ()
+    assert measure_dwell(replace(marks, neighbours_on=1.5), frames, setup).row.other == (
+        ("neighbours_on", 1.5),
+    )
+
+
 def test_a_dwell_has_both_estimates_its_windows_and_temperatures(recorded):
     measured = measure_dwell(*recorded)
     row = measured.row

@@ -52,3 +52,12 @@ def test_marks_lack_nothing(key):
     del data[key]
     with pytest.raises(RunFolderError, match="damaged marks of a dwell"):
         DwellMarks.from_json(data)
+
+
+@pytest.mark.parametrize("on", [None, 0.0, 2.5])
+def test_other_units_on_are_in_the_journal_where_they_are_known(on):
+    marks = replace(MARKS, neighbours_on=on)
+    data = marks.to_json()
+    assert data.get("neighbours_on") == on
+    assert ("neighbours_on" in data) == (on is not None)
+    assert DwellMarks.from_json(data) == marks

@@ -2,7 +2,7 @@
 
 import pytest
 
-from gyrobench.bench.engine.bench_state import BenchState, ExpectedState
+from gyrobench.bench.engine.bench_state import BenchState, ExpectedState, UnitState
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.safe_state import SafeAction, SafePart
 from gyrobench.bench.station.station import Station
@@ -13,7 +13,12 @@ def state():
     return BenchState(Station(find_document("stations", "emulated")))
 
 
-@pytest.mark.parametrize("name", ["expected", "at", "has_ins_restarted", "commanded_c"])
+@pytest.fixture
+def unit():
+    return UnitState(Station(find_document("stations", "emulated")))
+
+
+@pytest.mark.parametrize("name", ["expected", "at", "commanded_c"])
 def test_nothing_else_can_write_it(state, name):
     with pytest.raises(AttributeError):
         setattr(state, name, None)
@@ -41,26 +46,32 @@ def test_a_chamber_that_is_off_has_no_commanded_temperature(state):
     assert state.commanded_c == 40.0
 
 
-def test_each_power_on_is_counted_and_ends_a_restart(state):
-    state.run_resumed("1003", 2)
-    state.ins_restarted()
-    assert not state.has_ins_restarted, "an INS that is off can't restart"
-    state.ins_powered(12.0)
-    state.ins_restarted()
-    assert state.has_ins_restarted
-    state.ins_powered(20.0)
-    assert not state.has_ins_restarted
-    assert (state.at.unit, state.at.power_ons, state.at.powered_s) == ("1003", 4, 20.0)
+def test_each_power_on_is_counted(state):
+    state.run_resumed(2)
+    state.units_powered(12.0)
+    state.units_powered(20.0)
+    assert (state.at.power_ons, state.at.powered_s) == (4, 20.0)
 
 
-def test_the_safe_state_has_the_stations_set_point_open_servos_and_the_ins_as_it_was(state):
+def test_a_power_on_ends_a_restart(unit):
+    unit.restarted()
+    assert not unit.has_restarted, "an INS that is off can't restart"
+    unit.powered()
+    unit.restarted()
+    assert unit.has_restarted
+    unit.powered()
+    assert not unit.has_restarted
+
+
+def test_the_safe_state_has_the_stations_set_point_open_servos_and_the_ins_as_it_was(state, unit):
     state.chamber_commanded(60.0)
     state.table_prepared()
-    state.ins_powered(0.0)
-    state.made_safe(SafeAction(part.value, part) for part in SafePart)
-    assert state.expected == ExpectedState(
-        chamber_set_c=23.0, chamber_on=True, ins_on=True, table_stopped=True
-    )
+    unit.powered()
+    actions = [SafeAction(part.value, part) for part in SafePart]
+    for each in (state, unit):
+        each.made_safe(actions)
+    assert state.expected == ExpectedState(chamber_set_c=23.0, chamber_on=True, table_stopped=True)
+    assert unit.expected == ExpectedState(ins_on=True)
 
 
 def test_a_safe_command_that_failed_leaves_the_state_unknown(state):

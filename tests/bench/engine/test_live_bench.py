@@ -17,7 +17,8 @@ def live_bench(can_log=None):
     clock, reported = VirtualClock(), []
     station = Station(find_document("stations", "quick"))
     with Instruments(station, clock, Emulation("quick", 0)) as instruments:
-        bench = LiveBench(station, instruments, clock, can_log, None, lambda *each: reported.append(each))
+        logs = [(can_log, None)] if can_log else []
+        bench = LiveBench(station, instruments, clock, logs, lambda *each: reported.append(each))
         instruments.power_unit(True)
         bench.start()
         while bench.readings.ins.age_s > 1.0:

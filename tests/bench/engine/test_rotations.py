@@ -1,9 +1,13 @@
 """Rotations and spins about the table's axes while the INS navigates: recorded, interrupted, resumed."""
 
+import signal
+import subprocess
+import sys
 from itertools import pairwise
 
 import numpy as np
 import pytest
+import yaml
 
 from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.dwells.dwell import measurement_setup
@@ -12,9 +16,12 @@ from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.navigation.attitude import angle_between
+from gyrobench.bench.runs.folder import open_run_folder
 from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.runs.tables.coefficient_table import read_coefficients
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.ins.readout import InsMode
+from tests.bench.engine.test_coefficient_compensation import plateau, station
 from tests.bench.engine.test_resumption import KilledError, Watcher, resumed
 
 PROCEDURE = """procedure: rotations
@@ -125,3 +132,102 @@ def test_after_a_trip_in_a_rotation_the_list_is_repeated_from_its_position(job, 
     assert [entry["interlocks"] for entry in entries if entry["event"] == "tripped"] == [["table_silence"]]
     assert [entry["dwell"] for entry in entries if entry["event"] == "dwell_given_up"] == [2]
     assert_recorded(folder, made)
+
+
+#: Runs a procedure on a station and is killed in the middle of a kind of step.
+KILLED_RUN = """
+import os, signal, sys
+from pathlib import Path
+from gyrobench.bench.engine.job import prepare_job
+from gyrobench.bench.engine.operator import ConsentingOperator
+from gyrobench.bench.engine.run import run_job
+from gyrobench.bench.station.instruments import Emulation
+from tests.bench.engine.test_rotations import Killer, KilledError
+
+class Killed(Killer):
+    def ticked(self, bench, left_s):
+        try:
+            super().ticked(bench, left_s)
+        except KilledError:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+procedure, station, out, kind, ticks = sys.argv[1:]
+job = prepare_job(procedure, station, Emulation("quick", 0))
+run_job(job, Path(out), Killed(kind, int(ticks)), ConsentingOperator())
+"""
+
+
+@pytest.fixture(scope="module")
+def with_increments(tmp_path_factory):
+    """18 rotations and a spin on a station with an INS that sends increments on command."""
+    folder = tmp_path_factory.mktemp("increments")
+    steps = [
+        {"power_on": {"settle_s": 60}},
+        *plateau(on_ramp=False)[-3:],
+        {"spin": {"axis": "inner", "turns": 1, "rates_dps": [15, 10], "rest_s": 20, "settle_s": 2}},
+        "power_off",
+    ]
+    paths = folder / "eighteen.yaml", folder / "station.yaml"
+    for path, data in zip(paths, ({"procedure": "eighteen", "steps": steps}, station()), strict=True):
+        path.write_text(yaml.safe_dump(data, sort_keys=False))
+    return tuple(map(str, paths))
+
+
+def run_with_increments(with_increments, out, faults=""):
+    job = prepare_job(*with_increments, Emulation("quick", 0, faults))
+    folder, outcome = run_job(job, out, Watcher(), ConsentingOperator())
+    assert outcome.ended == "finished", outcome.reason
+    return folder, job
+
+
+@pytest.fixture(scope="module")
+def undisturbed(with_increments, tmp_path_factory):
+    folder, job = run_with_increments(with_increments, tmp_path_factory.mktemp("undisturbed") / "run")
+    return read_coefficients(folder.coefficients), job.plan
+
+
+def assert_same_coefficients(folder, undisturbed):
+    rows = read_coefficients(folder.coefficients)
+    assert len(rows) == 21
+    for row, other in zip(rows, undisturbed[0], strict=True):
+        assert (row.coefficient, row.axis, row.finding) == (other.coefficient, other.axis, "")
+        # Each power-on has gyro biases a little different, beside the noise of both.
+        power_on = 2e-6 if row.coefficient == "gyro_bias" else 0.0
+        assert abs(row.value - other.value) < 4.5 * (row.sigma**2 + other.sigma**2 + power_on) ** 0.5
+        assert row.sigma == pytest.approx(other.sigma, rel=0.3)
+    (marks,) = finished_marks(folder)
+    assert (marks.dwell, marks.is_rotated, len(marks.windows)) == (1, True, 18 + 1 + 4)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("kind", "ticks"), [("rotate", 200), ("spin", 40)])
+def test_after_a_kill_in_a_rotation_the_increments_give_the_same_coefficients(
+    with_increments, undisturbed, tmp_path, kind, ticks
+):
+    path = tmp_path / "run"
+    command = [sys.executable, "-c", KILLED_RUN, *with_increments, str(path), kind, str(ticks)]
+    assert subprocess.run(command, check=False).returncode == -signal.SIGKILL
+    assert not finished_marks(open_run_folder(path))
+    folder, _, _ = resumed(path)
+    assert_same_coefficients(folder, undisturbed)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["rotate", "spin"])
+def test_after_a_trip_in_a_rotation_the_bench_is_made_safe_and_the_whole_list_repeated(
+    with_increments, undisturbed, tmp_path, kind
+):
+    (step,) = (planned for planned in undisturbed[1].steps if planned.step.name == kind)
+    faults = tmp_path / "faults.yaml"
+    at_s = step.start_s + 0.5 * step.duration_s
+    faults.write_text(f"faults:\n  - {{fault: port_gone, target: table, at_s: {at_s}, for_s: 40}}\n")
+    folder, _ = run_with_increments(with_increments, tmp_path / "run", str(faults))
+    story = [
+        each["event"]
+        for each in read_journal(folder.journal)
+        if each["event"] in ("tripped", "dwell_given_up", "made_safe", "held", "continued", "dwell_finished")
+    ]
+    assert story == [
+        "made_safe", "tripped", "dwell_given_up", "made_safe", "held", "continued", "dwell_finished"
+    ]  # fmt: skip
+    assert_same_coefficients(folder, undisturbed)

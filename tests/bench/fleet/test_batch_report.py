@@ -30,6 +30,7 @@ def test_page_and_file_name_the_outlier(fitted, tmp_path):
     assert "Z gyro at 20 to 25 °C, X-Up minus the mean" in page
     content = json.loads((tmp_path / "batch" / "batch.json").read_text())
     assert [each["unit"] for each in content["standing_out"]] == ["0"]
+    assert content["simulated"] is False
     assert len(content["quantities"]) == 12
     names = sorted(path.name for path in (tmp_path / "batch" / "figures").iterdir())
     assert names == ["batch_levels.png", "batch_positions.png"]
@@ -40,6 +41,7 @@ def test_a_batch_of_emulated_runs_is_marked(fitted, tmp_path):
         tmp_path / "batch", "B7", fitted, "30 runs", watermark([{"world": "a"}, {"world": ""}])
     )
     assert 'data-word="SIMULATED"' in page.read_text()
+    assert json.loads((tmp_path / "batch" / "batch.json").read_text())["simulated"] is True
     assert watermark([{"world": ""}]) == ""
 
 

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from contextlib import ExitStack
 
 SOURCE = """
 import sys
@@ -35,17 +36,23 @@ print(results, hits, misses, "numba.np.arraymath" in sys.modules, bool(optimized
 """
 
 
-def used(folder, count):
-    """What a new process prints that uses so many of the kernels."""
+def used(folder, count, processes=1):
+    """What new processes print that use so many of the kernels at the same time."""
     environment = os.environ | {"NUMBA_CACHE_DIR": str(folder / "cache")}
     command = [sys.executable, str(folder / "kernels_to_use.py"), str(count)]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-    return done.stdout.strip()
+    with ExitStack() as started:
+        users = [
+            started.enter_context(
+                subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
+            )
+            for _ in range(processes)
+        ]
+        return sorted(user.stdout.read().strip() for user in users)
 
 
 def test_a_kernel_is_compiled_once_and_loaded_without_the_compiler(tmp_path):
     (tmp_path / "kernels_to_use.py").write_text(SOURCE)
-    assert used(tmp_path, 1) == "[3.0] 0 1 True True"
-    assert used(tmp_path, 1) == "[3.0] 1 0 False False"
-    assert used(tmp_path, 2) == "[3.0, 12.0] 1 1 True True"
-    assert used(tmp_path, 2) == "[3.0, 12.0] 2 0 False False"
+    assert used(tmp_path, 1, processes=2) == ["[3.0] 0 1 True True", "[3.0] 1 0 False False"]
+    assert used(tmp_path, 1) == ["[3.0] 1 0 False False"]
+    assert used(tmp_path, 2, processes=2) == ["[3.0, 12.0] 1 1 True True", "[3.0, 12.0] 2 0 False False"]
+    assert used(tmp_path, 2) == ["[3.0, 12.0] 2 0 False False"]

@@ -1,3 +1,4 @@
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -43,7 +44,8 @@ def test_a_longer_dwell_is_expected_to_be_less_uncertain(rows):
 def test_without_temperatures_of_the_chamber_blocks_are_planned_below_the_gyros(rows):
     bare = [replace(row, chamber_set_c=np.nan, chamber_c=np.nan) for row in rows]
     assert chamber_c(bare) == pytest.approx(chamber_c(rows), abs=14.0)
-    blocks = [*catalogue(bare), *catalogue(bare, {each.name for each in catalogue(bare)})]
+    alone = catalogue(bare)
+    blocks = [*alone, *catalogue(bare, itertools.permutations([each.name for each in alone], 2))]
     assert all(
         np.isfinite(step.to_c) for each in blocks for step in each.plan.steps if step.kind == "chamber"
     )

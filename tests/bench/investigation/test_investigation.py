@@ -1,11 +1,14 @@
 import json
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
+from gyrobench.bench.closure.loop import Evidence
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.investigation.doubt import only_unconfirmed
 from gyrobench.bench.investigation.external_bench import AfterLastDwell, ExternalBench
 from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.investigation.investigation import Investigator
@@ -218,7 +221,8 @@ class UnitBench(AfterLastDwell):
 def test_a_law_composed_for_what_is_on_no_list_is_tested_by_a_new_cycle(tmp_path, law, verdict, probability):
     steps = first_campaign([45.0, 30.0, 10.0, -20.0], cycles=3)
     unit = {"unit": "S1", "seed": 2, "effects": {"resonance": 0.03}, "steps": steps}
-    bench = UnitBench(unit | {"effects": {law: 0.03}})
+    bench = UnitBench(unit)
+    bench.unit = unit | {"effects": {law: 0.03}}
     found = Investigator(bench, tmp_path / law, 60.0, lambda *_: True).run(WallClock())
     assert found.ended == "not_on_list"
     assert (found.test.purpose, found.test.proposal.block.name) == ("test_law", "new cycle")
@@ -246,6 +250,47 @@ def test_a_block_that_brings_flagged_dwells_alone_is_not_repeated_for_ever(tmp_p
     assert max(map(proposed.count, proposed)) == 2
     assert all(stage.outcome is None for stage in found.stages)
     assert found.spent_h > 0.0
+
+
+@pytest.mark.long
+def test_a_cause_that_held_out_dwells_leave_open_is_tested_by_a_block_and_searched_again(tmp_path):
+    """An ageing in a campaign of a day is found as a drift, and the held-out dwells do not confirm that."""
+    found = Investigator(unit_of(62), tmp_path / "short", 26.0, lambda *_: True).run(WallClock())
+    first = found.stages[0]
+    assert (first.closure.verdict, first.purpose) == ("ambiguous", "confirm")
+    assert first.rivals[0].names == ("time_drift",)
+    assert found.ended == "settled"
+    assert [each.effect.name for each in found.closure.effects] == ["ageing"]
+
+
+@pytest.mark.long
+def test_an_effect_that_a_single_dwell_shows_keeps_a_cause_open_while_blocks_distinguish_it(tmp_path):
+    found = Investigator(unit_of(67), tmp_path / "dwell", 75.0, lambda *_: True).run(WallClock())
+    assert [each.purpose for each in found.stages[:2]] == ["distinguish", "confirm"]
+    assert found.stages[1].closure.posterior.rivals(["thermal_hysteresis"])
+    assert found.ended == "settled"
+    assert [each.effect.name for each in found.closure.effects] == ["thermal_hysteresis"]
+
+
+@pytest.mark.parametrize(
+    ("rejected", "probability", "with_single_dwells", "without"),
+    [
+        ("it rests on dwell 1 alone (p = 1 without it)", 0.999, False, True),
+        ("not significant beside warm-up", 0.999, False, False),
+        ("it rests on dwell 1 alone (p = 1 without it)", 0.98, False, False),
+    ],
+)
+def test_a_cause_is_open_for_lack_of_confirmation_alone_if_no_other_effect_remains(
+    rejected, probability, with_single_dwells, without
+):
+    effects = [SimpleNamespace(effect=SimpleNamespace(name="warm_up"))]
+    other = Evidence(SimpleNamespace(name="bias_jump"), rejected=rejected)
+    posterior = SimpleNamespace(rivals=lambda names: {"bias_jump": 0.9})
+    closure = SimpleNamespace(
+        verdict="ambiguous", probability=probability, effects=effects, evidence=[other], posterior=posterior
+    )
+    assert only_unconfirmed(closure, with_single_dwells=True) == with_single_dwells
+    assert only_unconfirmed(closure, with_single_dwells=False) == without
 
 
 @pytest.mark.long

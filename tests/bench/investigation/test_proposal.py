@@ -7,8 +7,8 @@ import pytest
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.investigation.blocks import Block, catalogue
 from gyrobench.bench.investigation.choice import Expected
+from gyrobench.bench.investigation.doubt import rivals_of, searched
 from gyrobench.bench.investigation.forecast import Forecast
-from gyrobench.bench.investigation.investigation import rivals_of, searched
 from gyrobench.bench.investigation.proposal import Proposal, hours_left, outcome_of, propose
 from tests.bench.investigation.simulated_bench import first_campaign, simulate
 
@@ -101,5 +101,14 @@ def test_hours_until_the_biases_are_certain_count_too():
         proposal(3.0, 0.5, 0.0, missing_h=4.0, replaced_h=6.0),
     )
     hours = hours_left([cause, both])
-    assert (hours(cause), hours(both)) == (2.0 + 10.0 / 2.0, 3.0 + 4.0 / 2.0)
-    assert hours_left([cause, both], is_settled=True)(both) == 5.0
+    assert (hours(cause), hours(both)) == (2.0 + 10.0 / 2.0 + 2.0, 3.0 + 4.0 / 2.0 + 2.0)
+    assert hours_left([cause, both], is_settled=True)(both) == 7.0
+
+
+def test_a_block_that_makes_the_biases_certain_is_chosen_before_short_ones_that_hardly_help():
+    enough, short = (
+        proposal(5.0, 0.0, 0.0, missing_h=0.0, replaced_h=3.0),
+        proposal(1.7, 0.0, 0.0, missing_h=2.9, replaced_h=0.1),
+    )
+    hours = hours_left([enough, short], is_settled=True)
+    assert hours(enough) < hours(short)

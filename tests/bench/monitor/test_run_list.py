@@ -20,6 +20,7 @@ from gyrobench.bench.monitor.run_list import (
 )
 from gyrobench.bench.monitor.snapshot import Question, RunSnapshot, RunState
 from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.journal import Journal
 from gyrobench.bench.station.locks import RunLock
 from tests.bench.monitor.served_run import run_under_way, write_snapshot
 
@@ -101,6 +102,22 @@ def test_a_run_that_a_process_holds_continues(folder):
         snapshot = snapshot_of(folder.path)
     assert snapshot.state is RunState.RUNNING
     assert snapshot.question.text == "Is the cable free?"
+
+
+def test_an_investigation_is_listed_with_its_unit_its_dwells_and_its_end(tmp_path):
+    journal = Journal(tmp_path / "journal.jsonl", WallClock())
+    with RunLock(tmp_path, WallClock()), journal:
+        journal.record("investigation_started", procedure="investigation", unit="S1", dwells=24)
+        journal.record("measured", number=1, dwells=6)
+        journal.record("investigation_resumed", procedure="investigation", unit="S1", dwells=24)
+        journal.record("measured", number=1, dwells=6)
+        assert summarise(tmp_path).state is RunState.RUNNING
+        journal.record("investigation_ended", ended="settled", reason="Warm-up: probability 0.9990.")
+    found = summarise(tmp_path)
+    assert (found.procedure, found.unit, found.dwells) == ("investigation", "S1", 30)
+    assert (found.state, found.reason) == (RunState.FINISHED, "Warm-up: probability 0.9990.")
+    assert found.started_utc
+    assert snapshot_of(tmp_path).procedure == "investigation"
 
 
 def test_a_run_that_was_killed_before_it_left_a_snapshot_has_what_was_on_the_disk(folder):

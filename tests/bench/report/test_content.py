@@ -8,8 +8,10 @@ from pathlib import Path
 
 from gyrobench.bench.bias.bins import BiasBin
 from gyrobench.bench.bias.dwell_table import DwellRow, write_dwells
+from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.report.content import read_run
 from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.journal import Journal
 
 
 def test_whole_folder_is_read_without_complaint(run_folder: RunFolder, bins: list[BiasBin]) -> None:
@@ -70,3 +72,15 @@ def test_reading_a_run_does_not_read_its_raw_log(run_folder: RunFolder, tmp_path
     shutil.copytree(run_folder.path, folder.path)
     (folder.can / "part-00001.blf").mkdir(parents=True)  # what can't be read
     assert read_run(folder).problems == read_run(run_folder).problems
+
+
+def test_approvals_of_an_investigation_are_read_from_its_folder(empty_folder: RunFolder) -> None:
+    assert read_run(empty_folder).approvals == []
+    (empty_folder.path / "investigation").mkdir()
+    with Journal(empty_folder.path / "investigation" / "journal.jsonl", VirtualClock()) as journal:
+        journal.record("proposed", number=1)
+        journal.record("approved", number=1, operator="A. Smith")
+        journal.record("declined", number=2, operator="B. Jones")
+    first, second = read_run(empty_folder).approvals
+    assert first.startswith("Block 1 approved by A. Smith, 20")
+    assert second.startswith("Block 2 declined by B. Jones, ")

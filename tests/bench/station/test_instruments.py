@@ -11,16 +11,9 @@ import pytest
 from gyrobench.bench.foundations.clock import VirtualClock, WallClock
 from gyrobench.bench.foundations.errors import ConnectionFailedError
 from gyrobench.bench.foundations.shipped import find_document
-from gyrobench.bench.station.instruments import (
-    CHAMBER,
-    INS,
-    RATE_TABLE,
-    Emulation,
-    Instruments,
-    Outputs,
-    open_ins,
-)
+from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE, Emulation, Instruments, Outputs, open_ins
 from gyrobench.bench.station.station import Station
+from gyrobench.drivers.ins.can_bus import INSTRUMENT as INS
 
 
 @pytest.fixture

@@ -90,6 +90,26 @@ def test_all_three_instruments_answer(serve, options, start):
     assert server.poll() is None
 
 
+@pytest.mark.parametrize("adapter", ["slcan", "socketcand"])
+def test_each_unit_has_its_bus_and_its_supply(serve, adapter):
+    _, urls = serve("--units", "2", "--power-event", "2", "--power-event", "4", "--can", adapter)
+    assert sorted(urls) == ["chamber", "ins", "ins-2", "table"]
+    chamber = WatlowF4(SerialLine("chamber", urls["chamber"], WallClock()))
+    with can_bus(urls["ins"]) as first, can_bus(urls["ins-2"]) as second:
+        chamber.switch_event(4, True)
+        frames_until_status(second)
+        assert first.recv(0.1) is None
+    chamber.close()
+
+
+def can_bus(url):
+    if url.startswith("/"):
+        return can.Bus(interface="slcan", channel=url, sleep_after_open=0.0, ignore_config=True)
+    at = urlsplit(url)
+    options = {"channel": at.path.strip("/"), "host": at.hostname, "port": at.port}
+    return can.Bus(interface="socketcand", ignore_config=True, **options)
+
+
 def test_options_select_a_model_of_the_chamber_and_wrong_ones_end_it(serve, capsys):
     _, urls = serve("--chamber-option", "model=F4S", "--chamber-option", "decimals=2")
     with contextlib.closing(WatlowF4(SerialLine("chamber", urls["chamber"], WallClock()))) as chamber:

@@ -1,0 +1,233 @@
+"""One unit on the bench: the frames that its INS sends, its state, its interlocks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Protocol, TypeVar
+
+from gyrobench.bench.engine.bench_state import Readings, UnitState
+from gyrobench.bench.engine.interlocks.watch import InterlockWatch, Trip
+from gyrobench.bench.foundations.clock import Clock
+from gyrobench.bench.foundations.errors import InstrumentError, NoReplyError
+from gyrobench.bench.navigation.table_axes import Angles
+from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE
+from gyrobench.bench.station.station import Station
+from gyrobench.drivers.frames import FrameBlock, concatenate
+from gyrobench.drivers.ins.can_ins import CanIns
+from gyrobench.drivers.ins.ins_status import InsStatus
+from gyrobench.drivers.ins.readout import InsMode
+
+if TYPE_CHECKING:
+    from gyrobench.bench.runs.can_log import CanLog
+    from gyrobench.bench.runs.telemetry import Telemetry
+
+#: An INS whose count of epochs is off by more than this has restarted, or lost its count.
+_EPOCH_COUNT_TOLERANCE_S = 3.0
+#: A CAN bus that is silent for this long may have been disconnected without an error.
+BUS_SILENCE_S = 4.0
+
+T = TypeVar("T")
+
+
+@dataclass
+class Capture:
+    """Frames, chamber temperatures, table angles and neighbours of a dwell since its alignment began."""
+
+    log_part: int
+    chamber_c: list[float] = field(default_factory=list)
+    table_deg: list[Angles] = field(default_factory=list)
+    neighbours_on: list[int] = field(default_factory=list)
+    _blocks: list[FrameBlock] = field(default_factory=list)
+    _count: int = 0
+
+    def add(self, block: FrameBlock) -> None:
+        """Keep the data frames of a block."""
+        self._blocks.append(block.data_frames())
+        self._count += len(self._blocks[-1])
+
+    def count(self) -> int:
+        """Return the number of data frames so far."""
+        return self._count
+
+    def frames(self, first: int = 0) -> FrameBlock:
+        """Return the data frames so far, from a number on."""
+        begin, start = len(self._blocks), self._count
+        while start > first:
+            begin -= 1
+            start -= len(self._blocks[begin])
+        return concatenate(self._blocks[begin:]).take(slice(first - start, None))
+
+
+class Polled(Protocol):
+    """The bench that polls a unit."""
+
+    clock: Clock
+
+    def asked(self, instrument: str, ask: Callable[[], T]) -> T | None:
+        """Return an instrument's answer; None where it fails, which is reported."""
+
+    def failed(self, error: InstrumentError) -> None:
+        """Report a failed exchange; the instrument is reopened until it answers."""
+
+    def neighbours_on(self, unit: LiveUnit) -> int:
+        """Number of other units that are on, as far as is known."""
+
+
+class LiveUnit:
+    """One unit on a bench that is polled.
+
+    ``station`` is the bench with this unit alone, ``absent`` what the bench was opened without.
+    ``can_log`` and ``telemetry`` keep everything received and read; they are None for a unit that is not
+    recorded.
+    """
+
+    def __init__(
+        self,
+        bench: Polled,
+        station: Station,
+        ins: CanIns,
+        absent: Collection[str],
+        can_log: CanLog | None,
+        telemetry: Telemetry | None,
+    ) -> None:
+        self._bench = bench
+        self.station = station
+        self.ins = ins
+        self.name = ins.name  #: in messages
+        self.state = UnitState(station)
+        self.capture: Capture | None = None  #: frames of the dwell in progress
+        self.readings: Readings  #: newest answers; set by :meth:`observe`
+        self._can_log = can_log
+        self._telemetry = telemetry
+        self._watch = InterlockWatch(station, bench.clock, {RATE_TABLE, CHAMBER, *absent})
+        self._mode = InsMode.UNKNOWN
+        self._epochs: tuple[float, int] | None = None
+        ins.on_frames = self._received
+
+    @property
+    def is_read(self) -> bool:
+        """Whether there are readings."""
+        return hasattr(self, "readings")
+
+    def poll(self) -> None:
+        """Receive the frames that have arrived."""
+        self._bench.asked(self.name, self.ins.poll)
+
+    def status(self) -> InsStatus:
+        """State of the INS with the frames that have arrived by now."""
+        self.poll()
+        return self.ins.status()
+
+    def write_waiting(self, now_s: float) -> None:
+        """Write frames to the log that no others have followed for some seconds."""
+        if self._can_log:
+            self._can_log.write_waiting(now_s)
+
+    def begin(self, readings: Readings) -> None:
+        """Take the first readings."""
+        self.readings = readings
+        self._watch.observe(readings)
+
+    def observe(self, readings: Readings, row: tuple[float, ...]) -> None:
+        """Take the readings of the bench with those of this unit's INS, and the bench's row of telemetry."""
+        self.begin(readings)
+        self._notice_restart(readings)
+        self._notice_silent_bus(readings)
+        if self._telemetry:
+            self._telemetry.add(telemetry_row(row, readings.ins))
+        if self.capture and readings.chamber_s >= readings.asked_s:
+            self.capture.chamber_c.append(readings.chamber.temperature_c)
+        if self.capture and readings.table_s >= readings.asked_s:
+            self.capture.table_deg.append(self.station.table_axes_of(readings.table.position_deg))
+        if self.capture:
+            self.capture.neighbours_on.append(self._bench.neighbours_on(self))
+
+    @property
+    def is_on(self) -> bool:
+        """Whether its INS is on and sends; of a unit that is left out, whether it was when that happened."""
+        return self.state.expected.ins_on and self.readings.ins.age_s <= BUS_SILENCE_S
+
+    def trips(self) -> list[Trip]:
+        """Return the interlocks of this unit that are tripped."""
+        trips = self._watch.trips(self._bench.clock.now(), self.state.expected)
+        return [replace(trip, unit=self.station.number) for trip in trips]
+
+    def good_since_s(self, name: str) -> float | None:
+        """Time since which an interlock is good for this unit; None while it is tripped."""
+        return self._watch.good_since_s(name)
+
+    def _notice_restart(self, readings: Readings) -> None:
+        """Detect an INS that restarted: it left its mode without a command, or its count of epochs jumped."""
+        mode, epochs = readings.ins.mode, readings.ins.epochs
+        worked = self._mode in (InsMode.ALIGN, InsMode.NAVIGATE)
+        has_left = worked and mode in (InsMode.BOOT, InsMode.STANDBY)
+        if has_left or self._has_count_jumped(readings):
+            self.state.restarted()
+        if mode is not InsMode.UNKNOWN:
+            self._mode = mode
+        if epochs is not None:
+            self._epochs = (readings.asked_s, epochs)
+
+    def _has_count_jumped(self, readings: Readings) -> bool:
+        """Whether the count of epochs does not match the time since the last reading."""
+        ins, before = readings.ins, self._epochs
+        if ins.epochs is None or before is None:
+            return False
+        passed_s = readings.asked_s - before[0]
+        counted_s = ((ins.epochs - before[1]) % ins.epoch_modulus) * ins.epoch_period_s
+        wrap_s = ins.epoch_modulus * ins.epoch_period_s
+        off_s = (counted_s - passed_s + wrap_s / 2.0) % wrap_s - wrap_s / 2.0
+        return abs(off_s) > _EPOCH_COUNT_TOLERANCE_S + ins.age_s
+
+    def _notice_silent_bus(self, readings: Readings) -> None:
+        """Treat a bus on which the INS has fallen silent as one that may have to be reopened."""
+        if self.state.expected.ins_on and readings.ins.age_s > BUS_SILENCE_S:
+            self._bench.failed(NoReplyError(self.name, f"has sent nothing for {readings.ins.age_s:.0f} s"))
+
+    def begin_capture(self) -> None:
+        """Start to keep the frames of a dwell; the raw log starts a new part."""
+        self.poll()
+        if self._can_log:
+            self._can_log.cut()
+        self.capture = Capture(self._can_log.next_part if self._can_log else 0)
+
+    def begin_window(self, is_first: bool) -> None:
+        """Forget readings of the dwell from before its window; others before the first."""
+        if self.capture:
+            self.capture.table_deg.clear()
+            if is_first:
+                self.capture.chamber_c.clear()
+                self.capture.neighbours_on.clear()
+
+    def end_capture(self) -> FrameBlock:
+        """Stop keeping frames and return them, with log and telemetry written to the disk."""
+        self.poll()
+        frames = self.capture.frames() if self.capture else concatenate([])
+        self.capture = None
+        if self._can_log and self._telemetry:
+            self._can_log.sync()
+            self._telemetry.flush()
+        return frames
+
+    def captured_frames(self) -> int:
+        """Return the number of data frames of the dwell in progress so far."""
+        self.poll()
+        return self.capture.count() if self.capture else 0
+
+    def _received(self, block: FrameBlock) -> None:
+        if self._can_log:
+            self._can_log.write(block)
+        if self.capture:
+            self.capture.add(block)
+
+
+def telemetry_row(bench_row: tuple[float, ...], ins: InsStatus | None) -> tuple[float, ...]:
+    """Values of a moment: those of the bench, and of an INS between them; NaN without an INS."""
+    known = (
+        (math.nan,) * 8
+        if ins is None
+        else (*ins.optics_c.tolist(), *ins.electronics_c.tolist(), ins.case_c, float(ins.mode))
+    )
+    return (*bench_row[:-2], *known, *bench_row[-2:])

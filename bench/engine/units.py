@@ -1,0 +1,221 @@
+"""The units of a run: measured all at once. One of several that fails is left out of the rest of the run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from gyrobench.bench.engine.dwell_recording import DwellLedger, DwellRecorder
+from gyrobench.bench.engine.interlocks.watch import text_of_trips
+from gyrobench.bench.engine.run_context import MeasuredUnit, RunContext
+from gyrobench.bench.engine.stored_compensation import StoredCompensation
+from gyrobench.bench.foundations.errors import (
+    FaultError,
+    GyrobenchError,
+    InstrumentError,
+    InvalidDwellError,
+    SignalMapError,
+    UnitsLostError,
+)
+from gyrobench.bench.runs.provenance import add_identity
+
+
+class Unit:
+    """A unit that is being measured, with what records and measures its dwells."""
+
+    def __init__(self, run: RunContext, measured: MeasuredUnit) -> None:
+        self._run = run
+        self.measured = measured
+        self.record, self.live, self.journal = measured.record, measured.live, measured.journal
+        self.recorder = DwellRecorder(run.bench, self.live, self.record.setup)
+        self.dwells = DwellLedger(run, measured, self.recorder)
+        self.compensation = StoredCompensation(run, measured)
+        self.is_identified = bool(self.record.state.unit)
+        self.live.state.number = self.record.state.unit or self.record.number
+
+    def note(self, text: str) -> None:
+        """Record something that the operator should know of this unit."""
+        self._run.note(text, self.measured)
+
+
+class Units:
+    """The units of a run that are not dropped.
+
+    A unit of several is dropped where the station's ``drop_units`` allows it: its interlock trips, its
+    instrument fails, it has not aligned, or its data contradict the signal map. Raises UnitsLostError when
+    the last one is dropped.
+    """
+
+    def __init__(self, run: RunContext) -> None:
+        self._run = run
+        self._bench = run.bench
+        self._may_drop = len(run.records) > 1 and run.bench.station.file.drop_units
+        self.running = [Unit(run, measured) for measured in run.measured]
+        self._waiting: dict[Unit, Iterator[None]] = {}  # in the step in progress
+
+    @property
+    def measuring(self) -> list[Unit]:
+        """The units that the step in progress concerns: not those that have finished its dwell."""
+        dwell = self._bench.state.at.dwell
+        return [unit for unit in self.running if dwell not in unit.record.state.finished]
+
+    @property
+    def have_restarted(self) -> bool:
+        """Whether the INS of one has restarted without a command."""
+        return any(unit.live.state.has_restarted for unit in self.running)
+
+    @property
+    def are_on(self) -> bool:
+        """Whether the INS of every one should be on."""
+        return all(unit.live.state.expected.ins_on for unit in self.running)
+
+    @property
+    def dropped_events(self) -> set[int]:
+        """Event outputs of the chamber that feed dropped units alone; these are not switched on again."""
+        stations = self._bench.station.units
+        events = {
+            each.file.unit.power_event for each in stations if each.number not in self._run.state.dropped
+        }
+        return set(self._bench.station.power_events) - events
+
+    def each(self, action: Callable[[Unit], Iterator[None]]) -> Iterator[None]:
+        """Perform an action of each unit, all at once; yields once a tick until all are done.
+
+        Raises what the action raises, unless the unit is dropped for it.
+        """
+        self._waiting = {unit: action(unit) for unit in self.measuring}
+        try:
+            while self._waiting:
+                for unit, ticks in list(self._waiting.items()):
+                    try:
+                        next(ticks)
+                    except StopIteration:
+                        del self._waiting[unit]
+                    except (InstrumentError, InvalidDwellError) as error:
+                        self.fail(unit, error)
+                if self._waiting:
+                    yield
+        finally:
+            self._waiting = {}
+
+    def drop_late(self, why: str) -> bool:
+        """Drop the units that a step waits for, if others are done with it; returns whether there are any."""
+        late = list(self._waiting)
+        if not self._may_drop or len(late) in (0, len(self.measuring)):
+            return False
+        for unit in late:
+            self._drop(unit, why)
+        return True
+
+    def drop_tripped(self) -> None:
+        """Drop the units whose interlocks are tripped."""
+        if not self._may_drop:
+            return
+        for unit in list(self.running):
+            if trips := unit.live.trips():
+                self._drop(unit, text_of_trips(trips))
+
+    def identify(self, again: bool) -> None:
+        """Read the serial numbers that are not known yet, or all ``again``, and check them."""
+        for unit in [unit for unit in self.running if again or not unit.is_identified]:
+            try:
+                self._identify(unit)
+            except InstrumentError as error:
+                self.fail(unit, error)
+
+    def _identify(self, unit: Unit) -> None:
+        ins, known = unit.live.ins, unit.live.state.number
+        identity = ins.identify()
+        number = str(ins.identity().get("serial_number", unit.record.number or "unknown"))
+        if known not in ("", number):
+            raise FaultError(
+                ins.name, f"is unit {number}, but this run measures {known}. Connect {known} again."
+            )
+        unit.live.state.number, unit.is_identified = number, True
+        unit.journal.record("ins_identified", unit=number, identity=identity)
+        self._run.observers.identified(number)
+        for folder in {self._run.folder, unit.record.folder}:
+            add_identity(folder, ins.name, identity)
+
+    def settle_compensation(self, after_power_on: bool) -> Iterator[None]:
+        """Compare the stored compensation of each unit with that of the run, one after another."""
+        for unit in list(self.running):
+            try:
+                yield from unit.compensation.settle(after_power_on)
+            except InstrumentError as error:
+                self.fail(unit, error)
+
+    def finish_dwell(self, dwell: int) -> bool:
+        """Measure the dwell that is over; returns False where a unit has to repeat it."""
+        run, is_over = self._run, True
+        for unit in self.measuring:
+            try:
+                is_over = unit.dwells.finish() and is_over
+            except SignalMapError as error:
+                self.fail(unit, error)
+        if is_over:
+            run.state.finished.add(dwell)
+            if len(run.records) > 1:
+                run.journal.record("dwell_over", dwell=dwell)
+        return is_over
+
+    def may_repeat(self, dwell: int) -> bool:
+        """Whether the procedure allows that a dwell with invalid data is repeated."""
+        return all(unit.dwells.may_repeat(dwell) for unit in self.measuring)
+
+    def repeats(self, dwell: int) -> int:
+        """How often a dwell was repeated because of invalid data."""
+        return max(unit.record.state.repeats[dwell] for unit in self.running)
+
+    @property
+    def are_captured(self) -> bool:
+        """Whether a dwell is being recorded."""
+        return any(unit.live.capture for unit in self.running)
+
+    def end_captures(self) -> bool:
+        """Keep frames no longer; returns whether any unit did."""
+        captured = [unit for unit in self.running if unit.live.capture]
+        for unit in captured:
+            unit.live.end_capture()
+        return bool(captured)
+
+    def discard(self, dwell: int | None, why: str, counts: bool) -> None:
+        """Discard the dwell in progress, if there is one; it is repeated.
+
+        With ``counts``, the repeat counts against the procedure's limit.
+        """
+        measuring = self.measuring
+        if dwell and self.end_captures():
+            for unit in measuring:
+                unit.record.state.repeats[dwell] += counts
+            self._run.journal.record("dwell_given_up", dwell=dwell, why=why, counts=counts)
+            self._run.observers.noted(f"dwell {dwell} is repeated: {why}")
+
+    def skip(self, dwell: int) -> None:
+        """Leave a dwell out."""
+        self.end_captures()
+        self._run.journal.record("dwell_skipped", dwell=dwell)
+        for state in (self._run.state, *(unit.record.state for unit in self.running)):
+            state.skipped.add(dwell)
+        self._run.observers.noted(f"dwell {dwell} is skipped")
+
+    def fail(self, unit: Unit, error: GyrobenchError) -> None:
+        """Drop the unit for an error of its own, or raise that."""
+        is_other = isinstance(error, InstrumentError) and error.instrument != unit.live.name
+        if not self._may_drop or is_other:
+            raise error
+        self._drop(unit, str(error))
+
+    def _drop(self, unit: Unit, why: str) -> None:
+        run, number = self._run, unit.record.number
+        run.journal.record("unit_dropped", unit=number, why=why)
+        run.state.dropped[number] = why
+        self._waiting.pop(unit, None)
+        self.running.remove(unit)
+        unit.record.outcome.ended, unit.record.outcome.reason = "failed", why
+        run.observers.dropped(number, why)
+        if not self.running:
+            self._may_drop = False
+            raise UnitsLostError(f"no unit is left. The last one, {number}, was dropped: {why}")
+        unit.journal.record("run_ended", ended="failed", reason=why, safe_state=[])
+        run.journal.followers.remove(unit.journal)
+        self._bench.leave_out(unit.live)

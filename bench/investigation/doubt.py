@@ -1,0 +1,94 @@
+"""What a search leaves open: whether its cause is settled, and the hypotheses that blocks distinguish."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from gyrobench.bench.closure.campaign import Campaign
+from gyrobench.bench.closure.effects import all_effects
+from gyrobench.bench.closure.effects.effect import Effect, searched_length_s
+from gyrobench.bench.closure.loop import Closure, close_loop
+from gyrobench.bench.closure.search import RESTS_ON_DWELL
+from gyrobench.bench.investigation.choice import Rival
+from gyrobench.bench.investigation.proposal import SETTLED
+
+#: Hypotheses less probable than this, and more than so many, are not predicted.
+_MIN_PROBABILITY = 1e-3
+_MAX_RIVALS = 6
+#: Ageing is a hypothesis of dwells over more than this: its shortest time constant is a day.
+_MIN_AGEING_S = 26.0 * 3600.0
+#: Both follow the time alone: an exponential and a line together fit any law that settles slowly, as a
+#: logarithm, so that they are not stated as two causes.
+SLOW = frozenset({"ageing", "time_drift"})
+
+
+def searched(campaign: Campaign, held_out: Sequence[int]) -> Closure:
+    """Search with the effects that only the first dwells do not show, as far as they are long enough.
+
+    A single power cycle does not exclude ageing, so that a search leaves it out; the next block may have
+    another one.
+    """
+    effects = all_effects(*(Path(each.name) for each in campaign.tables))
+    if searched_length_s(campaign.holding_out(held_out)) > _MIN_AGEING_S:
+        effects = tuple(_in_one_power_cycle(each) if each.name == "ageing" else each for each in effects)
+    return close_loop(campaign, held_out, effects)
+
+
+def _in_one_power_cycle(effect: Effect) -> Effect:
+    return replace(effect, forms=tuple(replace(form, missing_input=lambda _: None) for form in effect.forms))
+
+
+def is_settled(closure: Closure) -> bool:
+    """Whether a search states its cause, or that there is nothing, with enough probability."""
+    names = [each.effect.name for each in closure.effects]
+    is_stated = closure.verdict in ("explained", "clean")
+    return is_stated and closure.probability >= SETTLED and not closure.posterior.rivals(names)
+
+
+def only_unconfirmed(closure: Closure, *, with_single_dwells: bool) -> bool:
+    """Whether a cause has enough probability, and is open only since held-out dwells do not confirm it.
+
+    A block that was predicted can confirm it in their place. ``with_single_dwells``: whether effects beside
+    it that a single dwell shows leave it open as well.
+    """
+    names = {each.effect.name for each in closure.effects}
+    others = closure.posterior.rivals(names).keys()
+    single = {each.effect.name for each in closure.evidence if each.rejected.startswith(RESTS_ON_DWELL)}
+    is_probable = bool(names) and closure.verdict == "ambiguous" and closure.probability >= SETTLED
+    return is_probable and not (others if with_single_dwells else others - single)
+
+
+def rivals_of(closure: Closure) -> tuple[Rival, ...]:
+    """The most probable hypotheses of a search; together they have probability 1."""
+    best = [each for each in closure.posterior.hypotheses if each.probability > _MIN_PROBABILITY]
+    best = best[:_MAX_RIVALS]
+    total = sum(each.probability for each in best)
+    effects = {each.effect.name: each.effect for each in closure.evidence}
+    beyond_dph = remainder_dph(closure)
+    return tuple(
+        Rival(
+            tuple(sorted(each.names)),
+            each.candidates,
+            each.probability / total,
+            beyond_dph if each.has_remainder else 0.0,
+            tuple(effects[name] for name in each.names - {one.effect.name for one in each.candidates}),
+        )
+        for each in best
+    )
+
+
+def confirming_rivals(closure: Closure) -> tuple[Rival, Rival]:
+    """The cause that a search found, and nothing: what a block distinguishes to confirm it."""
+    found = tuple(each.candidate for each in closure.effects)
+    return Rival(tuple(sorted(each.effect.name for each in found)), found, 0.5), Rival((), (), 0.5)
+
+
+def remainder_dph(closure: Closure) -> float:
+    """Rms of what the model leaves beyond the noise; at least half of the noise."""
+    residual_dph = (closure.campaign.bias_dph - closure.model.bias_dph)[closure.searched]
+    variance = float(np.mean(residual_dph**2)) - closure.noise_dph**2
+    return float(max(np.sqrt(max(variance, 0.0)), 0.5 * closure.noise_dph))

@@ -1,0 +1,290 @@
+"""Several units on one table: measured at once, each in a complete run folder; one that fails is dropped."""
+
+import shutil
+from dataclasses import replace
+
+import pytest
+
+from gyrobench.bench.bias.dwell_table import read_dwells
+from gyrobench.bench.engine.evaluation import recompute_run
+from gyrobench.bench.engine.job import prepare_job
+from gyrobench.bench.engine.observers import RunObserver
+from gyrobench.bench.engine.operator import ConsentingOperator
+from gyrobench.bench.engine.resume import prepare_resumption
+from gyrobench.bench.engine.run import resume_run, run_job
+from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.monitor.snapshot import RunSnapshot
+from gyrobench.bench.monitor.snapshot_recorder import SnapshotRecorder
+from gyrobench.bench.monitor.terminal_screen import screen
+from gyrobench.bench.report.units_report import units_section, write_units_report
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.journal import facts_of, read_journal
+from gyrobench.bench.station.instruments import Emulation
+from gyrobench.bench.station.station import Station
+
+PROCEDURE = """procedure: two_temperatures
+steps:
+  - power_on: {settle_s: 20}
+  - repeat:
+      over: {temperature_c: [35, 25]}
+      steps:
+        - chamber: {temperature_c: $temperature_c, ramp_c_per_min: 10}
+        - soak: {for_s: 600}
+        - repeat:
+            over: {position: [z_up, y_down]}
+            steps:
+              - go_to: {position: $position, rate_dps: 30}
+              - align: {duration_s: 16}
+              - navigate: {duration_s: 61}
+              - turn: {angle_deg: 180, rate_dps: 30, settle_s: 1}
+              - navigate: {duration_s: 61}
+  - power_off
+  - chamber_off
+"""
+NUMBERS = ["1101", "1102", "1103", "1104"]
+#: As a unit whose plug is pulled in its third dwell.
+SILENT = "fault: frames_lost, during: navigate, nth: 3, after_s: 20, for_s: 90000"
+
+
+class KilledError(BaseException):
+    """Stands for a kill where a separate process would cost seconds."""
+
+
+class Watcher(RunObserver):
+    """Notes what it is notified of, and ends the run in the nth step of a kind as a kill does."""
+
+    def __init__(self, kind="", nth=1):
+        self.kind, self.left, self.lost, self.notes = kind, nth, {}, []
+
+    def noted(self, text):
+        self.notes.append(text)
+
+    def dropped(self, unit, why):
+        self.lost[unit] = why
+
+    def step_started(self, planned, bench):
+        self.left -= planned.step.name == self.kind
+
+    def ticked(self, bench, left_s):
+        if self.kind and self.left == 0:
+            raise KilledError
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("files")
+    (folder / "two_temperatures.yaml").write_text(PROCEDURE)
+    return folder
+
+
+def job_of(files, station="four_units", faulty=()):
+    faults = files / f"faults-{'-'.join(map(str, faulty))}.yaml"
+    faults.write_text("faults:\n" + "".join(f"  - {{{SILENT}, unit: {unit}}}\n" for unit in faulty))
+    emulation = Emulation("four_units", 0, str(faults) if faulty else "")
+    return prepare_job(str(files / "two_temperatures.yaml"), str(station), emulation)
+
+
+def run_of(job, path, observer=None):
+    return run_job(job, path, observer or Watcher(), ConsentingOperator())
+
+
+def dwells_of(folder, number):
+    return folder.unit(number).dwells.read_bytes()
+
+
+@pytest.fixture(scope="module")
+def whole(files, tmp_path_factory):
+    folder, outcome = run_of(job_of(files), tmp_path_factory.mktemp("whole") / "run")
+    assert outcome.ended == "finished", outcome.reason
+    return folder, outcome
+
+
+def test_each_unit_has_its_dwells_in_its_run_folder(whole):
+    folder, outcome = whole
+    assert list(outcome.units) == NUMBERS == [unit.path.name for unit in folder.unit_folders]
+    for number in NUMBERS:
+        rows = read_dwells(folder.unit(number).dwells)
+        assert [(row.dwell, row.unit, row.flags) for row in rows] == [(n, number, "") for n in range(1, 5)]
+    assert not folder.dwells.exists()
+
+
+def test_the_biases_of_each_unit_differ_and_repeat(whole):
+    folder, _ = whole
+    warm = {number: read_dwells(folder.unit(number).dwells) for number in NUMBERS}
+    for first, second, *_ in warm.values():
+        for axis in range(3):
+            spread = (first.sigma_dph[axis] ** 2 + second.sigma_dph[axis] ** 2 + 2e-6) ** 0.5
+            assert abs(first.bias_dph[axis] - second.bias_dph[axis]) < 4.5 * spread
+    assert len({rows[0].bias_dph for rows in warm.values()}) == len(NUMBERS)
+
+
+def test_a_unit_with_another_mounting_is_in_another_position(whole):
+    folder, _ = whole
+    positions = {
+        number: [row.position for row in read_dwells(folder.unit(number).dwells)] for number in NUMBERS
+    }
+    assert positions == {
+        "1101": ["z_up", "y_down"] * 2,
+        "1102": ["z_up", "y_down"] * 2,
+        "1103": ["z_up", "x_up"] * 2,
+        "1104": ["z_up", "y_down"] * 2,
+    }
+
+
+def test_a_units_folder_is_a_run_folder_of_a_bench_with_that_unit_alone(whole, tmp_path):
+    folder, _ = whole
+    copy = RunFolder(tmp_path / "1103")
+    shutil.copytree(folder.unit("1103").path, copy.path)
+    copy.dwells.unlink()
+    recompute_run(copy.path)
+    assert copy.dwells.read_bytes() == dwells_of(folder, "1103")
+    facts = facts_of(read_journal(copy.journal))
+    assert (facts.unit, facts.dwells, facts.ended) == ("1103", 4, "finished")
+    assert Station(copy.station).units[0].file.ins.channel == "ins-3"
+    with pytest.raises(RunFolderError, match="is a unit of the run"):
+        prepare_resumption(folder.unit("1103").path)
+
+
+def test_a_killed_run_resumes_with_all_units(files, whole, tmp_path):
+    path = tmp_path / "run"
+    with pytest.raises(KilledError):
+        run_of(job_of(files), path, Watcher("navigate", 6))
+    resumption = prepare_resumption(path)
+    assert resumption.state.finished == {1, 2}
+    assert "unit 1101, 1102, 1103 and 1104" in resumption.describe()
+    folder, outcome = resume_run(resumption, Watcher(), ConsentingOperator())
+    assert outcome.ended == "finished", outcome.reason
+    for number in NUMBERS:
+        rows, others = (read_dwells(each.unit(number).dwells) for each in (folder, whole[0]))
+        assert rows[:2] == others[:2]
+        for row, other in zip(rows[2:], others[2:], strict=True):
+            assert (row.dwell, row.position, row.flags) == (other.dwell, other.position, "")
+            for bias, sigma, bias_2, sigma_2 in zip(
+                row.bias_dph, row.sigma_dph, other.bias_dph, other.sigma_dph, strict=True
+            ):
+                # Each power-on has biases a little different, beside the noise of both.
+                assert abs(bias - bias_2) < 4.5 * (sigma**2 + sigma_2**2 + 2e-6) ** 0.5
+
+
+def test_a_dwell_that_one_unit_has_not_finished_is_measured_again_for_it_alone(files, whole, tmp_path):
+    path = tmp_path / "run"
+    shutil.copytree(whole[0].path, path)
+    folder = RunFolder(path)
+    # As a kill between the entries of two units for the last dwell leaves it.
+    for number, end in (("", "dwell_over"), ("1103", "dwell_finished"), ("1104", "dwell_finished")):
+        journal = folder.unit(number).journal
+        lines = journal.read_bytes().splitlines(keepends=True)
+        last = max(place for place, line in enumerate(lines) if f'"event": "{end}"'.encode() in line)
+        journal.write_bytes(b"".join(lines[:last]))
+    resumption = prepare_resumption(path)
+    assert resumption.state.finished == {1, 2, 3}
+    _, outcome = resume_run(resumption, Watcher(), ConsentingOperator())
+    assert outcome.ended == "finished", outcome.reason
+    for number in NUMBERS:
+        again, before = (read_dwells(each.unit(number).dwells) for each in (folder, whole[0]))
+        assert (again == before) is (number in ("1101", "1102"))
+        assert [row.dwell for row in again] == [1, 2, 3, 4]
+
+
+@pytest.fixture(scope="module")
+def without_1102(files, tmp_path_factory):
+    watcher = Watcher()
+    folder, outcome = run_of(job_of(files, faulty=[2]), tmp_path_factory.mktemp("silent") / "run", watcher)
+    return folder, outcome, watcher
+
+
+def test_a_unit_that_falls_silent_is_dropped_and_the_others_measure_the_same(whole, without_1102):
+    folder, outcome, watcher = without_1102
+    assert outcome.ended == "finished"
+    assert list(watcher.lost) == ["1102"]
+    assert "silent" in watcher.lost["1102"]
+    for number in ("1101", "1103", "1104"):
+        rows, before = (read_dwells(each.unit(number).dwells) for each in (folder, whole[0]))
+        assert [replace(row, other=()) for row in rows] == [replace(row, other=()) for row in before]
+        assert [dict(row.other) for row in before] == [{"neighbours_on": 3.0}] * 4
+        on = [dict(row.other)["neighbours_on"] for row in rows]
+        assert (on[:2], on[3]) == ([3.0, 3.0], 2.0)
+        assert 2.0 < on[2] < 3.0
+    rows, before = (read_dwells(each.unit("1102").dwells) for each in (folder, whole[0]))
+    assert rows == before[:2]
+    facts = facts_of(read_journal(folder.unit("1102").journal))
+    assert (facts.ended, facts.reason) == ("failed", watcher.lost["1102"])
+    assert outcome.units["1102"].ended == "failed"
+    assert "Unit 1102" in outcome.shortcoming("rejected")
+
+
+def test_a_dropped_unit_stays_dropped_when_the_run_resumes(files, tmp_path):
+    path, watcher = tmp_path / "run", Watcher("navigate", 7)
+    with pytest.raises(KilledError):
+        run_of(job_of(files, faulty=[2]), path, watcher)
+    assert list(watcher.lost) == ["1102"]
+    resumption = prepare_resumption(path)
+    assert "Unit 1102 was dropped and stays out" in resumption.describe()
+    folder, outcome = resume_run(resumption, Watcher(), ConsentingOperator())
+    assert outcome.ended == "finished", outcome.reason
+    assert [len(read_dwells(folder.unit(number).dwells)) for number in NUMBERS] == [4, 2, 4, 4]
+    assert outcome.units["1102"].ended == "failed"
+
+
+def test_a_run_without_units_fails(files, tmp_path):
+    folder, outcome = run_of(job_of(files, faulty=[1, 2, 3, 4]), tmp_path / "run")
+    assert outcome.ended == "failed"
+    assert outcome.reason.startswith("no unit is left")
+    assert outcome.is_safe
+    with pytest.raises(RunFolderError, match="every unit"):
+        prepare_resumption(folder.path)
+
+
+def test_without_dropping_the_run_holds_for_all(files, tmp_path):
+    path = find_document("stations", "four_units")
+    held = tmp_path / "held.yaml"
+    held.write_text(path.read_text() + "drop_units: false\ninterlocks: {max_hold_s: 600}\n")
+    watcher = Watcher()
+    folder, outcome = run_of(job_of(files, held, [2]), tmp_path / "run", watcher)
+    assert outcome.ended == "stopped"
+    held = [entry["after"] for entry in read_journal(folder.journal) if entry["event"] == "held"]
+    assert held[0] == ["ins_silence"]
+    assert not watcher.lost
+
+
+def test_units_share_a_bus_by_an_offset_of_their_identifiers(files, whole, tmp_path):
+    text = find_document("stations", "four_units").read_text()
+    for number, offset in ((2, 64), (3, 128), (4, 192)):
+        text = text.replace(
+            f"    channel: ins-{number}\n",
+            f"    options: {{unit: {number}}}\n    identifier_offset: {offset}\n",
+        )
+    shared = tmp_path / "shared.yaml"
+    shared.write_text(text)
+    folder, outcome = run_of(job_of(files, shared), tmp_path / "run")
+    assert outcome.ended == "finished", outcome.reason
+    for number in NUMBERS:
+        assert dwells_of(folder, number) == dwells_of(whole[0], number)
+    recompute_run(folder.unit("1104").path)
+    assert dwells_of(folder, "1104") == dwells_of(whole[0], "1104")
+
+
+def test_the_report_shows_all_units_side_by_side(without_1102):
+    folder, *_ = without_1102
+    page = write_units_report(folder).read_text()
+    assert "Gyro bias of 4 units" in page
+    assert "Unit 1102 was dropped: the INS has been silent" in page
+    (table,) = units_section(folder).tables
+    assert [row[:2] for row in table.rows] == [
+        [number, "dropped" if number == "1102" else "not judged"] for number in NUMBERS
+    ]
+    assert all(folder.unit(number).report.exists() for number in NUMBERS)
+
+
+def test_the_live_view_shows_all_units(files, tmp_path):
+    job = job_of(files, faulty=[2])
+    recorder = SnapshotRecorder(job.plan)
+    run_of(job, tmp_path / "run", recorder)
+    snapshot = RunSnapshot.from_json(recorder.snapshot().to_json())
+    assert [(unit.number, unit.dwells, bool(unit.dropped)) for unit in snapshot.units] == [
+        (number, 4 - 2 * (number == "1102"), number == "1102") for number in NUMBERS
+    ]
+    lines = [line.plain for line in screen(snapshot, 100, 40, is_ascii=True)]
+    assert sum(line.startswith("unit 11") for line in lines) == len(NUMBERS)
+    assert any("dropped: the INS has been silent" in line for line in lines)
