@@ -106,6 +106,11 @@ class LiveUnit:
         self._epochs: tuple[float, int] | None = None
         ins.on_frames = self._received
 
+    @property
+    def is_read(self) -> bool:
+        """Whether there are readings."""
+        return hasattr(self, "readings")
+
     def poll(self) -> None:
         """Receive the frames that have arrived."""
         self._bench.asked(self.name, self.ins.poll)

@@ -14,6 +14,10 @@ from gyrobench.bench.engine.resume import prepare_resumption
 from gyrobench.bench.engine.run import resume_run, run_job
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.monitor.snapshot import RunSnapshot
+from gyrobench.bench.monitor.snapshot_recorder import SnapshotRecorder
+from gyrobench.bench.monitor.terminal_screen import screen
+from gyrobench.bench.report.units_report import units_section, write_units_report
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import facts_of, read_journal
 from gyrobench.bench.station.instruments import Emulation
@@ -259,3 +263,28 @@ def test_units_share_a_bus_by_an_offset_of_their_identifiers(files, whole, tmp_p
         assert dwells_of(folder, number) == dwells_of(whole[0], number)
     recompute_run(folder.unit("1104").path)
     assert dwells_of(folder, "1104") == dwells_of(whole[0], "1104")
+
+
+def test_the_report_shows_all_units_side_by_side(without_1102):
+    folder, *_ = without_1102
+    page = write_units_report(folder).read_text()
+    assert "Gyro bias of 4 units" in page
+    assert "Unit 1102 was dropped: the INS has been silent" in page
+    (table,) = units_section(folder).tables
+    assert [row[:2] for row in table.rows] == [
+        [number, "dropped" if number == "1102" else "not judged"] for number in NUMBERS
+    ]
+    assert all(folder.unit(number).report.exists() for number in NUMBERS)
+
+
+def test_the_live_view_shows_all_units(files, tmp_path):
+    job = job_of(files, faulty=[2])
+    recorder = SnapshotRecorder(job.plan)
+    run_of(job, tmp_path / "run", recorder)
+    snapshot = RunSnapshot.from_json(recorder.snapshot().to_json())
+    assert [(unit.number, unit.dwells, bool(unit.dropped)) for unit in snapshot.units] == [
+        (number, 4 - 2 * (number == "1102"), number == "1102") for number in NUMBERS
+    ]
+    lines = [line.plain for line in screen(snapshot, 100, 40, is_ascii=True)]
+    assert sum(line.startswith("unit 11") for line in lines) == len(NUMBERS)
+    assert any("dropped: the INS has been silent" in line for line in lines)
