@@ -257,7 +257,7 @@ def test_noise_understated_by_up_to_1_6_is_recognized(closed):
 
 
 def test_much_more_noise_than_stated_is_unexplained_without_any_effect(closed):
-    closure = closed(noise=2.2, cycles=3)
+    closure = closed(noise=2.2)
     assert closure.verdict == "unexplained"
     assert closure.noise_scale == 1.0
     assert closure.effects == ()
