@@ -334,7 +334,6 @@ def test_ties_are_settled_in_a_quarter_of_a_campaign(ends):
     assert statistics.median(shares) <= 0.25
 
 
-@pytest.mark.xfail(reason="an ageing of another law than the candidate's is named with a drift", strict=True)
 def test_every_settled_cause_is_right(ends):
     own = ends[0]["entropy per hour"]
     assert all(each.is_right for each in own if each.is_settled)
