@@ -102,6 +102,7 @@ SOURCES: Mapping[str, Source] = MappingProxyType(
         "dwells": Source(
             "dwells of the plateau", "", 1.0, note="noise, drift and tilt: see the budgets of the dwells"
         ),
+        "bias_drift": Source("drift of the gyro biases", "", 1.0, note="estimated from the data"),
         "white_angle": Source("noise and resolution of the angle increments", "urad", 1e6),
         "white_velocity": Source("noise and resolution of the velocity increments", "m/s", 1.0),
         "table_return": Source(

@@ -125,14 +125,14 @@ def forecast(
     whole_turns: float | None = None,
     site_sigmas: tuple[float, float] = (0.0, 0.0),
 ) -> Forecast:
-    """Expected uncertainties by Fisher information.
+    """Expected uncertainties by Fisher information, of biases that do not drift.
 
     ``max_rate_dps``: limit of the table. ``whole_turns``: standard uncertainty, rad, of its return after
     whole turns. ``site_sigmas``: of gravity, m/s^2, and latitude, rad. Raises DocumentError if the table
     can't do the rotations.
     """
     # They bring numba, which reading a list does not need.
-    from gyrobench.bench.calibration.estimator import CalibrationOptions, Information, site_parts
+    from gyrobench.bench.calibration.information import CalibrationOptions, Information, site_parts
     from gyrobench.bench.calibration.section import EPOCH_S, Section
     from gyrobench.bench.calibration.strapdown import UNKNOWNS, Epochs
 
@@ -146,7 +146,7 @@ def forecast(
     section = Section(STEP_S, angle, velocity, len(angle), Epochs(ends, at_rest[ends], turns))
     gravity_sigma, latitude_sigma = site_sigmas
     options = CalibrationOptions(
-        whole_turns=whole_turns, gravity_sigma=gravity_sigma, latitude_sigma=latitude_sigma
+        whole_turns=whole_turns, gravity_sigma=gravity_sigma, latitude_sigma=latitude_sigma, bias_drift=0.0
     )
     ideal = [section], [attitude[0]], np.zeros(UNKNOWNS), noise, site, options
     _, covariance, is_observed = Information.of(*ideal).solve()

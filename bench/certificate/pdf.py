@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import tempfile
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -11,7 +12,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from gyrobench.bench.certificate.content import BiasResult, Certificate, ModelNumber
-from gyrobench.bench.foundations.text import bin_label, decimals_of
+from gyrobench.bench.foundations.text import bin_label, decimals_of, with_sigma
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.report.figures.style import stamp
 from gyrobench.bench.report.number_format import BiasScale
@@ -29,10 +30,16 @@ from gyrobench.bench.runs.tables.coefficient_table import (
 _VARIANT = "pdf/a-3a"
 #: Plateaus in one table of coefficients.
 _PLATEAUS_ACROSS = 5
+#: Numbers below this power of ten are written with it.
+_MIN_POWER = -4
 _CAPTIONS = {
     "position_differences": (
         "Differences between positions",
         "Largest difference between two positions in each temperature bin; bars are standard uncertainties.",
+    ),
+    "position_pair": (
+        "Z-Up and Y-Up",
+        "Biases in Z-Up and in Y-Up, means of the temperature bins; bars are standard uncertainties (k = 1).",
     ),
     "temperature": ("Temperatures", "Temperatures over the run; bands and bars are dwells by position."),
 }
@@ -137,7 +144,7 @@ def _bias_table(results: Sequence[BiasResult]) -> SectionTable:
 def _model_section(certificate: Certificate) -> Section | None:
     table: dict[tuple[str, str], dict[str, str]] = defaultdict(dict)
     for each in certificate.model:
-        table[each.name, each.unit][each.axis] = f"{each.value:.4g} ± {each.expanded:.2g}"
+        table[each.name, _printed(each.unit)][each.axis] = _with_expanded(each.value, each.expanded)
     if not table:
         return None
     header = ["number", "unit", *map(gyro_label, AXES)]
@@ -151,7 +158,7 @@ def _coefficients_section(certificate: Certificate) -> Section | None:
     by_name: dict[tuple[str, str, str], dict[int, str]] = defaultdict(dict)
     heads = plateau_heads(certificate.run.coefficients)
     for each in certificate.coefficients:
-        factor, unit = (1000.0, "0.001 deg/h") if each.unit == "deg/h" else (1.0, each.unit)
+        factor, unit = (1000.0, "0.001 deg/h") if each.unit == "deg/h" else (1.0, _printed(each.unit))
         decimals = decimals_of(each.expanded * factor)
         text = f"{each.value * factor:z.{decimals}f} ± {each.expanded * factor:.{decimals}f}"
         by_name[each.name, each.axis, unit][each.plateau] = text
@@ -170,6 +177,18 @@ def _coefficients_section(certificate: Certificate) -> Section | None:
     texts = [f"{FRAME_TEXT} {TEMPERATURE_TEXT}"] if tables else []
     texts += [f"Not certified: {text}" for text in plateau_findings(certificate.run.coefficients)]
     return Section("Coefficients of the sensors", texts, tables=tables) if texts else None
+
+
+def _with_expanded(value: float, expanded: float) -> str:
+    """Value ± U with the digits that U leaves; small numbers with a common power of ten."""
+    power = min(math.floor(math.log10(max(abs(value), expanded))), 0)
+    if power > _MIN_POWER:
+        return with_sigma(value, expanded)
+    return f"({with_sigma(value / 10.0**power, expanded / 10.0**power)})e{power}"
+
+
+def _printed(unit: str) -> str:
+    return unit.replace("ug", "µg").replace("K2", "K²").replace("K3", "K³")
 
 
 def _factors(numbers: Sequence[ModelNumber]) -> str:

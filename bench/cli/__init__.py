@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -31,6 +32,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
 # To look for plugins of pydantic, it reads the metadata of all packages.
 os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
+# Where it is installed, numba would import it, for a tenth of its time.
+sys.modules.setdefault("coverage", None)  # type: ignore[arg-type]
 
 #: Modules leave half a million objects that stay: to search them for cycles as often as Python does takes a
 #: fifth of the time to start.

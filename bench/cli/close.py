@@ -96,6 +96,7 @@ def close(
 ) -> None:
     """Search for effects that explain the residual of the bias model, and test them on a held-out cycle.
 
+    A campaign of one cycle is searched whole; an effect found stays ambiguous without a second cycle.
     Several tables or runs are joined on one time axis. Their dwells and cycles get numbers that are
     unique in all of them; the output shows which.
 

@@ -150,18 +150,26 @@ def print_end(
     from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.report.statements import latitude_sentence
     from gyrobench.bench.report.terminal.tables import section_view
+    from gyrobench.bench.report.units_report import units_section, write_units_report
 
     safe_state = "\n".join(each.text for each in outcome.safe_state)
     is_finished = outcome.ended == "finished"
     if not is_finished:
         console.print(f"The run {outcome.ended}: {outcome.reason}", soft_wrap=True, style="bold red")
         console.print(safe_state, soft_wrap=True)
-    report = write_report(folder)
+    report = write_units_report(folder) if outcome.units else write_report(folder)
     results = outcome.results
-    rows = [row for plateau in results.coefficients for row in plateau.rows()]
-    print_tables(
-        console, results.bins, results.calibration_check, results.acceptance, rows, results.characteristics
-    )
+    if outcome.units:
+        console.print(section_view(units_section(folder)))
+    else:
+        print_tables(
+            console,
+            results.bins,
+            results.calibration_check,
+            results.acceptance,
+            [row for plateau in results.coefficients for row in plateau.rows()],
+            results.characteristics,
+        )
     rate = results.up_rate
     if rate is not None and (
         text := latitude_sentence(
@@ -172,7 +180,8 @@ def print_end(
     console.print(section_view(durations_section(outcome.took_s)))
     if is_finished:
         console.print(safe_state, soft_wrap=True)
-    console.print(f"Report   {report}\nFigures  {folder.figures}\nFolder   {folder.path}", soft_wrap=True)
+    figures = "" if outcome.units else f"Figures  {folder.figures}\n"
+    console.print(f"Report   {report}\n{figures}Folder   {folder.path}", soft_wrap=True)
     if as_json:
         print_json(_end_record(folder, outcome, report))
     if not is_finished:
@@ -184,6 +193,15 @@ def print_end(
 
 
 def _end_record(folder: RunFolder, outcome: RunOutcome, report: Path) -> dict[str, object]:
+    units = {
+        number: {
+            "ended": unit.ended,
+            "reason": unit.reason or None,
+            "dwells": len(unit.dwells) + len(unit.check_dwells),
+            "verdict": unit.results.acceptance.verdict,
+        }
+        for number, unit in outcome.units.items()
+    }
     return {
         "ended": outcome.ended,
         "reason": outcome.reason or None,
@@ -192,4 +210,5 @@ def _end_record(folder: RunFolder, outcome: RunOutcome, report: Path) -> dict[st
         "dwells": len(outcome.dwells) + len(outcome.check_dwells),
         "verdict": outcome.results.acceptance.verdict,
         "safe_state": outcome.safe_state,
+        **({"units": units} if units else {}),
     }

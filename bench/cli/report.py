@@ -57,13 +57,18 @@ def report(
     from gyrobench.bench.report.bias_sections import acceptance_summary
     from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.report.terminal.tables import section_view
+    from gyrobench.bench.report.units_report import units_section, write_units_report
     from gyrobench.bench.runs.folder import open_run_folder
 
-    folder = open_run_folder(run_folder)
+    folder = open_run_folder(run_folder, may_have_units=True)
     earlier = open_run_folder(before) if before else None
     formats = [each.value for each in vectors or ()]
-    page = write_report(folder, by, out, earlier, mark_temperature or (), formats)
     terminal = console()
+    if folder.unit_folders:
+        terminal.print(section_view(units_section(folder)))
+        terminal.print(f"Report   {write_units_report(folder, by, formats)}", soft_wrap=True)
+        return
+    page = write_report(folder, by, out, earlier, mark_temperature or (), formats)
     if folder.acceptance.exists():
         terminal.print(section_view(acceptance_summary(read_acceptance(folder.acceptance))))
     terminal.print(f"Report   {page}", soft_wrap=True)

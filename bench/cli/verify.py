@@ -79,7 +79,7 @@ def verify(
     The procedure runs without compensation, with the declared model, and with the effects that were
     found. With --coefficients both include polynomials of all other coefficients, and effects of
     those that were searched (gyrobench close RUN --coefficient ...). In a run of one cycle no effect
-    can be searched, and the polynomials alone are compensated. Existing runs in the folder are not
+    can be confirmed, and the polynomials alone are compensated. Existing runs in the folder are not
     repeated, so a verification can be continued.
 
     With --json: {"folder", "report", "comparison"}, the last a list with the columns of comparison.csv

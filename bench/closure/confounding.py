@@ -24,8 +24,13 @@ def confounding(campaign: Campaign, searched: BoolArray) -> tuple[str, ...]:
     An effect is confounded with another one if its terms, beside the declared model, are theirs.
     """
     seen, slow_time = campaign.part(searched), campaign.slow_time(_TIME_DEGREE)
-    sentences = []
-    if len(set(seen.position)) == 1:
+    sentences, is_dwells = [], campaign.quantity.row == "dwell"
+    if not is_dwells:
+        sentences.append(
+            "The coefficients of a plateau are those of all its attitudes: no effect of attitude can be seen "
+            "or excluded."
+        )
+    elif len(set(seen.position)) == 1:
         sentences.append("All dwells are in one attitude: no effect of attitude can be seen or excluded.")
     elif _stretches(seen.position) == len(set(seen.position)):
         sentences.append(
@@ -44,7 +49,7 @@ def confounding(campaign: Campaign, searched: BoolArray) -> tuple[str, ...]:
                 "All dwells searched are in one power cycle: a slow warm-up cannot be distinguished from "
                 "drift."
             )
-    if seen.has_one_heading is not False:
+    if is_dwells and seen.has_one_heading is not False:
         headings = "All dwells have one heading or its opposite" if seen.has_one_heading else _NO_HEADINGS
         sentences.append(
             f"{headings}: an effect of the Earth's magnetic field cannot be distinguished from g-sensitivity."

@@ -167,10 +167,10 @@ def _document(closure: Closure) -> dict[str, Any]:
         "confounding": list(closure.confounding),
         "lack_of_fit_p_before": closure.before.p_value,
         "lack_of_fit_p_after": closure.after.p_value,
-        "error_before_dph": closure.error_before_dph,
-        "error_after_dph": closure.error_after_dph,
-        "error_before_sigma_dph": closure.error_before_sigma_dph,
-        "error_after_sigma_dph": closure.error_after_sigma_dph,
+        "error_before_dph": _known(closure.error_before_dph),
+        "error_after_dph": _known(closure.error_after_dph),
+        "error_before_sigma_dph": _known(closure.error_before_sigma_dph),
+        "error_after_sigma_dph": _known(closure.error_after_sigma_dph),
         "tables": [
             {
                 "path": table.name,

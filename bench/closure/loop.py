@@ -17,7 +17,7 @@ from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.effect import Effect, Parameter
 from gyrobench.bench.closure.noise import Noise
 from gyrobench.bench.closure.posterior import CLEAN, EXPLAINED, Posterior, detectable_dph
-from gyrobench.bench.closure.problem import Solution, declared_problem
+from gyrobench.bench.closure.problem import DEGREE, Solution, declared_problem
 from gyrobench.bench.closure.quantity import GYRO_BIAS, Quantity
 from gyrobench.bench.closure.search import Search
 from gyrobench.bench.closure.selection import NotAccepted, Selected, select
@@ -31,10 +31,12 @@ from gyrobench.bench.closure.validation import (
 )
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms, rms_of_known
 from gyrobench.bench.foundations.errors import MeasurementError
-from gyrobench.bench.foundations.text import decimals_of, listed, plain_name, with_sigma
+from gyrobench.bench.foundations.text import counted, decimals_of, listed, plain_name, with_sigma
 
 #: Verdict without a search.
 NOT_SEARCHED = "not searched"
+#: Fewest degrees of freedom of the three gyros together beside the declared model.
+_MIN_DOF = 18
 _S_PER_H = 3600.0
 _UNITS = {"c": "degC"}
 #: An interval is stated in place of a standard uncertainty if its middle is off by this share of its length.
@@ -155,7 +157,8 @@ class Closure:
     noise_dph: float  #: Noise of a measured bias, rms.
     confounding: tuple[str, ...]  #: What the dwells searched can't distinguish, one sentence each.
     noise: Noise  #: Its ratio to the stated uncertainties, and the outliers.
-    #: error_before_dph, error_after_dph: Rms of measured minus predicted bias in the held-out dwells.
+    #: error_before_dph, error_after_dph: Rms of measured minus predicted bias in the held-out dwells; NaN
+    #: where none are, as in a campaign of one cycle.
     error_before_dph: float
     error_after_dph: float
     #: error_before_sigma_dph, error_after_sigma_dph: Their standard uncertainties by the noise of the dwells.
@@ -250,7 +253,7 @@ def close_loop(
     campaign : Campaign
         The measured dwells.
     hold_out_cycles : sequence of int
-        Cycles that the search does not use; by default :attr:`Campaign.last_cycle`.
+        Cycles that the search does not use; by default :attr:`Campaign.last_cycle`, of one cycle none.
     effects : sequence of Effect, optional
         Candidates; by default all installed ones and those of the user's files.
     """
@@ -266,9 +269,7 @@ def without_search(campaign: Campaign) -> Closure:
 
     For a campaign of one cycle, where none can be held out. Raises MeasurementError if it has too few dwells.
     """
-    everything = np.ones(len(campaign), dtype=bool)
-    _check_dof(campaign, everything, f"{len(campaign)} dwells")
-    return replace(_closure(campaign, everything, ()), verdict=NOT_SEARCHED)
+    return replace(_closure(campaign, _searched(campaign, ()), ()), verdict=NOT_SEARCHED)
 
 
 def _closure(campaign: Campaign, searched: BoolArray, candidates: Sequence[Effect]) -> Closure:
@@ -292,6 +293,7 @@ def _closure(campaign: Campaign, searched: BoolArray, candidates: Sequence[Effec
             after,
             weighed,
             is_confirmed=bool(found.candidates)
+            and not searched.all()
             and not circular
             and is_confirmed(before_dph, after_dph, noise_dph),
         ),
@@ -348,30 +350,28 @@ def _turn(campaign: Campaign, cycle: int, effects: Sequence[Effect]) -> Turn:
 
 def _searched(campaign: Campaign, hold_out_cycles: Sequence[int]) -> BoolArray:
     cycles = campaign.cycles
-    held_out = list(hold_out_cycles) or [campaign.last_cycle]
+    held_out = list(hold_out_cycles) or [campaign.last_cycle] * (len(cycles) > 1)
     unknown = sorted(set(held_out) - set(cycles))
     if unknown:
         raise MeasurementError(
             f"there is no cycle {_numbers(unknown)} to hold out; the table has {_numbers(cycles)}"
         )
     if len(cycles) == len(set(held_out)):
-        alone = "; gyrobench verify compensates one cycle without a search" if len(cycles) == 1 else ""
         raise MeasurementError(
-            f"with cycle {_numbers(held_out)} held out no dwells remain to search. Measure the profile at "
-            f"least twice, preferably three times{alone}"
+            f"with cycle {_numbers(held_out)} held out nothing remains to search. Measure the profile at "
+            "least twice, preferably three times"
         )
     searched: BoolArray = ~np.isin(campaign.cycle, held_out)
-    _check_dof(campaign, searched, f"{searched.sum()} dwells without cycle {_numbers(held_out)}")
-    return searched
-
-
-def _check_dof(campaign: Campaign, searched: BoolArray, dwells: str) -> None:
-    dof = declared_problem(campaign, searched).dof
-    if dof < 3 * 6:
+    dof, row = declared_problem(campaign, searched).dof, campaign.quantity.row
+    if dof < _MIN_DOF:
+        without = f" without cycle {_numbers(held_out)}" if held_out else ""
+        needed = _MIN_DOF // 3 + DEGREE + len(np.unique(campaign.run[searched]))
         raise MeasurementError(
-            f"{dwells} leave {dof} degrees of freedom; required: 18. Measure more dwells per cycle or more "
-            "cycles"
+            f"a cubic in temperature leaves {dof} degrees of freedom in {counted(int(searched.sum()), row)}"
+            f"{without}, required: {_MIN_DOF}. Measure the profile at least twice, each time with {needed} "
+            f"{row}s or more, at temperatures reached from below and from above"
         )
+    return searched
 
 
 def _verdict(found: Hypothesis, after: LackOfFit, weighed: Posterior, *, is_confirmed: bool) -> str:

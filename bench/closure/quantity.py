@@ -27,6 +27,7 @@ class Quantity:
     label: str  #: "bias", "scale factor" or "misalignment".
     unit: str  #: Of its values.
     coefficients: tuple[str, str, str]  #: Names with the axis: ``gyro_scale_factor_x``.
+    row: str = "dwell"  #: What has one value of each: "dwell", or "plateau" where rotations measure it.
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -63,6 +64,10 @@ class Quantity:
     def said(self, sentence: str) -> str:
         """A sentence about the bias as one about this quantity."""
         return sentence if self.label == "bias" else sentence.replace("bias", self.label)
+
+    def in_rows(self, sentence: str) -> str:
+        """A sentence about dwells as one about what has the values."""
+        return sentence if self.row == "dwell" else sentence.replace("dwell", self.row)
 
     def in_unit(self, document: Any) -> Any:
         """A document with names that end in this quantity's unit in place of deg/h."""

@@ -69,7 +69,7 @@ def _source(path: Path, quantity: Quantity) -> Source:
         if "started_utc" in provenance and provenance.get("options", {}).get("clock") != "virtual":
             began_s = started_utc(folder).timestamp()
     try:
-        rows = _rows_of(read_dwells(table), quantity, path if is_run else None)
+        rows, quantity = _rows_of(read_dwells(table), quantity, path if is_run else None)
         if record is not None:
             record = replace(record, gyro_c=record.gyro_c[:, quantity.sensors])
         return Source(str(path), campaign_of(rows, record, quantity), is_run, began_s)
@@ -83,14 +83,16 @@ def coefficient_columns(quantity: Quantity) -> list[tuple[str, str]]:
     return [(f"{name}_{unit}", f"{name}_sigma_{unit}") for name in quantity.coefficients]
 
 
-def _rows_of(rows: Sequence[DwellRow], quantity: Quantity, run: Path | None) -> list[DwellRow]:
-    """Rows with the coefficients searched in the place of the biases; NaN where one was not measured.
+def _rows_of(
+    rows: Sequence[DwellRow], quantity: Quantity, run: Path | None
+) -> tuple[list[DwellRow], Quantity]:
+    """Rows with the coefficients searched in the place of the biases, NaN where one was not measured.
 
     Without columns for them they are those of the plateaus of a run, in place of its dwells; the biases of
     the accelerometers are those of the dwells, less the vertical ones, which a dwell does not determine.
     """
     if quantity.is_gyro_bias:
-        return list(rows)
+        return list(rows), quantity
     columns = coefficient_columns(quantity)
     if any(name in dict(row.other) for row in rows for name, _ in columns):
         values = np.array(
@@ -101,13 +103,14 @@ def _rows_of(rows: Sequence[DwellRow], quantity: Quantity, run: Path | None) -> 
         values[np.arange(len(rows)), [POSITIONS[row.position].up_axis for row in rows]] = np.nan
     elif run is not None and RunFolder(run).coefficients.exists():
         known = read_coefficients_apart(RunFolder(run).coefficients, RunFolder(run).budget)
-        return _plateau_rows(rows, known, quantity)
+        return _plateau_rows(rows, known, quantity), replace(quantity, row="plateau")
     else:
         raise MeasurementError(
             f"has no columns {columns[0][0]}, {columns[0][1]}, ... Search a table with the coefficients of "
             "each dwell"
         )
-    return [_with_values(row, pairs, quantity.sensors) for row, pairs in zip(rows, values, strict=True)]
+    pairs = zip(rows, values, strict=True)
+    return [_with_values(row, its, quantity.sensors) for row, its in pairs], quantity
 
 
 def _plateau_rows(

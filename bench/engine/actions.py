@@ -114,8 +114,7 @@ def _sending(unit: Unit, bench: LiveBench) -> Ticks:
 
 
 def _switched_off(context: StepContext) -> Ticks:
-    for unit in context.units.running:
-        unit.live.state.switched_off()
+    context.bench.units_switched_off()
     yield from tried(context, lambda: context.bench.instruments.power_unit(False))
 
 

@@ -110,6 +110,7 @@ class DwellRecorder:
         at = self._bench.state.at
         capture = self._unit.capture
         chamber_c = capture.chamber_c if capture else []
+        neighbours_on = capture.neighbours_on if capture and len(self._bench.station.units) > 1 else []
         return DwellMarks(
             unit=self._unit.state.number,
             run=f"{self._bench.clock.epoch:%Y%m%dT%H%M%S}-{at.power_ons}",
@@ -127,6 +128,7 @@ class DwellRecorder:
             is_calibration_check=at.is_calibration_check,
             is_rotated=at.is_rotated,
             is_noise_record=at.is_noise_record,
+            neighbours_on=float(np.mean(neighbours_on)) if neighbours_on else None,
             align_s=round(self._start_s - self._align_begin_s, 6),
             disturbances=tuple(self._disturbances),
         )

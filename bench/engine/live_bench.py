@@ -122,6 +122,7 @@ class LiveBench:
                 strict=True,
             )
         ]
+        self._placed = tuple(self.units)  # also those that are left out
 
     def start(self) -> None:
         """Ask all instruments for the first time.
@@ -192,6 +193,15 @@ class LiveBench:
         unit.ins.close()
         self.units = [each for each in self.units if each is not unit]
         self._failing = [name for name in self._failing if name != unit.name]
+
+    def units_switched_off(self) -> None:
+        """The supplies of all units were switched off, also of those that are left out."""
+        for unit in self._placed:
+            unit.state.switched_off()
+
+    def neighbours_on(self, unit: LiveUnit) -> int:
+        """Number of other units that are on, as far as is known."""
+        return sum(other.is_on for other in self._placed if other is not unit)
 
     def reopen(self, instrument: str) -> None:
         """Reopen the port of an instrument; a failure is reported."""

@@ -33,11 +33,12 @@ T = TypeVar("T")
 
 @dataclass
 class Capture:
-    """Frames, chamber temperatures and table angles of a dwell since its alignment began."""
+    """Frames, chamber temperatures, table angles and neighbours of a dwell since its alignment began."""
 
     log_part: int
     chamber_c: list[float] = field(default_factory=list)
     table_deg: list[Angles] = field(default_factory=list)
+    neighbours_on: list[int] = field(default_factory=list)
     _blocks: list[FrameBlock] = field(default_factory=list)
     _count: int = 0
 
@@ -69,6 +70,9 @@ class Polled(Protocol):
 
     def failed(self, error: InstrumentError) -> None:
         """Report a failed exchange; the instrument is reopened until it answers."""
+
+    def neighbours_on(self, unit: LiveUnit) -> int:
+        """Number of other units that are on, as far as is known."""
 
 
 class LiveUnit:
@@ -102,6 +106,11 @@ class LiveUnit:
         self._epochs: tuple[float, int] | None = None
         ins.on_frames = self._received
 
+    @property
+    def is_read(self) -> bool:
+        """Whether there are readings."""
+        return hasattr(self, "readings")
+
     def poll(self) -> None:
         """Receive the frames that have arrived."""
         self._bench.asked(self.name, self.ins.poll)
@@ -132,6 +141,13 @@ class LiveUnit:
             self.capture.chamber_c.append(readings.chamber.temperature_c)
         if self.capture and readings.table_s >= readings.asked_s:
             self.capture.table_deg.append(self.station.table_axes_of(readings.table.position_deg))
+        if self.capture:
+            self.capture.neighbours_on.append(self._bench.neighbours_on(self))
+
+    @property
+    def is_on(self) -> bool:
+        """Whether its INS is on and sends; of a unit that is left out, whether it was when that happened."""
+        return self.state.expected.ins_on and self.readings.ins.age_s <= BUS_SILENCE_S
 
     def trips(self) -> list[Trip]:
         """Return the interlocks of this unit that are tripped."""
@@ -178,11 +194,12 @@ class LiveUnit:
         self.capture = Capture(self._can_log.next_part if self._can_log else 0)
 
     def begin_window(self, is_first: bool) -> None:
-        """Forget readings of the dwell from before its window; those of the chamber before the first."""
+        """Forget readings of the dwell from before its window; others before the first."""
         if self.capture:
             self.capture.table_deg.clear()
             if is_first:
                 self.capture.chamber_c.clear()
+                self.capture.neighbours_on.clear()
 
     def end_capture(self) -> FrameBlock:
         """Stop keeping frames and return them, with log and telemetry written to the disk."""

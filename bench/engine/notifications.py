@@ -66,6 +66,10 @@ class RunNotifier(RunObserver):
         self._is_hold_sent = self._is_hold_sent or bool(self._why)
         self._send("needs_person", self._why, about=question, question=question, answers=answers)
 
+    def dropped(self, unit: str, why: str) -> None:
+        """Send that a unit is left out."""
+        self._send("unit_dropped", f"Unit {unit}: {why}", about=unit)
+
     def held(self, why: str, needs_person: bool, command: RunCommand | None) -> None:  # noqa: ARG002
         """Send a hold that ends without the operator; for others the operator is asked."""
         self._why, self._continued_after = why, ""

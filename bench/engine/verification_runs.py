@@ -215,8 +215,8 @@ def new_emulation(run: RunFolder, world: str | None = None, seed: int | None = N
 def _with_coefficients(run: RunFolder, *models: LoadableModel) -> list[LoadableModel]:
     """Models of the gyros' biases with the other coefficients of a run.
 
-    Where a search in one of them is in the run its model replaces the polynomial, in the second model with
-    the effects found. Raises DocumentError if the run has no coefficients.
+    Where a search in one of them found effects its model replaces the polynomial in the second model; a
+    search of one cycle confirms none, and is left out. Raises DocumentError if the run has no coefficients.
     """
     if not run.coefficients.exists():
         raise DocumentError(
@@ -225,7 +225,8 @@ def _with_coefficients(run: RunFolder, *models: LoadableModel) -> list[LoadableM
         )
     polynomials = corrections(read_coefficients_apart(run.coefficients, run.budget))
     folders = [run.closure.with_name(f"{run.closure.name}_{each.name}") for each in QUANTITIES]
-    closures = [read_closure(folder) for folder in folders if (folder / CLOSURE_FILE).exists()]
+    found = [read_closure(folder) for folder in folders if (folder / CLOSURE_FILE).exists()]
+    closures = [each for each in found if not each.searched.all()]
     return [
         with_coefficients(
             replace(model, compensation=replace(model.compensation, coefficients=polynomials)),

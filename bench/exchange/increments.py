@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gyrobench.bench.calibration.estimator import CalibrationOptions
+from gyrobench.bench.calibration.information import CalibrationOptions
 from gyrobench.bench.calibration.recording import MIN_REST_TOTAL_S, IncrementRecording
 from gyrobench.bench.exchange.import_map import LogMap
 from gyrobench.bench.exchange.log_windows import FORCES, RATES, Quantity, SampleReader

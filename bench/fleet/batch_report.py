@@ -23,9 +23,6 @@ from gyrobench.bench.report.number_format import BiasScale, dph_with_sigma, p_te
 from gyrobench.bench.report.page import Box, Findings, Section, SectionFigure, SectionTable, write_findings
 from gyrobench.bench.runs.index.run_biases import LEVEL, Quantity
 
-OUTLIER_HEADER = ("unit", "runs", "quantity", "measured", "predicted", "p corrected")
-SPREAD_HEADER = ("quantity", "units", "mean", "between units", "95 % interval", "between runs")
-
 
 def batch_sentence(batch: Sequence[QuantityStatistics]) -> str:
     """Name the outlying units."""
@@ -49,40 +46,46 @@ def batch_sentence(batch: Sequence[QuantityStatistics]) -> str:
     return f"{counted(len(texts), 'outlying unit').capitalize()}: {sentence} ({corrected})."
 
 
-def outlier_rows(batch: Sequence[QuantityStatistics]) -> list[list[str]]:
-    """One row for each outlier; see :data:`OUTLIER_HEADER`."""
+def _outlier_table(batch: Sequence[QuantityStatistics]) -> SectionTable:
     scale = batch_scale(batch)
-    return [
+    rows = [
         [
             unit.unit,
             str(unit.runs),
             stats.quantity.label,
-            scale.with_sigma(unit.bias_dph, unit.sigma_dph, "±"),
-            scale.with_sigma(unit.expected_dph, unit.expected_sigma_dph, "±"),
+            scale.with_sigma(unit.bias_dph, unit.sigma_dph),
+            scale.with_sigma(unit.expected_dph, unit.expected_sigma_dph),
             p_text(unit.p_adjusted),
         ]
         for stats, unit in outliers(batch)
     ]
+    caption = (
+        f"Measured and predicted from the other units ± standard uncertainty, {scale.unit}. p corrected: "
+        "p-value of the difference, corrected for all units and quantities"
+    )
+    header = ("unit", "runs", "quantity", "measured", "predicted", "p corrected")
+    return SectionTable(caption, header, rows, words=3)
 
 
-def spread_rows(batch: Sequence[QuantityStatistics]) -> list[list[str]]:
-    """One row for each quantity; see :data:`SPREAD_HEADER`."""
+def _spread_table(batch: Sequence[QuantityStatistics]) -> SectionTable:
     scale = batch_scale(batch)
-    rows = []
-    for stats in batch:
-        spread = stats.between_units
-        between_runs = "" if stats.between_runs_dph is None else scale.text(stats.between_runs_dph)
-        rows.append(
-            [
-                stats.quantity.label,
-                str(len(stats.units)),
-                scale.with_sigma(stats.mean_dph, stats.mean_sigma_dph, "±"),
-                scale.text(spread.value),
-                f"{scale.text(spread.low)}..{scale.text(spread.high)}",
-                between_runs,
-            ]
-        )
-    return rows
+    rows = [
+        [
+            stats.quantity.label,
+            str(len(stats.units)),
+            scale.with_sigma(stats.mean_dph, stats.mean_sigma_dph),
+            scale.text(stats.between_units.value),
+            f"{scale.text(stats.between_units.low)}..{scale.text(stats.between_units.high)}",
+            "" if stats.between_runs_dph is None else scale.text(stats.between_runs_dph),
+        ]
+        for stats in batch
+    ]
+    caption = (
+        "Mean ± standard uncertainty, and standard deviations between units (with its interval) and between "
+        f"runs, both without noise, in {scale.unit}"
+    )
+    header = ("quantity", "units", "mean", "between units", "95 % interval", "between runs")
+    return SectionTable(caption, header, rows)
 
 
 def unit_rows(stats: QuantityStatistics) -> list[list[str]]:
@@ -271,22 +274,8 @@ def batch_summary(name: str, batch: Sequence[QuantityStatistics]) -> Section:
 
 
 def _spread_sections(batch: Sequence[QuantityStatistics]) -> list[Section]:
-    scale = batch_scale(batch)
-    spread = SectionTable(
-        f"Mean ± standard uncertainty, and standard deviations between units (with its interval) and "
-        f"between runs, both without noise, in {scale.unit}",
-        SPREAD_HEADER,
-        spread_rows(levels(batch)),
-    )
-    sections = [Section("Spread between units", tables=[spread])]
-    if outliers(batch):
-        caption = (
-            f"Measured and predicted from the other units ± standard uncertainty, {scale.unit}. p corrected: "
-            "p-value of the difference, corrected for all units and quantities"
-        )
-        out = SectionTable(caption, OUTLIER_HEADER, outlier_rows(batch), words=3)
-        sections.insert(0, Section("Outliers", tables=[out]))
-    return sections
+    sections = [Section("Outliers", tables=[_outlier_table(batch)])] if outliers(batch) else []
+    return [*sections, Section("Spread between units", tables=[_spread_table(levels(batch))])]
 
 
 def _sections(batch: Sequence[QuantityStatistics]) -> list[Section]:
@@ -299,12 +288,7 @@ def _sections(batch: Sequence[QuantityStatistics]) -> list[Section]:
         name = "batch_positions" if of_positions else "batch_levels"
         sections.append(Section(title, figures=[SectionFigure(name, f"{what} {_BAND}", figure)]))
     positions = [stats for stats in batch if stats not in levels(batch)]
-    sections.append(
-        Section(
-            "Spread of the position differences",
-            tables=[SectionTable(batch_scale(batch).unit, SPREAD_HEADER, spread_rows(positions))],
-        )
-    )
+    sections.append(Section("Spread of the position differences", tables=[_spread_table(positions)]))
     header = ("unit", "runs", "mean of its runs", "shrunk to the batch", "p", "p corrected")
     tables = [
         SectionTable(f"{stats.quantity.label}, {batch_scale([stats]).unit}", header, unit_rows(stats))

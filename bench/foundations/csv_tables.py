@@ -6,8 +6,9 @@ import csv
 import io
 import math
 import re
+import sys
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import astuple, fields
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -185,13 +186,15 @@ def format_csv(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 def format_rows(columns: Sequence[str], rows: Iterable[Any]) -> str:
     """CSV text of instances of a data class, whose fields are the columns."""
-    return format_csv(columns, ([format_cell(value) for value in astuple(row)] for row in rows))
+    table = list(rows)
+    names = [each.name for each in fields(table[0])] if table else []
+    return format_csv(columns, ([format_cell(getattr(row, name)) for name in names] for row in table))
 
 
 CellReader = Callable[[CsvTable, int, str], Any]
 #: By the type of a field.
 _READERS: Mapping[str, CellReader] = {
-    "str": CsvTable.text,
+    "str": lambda table, index, name: sys.intern(table.text(index, name)),  # mostly a few words
     "int": CsvTable.integer,
     "int | None": lambda table, index, name: table.integer(index, name) if table.text(index, name) else None,
     "float": partial(CsvTable.number, may_be_empty=True),

@@ -24,6 +24,7 @@ _HAPPENED = MappingProxyType(
         "holds": "the run holds",
         "resumes": "the run has resumed",
         "needs_person": "an operator is needed",
+        "unit_dropped": "a unit was dropped, the run continues with the others",
         "guard_acted": "the run died, the guard brought the bench to its safe state",
         "test": "test message",
     }

@@ -226,6 +226,21 @@ class Note(StrictRecord):
     text: str
 
 
+@dataclass(frozen=True)
+class UnitStatus(StrictRecord):
+    """One of several units of a run."""
+
+    number: str  #: serial number
+    ins_mode: str  #: as in :class:`BenchReadings`; empty for a unit that is not measured
+    gyro_c: Triple  #: optics temperatures of the gyros
+    dwells: int  #: completed dwells
+    #: bias_dph, sigma_dph, flags: of the newest dwell; NaN and empty before the first.
+    bias_dph: Triple
+    sigma_dph: Triple
+    flags: str
+    dropped: str = ""  #: why it is left out of the rest of the run; empty where it is not
+
+
 #: Changes with the meaning of the fields.
 FORMAT = 1
 #: Series are thinned so that a snapshot stays small in a run of any length.
@@ -277,6 +292,9 @@ class RunSnapshot(StrictRecord):
         Present values; None where unknown or none is in progress.
     dwells, bins, alarms, messages
         Completed dwells, the bins that they fill, active alarms, and the last messages, the newest last.
+    units
+        Each unit of a run with several; ``unit``, ``dwells`` and ``bins`` are then of the first that is
+        measured.
     """
 
     name: str
@@ -307,6 +325,7 @@ class RunSnapshot(StrictRecord):
     bins: tuple[LiveBin, ...] = ()
     alarms: tuple[Alarm, ...] = ()
     messages: tuple[Note, ...] = ()
+    units: tuple[UnitStatus, ...] = ()
     format: Literal[1] = FORMAT  # type: ignore[assignment]
 
     @property

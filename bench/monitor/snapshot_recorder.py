@@ -42,6 +42,8 @@ from gyrobench.bench.monitor.snapshot import (
     Question,
     RunSnapshot,
     RunState,
+    Triple,
+    UnitStatus,
     WindowTrace,
 )
 from gyrobench.bench.procedure.plan import Phase, Plan, PlannedStep
@@ -167,6 +169,24 @@ def alarms_of(bench: LiveBench) -> tuple[Alarm, ...]:
     tripped = (Alarm(trip.name, trip.text) for trip in bench.trips())
     silent = (Alarm(name, f"the {name} does not reply; retrying") for name in bench.silent)
     return (*tripped, *silent)
+
+
+_UNKNOWN: Triple = (math.nan, math.nan, math.nan)
+
+
+def _unit_status(bench: LiveBench, number: str, outcome: RunOutcome) -> UnitStatus:
+    readings = [unit.readings.ins for unit in bench.units if unit.station.number == number and unit.is_read]
+    newest = [dwell.row for dwell in outcome.dwells[-1:]]
+    return UnitStatus(
+        number=number,
+        ins_mode=readings[0].mode.name.lower() if readings else "",
+        gyro_c=tuple(readings[0].optics_c.tolist()) if readings else _UNKNOWN,
+        dwells=len(outcome.dwells),
+        bias_dph=newest[0].bias_dph if newest else _UNKNOWN,
+        sigma_dph=newest[0].sigma_dph if newest else _UNKNOWN,
+        flags=newest[0].flags if newest else "",
+        dropped=outcome.reason if outcome.ended == "failed" else "",
+    )
 
 
 class _Window:
@@ -306,6 +326,7 @@ class SnapshotRecorder(RunObserver):
             bins=self._bins,
             alarms=alarms_of(bench) if is_read else (),
             messages=tuple(self._messages),
+            units=tuple(_unit_status(bench, *each) for each in self._outcome.units.items()),
         )
 
     def _take_estimate(self, bench: LiveBench) -> None:
@@ -324,8 +345,13 @@ class SnapshotRecorder(RunObserver):
         self._messages.append(Note(self._bench.clock.now() if self._bench else 0.0, text))
 
     def identified(self, unit: str) -> None:
-        """Keep the serial number."""
-        self._unit = unit
+        """Keep the serial number; of several units that of the first."""
+        self._unit = next(iter(self._outcome.units), unit)
+
+    def dropped(self, unit: str, why: str) -> None:
+        """Keep why a unit is left out, and show another one if it was this."""
+        self.noted(f"unit {unit} is dropped: {why}")
+        self._has_new_dwell = True
 
     def step_started(self, planned: PlannedStep, bench: LiveBench) -> None:
         """Show the next step."""
@@ -411,9 +437,17 @@ class SnapshotRecorder(RunObserver):
         self._step = self._dwell = None
         self._write()
 
+    @property
+    def _shown(self) -> RunOutcome:
+        """The outcome whose dwells are shown: of several units the first that is measured."""
+        of_units = self._outcome.units.values()
+        return next(
+            (each for each in of_units if each.ended == "finished"), next(iter(of_units), self._outcome)
+        )
+
     def _take_dwells(self) -> None:
         self._has_new_dwell = False
-        rows = [dwell.row for dwell in self._outcome.dwells]
+        rows = [dwell.row for dwell in self._shown.dwells]
         self._dwells = measured_dwells(rows)
         self._bins = live_bins(rows, self._plan.procedure.bin_width_c)
         self._unit = rows[-1].unit if rows else self._unit

@@ -107,6 +107,21 @@ def bias_line(snapshot: RunSnapshot, plus_minus: str) -> Text:
     return Text.assemble(head, (values, "bold"), "  0.001 deg/h")
 
 
+def unit_lines(snapshot: RunSnapshot, plus_minus: str) -> list[Text]:
+    """A line for each of several units: dwells, biases of the newest one, or why it was dropped."""
+    lines = []
+    for unit in snapshot.units:
+        head = f"unit {unit.number:<8}{unit.dwells:>4} dwells  "
+        if unit.dropped:
+            lines.append(Text.assemble(head, (f"dropped: {unit.dropped}", _ALARM)))
+            continue
+        pairs = zip(AXES, unit.bias_dph, unit.sigma_dph, strict=True)
+        values = "  ".join(f"{axis} {1e3 * b:+z.2f}{plus_minus}{1e3 * s:.2f}" for axis, b, s in pairs)
+        shown = "flagged" if unit.flags else values if unit.dwells else ""
+        lines.append(Text.assemble(head, f"{unit.ins_mode:<9} ", shown))
+    return lines
+
+
 def sigma_line(estimates: tuple[LiveBias, ...], width: int, is_ascii: bool) -> Text:
     """History of the largest of the three uncertainties, first to last."""
     sigmas = [1e3 * max(each.sigma_dph) for each in estimates]
@@ -288,14 +303,14 @@ def screen(snapshot: RunSnapshot, width: int, height: int, is_ascii: bool) -> li
     """Lines that show a snapshot, at most ``height`` lines of at most ``width`` characters.
 
     State, time remaining, alarms and the open question are always shown; then, as space permits, step,
-    readings and live bias, the profile, the dwell with its position, the bins, and messages.
+    readings, live bias and units, the profile, the dwell with its position, the bins, and messages.
     """
     plus_minus = "+-" if is_ascii else "±"
     top = [headline(snapshot, width), *attention(snapshot, width)]
     lines = [step_line(snapshot)]
     if snapshot.bench:
         lines.append(readings_line(snapshot.bench))
-    bias = [bias_line(snapshot, plus_minus)]
+    bias = [bias_line(snapshot, plus_minus), *unit_lines(snapshot, plus_minus)]
     rows = _shares(height - len(top) - len(lines) - len(bias), snapshot)
     if snapshot.dwell and rows["sigma"]:
         bias.append(sigma_line(snapshot.dwell.estimates, width, is_ascii))

@@ -35,6 +35,7 @@ from gyrobench.bench.monitor.terminal_screen import MAX_HEIGHT, MAX_WIDTH, scree
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.procedure.plan import Plan, PlannedStep
 from gyrobench.bench.procedure.steps import Chamber
+from gyrobench.bench.runs.folder import RunFolder
 
 
 class TerminalOperator:
@@ -122,7 +123,7 @@ class LinesView(RunObserver):
         self._left_s = plan.duration_s
         self._step = ""
         self._so_far = ""
-        self._has_head = False
+        self._has_head = self._has_several = False
         self._has_status = has_status and console.is_terminal
         self._status: Status | None = None
 
@@ -143,6 +144,14 @@ class LinesView(RunObserver):
     def noted(self, text: str) -> None:
         """Print a message."""
         self._console.print(text, highlight=False)
+
+    def begun(self, folder: RunFolder, bench: LiveBench, outcome: RunOutcome) -> None:  # noqa: ARG002
+        """Name the unit of each dwell where there are several."""
+        self._has_several = bool(outcome.units)
+
+    def dropped(self, unit: str, why: str) -> None:
+        """Print that a unit is dropped."""
+        self._console.print(f"Unit {unit} is dropped: {why}", style="bold red", highlight=False)
 
     def step_started(self, planned: PlannedStep, bench: LiveBench) -> None:
         """Show the step; chamber steps are printed with the time since the start."""
@@ -178,6 +187,8 @@ class LinesView(RunObserver):
             self._console.print(f"{_UNITS}\n{_HEAD}", highlight=False)
             self._has_head = True
         number = f"{row.dwell:3d}/{self._plan.dwell_count:<3d}"
+        if self._has_several:
+            number = f"{row.unit} {number}"
         head = f"{number} {row.cycle:5d}  {row.position:<7s} {row.gyro_c[0]:6.1f}"
         if row.flags:
             self._console.print(f"{head}  flagged", highlight=False)

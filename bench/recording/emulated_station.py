@@ -38,7 +38,7 @@ def write_station_file(path: Path, station: Station, urls: Mapping[str, str], sp
     station : Station
         Source of everything except the addresses.
     urls : mapping of str to str
-        Addresses of ``table``, ``chamber`` and ``ins``.
+        Addresses of ``table``, ``chamber`` and ``ins``, and of further units: ``ins-2`` and so on.
     speed : float
         The emulators' factor on real time.
     """
@@ -67,11 +67,19 @@ def station_text(station: Station, urls: Mapping[str, str], speed: float) -> str
     data["rate_table"] |= {"port": urls["table"]}
     data["chamber"] |= {"port": urls["chamber"]}
     data["ins"] = _ins_section(data["ins"], urls["ins"]) | {"dbc": f"{emulated_dbc(station)}.dbc"}
+    for entry, (_, url) in zip(data.get("units", []), _units(urls), strict=False):
+        entry |= _ins_section(entry, url) | {"identifier_offset": 0}
     body = yaml.safe_dump(data, sort_keys=False, width=_WIDTH, allow_unicode=True, default_flow_style=None)
     return (
         "# Written by `gyrobench emulate`: the ports belong to the emulators that it started and\n"
         "# disappear with them. `speed` is the emulators' factor on real time; keep it equal.\n" + body
     )
+
+
+def _units(urls: Mapping[str, str]) -> list[tuple[int, str]]:
+    """Number and address of each unit, in order."""
+    numbered = {int(name.partition("-")[2] or 1): url for name, url in urls.items() if name.startswith("ins")}
+    return sorted(numbered.items())
 
 
 def _ins_section(section: dict[str, Any], url: str) -> dict[str, Any]:
@@ -97,14 +105,21 @@ def guide(urls: Mapping[str, str], file: StationFile, speed: float, station_path
         The station file that was written for them.
     """
     pace = "in real time" if speed == 1.0 else f"{speed:g} times as fast as real time"
-    table, chamber, ins = urls["table"], urls["chamber"], urls["ins"]
+    table, chamber, units = urls["table"], urls["chamber"], _units(urls)
+    events = {number: unit.power_event or file.unit.power_event for number, unit in enumerate(file.units, 1)}
     lines = [
         f"The emulated bench runs {pace} until Ctrl-C.",
         *_entry("Table", f"{table}  {file.rate_table.dialect}", _serial_terminal(table)),
         *_entry("Chamber", f"{chamber}  {file.chamber.dialect}", *_chamber_clients(file, chamber)),
-        *_entry("INS", f"{ins}  {file.ins.dbc}", *_can_clients(ins)),
-        f"    It sends frames while event output {UNIT_POWER_EVENT} of the chamber is on.",
     ]
+    for number, url in units:
+        event = events.get(number, UNIT_POWER_EVENT + number - 1)
+        lines += [
+            *_entry(
+                f"INS {number}" if len(units) > 1 else "INS", f"{url}  {file.ins.dbc}", *_can_clients(url)
+            ),
+            f"    It sends frames while event output {event} of the chamber is on.",
+        ]
     if station_path:
         command = f"gyrobench run ten_minute_check --station {station_path}"
         lines += _entry("Bench", f"{station_path}  station file", command)

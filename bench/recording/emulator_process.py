@@ -54,8 +54,8 @@ class EmulatorProcess:
     Attributes
     ----------
     urls : dict of str to str
-        Addresses of ``table``, ``chamber`` and ``ins``; empty where the emulators did not start and
-        printed the reason on stderr.
+        Addresses of ``table``, ``chamber`` and ``ins``, and of further units: ``ins-2`` and so on; empty
+        where the emulators did not start and printed the reason on stderr.
     """
 
     def __init__(self, options: Sequence[str]) -> None:
@@ -135,6 +135,9 @@ def serve_options(
     options = [f"--{name}-port={port}" for name, port in chosen.items() if port]
     options += [f"--table-dialect={file.rate_table.dialect}", f"--chamber-dialect={file.chamber.dialect}"]
     options += [f"--frames={frames}"] if (frames := emulated_dbc(station)) else []
+    if len(station.units) > 1:
+        events = [f"--power-event={unit.file.unit.power_event}" for unit in station.units]
+        options += [f"--units={len(events)}", *events]
     options += settings.options() if settings else []
     return [*options, f"--can={can or _can(file)}", *(["--tcp"] if tcp else [])]
 

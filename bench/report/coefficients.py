@@ -32,8 +32,9 @@ _WITHOUT_FORCE = (
     "forces."
 )
 _CAPTION = (
-    "Coefficients over the temperature of the gyro, for accelerometers that of the case; bars are expanded "
-    "uncertainties (95 %), where they are larger than the marker."
+    "Coefficients over the temperature of the gyro, for accelerometers that of the case; lines join the "
+    "plateaus of a cycle in the order of time. Bars are expanded uncertainties (95 %), where they are larger "
+    "than the marker."
 )
 _NAMES = {
     "gyro_bias": "gyro bias",
@@ -85,8 +86,8 @@ def coefficients_figure(rows: Sequence[PlateauCoefficientRow], budget: Sequence[
         own = [row for row in rows if row.coefficient == kind and not math.isnan(row.value)]
         axes.set_title(f"{title} / {_unit(own[0].unit)}" if own else title, fontsize=8)
         factors: set[str] = set()
-        for name in dict.fromkeys(row.axis for row in own):
-            chosen = sorted((row for row in own if row.axis == name), key=lambda row: row.temperature_c)
+        for name, cycle in dict.fromkeys((row.axis, row.cycle) for row in own):
+            chosen = [row for row in own if (row.axis, row.cycle) == (name, cycle)]
             colour, line, marker = GYRO_STYLES[name[0]]
             is_second = len(name) > 1 and name[1] == max(set("xyz") - {name[0]})
             bars = [
@@ -98,7 +99,7 @@ def coefficients_figure(rows: Sequence[PlateauCoefficientRow], budget: Sequence[
                 [row.temperature_c for row in chosen],
                 [row.value for row in chosen],
                 [expanded for _, expanded in bars],
-                label=name,
+                label=name if cycle == own[0].cycle else None,
                 color=colour,
                 linestyle=line,
                 marker=marker,

@@ -19,6 +19,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from inspect import Parameter, signature
 from pathlib import Path
+from typing import TYPE_CHECKING
 from urllib.parse import parse_qsl, urlsplit
 
 from pydantic import TypeAdapter, ValidationError
@@ -29,14 +30,15 @@ from gyrobench.bench.foundations.packages import EMULATORS, load
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.drivers.emulators.can_ins import CanChannel, CanInsEmulator, EmulatedUnit
 from gyrobench.drivers.emulators.dialect import ChamberEmulation, Connection, SerialInstrument, TableEmulation
-from gyrobench.drivers.emulators.faults.fault import BenchParts
-from gyrobench.drivers.emulators.faults.fault_list import check_faults, load_faults
-from gyrobench.drivers.emulators.faults.faulty_lines import FaultyCan, FaultySerial
-from gyrobench.drivers.emulators.faults.injector import InjectionLog, Injector
 from gyrobench.drivers.emulators.world.strapdown import table_attitude
 from gyrobench.drivers.emulators.world.surroundings import OUTER
 from gyrobench.drivers.emulators.world.world import World
 from gyrobench.drivers.emulators.world.world_file import load_world
+
+if TYPE_CHECKING:
+    from gyrobench.drivers.emulators.faults.fault import BenchParts
+    from gyrobench.drivers.emulators.faults.faulty_lines import FaultySerial
+    from gyrobench.drivers.emulators.faults.injector import Injection, Injector
 
 _LOG = logging.getLogger("gyrobench")
 _DEFAULT_WORLD = "gyro_a"
@@ -88,7 +90,6 @@ class EmulatedBench:
         self._injector: Injector | None = None
         self._seed, self._start_s = seed, math.floor(clock.now())
         self._file = load_world(world)
-        listed = None if faults is None else load_faults(faults)
         #: The units in order of their numbers, from 1; ``world``, ``ins`` and ``bus`` are those of the first.
         self.units: list[EmulatedUnit] = []
         self.world = World(self._file, seed, self._start_s)
@@ -102,20 +103,19 @@ class EmulatedBench:
         self.connections = {"table": Connection(), "chamber": Connection()}
         #: CAN buses with clients, by channel: they connect the units.
         self.channels: dict[str, CanChannel] = {}
-        self.injected = InjectionLog()  #: The faults injected so far.
+        self.injected: list[Injection] = []  #: The faults injected so far.
         self._lines: dict[str, FaultySerial] = {}
         self._parts: list[BenchParts] = []
-        if listed is not None:
+        if faults is not None:  # without, a run starts faster without their models
+            from gyrobench.drivers.emulators.faults.faulty_lines import FaultySerial
+
             self._lines = {name: FaultySerial(instrument) for name, instrument in self.serial.items()}
             self.serial = dict(self._lines)
             self.connections = {name: line.connection for name, line in self._lines.items()}
         self.has_units(max(units, 1 + len(self._file.units)))
         self.ins, self.bus = self.units[0].ins, self.units[0].bus
-        if faults is not None and listed is not None:
-            check_faults(faults, listed, self._parts)
-            listed_log = faults.parent / listed.log if listed.log else None
-            self.injected = InjectionLog(faults_log or listed_log)
-            self._injector = Injector(listed.faults, self._parts, seed, self._start_s, self.injected)
+        if faults is not None:
+            self._inject(faults, faults_log)
         self.advance()
 
     def has_units(self, count: int) -> None:
@@ -128,6 +128,9 @@ class EmulatedBench:
             ins = CanInsEmulator(world, self.clock.epoch.timestamp())
             unit = EmulatedUnit(world, ins, ins, Connection(), self._file.power_event(number))
             if self._lines:
+                from gyrobench.drivers.emulators.faults.fault import BenchParts
+                from gyrobench.drivers.emulators.faults.faulty_lines import FaultyCan
+
                 unit.bus = bus = FaultyCan(ins)
                 unit.connection = bus.connection
                 self._parts.append(
@@ -135,6 +138,15 @@ class EmulatedBench:
                 )
             self.connections[channel_name(number)] = unit.connection
             self.units.append(unit)
+
+    def _inject(self, path: Path, log: Path | None) -> None:
+        from gyrobench.drivers.emulators.faults.fault_list import check_faults, load_faults
+        from gyrobench.drivers.emulators.faults.injector import InjectionLog, Injector
+
+        listed = load_faults(path)
+        check_faults(path, listed, self._parts)
+        self.injected = injected = InjectionLog(log or (path.parent / listed.log if listed.log else None))
+        self._injector = Injector(listed.faults, self._parts, self._seed, self._start_s, injected)
 
     def advance(self, units: Sequence[EmulatedUnit] | None = None) -> None:
         """Advance the world to the present: some units, if there are no faults, or all."""

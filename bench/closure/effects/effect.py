@@ -187,7 +187,10 @@ def above_optics_c(campaign: Campaign) -> FloatArray:
 
 def needs_positions(campaign: Campaign) -> str | None:
     """Missing input if all dwells are in one position."""
-    return "dwells in more than one position" if len(set(campaign.position)) < 2 else None
+    if len(set(campaign.position)) > 1:
+        return None
+    is_of_dwells = campaign.quantity.row == "dwell"
+    return "dwells in more than one position" if is_of_dwells else "a table with values of each position"
 
 
 def needs_electronics(campaign: Campaign) -> str | None:

@@ -57,7 +57,7 @@ class Law:
         elif self.memory == "none":
             terms = self._curved(campaign, shaped)
         elif self.driver in EVENTS:
-            mean = _mean_decay(campaign, EVENTS[self.driver](campaign), *values[count:])
+            mean = mean_decay(campaign, EVENTS[self.driver](campaign), *values[count:])
             terms = shaped(np.repeat(mean[:, np.newaxis], 3, axis=1))
         else:
             record = campaign.record
@@ -295,7 +295,7 @@ def _course(driver: str, campaign: Campaign) -> FloatArray:
     return whole.computed_terms[key]
 
 
-def _mean_decay(campaign: Campaign, on_s: FloatArray, tau_s: float) -> FloatArray:
+def mean_decay(campaign: Campaign, on_s: FloatArray, tau_s: float) -> FloatArray:
     """Mean over each dwell of decays (n,) that begin with 1: a dwell with an event has parts of two."""
     off_s = np.append(on_s[1:], np.inf)
     area = sum(

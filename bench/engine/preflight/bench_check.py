@@ -6,6 +6,8 @@ import contextlib
 import math
 import shutil
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from gyrobench.bench.engine.observers import RunOutcome
@@ -74,19 +76,23 @@ def check_bench(
         Outputs(bench, clock, emulation) as outputs,
     ):
 
-        def ins() -> CanIns:
-            driver = open_ins(bench, clock, emulation)
+        def ins(unit: Station) -> CanIns:
+            driver = open_ins(unit, clock, emulation, bench)
             opened.callback(driver.close)
             return driver
 
-        traffic = CanTraffic()
+        traffic = {unit: CanTraffic() for unit in bench.units}
         return [
             procedure_check,
             *calibration_checks(bench, acknowledged),
             *table_checks(bench, lambda: outputs.table),
             *chamber_checks(bench, lambda: outputs.chamber),
-            *ins_checks(bench, outputs, ins, clock, traffic),
-            disk_check(bench, folder, plan, traffic.frames_per_s),
+            *(
+                replace(check, subject=unit.instrument)
+                for unit in bench.units
+                for check in ins_checks(unit, outputs, partial(ins, unit), clock, traffic[unit])
+            ),
+            disk_check(bench, folder, plan, sum(each.frames_per_s for each in traffic.values())),
             *map(_message_check, bench.file.messages),
         ]
 

@@ -112,8 +112,8 @@ def _switch_on(station: Station, outputs: Outputs, switched: ExitStack) -> None:
     """Switch the supply on if the bench can and it is off; the stack switches it off."""
     unit = station.file.unit
     if unit.power == "chamber_event" and not outputs.chamber.is_event_on(unit.power_event):
-        switched.callback(outputs.power_unit, False)
-        outputs.power_unit(True)
+        switched.callback(outputs.chamber.switch_event, unit.power_event, False)
+        outputs.chamber.switch_event(unit.power_event, True)
 
 
 def _is_sending(ins: CanIns, clock: Clock, limit_s: float) -> bool:

@@ -72,7 +72,17 @@ _COLOURS = {"clean": "finished", "explained": "finished", "ambiguous": "stopped"
 def closure_sections(closure: Closure) -> list[Section]:
     """All parts: residual, effects, alternatives, held-out error, rotation, lack of fit."""
     parts = (_residual, _effects, _composed, _alternatives, _error, _rotation, _lack_of_fit)
-    return [section for part in parts if (section := part(closure))]
+    in_rows = closure.quantity.in_rows
+    return [
+        replace(
+            section,
+            paragraphs=list(map(in_rows, section.paragraphs)),
+            figures=[replace(each, caption=in_rows(each.caption)) for each in section.figures],
+            tables=[replace(each, caption=in_rows(each.caption)) for each in section.tables],
+        )
+        for part in parts
+        if (section := part(closure))
+    ]
 
 
 def _residual(closure: Closure) -> Section:
@@ -242,6 +252,8 @@ def _alternatives(closure: Closure) -> Section:
 
 def _error(closure: Closure) -> Section:
     held_out, scale = ~closure.searched, scale_of_errors(closure)
+    if not held_out.any():
+        return Section("Held-out error", [text.error_sentence(closure)])
     sigma_dph = closure.prediction_sigma_dph[held_out]
     errors = {name: residuals_dph(closure, model) for name, model in models_of(closure).items()}
     errors["noise"] = noise_dph(closure)
@@ -352,10 +364,11 @@ def _facts(closure: Closure) -> dict[str, str]:
     gyro_c = campaign.gyro_c
     measured = len(campaign.whole) + len(campaign.without_temperatures)
     several = {"tables": "; ".join(text.table_texts(closure))} if len(campaign.tables) > 1 else {}
+    row = campaign.quantity.row
     return several | {
-        "dwells": f"{len(campaign)} of {measured} with a result and without flags, over {hours:.0f} h",
+        f"{row}s": f"{len(campaign)} of {measured} with a result and without flags, over {hours:.0f} h",
         "cycles": f"{len(cycles)}; {held_out_cycles(closure)} held out",
-        "searched": f"{counted(int(searched.sum()), 'dwell')}; {int((~searched).sum())} held out",
+        "searched": f"{counted(int(searched.sum()), row)}; {int((~searched).sum())} held out",
         "power cycles": str(len(campaign.run_names)),
         "gyro temperatures": f"{gyro_c.min():.0f} to {gyro_c.max():.0f} °C",
     }

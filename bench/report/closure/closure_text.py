@@ -70,6 +70,8 @@ def scale_of_errors(closure: Closure) -> BiasScale:
 
 def held_out_cycles(closure: Closure) -> str:
     """Name the held-out cycles: "cycle 3", "cycles 2 and 3"; of several tables "cycle 3 of A"."""
+    if closure.searched.all():
+        return "no cycle"
     return cycles_text(closure, np.unique(closure.campaign.cycle[~closure.searched]).tolist())
 
 
@@ -220,6 +222,8 @@ def _unsettled(closure: Closure) -> str:
         return (
             f"{labels(closure, closure.circular)} {verb} composed from the held-out dwells: measure others."
         )
+    if closure.searched.all():
+        return f"no cycle is held out to confirm {found}). Measure the profile a second time."
     return f"{found}) does not predict the held-out cycle better by more than chance, and within the noise."
 
 
@@ -408,6 +412,8 @@ def missing_input_sentences(closure: Closure) -> list[str]:
 def error_sentence(closure: Closure) -> str:
     """Held-out error, before and after, compared with the noise."""
     held_out = ~closure.searched
+    if not held_out.any():
+        return "No cycle is held out to test the model. Measure the profile a second time."
     before = with_sigma(closure.error_before_dph, closure.error_before_sigma_dph)
     unit, label = closure.quantity.unit, closure.quantity.label
     models = f"{before} {unit} rms with the declared model"

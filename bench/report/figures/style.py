@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import struct
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +12,8 @@ from types import MappingProxyType
 from typing import Any, Literal
 
 import matplotlib.style
+import numpy as np
+from isal import isal_zlib
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -21,8 +24,7 @@ from gyrobench.bench.foundations.files import write_whole
 #: Width of all figures, inch: the text of an A4 page.
 WIDTH_IN = 7.2
 _PNG_DPI = 160
-#: Takes half as long as the default level, for 6 % larger files.
-_PNG = {"compress_level": 3}
+_INCH_M = 0.0254
 _POINTS_PER_INCH, _LEGEND_PT = 72.0, 8
 #: Width of a character and height of a legend's row in parts of the size of the font.
 _CHARACTER, _LEGEND_ROW = 0.58, 1.75
@@ -198,13 +200,27 @@ def mark_temperatures(axes: Axes, along: Literal["x", "y"], marked_c: Sequence[f
 @house_style
 def png_bytes(figure: Figure, key: str = "") -> bytes:
     """Draw a figure; equal figures give equal bytes. A key is kept in the PNG, see :func:`is_drawn`."""
-    dpi, buffer = figure.dpi, io.BytesIO()
-    metadata = {"Software": None} | ({_KEY: key} if key else {})
+    dpi, canvas = figure.dpi, FigureCanvasAgg(figure)
     figure.set_dpi(_PNG_DPI)
-    # Unlike savefig, which draws everything twice.
-    FigureCanvasAgg(figure).print_png(buffer, metadata=metadata, pil_kwargs=_PNG)  # type: ignore[no-untyped-call]
+    canvas.draw()  # type: ignore[no-untyped-call]  # unlike savefig, which draws everything twice
     figure.set_dpi(dpi)
-    return buffer.getvalue()
+    # In a fifth of the time of PIL, which looks for the best filter of each row.
+    pixels = np.asarray(canvas.buffer_rgba())[:, :, :3]  # type: ignore[no-untyped-call]
+    height, width, _ = pixels.shape
+    rows = np.zeros((height, 1 + 3 * width), np.uint8)  # a zero before each: not filtered
+    rows[:, 1:] = pixels.reshape(height, -1)
+    dots_per_m, text = round(_PNG_DPI / _INCH_M), f"{_KEY}\0{key}"
+    chunks = [
+        (b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)),  # 8 bits of red, green and blue
+        *([(b"tEXt", text.encode())] if key else []),
+        (b"pHYs", struct.pack(">IIB", dots_per_m, dots_per_m, 1)),
+        (b"IDAT", isal_zlib.compress(rows.data, 1)),
+        (b"IEND", b""),
+    ]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", isal_zlib.crc32(kind + data))
+        for kind, data in chunks
+    )
 
 
 def stamp(figure: Figure, word: str) -> None:

@@ -40,13 +40,13 @@ def proposal_sentences(proposal: Proposal, rivals: Sequence[Rival], limit: int =
     biases = f" For the biases it replaces {proposal.replaced_h:.1f} h of the procedure."
     yield (
         f"{what[:1].upper()}{what[1:]}: {counted(len(plan.dwells), 'dwell')} in {plan.duration_h:.1f} h. The "
-        f"entropy of the probabilities is expected to fall from {proposal.entropy:.2f} to "
-        f"{proposal.expected.entropy:.2f} nats.{biases if proposal.replaced_h else ''}"
+        f"entropy of the probabilities is expected to fall from {proposal.entropy:z.2f} to "
+        f"{proposal.expected.entropy:z.2f} nats.{biases if proposal.replaced_h else ''}"
     )
     for rival, prediction in list(zip(rivals, proposal.predictions, strict=True))[:limit]:
         mean_dph = prediction.mean_dph.reshape(3, -1)
         gyros = ", ".join(
-            f"{axis} {1e3 * each.mean():+.1f}" for axis, each in zip(AXES, mean_dph, strict=True)
+            f"{axis} {1e3 * each.mean():+z.1f}" for axis, each in zip(AXES, mean_dph, strict=True)
         )
         yield (
             f"If it is {title_of(rival)} (probability {probability_number(rival.probability)}), the mean "

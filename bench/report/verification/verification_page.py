@@ -52,6 +52,8 @@ from gyrobench.bench.verification.compensation_verification import (
 STYLES = {NONE: ("#AAAAAA", ":"), DECLARED: ("#E69F00", "--"), EFFECT: ("#0072B2", "-")}
 _NOISE_COLOUR = "#222222"
 _GROUP_WIDTH = 0.8
+#: More labels of plateaus than these stand on end.
+_MAX_UPRIGHT = 4
 _PANELS = (
     ("bias without the gyros' means", "rms / (0.001 deg/h)", "varying_rms_dph", "bias_noise_dph", 1000.0),
     ("spread between positions", "maximum / (0.001 deg/h)", "spread_dph", "spread_noise_dph", 1000.0),
@@ -138,18 +140,24 @@ def _bars(axes: Axes, result: VerificationResult, size: str, noise: str, factor:
         linewidth=1.2,
         label="noise",
     )
-    axes.set_xticks(places, _plateau_labels(rows))
+    is_crowded = len(rows) > _MAX_UPRIGHT
+    axes.set_xticks(
+        places, _plateau_labels(rows), rotation=90 * is_crowded, fontsize=6.5 if is_crowded else 8
+    )
     axes.set_ylim(bottom=0.0)
     axes.grid(visible=False, axis="x")
 
 
 def _plateau_labels(rows: Sequence[VerificationRow]) -> list[str]:
-    """Temperature, and the cycle if there are several."""
+    """Temperature, and in brackets the cycle if there are several."""
     several = len({row.cycle for row in rows}) > 1
-    return [f"{row.gyro_c:.0f} °C" + (f"\ncycle {row.cycle}" if several else "") for row in rows]
+    return [f"{row.gyro_c:.0f} °C" + (f" ({row.cycle})" if several else "") for row in rows]
 
 
-_RESIDUALS = "Residual with each compensation at each plateau. The black lines are the noise."
+_RESIDUALS = (
+    "Residual with each compensation at each plateau, in brackets its cycle where there are several. The "
+    "black lines are the noise."
+)
 _DAY = (
     "Position error over a day at rest of a rotational INS with the biases measured at each temperature. The "
     "black line is the largest error expected from the measurement noise alone."

@@ -85,6 +85,7 @@ class World:
         self._scale_random = random(3)
         over_rate = file.gyro.scale_factor_asymmetry_ppm, file.gyro.scale_factor_ppm_per_dps
         self._half_asymmetry_ppm, self._ppm_per_dps = np.array(over_rate) * [[0.5], [1.0]]
+        self._scale_varies = bool(np.any(over_rate))
         self._sample = start_s * SAMPLE_RATE_HZ
         self._powered_on_sample = self._sample
         self._remainders = np.zeros((2, 3))
@@ -247,7 +248,7 @@ class World:
             _NONE_DPH if compensation is None else compensation.bias_dph,
             normal, count, _DT_S, self._walks, self._pulses, self._remainders,
         )  # fmt: skip
-        if self._undeclared_ppm.any() or self._half_asymmetry_ppm.any() or self._ppm_per_dps.any():
+        if self._scale_varies or self._undeclared_ppm.any():
             true = np.tile(rotation[:count], (len(normal), 1))
             ppm = np.repeat(self._undeclared_ppm[-len(normal) :], count, axis=0)
             ppm += (

@@ -8,7 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from gyrobench.bench.calibration import estimator
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, SensorErrors
-from gyrobench.bench.calibration.estimator import CalibrationOptions, calibrate
+from gyrobench.bench.calibration.estimator import calibrate, covariances_by_source
+from gyrobench.bench.calibration.information import CalibrationOptions
 from gyrobench.bench.calibration.recording import IncrementRecording, SensorNoise
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.error_model import Site
@@ -50,6 +51,21 @@ def test_every_coefficient_of_eighteen_rotations_is_found_as_well_as_the_noise_a
     assert min(each.fit.p_value for each in found) > 1e-4
 
 
+def test_a_bias_that_drifts_is_no_misfit_and_leaves_the_other_coefficients_right():
+    angle, velocity = eighteen()
+    time_s = 0.05 * (np.arange(len(angle)) + 0.5)
+    drift = np.deg2rad([0.2, -0.15, 0.1]) / 3600.0**2
+    drifted = angle + 0.05 * np.outer(time_s - time_s.mean(), drift), velocity
+    found = [calibrate([recorded(drifted, seed)], SITE) for seed in range(4)]
+    deviations = np.array([(each.values - TRUTH) / each.sigmas for each in found])
+    assert np.sqrt(np.mean(deviations**2)) == pytest.approx(1.0, abs=0.25)
+    assert min(each.fit.p_value for each in found) > 1e-3
+    assert all("bias_drift" in covariances_by_source(each, SITE, CalibrationOptions()) for each in found[:1])
+    constant = calibrate([recorded(drifted, 0)], SITE, CalibrationOptions(bias_drift=0.0))
+    assert constant.fit.p_value < 1e-3
+    assert (constant.sigmas > found[0].sigmas).all()
+
+
 def test_the_uncertainty_is_the_cramer_rao_bound(monkeypatch):
     """Information of the same data in another way: attitude in closed form, noise as one matrix."""
     noise = Noise()
@@ -58,7 +74,7 @@ def test_the_uncertainty_is_the_cramer_rao_bound(monkeypatch):
     )
     monkeypatch.setattr(estimator, "measure_noise", lambda *_: exact)
     unit = rotated_unit(rotations=EIGHTEEN[:6], dwell_s=40.0, ramp_s=2.0)
-    found = calibrate([recorded(unit.increments(), 3)], SITE)
+    found = calibrate([recorded(unit.increments(), 3)], SITE, CalibrationOptions(bias_drift=0.0))
     (rests,) = found.rests
     ends = np.arange(20, rests[-1].end + 1, 20)
     used = np.any([(ends >= rest.begin) & (ends <= rest.end) for rest in rests], axis=0)
@@ -274,7 +290,7 @@ def test_a_sample_interval_that_is_wrong_by_a_hundredth_is_named(of_rates):
 
 def test_residuals_far_beyond_the_noise_give_no_table():
     angle, velocity = eighteen()
-    drift = np.linspace(0.0, 2e-5, len(angle))[:, np.newaxis]
+    drift = 2e-5 * np.linspace(0.0, 1.0, len(angle))[:, np.newaxis] ** 2  # a steady one is estimated
     with pytest.raises(MeasurementError, match="times the noise, at most 10 times is accepted"):
         calibrate([recorded((angle + 0.05 * drift, velocity), 14)], SITE)
 

@@ -17,7 +17,7 @@ def proposed(targets, name="eighteen_rotations", table=TABLE, **options):
 @pytest.mark.parametrize(
     "name", [pytest.param("eighteen_rotations", marks=pytest.mark.long), "nineteen_positions"]
 )
-@pytest.mark.parametrize("kinds", [("gyro_scale", "gyro_mis"), ("",)])
+@pytest.mark.parametrize("kinds", [pytest.param(("gyro_scale", "gyro_mis"), marks=pytest.mark.long), ("",)])
 def test_a_list_that_reaches_what_a_shipped_one_does_is_not_longer(name, kinds):
     reached = forecast(shipped(name), TABLE, SITE, NOISE, 100.0)
     named = np.array([any(part in each for part in kinds) for each in NAMES])

@@ -10,7 +10,7 @@ from gyrobench.bench.calibration.recording import (
     measure_noise,
 )
 from gyrobench.bench.foundations.errors import MeasurementError
-from tests.bench.calibration.rotated_unit import Noise, Unit
+from tests.bench.calibration.rotated_unit import EARTH, Noise, Unit
 
 
 def recorded(unit, noise=None, seed=1):
@@ -84,3 +84,62 @@ def test_a_sensor_that_never_changes_is_refused():
     recording.velocity[:, 1] = 0.0
     with pytest.raises(MeasurementError, match="velocity increments of axis y never change"):
         measure_noise([recording], [find_rests(recording)])
+
+
+def _disturbed_axes(time):
+    """Roll, pitch, heading (deg), and specific force (m/s^2) of a unit that is disturbed on some axes.
+
+    With the stretches (s) in which that happens: a swinging support, a push on one side, a twist that stays,
+    and a machine beside it that shakes the vertical axis.
+    """
+    rph, shake = np.tile([3.0, -2.0, 40.0], (len(time), 1)), np.zeros((len(time), 3))
+    swing, push, twist, machine = (300.0, 340.0), (700.0, 703.0), (1100.0, 1102.0), (1500.0, 1520.0)
+
+    def inside(span):
+        return np.clip((time - span[0]) / (span[1] - span[0]), 0.0, 1.0)
+
+    rph[:, 0] += 0.05 * np.sin(26.0 * np.pi * inside(swing)) * np.sin(np.pi * inside(swing))
+    rph[:, 1] += 0.1 * np.sin(np.pi * inside(push)) ** 2
+    rph[:, 2] += 0.1 * np.sin(0.5 * np.pi * inside(twist)) ** 2
+    running = (inside(machine) > 0.0) & (inside(machine) < 1.0)
+    shake[:, 2] = running * 0.05 * np.sin(2.0 * np.pi * 7.3 * time)
+    return rph, shake, (swing, push, twist, machine)
+
+
+# pandas 3 ignores an argument of pyins with a warning.
+@pytest.mark.filterwarnings("ignore::Warning")
+def test_quiet_stretches_of_1847_s_with_disturbed_axes_give_earth_rate_and_noise():
+    """Increments of the real motion by python-ins, as of a ring-laser INS at 64 Hz."""
+    from pyins import sim
+
+    latitude_deg, interval_s = 51.0784, 1.0 / 64.0
+    time = np.arange(round(1847.0 / interval_s) + 1) * interval_s
+    rph, shake, stretches = _disturbed_axes(time)
+    place = np.tile([latitude_deg, 0.0, 0.0], (len(time), 1))
+    _, imu = sim.generate_imu(time, place, rph, np.zeros((len(time), 3)), "increment")
+    clean = imu.to_numpy()[1:, :3], imu.to_numpy()[1:, 3:] + shake[1:] * interval_s
+    noise = Noise(angle_random_walk=np.deg2rad(0.002) / 60.0)
+    angle, velocity = noise.added(*clean, interval_s, np.random.default_rng(5))
+    recording = IncrementRecording(interval_s, angle, velocity)
+    rests = find_rests(recording)
+    assert len(rests) == len(stretches) + 1
+    assert {each.kind for each in find_rotations(recording, rests)} == {"disturbance"}
+    for rest, begin_s, end_s in zip(
+        rests,
+        [0.0, *(end for _, end in stretches)],
+        [*(begin for begin, _ in stretches), 1847.0],
+        strict=True,
+    ):
+        # Swings begin and end slowly.
+        assert begin_s - 2.0 <= rest.begin * interval_s < begin_s + 3.0
+        assert end_s - 3.0 < rest.end * interval_s <= end_s + 2.0
+        duration_s = (rest.end - rest.begin) * interval_s
+        rate, force = (each[rest.begin : rest.end].sum(axis=0) / duration_s for each in (angle, velocity))
+        up_rate = rate @ force / np.linalg.norm(force)
+        sigma = noise.angle_random_walk / np.sqrt(duration_s)
+        # pyins has North, East and Down: the unit's force points up in it all the same.
+        assert up_rate == pytest.approx(EARTH * np.sin(np.deg2rad(latitude_deg)), abs=4.0 * sigma)
+        assert np.linalg.norm(rate) == pytest.approx(EARTH, abs=4.0 * sigma)
+    measured = measure_noise([recording], [rests])
+    assert measured.angle_random_walk == pytest.approx(np.full(3, noise.angle_random_walk), rel=0.2)
+    assert measured.velocity_random_walk == pytest.approx(np.full(3, noise.velocity_random_walk), rel=0.35)

@@ -153,12 +153,14 @@ def test_plan_prints_the_timeline_and_draws_the_profile_without_an_instrument(tm
 
 
 def test_plan_reports_the_effects_that_its_dwells_distinguish(tmp_path):
-    result = gyrobench("plan", "six_position_fig7", "--separability", "--target-dph", "0.05", cwd=tmp_path)
+    procedure = "three_temperature_shift"
+    result = gyrobench("plan", procedure, "--separability", "--target-dph", "0.05", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
-    assert "The search uses 30 of 60 dwells" in result.stdout
-    assert "Not found" not in result.stdout
-    assert "Not distinguished at 50.00: daily_course from time_drift" in " ".join(result.stdout.split())
-    assert (tmp_path / "separability_six_position_fig7.png").read_bytes().startswith(b"\x89PNG")
+    printed = " ".join(result.stdout.split())
+    assert "Not found" not in printed
+    assert "Not distinguished at 50.00: chamber_state from bias_jump" in printed
+    assert "add a cycle and measure two positions on each ramp. This distinguishes" in printed
+    assert (tmp_path / f"separability_{procedure}.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_plan_starts_from_a_search(table, tmp_path):
@@ -167,6 +169,7 @@ def test_plan_starts_from_a_search(table, tmp_path):
     result = gyrobench(*arguments, "found", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     text = " ".join(result.stdout.split())
+    assert re.search(r"The search uses \d+ of \d+ dwells; the last cycle is held out", text)
     assert "as measured in the closure" in text
     assert "Effects found, with their sizes in the plan's dwells: temperature_rate" in text
     result = gyrobench(*arguments, "nowhere", cwd=tmp_path)

@@ -222,15 +222,23 @@ def test_an_unknown_cycle_is_refused():
 
 
 def test_one_cycle_alone_can_not_be_held_out():
-    with pytest.raises(
-        MeasurementError, match=r"no dwells remain to search\. Measure the profile at least twice"
-    ):
-        close_loop(campaign_of(measure(cycles=1).rows))
+    campaign = campaign_of(measure(cycles=1).rows)
+    with pytest.raises(MeasurementError, match=r"remains to search\. Measure the profile at least twice"):
+        close_loop(campaign, [1], effects=[])
+
+
+def test_one_cycle_is_searched_whole_and_confirms_nothing():
+    campaign = campaign_of(measure({"g_sensitivity": 8.0}, cycles=1).rows)
+    closure = close_loop(campaign, effects=[g_sensitivity.EFFECT])
+    assert closure.searched.all()
+    assert [each.effect.name for each in closure.effects] == ["g_sensitivity"]
+    assert closure.verdict == "ambiguous"
+    assert np.isnan([closure.error_before_dph, closure.error_after_dph]).all()
 
 
 def test_too_few_dwells_are_refused():
     rows = measure(profile=((10.0, 1.0, 3.0),), cycles=2).rows
-    with pytest.raises(MeasurementError, match="Measure more dwells per cycle or more cycles"):
+    with pytest.raises(MeasurementError, match="at least twice, each time with 10 dwells or more"):
         close_loop(campaign_of(rows))
 
 
@@ -249,7 +257,7 @@ def test_noise_understated_by_up_to_1_6_is_recognized(closed):
 
 
 def test_much_more_noise_than_stated_is_unexplained_without_any_effect(closed):
-    closure = closed(noise=2.2, cycles=3)
+    closure = closed(noise=2.2)
     assert closure.verdict == "unexplained"
     assert closure.noise_scale == 1.0
     assert closure.effects == ()

@@ -78,14 +78,15 @@ def test_evidence_of_one_term_is_that_of_numerical_quadrature(problem, monkeypat
     assert found == pytest.approx(expected, abs=1e-3)
 
 
-def test_probabilities_are_frequencies_of_data_from_the_prior(problem):
+@pytest.mark.parametrize("count", [60, pytest.param(600, marks=pytest.mark.long)])
+def test_probabilities_are_frequencies_of_data_from_the_prior(problem, count):
     """Half the data have a drift of a magnitude from the prior, half nothing."""
     clean, random = problem(cycles=2), np.random.default_rng(5)
     column = whole(time_drift.EFFECT).columns(clean.campaign)[clean.searched]
     _, rms = clean.beside(column)
     stated, true = [], []
     prior = np.array(posterior.EFFECT_COUNT_PRIOR[:2]) / sum(posterior.EFFECT_COUNT_PRIOR[:2])
-    for _ in range(600):
+    for _ in range(count):
         is_there = random.random() < prior[1]
         size = random.choice(MAGNITUDES[:2]) * random.standard_normal(3) if is_there else np.zeros(3)
         noise = random.standard_normal((clean.searched.sum(), 3))

@@ -14,6 +14,8 @@ from gyrobench.bench.closure.quantity import QUANTITIES, quantity
 from gyrobench.bench.dwells.closure_inputs import coefficient_columns, read_campaign
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
 from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.report.closure.closure_page import closure_sections, write_closure_page
+from gyrobench.bench.report.closure.closure_text import verdict_sentence
 from gyrobench.drivers.ins.command_map import Correction
 from tests.bench.closure.thermal_bench import UP, measure
 
@@ -136,11 +138,15 @@ def test_a_bias_that_follows_attitude_is_loaded_unless_the_matrix_has_it_already
     true = measured.undeclared_dph[:, 0]
     assert np.abs((taken - taken.mean()) - (true - true.mean())).max() < 5.0
     model = model_with_effects(biases)
-    matrix = {"accelerometer_misalignment_yx": Correction(np.array([12.0]))}
+    matrix = {
+        "accelerometer_misalignment_yx": Correction(np.array([12.0])),
+        "accelerometer_bias_x": Correction(np.array([50.0])),
+    }
     model = replace(model, compensation=replace(model.compensation, coefficients=matrix))
     both = with_coefficients(model, [closure], effects=True)
     assert both.effects == ()
     assert not both.compensation.coefficients["accelerometer_bias_x"].gravity_per_g.any()
+    assert both.compensation.coefficients["accelerometer_bias_x"].polynomial.tolist() == [50.0]
     assert "accelerometer_bias is left out: scale factors and misalignments" in both.notes[-1]
 
 
@@ -154,3 +160,40 @@ def test_a_table_without_the_coefficient_says_which_columns_it_lacks(tmp_path):
     write_dwells(tmp_path / "dwells.csv", measure(cycles=2).rows)
     with pytest.raises(MeasurementError, match="has no columns gyro_scale_factor_x_ppm"):
         read_campaign(tmp_path / "dwells.csv", quantity=quantity("gyro_scale_factor"))
+
+
+def of_plateaus(closure, chosen):
+    """Some values of a campaign as those of plateaus."""
+    rows = replace(closure.quantity, row="plateau")
+    return replace(closure.campaign.whole, quantity=rows).part(chosen)
+
+
+def test_one_cycle_of_plateaus_is_searched_whole_and_confirms_nothing(scale_factor, tmp_path):
+    whole, _ = scale_factor
+    closure = close_loop(of_plateaus(whole, whole.campaign.cycle == 1))
+    assert closure.searched.all()
+    assert closure.verdict == "ambiguous"
+    [effect] = closure.effects
+    assert effect.effect.name == "temperature_rate"
+    assert effect.rms_dph == pytest.approx(whole.effects[0].rms_dph, rel=0.1)
+    sentences = [each for section in closure_sections(closure) for each in section.paragraphs]
+    said = " ".join([verdict_sentence(closure), *sentences])
+    assert "no cycle is held out to confirm temperature rate" in said
+    assert "Measure the profile a second time." in said
+    assert f"in the {len(closure.campaign)} plateaus searched" in said
+    assert "dwell" not in said
+    assert closure_document(closure)["error_after_ppm"] is None
+    page = write_closure_page(tmp_path, closure, "run").read_text()
+    assert "No cycle is held out to test the model." in page
+    assert not (tmp_path / "figures" / "errors.png").exists()
+
+
+@pytest.mark.parametrize(("cycles", "without"), [([1], ""), ([1, 2], " without cycle 2")])
+def test_too_few_plateaus_say_how_many_to_measure(scale_factor, cycles, without):
+    cycle = scale_factor[0].campaign.cycle
+    chosen = [place for each in cycles for place in np.flatnonzero(cycle == each)[:4]]
+    campaign = of_plateaus(scale_factor[0], np.isin(np.arange(len(cycle)), chosen))
+    with pytest.raises(
+        MeasurementError, match=f"leaves 0 degrees of freedom in 4 plateaus{without},.* 10 plateaus"
+    ):
+        close_loop(campaign)

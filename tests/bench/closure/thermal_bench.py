@@ -162,7 +162,7 @@ def _lag(temperature_c):
 
 
 def _neighbours(c: Course):
-    heat = c.neighbours_on.copy()
+    heat = np.zeros_like(c.neighbours_on)
     for at in range(1, len(heat)):
         heat[at] = heat[at - 1] + (c.neighbours_on[at] - heat[at - 1]) * STEP_S / 3600.0 / NEIGHBOUR_LAG_H
     return heat[:, None]

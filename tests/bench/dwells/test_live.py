@@ -164,6 +164,7 @@ def test_after_warming_up_no_estimate_compiles_anything(recorded, has_noise):
     assert list(whiten.signatures) == compiled
 
 
+@pytest.mark.long
 def test_warming_up_says_how_long_it_compiled_but_only_once(tmp_path):
     code = (
         "from gyrobench.bench.dwells.dwell import measurement_setup\n"

@@ -1,9 +1,13 @@
 """Rotations and spins about the table's axes while the INS navigates: recorded, interrupted, resumed."""
 
+import signal
+import subprocess
+import sys
 from itertools import pairwise
 
 import numpy as np
 import pytest
+import yaml
 
 from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.dwells.dwell import measurement_setup
@@ -12,9 +16,12 @@ from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.navigation.attitude import angle_between
+from gyrobench.bench.runs.folder import open_run_folder
 from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.runs.tables.coefficient_table import read_coefficients
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.ins.readout import InsMode
+from tests.bench.engine.test_coefficient_compensation import plateau, station
 from tests.bench.engine.test_resumption import KilledError, Watcher, resumed
 
 PROCEDURE = """procedure: rotations
@@ -125,3 +132,109 @@ def test_after_a_trip_in_a_rotation_the_list_is_repeated_from_its_position(job, 
     assert [entry["interlocks"] for entry in entries if entry["event"] == "tripped"] == [["table_silence"]]
     assert [entry["dwell"] for entry in entries if entry["event"] == "dwell_given_up"] == [2]
     assert_recorded(folder, made)
+
+
+#: Runs a procedure on a station and is killed in the middle of a kind of step.
+KILLED_RUN = """
+import os, signal, sys
+from pathlib import Path
+from gyrobench.bench.engine.job import prepare_job
+from gyrobench.bench.engine.operator import ConsentingOperator
+from gyrobench.bench.engine.run import run_job
+from gyrobench.bench.station.instruments import Emulation
+from tests.bench.engine.test_rotations import Killer, KilledError
+
+class Killed(Killer):
+    def ticked(self, bench, left_s):
+        try:
+            super().ticked(bench, left_s)
+        except KilledError:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+procedure, station, out, kind, ticks = sys.argv[1:]
+job = prepare_job(procedure, station, Emulation("quick", 0))
+run_job(job, Path(out), Killed(kind, int(ticks)), ConsentingOperator())
+"""
+
+
+@pytest.fixture(scope="module")
+def with_increments(tmp_path_factory):
+    """18 rotations and a spin on a station with an INS that sends increments on command."""
+    folder = tmp_path_factory.mktemp("increments")
+    go_to, align, rotate = plateau(on_ramp=False)[-3:]
+    steps = [
+        {"power_on": {"settle_s": 60}},
+        {"chamber": {"temperature_c": 30, "ramp_c_per_min": 5}},
+        {"soak": {"for_s": 900}},
+        *(go_to, align, rotate, go_to, align),
+        {"spin": {"axis": "inner", "turns": 1, "rates_dps": [15, 10], "rest_s": 20, "settle_s": 2}},
+        "power_off",
+    ]
+    paths = folder / "eighteen.yaml", folder / "station.yaml"
+    for path, data in zip(paths, ({"procedure": "eighteen", "steps": steps}, station()), strict=True):
+        path.write_text(yaml.safe_dump(data, sort_keys=False))
+    return tuple(map(str, paths))
+
+
+def run_with_increments(with_increments, out, faults=""):
+    job = prepare_job(*with_increments, Emulation("quick", 0, faults))
+    folder, outcome = run_job(job, out, Watcher(), ConsentingOperator())
+    assert outcome.ended == "finished", outcome.reason
+    return folder, job
+
+
+@pytest.fixture(scope="module")
+def undisturbed(with_increments, tmp_path_factory):
+    """Coefficients, and for each kind of step its dwell and the middle of its time."""
+    folder, job = run_with_increments(with_increments, tmp_path_factory.mktemp("undisturbed") / "run")
+    dwells = {each.number: each.dwell for each in job.plan.steps}
+    middles = {
+        each["kind"]: (dwells[each["step"]], each["time_s"] - 0.5 * each["took_s"])
+        for each in read_journal(folder.journal)
+        if each["event"] == "step_finished"
+    }
+    return read_coefficients(folder.coefficients), middles
+
+
+def assert_same_coefficients(folder, undisturbed):
+    # Dwells of two power cycles are two plateaus: the first is that of the 18 rotations.
+    rows = read_coefficients(folder.coefficients)
+    for row, other in zip(rows[:21], undisturbed[0], strict=True):
+        assert (row.coefficient, row.axis, row.finding) == (other.coefficient, other.axis, "")
+        # Each power-on has gyro biases a little different, beside the noise of both.
+        power_on = 2e-6 if row.coefficient == "gyro_bias" else 0.0
+        assert abs(row.value - other.value) < 4.5 * (row.sigma**2 + other.sigma**2 + power_on) ** 0.5
+        assert row.sigma < 2.0 * other.sigma
+    assert [(marks.dwell, len(marks.windows)) for marks in finished_marks(folder)] == [(1, 19), (2, 5)]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("kind", "ticks"), [("rotate", 200), ("spin", 40)])
+def test_after_a_kill_in_a_rotation_the_increments_give_the_same_coefficients(
+    with_increments, undisturbed, tmp_path, kind, ticks
+):
+    path = tmp_path / "run"
+    command = [sys.executable, "-c", KILLED_RUN, *with_increments, str(path), kind, str(ticks)]
+    assert subprocess.run(command, check=False).returncode == -signal.SIGKILL
+    assert len(finished_marks(open_run_folder(path))) == (kind == "spin")
+    folder, _, _ = resumed(path)
+    assert_same_coefficients(folder, undisturbed)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["rotate", "spin"])
+def test_after_a_trip_in_a_rotation_the_bench_is_made_safe_and_the_whole_list_repeated(
+    with_increments, undisturbed, tmp_path, kind
+):
+    dwell, at_s = undisturbed[1][kind]
+    faults = tmp_path / "faults.yaml"
+    faults.write_text(f"faults:\n  - {{fault: port_gone, target: table, at_s: {at_s}, for_s: 120}}\n")
+    folder, _ = run_with_increments(with_increments, tmp_path / "run", str(faults))
+    entries = list(read_journal(folder.journal))
+    steps = ("tripped", "dwell_given_up", "made_safe", "held", "continued")
+    story = [each["event"] for each in entries if each["event"] in steps]
+    # The table is made safe when it answers again.
+    expected = ["made_safe", "tripped", "dwell_given_up", "made_safe", "held", "made_safe", "continued"]
+    assert story == expected
+    assert [each["dwell"] for each in entries if each["event"] == "dwell_given_up"] == [dwell]
+    assert_same_coefficients(folder, undisturbed)

@@ -1,6 +1,7 @@
 """Several units on one table: measured at once, each in a complete run folder; one that fails is dropped."""
 
 import shutil
+from dataclasses import replace
 
 import pytest
 
@@ -13,7 +14,12 @@ from gyrobench.bench.engine.resume import prepare_resumption
 from gyrobench.bench.engine.run import resume_run, run_job
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.monitor.snapshot import RunSnapshot
+from gyrobench.bench.monitor.snapshot_recorder import SnapshotRecorder
+from gyrobench.bench.monitor.terminal_screen import screen
+from gyrobench.bench.report.units_report import units_section, write_units_report
 from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.index.store import runs_named
 from gyrobench.bench.runs.journal import facts_of, read_journal
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.bench.station.station import Station
@@ -141,6 +147,14 @@ def test_a_units_folder_is_a_run_folder_of_a_bench_with_that_unit_alone(whole, t
         prepare_resumption(folder.unit("1103").path)
 
 
+def test_each_unit_is_a_run_for_commands_that_evaluate_runs(whole):
+    folder, _ = whole
+    assert runs_named([str(folder.path)]) == [folder.unit(number).path for number in NUMBERS]
+    with pytest.raises(RunFolderError, match="several units"):
+        recompute_run(folder.path)
+    assert not folder.bias_bins.exists()
+
+
 def test_a_killed_run_resumes_with_all_units(files, whole, tmp_path):
     path = tmp_path / "run"
     with pytest.raises(KilledError):
@@ -189,13 +203,18 @@ def without_1102(files, tmp_path_factory):
     return folder, outcome, watcher
 
 
-def test_a_unit_that_falls_silent_is_dropped_and_the_others_measure_the_same_bytes(whole, without_1102):
+def test_a_unit_that_falls_silent_is_dropped_and_the_others_measure_the_same(whole, without_1102):
     folder, outcome, watcher = without_1102
     assert outcome.ended == "finished"
     assert list(watcher.lost) == ["1102"]
     assert "silent" in watcher.lost["1102"]
     for number in ("1101", "1103", "1104"):
-        assert dwells_of(folder, number) == dwells_of(whole[0], number)
+        rows, before = (read_dwells(each.unit(number).dwells) for each in (folder, whole[0]))
+        assert [replace(row, other=()) for row in rows] == [replace(row, other=()) for row in before]
+        assert [dict(row.other) for row in before] == [{"neighbours_on": 3.0}] * 4
+        on = [dict(row.other)["neighbours_on"] for row in rows]
+        assert (on[:2], on[3]) == ([3.0, 3.0], 2.0)
+        assert 2.0 < on[2] < 3.0
     rows, before = (read_dwells(each.unit("1102").dwells) for each in (folder, whole[0]))
     assert rows == before[:2]
     facts = facts_of(read_journal(folder.unit("1102").journal))
@@ -253,3 +272,28 @@ def test_units_share_a_bus_by_an_offset_of_their_identifiers(files, whole, tmp_p
         assert dwells_of(folder, number) == dwells_of(whole[0], number)
     recompute_run(folder.unit("1104").path)
     assert dwells_of(folder, "1104") == dwells_of(whole[0], "1104")
+
+
+def test_the_report_shows_all_units_side_by_side(without_1102):
+    folder, *_ = without_1102
+    page = write_units_report(folder).read_text()
+    assert "Gyro bias of 4 units" in page
+    assert "Unit 1102 was dropped: the INS has been silent" in page
+    (table,) = units_section(folder).tables
+    assert [row[:2] for row in table.rows] == [
+        [number, "dropped" if number == "1102" else "not judged"] for number in NUMBERS
+    ]
+    assert all(folder.unit(number).report.exists() for number in NUMBERS)
+
+
+def test_the_live_view_shows_all_units(files, tmp_path):
+    job = job_of(files, faulty=[2])
+    recorder = SnapshotRecorder(job.plan)
+    run_of(job, tmp_path / "run", recorder)
+    snapshot = RunSnapshot.from_json(recorder.snapshot().to_json())
+    assert [(unit.number, unit.dwells, bool(unit.dropped)) for unit in snapshot.units] == [
+        (number, 4 - 2 * (number == "1102"), number == "1102") for number in NUMBERS
+    ]
+    lines = [line.plain for line in screen(snapshot, 100, 40, is_ascii=True)]
+    assert sum(line.startswith("unit 11") for line in lines) == len(NUMBERS)
+    assert any("dropped: the INS has been silent" in line for line in lines)

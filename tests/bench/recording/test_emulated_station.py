@@ -37,3 +37,12 @@ def test_it_says_how_other_programs_connect():
     command = " ".join(text[text.index("python -m can.viewer") :].replace("\\\n", " ").split()[:10])
     assert command == "python -m can.viewer -i socketcand -c can0 --bus-kwargs host=127.0.0.1 port=28600"
     assert "in real time" in text
+
+
+def test_each_unit_has_its_address_and_its_supply():
+    file = Station(find_document("stations", "four_units")).file
+    more = {f"ins-{number}": f"/dev/pts/20{number}" for number in (2, 3, 4)}
+    text = guide(TERMINALS | more, file, 1.0, None)
+    for number, event in ((2, 3), (3, 4), (4, 5)):
+        assert f"INS {number}    /dev/pts/20{number}" in text
+        assert f"event output {event} of the chamber" in text

@@ -117,3 +117,20 @@ def test_the_file_names_its_origin(tmp_path):
     text = (tmp_path / "served.yaml").read_text()
     assert text.startswith("# Written by `gyrobench emulate`")
     load_station_file(tmp_path / "served.yaml")
+
+
+@pytest.mark.parametrize("urls", [PTS, TCP])
+def test_each_unit_of_a_station_is_served(tmp_path, urls):
+    options = serve_options(shipped("four_units"), NOWHERE, tcp=False, can=None)
+    assert [each for each in options if "unit" in each or "event" in each] == [
+        "--units=4",
+        *(f"--power-event={event}" for event in (2, 3, 4, 5)),
+    ]
+    bus = "socketcand://127.0.0.1:2861{}/can0" if urls is TCP else "/dev/pts/3{}"
+    more = {f"ins-{number}": bus.format(number) for number in (2, 3, 4)}
+    station = served(tmp_path, urls | more, "four_units")
+    assert len({unit.bus for unit in station.units}) == 4
+    station.check_dbc()
+    assert [unit.file.rate_table.mounting for unit in station.units] == [
+        unit.file.rate_table.mounting for unit in shipped("four_units").units
+    ]

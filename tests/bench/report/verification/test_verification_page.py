@@ -48,11 +48,7 @@ def test_the_bars_of_each_compensation_are_at_its_plateaus():
     heights = [[bar.get_height() for bar in container] for container in spread.containers]
     expected = [[1000.0 * row.spread_dph for row in left.rows] for left in confirmed().results]
     np.testing.assert_allclose(heights, expected)
-    assert [text.get_text() for text in spread.get_xticklabels()] == [
-        "62 °C\ncycle 1",
-        "32 °C\ncycle 2",
-        "2 °C\ncycle 1",
-    ]
+    assert [text.get_text() for text in spread.get_xticklabels()] == ["62 °C (1)", "32 °C (2)", "2 °C (1)"]
 
 
 def test_a_velocity_not_measured_is_marked():
