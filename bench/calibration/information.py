@@ -104,7 +104,7 @@ class Information:
     ) -> Information:
         """Integrate increments from attitudes (3, 3) at the ``starts``, with the values ``common`` (34,).
 
-        ``trajectories``: what :func:`_integrated` gives with these values, where it is known.
+        ``trajectories``: what :func:`integrated_sections` gives with these values, where it is known.
         """
         used, blocks = options.columns, []
         trajectories = trajectories or integrated_sections(sections, starts, common, site, options)
