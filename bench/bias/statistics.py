@@ -22,6 +22,9 @@ import numpy as np
 
 from gyrobench.bench.foundations.arrays import FloatArray
 
+#: A polynomial gets one degree more where chance gives its residuals less often than this.
+_MIN_P_VALUE = 0.01
+
 #: Combinations of data whose variance the estimate leaves less of than this test nothing.
 _MIN_VARIANCE = 1e-3
 
@@ -129,6 +132,21 @@ def chi2_p_value(dof: int, chi2: float) -> float:
     first = odd * (0.5 * math.log(half) - math.lgamma(1.5)) - half
     terms = np.exp(first + np.concatenate([[0.0], np.cumsum(logs)])[: dof // 2])
     return min(odd * math.erfc(math.sqrt(half)) + float(terms.sum()), 1.0)
+
+
+def lowest_polynomial(
+    at: FloatArray, values: FloatArray, sigmas: FloatArray, most: int
+) -> np.polynomial.Polynomial:
+    """Polynomial of the lowest degree, up to ``most``, that leaves no more than the standard uncertainties.
+
+    One degree more where chance gives the residuals (n,) less often than once in a hundred.
+    """
+    for degree in range(most + 1):
+        fitted = np.polynomial.Polynomial.fit(at, values, degree, w=1.0 / sigmas)
+        chi2 = float(np.sum(((values - fitted(at)) / sigmas) ** 2))
+        if degree == most or chi2_p_value(len(values) - degree - 1, chi2) >= _MIN_P_VALUE:
+            break
+    return fitted
 
 
 @dataclass(frozen=True)

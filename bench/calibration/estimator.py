@@ -19,17 +19,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
-from gyrobench.bench.bias.statistics import Chi2Test, chi2_test, compress, solve
+from gyrobench.bench.bias.statistics import Chi2Test, chi2_test
 from gyrobench.bench.calibration.coefficients import (
     BESIDE,
     COEFFICIENTS,
     COUNT,
     CoefficientEstimate,
     SensorErrors,
+)
+from gyrobench.bench.calibration.information import (
+    IS_FORCE_SCALE,
+    CalibrationOptions,
+    Information,
+    integrated_sections,
+    site_parts,
 )
 from gyrobench.bench.calibration.recording import (
     IncrementRecording,
@@ -41,42 +47,24 @@ from gyrobench.bench.calibration.recording import (
     measure_noise,
 )
 from gyrobench.bench.calibration.section import Section
-from gyrobench.bench.calibration.strapdown import (
-    ATTITUDE,
-    DELAY,
-    LEVER_ARMS,
-    QUADRATIC,
-    UNKNOWNS,
-    Trajectory,
-    white_rows,
-)
+from gyrobench.bench.calibration.strapdown import UNKNOWNS
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import rotation_matrices
 from gyrobench.bench.navigation.earth import EARTH_RATE
 from gyrobench.bench.navigation.error_model import Site
 
-#: Large attitude error at the start, rad.
-ATTITUDE_ERROR = 0.5
-#: An unknown is observed if sizes ten times as large let its uncertainty grow by less than this.
-_MAX_GROWTH = 1.1
 #: Rounds of linearisation; the last one changes the weighted sum of squares by less than this, and each
 #: observed unknown by less than this part of its standard uncertainty.
 _MAX_ROUNDS, _CONVERGED, _MAX_STEP = 15, 0.1, 0.05
 #: Scale factor errors and misalignments beyond this are wrong units, signs or axes.
 _MAX_ELEMENT = 0.25
-#: Size of the accelerometers' scale factor errors where gravity stands in place of the vertical specific
-#: force: their mean is not observed, and affects the other coefficients in second order.
-_SCALE = 1e-4
 #: Sample rates of recordings that count as one.
 _MAX_RATE_RATIO = 1.01
 #: The opposite latitude is named where it reduces chi2 to this part; largest factor on the uncertainties.
 _OPPOSITE, _MAX_WIDENING = 0.1, 10.0
 #: Below this probability the noise alone does not explain the residuals.
 MIN_P_VALUE = 1e-3
-_IS_FORCE_SCALE = [each.name == "accelerometer_scale_factor" for each in COEFFICIENTS]
-#: So closely the scale factors of accelerometers have the mean zero where the vertical force is not measured.
-_COMMON_SCALE = 1e-9
 #: Smallest relative error of the time that is looked for.
 _MIN_TIME_ERROR = 3e-4
 #: Relative step of the variances whose contributions are derived, and those of the noise.
@@ -84,115 +72,6 @@ _VARIANCE_STEP = 1e-3
 _NOISE = ("angle_random_walk", "velocity_random_walk", "white_angle", "white_velocity")
 #: Epochs at rest over which residuals are summed for the test of fit.
 _FIT_EPOCHS = 60
-
-
-@dataclass(frozen=True)
-class CalibrationOptions:
-    """What is estimated beside the coefficients, and what the table contributes."""
-
-    lever_arms: bool = False  #: Places of the y and z accelerometers relative to the x accelerometer.
-    delay: bool = False  #: Delay of the accelerometers against the gyros.
-    quadratic: bool = False  #: Quadratic terms of the accelerometers.
-    #: Standard uncertainty, rad, with which the table returns after whole turns; None: spins count as any
-    #: other rotation.
-    whole_turns: float | None = None
-    gravity: float | None = None  #: Local gravity, m/s^2; None: normal gravity of the site.
-    #: Random walks of gyros (rad/sqrt(s)) and accelerometers (m/s/sqrt(s)); None: as measured at rest.
-    walks: tuple[float, float] | None = None
-    gravity_sigma: float = 0.0  #: Standard uncertainty of gravity, m/s^2.
-    latitude_sigma: float = 0.0  #: Standard uncertainty of the latitude, rad.
-    #: Standard uncertainties, rad, of tilt and heading of the rotations that a recording's table measures;
-    #: None: they do not count.
-    table: tuple[float, float] | None = None
-
-    @property
-    def columns(self) -> list[int]:
-        """Which columns are common to all recordings; the x accelerometer's place is the origin."""
-        arms = range(LEVER_ARMS.start + 3, LEVER_ARMS.stop) if self.lever_arms else ()
-        squares = range(QUADRATIC.start, QUADRATIC.stop) if self.quadratic else ()
-        return [*range(COUNT), *arms, *([DELAY] if self.delay else []), *squares]
-
-
-def _integrated(
-    sections: Sequence[Section],
-    starts: Sequence[FloatArray],
-    common: FloatArray,
-    site: Site,
-    options: CalibrationOptions,
-) -> list[Trajectory]:
-    gravity = options.gravity or site.gravity
-    pairs = zip(sections, starts, strict=True)
-    return [section.integrated(start, common, site.latitude, gravity) for section, start in pairs]
-
-
-@dataclass(frozen=True, eq=False)
-class Information:
-    """White rows as a function of the coefficients and of all other unknowns, at assumed values of them."""
-
-    #: Rows (m, 21 + k + 1) of each recording, the data last. SI. They give the values, not corrections to the
-    #: assumed ones, but of attitudes at the start.
-    blocks: list[FloatArray]
-    sizes: FloatArray  #: Shape (21 + k,). Large values of the unknowns, SI.
-
-    @classmethod
-    def of(
-        cls,
-        sections: Sequence[Section],
-        starts: Sequence[FloatArray],
-        common: FloatArray,
-        noise: SensorNoise,
-        site: Site,
-        options: CalibrationOptions,
-        trajectories: Sequence[Trajectory] | None = None,
-    ) -> Information:
-        """Integrate increments from attitudes (3, 3) at the ``starts``, with the values ``common`` (34,).
-
-        ``trajectories``: what :func:`_integrated` gives with these values, where it is known.
-        """
-        used, blocks = options.columns, []
-        trajectories = trajectories or _integrated(sections, starts, common, site, options)
-        for number, (section, trajectory) in enumerate(zip(sections, trajectories, strict=True)):
-            rows, data = white_rows(
-                trajectory,
-                section.lengths_s,
-                section.epochs,
-                noise,
-                site.latitude,
-                options.whole_turns,
-                options.table,
-            )
-            block = np.zeros((len(rows), len(used) + 3 * len(sections) + 1))
-            block[:, : len(used)] = rows[:, used]
-            block[:, len(used) + 3 * number :][:, :3] = rows[:, ATTITUDE]
-            block[:, -1] = data + rows[:, used] @ common[used]
-            blocks.append(block)
-        if not any(section.epochs.has_vertical for section in sections):
-            # Gravity in place of the vertical force does not show the mean of the scale factors.
-            mean = np.zeros((1, blocks[0].shape[1]))
-            mean[0, np.flatnonzero(_IS_FORCE_SCALE)] = 1.0 / _COMMON_SCALE
-            blocks.append(mean)
-        sizes = np.array([each.size for each in (*COEFFICIENTS, *BESIDE)])
-        if not all(each.epochs.has_vertical for each in sections):
-            sizes[np.flatnonzero(_IS_FORCE_SCALE)] = _SCALE
-        attitudes = [ATTITUDE_ERROR] * (3 * len(sections))
-        return cls(blocks, np.array([*(sizes[each] for each in used), *attitudes]))
-
-    @cached_property
-    def root(self) -> FloatArray:
-        """Fewest rows (m, 21 + k + 1) with the same normal equations; data last."""
-        return compress(np.vstack([compress(each) for each in self.blocks]))
-
-    def solve(self, origin: FloatArray | None = None) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """Values (21 + k,), their covariance, and which of them the data determine.
-
-        What the data leave open stays near ``origin`` (21 + k,), or zero.
-        """
-        centre = np.zeros(len(self.sizes)) if origin is None else origin
-        rows, left = self.root[:, :-1], self.root[:, -1] - self.root[:, :-1] @ centre
-        values, covariance = solve(rows, left, np.diag(self.sizes))
-        _, wide = solve(rows, left, np.diag(10.0 * self.sizes))
-        growth = np.sqrt(np.diag(wide) / np.diag(covariance))
-        return centre + values, covariance, np.asarray(growth < _MAX_GROWTH)
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,7 +129,7 @@ def calibrate(
     if all(turn.kind == "disturbance" for turns in rotations for turn in turns):
         is_observed[:COUNT] &= [each.sensor != "gyro" or each.kind == "bias" for each in COEFFICIENTS]
     if not any(recording.has_vertical for recording in recordings):
-        is_observed[:COUNT] &= ~np.array(_IS_FORCE_SCALE)
+        is_observed[:COUNT] &= ~np.array(IS_FORCE_SCALE)
     _check_size(found.values, is_observed)
     if found.fit.p_value < MIN_P_VALUE and options.whole_turns is not None:
         found = problem.with_uneven_turns(found)
@@ -313,20 +192,21 @@ class _Problem:
         common, first = np.zeros(UNKNOWNS), SensorErrors(gyro_bias=self.bias)
         common[:COUNT] = first.vector()
         starts = [each.aligned(first) for each in self.sections]
-        origin, left = np.concatenate([common[used], np.zeros(3 * len(self.sections))]), np.inf
+        beside = 6 if self.options.bias_drift else 3
+        origin, left = np.concatenate([common[used], np.zeros(beside * len(self.sections))]), np.inf
         for _ in range(_MAX_ROUNDS):
             found = Information.of(self.sections, starts, common, self.noise, self.site, self.options)
             values, covariance, is_observed = found.solve(origin)
-            attitudes = values[len(used) :].reshape(-1, 3)
+            attitudes = values[len(used) :].reshape(-1, 3)[: len(starts)]
             step = np.concatenate([values[: len(used)] - common[used], attitudes.ravel()])
             before, left = left, float(np.linalg.norm(found.root @ [*values, -1.0]) ** 2)
             common[used] = values[: len(used)]
-            origin[len(used) :] -= attitudes.ravel()
+            origin[len(used) : len(step)] -= attitudes.ravel()
             starts = [turn @ start for turn, start in zip(rotation_matrices(attitudes), starts, strict=True)]
             # Sizes count in units of the residuals where these exceed the noise.
             excess = max(1.0, left / sum(map(len, found.blocks)))
-            is_still = np.abs(step) < _MAX_STEP * np.sqrt(excess * np.diag(covariance))
-            if abs(left - before) < _CONVERGED * excess and is_still[is_observed].all():
+            is_still = np.abs(step) < _MAX_STEP * np.sqrt(excess * np.diag(covariance))[: len(step)]
+            if abs(left - before) < _CONVERGED * excess and is_still[is_observed[: len(step)]].all():
                 fit = _test_fit(values, covariance, found.blocks)
                 return _Solution(values, covariance, is_observed, common, starts, fit)
         raise MeasurementError(
@@ -385,34 +265,6 @@ class _Problem:
                 raise MeasurementError(f"chi2 is {found.fit.chi2:.3g}, and {other.fit.chi2:.3g} {text}")
 
 
-def site_parts(
-    sections: Sequence[Section],
-    starts: Sequence[FloatArray],
-    common: FloatArray,
-    noise: SensorNoise,
-    site: Site,
-    options: CalibrationOptions,
-    values: FloatArray | None = None,
-) -> Mapping[str, FloatArray]:
-    """Covariances (k, k) by what is assumed of the place, which the residuals hardly show.
-
-    ``starts``, ``common``: as of :meth:`Information.of`. ``values``: all unknowns, which the data may leave
-    open.
-    """
-    gravity, count = options.gravity or site.gravity, len(options.columns)
-    # An error of gravity is one of all three scale factors.
-    is_scale = np.isin(options.columns, np.flatnonzero(_IS_FORCE_SCALE))
-    shifts = {"gravity": np.where(is_scale, options.gravity_sigma / gravity, 0.0)}
-    if options.latitude_sigma:
-        beside, fixed = site.latitude + options.latitude_sigma, replace(options, gravity=gravity)
-        here, there = (
-            Information.of(sections, starts, common, noise, replace(site, latitude=each), fixed)
-            for each in (site.latitude, beside)
-        )
-        shifts["latitude"] = (there.solve(values)[0] - here.solve(values)[0])[:count]
-    return {name: np.outer(shift, shift) for name, shift in shifts.items()}
-
-
 def covariances_by_source(
     calibration: Calibration, site: Site, options: CalibrationOptions
 ) -> Mapping[str, FloatArray]:
@@ -425,7 +277,7 @@ def covariances_by_source(
     larger = float(np.sqrt(1.0 + _VARIANCE_STEP))
 
     known = (calibration.sections, calibration.starts, calibration.unknowns)
-    trajectories = _integrated(*known, site, options)
+    trajectories = integrated_sections(*known, site, options)
 
     def information(noise: str = "", whole_turns: float | None = options.whole_turns) -> Information:
         changed = {noise: getattr(calibration.noise, noise) * larger} if noise else {}
@@ -440,7 +292,11 @@ def covariances_by_source(
     parts = {name: covariance(information(name)) for name in _NOISE}
     if options.whole_turns is not None:
         parts["table_return"] = covariance(information(whole_turns=options.whole_turns * larger))
-    parts["assumed_size"] = covariance(replace(unchanged, sizes=unchanged.sizes * larger))
+    is_drift = np.arange(len(unchanged.sizes)) >= len(unchanged.sizes) - unchanged.drifts
+    for name, chosen in (("assumed_size", ~is_drift), ("bias_drift", is_drift)):
+        if chosen.any():
+            sizes = np.where(chosen, larger, 1.0) * unchanged.sizes
+            parts[name] = covariance(replace(unchanged, sizes=sizes))
     parts = {name: (part - base) / _VARIANCE_STEP for name, part in parts.items()}
     # The step leaves a thousandth.
     factors = np.sqrt(np.diag(base) / np.sum([np.diag(part) for part in parts.values()], axis=0))

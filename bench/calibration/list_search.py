@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT
-from gyrobench.bench.calibration.estimator import ATTITUDE_ERROR
+from gyrobench.bench.calibration.information import ATTITUDE_ERROR
 from gyrobench.bench.calibration.recording import SensorNoise
 from gyrobench.bench.calibration.rotation_list import (
     STEP_S,

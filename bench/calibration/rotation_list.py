@@ -125,14 +125,14 @@ def forecast(
     whole_turns: float | None = None,
     site_sigmas: tuple[float, float] = (0.0, 0.0),
 ) -> Forecast:
-    """Expected uncertainties by Fisher information.
+    """Expected uncertainties by Fisher information, of biases that do not drift.
 
     ``max_rate_dps``: limit of the table. ``whole_turns``: standard uncertainty, rad, of its return after
     whole turns. ``site_sigmas``: of gravity, m/s^2, and latitude, rad. Raises DocumentError if the table
     can't do the rotations.
     """
     # They bring numba, which reading a list does not need.
-    from gyrobench.bench.calibration.estimator import CalibrationOptions, Information, site_parts
+    from gyrobench.bench.calibration.information import CalibrationOptions, Information, site_parts
     from gyrobench.bench.calibration.section import EPOCH_S, Section
     from gyrobench.bench.calibration.strapdown import UNKNOWNS, Epochs
 

@@ -37,10 +37,12 @@ from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vect
 from gyrobench.bench.navigation.earth import earth_rate_enu
 
 #: Columns of the responses: the coefficients; inner lever arms of the accelerometers by rows, m; delay of the
-#: accelerometers, s; their quadratic terms, s^2/m; initial attitude error, rad.
+#: accelerometers, s; their quadratic terms, s^2/m; initial attitude error, rad; drift of the gyro biases
+#: about those at half time, rad/s^2.
 LEVER_ARMS, DELAY, QUADRATIC = slice(COUNT, COUNT + 9), COUNT + 9, slice(COUNT + 10, COUNT + 13)
 UNKNOWNS = COUNT + len(BESIDE)
-ATTITUDE, COLUMNS = slice(UNKNOWNS, UNKNOWNS + 3), UNKNOWNS + 3
+ATTITUDE, DRIFT = slice(UNKNOWNS, UNKNOWNS + 3), slice(UNKNOWNS + 3, UNKNOWNS + 6)
+COLUMNS = UNKNOWNS + 6
 _ROWS, _COLUMNS = LOWER
 #: Rotation, rad, after which the responses are brought up to date; their attitude in between is the mean.
 _MAX_TURN = 0.01
@@ -71,7 +73,7 @@ def white_rows(
     whole_turns: float | None,
     table: tuple[float, float] | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Rows (m, 37) and data (m,), white with unit variance, of a unit that begins at rest.
+    """Rows (m, 40) and data (m,), white with unit variance, of a unit that begins at rest.
 
     Parameters
     ----------
@@ -113,7 +115,7 @@ class Trajectory:
     attitude: FloatArray  #: Shape (n + 1, 3, 3). C_nb.
     integral: FloatArray  #: Shape (n + 1, 3). u, m/s, ENU; zero at rest if the sensors have no error.
     force: FloatArray  #: Shape (n, 3). Integral of the specific force over each epoch, m/s, ENU.
-    #: Shape (n + 1, 6, 37). Attitude (rad) and u (m/s) for each coefficient and the rest of the columns, SI.
+    #: Shape (n + 1, 6, 40). Attitude (rad) and u (m/s) for each coefficient and the rest of the columns, SI.
     response: FloatArray
 
 
@@ -239,6 +241,7 @@ def _integrate(
         if k + 1 != ends[epoch] and angles[0] ** 2 + angles[1] ** 2 + angles[2] ** 2 < _MAX_TURN**2:
             continue
         middle, step, length_s = 0.5 * (begin + C), earth[samples], samples * interval_s
+        since_middle_s = (k + 1 - 0.5 * samples - 0.5 * ends[-1]) * interval_s
         for c in range(COLUMNS):
             for i in range(3):
                 tilt[i] = response[i, c]
@@ -268,6 +271,9 @@ def _integrate(
                 sensor = c - DELAY - 1
                 for i in range(3):
                     response[3 + i, c] -= middle[i, sensor] * squares[sensor]
+            elif c >= UNKNOWNS + 3:
+                for i in range(3):
+                    response[i, c] -= middle[i, c - UNKNOWNS - 3] * length_s * since_middle_s
             a, b, d = response[0, c], response[1, c], response[2, c]
             for i in range(3):
                 response[i, c] = step[i, 0] * a + step[i, 1] * b + step[i, 2] * d
@@ -302,7 +308,7 @@ def epoch_steps(
     latitude: float,
     gravity: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Transition (n, 6, 6), noise (n, 6, 6) and drive (n, 6, 37) of psi and u over each epoch.
+    """Transition (n, 6, 6), noise (n, 6, 6) and drive (n, 6, 40) of psi and u over each epoch.
 
     The response to the coefficients at the end of an epoch is that at its start times the transition, plus
     the drive; :func:`integrated` has the parameters.

@@ -125,7 +125,7 @@ def investigate(
         opening_job,
         verification_runs,
     )
-    from gyrobench.bench.engine.job import emulation_of, job_in, prepare_job
+    from gyrobench.bench.engine.job import emulation_of, job_in, prepare_job, require_one_unit
     from gyrobench.bench.foundations.clock import WallClock
     from gyrobench.bench.foundations.errors import DocumentError
     from gyrobench.bench.investigation.external_bench import ExternalBench
@@ -181,6 +181,7 @@ def investigate(
             job = opening_job(job, profile, folder)
         first = RunFolder(folder / "campaign")
         measured = [first.path]
+    require_one_unit(job)
     allows = job.station.file.block_approval
     if approve is Approval.AUTO and allows != "auto":
         raise DocumentError(

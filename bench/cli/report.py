@@ -60,7 +60,7 @@ def report(
     from gyrobench.bench.report.units_report import units_section, write_units_report
     from gyrobench.bench.runs.folder import open_run_folder
 
-    folder = open_run_folder(run_folder)
+    folder = open_run_folder(run_folder, may_have_units=True)
     earlier = open_run_folder(before) if before else None
     formats = [each.value for each in vectors or ()]
     terminal = console()

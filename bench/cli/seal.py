@@ -62,7 +62,7 @@ def seal(
     if run_folder is None:
         raise DocumentError("no run folder is given. Name one, or make a key with --new-key FILE")
     if not verify:
-        folder = open_run_folder(run_folder)
+        folder = open_run_folder(run_folder, may_have_units=True)
         with RunLock(folder.path, WallClock()):
             made = seals.seal_run(folder, key, accept_changes=accept_changes)
         text = "Nothing has changed since the last seal." if made is None else made.describe()

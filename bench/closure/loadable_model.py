@@ -81,7 +81,8 @@ def model_with_effects(closure: Closure) -> LoadableModel:
 def with_coefficients(model: LoadableModel, closures: Iterable[Closure], *, effects: bool) -> LoadableModel:
     """A model of the gyros' biases with what an INS can take of other coefficients.
 
-    ``closures``: searches of these. ``effects``: whether with the effects that they found.
+    ``closures``: searches of these. ``effects``: whether with the effects that they found. Without one the
+    polynomial that the model has already stays: searches see less, of accelerometers single dwells.
     """
     corrections = dict(model.compensation.coefficients)
     limit, names, notes = model.compensation.rate_limit_c_per_h.copy(), list(model.effects), list(model.notes)
@@ -108,7 +109,7 @@ def with_coefficients(model: LoadableModel, closures: Iterable[Closure], *, effe
         gravity = numbers.get("gravity_dph_per_g", np.zeros((3, 3)))
         measured = closure.campaign.is_measured[closure.searched].sum(axis=0)
         for place, coefficient in enumerate(quantity.coefficients):
-            if measured[place]:
+            if measured[place] and (loaded or coefficient not in corrections):
                 corrections[coefficient] = Correction(
                     numbers["polynomial_dph"][place], float(rates[place]), gravity[place]
                 )

@@ -19,15 +19,10 @@ from gyrobench.bench.bias.budget import Budget, coefficient_budget
 from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow, Triple
 from gyrobench.bench.bias.joint_solution import JointDwell, JointSolution
 from gyrobench.bench.bias.plateaus import MAX_FROM_MEAN_K
-from gyrobench.bench.bias.statistics import chi2_p_value
+from gyrobench.bench.bias.statistics import chi2_p_value, lowest_polynomial
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, Coefficient, CoefficientEstimate
-from gyrobench.bench.calibration.estimator import (
-    Calibration,
-    CalibrationOptions,
-    Information,
-    calibrate,
-    covariances_by_source,
-)
+from gyrobench.bench.calibration.estimator import Calibration, calibrate, covariances_by_source
+from gyrobench.bench.calibration.information import BIAS_DRIFT, CalibrationOptions, Information
 from gyrobench.bench.calibration.joint_coefficients import joint_coefficients
 from gyrobench.bench.calibration.recording import IncrementRecording, Rest
 from gyrobench.bench.calibration.results import coefficient_rows
@@ -41,7 +36,7 @@ from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import AXES
-from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow
+from gyrobench.bench.runs.tables.coefficient_table import COMMON_SOURCES, PlateauCoefficientRow
 from gyrobench.drivers.frames import FrameBlock
 
 #: Temperatures of plateaus, K, between which coefficients show their slopes, and degree of the curve.
@@ -91,9 +86,17 @@ class PlateauCalibration:
     #: Declared standard uncertainties, SI, by key of :data:`gyrobench.bench.bias.budget.SOURCES`.
     inputs: Mapping[str, float] = field(default_factory=dict)
 
-    def value(self, k: int) -> float:
-        """Value of one of :data:`COEFFICIENTS`, SI; NaN where not observed."""
-        return float(self.estimate.values[k]) if self.estimate and self.estimate.is_observed[k] else math.nan
+    def shown(self, k: int) -> tuple[float, float]:
+        """Value of one of :data:`COEFFICIENTS` and standard uncertainty, SI, without what plateaus share.
+
+        NaN where not observed.
+        """
+        if self.estimate is None or not self.estimate.is_observed[k]:
+            return math.nan, math.nan
+        shared = sum(
+            self.estimate.parts[each][k, k] for each in COMMON_SOURCES if each in self.estimate.parts
+        )
+        return float(self.estimate.values[k]), math.sqrt(self.estimate.covariance[k, k] - shared)
 
     def change_c(self, coefficient: Coefficient, sensor: int) -> float:
         """Range of a temperature, 0 to 2 of the gyros, 3 of the case, while a coefficient was measured."""
@@ -202,17 +205,19 @@ def with_temperature_change(plateaus: Sequence[PlateauCalibration]) -> list[Plat
     """The coefficients with what they may change by while the temperature changes within their plateau.
 
     Each belongs to some time of the plateau, which its mean temperature does not name. Slopes are those of a
-    parabola over all plateaus, for neighbours in temperature may differ by more, as on ramps up and down.
+    constant, line or parabola over all plateaus, as their uncertainties demand: neighbours in temperature may
+    differ by more, as on ramps up and down, or by noise.
     """
     variances = np.zeros((len(plateaus), COUNT))
     for k, coefficient in enumerate(COEFFICIENTS):
         sensor = AXES.index(coefficient.axis[0]) if coefficient.sensor == "gyro" else 3
         at_c = np.array([(*each.gyro_c, each.case_c)[sensor] for each in plateaus])
-        values = np.array([each.value(k) for each in plateaus])
+        values, sigmas = np.array([each.shown(k) for each in plateaus]).T
         known = np.isfinite(at_c) & np.isfinite(values)
         apart = int(np.count_nonzero(np.diff(np.sort(at_c[known])) > _MIN_APART_C))
         if apart:
-            curve = np.polynomial.Polynomial.fit(at_c[known], values[known], min(apart, _SLOPE_DEGREE))
+            degree = min(apart, _SLOPE_DEGREE)
+            curve = lowest_polynomial(at_c[known], values[known], sigmas[known], degree)
             changes = curve.deriv()(at_c) * [each.change_c(coefficient, sensor) for each in plateaus]
             variances[:, k] = np.where(known & np.isfinite(changes), changes**2 / 12.0, 0.0)
     return [
@@ -385,6 +390,7 @@ def _options(setup: MeasurementSetup) -> CalibrationOptions:
         walks=walks,
         gravity_sigma=gravity_sigma,
         latitude_sigma=setup.prior.latitude,
+        bias_drift=BIAS_DRIFT,
     )
 
 

@@ -112,17 +112,19 @@ def prepare_job(
             "or choose a procedure with `purpose: calibration_check`"
         )
     rows = tuple(read_calibration(calibration)) if calibration else ()
+    known = {row.unit for row in rows}
+    lacking = [unit.number for unit in bench.units if unit.number and unit.number not in known]
+    if rows and lacking:
+        raise DocumentError(
+            f"{calibration}: has no dwell of unit {', '.join(lacking)}. Give a calibration of all units"
+        )
     if compensation is not None:
-        if len(bench.units) > 1:
-            raise DocumentError(
-                f"{bench.path}: has {len(bench.units)} units, and a compensation is for one of them. Leave "
-                "--compensation out, or use a station with that unit alone"
-            )
         _check_compensation(bench, compensation)
     given = {name: text for name, text in (order or {}).items() if text}
-    return Job(
-        document, plan, bench, emulation or Emulation(), rows, compensation, given, tuple(acknowledged)
-    )
+    job = Job(document, plan, bench, emulation or Emulation(), rows, compensation, given, tuple(acknowledged))
+    if compensation is not None:
+        require_one_unit(job)
+    return job
 
 
 def job_in(folder: RunFolder, options: Mapping[str, Any] | None = None) -> Job:
@@ -132,6 +134,15 @@ def job_in(folder: RunFolder, options: Mapping[str, Any] | None = None) -> Job:
     return prepare_job(
         str(folder.procedure), str(folder.station), emulation_of(folder, options), calibration, compensation
     )
+
+
+def require_one_unit(job: Job) -> None:
+    """Raise DocumentError if a job measures several units at once, where that is not possible."""
+    if numbers := [unit.number for unit in job.station.units if unit.number]:
+        raise DocumentError(
+            f"{job.station.path}: has the units {', '.join(numbers)}, and only one can be measured here. Use "
+            "a station with that unit alone, as units/NUMBER/station.yaml in a run folder"
+        )
 
 
 def _check_compensation(station: Station, compensation: Compensation) -> None:

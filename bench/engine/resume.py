@@ -325,7 +325,7 @@ def prepare_resumption(path: Path, anyway: bool = False) -> Resumption:
     Raises RunFolderError if there is no run, it is finished, or it was resumed too often without progress.
     Raises DocumentError if its procedure, station or DBC file is wrong.
     """
-    folder = open_run_folder(path)
+    folder = open_run_folder(path, may_have_units=True)
     if folder.path.absolute().parent.name == UNITS:
         raise RunFolderError(
             f"{path}: is a unit of the run {folder.path.absolute().parents[1]}. Resume that run instead"

@@ -215,9 +215,8 @@ def new_emulation(run: RunFolder, world: str | None = None, seed: int | None = N
 def _with_coefficients(run: RunFolder, *models: LoadableModel) -> list[LoadableModel]:
     """Models of the gyros' biases with the other coefficients of a run.
 
-    Where a search in one of them is in the run its model replaces the polynomial, in the second model with
-    the effects found; a search of one cycle confirms none, and is left out. Raises DocumentError if the run
-    has no coefficients.
+    Where a search in one of them found effects its model replaces the polynomial in the second model; a
+    search of one cycle confirms none, and is left out. Raises DocumentError if the run has no coefficients.
     """
     if not run.coefficients.exists():
         raise DocumentError(

@@ -47,7 +47,7 @@ def snapshot_of(path: Path) -> RunSnapshot:
 
     Raises RunFolderError if there is no run at that path.
     """
-    folder = open_run_folder(path)
+    folder = open_run_folder(path, may_have_units=True)
     try:
         snapshot = read_snapshot(folder.live)
     except RunFolderError:

@@ -35,7 +35,7 @@ from gyrobench.bench.report.bias_sections import (
     gyro_section,
     verdict_box,
 )
-from gyrobench.bench.report.budget_section import CAPTION, budget_box, budget_section, shares
+from gyrobench.bench.report.budget_section import CAPTION, budget_box, budget_figure, budget_section, shares
 from gyrobench.bench.report.calibration_check import dwells_text, verification_section, verification_sentence
 from gyrobench.bench.report.characteristics import characteristics_sections
 from gyrobench.bench.report.coefficients import coefficients_section
@@ -53,7 +53,6 @@ from gyrobench.bench.report.figures.bias import (
     position_difference_figure,
     position_pair_figure,
 )
-from gyrobench.bench.report.figures.budget import budget_figure
 from gyrobench.bench.report.figures.temperatures import Readings, temperature_figure
 from gyrobench.bench.report.journal_sections import durations_section, events_section, took_in_journal
 from gyrobench.bench.report.page import Box, Section, SectionFigure, render_page, with_figure_files

@@ -122,8 +122,8 @@ def create_run_folder(out: Path | None, name: str, parent: Path = RUNS) -> RunFo
     return RunFolder(next(candidate for candidate in candidates if make_new_folder(candidate)))
 
 
-def open_run_folder(path: Path) -> RunFolder:
-    """Find an existing run folder.
+def open_run_folder(path: Path, may_have_units: bool = False) -> RunFolder:
+    """Find an existing run folder; one of several units only where it ``may_have_units``.
 
     Raises MissingRunError if there is none at that path, and RunFolderError if one of its folders is a link
     to elsewhere.
@@ -152,5 +152,10 @@ def open_run_folder(path: Path) -> RunFolder:
         raise MissingRunError(
             f"{path}: is not a run folder (it has no {folder.journal.name}). Give the folder of a "
             "run that has started"
+        )
+    if not may_have_units and (units := folder.unit_folders):
+        raise RunFolderError(
+            f"{path}: holds a run of several units. Give the folder of one of them: "
+            f"{', '.join(str(unit.path) for unit in units)}"
         )
     return folder

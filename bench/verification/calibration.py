@@ -175,14 +175,19 @@ def _averaged(group: list[tuple[float, float, float]]) -> tuple[float, float, fl
 def read_calibration(path: Path) -> list[DwellRow]:
     """Read the dwells of a calibration.
 
-    ``path``: a run folder, or a dwell table. Raises DocumentError if there is no dwell table, it is wrong, or
-    none of its dwells gave a bias.
+    ``path``: a run folder, also of several units, or a dwell table. Raises DocumentError if there is no dwell
+    table, it is wrong, or none of its dwells gave a bias.
     """
-    table = RunFolder(path).dwells if path.is_dir() else path
-    if not table.is_file():
-        what = f"holds no {table.name}, so it is not a calibration" if path.is_dir() else "does not exist"
+    folder = RunFolder(path)
+    tables = [each.dwells for each in folder.unit_folders or [folder]] if path.is_dir() else [path]
+    if not all(table.is_file() for table in tables):
+        what = (
+            f"holds no {folder.dwells.name}, so it is not a calibration"
+            if path.is_dir()
+            else "does not exist"
+        )
         raise DocumentError(f"{path}: {what}. Give a run folder or the dwell table of a calibration")
-    rows = read_dwells(table)
+    rows = [row for table in tables for row in read_dwells(table)]
     if all(row.flags for row in rows):
-        raise DocumentError(f"{table}: has no dwell that gave a bias. Give another calibration")
+        raise DocumentError(f"{tables[0]}: has no dwell that gave a bias. Give another calibration")
     return rows

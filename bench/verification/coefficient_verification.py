@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gyrobench.bench.bias.statistics import chi2_p_value
+from gyrobench.bench.bias.statistics import lowest_polynomial
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT
 from gyrobench.bench.calibration.mission import HOURS, MissionError, mission_error
 from gyrobench.bench.foundations.arrays import FloatArray, rms
@@ -18,8 +18,6 @@ from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow
 from gyrobench.drivers.ins.command_map import CORRECTION_DEGREE, Correction
 
-#: A polynomial gets one degree more where chance gives its residual less often than this.
-_MIN_P_VALUE = 0.01
 _NAMES = tuple(f"{each.name}_{each.axis}" for each in COEFFICIENTS)
 COLUMNS = ("compensation", "coefficient", "unit", "plateaus", "rms", "noise")
 MISSION_COLUMNS = (
@@ -75,21 +73,10 @@ def corrections(rows: Iterable[PlateauCoefficientRow]) -> dict[str, Correction]:
         known = [row for row in known if np.isfinite(gyro_c[row.plateau, axis])]
         if known and not name.startswith("gyro_bias"):
             at_c = np.array([gyro_c[row.plateau, axis] for row in known])
-            found[name] = Correction(
-                _polynomial(at_c, *np.array([(row.value, row.sigma) for row in known]).T)
-            )
+            values, sigmas = np.array([(row.value, row.sigma) for row in known]).T
+            fitted = lowest_polynomial(at_c, values, sigmas, min(CORRECTION_DEGREE, len(known) - 1))
+            found[name] = Correction(np.asarray(fitted.convert().coef))
     return found
-
-
-def _polynomial(at_c: FloatArray, values: FloatArray, sigmas: FloatArray) -> FloatArray:
-    """Coefficients from degree 0 up."""
-    most = min(CORRECTION_DEGREE, len(values) - 1)
-    for degree in range(most + 1):
-        fitted = np.polynomial.Polynomial.fit(at_c, values, degree, w=1.0 / sigmas)
-        chi2 = float(np.sum(((values - fitted(at_c)) / sigmas) ** 2))
-        if degree == most or chi2_p_value(len(values) - degree - 1, chi2) >= _MIN_P_VALUE:
-            break
-    return np.asarray(fitted.convert().coef)
 
 
 def coefficient_result(

@@ -21,6 +21,7 @@ from gyrobench.bench.runs.folder import (
     JOURNAL,
     PROVENANCE,
 )
+from gyrobench.bench.runs.folder import UNITS as UNIT_FOLDERS
 
 if TYPE_CHECKING:
     from fsspec.spec import AbstractFileSystem
@@ -71,10 +72,11 @@ class RunStore:
     def runs(self) -> Iterator[RunFiles]:
         """Find run folders in order of their paths; folders inside a run are not searched.
 
+        Of a run with several units those of the units are found, not that of the whole.
         Raises RunFolderError if the root does not exist or can't be read.
         """
         for folder, inner, files in self._walk():
-            if JOURNAL in files:
+            if JOURNAL in files and UNIT_FOLDERS not in inner:
                 found = {name: _tag(files[name]) for name in _OF_A_RUN if name in files}
                 if CLOSURE in inner:
                     found |= self._closure(folder)
@@ -82,7 +84,9 @@ class RunStore:
                 yield RunFiles(folder.removeprefix(self.root).strip("/") or ".", found)
             else:
                 # In place: sets the order of the walk.
-                ordered = sorted(inner.items())
+                ordered = (
+                    sorted(inner.items()) if JOURNAL not in files else [(UNIT_FOLDERS, inner[UNIT_FOLDERS])]
+                )
                 inner.clear()
                 inner.update(ordered)
 
@@ -168,7 +172,7 @@ def _named(name: str) -> Iterator[Path]:
 
 
 def _below(place: Path) -> Iterator[Path]:
-    if (place / JOURNAL).is_file():
+    if (place / JOURNAL).is_file() and not (place / UNIT_FOLDERS).is_dir():
         yield place
     elif place.is_dir():
         yield from (place / run.path for run in open_store(str(place)).runs())

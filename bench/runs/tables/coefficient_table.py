@@ -45,7 +45,7 @@ class PlateauCoefficientRow:
 
 _COLUMNS = [each.name for each in fields(PlateauCoefficientRow)]
 #: Contributions to uncertainty that are one error at all plateaus.
-_COMMON = ("gravity", "latitude")
+COMMON_SOURCES = ("gravity", "latitude")
 
 #: Frame and temperatures of the rows, as reports state them.
 FRAME_TEXT = (
@@ -127,7 +127,7 @@ def read_coefficients_apart(coefficients: Path, budget: Path) -> list[PlateauCoe
     """
     variances: dict[tuple[int | None, str, str], float] = {}
     for each in read_budget(budget) if budget.exists() else ():
-        if each.result == "coefficient" and not each.is_sum and each.contribution not in _COMMON:
+        if each.result == "coefficient" and not each.is_sum and each.contribution not in COMMON_SOURCES:
             key = each.plateau, each.quantity, each.axis
             variances[key] = variances.get(key, 0.0) + float(np.nan_to_num(each.sigma)) ** 2
     return [

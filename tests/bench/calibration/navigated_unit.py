@@ -14,7 +14,7 @@ from gyrobench.bench.dwells.rotated_dwell import navigated_increments
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.navigation.table_axes import TwoAxisTable
-from tests.adversarial.strapdown import ARCSEC, DPH, EPOCH_S, UG, Place, Schedule, Table, Unit, simulate
+from tests.adversarial.strapdown import ARCSEC, DPH, UG, Place, Schedule, Table, Unit, simulate
 
 TABLE = TwoAxisTable(np.eye(3)[0], np.eye(3)[2], np.eye(3))
 ARW_DEG, VRW_UG = 0.0006, 5.0
@@ -31,7 +31,7 @@ def any_unit(random):
         accelerometer_misalignment_arcsec=tuple(random.normal(0.0, 5.0, 6)),
         angle_random_walk=ARW_DEG,
         velocity_random_walk=VRW_UG,
-        velocity_output_mps=1e-3 * np.sqrt(1.0 / EPOCH_S),
+        velocity_output_mps=1e-3,
         attitude_output_arcsec=0.4,
     )
 
@@ -76,21 +76,27 @@ def recording(unit, place, schedule, angles_deg, random):
 
 def six_dwells(unit, latitude_deg, random):
     """Two windows of 10 min in each position, with a turn of 180 deg about Up between them."""
-    dwells = []
-    for position in POSITIONS.values():
-        start = TABLE.angles(position.C_nb())
-        pair = [start, TABLE.turn(start, 180.0)]
-        dwells.append(recording(unit, Place(latitude_deg), Schedule(), pair, random))
+    dwells = [recording(unit, Place(latitude_deg), *each, random) for each in six_schedules()]
     return zip(*dwells, strict=True)
+
+
+def six_schedules():
+    """Schedule and angles of each of the six dwells."""
+    starts = [TABLE.angles(position.C_nb()) for position in POSITIONS.values()]
+    return [(Schedule(), [start, TABLE.turn(start, 180.0)]) for start in starts]
 
 
 def rotated(unit, latitude_deg, random, rotations):
     """The rests and rotations of a list, all in one navigation."""
+    one, rests = recording(unit, Place(latitude_deg), *rotated_schedule(rotations), random)
+    return [one], [rests]
+
+
+def rotated_schedule(rotations):
+    """Schedule and angles of a list of rotations."""
     angles = [TABLE.angles(POSITIONS[rotations.start].C_nb())]
     for each in rotations.rotations:
         outer, inner = angles[-1]
         is_outer = each.axis == "outer"
         angles.append((outer + each.angle_deg, inner) if is_outer else (outer, inner + each.angle_deg))
-    schedule = Schedule(window_s=rotations.dwell_s, turn_s=10.0)
-    one, rests = recording(unit, Place(latitude_deg), schedule, angles, random)
-    return [one], [rests]
+    return Schedule(window_s=rotations.dwell_s, turn_s=10.0), angles

@@ -8,7 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from gyrobench.bench.calibration import estimator
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, SensorErrors
-from gyrobench.bench.calibration.estimator import CalibrationOptions, calibrate
+from gyrobench.bench.calibration.estimator import calibrate, covariances_by_source
+from gyrobench.bench.calibration.information import BIAS_DRIFT, CalibrationOptions
 from gyrobench.bench.calibration.recording import IncrementRecording, SensorNoise
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.error_model import Site
@@ -48,6 +49,22 @@ def test_every_coefficient_of_eighteen_rotations_is_found_as_well_as_the_noise_a
     assert np.sqrt(np.mean(deviations**2)) == pytest.approx(1.0, abs=0.15)
     assert np.mean(np.abs(deviations) < 1.96) > 0.90
     assert min(each.fit.p_value for each in found) > 1e-4
+
+
+def test_a_bias_that_drifts_is_no_misfit_and_leaves_the_other_coefficients_right():
+    angle, velocity = eighteen()
+    time_s = 0.05 * (np.arange(len(angle)) + 0.5)
+    drift = np.deg2rad([0.2, -0.15, 0.1]) / 3600.0**2
+    drifted = angle + 0.05 * np.outer(time_s - time_s.mean(), drift), velocity
+    options = CalibrationOptions(bias_drift=BIAS_DRIFT)
+    found = [calibrate([recorded(drifted, seed)], SITE, options) for seed in range(4)]
+    deviations = np.array([(each.values - TRUTH) / each.sigmas for each in found])
+    assert np.sqrt(np.mean(deviations**2)) == pytest.approx(1.0, abs=0.25)
+    assert min(each.fit.p_value for each in found) > 1e-3
+    assert "bias_drift" in covariances_by_source(found[0], SITE, options)
+    constant = calibrate([recorded(drifted, 0)], SITE)
+    assert constant.fit.p_value < 1e-3
+    assert (constant.sigmas > found[0].sigmas).all()
 
 
 def test_the_uncertainty_is_the_cramer_rao_bound(monkeypatch):
@@ -274,7 +291,7 @@ def test_a_sample_interval_that_is_wrong_by_a_hundredth_is_named(of_rates):
 
 def test_residuals_far_beyond_the_noise_give_no_table():
     angle, velocity = eighteen()
-    drift = np.linspace(0.0, 2e-5, len(angle))[:, np.newaxis]
+    drift = 2e-5 * np.linspace(0.0, 1.0, len(angle))[:, np.newaxis] ** 2  # a steady one is estimated
     with pytest.raises(MeasurementError, match="times the noise, at most 10 times is accepted"):
         calibrate([recorded((angle + 0.05 * drift, velocity), 14)], SITE)
 

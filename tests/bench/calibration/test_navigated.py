@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from gyrobench.bench.calibration.estimator import CalibrationOptions, calibrate
+from gyrobench.bench.calibration.estimator import calibrate
+from gyrobench.bench.calibration.information import CalibrationOptions
 from gyrobench.bench.navigation.error_model import Site
 from tests.bench.calibration.navigated_unit import WALKS, any_unit, rotated, six_dwells, truth
 from tests.bench.calibration.test_rotation_list import NAMES, SHOWN, shipped

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS
-from gyrobench.bench.calibration.estimator import CalibrationOptions, calibrate
+from gyrobench.bench.calibration.estimator import calibrate
+from gyrobench.bench.calibration.information import CalibrationOptions
 from gyrobench.bench.calibration.recording import IncrementRecording, SensorNoise
 from gyrobench.bench.calibration.rotation_list import (
     RotationList,

@@ -5,7 +5,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from gyrobench.bench.calibration.estimator import CalibrationOptions, calibrate
+from gyrobench.bench.calibration.estimator import calibrate
+from gyrobench.bench.calibration.information import CalibrationOptions
 from gyrobench.bench.calibration.recording import IncrementRecording
 from gyrobench.bench.calibration.spins import spin_scale_factors
 from gyrobench.bench.navigation.attitude import rotation_matrices

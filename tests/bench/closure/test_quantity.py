@@ -138,11 +138,15 @@ def test_a_bias_that_follows_attitude_is_loaded_unless_the_matrix_has_it_already
     true = measured.undeclared_dph[:, 0]
     assert np.abs((taken - taken.mean()) - (true - true.mean())).max() < 5.0
     model = model_with_effects(biases)
-    matrix = {"accelerometer_misalignment_yx": Correction(np.array([12.0]))}
+    matrix = {
+        "accelerometer_misalignment_yx": Correction(np.array([12.0])),
+        "accelerometer_bias_x": Correction(np.array([50.0])),
+    }
     model = replace(model, compensation=replace(model.compensation, coefficients=matrix))
     both = with_coefficients(model, [closure], effects=True)
     assert both.effects == ()
     assert not both.compensation.coefficients["accelerometer_bias_x"].gravity_per_g.any()
+    assert both.compensation.coefficients["accelerometer_bias_x"].polynomial.tolist() == [50.0]
     assert "accelerometer_bias is left out: scale factors and misalignments" in both.notes[-1]
 
 

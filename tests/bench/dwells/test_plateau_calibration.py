@@ -138,6 +138,9 @@ def test_a_temperature_that_changes_within_the_plateau_adds_the_slope_between_pl
         assert added == pytest.approx((slopes * change_c) ** 2 / 12.0, abs=1e-25)
     [alone] = with_temperature_change(plateaus[:1])
     assert not alone.estimate.parts["temperature_change"].any()
+    poor = replace(plateaus[1].estimate, covariance=np.eye(COUNT))
+    known, _, _ = with_temperature_change([plateaus[0], replace(plateaus[1], estimate=poor), plateaus[0]])
+    assert not known.estimate.parts["temperature_change"].any()  # noise shows no slope
 
 
 def test_rotations_on_the_ramp_and_after_the_soak_of_one_set_point_are_two_plateaus(run_procedure, tmp_path):

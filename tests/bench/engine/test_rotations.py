@@ -161,9 +161,12 @@ run_job(job, Path(out), Killed(kind, int(ticks)), ConsentingOperator())
 def with_increments(tmp_path_factory):
     """18 rotations and a spin on a station with an INS that sends increments on command."""
     folder = tmp_path_factory.mktemp("increments")
+    go_to, align, rotate = plateau(on_ramp=False)[-3:]
     steps = [
         {"power_on": {"settle_s": 60}},
-        *plateau(on_ramp=False)[-3:],
+        {"chamber": {"temperature_c": 30, "ramp_c_per_min": 5}},
+        {"soak": {"for_s": 900}},
+        *(go_to, align, rotate, go_to, align),
         {"spin": {"axis": "inner", "turns": 1, "rates_dps": [15, 10], "rest_s": 20, "settle_s": 2}},
         "power_off",
     ]
@@ -182,21 +185,27 @@ def run_with_increments(with_increments, out, faults=""):
 
 @pytest.fixture(scope="module")
 def undisturbed(with_increments, tmp_path_factory):
+    """Coefficients, and for each kind of step its dwell and the middle of its time."""
     folder, job = run_with_increments(with_increments, tmp_path_factory.mktemp("undisturbed") / "run")
-    return read_coefficients(folder.coefficients), job.plan
+    dwells = {each.number: each.dwell for each in job.plan.steps}
+    middles = {
+        each["kind"]: (dwells[each["step"]], each["time_s"] - 0.5 * each["took_s"])
+        for each in read_journal(folder.journal)
+        if each["event"] == "step_finished"
+    }
+    return read_coefficients(folder.coefficients), middles
 
 
 def assert_same_coefficients(folder, undisturbed):
+    # Dwells of two power cycles are two plateaus: the first is that of the 18 rotations.
     rows = read_coefficients(folder.coefficients)
-    assert len(rows) == 21
-    for row, other in zip(rows, undisturbed[0], strict=True):
+    for row, other in zip(rows[:21], undisturbed[0], strict=True):
         assert (row.coefficient, row.axis, row.finding) == (other.coefficient, other.axis, "")
         # Each power-on has gyro biases a little different, beside the noise of both.
         power_on = 2e-6 if row.coefficient == "gyro_bias" else 0.0
         assert abs(row.value - other.value) < 4.5 * (row.sigma**2 + other.sigma**2 + power_on) ** 0.5
-        assert row.sigma == pytest.approx(other.sigma, rel=0.3)
-    (marks,) = finished_marks(folder)
-    assert (marks.dwell, marks.is_rotated, len(marks.windows)) == (1, True, 18 + 1 + 4)
+        assert row.sigma < 2.0 * other.sigma
+    assert [(marks.dwell, len(marks.windows)) for marks in finished_marks(folder)] == [(1, 19), (2, 5)]
 
 
 @pytest.mark.long
@@ -207,7 +216,7 @@ def test_after_a_kill_in_a_rotation_the_increments_give_the_same_coefficients(
     path = tmp_path / "run"
     command = [sys.executable, "-c", KILLED_RUN, *with_increments, str(path), kind, str(ticks)]
     assert subprocess.run(command, check=False).returncode == -signal.SIGKILL
-    assert not finished_marks(open_run_folder(path))
+    assert len(finished_marks(open_run_folder(path))) == (kind == "spin")
     folder, _, _ = resumed(path)
     assert_same_coefficients(folder, undisturbed)
 
@@ -217,17 +226,15 @@ def test_after_a_kill_in_a_rotation_the_increments_give_the_same_coefficients(
 def test_after_a_trip_in_a_rotation_the_bench_is_made_safe_and_the_whole_list_repeated(
     with_increments, undisturbed, tmp_path, kind
 ):
-    (step,) = (planned for planned in undisturbed[1].steps if planned.step.name == kind)
+    dwell, at_s = undisturbed[1][kind]
     faults = tmp_path / "faults.yaml"
-    at_s = step.start_s + 0.5 * step.duration_s
-    faults.write_text(f"faults:\n  - {{fault: port_gone, target: table, at_s: {at_s}, for_s: 40}}\n")
+    faults.write_text(f"faults:\n  - {{fault: port_gone, target: table, at_s: {at_s}, for_s: 120}}\n")
     folder, _ = run_with_increments(with_increments, tmp_path / "run", str(faults))
-    story = [
-        each["event"]
-        for each in read_journal(folder.journal)
-        if each["event"] in ("tripped", "dwell_given_up", "made_safe", "held", "continued", "dwell_finished")
-    ]
-    assert story == [
-        "made_safe", "tripped", "dwell_given_up", "made_safe", "held", "continued", "dwell_finished"
-    ]  # fmt: skip
+    entries = list(read_journal(folder.journal))
+    steps = ("tripped", "dwell_given_up", "made_safe", "held", "continued")
+    story = [each["event"] for each in entries if each["event"] in steps]
+    # The table is made safe when it answers again.
+    expected = ["made_safe", "tripped", "dwell_given_up", "made_safe", "held", "made_safe", "continued"]
+    assert story == expected
+    assert [each["dwell"] for each in entries if each["event"] == "dwell_given_up"] == [dwell]
     assert_same_coefficients(folder, undisturbed)

@@ -19,6 +19,7 @@ from gyrobench.bench.monitor.snapshot_recorder import SnapshotRecorder
 from gyrobench.bench.monitor.terminal_screen import screen
 from gyrobench.bench.report.units_report import units_section, write_units_report
 from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.index.store import runs_named
 from gyrobench.bench.runs.journal import facts_of, read_journal
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.bench.station.station import Station
@@ -144,6 +145,14 @@ def test_a_units_folder_is_a_run_folder_of_a_bench_with_that_unit_alone(whole, t
     assert Station(copy.station).units[0].file.ins.channel == "ins-3"
     with pytest.raises(RunFolderError, match="is a unit of the run"):
         prepare_resumption(folder.unit("1103").path)
+
+
+def test_each_unit_is_a_run_for_commands_that_evaluate_runs(whole):
+    folder, _ = whole
+    assert runs_named([str(folder.path)]) == [folder.unit(number).path for number in NUMBERS]
+    with pytest.raises(RunFolderError, match="several units"):
+        recompute_run(folder.path)
+    assert not folder.bias_bins.exists()
 
 
 def test_a_killed_run_resumes_with_all_units(files, whole, tmp_path):

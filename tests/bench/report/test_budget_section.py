@@ -3,8 +3,7 @@ import math
 import pytest
 
 from gyrobench.bench.bias.budget import BiasBudget, Budget, Contribution
-from gyrobench.bench.report.budget_section import budget_box, budget_section, shares
-from gyrobench.bench.report.figures.budget import budget_figure
+from gyrobench.bench.report.budget_section import budget_box, budget_figure, budget_section, shares
 from gyrobench.bench.report.run_report import write_report
 from gyrobench.bench.runs.tables.budget_table import budget_rows, write_budget
 

@@ -53,7 +53,7 @@ def test_all_paths_in_a_folder_differ(tmp_path):
     paths = [
         getattr(folder, name) for name, value in vars(RunFolder).items() if isinstance(value, PathInside)
     ]
-    assert len(paths) == 24
+    assert len(paths) == 26
     assert len(set(paths)) == len(paths)
     assert {path.parent for path in paths} == {tmp_path}
 

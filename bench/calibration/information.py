@@ -1,0 +1,188 @@
+"""What recordings show of the coefficients: white rows of a least-squares problem at assumed values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from gyrobench.bench.bias.statistics import compress, solve
+from gyrobench.bench.calibration.coefficients import BESIDE, COEFFICIENTS, COUNT
+from gyrobench.bench.calibration.recording import SensorNoise
+from gyrobench.bench.calibration.section import Section
+from gyrobench.bench.calibration.strapdown import (
+    ATTITUDE,
+    DELAY,
+    DRIFT,
+    LEVER_ARMS,
+    QUADRATIC,
+    Trajectory,
+    white_rows,
+)
+from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, BoolArray, FloatArray
+from gyrobench.bench.navigation.error_model import Site
+
+#: Large drift of a gyro's bias, rad/s^2.
+BIAS_DRIFT = 0.1 * DPH_TO_RADPS / 3600.0
+#: Large attitude error at the start, rad.
+ATTITUDE_ERROR = 0.5
+#: An unknown is observed if sizes ten times as large let its uncertainty grow by less than this.
+_MAX_GROWTH = 1.1
+#: Size of the accelerometers' scale factor errors where gravity stands in place of the vertical specific
+#: force: their mean is not observed, and affects the other coefficients in second order.
+_SCALE = 1e-4
+#: Which coefficients are scale factors of accelerometers.
+IS_FORCE_SCALE = [each.name == "accelerometer_scale_factor" for each in COEFFICIENTS]
+#: So closely the scale factors of accelerometers have the mean zero where the vertical force is not measured.
+_COMMON_SCALE = 1e-9
+
+
+@dataclass(frozen=True)
+class CalibrationOptions:
+    """What is estimated beside the coefficients, and what the table contributes."""
+
+    lever_arms: bool = False  #: Places of the y and z accelerometers relative to the x accelerometer.
+    delay: bool = False  #: Delay of the accelerometers against the gyros.
+    quadratic: bool = False  #: Quadratic terms of the accelerometers.
+    #: Standard uncertainty, rad, with which the table returns after whole turns; None: spins count as any
+    #: other rotation.
+    whole_turns: float | None = None
+    gravity: float | None = None  #: Local gravity, m/s^2; None: normal gravity of the site.
+    #: Random walks of gyros (rad/sqrt(s)) and accelerometers (m/s/sqrt(s)); None: as measured at rest.
+    walks: tuple[float, float] | None = None
+    gravity_sigma: float = 0.0  #: Standard uncertainty of gravity, m/s^2.
+    latitude_sigma: float = 0.0  #: Standard uncertainty of the latitude, rad.
+    #: Standard uncertainties, rad, of tilt and heading of the rotations that a recording's table measures;
+    #: None: they do not count.
+    table: tuple[float, float] | None = None
+    #: Standard uncertainty, rad/s^2, of a steady drift of each gyro's bias in each recording, about the bias
+    #: at half time; 0: none is estimated.
+    bias_drift: float = 0.0
+
+    @property
+    def columns(self) -> list[int]:
+        """Which columns are common to all recordings; the x accelerometer's place is the origin."""
+        arms = range(LEVER_ARMS.start + 3, LEVER_ARMS.stop) if self.lever_arms else ()
+        squares = range(QUADRATIC.start, QUADRATIC.stop) if self.quadratic else ()
+        return [*range(COUNT), *arms, *([DELAY] if self.delay else []), *squares]
+
+
+def integrated_sections(
+    sections: Sequence[Section],
+    starts: Sequence[FloatArray],
+    common: FloatArray,
+    site: Site,
+    options: CalibrationOptions,
+) -> list[Trajectory]:
+    """Trajectory of each section from its attitude at the start, freed of ``common`` (34,)."""
+    gravity = options.gravity or site.gravity
+    pairs = zip(sections, starts, strict=True)
+    return [section.integrated(start, common, site.latitude, gravity) for section, start in pairs]
+
+
+@dataclass(frozen=True, eq=False)
+class Information:
+    """White rows as a function of the coefficients and of all other unknowns, at assumed values of them."""
+
+    #: Rows (m, 21 + k + 1) of each recording, the data last. SI. They give the values, not corrections to the
+    #: assumed ones, but of attitudes at the start: these follow the coefficients and what is beside them, and
+    #: drifts of the biases follow these.
+    blocks: list[FloatArray]
+    sizes: FloatArray  #: Shape (21 + k,). Large values of the unknowns, SI.
+    drifts: int  #: How many of the unknowns, the last ones, are drifts of biases.
+
+    @classmethod
+    def of(
+        cls,
+        sections: Sequence[Section],
+        starts: Sequence[FloatArray],
+        common: FloatArray,
+        noise: SensorNoise,
+        site: Site,
+        options: CalibrationOptions,
+        trajectories: Sequence[Trajectory] | None = None,
+    ) -> Information:
+        """Integrate increments from attitudes (3, 3) at the ``starts``, with the values ``common`` (34,).
+
+        ``trajectories``: what :func:`_integrated` gives with these values, where it is known.
+        """
+        used, blocks = options.columns, []
+        trajectories = trajectories or integrated_sections(sections, starts, common, site, options)
+        for number, (section, trajectory) in enumerate(zip(sections, trajectories, strict=True)):
+            rows, data = white_rows(
+                trajectory,
+                section.lengths_s,
+                section.epochs,
+                noise,
+                site.latitude,
+                options.whole_turns,
+                options.table,
+            )
+            own = [ATTITUDE, DRIFT] if options.bias_drift else [ATTITUDE]
+            block = np.zeros((len(rows), len(used) + 3 * len(own) * len(sections) + 1))
+            block[:, : len(used)] = rows[:, used]
+            for kind, part in enumerate(own):
+                block[:, len(used) + 3 * (kind * len(sections) + number) :][:, :3] = rows[:, part]
+            block[:, -1] = data + rows[:, used] @ common[used]
+            blocks.append(block)
+        if not any(section.epochs.has_vertical for section in sections):
+            # Gravity in place of the vertical force does not show the mean of the scale factors.
+            mean = np.zeros((1, blocks[0].shape[1]))
+            mean[0, np.flatnonzero(IS_FORCE_SCALE)] = 1.0 / _COMMON_SCALE
+            blocks.append(mean)
+        sizes = np.array([each.size for each in (*COEFFICIENTS, *BESIDE)])
+        if not all(each.epochs.has_vertical for each in sections):
+            sizes[np.flatnonzero(IS_FORCE_SCALE)] = _SCALE
+        count = 3 * len(sections)
+        drifts = count if options.bias_drift else 0
+        beside = [ATTITUDE_ERROR] * count + [options.bias_drift] * drifts
+        return cls(blocks, np.array([*(sizes[each] for each in used), *beside]), drifts)
+
+    @cached_property
+    def root(self) -> FloatArray:
+        """Fewest rows (m, 21 + k + 1) with the same normal equations; data last."""
+        return compress(np.vstack([compress(each) for each in self.blocks]))
+
+    def solve(self, origin: FloatArray | None = None) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Values (21 + k,), their covariance, and which of them the data determine.
+
+        What the data leave open stays near ``origin`` (21 + k,), or zero.
+        """
+        centre = np.zeros(len(self.sizes)) if origin is None else origin
+        rows, left = self.root[:, :-1], self.root[:, -1] - self.root[:, :-1] @ centre
+        values, covariance = solve(rows, left, np.diag(self.sizes))
+        # Drifts are as likely as their sizes say.
+        is_size = np.arange(len(self.sizes)) < len(self.sizes) - self.drifts
+        _, wide = solve(rows, left, np.diag(np.where(is_size, 10.0, 1.0) * self.sizes))
+        growth = np.sqrt(np.diag(wide) / np.diag(covariance))
+        return centre + values, covariance, np.asarray(growth < _MAX_GROWTH)
+
+
+def site_parts(
+    sections: Sequence[Section],
+    starts: Sequence[FloatArray],
+    common: FloatArray,
+    noise: SensorNoise,
+    site: Site,
+    options: CalibrationOptions,
+    values: FloatArray | None = None,
+) -> Mapping[str, FloatArray]:
+    """Covariances (k, k) by what is assumed of the place, which the residuals hardly show.
+
+    ``starts``, ``common``: as of :meth:`Information.of`. ``values``: all unknowns, which the data may leave
+    open.
+    """
+    gravity, count = options.gravity or site.gravity, len(options.columns)
+    # An error of gravity is one of all three scale factors.
+    is_scale = np.isin(options.columns, np.flatnonzero(IS_FORCE_SCALE))
+    shifts = {"gravity": np.where(is_scale, options.gravity_sigma / gravity, 0.0)}
+    if options.latitude_sigma:
+        beside, fixed = site.latitude + options.latitude_sigma, replace(options, gravity=gravity)
+        here, there = (
+            Information.of(sections, starts, common, noise, replace(site, latitude=each), fixed)
+            for each in (site.latitude, beside)
+        )
+        shifts["latitude"] = (there.solve(values)[0] - here.solve(values)[0])[:count]
+    return {name: np.outer(shift, shift) for name, shift in shifts.items()}
