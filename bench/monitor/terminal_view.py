@@ -184,7 +184,8 @@ class LinesView(RunObserver):
     def dwell_measured(self, row: DwellRow) -> None:
         """Print a dwell, the table head above the first one, and the reasons below a flagged one."""
         if not self._has_head:
-            self._console.print(f"{_UNITS}\n{_HEAD}", highlight=False)
+            columns = f"unit {_HEAD}".removesuffix("     left h") if self._has_several else _HEAD
+            self._console.print(f"{_UNITS}\n{columns}", highlight=False)
             self._has_head = True
         number = f"{row.dwell:3d}/{self._plan.dwell_count:<3d}"
         if self._has_several:
@@ -198,7 +199,8 @@ class LinesView(RunObserver):
             f"{bias * 1e3:+z7.2f} ±{sigma * 1e3:<4.2f}"
             for bias, sigma in zip(row.bias_dph, row.sigma_dph, strict=True)
         )
-        self._console.print(f"{head} {values} {hours_minutes(self._left_s):>6s}", highlight=False)
+        left = "" if self._has_several else f" {hours_minutes(self._left_s):>6s}"
+        self._console.print(f"{head} {values}{left}", highlight=False)
 
 
 #: Rows above the view for scrolling lines.

@@ -203,9 +203,6 @@ def test_an_adaptive_campaign_states_the_right_cause_at_least_as_often_as_the_fi
     assert own >= fixed
 
 
-@pytest.mark.xfail(
-    reason="takes more than 0.7 of the hours, see docs/decisions/14-next-measurement.md", strict=False
-)
 def test_an_adaptive_campaign_takes_70_percent_of_the_hours(both):
     assert share_of(both) <= 0.7
 

@@ -320,13 +320,12 @@ def test_a_block_is_chosen_in_ten_seconds(ends):
     assert longest_s <= 10.0
 
 
-@pytest.mark.xfail(reason="18 of 23, see docs/decisions/14-next-measurement.md", strict=False)
+@pytest.mark.xfail(reason="20 of 23, see docs/decisions/14-next-measurement.md", strict=False)
 def test_nine_of_ten_ties_are_settled(ends):
     own = ends[0]["entropy per hour"]
     assert sum(each.is_settled for each in own) >= 0.9 * len(own)
 
 
-@pytest.mark.xfail(reason="0.29 of it, see docs/decisions/14-next-measurement.md", strict=False)
 def test_ties_are_settled_in_a_quarter_of_a_campaign(ends):
     found, campaigns_h = ends
     own = found["entropy per hour"]
@@ -334,7 +333,6 @@ def test_ties_are_settled_in_a_quarter_of_a_campaign(ends):
     assert statistics.median(shares) <= 0.25
 
 
-@pytest.mark.xfail(reason="an ageing of another law than the candidate's is named with a drift", strict=True)
 def test_every_settled_cause_is_right(ends):
     own = ends[0]["entropy per hour"]
     assert all(each.is_right for each in own if each.is_settled)
@@ -348,7 +346,6 @@ def test_d_optimal_blocks_need_longer(ends):
     assert median_h(ends, "entropy per hour") <= median_h(ends, "D-optimal")
 
 
-@pytest.mark.xfail(reason="0.74 of their hours, see docs/decisions/14-next-measurement.md", strict=False)
 def test_random_blocks_need_twice_as_long(ends):
     assert median_h(ends, "entropy per hour") <= 0.5 * median_h(ends, "random")
 
