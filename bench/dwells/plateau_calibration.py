@@ -212,7 +212,7 @@ def with_temperature_change(plateaus: Sequence[PlateauCalibration]) -> list[Plat
     for k, coefficient in enumerate(COEFFICIENTS):
         sensor = AXES.index(coefficient.axis[0]) if coefficient.sensor == "gyro" else 3
         at_c = np.array([(*each.gyro_c, each.case_c)[sensor] for each in plateaus])
-        values, sigmas = np.array([each.shown(k) for each in plateaus]).T
+        values, sigmas = np.reshape([each.shown(k) for each in plateaus], (-1, 2)).T
         known = np.isfinite(at_c) & np.isfinite(values)
         apart = int(np.count_nonzero(np.diff(np.sort(at_c[known])) > _MIN_APART_C))
         if apart:
