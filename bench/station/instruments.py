@@ -163,10 +163,10 @@ class Outputs:
                 "station file. Nothing was moved.",
             )
 
-    def power_unit(self, on: bool, but: Collection[int] = ()) -> None:
-        """Switch the supplies of all units, if the bench can; ``but`` are event outputs left as they are."""
+    def power_unit(self, on: bool, excluded: Collection[int] = ()) -> None:
+        """Switch the supplies of all units, if the bench can, except by event outputs ``excluded``."""
         for event in self._station.power_events:
-            if event not in but:
+            if event not in excluded:
                 self.chamber.switch_event(event, on)
 
     def reopen(self, instrument: str) -> None:
