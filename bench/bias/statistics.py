@@ -137,7 +137,7 @@ def chi2_p_value(dof: int, chi2: float) -> float:
 def lowest_polynomial(
     at: FloatArray, values: FloatArray, sigmas: FloatArray, max_degree: int
 ) -> np.polynomial.Polynomial:
-    """Polynomial of the lowest degree, up to ``max_degree``, whose residuals the standard uncertainties explain.
+    """Polynomial of the lowest degree, up to ``max_degree``, that the uncertainties allow.
 
     One degree more where chance gives the residuals (n,) less often than once in a hundred.
     """
