@@ -261,6 +261,7 @@ def test_the_report_shows_all_units_side_by_side(without_1102):
     assert [row[:2] for row in table.rows] == [
         [number, "dropped" if number == "1102" else "not judged"] for number in NUMBERS
     ]
+    assert all(f'<a href="units/{number}/report.html">' in page for number in NUMBERS)
     assert all(folder.unit(number).report.exists() for number in NUMBERS)
 
 
