@@ -99,9 +99,7 @@ SOURCES: Mapping[str, Source] = MappingProxyType(
         ),
         "bias_slope": Source("gyro temperature within the dwell", "deg/h/K", RADPS_TO_DPH, True, _DECLARED),
         "initial_state": Source("initial attitude and velocity", "", 1.0, note="estimated from the data"),
-        "dwells": Source(
-            "dwells of the plateau", "", 1.0, note="noise, drift and tilt: see the budgets of the dwells"
-        ),
+        "dwells": Source("dwells of the plateau", "", 1.0, note="noise, drift, tilt: see their budgets"),
         "bias_drift": Source("drift of the gyro biases", "", 1.0, note="estimated from the data"),
         "white_angle": Source("noise and resolution of the angle increments", "urad", 1e6),
         "white_velocity": Source("noise and resolution of the velocity increments", "m/s", 1.0),

@@ -24,6 +24,8 @@ from gyrobench.bench.calibration.strapdown import (
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, BoolArray, FloatArray
 from gyrobench.bench.navigation.error_model import Site
 
+#: Large drift of a gyro's bias, rad/s^2.
+BIAS_DRIFT = 0.1 * DPH_TO_RADPS / 3600.0
 #: Large attitude error at the start, rad.
 ATTITUDE_ERROR = 0.5
 #: An unknown is observed if sizes ten times as large let its uncertainty grow by less than this.
@@ -57,7 +59,7 @@ class CalibrationOptions:
     table: tuple[float, float] | None = None
     #: Standard uncertainty, rad/s^2, of a steady drift of each gyro's bias in each recording, about the bias
     #: at half time; 0: none is estimated.
-    bias_drift: float = 0.1 * DPH_TO_RADPS / 3600.0
+    bias_drift: float = 0.0
 
     @property
     def columns(self) -> list[int]:
@@ -104,7 +106,7 @@ class Information:
     ) -> Information:
         """Integrate increments from attitudes (3, 3) at the ``starts``, with the values ``common`` (34,).
 
-        ``trajectories``: what :func:`_integrated` gives with these values, where it is known.
+        ``trajectories``: what :func:`integrated_sections` gives with these values, where it is known.
         """
         used, blocks = options.columns, []
         trajectories = trajectories or integrated_sections(sections, starts, common, site, options)

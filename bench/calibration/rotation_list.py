@@ -146,7 +146,7 @@ def forecast(
     section = Section(STEP_S, angle, velocity, len(angle), Epochs(ends, at_rest[ends], turns))
     gravity_sigma, latitude_sigma = site_sigmas
     options = CalibrationOptions(
-        whole_turns=whole_turns, gravity_sigma=gravity_sigma, latitude_sigma=latitude_sigma, bias_drift=0.0
+        whole_turns=whole_turns, gravity_sigma=gravity_sigma, latitude_sigma=latitude_sigma
     )
     ideal = [section], [attitude[0]], np.zeros(UNKNOWNS), noise, site, options
     _, covariance, is_observed = Information.of(*ideal).solve()

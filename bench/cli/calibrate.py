@@ -36,6 +36,9 @@ def calibrate(
     quadratic: Annotated[
         bool, typer.Option("--quadratic", help="Estimate the quadratic terms of the accelerometers, too.")
     ] = False,
+    drift: Annotated[
+        bool, typer.Option("--drift", help="Estimate a steady drift of each gyro's bias in each log, too.")
+    ] = False,
     body_frame: Annotated[
         Literal["accelerometers", "gyros"], typer.Option(help="Sensors that the body frame is fixed to.")
     ] = "accelerometers",
@@ -64,7 +67,7 @@ def calibrate(
     map_path = find_document("imports", mapping)
     log_map = load_log_map(map_path, for_calibration=True)
     recordings = [recording for path in logs for recording in read_increments(path, log_map)]
-    site, options = calibration_settings(log_map, lever_arms, delay, quadratic)
+    site, options = calibration_settings(log_map, lever_arms, delay, quadratic, drift)
     found = estimate(recordings, site, options)
     origin = {
         "logs": [{"file": str(path), "sha256": file_sha256(path)} for path in logs],

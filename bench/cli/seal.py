@@ -40,7 +40,8 @@ def seal(
 
     A run is sealed at its end, and again by each command that adds to its folder: the hashes of all files,
     who, when and by which command. --verify names the first byte that changed in each file: exactly where
-    one byte of a block of 4 KiB changed, else the block or line.
+    one byte of a block of 4 KiB changed, else the block or line. The units of a run of several are sealed and
+    verified with it.
 
     With --json and --verify: {"folder", "intact", "seals", "changes": [{"path", "text", "start", "end"}],
     "not_sealed"}.
@@ -91,8 +92,8 @@ def seal(
         terminal.print(f"Changed: {finding.path}: {finding.text}", soft_wrap=True, style="bold red")
     if not check.is_intact:
         raise typer.Exit(EXIT_NOT_FINISHED)
-    size_mb = sum(each.size_bytes for each in check.seals[-1].files.values()) / 1e6
-    terminal.print(f"Unchanged: {len(check.seals[-1].files)} files, {size_mb:.1f} MB.")
+    size_mb = sum(each.size_bytes for each in check.files.values()) / 1e6
+    terminal.print(f"Unchanged: {len(check.files)} files, {size_mb:.1f} MB.")
 
 
 #: Attributes of a seal that --json gives.

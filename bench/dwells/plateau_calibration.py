@@ -22,7 +22,7 @@ from gyrobench.bench.bias.plateaus import MAX_FROM_MEAN_K
 from gyrobench.bench.bias.statistics import chi2_p_value, lowest_polynomial
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, Coefficient, CoefficientEstimate
 from gyrobench.bench.calibration.estimator import Calibration, calibrate, covariances_by_source
-from gyrobench.bench.calibration.information import CalibrationOptions, Information
+from gyrobench.bench.calibration.information import BIAS_DRIFT, CalibrationOptions, Information
 from gyrobench.bench.calibration.joint_coefficients import joint_coefficients
 from gyrobench.bench.calibration.recording import IncrementRecording, Rest
 from gyrobench.bench.calibration.results import coefficient_rows
@@ -212,7 +212,7 @@ def with_temperature_change(plateaus: Sequence[PlateauCalibration]) -> list[Plat
     for k, coefficient in enumerate(COEFFICIENTS):
         sensor = AXES.index(coefficient.axis[0]) if coefficient.sensor == "gyro" else 3
         at_c = np.array([(*each.gyro_c, each.case_c)[sensor] for each in plateaus])
-        values, sigmas = np.array([each.shown(k) for each in plateaus]).T
+        values, sigmas = np.reshape([each.shown(k) for each in plateaus], (-1, 2)).T
         known = np.isfinite(at_c) & np.isfinite(values)
         apart = int(np.count_nonzero(np.diff(np.sort(at_c[known])) > _MIN_APART_C))
         if apart:
@@ -390,6 +390,7 @@ def _options(setup: MeasurementSetup) -> CalibrationOptions:
         walks=walks,
         gravity_sigma=gravity_sigma,
         latitude_sigma=setup.prior.latitude,
+        bias_drift=BIAS_DRIFT,
     )
 
 

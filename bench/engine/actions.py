@@ -91,8 +91,8 @@ def _power_on(step: PowerOn, context: StepContext) -> Ticks:
         # An INS that is on already is switched off first: the time since power-on has to be known.
         yield from _switched_off(context)
         yield from _lasting(bench, _POWER_CYCLE_S)
-    but = context.units.dropped_events
-    yield from tried(context, lambda: bench.instruments.power_unit(True, but))
+    excluded = context.units.dropped_events
+    yield from tried(context, lambda: bench.instruments.power_unit(True, excluded))
     switched_s = bench.clock.now()
     yield
     yield from context.units.each(lambda unit: _sending(unit, bench))
@@ -273,7 +273,7 @@ def _window_ended(context: StepContext) -> Ticks:
 
 
 def _navigation_begun(context: StepContext) -> Ticks:
-    """Let each INS navigate; that one has stopped since the last window disturbs its dwell."""
+    """Let each INS navigate; one that has left navigation since the last window disturbs its dwell."""
     for unit in context.units.measuring:
         status = unit.live.status()
         if status.mode is InsMode.NAVIGATE:

@@ -171,7 +171,7 @@ class DwellLedger:
         is_map_wrong = bool(measured.signal_fault) and (self._contradicted or not self._has_agreed())
         self._contradicted = bool(measured.signal_fault)
         if measured.is_disturbed and not is_map_wrong and self.may_repeat(marks.dwell):
-            self._repeat(marks.dwell, measured.flags, counts=True)
+            self._repeat(marks.dwell, measured.flags)
             return False
         unit.journal.record(
             "dwell_finished", marks=marks.to_json(), flags=measured.flags, epochs=asdict(measured.counts)
@@ -193,7 +193,7 @@ class DwellLedger:
     def _finish_recorded(self, marks: DwellMarks) -> bool:
         flags = "; ".join(marks.disturbances)
         if flags and self.may_repeat(marks.dwell):
-            self._repeat(marks.dwell, flags, counts=True)
+            self._repeat(marks.dwell, flags)
             return False
         self._unit.journal.record("dwell_finished", marks=marks.to_json(), flags=flags)
         self._record.state.finished.add(marks.dwell)
@@ -217,9 +217,9 @@ class DwellLedger:
             and repeats.total() < procedure.max_repeats_total
         )
 
-    def _repeat(self, dwell: int, why: str, counts: bool) -> None:
-        self._record.state.repeats[dwell] += counts
-        self._unit.journal.record("dwell_given_up", dwell=dwell, why=why, counts=counts)
+    def _repeat(self, dwell: int, why: str) -> None:
+        self._record.state.repeats[dwell] += 1
+        self._unit.journal.record("dwell_given_up", dwell=dwell, why=why, counts=True)
         self._noted(f"dwell {dwell} is repeated: {why}")
 
     def _noted(self, text: str) -> None:

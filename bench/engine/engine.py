@@ -255,7 +255,7 @@ class Engine:
     def _after_failed_step(self, index: int, error: GyrobenchError) -> tuple[int, RetainedState | None]:
         """Repeat the dwell whose step failed, or continue without it; hold outside of dwells."""
         planned = self._plan.steps[index]
-        if planned.dwell is None or not self._units.are_captured:
+        if planned.dwell is None or not self._units.is_recording:
             failed = self._current or planned
             return index, self._recover(index, [trip_of_error(error, self._bench.station, failed.step)])
         if self._units.may_repeat(planned.dwell):

@@ -84,8 +84,8 @@ class LiveBench:
     An instrument that does not answer a poll is asked again at the next tick; its last answer gets older
     meanwhile, until its interlock trips. ``recordings`` are the CAN log and telemetry of each unit, in the
     order of ``instruments``, and ``telemetry`` is that of a bench with several; none for a bench that is not
-    recorded. ``report_failure`` gets the instrument's name and the
-    error of a failed exchange, or None when it answers again.
+    recorded. ``report_failure`` gets the instrument's name and the error of a failed exchange, or None when
+    it answers again.
     """
 
     def __init__(
@@ -188,7 +188,7 @@ class LiveBench:
             unit.poll()
 
     def leave_out(self, unit: LiveUnit) -> None:
-        """Measure a unit no longer; its bus is closed."""
+        """Stop measuring a unit, and close its bus."""
         unit.end_capture()
         unit.ins.close()
         self.units = [each for each in self.units if each is not unit]

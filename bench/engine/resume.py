@@ -88,18 +88,18 @@ class ResumeState:
                 self.in_progress = ""
                 step = _number(entry["step"], len(plan.steps))
                 if plan.steps[step - 1].dwell is None:
-                    self._finish_up_to(step)
+                    self.finish_up_to(step)
             case "dwell_finished":
                 dwell = _number(entry["marks"]["dwell"], plan.dwell_count)
                 self.finished.add(dwell)
                 self.lost.discard(dwell)
                 self.unit = self.unit or str(entry["marks"].get("unit", ""))
-                self._finish_up_to(end_of_dwell(plan, dwell))
+                self.finish_up_to(end_of_dwell(plan, dwell))
             case "dwell_skipped":
                 dwell = _number(entry["dwell"], plan.dwell_count)
                 self.skipped.add(dwell)
                 self.lost.discard(dwell)
-                self._finish_up_to(end_of_dwell(plan, dwell))
+                self.finish_up_to(end_of_dwell(plan, dwell))
             case "dwell_given_up" if entry["counts"]:
                 self.repeats[_number(entry["dwell"], plan.dwell_count)] += 1
             case "continued" if entry.get("by") == "itself":
@@ -112,7 +112,7 @@ class ResumeState:
                 which = str(entry["which"]).replace("a compensation", UNKNOWN_CHECKSUM)
                 self.stored_compensation_answers[which] = str(entry["answer"])
             case "dwell_over":  # in each journal of a run with several units
-                self._finish_up_to(end_of_dwell(plan, _number(entry["dwell"], plan.dwell_count)))
+                self.finish_up_to(end_of_dwell(plan, _number(entry["dwell"], plan.dwell_count)))
             case "unit_dropped":
                 self.dropped[str(entry["unit"])] = str(entry["why"])
             case "powered_on":
@@ -139,7 +139,8 @@ class ResumeState:
         before = {} if self.unsafe == _NO_SAFE_STATE else self.unsafe
         self.unsafe = {what: problem for what, problem in {**before, **problems}.items() if problem}
 
-    def _finish_up_to(self, next_index: int) -> None:
+    def finish_up_to(self, next_index: int) -> None:
+        """Take over that the steps before one, by its index in the plan, are finished."""
         if next_index > self.next_index:
             self.next_index = next_index
             self.resumes_without_progress = 0
@@ -179,7 +180,7 @@ def _number(value: Any, highest: int) -> int:
 
 
 @dataclass(frozen=True)
-class Progress:
+class RunPart:
     """An interrupted run, or the part of one of its units."""
 
     folder: RunFolder
@@ -194,9 +195,9 @@ class Resumption:
     """An interrupted run and its state."""
 
     job: Job
-    run: Progress
+    run: RunPart
     #: Of each unit in the order of the station file, also of dropped ones; ``run`` for a single unit.
-    units: tuple[Progress, ...]
+    units: tuple[RunPart, ...]
     is_measured: bool = False  #: whether only results and report are left to be written
 
     @property
@@ -210,7 +211,7 @@ class Resumption:
         return self.run.state
 
     @property
-    def parts(self) -> tuple[Progress, ...]:
+    def parts(self) -> tuple[RunPart, ...]:
         """The run and its units, each once."""
         return self.units if self.run in self.units else (self.run, *self.units)
 
@@ -353,21 +354,21 @@ def _read(folder: RunFolder, job: Job, damaged: Mapping[str, Damage] | None = No
     ``damaged``: what is damaged by the number of the unit, where that is known already.
     """
     stations = job.station.units
-    run = _progress(folder, job.plan, "", damaged, has_dwells=len(stations) == 1)
+    run = _read_part(folder, job.plan, "", damaged, has_dwells=len(stations) == 1)
     if len(stations) == 1:
         return Resumption(job, run, (run,))
     units = tuple(
-        _progress(folder.unit(unit.number), job.plan_of(unit), unit.number, damaged) for unit in stations
+        _read_part(folder.unit(unit.number), job.plan_of(unit), unit.number, damaged) for unit in stations
     )
     _join(run, [unit.state for unit in units if unit.number not in run.state.dropped])
     return Resumption(job, run, units)
 
 
-def _progress(
+def _read_part(
     folder: RunFolder, plan: Plan, number: str, damaged: Mapping[str, Damage] | None, has_dwells: bool = True
-) -> Progress:
+) -> RunPart:
     if number and not folder.journal.is_file():  # of a process that was killed before anything moved
-        return Progress(folder, plan, ResumeState(), number)
+        return RunPart(folder, plan, ResumeState(), number)
     damage, entries = find_damage(folder, is_log_read=damaged is None)
     state = _state_of(entries, folder, plan)
     if not has_dwells:
@@ -377,15 +378,15 @@ def _progress(
     else:
         damage = damaged[number]
     state.lose(damage.dwells)
-    return Progress(folder, plan, state, number, damage)
+    return RunPart(folder, plan, state, number, damage)
 
 
-def _join(run: Progress, units: Sequence[ResumeState]) -> None:
+def _join(run: RunPart, units: Sequence[ResumeState]) -> None:
     """Complete the state of a run with those of the units that it measures, and the other way round."""
     state = run.state
     state.finished = set.intersection(*(unit.finished for unit in units)) if units else set()
     for dwell in state.finished:
-        state._finish_up_to(end_of_dwell(run.plan, dwell))  # noqa: SLF001 - its own module
+        state.finish_up_to(end_of_dwell(run.plan, dwell))
     done = {planned.dwell for planned in run.plan.steps[: state.next_index] if planned.dwell}
     state.lost = done - state.finished - state.skipped
     state.power_ons = max([state.power_ons, *(unit.power_ons for unit in units)])

@@ -167,12 +167,12 @@ class Units:
         return max(unit.record.state.repeats[dwell] for unit in self.running)
 
     @property
-    def are_captured(self) -> bool:
+    def is_recording(self) -> bool:
         """Whether a dwell is being recorded."""
         return any(unit.live.capture for unit in self.running)
 
     def end_captures(self) -> bool:
-        """Keep frames no longer; returns whether any unit did."""
+        """Stop keeping frames; returns whether any unit kept them."""
         captured = [unit for unit in self.running if unit.live.capture]
         for unit in captured:
             unit.live.end_capture()
@@ -199,7 +199,7 @@ class Units:
         self._run.observers.noted(f"dwell {dwell} is skipped")
 
     def fail(self, unit: Unit, error: GyrobenchError) -> None:
-        """Drop the unit for an error of its own, or raise that."""
+        """Drop the unit for its error; raise one that may not drop it, or is of another instrument."""
         is_other = isinstance(error, InstrumentError) and error.instrument != unit.live.name
         if not self._may_drop or is_other:
             raise error

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gyrobench.bench.calibration.information import CalibrationOptions
+from gyrobench.bench.calibration.information import BIAS_DRIFT, CalibrationOptions
 from gyrobench.bench.calibration.recording import MIN_REST_TOTAL_S, IncrementRecording
 from gyrobench.bench.exchange.import_map import LogMap
 from gyrobench.bench.exchange.log_windows import FORCES, RATES, Quantity, SampleReader
@@ -103,9 +103,9 @@ def _pieces(time_s: FloatArray, values: FloatArray) -> list[IntArray]:
 
 
 def calibration_settings(
-    log_map: LogMap, lever_arms: bool, delay: bool, quadratic: bool
+    log_map: LogMap, lever_arms: bool, delay: bool, quadratic: bool, drift: bool = False
 ) -> tuple[Site, CalibrationOptions]:
-    """Place and options of a calibration; ``lever_arms``, ``delay``, ``quadratic``: what is estimated."""
+    """Place and options of a calibration that estimates what the flags name beside the coefficients."""
     section = log_map.calibrated
     turns, noise = section.whole_turns_arcsec, section.noise
     walks = None
@@ -120,5 +120,6 @@ def calibration_settings(
     if gravity_sigma is None:
         gravity_sigma = NORMAL_GRAVITY_SIGMA if section.gravity_mps2 is None else 0.0
     return site, CalibrationOptions(
-        lever_arms, delay, quadratic, whole_turns, section.gravity_mps2, walks, gravity_sigma
-    )
+        lever_arms, delay, quadratic, whole_turns, section.gravity_mps2, walks, gravity_sigma,
+        bias_drift=BIAS_DRIFT if drift else 0.0,
+    )  # fmt: skip

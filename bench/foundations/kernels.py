@@ -61,12 +61,18 @@ class _LoadedAlone(Cache):
             self._lock = None
 
 
+class _Stored(tuple[Any, ...]):
+    """Machine code from the cache of one of these kernels; that of other packages is loaded by numba."""
+
+    __slots__ = ()
+
+
 class _Result(CompileResultCacheImpl):
     def rebuild(self, target_context: Any, payload: Any) -> Any:
-        kernel = payload[1]
+        stored, kernel, *rest = payload
         names = kernel.llvm_func_name, kernel.llvm_cpython_wrapper_name, kernel.llvm_cfunc_wrapper_name
         target_context.codegen()._engine._defined_symbols.update(names)  # noqa: SLF001
-        return super().rebuild(target_context, payload)  # type: ignore[no-untyped-call]
+        return super().rebuild(target_context, (_Stored(stored), kernel, *rest))  # type: ignore[no-untyped-call]
 
 
 class _MachineCode(_LoadedAlone, FunctionCache):
@@ -97,8 +103,13 @@ def _array_allocation(target_context: Any) -> Any:
     return library
 
 
-def _loaded_library(_: Any, codegen: Any, state: Any) -> Any:
+_load_library = CPUCodeLibrary._unserialize.__func__  # type: ignore[attr-defined]  # noqa: SLF001
+
+
+def _loaded_library(kind: Any, codegen: Any, state: Any) -> Any:
     """Loaded code; its intermediate code, 12 MB a run, is read where a kernel that calls it is compiled."""
+    if not isinstance(state, _Stored):
+        return _load_library(kind, codegen, state)
     name, _, (machine_code, intermediate_code) = state
     library = codegen.create_library(name)
     library.enable_object_caching()

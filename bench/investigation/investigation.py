@@ -320,7 +320,7 @@ class Investigator:
     def _confirmation(self, stage: Stage, ended: str = "") -> Stage | None:
         """A stage whose block confirms a cause that the held-out dwells left open, if that is all.
 
-        ``ended``: where no block distinguishes, effects that a single dwell shows count no longer.
+        ``ended``: where no block distinguishes, effects that a single dwell shows are not counted.
         """
         is_probable = only_unconfirmed(stage.closure, with_single_dwells=not ended)
         return self._cause_test(stage) if is_probable else None

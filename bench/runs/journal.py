@@ -219,8 +219,8 @@ MAX_RUN_S = 1e9
 class RunFacts:
     """Summary of a journal; unknown texts are empty."""
 
-    #: procedure, station, unit: Procedure, station, and serial number of the INS.
-    #: The former is "investigation" for the journal of one.
+    #: procedure, station, unit: Procedure, "investigation" for the journal of one; station; serial number of
+    #: the INS.
     procedure: str = ""
     station: str = ""
     unit: str = ""

@@ -20,8 +20,8 @@ from gyrobench.bench.runs.folder import RunFolder
 
 _PACKAGES = ("numpy", "scipy", "pyserial", "python-can", "cantools", "pymodbus", "pydantic", "pyarrow")
 
-#: Word across all that a run with emulated instruments gives, and name of a file beside its tables, whose
-#: formats have no place for it.
+#: Watermark of all pages and figures of a run with emulated instruments, and name of a file beside its
+#: tables, whose formats have no place for it.
 SIMULATED = "SIMULATED"
 _SIMULATED_TEXT = "The instruments of this run were emulated: nothing in this folder was measured.\n"
 

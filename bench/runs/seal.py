@@ -3,7 +3,7 @@
 The first seal is made at the end of a run; what is added later, as a search or a certificate, is in a further
 seal with who, when and by which command. A seal is a file ``seals/001.jsonl`` of two lines: the seal, and its
 signature. Signing needs the extra ``certificate``; a seal without a signature proves only that nothing
-changed by mistake.
+changed by mistake. Each unit of a run of several has its seals, and those are sealed with the run.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import platform
 import shlex
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,7 +29,7 @@ from gyrobench.bench.foundations.operator_name import login_name, operator_name
 from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.foundations.text import counted, listed
 from gyrobench.bench.runs.fingerprint import find_change, fingerprint_of
-from gyrobench.bench.runs.folder import JOURNAL, RunFolder
+from gyrobench.bench.runs.folder import JOURNAL, UNITS, RunFolder
 from gyrobench.bench.runs.journal import MAX_JOURNAL_BYTES, broken_links, facts_of, is_linked, read_journal
 
 if TYPE_CHECKING:
@@ -133,6 +133,7 @@ class SealCheck:
     seals: Sequence[Seal]
     findings: Sequence[SealFinding]  #: In the order of the paths; empty if nothing changed.
     not_sealed: Sequence[str]  #: Files that were added after the last seal.
+    files: Mapping[str, SealedFile]  #: All that is sealed, with the files of each unit.
 
     @cached_property
     def is_intact(self) -> bool:
@@ -141,12 +142,18 @@ class SealCheck:
 
 
 def seal_run(folder: RunFolder, key: Path | None = None, *, accept_changes: bool = False) -> Seal | None:
-    """Seal a run folder, or add a seal with what has changed; None where nothing has.
+    """Seal a run folder and those of its units, or add seals with what has changed; None where nothing has.
 
     ``key``: PEM file of an Ed25519 key, by default that of GYROBENCH_SEAL_KEY; without either the seal is not
     signed. Raises RunFolderError if measured data or inputs have changed since the last seal, unless
     ``accept_changes``; or if a file can't be read or written. Raises DocumentError if the key can't be used.
     """
+    for unit in folder.unit_folders:
+        _seal_folder(unit, key, accept_changes)
+    return _seal_folder(folder, key, accept_changes)
+
+
+def _seal_folder(folder: RunFolder, key: Path | None, accept_changes: bool) -> Seal | None:
     seals = _read_seals(folder.path)
     last = seals[-1] if seals else None
     sealed = last.files if last else {}
@@ -196,11 +203,11 @@ def keep_sealed(folder: RunFolder) -> None:
         return  # damaged: a seal would confirm it
     is_due = (folder.path / _SEALS).exists() or is_linked(folder.journal)
     if ended and is_due:
-        seal_run(folder, accept_changes=True)
+        _seal_folder(folder, None, accept_changes=True)
 
 
 def verify_seals(folder: Path, trusted_key: Path | None = None) -> SealCheck:
-    """Compare a run folder with its seals.
+    """Compare a run folder, and those of its units, with their seals.
 
     ``trusted_key``: PEM file of the public key that must have signed all seals. Raises MissingRunError if the
     folder has no seal, and DocumentError if the key can't be read.
@@ -214,13 +221,23 @@ def verify_seals(folder: Path, trusted_key: Path | None = None) -> SealCheck:
         if seal.number != number or (seal.previous_sha256 != previous and not seal.problem):
             findings.append(SealFinding(seal.where, f"does not follow seal {number - 1}"))
         previous = file_sha256(folder / seal.where)
-    files = seals[-1].files
+    files = dict(seals[-1].files)
     for path, sealed in sorted(files.items()):
         if finding := _finding(folder, path, sealed, seals):
             findings.append(finding)
     extra = [path for path in _paths(folder) if path not in files]
     findings += [SealFinding(path, "was added after the last seal") for path in extra if _is_evidence(path)]
-    return SealCheck(seals, findings, [path for path in extra if not _is_evidence(path)])
+    not_sealed = [path for path in extra if not _is_evidence(path)]
+    for unit in RunFolder(folder).unit_folders:
+        if not (unit.path / _SEALS).exists():
+            continue  # its files are among those of this folder
+        check, within = verify_seals(unit.path, trusted_key), f"{UNITS}/{unit.path.name}/"
+        files |= {f"{within}{path}": sealed for path, sealed in check.files.items()}
+        findings += [replace(each, path=f"{within}{each.path}") for each in check.findings]
+        chained = {f"{within}{seal.where}" for seal in check.seals}
+        not_sealed = [path for path in not_sealed if path not in chained]
+        not_sealed += [f"{within}{path}" for path in check.not_sealed]
+    return SealCheck(seals, findings, not_sealed, files)
 
 
 def new_key(path: Path) -> Path:
@@ -271,8 +288,11 @@ def _paths(root: Path, below: str = "") -> Iterator[str]:
             continue
         if not each.is_dir():
             yield path
-        elif is_evidence or not (each / _SEALS).exists():  # another run, with its seals
+        elif is_evidence or not (each / _SEALS).exists():
             yield from _paths(root, f"{path}/")
+        elif below == f"{UNITS}/":
+            yield from (f"{path}/{_SEALS}/{seal.name}" for seal in sorted((each / _SEALS).glob("*.jsonl")))
+        # Other runs in the folder have their own seals.
 
 
 def _changes(root: Path, before: Mapping[str, SealedFile], files: Mapping[str, SealedFile]) -> Changes:

@@ -85,7 +85,6 @@ RATE_TABLE, CHAMBER = "rate table", "chamber"
 
 _EMULATOR = "emulator"
 _OPENING_TIME_S = 15.0
-_CONNECTION_TIME_S = 5.0
 #: A reply to a request from before the line was opened arrives within this time.
 _LATE_REPLY_S = 1.0
 
@@ -163,10 +162,10 @@ class Outputs:
                 "station file. Nothing was moved.",
             )
 
-    def power_unit(self, on: bool, but: Collection[int] = ()) -> None:
-        """Switch the supplies of all units, if the bench can; ``but`` are event outputs left as they are."""
+    def power_unit(self, on: bool, excluded: Collection[int] = ()) -> None:
+        """Switch the supplies of all units, if the bench can, except by event outputs ``excluded``."""
         for event in self._station.power_events:
-            if event not in but:
+            if event not in excluded:
                 self.chamber.switch_event(event, on)
 
     def reopen(self, instrument: str) -> None:

@@ -376,15 +376,12 @@ class StationFile(StrictModel):
 
     @model_validator(mode="after")
     def _fast_only_where_emulated(self) -> Self:
-        addresses = [self.rate_table.port, self.chamber.port, self.ins.channel]
-        why_not = ""
-        for unit in self.units or [UnitEntry(number="1")]:
-            options = self.ins.options if unit.options is None else unit.options
-            here = [*addresses, unit.channel or self.ins.channel]
-            why_not = why_not or why_not_fast(
-                here, unit.interface or self.ins.interface, str(options.get("host", ""))
-            )
-        why_not = why_not if self.speed != 1.0 else ""
+        ports = (self.rate_table.port, self.chamber.port)
+        reasons = [
+            why_not_fast((*ports, ins.channel), ins.interface, str(ins.options.get("host", "")))
+            for ins in self.ins_sections
+        ]
+        why_not = next(filter(None, reasons), "") if self.speed != 1.0 else ""
         if self.speed != 1.0 and self.clock == "virtual":
             why_not = "clock: virtual is as fast as possible; use clock: wall"
         if why_not:
@@ -397,14 +394,9 @@ class StationFile(StrictModel):
         if len(set(numbers)) < len(numbers):
             raise ValueError(f"units: two have the same number; found {', '.join(numbers)}")
         places: dict[str, str] = {}
-        for unit in self.units:
-            offset = self.ins.identifier_offset if unit.identifier_offset is None else unit.identifier_offset
-            options = self.ins.options if unit.options is None else unit.options
-            place = (
-                f"{unit.interface or self.ins.interface} {unit.channel or self.ins.channel}, "
-                f"identifier_offset {offset}"
-            )
-            if (other := places.setdefault(f"{place} {options}", unit.number)) != unit.number:
+        for unit, ins in zip(self.units, self.ins_sections, strict=False):
+            place = f"{ins.interface} {ins.channel}, identifier_offset {ins.identifier_offset}"
+            if (other := places.setdefault(f"{place} {ins.options}", unit.number)) != unit.number:
                 raise ValueError(
                     f"units: {other} and {unit.number} are at the same place of one bus ({place}); give each "
                     "its channel, or its identifier_offset"
@@ -413,11 +405,21 @@ class StationFile(StrictModel):
                 raise ValueError(f"units: power_event is not possible with unit.power: {self.unit.power}")
         return self
 
+    @property
+    def ins_sections(self) -> list[InsSection]:
+        """The section ``ins`` of each unit, with its own keys; of a single unit the file's."""
+        return [
+            self.ins.model_copy(
+                update={key: value for key in UNIT_KEYS["ins"] if (value := getattr(unit, key)) is not None}
+            )
+            for unit in self.units
+        ] or [self.ins]
+
     def is_emulated(self) -> bool:
         """Whether every instrument is emulated inside this process."""
         ports = (self.rate_table.port, self.chamber.port)
-        interfaces = {unit.interface or self.ins.interface for unit in self.units} or {self.ins.interface}
-        return interfaces == {"emulator"} and all(port.startswith("emulator://") for port in ports)
+        is_bus_emulated = all(ins.interface == "emulator" for ins in self.ins_sections)
+        return is_bus_emulated and all(port.startswith("emulator://") for port in ports)
 
 
 def load_station_file(path: Path) -> tuple[Document, StationFile]:

@@ -179,7 +179,9 @@ class CanIns:
 
     def standby(self, timeout_s: float = REPLY_TIMEOUT_S) -> None:
         """Stop aligning or navigating; waits and raises as :meth:`align`."""
-        self._command("standby", "mode", lambda status: status.mode is InsMode.STANDBY, timeout_s)
+        self._complete(
+            self._commanding("standby", "mode", lambda status: status.mode is InsMode.STANDBY, timeout_s)
+        )
 
     def set_euler_sequence(self, sequence: EulerSequence, timeout_s: float = REPLY_TIMEOUT_S) -> None:
         """Choose the sequence of the Euler angles; waits and raises as :meth:`align`."""
@@ -198,12 +200,14 @@ class CanIns:
 
     def send_increments(self, on: bool) -> None:
         """Begin or stop to send increments, without confirmation; raises as :meth:`align`."""
-        self._command("send_increments", "", lambda _: True, 0.0, {"$on": float(on)})
+        self._complete(self._commanding("send_increments", "", lambda _: True, 0.0, {"$on": float(on)}))
 
     def clear_compensation(self, timeout_s: float = REPLY_TIMEOUT_S) -> None:
         """Erase the compensation in the INS; waits and raises as :meth:`align`."""
-        self._command(
-            "clear_compensation", "compensation", lambda status: status.compensation is False, timeout_s
+        self._complete(
+            self._commanding(
+                "clear_compensation", "compensation", lambda status: status.compensation is False, timeout_s
+            )
         )
 
     def load_compensation(self, compensation: Compensation, timeout_s: float = REPLY_TIMEOUT_S) -> int:
@@ -248,17 +252,7 @@ class CanIns:
             used, loaded = status.compensation_in_use, status.compensation_loaded
             return status.compensation is True and (used == loaded or None in (used, loaded))
 
-        self._command("apply_compensation", "compensation", in_use, timeout_s)
-
-    def _command(
-        self,
-        name: str,
-        path: str,
-        confirms: Callable[[InsStatus], bool],
-        timeout_s: float,
-        given: dict[str, float] | None = None,
-    ) -> None:
-        self._complete(self._commanding(name, path, confirms, timeout_s, given))
+        self._complete(self._commanding("apply_compensation", "compensation", in_use, timeout_s))
 
     def _complete(self, steps: Iterator[None]) -> None:
         for _ in steps:

@@ -8,14 +8,16 @@ import os
 
 import numpy as np
 import pytest
+import yaml
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, SensorErrors
 from gyrobench.bench.calibration.estimator import calibrate
-from gyrobench.bench.calibration.information import CalibrationOptions
+from gyrobench.bench.calibration.information import BIAS_DRIFT, CalibrationOptions
 from gyrobench.bench.calibration.recording import IncrementRecording
 from gyrobench.bench.calibration.rotation_list import forecast, load_rotation_list
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.navigation.error_model import Site
+from gyrobench.bench.runs.tables.coefficient_table import read_coefficients
 from tests.bench.calibration.navigated_unit import (
     WALKS,
     any_unit,
@@ -27,10 +29,13 @@ from tests.bench.calibration.navigated_unit import (
 )
 from tests.bench.calibration.rotated_unit import Noise, Unit
 from tests.bench.calibration.test_rotation_list import NAMES, NOISE, SHOWN, TABLE
+from tests.bench.command_line import gyrobench
+from tests.bench.dwells.test_plateau_calibration import WORLD, deviations
 from tests.benchmarks.fisher_information import fisher_sigmas
 
 LATITUDES_DEG = (5, 31, 45, 67, -34)
 ARCSEC = np.pi / 648000.0
+SEEDS = int(os.environ.get("GYROBENCH_BENCHMARK_SEEDS", "8"))
 RUNS = int(os.environ.get("GYROBENCH_BENCHMARK_RUNS", "100"))
 
 
@@ -93,7 +98,7 @@ def test_a_drift_of_the_biases_is_part_of_the_model(drift_dph_per_h):
     turns = [(each.axis, each.angle_deg) for each in rotations.rotations]
     angle, velocity = Unit(turns, dwell_s=149.0, sample_hz=1.0 / dt, gravity=site.gravity).increments()
     time_s = dt * (np.arange(len(angle)) + 0.5 - 0.5 * len(angle))
-    options = {"with": CalibrationOptions(), "without": CalibrationOptions(bias_drift=0.0)}
+    options = {"with": CalibrationOptions(bias_drift=BIAS_DRIFT), "without": CalibrationOptions()}
     normalised, p_values, sigmas = ({name: [] for name in options} for _ in range(3))
     for number in range(RUNS // 8):
         random = np.random.default_rng([number, 8])
@@ -162,3 +167,34 @@ def test_navigation_output_gives_what_its_information_allows(what):
     )
     assert ratio < 1.1
     assert 0.93 < coverage < 0.97
+
+
+def test_whole_runs_of_a_short_full_calibration_hold(tmp_path):
+    """Two plateaus through engine, CAN and both estimators, from several seeds."""
+    document = yaml.safe_load(find_document("procedures", "full_calibration").read_text())
+    repeat = document["steps"][2]["repeat"]
+    repeat["over"]["temperature_c"] = [40, 10]
+    for step in repeat["steps"]:
+        for kind, shorter in (("rotate", {"rest_s": 40}), ("soak", {"at_least_s": 1800, "at_most_s": 5400})):
+            if kind in step:
+                step[kind] |= shorter
+        for dwell in step.get("repeat", {}).get("steps", ()):
+            if "navigate" in dwell:
+                dwell["navigate"]["duration_s"] = 180
+    path = tmp_path / "short.yaml"
+    path.write_text(yaml.safe_dump(document))
+    normalised = []
+    for seed in range(SEEDS):
+        out = tmp_path / str(seed)
+        run = gyrobench("run", path, "--world", WORLD, "--seed", seed, "--out", out, cwd=tmp_path)
+        assert run.returncode == 0, run.stderr
+        normalised.append(deviations(read_coefficients(out / "coefficients.csv")))
+    found = np.array(normalised)
+    found = found[np.isfinite(found)]
+    held = np.count_nonzero(np.abs(found) < 1.96)
+    print(
+        f"\n{SEEDS} runs, {len(found)} coefficients: 95 % intervals hold {held} ({held / len(found):.1%}), "
+        f"rms in standard uncertainties {np.sqrt(np.mean(found**2)):.3f}"
+    )
+    # Coefficients of a run are correlated: as many as half are independent.
+    assert abs(held / len(found) - 0.95) < 3.0 * np.sqrt(0.95 * 0.05 / (0.5 * len(found)))

@@ -3,9 +3,9 @@
 import math
 from dataclasses import dataclass, field, replace
 
-import numba
 import numpy as np
 
+from gyrobench.bench.foundations.kernels import compiled
 from gyrobench.bench.navigation.positions import POSITIONS
 
 STEP_S, STEP_H = 60.0, 1.0 / 60.0
@@ -172,7 +172,7 @@ def temperatures(draw, course: Course, attitude_convection: bool) -> Course:
     )
 
 
-@numba.njit(cache=True)
+@compiled
 def _run_network(set_c, room_c, power, up, unit, gyros, along, exponent, onset_c, width_c):
     """Rates in K/h; convection of the boards by a power of the difference, its direction by gravity."""
     out = np.zeros((len(set_c), 9))
@@ -217,7 +217,7 @@ def _run_network(set_c, room_c, power, up, unit, gyros, along, exponent, onset_c
     return out
 
 
-@numba.njit(cache=True)
+@compiled
 def lagged(values, tau_h):
     """First-order lag of (m, k), at rest before; none for a time constant below a tenth of a minute."""
     out = values.copy()

@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
+from gyrobench.bench.foundations.kernels import compiled
 from tests.benchmarks.closure_courses import STEP_H, Course, lagged
 
 
@@ -240,7 +240,7 @@ COMPOSED = {f"composed, {driver}": _composed(driver) for driver in _DRIVERS}
 EFFECTS = ON_THE_LIST | ON_NO_LIST | COMPOSED
 
 
-@numba.njit(cache=True)
+@compiled
 def play(values, half_width):
     out = values.copy()
     for now in range(1, len(values)):

@@ -37,7 +37,7 @@ from tests.soak.truth import WORLD, WRONG_C, TruthWatcher, compare, true_bias_dp
 
 PROCEDURE = Path(__file__).with_name("faults.yaml")
 #: Outcomes from the gravest on.
-OUTCOMES = ("ended safely, resumed", "held, went on", "repeated", "flagged", "retried", "none")
+OUTCOMES = ("ended safely, resumed", "held, continued", "repeated", "flagged", "retried", "none")
 ENDED, HELD, REPEATED, FLAGGED, RETRIED, NONE = OUTCOMES
 _EVERY_S = 180.0
 #: Two of them wait in real time for a while.

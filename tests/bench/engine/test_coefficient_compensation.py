@@ -111,7 +111,7 @@ def closed(folder):
 
 
 def test_the_effect_is_found_with_its_true_size(folder, closed):
-    assert closed.startswith("Explained.")
+    assert closed.splitlines()[1].startswith("Explained.")
     model = yaml.safe_load((folder / "run/closure_gyro_scale_factor/model.yaml").read_text())
     [effect] = model["effects"]
     assert effect["effect"] == "temperature_rate"
@@ -150,7 +150,7 @@ def test_polynomials_of_one_cycle_are_proved_by_the_same_procedure_without_a_sea
     measure(folder, "one_cycle.yaml", "one")
     done = gyrobench("verify", "one", "--coefficients", "--view", "lines", cwd=folder)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("Not searched. A search needs a second cycle")
+    assert "Not searched. A search needs a second cycle" in done.stdout
     assert not (folder / "one/verify/effect").exists()
     left = remaining(folder / "one")
     for axis in "xyz":
@@ -168,7 +168,7 @@ def test_an_accelerometer_bias_that_follows_attitude_is_found_with_its_true_size
     )
     assert done.returncode == 0, done.stderr
     done = gyrobench("close", "run", "--coefficient", "accelerometer_bias", cwd=tmp_path)
-    assert done.stdout.startswith("Explained."), done.stdout
+    assert done.stdout.splitlines()[1].startswith("Explained."), done.stdout
     model = yaml.safe_load((tmp_path / "run/closure_accelerometer_bias/model.yaml").read_text())
     [effect] = model["effects"]
     assert effect["effect"] == "g_sensitivity"

@@ -56,3 +56,47 @@ def test_a_kernel_is_compiled_once_and_loaded_without_the_compiler(tmp_path):
     assert used(tmp_path, 1) == ["[3.0] 1 0 False False"]
     assert used(tmp_path, 2, processes=2) == ["[3.0, 12.0] 1 1 True True", "[3.0, 12.0] 2 0 False False"]
     assert used(tmp_path, 2) == ["[3.0, 12.0] 2 0 False False"]
+
+
+OTHER = """
+import sys
+import numba
+import numpy as np
+from gyrobench.bench.foundations import kernels
+
+@numba.njit(cache=True)
+def sorted_copy(values):
+    return np.sort(values)
+
+@numba.njit(cache=True)
+def median(values):
+    return sorted_copy(values)[len(values) // 2]
+
+@kernels.compiled
+def spread(values):
+    return np.median(np.abs(values - median(values)))
+
+given = np.arange(5.0)
+if sys.argv[1] == "all":
+    print(spread(given), median(given))
+else:
+    print(median(given), len(sorted_copy(given)))
+
+@numba.njit
+def later(values):
+    return median(values) + len(sorted_copy(values))
+
+print(later(given))
+"""
+
+
+def test_cached_code_of_other_packages_is_loaded_by_numba_in_its_way(tmp_path):
+    script = tmp_path / "kernels_of_others.py"
+    script.write_text(OTHER)
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    for kernels, expected in (("all", "1.0 2.0 7.0"), ("all", "1.0 2.0 7.0"), ("few", "2.0 5 7.0")):
+        done = subprocess.run(
+            [sys.executable, str(script), kernels], env=environment, capture_output=True, text=True
+        )
+        assert done.returncode == 0, done.stderr
+        assert done.stdout.split() == expected.split()

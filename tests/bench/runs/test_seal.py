@@ -215,3 +215,24 @@ def test_the_command_seals_verifies_and_names_the_change(folder, tmp_path):
 def test_a_folder_without_a_seal_is_refused(folder):
     with pytest.raises(MissingRunError, match="has no seal"):
         verify_seals(folder.path)
+
+
+def test_units_are_sealed_and_verified_with_their_run(folder, key):
+    unit = RunFolder(folder.units / "1103")
+    unit.path.mkdir(parents=True)
+    for name in ("journal.jsonl", "dwells.csv"):
+        (unit.path / name).write_bytes((folder.path / name).read_bytes())
+    seal_run(folder, key)
+    check = verify_seals(folder.path, key.with_name(key.name + ".pub"))
+    assert check.is_intact
+    assert {"journal.jsonl", "units/1103/dwells.csv", "units/1103/seals/001.jsonl"} <= set(check.files)
+    (unit.path / "figure.svg").write_text("x")
+    assert verify_seals(folder.path).not_sealed == ["units/1103/figure.svg"]
+    keep_sealed(unit)
+    assert verify_seals(folder.path).not_sealed == []
+    change_byte(unit.dwells, 100)
+    (finding,) = verify_seals(folder.path).findings
+    assert (finding.path, finding.start) == ("units/1103/dwells.csv", 100)
+    change_byte(unit.dwells, 100)
+    (unit.path / "seals" / "001.jsonl").unlink()
+    assert "units/1103/seals/001.jsonl" in [each.path for each in verify_seals(folder.path).findings]
