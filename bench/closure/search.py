@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -255,7 +256,7 @@ class Search:
         if beyond is None:
             return True
         other = hypothesis(self.problem, [*of.without(one), beyond])
-        return other.bic - of.bic > 2.0 * np.log(TIE_ODDS)
+        return other.bic > of.bic + 2.0 * math.log(TIE_ODDS)
 
     def _p_beside(self, beside: Problem, one: Candidate) -> float:
         """p-value of a candidate beside all terms of a problem, corrected for all candidate fits."""
