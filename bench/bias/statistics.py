@@ -135,16 +135,16 @@ def chi2_p_value(dof: int, chi2: float) -> float:
 
 
 def lowest_polynomial(
-    at: FloatArray, values: FloatArray, sigmas: FloatArray, most: int
+    at: FloatArray, values: FloatArray, sigmas: FloatArray, max_degree: int
 ) -> np.polynomial.Polynomial:
-    """Polynomial of the lowest degree, up to ``most``, that leaves no more than the standard uncertainties.
+    """Polynomial of the lowest degree, up to ``max_degree``, that the uncertainties allow.
 
     One degree more where chance gives the residuals (n,) less often than once in a hundred.
     """
-    for degree in range(most + 1):
+    for degree in range(max_degree + 1):
         fitted = np.polynomial.Polynomial.fit(at, values, degree, w=1.0 / sigmas)
         chi2 = float(np.sum(((values - fitted(at)) / sigmas) ** 2))
-        if degree == most or chi2_p_value(len(values) - degree - 1, chi2) >= _MIN_P_VALUE:
+        if degree == max_degree or chi2_p_value(len(values) - degree - 1, chi2) >= _MIN_P_VALUE:
             break
     return fitted
 

@@ -77,12 +77,16 @@ def turn_on_repeatability(rows: Sequence[DwellRow]) -> TestResult:
 def variance_interval(values: FloatArray, sigmas: FloatArray, design: FloatArray) -> tuple[float, float]:
     """95 % interval of the variance of values (n,) beyond their standard uncertainties (n,).
 
-    ``design`` (n, k): columns of what is fitted beside, of full rank.
+    ``design`` (n, k): columns of what is fitted beside, of full rank. Values that scatter less than their
+    uncertainties have as upper limit that of values which scatter as these say, since chance that makes the
+    scatter small must not make the limit smaller than what the measurement can show (power-constrained
+    limit: Cowan et al., arXiv:1105.3166).
     """
     from scipy.optimize import brentq
     from scipy.stats import chi2
 
-    limits = [float(chi2.ppf(each, len(values) - design.shape[1])) for each in (0.975, 0.025)]
+    dof = len(values) - design.shape[1]
+    limits = [float(chi2.ppf(each, dof)) for each in (0.975, 0.025)]
     most = float(np.var(values) + np.max(sigmas) ** 2) * len(values) / limits[1] * 10.0
 
     def end(limit: float) -> float:
@@ -91,7 +95,8 @@ def variance_interval(values: FloatArray, sigmas: FloatArray, design: FloatArray
 
         return 0.0 if above(0.0) <= 0.0 else float(brentq(above, 0.0, most, xtol=1e-9 * most, rtol=1e-6))
 
-    return end(limits[0]), end(limits[1])
+    scatter = weighted_fit(values, sigmas**2, design).chi2
+    return end(limits[0]), end(limits[1] * min(scatter / dof, 1.0))
 
 
 def _of_gyro(gyro: str, bias: FloatArray, sigma: FloatArray, value: float) -> list[Coefficient]:

@@ -7,7 +7,7 @@ constant of each run is in the model.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -201,12 +201,6 @@ class LeftOut:
     def gain(self) -> float:
         """Share of chi2 that the larger model explains: 1 is all, negative if chi2 rises."""
         return 1.0 - self.chi2_more / self.chi2_fewer
-
-
-def pooled_gain(cycles: Collection[LeftOut]) -> float:
-    """Share of the chi2 of all cycles that the larger model explains; 0 without cycles."""
-    fewer = sum(each.chi2_fewer for each in cycles)
-    return 1.0 - sum(each.chi2_more for each in cycles) / fewer if cycles else 0.0
 
 
 def leave_out_cycles(

@@ -212,10 +212,10 @@ def _execute(start: _Start, observer: RunObserver, operator: Operator) -> tuple[
         start.prepare_folder(folder, instruments)
         records = start.units(folder)
         journal = opened.enter_context(Journal(folder.journal, clock))
+        running = [record for record in records if record.number not in start.state.dropped]
         journals = [
             opened.enter_context(Journal(record.folder.journal, clock)) if record.number else journal
-            for record in records
-            if record.number not in start.state.dropped
+            for record in running
         ]
         journal.followers += [each for each in journals if each is not journal]
         outcome.units = {record.number: record.outcome for record in records if record.number}
@@ -226,11 +226,9 @@ def _execute(start: _Start, observer: RunObserver, operator: Operator) -> tuple[
         messenger = opened.enter_context(Messenger(job.station.file.messages, journal.record))
         observers = ObserverGroup(observer, RunNotifier(messenger, job.plan, start.state))
         guard = opened.enter_context(guard_for(job.station, folder.path, clock))
-        running = [record for record in records if record.number not in start.state.dropped]
         logs = [(CanLog(record.folder.can), Telemetry(record.folder.telemetry)) for record in running]
         telemetry = None if running[0].folder == folder else Telemetry(folder.telemetry)
-        flushes = [flush for log, readings in logs for flush in (log.cut, readings.flush)]
-        opened.callback(_flush, [*flushes, *([telemetry.flush] if telemetry else [])], outcome)
+        opened.callback(_flush, logs, telemetry, outcome)
         bench = LiveBench(job.station, instruments, clock, logs, partial(_record_failure, journal), telemetry)
         observers.begun(folder, bench, outcome)
         run = RunContext(
@@ -288,9 +286,12 @@ def _record_failure(journal: Journal, instrument: str, error: InstrumentError | 
         journal.record("retry", instrument=instrument, error=str(error))
 
 
-def _flush(flushes: Sequence[Callable[[], None]], outcome: RunOutcome) -> None:
+def _flush(
+    logs: Sequence[tuple[CanLog, Telemetry]], telemetry: Telemetry | None, outcome: RunOutcome
+) -> None:
     """Write logs and telemetry to the disk."""
-    for flush in flushes:
+    flushes = [flush for log, readings in logs for flush in (log.cut, readings.flush)]
+    for flush in (*flushes, *([telemetry.flush] if telemetry else [])):
         try:
             flush()
         except RunFolderError as error:

@@ -9,7 +9,7 @@ import base64
 import gc
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -66,13 +66,13 @@ class Box:
 
 @dataclass(frozen=True, eq=False, config=_CONFIG)
 class Section:
-    """One part of a page; its contents stand in the order of the attributes."""
+    """One part of a page; its contents stand in the order of the attributes. A path among items is a link."""
 
     title: str
     boxes: Annotated[Sequence[Box], _NOT_SAVED] = Field(default=(), kw_only=True)
     paragraphs: Sequence[str] = ()
     facts: Annotated[Mapping[str, str], _NOT_SAVED] = Field(default={}, kw_only=True)
-    items: Annotated[Sequence[str], _NOT_SAVED] = Field(default=(), kw_only=True)
+    items: Annotated[Sequence[str | PurePosixPath], _NOT_SAVED] = Field(default=(), kw_only=True)
     figures: Sequence[SectionFigure] = ()
     tables: Sequence[SectionTable] = ()
     sections: Annotated[Sequence[Section], _NOT_SAVED] = Field(default=(), kw_only=True)

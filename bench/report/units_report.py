@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 
@@ -44,7 +44,7 @@ def write_units_report(folder: RunFolder, prepared_by: str = "", vectors: Sequen
         facts=facts,
         sections=[
             _units_section(content, units),
-            Section("Reports", items=[f"units/{unit.name}/report.html" for unit in units]),
+            Section("Reports", items=[PurePosixPath("units", unit.name, "report.html") for unit in units]),
             *filter(None, [events_section(content.journal)]),
             durations_section(took_in_journal(content.journal)),
         ],

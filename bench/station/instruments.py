@@ -85,7 +85,6 @@ RATE_TABLE, CHAMBER = "rate table", "chamber"
 
 _EMULATOR = "emulator"
 _OPENING_TIME_S = 15.0
-_CONNECTION_TIME_S = 5.0
 #: A reply to a request from before the line was opened arrives within this time.
 _LATE_REPLY_S = 1.0
 

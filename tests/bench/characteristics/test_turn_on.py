@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrobench.bench.characteristics.turn_on import turn_on_repeatability
+from gyrobench.bench.characteristics.turn_on import turn_on_repeatability, variance_interval
 from gyrobench.bench.foundations.errors import MeasurementError
 from tests.bench.characteristics.simulated_rows import holds, power_cycles
 
@@ -30,6 +30,15 @@ def test_without_scatter_the_interval_begins_at_zero() -> None:
     random = np.random.default_rng(2)
     found = turn_on_repeatability(power_cycles(random, 10, 0.0, 0.001)).coefficients
     assert all(each.low == 0.0 and each.high < 0.0025 for each in found if each.name == STD)
+
+
+def test_values_that_scatter_less_than_their_uncertainties_leave_room_for_a_scatter() -> None:
+    alike = 0.01 * np.resize([1.0, -1.0], 12)
+    low, high = variance_interval(alike, np.ones(12), np.ones((12, 1)))
+    assert low == 0.0
+    assert high == pytest.approx(
+        11.0 / 3.816 - 1.0, rel=1e-3
+    )  # 0.025 quantile of chi2 with 11 degrees of freedom
 
 
 def test_a_power_cycle_with_a_flagged_dwell_is_left_out() -> None:

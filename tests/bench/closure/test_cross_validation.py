@@ -10,7 +10,6 @@ from gyrobench.bench.closure.validation import (
     is_confirmed,
     leave_out_cycles,
     measured_minus,
-    pooled_gain,
     without_unseen_constants,
 )
 from tests.bench.closure.test_candidates import whole
@@ -83,11 +82,6 @@ def test_a_term_that_the_declared_model_makes_up_in_the_others_is_not_asked(prob
 def test_the_gain_is_the_share_of_chi2_explained():
     assert LeftOut(chi2_fewer=200.0, chi2_more=50.0).gain == pytest.approx(0.75)
     assert LeftOut(chi2_fewer=100.0, chi2_more=150.0).gain == pytest.approx(-0.5)
-
-
-def test_gains_of_cycles_are_pooled_by_their_squares():
-    assert pooled_gain([LeftOut(300.0, 30.0), LeftOut(100.0, 170.0)]) == pytest.approx(0.5)
-    assert pooled_gain([]) == 0.0
 
 
 def test_a_run_that_was_not_searched_has_no_mean_error(problem):

@@ -1,4 +1,4 @@
-"""An observer of a run that does something to the emulated bench."""
+"""What tests of interrupted runs share: a procedure, and observers and operators that interrupt it."""
 
 from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.observers import RunObserver
@@ -7,6 +7,30 @@ from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
+
+TWO_TEMPERATURES = """procedure: two_temperatures
+steps:
+  - power_on: {settle_s: 20}
+  - repeat:
+      over: {temperature_c: [35, 25]}
+      steps:
+        - chamber: {temperature_c: $temperature_c, ramp_c_per_min: 10}
+        - soak: {for_s: 600}
+        - repeat:
+            over: {position: [z_up, y_down]}
+            steps:
+              - go_to: {position: $position, rate_dps: 30}
+              - align: {duration_s: 16}
+              - navigate: {duration_s: 61}
+              - turn: {angle_deg: 180, rate_dps: 30, settle_s: 1}
+              - navigate: {duration_s: 61}
+  - power_off
+  - chamber_off
+"""
+
+
+class KilledError(BaseException):
+    """Stands for a kill where a separate process would cost seconds."""
 
 
 class Intervention(RunObserver):

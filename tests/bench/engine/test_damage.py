@@ -13,7 +13,8 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import broken_links, read_journal
 from gyrobench.bench.runs.telemetry import read_telemetry
 from tests.bench.command_line import gyrobench
-from tests.bench.engine.test_resumption import PROCEDURE, broken_off
+from tests.bench.engine.intervention import TWO_TEMPERATURES
+from tests.bench.engine.test_resumption import broken_off
 
 BOTH = ("resume", "run")
 
@@ -23,7 +24,7 @@ def interrupted(tmp_path_factory):
     """A run of four dwells, killed in the third."""
     folder = tmp_path_factory.mktemp("damage")
     path = folder / "two_temperatures.yaml"
-    path.write_text(PROCEDURE)
+    path.write_text(TWO_TEMPERATURES)
     broken_off(path, folder / "run", "turn", 3)
     return folder / "run"
 

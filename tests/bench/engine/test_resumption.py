@@ -19,31 +19,7 @@ from gyrobench.bench.runs.folder import open_run_folder
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.bench.station.locks import RunLock
-from tests.bench.engine.intervention import RefusingOperator
-
-PROCEDURE = """procedure: two_temperatures
-steps:
-  - power_on: {settle_s: 20}
-  - repeat:
-      over: {temperature_c: [35, 25]}
-      steps:
-        - chamber: {temperature_c: $temperature_c, ramp_c_per_min: 10}
-        - soak: {for_s: 600}
-        - repeat:
-            over: {position: [z_up, y_down]}
-            steps:
-              - go_to: {position: $position, rate_dps: 30}
-              - align: {duration_s: 16}
-              - navigate: {duration_s: 61}
-              - turn: {angle_deg: 180, rate_dps: 30, settle_s: 1}
-              - navigate: {duration_s: 61}
-  - power_off
-  - chamber_off
-"""
-
-
-class KilledError(BaseException):
-    """Stands for a kill where a separate process would cost seconds."""
+from tests.bench.engine.intervention import TWO_TEMPERATURES, KilledError, RefusingOperator
 
 
 class Watcher(RunObserver):
@@ -68,7 +44,7 @@ class Watcher(RunObserver):
 @pytest.fixture(scope="module")
 def procedure(tmp_path_factory):
     path = tmp_path_factory.mktemp("procedure") / "two_temperatures.yaml"
-    path.write_text(PROCEDURE)
+    path.write_text(TWO_TEMPERATURES)
     return path
 
 

@@ -25,37 +25,15 @@ from gyrobench.bench.runs.index.store import runs_named
 from gyrobench.bench.runs.journal import facts_of, read_journal
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.bench.station.station import Station
+from tests.bench.engine.intervention import TWO_TEMPERATURES, KilledError
 from tests.bench.monitor.served_run import ask, served
 from tests.bench.monitor.test_metrics import scraped
 
-PROCEDURE = """procedure: two_temperatures
-steps:
-  - power_on: {settle_s: 20}
-  - repeat:
-      over: {temperature_c: [35, 25]}
-      steps:
-        - chamber: {temperature_c: $temperature_c, ramp_c_per_min: 10}
-        - soak: {for_s: 600}
-        - repeat:
-            over: {position: [z_up, y_down]}
-            steps:
-              - go_to: {position: $position, rate_dps: 30}
-              - align: {duration_s: 16}
-              - navigate: {duration_s: 61}
-              - turn: {angle_deg: 180, rate_dps: 30, settle_s: 1}
-              - navigate: {duration_s: 61}
-  - power_off
-  - chamber_off
-"""
 NUMBERS = ["1101", "1102", "1103", "1104"]
 #: As a unit whose plug is pulled in its third dwell.
 SILENT = "fault: frames_lost, during: navigate, nth: 3, after_s: 20, for_s: 90000"
 #: As a plug with a loose contact.
 BRIEFLY_SILENT = SILENT.replace("90000", "10")
-
-
-class KilledError(BaseException):
-    """Stands for a kill where a separate process would cost seconds."""
 
 
 class Watcher(RunObserver):
@@ -81,7 +59,7 @@ class Watcher(RunObserver):
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
     folder = tmp_path_factory.mktemp("files")
-    (folder / "two_temperatures.yaml").write_text(PROCEDURE)
+    (folder / "two_temperatures.yaml").write_text(TWO_TEMPERATURES)
     return folder
 
 
@@ -309,6 +287,7 @@ def test_the_report_shows_all_units_side_by_side(without_1102):
     assert [row[:2] for row in table.rows] == [
         [number, "dropped" if number == "1102" else "not judged"] for number in NUMBERS
     ]
+    assert all(f'<a href="units/{number}/report.html">' in page for number in NUMBERS)
     assert all(folder.unit(number).report.exists() for number in NUMBERS)
 
 
