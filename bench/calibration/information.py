@@ -86,9 +86,9 @@ def integrated_sections(
 class Information:
     """White rows as a function of the coefficients and of all other unknowns, at assumed values of them."""
 
-    #: Rows (m, 21 + k + 1) of each recording, the data last. SI. They give the values, not corrections to the
-    #: assumed ones, but of attitudes at the start: these follow the coefficients and what is beside them, and
-    #: drifts of the biases follow these.
+    #: Rows (m, 21 + k + 1) of each recording, SI: coefficients, what is estimated beside them, attitudes at
+    #: the start, drifts of the biases, data. They give the values, of the attitudes corrections to those
+    #: assumed.
     blocks: list[FloatArray]
     sizes: FloatArray  #: Shape (21 + k,). Large values of the unknowns, SI.
     drifts: int  #: How many of the unknowns, the last ones, are drifts of biases.

@@ -173,11 +173,14 @@ def _soaking(step: Soak, context: StepContext) -> Ticks:
     while (elapsed_s := bench.clock.now() - begin_s) < (step.at_most_s or np.inf):
         if asked_s < bench.readings.asked_s:
             asked_s = bench.readings.asked_s
-            rates = [
-                _gyro_rate_c_per_h(unit, histories.setdefault(unit, deque()))
-                for unit in context.units.running
-            ]
-            rate = None if None in rates else max(each for each in rates if each is not None)
+            rates = []
+            for unit in context.units.measuring:
+                try:
+                    rates.append(_gyro_rate_c_per_h(unit, histories.setdefault(unit, deque())))
+                except InstrumentError as error:
+                    context.units.fail(unit, error)
+            known = [each for each in rates if each is not None]
+            rate = max(known) if known and len(known) == len(rates) else None
         if elapsed_s >= step.at_least_s and rate is not None and rate < limit:
             return
         yield

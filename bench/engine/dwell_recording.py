@@ -91,7 +91,9 @@ class DwellRecorder:
 
     def estimate_so_far(self) -> StateSpaceEstimate | None:
         """Estimate the biases during a window; None as long as they are not observable."""
-        return self._live.update([*self._windows, self._window()]) if self._live else None
+        if self._live is None or self._unit.capture is None:
+            return None
+        return self._live.update([*self._windows, self._window()])
 
     def _window(self) -> WindowMark:
         return WindowMark(self._first_frame, self._unit.captured_frames(), *self._angles, *self._turn)
@@ -171,7 +173,7 @@ class DwellLedger:
         is_map_wrong = bool(measured.signal_fault) and (self._contradicted or not self._has_agreed())
         self._contradicted = bool(measured.signal_fault)
         if measured.is_disturbed and not is_map_wrong and self.may_repeat(marks.dwell):
-            self._repeat(marks.dwell, measured.flags)
+            self.repeat(marks.dwell, measured.flags)
             return False
         unit.journal.record(
             "dwell_finished", marks=marks.to_json(), flags=measured.flags, epochs=asdict(measured.counts)
@@ -193,7 +195,7 @@ class DwellLedger:
     def _finish_recorded(self, marks: DwellMarks) -> bool:
         flags = "; ".join(marks.disturbances)
         if flags and self.may_repeat(marks.dwell):
-            self._repeat(marks.dwell, flags)
+            self.repeat(marks.dwell, flags)
             return False
         self._unit.journal.record("dwell_finished", marks=marks.to_json(), flags=flags)
         self._record.state.finished.add(marks.dwell)
@@ -217,7 +219,8 @@ class DwellLedger:
             and repeats.total() < procedure.max_repeats_total
         )
 
-    def _repeat(self, dwell: int, why: str) -> None:
+    def repeat(self, dwell: int, why: str) -> None:
+        """Discard a dwell, which is repeated; it counts against the procedure's limit."""
         self._record.state.repeats[dwell] += 1
         self._unit.journal.record("dwell_given_up", dwell=dwell, why=why, counts=True)
         self._noted(f"dwell {dwell} is repeated: {why}")

@@ -167,13 +167,14 @@ class LiveBench:
         self.lateness.add(next_tick_s, now_s, tick_s)
         if self._failing:
             self._reopen()
-        if self._failing or self.clock.now() >= self._next_reading_s - 1e-6:
+        set_aside = {unit.name for unit in self.units if unit.is_set_aside}
+        if set(self._failing) - set_aside or self.clock.now() >= self._next_reading_s - 1e-6:
             self.read_instruments()
 
     def trips(self) -> list[Trip]:
         """Return the interlocks that are tripped."""
         trips = self._watch.trips(self.clock.now(), self.state.expected)
-        return [*trips, *(trip for unit in self.units for trip in unit.trips())]
+        return [*trips, *(trip for unit in self.units if not unit.is_set_aside for trip in unit.trips())]
 
     def good_for_s(self, trips: Iterable[Trip]) -> float:
         """Return for how long none of these interlocks has been tripped; zero while one is."""

@@ -98,6 +98,7 @@ class LiveUnit:
         self.name = ins.name  #: in messages
         self.state = UnitState(station)
         self.capture: Capture | None = None  #: frames of the dwell in progress
+        self.is_set_aside = False  #: not measured for the moment; its trips concern no other unit
         self.readings: Readings  #: newest answers; set by :meth:`observe`
         self._can_log = can_log
         self._telemetry = telemetry

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 from gyrobench.bench.engine.dwell_recording import DwellLedger, DwellRecorder
-from gyrobench.bench.engine.interlocks.watch import text_of_trips
+from gyrobench.bench.engine.interlocks.watch import Trip, text_of_trips, trip_of_error
 from gyrobench.bench.engine.run_context import MeasuredUnit, RunContext
 from gyrobench.bench.engine.stored_compensation import StoredCompensation
 from gyrobench.bench.foundations.errors import (
@@ -17,6 +17,9 @@ from gyrobench.bench.foundations.errors import (
     UnitsLostError,
 )
 from gyrobench.bench.runs.provenance import add_identity
+
+#: A trip that lasts longer is not one that passes: the unit is dropped.
+_PASSES_WITHIN_S = 60.0
 
 
 class Unit:
@@ -30,6 +33,7 @@ class Unit:
         self.dwells = DwellLedger(run, measured, self.recorder)
         self.compensation = StoredCompensation(run, measured)
         self.is_identified = bool(self.record.state.unit)
+        self.tripped_s: float | None = None  #: since when its interlock is tripped, while it is set aside
         self.live.state.number = self.record.state.unit or self.record.number
 
     def note(self, text: str) -> None:
@@ -41,8 +45,9 @@ class Units:
     """The units of a run that are not dropped.
 
     A unit of several is dropped where the station's ``drop_units`` allows it: its interlock trips, its
-    instrument fails, it has not aligned, or its data contradict the signal map. Raises UnitsLostError when
-    the last one is dropped.
+    instrument fails, it has not aligned, or its data contradict the signal map. Where that may pass, as a
+    silence, the unit is set aside first, and repeats the dwell in progress. Raises UnitsLostError when the
+    last one is dropped.
     """
 
     def __init__(self, run: RunContext) -> None:
@@ -51,12 +56,14 @@ class Units:
         self._may_drop = len(run.records) > 1 and run.bench.station.file.drop_units
         self.running = [Unit(run, measured) for measured in run.measured]
         self._waiting: dict[Unit, Iterator[None]] = {}  # in the step in progress
+        self._aside: dict[Unit, str] = {}  # why it is not measured for the moment
 
     @property
     def measuring(self) -> list[Unit]:
-        """The units that the step in progress concerns: not those that have finished its dwell."""
+        """The units that the step in progress concerns: not those set aside, or done with its dwell."""
         dwell = self._bench.state.at.dwell
-        return [unit for unit in self.running if dwell not in unit.record.state.finished]
+        present = (unit for unit in self.running if unit not in self._aside)
+        return [unit for unit in present if dwell not in unit.record.state.finished]
 
     @property
     def have_restarted(self) -> bool:
@@ -107,12 +114,47 @@ class Units:
         return True
 
     def drop_tripped(self) -> None:
-        """Drop the units whose interlocks are tripped."""
+        """Drop the units whose interlocks are tripped, or set them aside; take back those that are good."""
         if not self._may_drop:
             return
         for unit in list(self.running):
             if trips := unit.live.trips():
-                self._drop(unit, text_of_trips(trips))
+                self._tripped(unit, trips)
+            else:
+                unit.tripped_s = None
+                if unit in self._aside and not self._is_in_dwell(unit):
+                    self._take_back(unit)
+
+    def _tripped(self, unit: Unit, trips: Sequence[Trip]) -> None:
+        now_s, why = self._bench.clock.now(), text_of_trips(trips)
+        if unit.tripped_s is None:
+            unit.tripped_s = now_s
+        passes = all(trip.rule.resume == "automatic" for trip in trips)
+        passes = passes and now_s - unit.tripped_s <= _PASSES_WITHIN_S
+        if not (passes and self._set_aside(unit, why)):
+            self._drop(unit, why)
+
+    def _is_in_dwell(self, unit: Unit) -> bool:
+        dwell = self._bench.state.at.dwell
+        return bool(dwell) and dwell not in unit.record.state.finished
+
+    def _set_aside(self, unit: Unit, why: str) -> bool:
+        """Measure a unit no further in the dwell in progress; returns False where it can't be repeated."""
+        if unit in self._aside:
+            return True
+        if self._is_in_dwell(unit) and not unit.dwells.may_repeat(self._bench.state.at.dwell):
+            return False
+        self._waiting.pop(unit, None)
+        self._aside[unit] = why
+        unit.live.is_set_aside = True
+        unit.live.end_capture()
+        unit.note(f"not measured for the moment: {why}")
+        return True
+
+    def _take_back(self, *units: Unit) -> None:
+        for unit in units:
+            unit.live.is_set_aside, unit.tripped_s = False, None
+            del self._aside[unit]
 
     def identify(self, again: bool) -> None:
         """Read the serial numbers that are not known yet, or all ``again``, and check them."""
@@ -152,6 +194,10 @@ class Units:
                 is_over = unit.dwells.finish() and is_over
             except SignalMapError as error:
                 self.fail(unit, error)
+        for unit in [unit for unit in self._aside if self._is_in_dwell(unit)]:
+            unit.dwells.repeat(dwell, self._aside[unit])
+            self._take_back(unit)
+            is_over = False
         if is_over:
             run.state.finished.add(dwell)
             if len(run.records) > 1:
@@ -183,6 +229,7 @@ class Units:
 
         With ``counts``, the repeat counts against the procedure's limit.
         """
+        self._take_back(*self._aside)
         measuring = self.measuring
         if dwell and self.end_captures():
             for unit in measuring:
@@ -192,6 +239,7 @@ class Units:
 
     def skip(self, dwell: int) -> None:
         """Leave a dwell out."""
+        self._take_back(*self._aside)
         self.end_captures()
         self._run.journal.record("dwell_skipped", dwell=dwell)
         for state in (self._run.state, *(unit.record.state for unit in self.running)):
@@ -199,17 +247,23 @@ class Units:
         self._run.observers.noted(f"dwell {dwell} is skipped")
 
     def fail(self, unit: Unit, error: GyrobenchError) -> None:
-        """Drop the unit for its error; raise one that may not drop it, or is of another instrument."""
+        """Drop the unit for its error, or set it aside if that may pass.
+
+        Raises an error that may not drop it, or is of another instrument.
+        """
         is_other = isinstance(error, InstrumentError) and error.instrument != unit.live.name
         if not self._may_drop or is_other:
             raise error
-        self._drop(unit, str(error))
+        passes = trip_of_error(error, unit.live.station).rule.resume == "automatic"
+        if not (passes and self._is_in_dwell(unit) and self._set_aside(unit, str(error))):
+            self._drop(unit, str(error))
 
     def _drop(self, unit: Unit, why: str) -> None:
         run, number = self._run, unit.record.number
         run.journal.record("unit_dropped", unit=number, why=why)
         run.state.dropped[number] = why
         self._waiting.pop(unit, None)
+        self._aside.pop(unit, None)
         self.running.remove(unit)
         unit.record.outcome.ended, unit.record.outcome.reason = "failed", why
         run.observers.dropped(number, why)

@@ -182,9 +182,9 @@ def propose(
 def hours_left(proposals: Sequence[Proposal], *, is_settled: bool = False) -> Callable[[Proposal], float]:
     """Expected hours until the cause is settled and the biases are certain enough, by the next block.
 
-    Afterwards the entropy and what is missing of a profile fall at the rates of the best blocks of today.
-    Where no cause is settled at least the shortest block follows, and where biases are missing one as short
-    more than by that rate: what a block brings falls. ``is_settled``: the cause is.
+    After it, entropy and missing information about biases fall at the rates of the best of these blocks.
+    While no cause is settled, at least the shortest block follows. While information is missing, one as short
+    is added, since later blocks bring less. ``is_settled``: the cause is settled.
     """
     fastest = max((each.gain_per_h for each in proposals), default=0.0)
     replacing = max((each.replaced_h / each.block.plan.duration_h for each in proposals), default=0.0)

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.monitor.run_list import verdict_in
-from gyrobench.bench.monitor.snapshot import RunSnapshot, RunState
+from gyrobench.bench.monitor.snapshot import RunSnapshot, RunState, UnitStatus
 from gyrobench.bench.navigation.positions import AXES
+from gyrobench.bench.runs.folder import RunFolder
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -30,21 +31,25 @@ METRICS: dict[str, tuple[str, tuple[str, ...]]] = {
     "gyrobench_run_left_seconds": ("Planned time that remains.", ()),
     "gyrobench_run_behind_plan_seconds": ("Delay behind the plan, as after a hold.", ()),
     "gyrobench_dwells_planned": ("Dwells of the plan.", ()),
-    "gyrobench_dwells_measured": ("Dwells completed, with and without flags.", ()),
-    "gyrobench_dwells_flagged": ("Completed dwells with flags.", ()),
+    "gyrobench_dwells_measured": ("Dwells completed, with and without flags.", ("unit",)),
+    "gyrobench_dwells_flagged": ("Completed dwells with flags.", ("unit",)),
     "gyrobench_temperature_celsius": (
         "Last temperature that a sensor reported, or the set point.",
-        ("sensor",),
+        ("sensor", "unit"),
     ),
     "gyrobench_table_angle_degrees": ("Last angle of a table axis.", ("axis",)),
     "gyrobench_table_rate_degrees_per_second": ("Last rate of a table axis.", ("axis",)),
-    "gyrobench_reply_age_seconds": ("Time since the last reply of an instrument.", ("instrument",)),
-    "gyrobench_bias_degrees_per_hour": ("Bias in the last completed dwell.", ("gyro", "position")),
-    "gyrobench_bias_sigma_degrees_per_hour": ("Its standard uncertainty.", ("gyro", "position")),
-    "gyrobench_live_bias_degrees_per_hour": ("Present estimate of the dwell in progress.", ("gyro",)),
-    "gyrobench_live_bias_sigma_degrees_per_hour": ("Its standard uncertainty.", ("gyro",)),
+    "gyrobench_reply_age_seconds": ("Time since the last reply of an instrument.", ("instrument", "unit")),
+    "gyrobench_bias_degrees_per_hour": ("Bias in the last completed dwell.", ("gyro", "position", "unit")),
+    "gyrobench_bias_sigma_degrees_per_hour": ("Its standard uncertainty.", ("gyro", "position", "unit")),
+    "gyrobench_live_bias_degrees_per_hour": (
+        "Present estimate of the dwell in progress; of several units that of the first.",
+        ("gyro", "unit"),
+    ),
+    "gyrobench_live_bias_sigma_degrees_per_hour": ("Its standard uncertainty.", ("gyro", "unit")),
+    "gyrobench_unit_dropped": ("1 for a unit of several that is left out of the run, else 0.", ("unit",)),
     "gyrobench_alarm": ("1 for each active alarm: an interlock or an instrument.", ("name",)),
-    "gyrobench_verdict": ("1 for the verdict on the unit, after the end of the run.", ("verdict",)),
+    "gyrobench_verdict": ("1 for the verdict on the unit, after the end of the run.", ("verdict", "unit")),
 }
 
 
@@ -96,43 +101,67 @@ def _samples(folder: Path, snapshot: RunSnapshot, age_s: float) -> Iterator[_Sam
     yield _Sample("gyrobench_run_left_seconds", snapshot.left_s)
     yield _Sample("gyrobench_run_behind_plan_seconds", snapshot.behind_s)
     yield _Sample("gyrobench_dwells_planned", snapshot.dwell_count)
-    yield _Sample("gyrobench_dwells_measured", len(snapshot.dwells))
-    yield _Sample("gyrobench_dwells_flagged", sum(bool(dwell.flags) for dwell in snapshot.dwells))
     for alarm in snapshot.alarms:
         yield _Sample("gyrobench_alarm", 1.0, (alarm.name,))
-    if verdict := verdict_in(folder):
-        yield _Sample("gyrobench_verdict", 1.0, (verdict,))
     yield from _readings(snapshot)
-    yield from _biases(snapshot)
+    for unit in snapshot.units or (_single_unit(snapshot),):
+        yield from _of_unit(unit)
+        run = RunFolder(folder).unit(unit.number) if snapshot.units else RunFolder(folder)
+        if verdict := verdict_in(run.path):
+            yield _Sample("gyrobench_verdict", 1.0, (verdict, unit.number))
+    for unit in snapshot.units:
+        yield _Sample("gyrobench_unit_dropped", bool(unit.dropped), (unit.number,))
+    if live := snapshot.live_bias:
+        for axis, bias_dph, sigma_dph in zip(AXES, live.bias_dph, live.sigma_dph, strict=True):
+            labels = (axis, snapshot.unit)
+            yield _Sample("gyrobench_live_bias_degrees_per_hour", bias_dph, labels)
+            yield _Sample("gyrobench_live_bias_sigma_degrees_per_hour", sigma_dph, labels)
 
 
 def _readings(snapshot: RunSnapshot) -> Iterator[_Sample]:
     bench = snapshot.bench
     if bench is None:
         return
-    sensors = {"chamber_air": bench.chamber_c, "chamber_set_point": bench.chamber_set_c, "case": bench.case_c}
-    for name, values in (("gyro", bench.gyro_c), ("electronics", bench.electronics_c)):
-        sensors |= {f"{name}_{axis}": value for axis, value in zip(AXES, values, strict=True)}
-    for sensor, value in sensors.items():
-        yield _Sample("gyrobench_temperature_celsius", value, (sensor,))
+    for sensor, value in (("chamber_air", bench.chamber_c), ("chamber_set_point", bench.chamber_set_c)):
+        yield _Sample("gyrobench_temperature_celsius", value, (sensor, ""))
+    yield _Sample("gyrobench_temperature_celsius", bench.case_c, ("case", snapshot.unit))
+    for axis, value in zip(AXES, bench.electronics_c, strict=True):
+        yield _Sample("gyrobench_temperature_celsius", value, (f"electronics_{axis}", snapshot.unit))
     for axis, angle_deg, rate_dps in (
         ("outer", bench.outer_deg, bench.outer_rate_dps),
         ("inner", bench.inner_deg, bench.inner_rate_dps),
     ):
         yield _Sample("gyrobench_table_angle_degrees", angle_deg, (axis,))
         yield _Sample("gyrobench_table_rate_degrees_per_second", rate_dps, (axis,))
-    ages_s = {"rate_table": bench.table_age_s, "chamber": bench.chamber_age_s, "ins": bench.ins_age_s}
-    for instrument, age_s in ages_s.items():
-        yield _Sample("gyrobench_reply_age_seconds", age_s, (instrument,))
+    for instrument, age_s in (("rate_table", bench.table_age_s), ("chamber", bench.chamber_age_s)):
+        yield _Sample("gyrobench_reply_age_seconds", age_s, (instrument, ""))
 
 
-def _biases(snapshot: RunSnapshot) -> Iterator[_Sample]:
-    if snapshot.dwells:
-        last = snapshot.dwells[-1]
-        for axis, bias_dph, sigma_dph in zip(AXES, last.bias_dph, last.sigma_dph, strict=True):
-            yield _Sample("gyrobench_bias_degrees_per_hour", bias_dph, (axis, last.position))
-            yield _Sample("gyrobench_bias_sigma_degrees_per_hour", sigma_dph, (axis, last.position))
-    if live := snapshot.live_bias:
-        for axis, bias_dph, sigma_dph in zip(AXES, live.bias_dph, live.sigma_dph, strict=True):
-            yield _Sample("gyrobench_live_bias_degrees_per_hour", bias_dph, (axis,))
-            yield _Sample("gyrobench_live_bias_sigma_degrees_per_hour", sigma_dph, (axis,))
+def _single_unit(snapshot: RunSnapshot) -> UnitStatus:
+    """The unit of a run with one."""
+    bench, unknown = snapshot.bench, (math.nan, math.nan, math.nan)
+    last = snapshot.dwells[-1] if snapshot.dwells else None
+    return UnitStatus(
+        number=snapshot.unit,
+        ins_mode=bench.ins_mode if bench else "",
+        gyro_c=bench.gyro_c if bench else unknown,
+        dwells=len(snapshot.dwells),
+        bias_dph=last.bias_dph if last else unknown,
+        sigma_dph=last.sigma_dph if last else unknown,
+        flags=last.flags if last else "",
+        position=last.position if last else "",
+        flagged=sum(bool(dwell.flags) for dwell in snapshot.dwells),
+        ins_age_s=bench.ins_age_s if bench else math.nan,
+    )
+
+
+def _of_unit(unit: UnitStatus) -> Iterator[_Sample]:
+    yield _Sample("gyrobench_dwells_measured", unit.dwells, (unit.number,))
+    yield _Sample("gyrobench_dwells_flagged", unit.flagged, (unit.number,))
+    yield _Sample("gyrobench_reply_age_seconds", unit.ins_age_s, ("ins", unit.number))
+    values = zip(AXES, unit.gyro_c, unit.bias_dph, unit.sigma_dph, strict=True)
+    for axis, gyro_c, bias_dph, sigma_dph in values:
+        yield _Sample("gyrobench_temperature_celsius", gyro_c, (f"gyro_{axis}", unit.number))
+        labels = (axis, unit.position, unit.number)
+        yield _Sample("gyrobench_bias_degrees_per_hour", bias_dph, labels)
+        yield _Sample("gyrobench_bias_sigma_degrees_per_hour", sigma_dph, labels)

@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.bias.verdicts import read_acceptance
 from gyrobench.bench.engine.resume import NO_END_RECORDED, resume_state_of
 from gyrobench.bench.foundations.arrays import FloatArray
@@ -62,6 +63,39 @@ def snapshot_of(path: Path) -> RunSnapshot:
         step=None,
         dwell=None,
         alarms=(),
+    )
+
+
+def snapshot_of_unit(run: RunSnapshot, folder: RunFolder) -> RunSnapshot:
+    """The snapshot of a run with the dwells and bins of one of its units in place of those of the first.
+
+    Without what the snapshot has of the first alone: dwell in progress, attitude, course of the gyros.
+    Raises RunFolderError if the unit's dwell table can't be read.
+    """
+    number = folder.path.name
+    status = next((unit for unit in run.units if unit.number == number), None)
+    if status is None or number == run.unit:
+        return run
+    rows = read_dwells(folder.dwells) if folder.dwells.exists() else []
+    _, procedure = load_procedure(folder.procedure)
+    unknown = (math.nan,) * len(run.measured.time_s)
+    bench = run.bench and replace(
+        run.bench,
+        gyro_c=status.gyro_c,
+        electronics_c=(math.nan,) * 3,
+        case_c=math.nan,
+        ins_mode=status.ins_mode,
+        ins_age_s=status.ins_age_s,
+    )
+    return replace(
+        run,
+        unit=number,
+        measured=replace(run.measured, gyro_x_c=unknown, gyro_y_c=unknown, gyro_z_c=unknown),
+        bench=bench,
+        attitude=None,
+        dwell=None,
+        dwells=measured_dwells(rows),
+        bins=live_bins(rows, procedure.bin_width_c),
     )
 
 

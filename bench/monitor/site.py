@@ -39,6 +39,7 @@ from gyrobench.bench.monitor.run_list import (
     runs_in,
     signature_of,
     snapshot_of,
+    snapshot_of_unit,
     summarise,
     verdict_in,
 )
@@ -46,15 +47,22 @@ from gyrobench.bench.monitor.server import HTML, RECORD_POLICY, Response, page_p
 from gyrobench.bench.monitor.snapshot import Attitude, RunSnapshot
 from gyrobench.bench.navigation.positions import POSITIONS, position_label
 from gyrobench.bench.report.number_format import true_minus
+from gyrobench.bench.runs.folder import UNITS, RunFolder
 
 
 def run_fragment(
-    snapshot: RunSnapshot, freshness: Freshness, records: Mapping[str, str], home: str, verdict: str = ""
+    snapshot: RunSnapshot,
+    freshness: Freshness,
+    records: Mapping[str, str],
+    home: str,
+    verdict: str = "",
+    is_of_unit: bool = False,
 ) -> str:
     """Content of the page of a run, which the page refreshes by itself.
 
     ``verdict`` is that on the unit, empty if it was not judged. ``records`` has addresses and titles of the
-    pages in the run folder; ``home`` is the address of the list of runs, empty if there is none.
+    pages in the run folder; ``home`` is the address of the list of runs, empty if there is none; on the page
+    that ``is_of_unit``, one of several, that of the run.
     """
     dwell = snapshot.dwell
     return _rendered(
@@ -64,6 +72,8 @@ def run_fragment(
         freshness=freshness,
         records=records,
         home=home,
+        home_label="All units" if is_of_unit else "All runs",
+        units_at="../" if is_of_unit else f"{UNITS}/",
         top=headline(snapshot, verdict),
         step_label=_step_label(snapshot),
         profile=profile_chart(snapshot),
@@ -192,16 +202,28 @@ class Site:
             return _page_or_fragment(self._run(run, home), rest)
         if rest in records_of(run):
             return _record(run / rest)
+        match rest.split("/", maxsplit=2):
+            case [str(folder), number, within] if folder == UNITS:
+                return self._of_unit(run, number, within)
         return _not_found()
 
-    def _run(self, run: Path, home: str) -> str:
+    def _of_unit(self, run: Path, number: str, within: str) -> Response:
+        unit = next((each.path for each in RunFolder(run).unit_folders if each.path.name == number), None)
+        if unit is not None and within in ("", _FRAGMENT):
+            return _page_or_fragment(self._run(run, _HOME, unit), within)
+        return _record(unit / within) if unit is not None and within in records_of(unit) else _not_found()
+
+    def _run(self, run: Path, home: str, unit: Path | None = None) -> str:
         try:
             snapshot = self._snapshots.of(run)
+            if unit is not None:
+                snapshot = snapshot_of_unit(snapshot, RunFolder(unit))
         except GyrobenchError as error:
             return problem_fragment(run.absolute().name, str(error), home)
         freshness = freshness_of(snapshot.state, snapshot.updated_utc, self._utc())
-        verdict = verdict_in(run) if snapshot.state.is_over else ""
-        return run_fragment(snapshot, freshness, records_of(run), home, verdict)
+        shown = unit or run
+        verdict = verdict_in(shown) if snapshot.state.is_over else ""
+        return run_fragment(snapshot, freshness, records_of(shown), home, verdict, unit is not None)
 
     def _metrics(self) -> Response:
         """Metrics of the run, or of the newest runs of the folder; those that can't be read are left out."""

@@ -239,6 +239,9 @@ class UnitStatus(StrictRecord):
     sigma_dph: Triple
     flags: str
     dropped: str = ""  #: why it is left out of the rest of the run; empty where it is not
+    position: str = ""  #: of the newest dwell
+    flagged: int = 0  #: completed dwells with flags
+    ins_age_s: Number = math.nan  #: as in :class:`BenchReadings`
 
 
 #: Changes with the meaning of the fields.

@@ -175,7 +175,10 @@ _UNKNOWN: Triple = (math.nan, math.nan, math.nan)
 
 
 def _unit_status(bench: LiveBench, number: str, outcome: RunOutcome) -> UnitStatus:
-    readings = [unit.readings.ins for unit in bench.units if unit.station.number == number and unit.is_read]
+    read = [unit.readings for unit in bench.units if unit.station.number == number and unit.is_read]
+    readings = [each.ins for each in read]
+    now_s = bench.clock.now()
+    ages_s = [each.ins.age_s + now_s - each.asked_s for each in read if math.isfinite(each.ins.age_s)]
     newest = [dwell.row for dwell in outcome.dwells[-1:]]
     return UnitStatus(
         number=number,
@@ -186,6 +189,9 @@ def _unit_status(bench: LiveBench, number: str, outcome: RunOutcome) -> UnitStat
         sigma_dph=newest[0].sigma_dph if newest else _UNKNOWN,
         flags=newest[0].flags if newest else "",
         dropped=outcome.reason if outcome.ended == "failed" else "",
+        position=newest[0].position if newest else "",
+        flagged=sum(bool(dwell.row.flags) for dwell in outcome.dwells),
+        ins_age_s=ages_s[0] if ages_s else math.nan,
     )
 
 

@@ -54,9 +54,8 @@ class Server:
     ) -> None:
         self._bench = bench
         self._lines: list[_Line | _Daemon] = []
-        self.urls: dict[
-            str, str
-        ] = {}  #: Addresses of ``table``, ``chamber``, ``ins``, and ``ins-2`` and so on of further units.
+        #: Addresses of ``table``, ``chamber``, ``ins``, and ``ins-2`` and so on of further units.
+        self.urls: dict[str, str] = {}
         for name, instrument in bench.serial.items():
             self._add(name, make_port(name), instrument, bench.connections[name])
         for number, unit in enumerate(bench.units, 1):

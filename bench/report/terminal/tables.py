@@ -45,8 +45,8 @@ def topics(pairs: Iterable[tuple[str, str]]) -> Table:
 _COLUMNS = 80
 #: Signs before an uncertainty and spaces between columns, in order of preference.
 _SEPARATORS = ((" ± ", 2), (" ± ", 1), ("±", 1), ("\n±", 1))
-#: Least width of a column of words, if there are so many, in characters.
-_MAX_WORDS = 24
+#: Columns of words may be wrapped down to this width, in characters.
+_WORDS_WIDTH = 24
 _MARKS: Mapping[Mark, str] = MappingProxyType({"bad": "red", "doubtful": "yellow", "sum": "bold"})
 
 
@@ -83,7 +83,7 @@ def _table_view(content: SectionTable) -> Table:
         for number, column in enumerate(zip(head, *rows, strict=True)):
             lines = [line for each in column[1:] for line in each.replace(" ± ", between).split("\n")]
             if number < content.words:
-                lines = [part for line in lines for part in wrap(line, _MAX_WORDS, break_long_words=False)]
+                lines = [part for line in lines for part in wrap(line, _WORDS_WIDTH, break_long_words=False)]
             widths.append(max(map(len, [*lines, *head[number].split(), ""])))
         if (spare := _COLUMNS - sum(widths) - gap * count) >= 0:
             break

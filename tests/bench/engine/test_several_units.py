@@ -8,12 +8,14 @@ import pytest
 from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.engine.evaluation import recompute_run
 from gyrobench.bench.engine.job import prepare_job
-from gyrobench.bench.engine.observers import RunObserver
+from gyrobench.bench.engine.observers import ObserverGroup, RunObserver
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.resume import prepare_resumption
 from gyrobench.bench.engine.run import resume_run, run_job
+from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.monitor.site import Site
 from gyrobench.bench.monitor.snapshot import RunSnapshot
 from gyrobench.bench.monitor.snapshot_recorder import SnapshotRecorder
 from gyrobench.bench.monitor.terminal_screen import screen
@@ -24,10 +26,14 @@ from gyrobench.bench.runs.journal import facts_of, read_journal
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.bench.station.station import Station
 from tests.bench.engine.intervention import TWO_TEMPERATURES, KilledError
+from tests.bench.monitor.served_run import ask, served
+from tests.bench.monitor.test_metrics import scraped
 
 NUMBERS = ["1101", "1102", "1103", "1104"]
 #: As a unit whose plug is pulled in its third dwell.
 SILENT = "fault: frames_lost, during: navigate, nth: 3, after_s: 20, for_s: 90000"
+#: As a plug with a loose contact.
+BRIEFLY_SILENT = SILENT.replace("90000", "10")
 
 
 class Watcher(RunObserver):
@@ -57,9 +63,9 @@ def files(tmp_path_factory):
     return folder
 
 
-def job_of(files, station="four_units", faulty=()):
-    faults = files / f"faults-{'-'.join(map(str, faulty))}.yaml"
-    faults.write_text("faults:\n" + "".join(f"  - {{{SILENT}, unit: {unit}}}\n" for unit in faulty))
+def job_of(files, station="four_units", faulty=(), fault=SILENT):
+    faults = files / f"faults-{fault[-2:]}-{'-'.join(map(str, faulty))}.yaml"
+    faults.write_text("faults:\n" + "".join(f"  - {{{fault}, unit: {unit}}}\n" for unit in faulty))
     emulation = Emulation("four_units", 0, str(faults) if faulty else "")
     return prepare_job(str(files / "two_temperatures.yaml"), str(station), emulation)
 
@@ -201,6 +207,26 @@ def test_a_unit_that_falls_silent_is_dropped_and_the_others_measure_the_same(who
     assert "Unit 1102" in outcome.shortcoming("rejected")
 
 
+def test_a_unit_that_is_silent_for_seconds_repeats_its_dwell(files, whole, tmp_path):
+    watcher, job = Watcher(), job_of(files, faulty=[1, 3], fault=BRIEFLY_SILENT)
+    shown = ObserverGroup(watcher, SnapshotRecorder(job.plan))
+    folder, outcome = run_of(job, tmp_path / "run", shown)
+    assert outcome.ended == "finished", outcome.reason
+    assert not watcher.lost
+    for number in NUMBERS:
+        rows, before = (read_dwells(each.unit(number).dwells) for each in (folder, whole[0]))
+        assert [(row.dwell, row.flags) for row in rows] == [(row.dwell, row.flags) for row in before]
+        given_up = [
+            entry["dwell"]
+            for entry in read_journal(folder.unit(number).journal)
+            if entry["event"] == "dwell_given_up"
+        ]
+        is_faulty = number in ("1101", "1103")
+        assert given_up == ([3] if is_faulty else [])
+        same = [replace(a, other=()) == replace(b, other=()) for a, b in zip(rows, before, strict=True)]
+        assert same[:3] == [True, True, not is_faulty]
+
+
 def test_a_dropped_unit_stays_dropped_when_the_run_resumes(files, tmp_path):
     path, watcher = tmp_path / "run", Watcher("navigate", 7)
     with pytest.raises(KilledError):
@@ -265,10 +291,39 @@ def test_the_report_shows_all_units_side_by_side(without_1102):
     assert all(folder.unit(number).report.exists() for number in NUMBERS)
 
 
-def test_the_live_view_shows_all_units(files, tmp_path):
+class Scraper(RunObserver):
+    """Holds the run in its 7th window until a monitor serves that unit 1101 has 3 dwells, and keeps that."""
+
+    def __init__(self, recorder, root):
+        self.recorder, self.root, self.left, self.found = recorder, root, 7, {}
+
+    def step_started(self, planned, bench):
+        self.left -= planned.step.name == "navigate"
+        if self.left or self.found:
+            return
+        with served(Site(self.root, WallClock().utc).answer) as server:
+            dwells = ("gyrobench_dwells_measured", "run=run", "unit=1101")
+            while self.found.get(dwells) != 3.0:
+                self.recorder.beat(bench)
+                self.found = scraped(ask(server, "/metrics")[1].decode())
+
+
+def test_the_live_view_and_the_metrics_of_a_run_under_way_show_all_units(files, tmp_path):
     job = job_of(files, faulty=[2])
     recorder = SnapshotRecorder(job.plan)
-    run_of(job, tmp_path / "run", recorder)
+    scraper = Scraper(recorder, tmp_path)
+    folder, _ = run_of(job, tmp_path / "run", ObserverGroup(recorder, scraper))
+    found, run = scraper.found, "run=run"
+    assert found["gyrobench_run_state", run, "state=running"] == 1.0
+    for number in NUMBERS:
+        unit = f"unit={number}"
+        rows = [row for row in read_dwells(folder.unit(number).dwells) if row.dwell < 4]
+        assert found["gyrobench_dwells_measured", run, unit] == len(rows)
+        assert found["gyrobench_unit_dropped", run, unit] == float(number == "1102")
+        key = ("gyrobench_bias_degrees_per_hour", "gyro=y", f"position={rows[-1].position}", run, unit)
+        assert found[key] == pytest.approx(rows[-1].bias_dph[1], abs=1e-6)
+        is_known = ("gyrobench_temperature_celsius", run, "sensor=gyro_z", unit) in found
+        assert is_known is (number != "1102")
     snapshot = RunSnapshot.from_json(recorder.snapshot().to_json())
     assert [(unit.number, unit.dwells, bool(unit.dropped)) for unit in snapshot.units] == [
         (number, 4 - 2 * (number == "1102"), number == "1102") for number in NUMBERS
@@ -276,3 +331,13 @@ def test_the_live_view_shows_all_units(files, tmp_path):
     lines = [line.plain for line in screen(snapshot, 100, 40, is_ascii=True)]
     assert sum(line.startswith("unit 11") for line in lines) == len(NUMBERS)
     assert any("dropped: the INS has been silent" in line for line in lines)
+    site = Site(tmp_path, WallClock().utc)
+    page = site.answer("/runs/run/").body.decode()
+    for number in NUMBERS:
+        assert f'href="units/{number}/"' in page
+        page_of_unit = site.answer(f"/runs/run/units/{number}/").body.decode()
+        assert f"unit {number}</p>" in page_of_unit
+        dwells = page_of_unit.split('<section id="dwells"')[1].split("</section>")[0]
+        assert dwells.count('<th scope="row"') == 4 - 2 * (number == "1102")
+    for elsewhere in ("units/1105/", "units/../", "units/1101/journal.jsonl"):
+        assert site.answer(f"/runs/run/{elsewhere}").status == 404

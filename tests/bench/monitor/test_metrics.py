@@ -32,16 +32,16 @@ def test_a_run_is_scraped_from_the_monitor_while_it_is_under_way(tmp_path):
     found = scraped(body.decode())
     assert response.status == 200
     assert response.headers["Content-Type"].startswith("text/plain; version=0.0.4")
-    run = "run=first"
+    run, unit = "run=first", f"unit={snapshot.unit}"
     assert found["gyrobench_run_left_seconds", run] == snapshot.left_s
     assert found["gyrobench_run_state", run, f"state={snapshot.state.value}"] == 1.0
     assert sum(value for key, value in found.items() if key[0] == "gyrobench_run_state") == 1.0
-    assert found["gyrobench_temperature_celsius", run, "sensor=gyro_x"] == snapshot.bench.gyro_c[0]
-    assert found["gyrobench_reply_age_seconds", "instrument=ins", run] == snapshot.bench.ins_age_s
+    assert found["gyrobench_temperature_celsius", run, "sensor=gyro_x", unit] == snapshot.bench.gyro_c[0]
+    assert found["gyrobench_reply_age_seconds", "instrument=ins", run, unit] == snapshot.bench.ins_age_s
     last = snapshot.dwells[-1]
-    key = ("gyrobench_bias_degrees_per_hour", "gyro=z", f"position={last.position}", run)
+    key = ("gyrobench_bias_degrees_per_hour", "gyro=z", f"position={last.position}", run, unit)
     assert found[key] == pytest.approx(last.bias_dph[2])
-    assert found["gyrobench_dwells_measured", run] == len(snapshot.dwells)
+    assert found["gyrobench_dwells_measured", run, unit] == len(snapshot.dwells)
     assert {("gyrobench_alarm", f"name={alarm.name}", run) for alarm in snapshot.alarms} <= set(found)
 
 
