@@ -15,7 +15,7 @@ from gyrobench.bench.closure.problem import Problem
 from gyrobench.bench.closure.search import SIGNIFICANCE, Search
 from gyrobench.bench.closure.validation import LackOfFit, lack_of_fit
 from gyrobench.bench.foundations.arrays import BoolArray
-from gyrobench.bench.foundations.text import listed
+from gyrobench.bench.foundations.text import listed, plain_name
 
 #: Searches in a noise estimated beside what the one before found.
 _MAX_SEARCHES = 4
@@ -73,8 +73,12 @@ class Selected:
         if alone is None or effect.name in found.names or search.p_value(alone, 0) >= SIGNIFICANCE:
             return ""
         for names in self.posterior.sets[: self.posterior.sets.index(found.names)]:
-            if objection := self._objections(names).get(effect.name):
+            objections = self._objections(names)
+            if objection := objections.get(effect.name):
                 return objection
+            if effect.name in objections and any(objections.values()):
+                label, objection = next((label, text) for label, text in objections.items() if text)
+                return f"{plain_name(label)} beside it is not accepted: {objection}"
         labels = listed([each.effect.display_name for each in found.candidates])
         with_it = search.add(found, effect)
         if with_it is None:

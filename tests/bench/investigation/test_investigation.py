@@ -298,6 +298,7 @@ def test_an_ageing_of_another_law_is_not_settled_as_two_effects(tmp_path):
     """A logarithmic ageing: with a drift beside it, its time constant runs to the upper bound."""
     unit = unit_of(5)
     found = Investigator(unit, tmp_path / "ageing", 36.0, lambda *_: True).run(WallClock())
-    [law] = [stage for stage in found.stages if stage.purpose == "test_law"]
-    assert any(each.rejected for each in law.closure.evidence if each.effect.name == "ageing")
+    rejected = {each.effect.name: each.rejected for each in found.closure.evidence}
+    assert found.closure.posterior.sets[0] == {"ageing", "time_drift"}
+    assert rejected["time_drift"].startswith("ageing beside it is not accepted: a parameter is at its upper")
     assert found.ended != "settled" or [each.effect.name for each in found.closure.effects] == ["ageing"]
