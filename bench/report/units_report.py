@@ -74,8 +74,8 @@ def _units_section(run: RunContent, units: Sequence[RunContent]) -> Section:
         rows.append([unit.name, "dropped" if unit.name in dropped else verdict, dwells, *cells])
     header = ["unit", "verdict", "dwells", *map(gyro_label, AXES)]
     caption = (
-        f"Mean bias over the dwells without flags with its standard error, {scale.unit}; it holds the change "
-        "with temperature. The bins are in the report of each unit."
+        f"Mean bias over the dwells without flags with its standard error, {scale.unit}; it includes the "
+        "change with temperature. The bins are in the report of each unit."
     )
     marks: list[Mark] = ["bad" if unit.name in dropped else "" for unit in units]
     reasons = [f"Unit {number} was dropped: {why}" for number, why in dropped.items()]
