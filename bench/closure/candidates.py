@@ -21,6 +21,8 @@ _MAX_EVALUATIONS = 60
 #: Precision of a parameter in units of its first step, and of chi2.
 _PARAMETER_PRECISION = 1e-2
 _CHI2_PRECISION = 0.05
+#: Factor beyond the upper bound of a parameter at which the effect is another one to a few percent.
+_BEYOND = 10.0
 
 
 @dataclass(frozen=True)
@@ -41,12 +43,14 @@ class Candidate:
         return campaign.computed_terms[key]
 
     @property
-    def is_at_open_end(self) -> bool:
-        """Whether a parameter is at an upper bound beyond which the effect becomes another one."""
-        return any(
-            each.is_open_end and value >= 0.999 * each.high
-            for each, value in zip(self.form.parameters, self.values, strict=True)
-        )
+    def beyond_open_end(self) -> Candidate | None:
+        """The effect far above an open end, where it becomes another one; None if no parameter is there."""
+        pairs = zip(self.form.parameters, self.values, strict=True)
+        factors = [
+            _BEYOND if each.is_open_end and value >= 0.999 * each.high else 1.0 for each, value in pairs
+        ]
+        values = tuple(value * factor for value, factor in zip(self.values, factors, strict=True))
+        return replace(self, values=values) if values != self.values else None
 
     @property
     def parameter_count(self) -> int:

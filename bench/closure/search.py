@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -14,13 +15,14 @@ from gyrobench.bench.closure.candidates import (
     Hypothesis,
     best_start,
     evaluate,
+    hypothesis,
     ranked,
     refine,
     stack,
     start_count,
 )
 from gyrobench.bench.closure.effects.effect import Effect
-from gyrobench.bench.closure.posterior import RIVAL, Evidences, Posterior
+from gyrobench.bench.closure.posterior import RIVAL, TIE_ODDS, Evidences, Posterior
 from gyrobench.bench.closure.problem import Problem, declared_problem
 from gyrobench.bench.foundations.text import listed
 
@@ -105,7 +107,7 @@ class Search:
             labels = [each.effect.display_name for each in of.without(one)]
             beside = f" beside {listed(labels)}" if labels else ""
             return f"not significant{beside} (p = {p_value:.2g}, required below {SIGNIFICANCE:g})"
-        if one.is_at_open_end:
+        if not self._excludes_beyond(of, index):
             return "a parameter is at its upper bound, where the effect becomes another one"
         dwell, p_without = self._without_largest_dwell(of, index)
         if p_without >= SIGNIFICANCE:
@@ -246,6 +248,15 @@ class Search:
         rest = problem.searched & (np.arange(len(problem.searched)) != place)
         without = declared_problem(problem.campaign, rest, problem.noise_scale)
         return dwell, self._p_beside(self._beside_others(of, index, without), one)
+
+    def _excludes_beyond(self, of: Hypothesis, index: int) -> bool:
+        """Whether what an effect becomes beyond its open end is not tied with it, if it was fitted there."""
+        one = of.candidates[index]
+        beyond = one.beyond_open_end
+        if beyond is None:
+            return True
+        other = hypothesis(self.problem, [*of.without(one), beyond])
+        return other.bic > of.bic + 2.0 * math.log(TIE_ODDS)
 
     def _p_beside(self, beside: Problem, one: Candidate) -> float:
         """p-value of a candidate beside all terms of a problem, corrected for all candidate fits."""

@@ -61,14 +61,10 @@ class Selected:
         names = next(filter(None, self.posterior.sets), None)
         if self.found.candidates or names is None:
             return None
-        mine = [each for each in self.posterior.hypotheses if each.names == names]
-        fitted = evaluate(self.search.problem, mine[0].candidates)
-        objections = (self.search.objection(fitted, index) for index in range(len(fitted.candidates)))
-        return NotAccepted(
-            tuple(sorted(names)),
-            sum(each.probability for each in mine),
-            next(filter(None, objections), "the declared model alone is simpler or more probable"),
-        )
+        probability = sum(each.probability for each in self.posterior.hypotheses if each.names == names)
+        reason = next(filter(None, self._objections(names).values()), "")
+        reason = reason or "the declared model alone is simpler or more probable"
+        return NotAccepted(tuple(sorted(names)), probability, reason)
 
     def rejection(self, effect: Effect) -> str:
         """Why an effect that is significant alone is not found; empty for all others."""
@@ -76,6 +72,9 @@ class Selected:
         alone = search.alone.get(effect.name)
         if alone is None or effect.name in found.names or search.p_value(alone, 0) >= SIGNIFICANCE:
             return ""
+        for names in self.posterior.sets[: self.posterior.sets.index(found.names)]:
+            if objection := self._objections(names).get(effect.name):
+                return objection
         labels = listed([each.effect.display_name for each in found.candidates])
         with_it = search.add(found, effect)
         if with_it is None:
@@ -86,6 +85,15 @@ class Selected:
         if self.posterior.not_on_list > 0.5:
             reason = "something that is not on the list is more probable"
         return search.objection(with_it, place) or reason
+
+    def _objections(self, names: frozenset[str]) -> dict[str, str]:
+        """The objection to each effect of a set of the posterior; empty if there is none."""
+        fits = [each.candidates for each in self.posterior.hypotheses if each.names == names]
+        fitted = evaluate(self.search.problem, fits[0])
+        return {
+            each.effect.name: self.search.objection(fitted, index)
+            for index, each in enumerate(fitted.candidates)
+        }
 
 
 def select(campaign: Campaign, searched: BoolArray, effects: Sequence[Effect]) -> Selected:

@@ -57,11 +57,7 @@ def write_units_report(folder: RunFolder, prepared_by: str = "", vectors: Sequen
 
 
 def _units_section(run: RunContent, units: Sequence[RunContent]) -> Section:
-    dropped = {
-        str(entry.get("unit")): str(entry.get("why"))
-        for entry in run.journal
-        if entry.get("event") == "unit_dropped"
-    }
+    dropped = {str(entry.get("unit")): str(entry.get("why")) for entry in run.entries("unit_dropped")}
     means = {unit.name: _means(unit) for unit in units}
     pairs = [pair for each in means.values() for pair in each]
     scale = BiasScale.of([mean for mean, _ in pairs], [sigma for _, sigma in pairs])

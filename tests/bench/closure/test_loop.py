@@ -356,6 +356,20 @@ def test_a_rejected_candidate_has_its_reason(closed):
     assert rejected["attitude_thermal"].startswith("not significant beside g-sensitivity")
 
 
+def test_a_cause_more_probable_than_the_one_found_has_the_objection_to_itself(closed):
+    """A decay longer than the campaign: what is said against it is not that it adds nothing to a drift."""
+
+    def decay(course):
+        return np.exp(-course.time_h / (1.5 * course.time_h[-1]))[:, None]
+
+    options = {"cycles": 4, "headings_deg": (0.0,), "power_on_each_cycle": True, "sensors": ()}
+    closure = closed({decay: 4.0}, **options)
+    assert [each.effect.name for each in closure.effects] == ["time_drift"]
+    assert closure.posterior.sets[0] == {"ageing"}
+    [rejected] = [each.rejected for each in closure.evidence if each.effect.name == "ageing"]
+    assert rejected.startswith("a parameter is at its upper bound")
+
+
 def test_not_even_the_length_of_the_held_out_cycle_changes_the_outcome():
     rows = measure({"thermal_hysteresis": 5.0}, cycles=3).rows
     few = [row for row in rows if row.cycle < 3] + [row for row in rows if row.cycle == 3][:4]

@@ -203,6 +203,31 @@ def test_a_slow_warm_up_in_few_hours_looks_like_a_drift(search):
     assert best.names | {*ties(one, best)} >= {"warm_up", "time_drift"}
 
 
+def after_start(law):
+    """An effect that follows the share of the campaign since its start."""
+
+    def over_campaign(course):
+        return law(course.time_h / course.time_h[-1])[:, None]
+
+    return over_campaign
+
+
+@pytest.mark.parametrize(
+    ("law", "found"),
+    [(lambda share: np.exp(-share / 1.5), {"ageing"}), (lambda share: np.exp(-share / 20.0), {"time_drift"})],
+)
+def test_a_time_constant_at_its_upper_bound_counts_where_a_line_is_excluded(problem, law, found):
+    """Both time constants are above the campaign's length, the bound; the longer one looks like a line."""
+    one = problem({after_start(law): 10.0}, cycles=4, power_on_each_cycle=True, sensors=())
+    searching = Search(one, all_effects())
+    [alone] = searching.alone["ageing"].candidates
+    assert alone.values[0] >= 0.999 * alone.form.parameters[0].high
+    assert bool(searching.objection(searching.alone["ageing"], 0)) == ("ageing" not in found)
+    best, posterior = searching.most_probable()
+    assert best.names == found
+    assert posterior.sets[0] == found
+
+
 def test_an_effect_that_contains_the_one_found_is_no_alternative(search):
     one, best = search({"g_sensitivity": 3.0}, cycles=2, seed=1, headings_deg=EQUIPPED["headings_deg"])
     assert ties(one, best) == ()
