@@ -147,7 +147,7 @@ class Units:
         return bool(dwell) and dwell not in unit.record.state.finished
 
     def _set_aside(self, unit: Unit, why: str) -> bool:
-        """Measure a unit no further in the dwell in progress; returns False where it can't be repeated."""
+        """Stop measuring a unit in the dwell in progress; returns False where the dwell can't be repeated."""
         if unit in self._aside:
             return True
         if self._is_in_dwell(unit) and not unit.dwells.may_repeat(self._bench.state.at.dwell):
@@ -255,9 +255,9 @@ class Units:
         self._run.observers.noted(f"dwell {dwell} is skipped")
 
     def fail(self, unit: Unit, error: GyrobenchError) -> None:
-        """Drop the unit for its error, or set it aside if that may pass.
+        """Drop the unit for its error, or set it aside if the error may pass.
 
-        Raises an error that may not drop it, or is of another instrument.
+        Raises the error where units may not be dropped, or if it is of another instrument.
         """
         is_other = isinstance(error, InstrumentError) and error.instrument != unit.live.name
         if not self._may_drop or is_other:
