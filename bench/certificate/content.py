@@ -204,7 +204,8 @@ class Certificate:
         lab = self.station.laboratory
         number = f" Procedure of the laboratory: {lab.procedure}." if lab and lab.procedure else ""
         description = str(self.run.procedure.get("description", "")).strip()
-        return [_METHOD, f"Procedure {self.run.facts.procedure}: {description}{number}", _UNCERTAINTY]
+        procedure = f"Procedure {self.run.facts.procedure}" + (f": {description}" if description else ".")
+        return [_METHOD, f"{procedure}{number}", _UNCERTAINTY]
 
     @property
     def deviations(self) -> list[str]:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 _MAX_KEY_BYTES, _MAX_FILE_BYTES = 1_000_000, 200_000_000
 _PKCS12 = (".p12", ".pfx")
 _FIELD = "Certificate"
+_CHANGED = "the signature does not fit: the file was changed"
 _SIGNATURE = "{http://www.w3.org/2000/09/xmldsig#}Signature"
 
 
@@ -146,8 +147,8 @@ def _verify_xml(content: bytes, path: Path) -> tuple[Certificate, str]:
     )
     try:
         results = xades.XAdESVerifier().verify(content, x509_cert=_pem(own), expect_references=True)
-    except (signxml.exceptions.InvalidInput, signxml.exceptions.InvalidSignature) as error:
-        return own, f"the signature does not fit: {error}"
+    except (signxml.exceptions.InvalidInput, signxml.exceptions.InvalidSignature):
+        return own, _CHANGED
     signed = [each.signed_xml.tag for each in results if each.signed_xml is not None]
     return own, "" if root.tag in signed else "the signature does not cover the whole document"
 
@@ -168,7 +169,7 @@ def _verify_pdf(content: bytes, path: Path) -> tuple[Certificate, str]:
     status = validation.validate_pdf_signature(last, context, key_usage_settings=usage)
     is_whole = status.coverage is validation.SignatureCoverageLevel.ENTIRE_FILE
     if not (status.intact and status.valid):
-        return own, "the signature does not fit: the file was changed"
+        return own, _CHANGED
     return own, "" if is_whole else "the signature does not cover the whole file"
 
 

@@ -127,6 +127,8 @@ def certificate(
     terminal = console()
     for path in paths:
         terminal.print(f"Written  {path}", soft_wrap=True)
+    if signing is None:
+        terminal.print("Not signed: --key FILE names the laboratory's key.", soft_wrap=True)
     if "dcc" in wanted and schema is None:
         terminal.print(
             "The DCC is not validated: --schema FOLDER names PTB's dcc.xsd and SI_Format.xsd.", soft_wrap=True

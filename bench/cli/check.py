@@ -56,7 +56,7 @@ def check(
         SIGNAL_MAP_CHECK,
         check_bench,
         no_instrument_answers,
-        signal_map_check,
+        signal_map_checks,
     )
     from gyrobench.bench.engine.run import run_job
     from gyrobench.bench.monitor.terminal_view import observe_in_terminal
@@ -76,7 +76,7 @@ def check(
         folder = create_run_folder(None, SIGNAL_MAP_CHECK, out)
         with observe_in_terminal(terminal, job, False) as (progress, answers):
             _, outcome = run_job(job, folder.path, progress, answers)
-        checks.append(signal_map_check(outcome, folder))
+        checks.extend(signal_map_checks(outcome, folder))
     if as_json:
         records = [{**asdict(each), "verdict": each.verdict.lower()} for each in checks]
         print_json({"station": station, "fit": is_fit(), "checks": records})

@@ -141,7 +141,9 @@ AcknowledgeOption = Annotated[
 ]
 FailOnOption = Annotated[
     FailOn | None,
-    typer.Option(help="Exit with 1 if the unit is rejected; with flagged also if a dwell has flags."),
+    typer.Option(
+        help="Exit with 1 if a unit is rejected or dropped; with flagged also if a dwell has flags."
+    ),
 ]
 OperatorOption = Annotated[
     str,

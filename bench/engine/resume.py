@@ -264,7 +264,7 @@ class Resumption:
         """Describe what the run folder holds and what resuming it will do."""
         state, plan = self.state, self.job.plan
         known = [part.state.unit or part.number for part in self.units]
-        units = f", unit {listed(known)}" if all(known) else ""
+        units = f", {'unit' if len(known) == 1 else 'units'} {listed(known)}" if all(known) else ""
         how = f"{state.ended}: {state.reason}" if state.ended else NO_END_RECORDED
         lines = [
             f"{self.folder.path}: {plan.procedure.procedure}{units}; the run {how}.",

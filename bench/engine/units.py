@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 
 from gyrobench.bench.engine.dwell_recording import DwellLedger, DwellRecorder
@@ -33,7 +34,7 @@ class Unit:
         self.dwells = DwellLedger(run, measured, self.recorder)
         self.compensation = StoredCompensation(run, measured)
         self.is_identified = bool(self.record.state.unit)
-        self.tripped_s: float | None = None  #: since when its interlock is tripped, while it is set aside
+        self.tripped_s: float | None = None  #: since when its interlock is tripped
         self.live.state.number = self.record.state.unit or self.record.number
 
     def note(self, text: str) -> None:
@@ -57,6 +58,7 @@ class Units:
         self.running = [Unit(run, measured) for measured in run.measured]
         self._waiting: dict[Unit, Iterator[None]] = {}  # in the step in progress
         self._aside: dict[Unit, str] = {}  # why it is not measured for the moment
+        self._all_tripped_s = -math.inf  # when all were tripped at last, for long
 
     @property
     def measuring(self) -> list[Unit]:
@@ -114,32 +116,38 @@ class Units:
         return True
 
     def drop_tripped(self) -> None:
-        """Drop the units whose interlocks are tripped, or set them aside; take back those that are good."""
+        """Drop the units whose interlocks are tripped, or set them aside; take back those that are good.
+
+        Where what is wrong with all of them lasts, but may pass, its cause may be common: the run holds.
+        """
         if not self._may_drop:
             return
-        for unit in list(self.running):
-            if trips := unit.live.trips():
-                self._tripped(unit, trips)
-            else:
-                unit.tripped_s = None
-                if unit in self._aside and not self._is_in_dwell(unit):
-                    self._take_back(unit)
+        now_s, found = self._bench.clock.now(), {unit: unit.live.trips() for unit in self.running}
+        for unit, trips in found.items():
+            unit.tripped_s = (unit.tripped_s or now_s) if trips else None
+        latest_s = max(unit.tripped_s or now_s for unit in found)
+        if now_s - latest_s > _PASSES_WITHIN_S and all(map(_may_pass, found.values())):
+            self._all_tripped_s = now_s
+            self._take_back(*self._aside)
+            return
+        for unit, trips in found.items():
+            if trips:
+                self._tripped(unit, trips, now_s)
+            elif unit in self._aside and not self._is_in_dwell(unit):
+                self._take_back(unit)
 
-    def _tripped(self, unit: Unit, trips: Sequence[Trip]) -> None:
-        now_s, why = self._bench.clock.now(), text_of_trips(trips)
-        if unit.tripped_s is None:
-            unit.tripped_s = now_s
-        passes = all(trip.rule.resume == "automatic" for trip in trips)
-        passes = passes and now_s - unit.tripped_s <= _PASSES_WITHIN_S
-        if not (passes and self._set_aside(unit, why)):
-            self._drop(unit, why)
+    def _tripped(self, unit: Unit, trips: Sequence[Trip], now_s: float) -> None:
+        since_s = max(unit.tripped_s or now_s, self._all_tripped_s)
+        passes = _may_pass(trips) and now_s - since_s <= _PASSES_WITHIN_S
+        if not (passes and self._set_aside(unit, text_of_trips(trips))):
+            self._drop(unit, text_of_trips(trips))
 
     def _is_in_dwell(self, unit: Unit) -> bool:
         dwell = self._bench.state.at.dwell
         return bool(dwell) and dwell not in unit.record.state.finished
 
     def _set_aside(self, unit: Unit, why: str) -> bool:
-        """Measure a unit no further in the dwell in progress; returns False where it can't be repeated."""
+        """Stop measuring a unit in the dwell in progress; returns False where the dwell can't be repeated."""
         if unit in self._aside:
             return True
         if self._is_in_dwell(unit) and not unit.dwells.may_repeat(self._bench.state.at.dwell):
@@ -153,7 +161,7 @@ class Units:
 
     def _take_back(self, *units: Unit) -> None:
         for unit in units:
-            unit.live.is_set_aside, unit.tripped_s = False, None
+            unit.live.is_set_aside = False
             del self._aside[unit]
 
     def identify(self, again: bool) -> None:
@@ -247,9 +255,9 @@ class Units:
         self._run.observers.noted(f"dwell {dwell} is skipped")
 
     def fail(self, unit: Unit, error: GyrobenchError) -> None:
-        """Drop the unit for its error, or set it aside if that may pass.
+        """Drop the unit for its error, or set it aside if the error may pass.
 
-        Raises an error that may not drop it, or is of another instrument.
+        Raises the error where units may not be dropped, or if it is of another instrument.
         """
         is_other = isinstance(error, InstrumentError) and error.instrument != unit.live.name
         if not self._may_drop or is_other:
@@ -273,3 +281,8 @@ class Units:
         unit.journal.record("run_ended", ended="failed", reason=why, safe_state=[])
         run.journal.followers.remove(unit.journal)
         self._bench.leave_out(unit.live)
+
+
+def _may_pass(trips: Sequence[Trip]) -> bool:
+    """Whether these are trips after which a run resumes by itself."""
+    return all(trip.rule.resume == "automatic" for trip in trips)

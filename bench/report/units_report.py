@@ -57,11 +57,7 @@ def write_units_report(folder: RunFolder, prepared_by: str = "", vectors: Sequen
 
 
 def _units_section(run: RunContent, units: Sequence[RunContent]) -> Section:
-    dropped = {
-        str(entry.get("unit")): str(entry.get("why"))
-        for entry in run.journal
-        if entry.get("event") == "unit_dropped"
-    }
+    dropped = {str(entry.get("unit")): str(entry.get("why")) for entry in run.entries("unit_dropped")}
     means = {unit.name: _means(unit) for unit in units}
     pairs = [pair for each in means.values() for pair in each]
     scale = BiasScale.of([mean for mean, _ in pairs], [sigma for _, sigma in pairs])
@@ -74,8 +70,8 @@ def _units_section(run: RunContent, units: Sequence[RunContent]) -> Section:
         rows.append([unit.name, "dropped" if unit.name in dropped else verdict, dwells, *cells])
     header = ["unit", "verdict", "dwells", *map(gyro_label, AXES)]
     caption = (
-        f"Mean bias over the dwells without flags with its standard error, {scale.unit}; it holds the change "
-        "with temperature. The bins are in the report of each unit."
+        f"Mean bias over the dwells without flags with its standard error, {scale.unit}; it includes the "
+        "change with temperature. The bins are in the report of each unit."
     )
     marks: list[Mark] = ["bad" if unit.name in dropped else "" for unit in units]
     reasons = [f"Unit {number} was dropped: {why}" for number, why in dropped.items()]

@@ -30,7 +30,7 @@ from gyrobench.bench.station.receivers import Receiver
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.ins.can_ins import CanIns
 
-#: The procedure of :func:`signal_map_check`.
+#: The procedure of :func:`signal_map_checks`.
 SIGNAL_MAP_CHECK = "signal_map_check"
 #: Of the raw log, compressed, and of the telemetry.
 _BYTES_PER_FRAME, _BYTES_PER_VALUE = 12.0, 8.0
@@ -110,15 +110,16 @@ def calibration_checks(station: Station, acknowledged: Sequence[str]) -> Iterato
         yield Check.of(plain_name(name), "calibration", is_good, found, advice)
 
 
-def signal_map_check(outcome: RunOutcome, folder: RunFolder) -> Check:
-    """What the dwell of a run of :data:`SIGNAL_MAP_CHECK` shows of the signs and axes of the signal map."""
-    dwell = next(iter(outcome.dwells), None)
-    is_good = dwell is not None and dwell.estimate is not None
-    if is_good:
-        found = "velocities and attitude agree with the tilt of the INS and the path of the table"
-    else:
-        found = dwell.flags if dwell else outcome.reason
-    return Check.of("INS", "signs and axes", is_good, f"{found} ({folder.path})", "")
+def signal_map_checks(outcome: RunOutcome, folder: RunFolder) -> Iterator[Check]:
+    """What the dwell of a run of :data:`SIGNAL_MAP_CHECK` shows of each unit's signs, axes and mounting."""
+    for number, unit in outcome.units.items() or [("", outcome)]:
+        dwell = next(iter(unit.dwells), None)
+        is_good = dwell is not None and dwell.estimate is not None
+        if is_good:
+            found = "velocities and attitude agree with the tilt of the INS and the path of the table"
+        else:
+            found = (dwell.flags if dwell else "") or unit.reason or outcome.reason
+        yield Check.of(f"INS {number}".strip(), "signs and axes", is_good, f"{found} ({folder.path})", "")
 
 
 def no_instrument_answers(checks: Iterable[Check]) -> bool:

@@ -23,6 +23,8 @@ from gyrobench.bench.report.number_format import odds_text
 from gyrobench.bench.report.terminal.tables import titled_table
 
 _MAX_INFLATION = 1000.0
+#: A larger effect would not have to be searched for.
+_MAX_SIZE_DPH = 1.0
 _COLUMNS = (
     f"found: smallest size found with {POWER:.0%} probability, for the middle values of the effect's "
     "parameters; worst: for the worst values. VIF: variance inflation by the other effects, fitted beside "
@@ -194,4 +196,6 @@ def _advice_sentence(advice: Advice) -> str:
 
 
 def _size(size_dph: float) -> str:
-    return f"{1e3 * size_dph:.2f}" if np.isfinite(size_dph) else "never"
+    if not np.isfinite(size_dph):
+        return "never"
+    return f"{1e3 * size_dph:.2f}" if size_dph < _MAX_SIZE_DPH else f">{1e3 * _MAX_SIZE_DPH:.0f}"

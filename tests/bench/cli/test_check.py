@@ -1,6 +1,7 @@
 """The command `check`: what it prints and its exit codes."""
 
 import pytest
+import yaml
 from typer.testing import CliRunner
 
 from gyrobench.bench.cli import app
@@ -61,3 +62,16 @@ def test_the_signs_of_the_signal_map_are_tested_by_a_dwell(check, tmp_path, sign
     assert code == (0 if sign > 0 else EXIT_NOT_FINISHED)
     assert found in " ".join(text.split())
     assert (tmp_path / "runs" / "signal_map_check-001" / "journal.jsonl").exists()
+
+
+def test_the_mounting_of_each_unit_is_tested_by_a_dwell(check, tmp_path):
+    document = yaml.safe_load(find_document("stations", "four_units").read_text())
+    document["units"] = document["units"][:2]
+    document["units"][1]["mounting"] = {"x": "south", "y": "east", "z": "up"}
+    station = tmp_path / "station.yaml"
+    station.write_text(yaml.safe_dump(document, sort_keys=False))
+    code, text = check(station, "--signs", "--world", "four_units", "--out", tmp_path / "runs")
+    shown = " ".join(text.split())
+    assert code == EXIT_NOT_FINISHED
+    assert "pass signs and axes velocities and attitude agree" in shown
+    assert "FAIL signs and axes z_up: INS and table in window 1 disagree by 90.0 deg" in shown

@@ -34,6 +34,7 @@ NUMBERS = ["1101", "1102", "1103", "1104"]
 SILENT = "fault: frames_lost, during: navigate, nth: 3, after_s: 20, for_s: 90000"
 #: As a plug with a loose contact.
 BRIEFLY_SILENT = SILENT.replace("90000", "10")
+UNALIGNED = "fault: alignment_never_done, during: align, nth: 2"
 
 
 class Watcher(RunObserver):
@@ -64,7 +65,7 @@ def files(tmp_path_factory):
 
 
 def job_of(files, station="four_units", faulty=(), fault=SILENT):
-    faults = files / f"faults-{fault[-2:]}-{'-'.join(map(str, faulty))}.yaml"
+    faults = files / f"faults-{hash(fault)}-{'-'.join(map(str, faulty))}.yaml"
     faults.write_text("faults:\n" + "".join(f"  - {{{fault}, unit: {unit}}}\n" for unit in faulty))
     emulation = Emulation("four_units", 0, str(faults) if faulty else "")
     return prepare_job(str(files / "two_temperatures.yaml"), str(station), emulation)
@@ -240,8 +241,20 @@ def test_a_dropped_unit_stays_dropped_when_the_run_resumes(files, tmp_path):
     assert outcome.units["1102"].ended == "failed"
 
 
+def test_a_run_whose_units_are_all_silent_holds_until_they_are_back(files, tmp_path):
+    watcher = Watcher()
+    job = job_of(files, faulty=[1, 2, 3, 4], fault=SILENT.replace("90000", "200"))
+    folder, outcome = run_of(job, tmp_path / "run", watcher)
+    assert outcome.ended == "finished", outcome.reason
+    assert not watcher.lost
+    held = [entry["after"] for entry in read_journal(folder.journal) if entry["event"] == "held"]
+    assert held == [["ins_silence"] * len(NUMBERS)]
+    assert [len(read_dwells(folder.unit(number).dwells)) for number in NUMBERS] == [4] * len(NUMBERS)
+
+
 def test_a_run_without_units_fails(files, tmp_path):
-    folder, outcome = run_of(job_of(files, faulty=[1, 2, 3, 4]), tmp_path / "run")
+    job = job_of(files, faulty=[1, 2, 3, 4], fault=UNALIGNED)
+    folder, outcome = run_of(job, tmp_path / "run")
     assert outcome.ended == "failed"
     assert outcome.reason.startswith("no unit is left")
     assert outcome.is_safe
