@@ -320,7 +320,9 @@ def test_a_block_is_chosen_in_ten_seconds(ends):
     assert longest_s <= 10.0
 
 
-@pytest.mark.xfail(reason="21 of 23, measured in parts, see docs/decisions/14-next-measurement.md", strict=False)
+@pytest.mark.xfail(
+    reason="21 of 23, measured in parts, see docs/decisions/14-next-measurement.md", strict=False
+)
 def test_nine_of_ten_ties_are_settled(ends):
     own = ends[0]["entropy per hour"]
     assert sum(each.is_settled for each in own) >= 0.9 * len(own)
