@@ -79,6 +79,8 @@ def plan(
     if observability:
         _show_observability(procedure, station, whole_turns_arcsec, reach, as_json)
         return
+    if reach or whole_turns_arcsec is not None:
+        raise DocumentError("--reach and --whole-turns-arcsec have a meaning with --observability only")
     from gyrobench.bench.engine.job import prepare_job
     from gyrobench.bench.procedure.timeline import timeline_rows
     from gyrobench.bench.report.figures.style import save_figure
