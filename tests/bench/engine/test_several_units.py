@@ -146,7 +146,7 @@ def test_a_killed_run_resumes_with_all_units(files, whole, tmp_path):
         run_of(job_of(files), path, Watcher("navigate", 6))
     resumption = prepare_resumption(path)
     assert resumption.state.finished == {1, 2}
-    assert "unit 1101, 1102, 1103 and 1104" in resumption.describe()
+    assert "units 1101, 1102, 1103 and 1104" in resumption.describe()
     folder, outcome = resume_run(resumption, Watcher(), ConsentingOperator())
     assert outcome.ended == "finished", outcome.reason
     for number in NUMBERS:
