@@ -9,11 +9,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar, overload
 
-import llvmlite.binding
 import numba
 from numba.core import environment
-from numba.core.caching import Cache, CompileResultCacheImpl, FunctionCache, make_library_cache
-from numba.core.codegen import CPUCodeLibrary
+from numba.core.caching import Cache, FunctionCache, make_library_cache
 from numba.core.dispatcher import Dispatcher
 from numba.core.runtime import nrtdynmod
 from numba.core.runtime.nrt import rtsys
@@ -61,23 +59,7 @@ class _LoadedAlone(Cache):
             self._lock = None
 
 
-class _Stored(tuple[Any, ...]):
-    """Machine code from the cache of one of these kernels; that of other packages is loaded by numba."""
-
-    __slots__ = ()
-
-
-class _Result(CompileResultCacheImpl):
-    def rebuild(self, target_context: Any, payload: Any) -> Any:
-        stored, kernel, *rest = payload
-        names = kernel.llvm_func_name, kernel.llvm_cpython_wrapper_name, kernel.llvm_cfunc_wrapper_name
-        target_context.codegen()._engine._defined_symbols.update(names)  # noqa: SLF001
-        return super().rebuild(target_context, (_Stored(stored), kernel, *rest))  # type: ignore[no-untyped-call]
-
-
 class _MachineCode(_LoadedAlone, FunctionCache):
-    _impl_class = _Result
-
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         rtsys.initialize(target_context)
         return super().load_overload(sig, target_context)
@@ -97,25 +79,6 @@ def _array_allocation(target_context: Any) -> Any:
         library.add_ir_module(module)
         library.finalize()
         cache.save_overload((), library)
-    else:
-        engine = target_context.codegen()._engine  # noqa: SLF001
-        engine._load_defined_symbols(library._get_module_for_linking())  # noqa: SLF001
-    return library
-
-
-_load_library = CPUCodeLibrary._unserialize.__func__  # type: ignore[attr-defined]  # noqa: SLF001
-
-
-def _loaded_library(kind: Any, codegen: Any, state: Any) -> Any:
-    """Loaded code; its intermediate code, 12 MB a run, is read where a kernel that calls it is compiled."""
-    if not isinstance(state, _Stored):
-        return _load_library(kind, codegen, state)
-    name, _, (machine_code, intermediate_code) = state
-    library = codegen.create_library(name)
-    library.enable_object_caching()
-    library._set_compiled_object(machine_code)  # noqa: SLF001
-    library._finalize_final_module()  # noqa: SLF001
-    library._get_module_for_linking = partial(llvmlite.binding.parse_bitcode, intermediate_code)  # noqa: SLF001
     return library
 
 
@@ -132,7 +95,6 @@ def _environment(module: str, constants: Any, name: str) -> Any:
 if _IS_TESTED:
     nrtdynmod.compile_nrt_functions = _array_allocation
     environment._rebuild_env = _environment  # noqa: SLF001
-    CPUCodeLibrary._unserialize = classmethod(_loaded_library)  # type: ignore[assignment,method-assign]  # noqa: SLF001
 
 
 @overload
