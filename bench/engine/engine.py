@@ -141,7 +141,10 @@ class Engine:
         return RetainedState(is_ins_on and not self._units.have_restarted, is_at_temperature, chamber_c)
 
     def _retained_for_repeat(self, dwell: int) -> RetainedState:
-        """The INS may cause the invalid data: after some repeats it is switched off and on if possible."""
+        """The INS may cause the invalid data: after some repeats it is switched off and on if possible.
+
+        Several are not while the data of one are good: switching on changes its biases.
+        """
         can_switch = self._bench.station.file.unit.power == "chamber_event"
         is_ins_on = self._units.repeats(dwell) < _REPEATS_UNTIL_POWER_CYCLE or not can_switch
         return self._retained(is_ins_on, is_at_temperature=True)

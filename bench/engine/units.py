@@ -217,8 +217,8 @@ class Units:
         return all(unit.dwells.may_repeat(dwell) for unit in self.measuring)
 
     def repeats(self, dwell: int) -> int:
-        """How often a dwell was repeated because of invalid data."""
-        return max(unit.record.state.repeats[dwell] for unit in self.running)
+        """How often every unit repeated a dwell because of invalid data."""
+        return min(unit.record.state.repeats[dwell] for unit in self.running)
 
     @property
     def is_recording(self) -> bool:

@@ -65,8 +65,12 @@ def run_fragment(
     that ``is_of_unit``, one of several, that of the run.
     """
     dwell = snapshot.dwell
+    measured = f"unit {snapshot.unit}" if snapshot.unit else ""
+    if snapshot.units and not is_of_unit:
+        measured = "units " + ", ".join(unit.number for unit in snapshot.units)
     return _rendered(
         "run.html.j2",
+        measured=measured,
         title=_title(snapshot, freshness),
         snapshot=snapshot,
         freshness=freshness,

@@ -23,10 +23,11 @@ def _columns(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
 
 
 def _missing_input(campaign: Campaign) -> str | None:
-    missing = _LAW.missing_input(campaign)
-    if missing is None and np.ptp(campaign.columns[NEIGHBOURS_ON]) == 0.0:
+    if NEIGHBOURS_ON not in campaign.columns:
+        return "another unit in the chamber"
+    if np.ptp(campaign.columns[NEIGHBOURS_ON]) == 0.0:
         return "dwells with the unit beside it on, and others with it off"
-    return missing
+    return _LAW.missing_input(campaign)
 
 
 EFFECT = Effect(

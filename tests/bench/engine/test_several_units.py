@@ -346,6 +346,8 @@ def test_the_live_view_and_the_metrics_of_a_run_under_way_show_all_units(files, 
     assert any("dropped: the INS has been silent" in line for line in lines)
     site = Site(tmp_path, WallClock().utc)
     page = site.answer("/runs/run/").body.decode()
+    assert "units 1101, 1102, 1103, 1104</p>" in page
+    assert "Unit 1102 was dropped.</strong> the INS has been silent" in page
     for number in NUMBERS:
         assert f'href="units/{number}/"' in page
         page_of_unit = site.answer(f"/runs/run/units/{number}/").body.decode()
