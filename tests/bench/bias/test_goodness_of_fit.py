@@ -95,6 +95,7 @@ def random_problem(unknowns=5, sums=30, prior=1e3):
     return random, responses, flat, covariance
 
 
+@pytest.mark.long
 def test_residuals_of_least_squares_have_the_distribution_that_it_shows():
     random, responses, flat, covariance = random_problem()
     results = []

@@ -182,6 +182,7 @@ def test_accelerometer_biases_that_changed_between_dwells_are_noticed():
     assert joint_solution_of(dwells, PRIOR).fit.p_value < 1e-4
 
 
+@pytest.mark.long
 def test_p_value_of_the_agreement_is_uniform_for_misalignments_beyond_the_declared_ones():
     random, prior = np.random.default_rng(24), dataclasses.replace(PRIOR, accelerometer_transient=0.0)
     p_values = []

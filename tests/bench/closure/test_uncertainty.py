@@ -45,6 +45,7 @@ def test_sizes_and_predictions_are_within_their_95_percent_intervals(quiet):
     assert 0.92 < np.mean(of_predictions) < 0.975
 
 
+@pytest.mark.long
 def test_a_time_constant_is_within_its_95_percent_interval(quiet):
     random = np.random.default_rng(2)
     effect = warm_up.EFFECT.bounded(quiet)

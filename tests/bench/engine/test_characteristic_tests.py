@@ -199,6 +199,7 @@ def test_the_noise_coefficients_of_the_world_are_found_in_a_long_navigation(job,
     assert not folder.dwells.exists()
 
 
+@pytest.mark.long
 def test_drift_scatter_and_dependence_on_rate_of_the_scale_factors_are_found(job, tmp_path):
     gyro = {
         "scale_factor_ppm": {"x": 10.0, "y": -20.0, "z": 5.0},

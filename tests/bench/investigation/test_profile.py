@@ -72,6 +72,7 @@ def test_longer_dwells_replace_more_hours_of_the_procedure(unit):
     assert [*lengths_s] == pytest.approx([2.0 * timeline.dwell_s])
 
 
+@pytest.mark.long
 def test_an_adaptive_campaign_ends_with_certain_biases_before_the_procedure_would(unit, tmp_path):
     found = Investigator(UnitBench(unit), tmp_path, 100.0, lambda *_: True, PROFILE).run(WallClock())
     assert found.ended == "nothing_found"

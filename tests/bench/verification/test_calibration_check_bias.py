@@ -144,6 +144,7 @@ def test_misalignment_towards_the_vertical_is_in_the_uncertainty_of_the_alignmen
     assert found.sigma_dph**2 - tight.sigma_dph**2 == pytest.approx(8.7e-4**2, rel=0.1)
 
 
+@pytest.mark.long
 def test_the_uncertainties_are_those_of_the_scatter():
     pulls, fits = [], []
     for seed in range(100):
