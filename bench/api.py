@@ -85,16 +85,17 @@ class Run:
     def characteristics(self) -> pd.DataFrame:
         """Coefficients of the procedure's tests: test, gyro, name, unit, value and 95 % interval.
 
-        Raises DocumentError if the run has no results of tests.
+        Empty if the procedure has none. Raises DocumentError if their file can't be used.
         """
-        from gyrobench.bench.characteristics.results import read_characteristics
+        from gyrobench.bench.characteristics.results import Coefficient, read_characteristics
 
+        path = self.folder.characteristics
         rows = [
             {"test": result.test, **each.model_dump()}
-            for result in read_characteristics(self.folder.characteristics)
+            for result in (read_characteristics(path) if path.exists() else [])
             for each in result.coefficients
         ]
-        frame: pd.DataFrame = _pandas().DataFrame(rows)
+        frame: pd.DataFrame = _pandas().DataFrame(rows, columns=["test", *Coefficient.model_fields])
         return frame.astype(dict.fromkeys(("value", "low", "high"), float))
 
     @cached_property
