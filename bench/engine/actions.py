@@ -229,9 +229,7 @@ def _commanded(context: StepContext, command: Callable[[Unit], Ticks | None]) ->
             if not left or isinstance(error, FaultError):
                 context.units.fail(unit, error)
                 continue
-            context.run.record_retry(error)
-            if isinstance(error, ConnectionFailedError):
-                context.bench.reopen(error.instrument)
+            _prepare_retry(context, error)
             waiting[unit] = command(unit) or iter(())
         if not waiting:
             return
@@ -446,11 +444,15 @@ def tried(context: StepContext, exchange: Callable[[], T]) -> Generator[None, No
         except InstrumentError as error:
             if not left:
                 raise
-            context.run.record_retry(error)
-            if isinstance(error, ConnectionFailedError):
-                context.bench.reopen(error.instrument)
+            _prepare_retry(context, error)
             yield from _lasting(context.bench, _RETRY_PAUSE_S)
     raise AssertionError("the last try returns or raises")
+
+
+def _prepare_retry(context: StepContext, error: InstrumentError) -> None:
+    context.run.record_retry(error)
+    if isinstance(error, ConnectionFailedError):
+        context.bench.reopen(error.instrument)
 
 
 def _table_read(context: StepContext) -> Ticks:

@@ -112,7 +112,7 @@ class DwellRecorder:
         at = self._bench.state.at
         capture = self._unit.capture
         chamber_c = capture.chamber_c if capture else []
-        neighbours_on = capture.neighbours_on if capture and len(self._bench.station.units) > 1 else []
+        neighbours_on = capture.neighbours_on if capture else []
         return DwellMarks(
             unit=self._unit.state.number,
             run=f"{self._bench.clock.epoch:%Y%m%dT%H%M%S}-{at.power_ons}",

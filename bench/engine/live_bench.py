@@ -200,8 +200,10 @@ class LiveBench:
         for unit in self._placed:
             unit.state.switched_off()
 
-    def neighbours_on(self, unit: LiveUnit) -> int:
-        """Number of other units that are on, as far as is known."""
+    def neighbours_on(self, unit: LiveUnit) -> int | None:
+        """Number of other units that are on, as far as is known; None on a bench with one unit."""
+        if len(self.station.units) == 1:
+            return None
         return sum(other.is_on for other in self._placed if other is not unit)
 
     def reopen(self, instrument: str) -> None:

@@ -71,8 +71,8 @@ class Polled(Protocol):
     def failed(self, error: InstrumentError) -> None:
         """Report a failed exchange; the instrument is reopened until it answers."""
 
-    def neighbours_on(self, unit: LiveUnit) -> int:
-        """Number of other units that are on, as far as is known."""
+    def neighbours_on(self, unit: LiveUnit) -> int | None:
+        """Number of other units that are on, as far as is known; None on a bench with one unit."""
 
 
 class LiveUnit:
@@ -142,8 +142,8 @@ class LiveUnit:
             self.capture.chamber_c.append(readings.chamber.temperature_c)
         if self.capture and readings.table_s >= readings.asked_s:
             self.capture.table_deg.append(self.station.table_axes_of(readings.table.position_deg))
-        if self.capture:
-            self.capture.neighbours_on.append(self._bench.neighbours_on(self))
+        if self.capture and (neighbours_on := self._bench.neighbours_on(self)) is not None:
+            self.capture.neighbours_on.append(neighbours_on)
 
     @property
     def is_on(self) -> bool:
