@@ -47,9 +47,9 @@ _NAMES = {
 _UNITS = {"ug": "µg"}
 _NOT_OBSERVED = "–"
 #: Height of a row of a legend as a part of its panel's.
-_LEGEND_ROW = 0.12
-#: Plateaus side by side.
-_PER_TABLE = 5
+_LEGEND_ROW = 0.11
+#: Plateaus side by side; of more than these the uncertainties stand below the values.
+_PER_TABLE, _PER_WIDE_TABLE = 5, 3
 
 
 def has_rotations(rows: Sequence[PlateauCoefficientRow]) -> bool:
@@ -82,10 +82,10 @@ def coefficients_figure(rows: Sequence[PlateauCoefficientRow], budget: Sequence[
     covered = coverage(budget)
     figure = new_figure(5.6, left_in=0.62, right_in=0.1, wspace=0.3, hspace=0.34)
     panels = figure.subplots(2, 3)
+    factors: set[str] = set()
     for (kind, title), axes in zip(_NAMES.items(), panels.ravel(), strict=True):
         own = [row for row in rows if row.coefficient == kind and not math.isnan(row.value)]
         axes.set_title(f"{title} / {_unit(own[0].unit)}" if own else title, fontsize=8)
-        factors: set[str] = set()
         for name, cycle in dict.fromkeys((row.axis, row.cycle) for row in own):
             chosen = [row for row in own if (row.axis, row.cycle) == (name, cycle)]
             colour, line, marker = GYRO_STYLES[name[0]]
@@ -109,14 +109,15 @@ def coefficients_figure(rows: Sequence[PlateauCoefficientRow], budget: Sequence[
             )
         if own:
             low, high = axes.get_ylim()
-            title = f"bars: 95 %, k = {' to '.join(sorted({min(factors), max(factors)}))}"
-            legend = axes.legend(ncols=3, loc="upper center", title=title, title_fontsize=7)
-            rows_in_it = 1 + math.ceil(len(legend.texts) / 3)
+            legend = axes.legend(ncols=3, loc="upper center", columnspacing=0.8, handlelength=1.8)
+            rows_in_it = math.ceil(len(legend.texts) / 3)
             axes.set_ylim(low, high + _LEGEND_ROW * (high - low) * rows_in_it)
-    for axes in panels[1]:
-        axes.set_xlabel("case temperature / °C")
-    for axes in panels[0]:
-        axes.set_xlabel("gyro temperature / °C")
+    for sensor, row in zip(("gyro", "case"), panels, strict=True):
+        for axes in row:
+            axes.set_xlabel(f"{sensor} temperature / °C")
+    if factors:
+        ks = " to ".join(sorted({min(factors), max(factors)}))
+        panels[1, 0].text(0.03, 0.03, f"bars: 95 %, k = {ks}", transform=panels[1, 0].transAxes, fontsize=7)
     return figure
 
 
@@ -124,13 +125,23 @@ def _tables(rows: Sequence[PlateauCoefficientRow]) -> Iterator[SectionTable]:
     heads = plateau_heads(rows)
     for begin in range(0, len(heads), _PER_TABLE):
         plateaus = list(heads)[begin : begin + _PER_TABLE]
-        columns = [[row for row in rows if row.plateau == plateau] for plateau in plateaus]
+        columns = [_at_plateau(rows, plateau) for plateau in plateaus]
+        between = "\n±" if len(plateaus) > _PER_WIDE_TABLE else " ±"
         header = ["coefficient", "axis", "unit", *(heads[plateau] for plateau in plateaus)]
         cells = [
-            [_NAMES[first.coefficient], first.axis, _unit(first.unit), *map(_cell, (first, *others))]
+            [_NAMES[first.coefficient], first.axis, _unit(first.unit)]
+            + [_cell(each).replace(" ±", between) for each in (first, *others)]
             for first, *others in zip(*columns, strict=True)
         ]
         yield SectionTable(_TABLE, header, cells, words=3)
+
+
+def _at_plateau(rows: Sequence[PlateauCoefficientRow], plateau: int) -> list[PlateauCoefficientRow]:
+    """Its rows, those of one kind of coefficient together."""
+    kinds = list(_NAMES)
+    return sorted(
+        (row for row in rows if row.plateau == plateau), key=lambda row: kinds.index(row.coefficient)
+    )
 
 
 def _unit(unit: str) -> str:
@@ -154,8 +165,7 @@ def _cost_table(rows: Sequence[PlateauCoefficientRow]) -> SectionTable:
             _NOT_OBSERVED if math.isnan(row.sigma) else f"{row.sigma:.2g}",
             f"{row.sigma_with_force:.2g}",
         ]
-        for row in rows
-        if row.plateau == first
+        for row in _at_plateau(rows, first)
     ]
     return SectionTable(
         f"Standard uncertainties at plateau {first}",

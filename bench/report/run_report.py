@@ -38,7 +38,7 @@ from gyrobench.bench.report.bias_sections import (
 from gyrobench.bench.report.budget_section import CAPTION, budget_box, budget_figure, budget_section, shares
 from gyrobench.bench.report.calibration_check import dwells_text, verification_section, verification_sentence
 from gyrobench.bench.report.characteristics import characteristics_sections
-from gyrobench.bench.report.coefficients import coefficients_section
+from gyrobench.bench.report.coefficients import coefficients_section, has_rotations
 from gyrobench.bench.report.content import Entry, RunContent, read_run
 from gyrobench.bench.report.estimator_sections import (
     estimators_note,
@@ -190,7 +190,8 @@ def render(
         _safe_state_section(content.facts.safe_state),
         _list_section("Missing in the run folder", content.problems),
     ]
-    title = f"Gyro bias of unit {unit}" if unit else "Gyro bias"
+    subject = _subject(content)
+    title = f"{subject} of unit {unit}" if unit else subject
     started = f", started {facts['started']}" if "started" in facts else ""
     page = Section(
         title,
@@ -203,6 +204,12 @@ def render(
     )
     source = f"Run {content.name}{started}"
     return render_page(page, source, f"{title}: {content.name}", prepared_by, _watermark(content))
+
+
+def _subject(content: RunContent) -> str:
+    if has_rotations(content.coefficients):
+        return "Gyro and accelerometer coefficients"
+    return "Gyro bias" if content.dwells or not content.characteristics else "Gyro characteristics"
 
 
 def _watermark(content: RunContent) -> str:
