@@ -68,12 +68,24 @@ def coefficients_section(
     if not has_rotations(rows):
         return None
     tables = list(_tables(rows))
-    notes = plateau_findings(rows)
+    notes = [*_not_observable(rows), *plateau_findings(rows)]
     if any(not math.isnan(row.sigma_with_force) for row in rows):
         notes.insert(0, _WITHOUT_FORCE)
         tables.append(_cost_table(rows))
     figure = SectionFigure("coefficients", _CAPTION, partial(coefficients_figure, rows, budget))
     return Section(_TITLE, [_TEXT, *notes], [figure], tables)
+
+
+def _not_observable(rows: Sequence[PlateauCoefficientRow]) -> list[str]:
+    """Which coefficients are not observable at any of the plateaus that are estimated."""
+    estimated = {row.plateau for row in rows if not math.isnan(row.value)}
+    observed = {(row.coefficient, row.axis) for row in rows if not math.isnan(row.value)}
+    axes: dict[str, list[str]] = {}
+    for row in _at_plateau(rows, min(estimated, default=0)):
+        if (row.coefficient, row.axis) not in observed:
+            axes.setdefault(row.coefficient, []).append(row.axis)
+    found = "; ".join(f"{_NAMES[name]} {', '.join(of)}" for name, of in axes.items())
+    return [f"Not observable ({_NOT_OBSERVED}): {found}."] if found else []
 
 
 @house_style
@@ -82,7 +94,8 @@ def coefficients_figure(rows: Sequence[PlateauCoefficientRow], budget: Sequence[
     covered = coverage(budget)
     figure = new_figure(5.6, left_in=0.62, right_in=0.1, wspace=0.3, hspace=0.34)
     panels = figure.subplots(2, 3)
-    factors: set[str] = set()
+    factors = {f"{k:.2f}" for (kind, *_), (k, _) in covered.items() if kind in _NAMES} or {f"{NORMAL_K:.2f}"}
+    bars_text = f"bars: 95 %, k = {' to '.join(sorted({min(factors), max(factors)}))}"
     for (kind, title), axes in zip(_NAMES.items(), panels.ravel(), strict=True):
         own = [row for row in rows if row.coefficient == kind and not math.isnan(row.value)]
         axes.set_title(f"{title} / {_unit(own[0].unit)}" if own else title, fontsize=8)
@@ -94,7 +107,6 @@ def coefficients_figure(rows: Sequence[PlateauCoefficientRow], budget: Sequence[
                 covered.get((kind, name, row.plateau, 0.0), (NORMAL_K, NORMAL_K * row.sigma))
                 for row in chosen
             ]
-            factors |= {f"{k:.2f}" for k, _ in bars}
             axes.errorbar(
                 [row.temperature_c for row in chosen],
                 [row.value for row in chosen],
@@ -109,15 +121,14 @@ def coefficients_figure(rows: Sequence[PlateauCoefficientRow], budget: Sequence[
             )
         if own:
             low, high = axes.get_ylim()
-            legend = axes.legend(ncols=3, loc="upper center", columnspacing=0.8, handlelength=1.8)
-            rows_in_it = math.ceil(len(legend.texts) / 3)
+            title = bars_text if axes is panels[0, 0] else None
+            style = {"title": title, "title_fontsize": 7, "columnspacing": 0.8, "handlelength": 1.8}
+            legend = axes.legend(ncols=3, loc="upper center", **style)
+            rows_in_it = math.ceil(len(legend.texts) / 3) + bool(title)
             axes.set_ylim(low, high + _LEGEND_ROW * (high - low) * rows_in_it)
     for sensor, row in zip(("gyro", "case"), panels, strict=True):
         for axes in row:
             axes.set_xlabel(f"{sensor} temperature / °C")
-    if factors:
-        ks = " to ".join(sorted({min(factors), max(factors)}))
-        panels[1, 0].text(0.03, 0.03, f"bars: 95 %, k = {ks}", transform=panels[1, 0].transAxes, fontsize=7)
     return figure
 
 

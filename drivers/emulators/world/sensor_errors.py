@@ -150,9 +150,7 @@ def measure(
         rows = slice(second * count, (second + 1) * count)
         first = second * count % rotation.shape[0]
         true = slice(first, first + count)
-        measured[0, rows] = sense(
-            rotation[true], gyros[1:], gyros[0], noise[0], dt, pulses[0], remainders[0]
-        )
+        measured[0, rows] = sense(rotation[true], gyros[1:], gyros[0], noise[0], dt, pulses[0], remainders[0])
         measured[1, rows] = sense(
             velocity[true], accelerometers[1:], accelerometers[0], noise[1], dt, pulses[1], remainders[1]
         )

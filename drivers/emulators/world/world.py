@@ -153,7 +153,8 @@ class World:
             if count == SAMPLE_RATE_HZ and not self.unit.changes_by_itself:
                 seconds = min(left // SAMPLE_RATE_HZ, _MAX_SECONDS)
             if into_second == 0:
-                self._begin_seconds(seconds, self._attitudes(seconds)[:, 2] if resting is None else resting[2])
+                up_body = self._attitudes(seconds)[:, 2] if resting is None else resting[2]
+                self._begin_seconds(seconds, up_body)
             self._step_samples(seconds, count, resting)
 
     def advance_air(self, time_s: float) -> None:
