@@ -47,7 +47,7 @@ _NAMES = {
 _UNITS = {"ug": "µg"}
 _NOT_OBSERVED = "–"
 #: Height of a row of a legend as a part of its panel's.
-_LEGEND_ROW = 0.11
+_LEGEND_ROW = 0.13
 #: Plateaus side by side; of more than these the uncertainties stand below the values.
 _PER_TABLE, _PER_WIDE_TABLE = 5, 3
 
@@ -119,7 +119,10 @@ def coefficients_figure(rows: Sequence[PlateauCoefficientRow], budget: Sequence[
                 markerfacecolor="white" if is_second else colour,
                 capsize=2,
             )
-        if own:
+        if not own:
+            axes.text(0.5, 0.5, "not observable", transform=axes.transAxes, ha="center")
+            axes.set(xticks=[], yticks=[])
+        else:
             low, high = axes.get_ylim()
             title = bars_text if axes is panels[0, 0] else None
             style = {"title": title, "title_fontsize": 7, "columnspacing": 0.8, "handlelength": 1.8}
