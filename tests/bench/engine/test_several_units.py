@@ -302,6 +302,10 @@ def test_the_report_shows_all_units_side_by_side(without_1102):
     ]
     assert all(f'<a href="units/{number}/report.html">' in page for number in NUMBERS)
     assert all(folder.unit(number).report.exists() for number in NUMBERS)
+    dropped = folder.unit("1102").report.read_text()
+    assert f"Unit 1102 was dropped from the run {folder.path.name} after 0:" in dropped
+    assert "The run failed" not in dropped
+    assert f"Gyro bias of unit 1101: {folder.path.name}" in folder.unit("1101").report.read_text()
 
 
 class Scraper(RunObserver):
