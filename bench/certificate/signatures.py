@@ -21,7 +21,7 @@ from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.files import read_limited
 from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.foundations.text import counted
-from gyrobench.bench.runs.seal import PASSWORD_VARIABLE
+from gyrobench.bench.runs.seal import PASSWORD_VARIABLE, pem_key
 
 if TYPE_CHECKING:
     from cryptography.x509 import Certificate
@@ -95,8 +95,7 @@ def _of_file(path: Path, password: str) -> SigningKey:
             key, own, others = loaded.load_key_and_certificates(content, secret)
             certificates = [own, *others] if own and key else []
         else:
-            serialization = require("cryptography.hazmat.primitives.serialization")
-            key = serialization.load_pem_private_key(content, secret)
+            key = pem_key(content)
             certificates = require("cryptography.x509").load_pem_x509_certificates(content)
     except (ValueError, TypeError) as error:
         raise DocumentError(

@@ -267,6 +267,11 @@ def test_a_certificate_of_another_signer_is_not_trusted(simulated, signing_key, 
         verify_file(path, path)
 
 
+def test_the_password_of_another_key_is_no_obstacle(signing_key, monkeypatch):
+    monkeypatch.setenv("GYROBENCH_KEY_PASSWORD", "of another key")
+    assert len(load_signing_key(str(signing_key)).certificates) == 1
+
+
 def test_a_file_without_key_or_certificate_is_refused(tmp_path, signing_key):
     alone = tmp_path / "alone.pem"
     alone.write_bytes(signing_key.read_bytes().partition(b"-----BEGIN CERTIFICATE")[0])
