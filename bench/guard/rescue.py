@@ -16,7 +16,7 @@ from typing import Any
 from gyrobench.bench.foundations.clock import Clock, Deadline
 from gyrobench.bench.foundations.errors import BenchInUseError, GyrobenchError
 from gyrobench.bench.guard.protocol import RELEASE, GuardConfig
-from gyrobench.bench.messages.message import Message
+from gyrobench.bench.messages.delivery import Message
 from gyrobench.bench.messages.messenger import Messenger
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal, facts_of, read_journal

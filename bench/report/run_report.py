@@ -34,8 +34,7 @@ from gyrobench.bench.report.bias_sections import (
 )
 from gyrobench.bench.report.budget_section import CAPTION, budget_box, budget_figure, budget_section, shares
 from gyrobench.bench.report.calibration_check import dwells_text, verification_section, verification_sentence
-from gyrobench.bench.report.characteristics import characteristics_sections
-from gyrobench.bench.report.coefficients import coefficients_section
+from gyrobench.bench.report.coefficients import characteristics_sections, coefficients_section
 from gyrobench.bench.report.content import Entry, RunContent, read_run
 from gyrobench.bench.report.estimator_sections import (
     estimators_note,
