@@ -128,10 +128,10 @@ def coefficients_figure(rows: Sequence[PlateauCoefficientRow], budget: Sequence[
             axes.set(xticks=[], yticks=[])
         else:
             low, high = axes.get_ylim()
-            title = bars_text if axes is panels[0, 0] else None
-            style = {"title": title, "title_fontsize": 7, "columnspacing": 0.8, "handlelength": 1.8}
+            of_bars = bars_text if axes is panels[0, 0] else None
+            style = {"title": of_bars, "title_fontsize": 7, "columnspacing": 0.8, "handlelength": 1.8}
             legend = axes.legend(ncols=3, loc="upper center", **style)
-            rows_in_it = math.ceil(len(legend.texts) / 3) + bool(title)
+            rows_in_it = math.ceil(len(legend.texts) / 3) + bool(of_bars)
             axes.set_ylim(low, high + _LEGEND_ROW * (high - low) * rows_in_it)
     for sensor, row in zip(("gyro", "case"), panels, strict=True):
         for axes in row:

@@ -234,11 +234,11 @@ class World:
 
     def attitude(self) -> FloatArray:
         """True ``C_nb`` (3, 3) at this moment."""
-        return self._attitudes(1)[0]
+        return np.asarray(self._attitudes(1)[0])
 
     def _attitudes(self, seconds: int) -> FloatArray:
         """True ``C_nb`` (n, 3, 3) at this moment and each of the next whole seconds."""
-        time_s = (self._sample + SAMPLE_RATE_HZ * np.arange(seconds)) * _DT_S
+        time_s = (self._sample + SAMPLE_RATE_HZ * np.arange(float(seconds))) * _DT_S
         angles = (np.radians(axis.position_deg(time_s)).tolist() for axis in (self._outer, self._inner))
         return np.array([table_attitude(*self._geometry, *each) for each in zip(*angles, strict=True)])
 
