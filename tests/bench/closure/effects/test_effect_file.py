@@ -12,7 +12,6 @@ from gyrobench.bench.closure.effects.effect_file import EffectFile
 from gyrobench.bench.closure.loadable_model import model_with_effects
 from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.closure.separability import searched_dwells, separability
-from gyrobench.bench.dwells.closure_inputs import read_campaign
 from gyrobench.bench.foundations.errors import DocumentError
 from tests.bench.closure.thermal_bench import measure
 from tests.bench.command_line import gyrobench
@@ -55,8 +54,10 @@ def test_an_effect_beside_the_table_is_found_and_compensated(tmp_path):
 
 
 def test_without_its_file_the_effect_is_not_known(tmp_path):
-    write_dwells(tmp_path / "dwells.csv", measure({hot_side: 40.0}, cycles=2).rows)
-    assert close_loop(read_campaign(tmp_path / "dwells.csv")).verdict == "unexplained"
+    path = write_effect(tmp_path)
+    assert "hot_side" in {each.name for each in all_effects(tmp_path / "dwells.csv")}
+    path.unlink()
+    assert "hot_side" not in {each.name for each in all_effects(tmp_path / "dwells.csv")}
 
 
 def test_a_function_of_temperature_is_compensated_by_a_polynomial():
