@@ -44,6 +44,9 @@ _MIN_P_VALUE = 1e-4
 _ENOUGH = 60.0
 #: A cause is settled at this probability.
 SETTLED = 0.99
+#: A block can help if it is expected to remove more of the entropy, nats, or to settle a cause with this
+#: probability.
+MIN_GAIN, _MIN_CHANCE = 0.02, 0.5
 
 
 @dataclass(frozen=True)
@@ -73,6 +76,11 @@ class Proposal:
     def fall(self) -> float:
         """Expected fall of the entropy, nats."""
         return self.entropy - self.expected.entropy
+
+    @property
+    def can_help(self) -> bool:
+        """Whether the block is worth its time for the cause."""
+        return self.fall > MIN_GAIN or self.trust * (1.0 - self.expected.unsettled) > _MIN_CHANCE
 
     @property
     def trust(self) -> float:
@@ -150,7 +158,7 @@ def propose(
         )
         missing_h = calibration.missing_h(after[: len(calibration.rivals)])
         replaced_h = calibration.missing_h(calibration.variances) - missing_h
-        found = Proposal(block, new, (), 0.0, Expected(0.0, 0.0, 0.0))
+        found = Proposal(block, new, (), 0.0, Expected(0.0, 1.0, 0.0))
         if not is_settled:
             found = _weighed(block, new, predictions, rivals)
         return replace(found, repeats=repeats, replaced_h=replaced_h, missing_h=missing_h)
@@ -399,6 +407,11 @@ class Outcome:
     def agrees(self) -> bool:
         """Whether the dwells fit, and settle the first rival."""
         return self.fits and self.probabilities[0] >= SETTLED
+
+    @property
+    def leaves_open(self) -> bool:
+        """Whether the dwells fit, and settle no rival."""
+        return self.fits and max(self.probabilities) < SETTLED
 
 
 def outcome_of(
