@@ -45,17 +45,20 @@ class Forecast:
 
     @cached_property
     def _above_optics(self) -> tuple[FloatArray, FloatArray] | None:
-        """Electronics above optics as the campaign has them: offset (3,), and factor (3,) of the course's."""
+        """Electronics above optics as the campaign has them: offset (3,), and factor (3,) of the course's.
+
+        The offset is that of the last dwell: what the course does not describe lasts longer than a block.
+        """
         known_k, (_, course) = self.campaign.above_optics_c, self._fitted
         if known_k is None:
             return None
         if course is None:
-            return known_k.mean(axis=0) - ELECTRONICS_ABOVE_OPTICS_K, np.ones(3)
+            return known_k[-1] - ELECTRONICS_ABOVE_OPTICS_K, np.ones(3)
         above_k = course.electronics_c - course.optics_c
         above_k = course.means(above_k, self.campaign.start_s, self.campaign.end_s)
         pairs = zip(above_k.T, known_k.T, strict=True)
-        factors, offsets = np.transpose([np.polyfit(found_k, wanted_k, 1) for found_k, wanted_k in pairs])
-        return offsets, factors
+        factors = np.array([np.polyfit(found_k, wanted_k, 1)[0] for found_k, wanted_k in pairs])
+        return known_k[-1] - factors * above_k[-1], factors
 
     def rows(self, plan: BlockPlan) -> list[DwellRow]:
         """Rows of the planned dwells.

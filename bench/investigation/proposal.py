@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtrc
+from scipy.special import chdtrc, ndtr
 
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.closure.campaign import Campaign, campaign_of
@@ -40,8 +40,6 @@ _MIN_RUN_SPREAD = 30.0
 _MIN_OFF_K = 10.0
 #: Dwells of which every prediction is less probable by chi2 fit none.
 _MIN_P_VALUE = 1e-4
-#: A prediction is tested where it differs by this square from that without it, in units of its uncertainty.
-_ENOUGH = 60.0
 #: A cause is settled at this probability.
 SETTLED = 0.99
 #: A block can help if it is expected to remove more of the entropy, nats, or to settle a cause with this
@@ -96,8 +94,13 @@ class Proposal:
 
     @property
     def tested_per_h(self) -> float:
-        """How far the block tests the first of two rivals, as far as that is needed, per hour."""
-        return min(self.difference, _ENOUGH) / self.block.plan.duration_h
+        """Probability that the block settles the first of two rivals if it is the cause, per hour.
+
+        The logarithm of their odds is normal with half the squared difference as mean, and that as variance.
+        """
+        sigma = max(float(np.sqrt(self.difference)), 1e-9)
+        chance = float(ndtr(0.5 * sigma - np.log(SETTLED / (1.0 - SETTLED)) / sigma))
+        return self.trust * chance / self.block.plan.duration_h
 
 
 def propose(
