@@ -251,7 +251,7 @@ def png_bytes(figure: Figure, key: str = "") -> bytes:
     pixels = np.asarray(canvas.buffer_rgba())[:, :, :3]  # type: ignore[no-untyped-call]
     height, width, _ = pixels.shape
     rows = np.zeros((height, 1 + 3 * width), np.uint8)  # a zero before each: not filtered
-    rows[:, 1:] = pixels.reshape(height, -1)
+    rows[:, 1:].reshape(pixels.shape)[:] = pixels  # without a copy
     dots_per_m, text = round(_PNG_DPI / _INCH_M), f"{_KEY}\0{key}"
     chunks = [
         (b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)),  # 8 bits of red, green and blue
