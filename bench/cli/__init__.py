@@ -32,8 +32,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
 # To look for plugins of pydantic, it reads the metadata of all packages.
 os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
-# Where they are installed, numba would import coverage, for a tenth of its time, and pyarrow.parquet the clients
-# of remote file systems, 3.5 MB.
+# Where they are installed, numba would import coverage, for a tenth of its time, and pyarrow.parquet the
+# clients of remote file systems, 3.5 MB.
 for _unused in ("coverage", "pyarrow._azurefs", "pyarrow._gcsfs", "pyarrow._hdfs", "pyarrow._s3fs"):
     sys.modules.setdefault(_unused, None)  # type: ignore[arg-type]
 
