@@ -54,9 +54,9 @@ class CalibrationOptions:
     walks: tuple[float, float] | None = None
     gravity_sigma: float = 0.0  #: Standard uncertainty of gravity, m/s^2.
     latitude_sigma: float = 0.0  #: Standard uncertainty of the latitude, rad.
-    #: Standard uncertainties, rad, of tilt and heading of the rotations that a recording's table measures;
+    #: Standard uncertainty, rad, of the heading over rotations about Up that a recording's table measures;
     #: None: they do not count.
-    table: tuple[float, float] | None = None
+    heading: float | None = None
     #: Standard uncertainty, rad/s^2, of a steady drift of each gyro's bias in each recording, about the bias
     #: at half time; 0: none is estimated.
     bias_drift: float = 0.0
@@ -118,7 +118,7 @@ class Information:
                 noise,
                 site.latitude,
                 options.whole_turns,
-                options.table,
+                options.heading,
             )
             own = [ATTITUDE, DRIFT] if options.bias_drift else [ATTITUDE]
             block = np.zeros((len(rows), len(used) + 3 * len(own) * len(sections) + 1))

@@ -26,6 +26,9 @@ from gyrobench.bench.navigation.error_model import Site
 EPOCH_S = 1.0
 #: Least share of a spin along one gyro.
 _MIN_ALONG = 0.99
+#: Least share of Up along which a rotation leaves it. Those about other axes show no heading unless the
+#: table's axes are known relative to North.
+_MIN_UP = 1.0 - 1e-6
 
 
 @dataclass(frozen=True)
@@ -60,16 +63,16 @@ class Section:
         at_rest = np.zeros(len(ends), bool)
         for rest in rests:
             at_rest |= (ends >= rest.begin - offset) & (ends <= rest.end - offset)
-        spins, turns, known = [], [], recording.table
+        spins, headings, known = [], [], recording.table
         for before, after, rotation in zip(rests, rests[1:], rotations, strict=False):
             edges = (before.end - offset) // size, -(-(after.begin - offset) // size)
             turned = np.eye(3) if known is None else known[after.begin] @ known[before.end - 1].T
             if rotation.is_spin:
                 spins.append((*edges, turned))
-            if known is not None and rotation.kind != "disturbance":
-                turns.append((*edges, turned))
+            if known is not None and rotation.kind != "disturbance" and turned[2, 2] > _MIN_UP:
+                headings.append((*edges, turned))
         angle, velocity = recording.angle[offset:], recording.velocity[offset:]
-        epochs = Epochs(ends, at_rest, spins, recording.has_vertical, turns)
+        epochs = Epochs(ends, at_rest, spins, recording.has_vertical, headings)
         return cls(recording.interval_s, angle, velocity, rests[0].end - offset, epochs)
 
     def aligned(self, errors: SensorErrors) -> FloatArray:

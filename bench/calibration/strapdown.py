@@ -60,8 +60,8 @@ class Epochs:
     #: (3, 3), ENU, that the table's readings leave.
     spins: Sequence[tuple[int, int, FloatArray]]
     has_vertical: bool = True  #: Whether the vertical velocity is measured; otherwise its rows are zero.
-    #: Epochs before and after each rotation that the table measures, and that rotation (3, 3), ENU.
-    rotations: Sequence[tuple[int, int, FloatArray]] = ()
+    #: Epochs before and after each rotation about Up that the table measures, and that rotation (3, 3), ENU.
+    headings: Sequence[tuple[int, int, FloatArray]] = ()
 
 
 def white_rows(
@@ -71,7 +71,7 @@ def white_rows(
     noise: SensorNoise,
     latitude: float,
     whole_turns: float | None,
-    table: tuple[float, float] | None = None,
+    heading: float | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Rows (m, 40) and data (m,), white with unit variance, of a unit that begins at rest.
 
@@ -84,11 +84,11 @@ def white_rows(
     whole_turns : float, optional
         Standard uncertainty, rad, of the table's return after whole turns; without it spins count as any
         other rotation.
-    table : tuple of float, optional
-        Standard uncertainties, rad, of tilt and heading of the table's rotations; without it they do not
+    heading : float, optional
+        Standard uncertainty, rad, of the heading over the table's rotations about Up; without it they do not
         count.
     """
-    n, turns = len(lengths_s), _turns(epochs, whole_turns, table)
+    n, turns = len(lengths_s), _turns(epochs, whole_turns, heading)
     starts, ends = np.full((2, n + 1), -1, np.int64)
     turned = (trajectory.response[b, :3] - R @ trajectory.response[a, :3] for a, b, R, _ in turns)
     rows = [*trajectory.response[1:, 3:], *turned]
@@ -323,12 +323,11 @@ def epoch_steps(
 _Turn = tuple[int, int, FloatArray, tuple[float, float, float]]
 
 
-def _turns(epochs: Epochs, whole_turns: float | None, table: tuple[float, float] | None) -> list[_Turn]:
+def _turns(epochs: Epochs, whole_turns: float | None, heading: float | None) -> list[_Turn]:
     """Epochs before and after each rotation that counts, the rotation (3, 3), its uncertainties E, N, U."""
     turns: dict[int, _Turn] = {}
-    if table is not None:
-        tilt, heading = table
-        turns |= {a: (a, b, R, (tilt, tilt, heading)) for a, b, R in epochs.rotations}
+    if heading is not None:
+        turns |= {a: (a, b, R, (np.inf, np.inf, heading)) for a, b, R in epochs.headings}
     if whole_turns is not None:
         turns |= {a: (a, b, R, (whole_turns, whole_turns, whole_turns)) for a, b, R in epochs.spins}
     return list(turns.values())

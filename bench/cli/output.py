@@ -118,8 +118,7 @@ def print_tables(
     """Print the results of a run: biases or calibration check, the verdict, coefficients, characteristics."""
     from gyrobench.bench.report.bias_sections import acceptance_summary, bins_summary
     from gyrobench.bench.report.calibration_check import verification_section
-    from gyrobench.bench.report.characteristics import characteristics_sections
-    from gyrobench.bench.report.coefficients import coefficients_section
+    from gyrobench.bench.report.coefficients import characteristics_sections, coefficients_section
     from gyrobench.bench.report.terminal.tables import section_view
 
     sections = [
@@ -147,10 +146,9 @@ def print_end(
     """
     from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN
     from gyrobench.bench.report.journal_sections import durations_section
-    from gyrobench.bench.report.run_report import write_report
+    from gyrobench.bench.report.run_report import units_section, write_report, write_units_report
     from gyrobench.bench.report.statements import latitude_sentence
     from gyrobench.bench.report.terminal.tables import section_view
-    from gyrobench.bench.report.units_report import units_section, write_units_report
 
     safe_state = "\n".join(each.text for each in outcome.safe_state)
     is_finished = outcome.ended == "finished"

@@ -13,7 +13,7 @@ from gyrobench.bench.foundations.clock import Clock, Deadline
 from gyrobench.bench.foundations.errors import BenchInUseError, GyrobenchError
 from gyrobench.bench.guard.protocol import GuardConfig
 from gyrobench.bench.guard.watching import EngineEnd, EngineProcess, GuardLog
-from gyrobench.bench.messages.message import Message
+from gyrobench.bench.messages.delivery import Message
 from gyrobench.bench.messages.messenger import Messenger
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal, facts_of, read_journal

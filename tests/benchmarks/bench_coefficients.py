@@ -12,7 +12,7 @@ import yaml
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, SensorErrors
 from gyrobench.bench.calibration.estimator import calibrate
-from gyrobench.bench.calibration.information import BIAS_DRIFT, CalibrationOptions
+from gyrobench.bench.calibration.information import CalibrationOptions
 from gyrobench.bench.calibration.recording import IncrementRecording
 from gyrobench.bench.calibration.rotation_list import forecast, load_rotation_list
 from gyrobench.bench.foundations.shipped import find_document
@@ -56,8 +56,8 @@ def test_expected_uncertainties_of_eighteen_rotations(latitude_deg):
         f"accelerometer biases {of('accelerometer_bias')} ug, scale factors {of('accelerometer_scale')} ppm"
     )
     assert found.is_observed.all()
-    assert sigmas[[NAMES.index(f"gyro_scale_factor_{axis}") for axis in "xyz"]].max() < 0.55
-    assert max(sigma for name, sigma in zip(NAMES, sigmas, strict=True) if "gyro_mis" in name) < 0.44
+    assert sigmas[[NAMES.index(f"gyro_scale_factor_{axis}") for axis in "xyz"]].max() < 0.5
+    assert max(sigma for name, sigma in zip(NAMES, sigmas, strict=True) if "gyro_mis" in name) < 0.25
 
 
 def test_rms_over_the_cramer_rao_bound_and_coverage():
@@ -91,38 +91,10 @@ def test_rms_over_the_cramer_rao_bound_and_coverage():
     assert 0.93 < coverage < 0.97
 
 
-@pytest.mark.parametrize("drift_dph_per_h", [0.0, 0.05, 0.1])
-def test_a_drift_of_the_biases_is_part_of_the_model(drift_dph_per_h):
-    rotations = load_rotation_list(find_document("rotations", "eighteen_rotations"))
-    site, noise, dt = Site(np.deg2rad(45.0)), Noise(), 0.05
-    turns = [(each.axis, each.angle_deg) for each in rotations.rotations]
-    angle, velocity = Unit(turns, dwell_s=149.0, sample_hz=1.0 / dt, gravity=site.gravity).increments()
-    time_s = dt * (np.arange(len(angle)) + 0.5 - 0.5 * len(angle))
-    options = {"with": CalibrationOptions(bias_drift=BIAS_DRIFT), "without": CalibrationOptions()}
-    normalised, p_values, sigmas = ({name: [] for name in options} for _ in range(3))
-    for number in range(RUNS // 8):
-        random = np.random.default_rng([number, 8])
-        drift = np.deg2rad(drift_dph_per_h * random.standard_normal(3)) / 3600.0**2
-        drifted = noise.added(angle + dt * np.outer(time_s, drift), velocity, dt, random)
-        for name, each in options.items():
-            found = calibrate([IncrementRecording(dt, *drifted)], site, each)
-            normalised[name].append(found.values / found.sigmas)
-            p_values[name].append(found.fit.p_value)
-            sigmas[name].append(found.sigmas)
-    size = np.mean(np.array(sigmas["with"]) / sigmas["without"])
-    print(f"\ndrift {drift_dph_per_h} deg/h per h; sigma with a drift / without it {size:.2f}")
-    for name in options:
-        coverage = np.mean(np.abs(normalised[name]) < 1.96)
-        misfits = np.mean(np.array(p_values[name]) < 1e-3)
-        print(f"  model {name} drift: 95 % intervals hold {coverage:.1%}, misfit in {misfits:.0%} of runs")
-    assert np.mean(np.abs(normalised["with"]) < 1.96) > 0.9
-    assert np.mean(np.array(p_values["with"]) < 1e-3) < 0.2
-
-
 @pytest.mark.parametrize("what", ["six dwells", "eighteen rotations"])
 def test_navigation_output_gives_what_its_information_allows(what):
     rotations = load_rotation_list(find_document("rotations", "eighteen_rotations"))
-    heading = CalibrationOptions(walks=WALKS, table=(1e3, ARCSEC))
+    heading = CalibrationOptions(walks=WALKS, heading=ARCSEC)
     schedules = six_schedules() if what == "six dwells" else [rotated_schedule(rotations)]
     normalised, ratios, beyond = [], [], []
     for latitude_deg in LATITUDES_DEG:
@@ -159,8 +131,8 @@ def test_navigation_output_gives_what_its_information_allows(what):
             for name, sigma, ratio in zip(names, stated * SHOWN[seen], beyond[-1], strict=True):
                 print(f"  {name:32s} {sigma:8.3f} {ratio:.3f}")
         assert seen.sum() >= 15
-        assert beyond[-1].max() < 1.1
-        assert beyond[-1].min() > 0.85
+        assert beyond[-1].max() < 1.03
+        assert beyond[-1].min() > 0.97
     ratio, coverage = np.sqrt(np.mean(np.square(ratios))), np.mean(np.abs(np.concatenate(normalised)) < 1.96)
     print(
         f"{what}, all: rms / Fisher {ratio:.3f}, 95 % intervals hold {coverage:.1%} of {np.size(normalised)}"

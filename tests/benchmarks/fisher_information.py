@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, expm
 from scipy.spatial.transform import Rotation
 
-from tests.adversarial.strapdown import ARCSEC, DPH, EPOCH_S, UG, Place, Unit, simulate
+from tests.adversarial.strapdown import ARCSEC, DPH, EPOCH_S, UG, Place, Table, Unit, simulate
 
 #: Step, s; gravity, m/s^2; rate, rad/s, and radius, m, of the Earth.
 STEP_S, GRAVITY, SPIN, RADIUS = 10.0, 9.81, 7.292115e-5, 6.371e6
@@ -42,7 +42,7 @@ def fisher_sigmas(latitude_deg, recordings, velocity_mps, heading, walks):
     """Standard uncertainties, SI, by name.
 
     ``recordings``: pairs of Schedule and angles. ``velocity_mps``: white noise at 1 Hz. ``heading``: standard
-    uncertainty, rad, of the heading over each turn. ``walks``: angle and velocity random walk, SI.
+    uncertainty, rad, of the heading over each turn about Up. ``walks``: angle and velocity random walk, SI.
     """
     count = len(ERRORS)
     total = np.diag(np.concatenate([_SIZES, np.full(3 * len(recordings), _ATTITUDE)]) ** -2.0)
@@ -82,11 +82,13 @@ def _recording(latitude_deg, schedule, angles, velocity_mps, heading, walks):
         columns.append(states(replace(exact, **{name: tuple(values)})) / (step * si))
     transitions, covariance = _noise(latitude_deg, base.time_s[chosen], walks)
     columns += list(transitions[:, :, 2:].reshape(-1, 3).T)
-    taken = np.zeros((2 * len(middles) + len(spans) - 1, 5 * len(chosen)))
+    up = Table().attitude(*np.radians(angles).T)[:, 2]
+    turns = [ends for ends, a, b in zip(pairwise(spans), up, up[1:], strict=False) if np.allclose(a, b)]
+    taken = np.zeros((2 * len(middles) + len(turns), 5 * len(chosen)))
     white = np.full(len(taken), velocity_mps**2 / STEP_S)
     for number, epoch in enumerate(np.searchsorted(chosen, middles)):
         taken[[2 * number, 2 * number + 1], [5 * epoch, 5 * epoch + 1]] = 1.0
-    for turn, ((_, end), (first, _)) in enumerate(pairwise(spans)):
+    for turn, ((_, end), (first, _)) in enumerate(turns):
         before, after = np.searchsorted(chosen, [end, first])
         taken[2 * len(middles) + turn, [5 * before + 4, 5 * after + 4]] = -1.0, 1.0
     white[2 * len(middles) :] = heading**2

@@ -23,17 +23,14 @@ from gyrobench.bench.closure.effects.effect import (
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.positions import POSITIONS
 
+_AT_AZIMUTH_0 = {name: position.C_nb() for name, position in POSITIONS.items()}
 _INCLINATION = Parameter("inclination_deg", -89.0, 89.0, fixed(-70.0, -30.0, 30.0, 70.0))
 
 
 def _columns(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
-    azimuths_rad = np.deg2rad(np.asarray(campaign.azimuth_deg))
-    north = np.array(
-        [
-            POSITIONS[position].C_nb(azimuth_rad)[1]
-            for position, azimuth_rad in zip(campaign.position, azimuths_rad, strict=True)
-        ]
-    )
+    azimuth_rad = np.deg2rad(np.asarray(campaign.azimuth_deg))[:, np.newaxis]
+    east, north = np.moveaxis(np.array([_AT_AZIMUTH_0[name] for name in campaign.position])[:, :2], 1, 0)
+    north = np.cos(azimuth_rad) * north + np.sin(azimuth_rad) * east
     inclination_rad = np.deg2rad(values[0])
     return same_for_all_gyros(np.cos(inclination_rad) * north - np.sin(inclination_rad) * campaign.up_body)
 

@@ -11,6 +11,7 @@ import numpy as np
 from gyrobench.bench.calibration.coefficients import COUNT, SensorErrors
 from gyrobench.bench.calibration.recording import IncrementRecording, Rest
 from gyrobench.bench.dwells.rotated_dwell import navigated_increments
+from gyrobench.bench.navigation.attitude import rotation_matrices
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.navigation.table_axes import TwoAxisTable
@@ -18,6 +19,9 @@ from tests.adversarial.strapdown import ARCSEC, DPH, UG, Place, Schedule, Table,
 
 TABLE = TwoAxisTable(np.eye(3)[0], np.eye(3)[2], np.eye(3))
 ARW_DEG, VRW_UG = 0.0006, 5.0
+#: The table's axes as read lie 2 arcmin off North, and the unit 3 arcmin off the table.
+OFF_NORTH = rotation_matrices(np.deg2rad([0.0, 0.0, 2.0 / 60.0]))
+OFF_TABLE = rotation_matrices(np.deg2rad([0.03, -0.02, 0.04]))
 WALKS = ARW_DEG * np.pi / 180.0 / 60.0, VRW_UG * UG
 
 
@@ -69,7 +73,7 @@ def recording(unit, place, schedule, angles_deg, random):
     at_table = np.empty((len(found.angle), 3, 3))
     edges = [0, *(window[0] for window in output.windows[1:]), len(at_table)]
     for angles, (begin, end) in zip(angles_deg, pairwise(edges), strict=True):
-        at_table[begin:end] = Table().attitude(*np.radians(angles)[:, np.newaxis])[0]
+        at_table[begin:end] = OFF_NORTH @ Table().attitude(*np.radians(angles)[:, np.newaxis])[0] @ OFF_TABLE
     made = IncrementRecording(found.interval_s, found.angle, found.velocity, has_vertical=False)
     return replace(made, table=at_table), rests
 

@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
 from gyrobench.bench.calibration import estimator
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, SensorErrors
@@ -65,6 +66,38 @@ def test_a_bias_that_drifts_is_no_misfit_and_leaves_the_other_coefficients_right
     constant = calibrate([recorded(drifted, 0)], SITE)
     assert constant.fit.p_value < 1e-3
     assert (constant.sigmas > found[0].sigmas).all()
+
+
+@pytest.mark.long
+def test_intervals_hold_while_biases_drift_only_if_the_drift_is_estimated():
+    """50 min in which each bias changes by 0.05 deg/h per hour, up or down, in 100 runs."""
+    hz, noise = 5.0, Noise()
+    angle, velocity = rotated_unit(sample_hz=hz, dwell_s=149.0).increments()
+    since_half_s = (np.arange(len(angle)) + 0.5 - 0.5 * len(angle)) / hz
+    estimated, constant, misfits = [], [], []
+    for seed in range(100):
+        random = np.random.default_rng([seed, 8])
+        drift = np.deg2rad(random.choice([-0.05, 0.05], 3)) / 3600.0**2
+        drifted = noise.added(angle + np.outer(since_half_s, drift) / hz, velocity, 1.0 / hz, random)
+        log = IncrementRecording(1.0 / hz, *drifted)
+        found = calibrate([log], SITE, CalibrationOptions(bias_drift=BIAS_DRIFT))
+        without = calibrate([log], SITE)
+        estimated.append((found.values - TRUTH) / found.sigmas)
+        misfits.append([each.fit.p_value < 1e-3 for each in (found, without)])
+        # Of a misfit they are widened.
+        widening = np.sqrt(without.fit.chi2 / without.fit.dof) if misfits[-1][1] else 1.0
+        away = (without.values - TRUTH) / without.sigmas
+        constant.append([away, away * widening, found.sigmas / without.sigmas * widening])
+    widened, by_noise, costs = np.moveaxis(constant, 1, 0)
+
+    def held(deviations):
+        return np.mean(np.abs(deviations) < 1.96)
+
+    assert 0.93 < held(estimated) < 0.97
+    assert held(by_noise) < 0.92
+    assert held(widened) > 0.97
+    assert np.mean(misfits, axis=0) == pytest.approx([0.0, 1.0], abs=0.05)
+    assert np.mean(costs) < 1.02
 
 
 def test_the_uncertainty_is_the_cramer_rao_bound(monkeypatch):
@@ -128,8 +161,8 @@ def responses(unit):
 # pandas 3 ignores an argument of pyins with a warning.
 @pytest.mark.filterwarnings("ignore::Warning")
 def test_increments_simulated_by_pyins_give_the_coefficients():
-    from pyins import sim
-
+    """Biases, scale factors and misalignments of all sensors, together within their covariance."""
+    sim = pytest.importorskip("pyins.sim", reason="python-ins is in the extra 'dev'")
     unit = rotated_unit()
     begin, span, *_ = unit.segments()[-1]
     time = np.arange(round((begin + span) * 20.0) + 1) / 20.0
@@ -144,9 +177,12 @@ def test_increments_simulated_by_pyins_give_the_coefficients():
     angle, velocity = imu.to_numpy()[1:, :3], imu.to_numpy()[1:, 3:]
     angle = angle @ (np.eye(3) + unit.gyro_matrix).T + unit.gyro_bias * 0.05
     velocity = velocity @ (np.eye(3) + unit.force_matrix).T + unit.force_bias * 0.05
+    assert np.count_nonzero(TRUTH) == len(COEFFICIENTS)
     found = calibrate([recorded((angle, velocity), 4)], SITE)
     deviations = (found.values - TRUTH) / found.sigmas
     assert np.abs(deviations).max() < 4.0
+    scaled = np.linalg.solve(found.correlations, deviations)
+    assert chi2.ppf(0.001, len(COEFFICIENTS)) < deviations @ scaled < chi2.ppf(0.999, len(COEFFICIENTS))
     assert found.fit.p_value > 1e-4
 
 
