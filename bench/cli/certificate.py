@@ -43,9 +43,13 @@ def certificate(
         bool, typer.Option("--simulated", help="Of a run with emulated instruments; it says so everywhere.")
     ] = False,
     key: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Sign with this key: PKCS#12, or PEM with key and certificate."),
-    ] = None,
+        str,
+        typer.Option(
+            metavar="FILE|URI",
+            help="Sign with this key: PKCS#12, PEM with key and certificate, or on a token, as "
+            "'pkcs11:token=NAME;object=KEY?module-path=FILE'.",
+        ),
+    ] = "",
     schema: Annotated[
         Path | None,
         typer.Option(
@@ -68,7 +72,8 @@ def certificate(
 ) -> None:
     """Issue the calibration certificate of a sealed run as PDF/A-3 and as DCC, or verify one.
 
-    The DCC is attached to the PDF. A password of the key is taken from GYROBENCH_KEY_PASSWORD.
+    The DCC is attached to the PDF. The key's password, or the token's PIN, is taken from
+    GYROBENCH_KEY_PASSWORD.
 
     With --json: {"number", "files", "validated", "signed"}, or with --verify {"file", "valid", "signer",
     "fingerprint", "problem"}.
