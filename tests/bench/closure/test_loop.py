@@ -4,15 +4,13 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.effects import (
-    all_effects,
-    bias_jump,
-    chamber_state,
-    g_sensitivity,
-    temperature_rate,
-    thermal_lag,
-    time_drift,
-    warm_up,
+from gyrobench.bench.closure.effects import all_effects, bias_jump, chamber_state
+from gyrobench.bench.closure.effects.laws import (
+    G_SENSITIVITY,
+    TEMPERATURE_RATE,
+    THERMAL_LAG,
+    TIME_DRIFT,
+    WARM_UP,
 )
 from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.closure.problem import declared_columns, declared_problem
@@ -76,7 +74,7 @@ def test_gyros_that_show_an_effect_are_named_and_others_seldom():
             replace(row, bias_dph=(none.bias_dph[0], row.bias_dph[1], none.bias_dph[2]))
             for row, none in zip(rows, clean, strict=True)
         ]
-        [found] = close_loop(campaign_of(mixed), effects=[time_drift.EFFECT]).effects
+        [found] = close_loop(campaign_of(mixed), effects=[TIME_DRIFT]).effects
         named += found.axes
     assert named.count("y") == 10
     assert len(named) <= 15
@@ -113,7 +111,7 @@ def test_with_an_unexplained_residual_a_cross_validated_effect_is_kept(closed):
 
 def test_a_stand_in_for_an_unexplained_residual_is_replaced_by_the_confirmed_effect():
     """The best hypothesis is without the drift; alone, the drift is best."""
-    candidates = [each.EFFECT for each in (bias_jump, chamber_state, thermal_lag, time_drift)]
+    candidates = [bias_jump.EFFECT, chamber_state.EFFECT, THERMAL_LAG, TIME_DRIFT]
     rows = measure({"time_drift": 8.0, "square_wave": 2.0}, seed=1).rows
     closure = close_loop(campaign_of(rows), effects=candidates)
     best = Search(declared_problem(closure.campaign, closure.searched), candidates).best()
@@ -123,7 +121,7 @@ def test_a_stand_in_for_an_unexplained_residual_is_replaced_by_the_confirmed_eff
 
 
 def test_with_an_unexplained_residual_an_unconfirmed_effect_is_dropped():
-    candidates = [each.EFFECT for each in (bias_jump, chamber_state, warm_up)]
+    candidates = [bias_jump.EFFECT, chamber_state.EFFECT, WARM_UP]
     closure = close_loop(campaign_of(measure({"sinusoid": 3.0}, seed=1).rows), effects=candidates)
     best = Search(declared_problem(closure.campaign, closure.searched), candidates).best()
     assert best.candidates
@@ -141,7 +139,7 @@ def test_an_effect_beside_a_remainder_is_found_with_its_probability(closed):
 
 
 def test_where_nothing_is_beyond_the_noise_there_is_no_share_of_it():
-    quiet = close_loop(campaign_of(measure({"time_drift": 1.2}, noise=0.5).rows), effects=[time_drift.EFFECT])
+    quiet = close_loop(campaign_of(measure({"time_drift": 1.2}, noise=0.5).rows), effects=[TIME_DRIFT])
     [evidence] = quiet.evidence
     assert quiet.before.noise_ratio < 1.0
     assert np.isnan(evidence.share)
@@ -150,7 +148,7 @@ def test_where_nothing_is_beyond_the_noise_there_is_no_share_of_it():
 
 def test_an_effect_that_all_gyros_show_together_has_the_one_that_shows_it_most():
     rows = measure({"temperature_rate": 0.3}, seed=2).rows
-    [found] = close_loop(campaign_of(rows), effects=[temperature_rate.EFFECT]).effects
+    [found] = close_loop(campaign_of(rows), effects=[TEMPERATURE_RATE]).effects
     assert found.axes
 
 
@@ -184,7 +182,7 @@ def test_errors_of_a_run_that_was_not_searched_are_without_its_mean():
 
 @pytest.mark.parametrize("each_cycle", [False, True], ids=["one run", "a run a cycle"])
 def test_held_out_biases_change_nothing_but_the_errors(each_cycle):
-    effects = (temperature_rate.EFFECT, g_sensitivity.EFFECT)
+    effects = (TEMPERATURE_RATE, G_SENSITIVITY)
     rows = measure({"temperature_rate": 4.0}, power_on_each_cycle=each_cycle).rows
     draw = np.random.default_rng(9)
     garbage = [
@@ -205,7 +203,7 @@ def test_held_out_biases_change_nothing_but_the_errors(each_cycle):
 def test_held_out_uncertainties_do_not_change_the_outcome():
     rows = measure({"g_sensitivity": 4.0}, cycles=2).rows
     changed = [replace(row, sigma_dph=(1.0,) * 3) if row.cycle == 2 else row for row in rows]
-    one, other = (close_loop(campaign_of(each), effects=[g_sensitivity.EFFECT]) for each in (rows, changed))
+    one, other = (close_loop(campaign_of(each), effects=[G_SENSITIVITY]) for each in (rows, changed))
     np.testing.assert_array_equal(one.model.bias_dph, other.model.bias_dph)
     assert other.noise_dph == one.noise_dph
 
@@ -229,7 +227,7 @@ def test_one_cycle_alone_can_not_be_held_out():
 
 def test_one_cycle_is_searched_whole_and_confirms_nothing():
     campaign = campaign_of(measure({"g_sensitivity": 8.0}, cycles=1).rows)
-    closure = close_loop(campaign, effects=[g_sensitivity.EFFECT])
+    closure = close_loop(campaign, effects=[G_SENSITIVITY])
     assert closure.searched.all()
     assert [each.effect.name for each in closure.effects] == ["g_sensitivity"]
     assert closure.verdict == "ambiguous"
@@ -267,7 +265,7 @@ def test_much_more_noise_than_stated_is_unexplained_without_any_effect(closed):
 def test_an_effect_is_found_in_a_little_more_noise_than_stated():
     closure = close_loop(
         campaign_of(measure({"g_sensitivity": 4.0}, noise=1.18, seed=4).rows),
-        effects=[g_sensitivity.EFFECT, temperature_rate.EFFECT, time_drift.EFFECT],
+        effects=[G_SENSITIVITY, TEMPERATURE_RATE, TIME_DRIFT],
     )
     [found] = closure.effects
     assert closure.verdict == "explained"

@@ -329,6 +329,10 @@ def test_the_report_links_those_of_all_units(without_1102):
     assert "Unit 1102 was dropped: the INS has been silent" in page
     assert all(f'<a href="units/{number}/report.html">' in page for number in NUMBERS)
     assert all(folder.unit(number).report.exists() for number in NUMBERS)
+    dropped = folder.unit("1102").report.read_text()
+    assert f"Unit 1102 was dropped from the run {folder.path.name} after 0:" in dropped
+    assert "The run failed" not in dropped
+    assert f"Gyro bias of unit 1101: {folder.path.name}" in folder.unit("1101").report.read_text()
 
 
 def test_the_live_view_and_the_metrics_of_a_run_under_way_show_all_units(without_1102):

@@ -273,22 +273,26 @@ def test_an_effect_that_a_single_dwell_shows_keeps_a_cause_open_while_blocks_dis
 
 
 @pytest.mark.parametrize(
-    ("rejected", "probability", "with_single_dwells", "without"),
+    ("rejected", "probability", "not_on_list", "with_single_dwells", "without"),
     [
-        ("it rests on dwell 1 alone (p = 1 without it)", 0.999, False, True),
-        ("not significant beside warm-up", 0.999, False, False),
-        ("it rests on dwell 1 alone (p = 1 without it)", 0.98, False, False),
+        ("it rests on dwell 1 alone (p = 1 without it)", 0.999, 0.0, False, True),
+        ("not significant beside warm-up", 0.999, 0.0, False, False),
+        ("it rests on dwell 1 alone (p = 1 without it)", 0.98, 0.0, False, False),
+        ("it rests on dwell 1 alone (p = 1 without it)", 0.999, 0.09, False, True),
+        ("it rests on dwell 1 alone (p = 1 without it)", 0.999, 0.11, False, False),
     ],
 )
-def test_a_cause_is_open_for_lack_of_confirmation_alone_if_no_other_effect_remains(
-    rejected, probability, with_single_dwells, without
+def test_a_cause_is_open_for_lack_of_confirmation_alone_if_nothing_else_remains(
+    rejected, probability, not_on_list, with_single_dwells, without
 ):
     effects = [SimpleNamespace(effect=SimpleNamespace(name="warm_up"))]
     other = Evidence(SimpleNamespace(name="bias_jump"), rejected=rejected)
-    posterior = SimpleNamespace(rivals=lambda names: {"bias_jump": 0.9})
-    closure = SimpleNamespace(
-        verdict="ambiguous", probability=probability, effects=effects, evidence=[other], posterior=posterior
+    posterior = SimpleNamespace(
+        rivals=lambda names: {"bias_jump": 0.9},
+        of_all=lambda names, has_remainder: probability,
+        not_on_list=not_on_list,
     )
+    closure = SimpleNamespace(verdict="ambiguous", effects=effects, evidence=[other], posterior=posterior)
     assert only_unconfirmed(closure, with_single_dwells=True) == with_single_dwells
     assert only_unconfirmed(closure, with_single_dwells=False) == without
 
