@@ -1,4 +1,4 @@
-"""The kinds of YAML file, how to recognise one, and their JSON Schemas.
+"""The kinds of YAML file: how to recognise one, its JSON Schema, and the check of a file.
 
 World files and lists of faults are read by the emulators alone: a separate process gives their schema and
 checks them, so that nothing of the simulated truth enters the bench.
@@ -7,6 +7,7 @@ checks them, so that nothing of the simulated truth enters the bench.
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Iterable
@@ -19,13 +20,29 @@ from pydantic import ValidationError
 from gyrobench.bench.calibration.rotation_list import RotationList
 from gyrobench.bench.closure.effects.effect_file import EffectFile
 from gyrobench.bench.exchange.import_map import LogMap
-from gyrobench.bench.foundations.documents import Document, Schema, StrictModel, json_schema
+from gyrobench.bench.foundations.documents import (
+    Document,
+    Schema,
+    StrictModel,
+    json_schema,
+    read_document,
+    validate,
+)
 from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError
 from gyrobench.bench.foundations.shipped import shipped_folders
+from gyrobench.bench.foundations.text import hours_minutes
 from gyrobench.bench.investigation.external_bench import BlockPlan
-from gyrobench.bench.procedure.procedure_file import STEP_KINDS, VARIABLE_PATTERN, Procedure, Repeat
+from gyrobench.bench.procedure.procedure_file import (
+    STEP_KINDS,
+    VARIABLE_PATTERN,
+    Procedure,
+    Repeat,
+    checked_procedure,
+    resolve,
+)
 from gyrobench.bench.procedure.steps import Step
-from gyrobench.bench.runs.compensation_file import CompensationFile
+from gyrobench.bench.runs.compensation_file import CompensationFile, read_compensation
+from gyrobench.bench.station.station import Station
 from gyrobench.bench.station.station_file import StationFile
 
 
@@ -241,3 +258,78 @@ def editor_line(kind: FileKind, path: Path) -> str:
     # Beside the shipped folders a relative path holds wherever the project is copied to.
     place = f"../{_FOLDER}" if folder == path.resolve().parent.parent / _FOLDER else str(folder)
     return f"{EDITOR_MARK}{place}/{kind.schema_name}\n"
+
+
+_PLACED = re.compile(r"(?P<file>.+?):(?P<line>\d+):(?P<column>\d+): (?P<message>.*)", re.DOTALL)
+
+
+@dataclass(frozen=True)
+class PlacedProblem:
+    """A mistake and its line and column, from 1; None where it has no place in the file."""
+
+    message: str
+    line: int | None = None
+    column: int | None = None
+
+
+@dataclass(frozen=True)
+class FileCheck:
+    """Kind and problems of a file."""
+
+    path: Path
+    kind: str  #: Empty where not known.
+    text: str = ""  #: All problems, one a line; empty for a correct file.
+    found: str = ""  #: Summary of a correct file.
+
+    @property
+    def is_good(self) -> bool:
+        """Whether the file is correct."""
+        return not self.text
+
+    def problems(self) -> list[PlacedProblem]:
+        """The problems one by one."""
+        return [_placed(line) for line in self.text.splitlines()]
+
+
+def check_file(path: Path, kind: FileKind | None = None, station: Station | None = None) -> FileCheck:
+    """Check a file of the given kind, by default recognised by its keys; procedures also on a station."""
+    name = kind.name if kind else ""
+    try:
+        document = read_document(path)
+        kind = kind or kind_of(document)
+        name = kind.name
+        return FileCheck(path, name, found=_summary(document, kind, station))
+    except DocumentError as error:
+        return FileCheck(path, name, str(error))
+
+
+def _summary(document: Document, kind: FileKind, station: Station | None) -> str:
+    if kind is PROCEDURE:
+        return _procedure(document, station)
+    if kind is STATION:
+        Station(document.path).check_dbc()
+    elif kind is COMPENSATION:
+        read_compensation(document.path)
+    elif kind.model is not None:
+        validate(document, kind.model)
+    else:
+        check_emulator_file(kind.name, document.path)
+    return ""
+
+
+def _procedure(document: Document, station: Station | None) -> str:
+    procedure = checked_procedure(document)
+    if station is None:
+        return f"{len(resolve(document, procedure))} steps"
+    plan = station.plan(document, procedure)
+    return (
+        f"{len(plan.steps)} steps, {plan.dwell_count} dwells, {hours_minutes(plan.duration_s)} h on "
+        f"{station.file.station}"
+    )
+
+
+def _placed(line: str) -> PlacedProblem:
+    match = _PLACED.match(line)
+    if match is None:
+        return PlacedProblem(line)
+    return PlacedProblem(match["message"], int(match["line"]), int(match["column"]))

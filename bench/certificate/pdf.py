@@ -16,8 +16,8 @@ from gyrobench.bench.foundations.text import bin_label, decimals_of, with_sigma
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.report.figures.style import stamp
 from gyrobench.bench.report.number_format import BiasScale
-from gyrobench.bench.report.page import Box, Section, SectionFigure, SectionTable, render_page
-from gyrobench.bench.report.run_report import pdf_of, run_figures
+from gyrobench.bench.report.page import Box, Section, SectionFigure, SectionTable, pdf_of, render_page
+from gyrobench.bench.report.run_report import run_figures
 from gyrobench.bench.report.statements import VERDICT_COLOURS
 from gyrobench.bench.runs.provenance import SIMULATED
 from gyrobench.bench.runs.tables.coefficient_table import (

@@ -1,16 +1,23 @@
-"""The command line: one module a command. Each is loaded, and imports what it needs, when it is used."""
+"""The command line: its commands by task, one module a command.
+
+Each is loaded, and imports what it needs, when it is used.
+"""
 
 from __future__ import annotations
 
 import gc
+import inspect
 import os
 import sys
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache
+from importlib import import_module
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand, TyperGroup
 
-from gyrobench.bench.cli.command_groups import CommandGroups
 from gyrobench.bench.cli.output import (
     EXIT_CODES_HELP,
     EXIT_INSTRUMENT,
@@ -25,6 +32,97 @@ from gyrobench.bench.foundations.errors import (
     InstrumentError,
     MissingRunError,
 )
+
+#: Commands by task; a command without a group is listed last.
+GROUPS: dict[str, tuple[str, ...]] = {
+    "Measure": ("run", "resume", "control", "verify"),
+    "Before a run": ("plan", "check", "jog", "message"),
+    "Watch and report": (
+        "monitor",
+        "report",
+        "seal",
+        "certificate",
+        "export",
+        "bins",
+        "close",
+        "investigate",
+        "import",
+        "raw-rate",
+        "calibrate",
+    ),
+    "Many runs": ("runs", "fleet"),
+    "Files": ("new", "validate", "schema"),
+    "Try and learn": ("emulate", "record", "replay"),
+}
+#: Names that are still accepted, by module and function.
+_HIDDEN = {"tell": "control.tell"}
+#: The first sentence is shown in full.
+_MAX_HELP = 300
+
+
+def _callback(name: str) -> Callable[..., None] | typer.Typer:
+    """Import a command, or group of commands, named as its module."""
+    word = "import_log" if name == "import" else name.replace("-", "_")
+    module, _, function = _HIDDEN.get(name, word).partition(".")
+    found: Callable[..., None] | typer.Typer = getattr(
+        import_module(f"gyrobench.bench.cli.{module}"), function or module
+    )
+    return found
+
+
+@cache
+def _command(name: str) -> Any:
+    callback = _callback(name)
+    if isinstance(callback, typer.Typer):
+        command: Any = typer.main.get_group(callback)
+    else:
+        alone = typer.Typer(add_completion=False, rich_markup_mode=None)
+        alone.command(hidden=name in _HIDDEN)(callback)
+        command = typer.main.get_command(alone)
+    command.name = name
+    return command
+
+
+class _Commands(Mapping[str, Any]):
+    """All commands by their names, in the order of the groups."""
+
+    def __iter__(self) -> Iterator[str]:
+        yield from (name for names in GROUPS.values() for name in names)
+        yield from _HIDDEN
+
+    def __len__(self) -> int:
+        return sum(map(len, GROUPS.values())) + len(_HIDDEN)
+
+    def __getitem__(self, name: str) -> Any:
+        if name not in list(self):
+            raise KeyError(name)
+        return _command(name)
+
+
+class CommandGroups(TyperGroup):
+    """Lists its commands group by group."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self.commands = _Commands()  # type: ignore[assignment]  # nothing adds to them
+
+    def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002
+        """Names of all commands, in the order of the groups."""
+        return list(self.commands)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002
+        """Write the groups into the help."""
+        widest = max(map(len, self.commands))
+        for group, names in GROUPS.items():
+            with formatter.section(group):
+                formatter.write_dl([(name.ljust(widest), _summary(name)) for name in names])
+
+
+def _summary(name: str) -> str:
+    callback = _callback(name)
+    text = callback.info.help if isinstance(callback, typer.Typer) else inspect.getdoc(callback)
+    return str(TyperCommand(name, help=text).get_short_help_str(_MAX_HELP))
+
 
 # The matrices of this project are small: threads of the linear algebra slow each other down.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

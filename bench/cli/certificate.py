@@ -143,8 +143,7 @@ def _recalibration(folder: RunFolder, limit_dph: float) -> str:
     from gyrobench.bench.report.terminal.runs import recalibration_sentence
     from gyrobench.bench.runs.index.recalibration import recalibrations
     from gyrobench.bench.runs.index.run_biases import read_run_biases, trends
-    from gyrobench.bench.runs.index.run_index import find_runs
-    from gyrobench.bench.runs.index.selection import Selection
+    from gyrobench.bench.runs.index.run_index import Selection, find_runs
 
     index = open_index(str(folder.path.resolve().parent))
     own = Selection(unit=serial_number_of(read_run(folder)))

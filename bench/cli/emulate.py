@@ -63,12 +63,13 @@ def emulate(
     Example: gyrobench emulate --speed 10 --write-station mine.yaml
     """
     from gyrobench.bench.foundations.shipped import find_document
-    from gyrobench.bench.recording.emulated_station import guide, write_station_file
-    from gyrobench.bench.recording.emulator_process import (
+    from gyrobench.bench.recording.emulated_station import (
         EmulationSettings,
         EmulatorProcess,
         end_at_sigterm,
+        guide,
         serve_options,
+        write_station_file,
     )
     from gyrobench.bench.station.station import Station
 

@@ -147,10 +147,9 @@ def print_end(
     """
     from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN
     from gyrobench.bench.report.journal_sections import durations_section
-    from gyrobench.bench.report.run_report import write_report
+    from gyrobench.bench.report.run_report import units_section, write_report, write_units_report
     from gyrobench.bench.report.statements import latitude_sentence
     from gyrobench.bench.report.terminal.tables import section_view
-    from gyrobench.bench.report.units_report import units_section, write_units_report
 
     safe_state = "\n".join(each.text for each in outcome.safe_state)
     is_finished = outcome.ended == "finished"

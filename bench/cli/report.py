@@ -55,9 +55,8 @@ def report(
     """
     from gyrobench.bench.bias.verdicts import read_acceptance
     from gyrobench.bench.report.bias_sections import acceptance_summary
-    from gyrobench.bench.report.run_report import write_report
+    from gyrobench.bench.report.run_report import units_section, write_report, write_units_report
     from gyrobench.bench.report.terminal.tables import section_view
-    from gyrobench.bench.report.units_report import units_section, write_units_report
     from gyrobench.bench.runs.folder import open_run_folder
 
     folder = open_run_folder(run_folder, may_have_units=True)
@@ -73,6 +72,6 @@ def report(
         terminal.print(section_view(acceptance_summary(read_acceptance(folder.acceptance))))
     terminal.print(f"Report   {page}", soft_wrap=True)
     if pdf:
-        from gyrobench.bench.report.run_report import write_pdf
+        from gyrobench.bench.report.page import write_pdf
 
         terminal.print(f"PDF      {write_pdf(page, page.with_suffix('.pdf'))}", soft_wrap=True)

@@ -12,7 +12,7 @@ from gyrobench.bench.cli.options import complete_station
 from gyrobench.bench.cli.output import EXIT_WRONG_INPUT, JsonOption, print_json
 
 if TYPE_CHECKING:
-    from gyrobench.bench.authoring.checking import FileCheck
+    from gyrobench.bench.authoring.file_kinds import FileCheck
 
 
 class Kind(StrEnum):
@@ -50,8 +50,7 @@ def validate(
 
     Example: gyrobench validate my_procedure.yaml --station my_bench.yaml
     """
-    from gyrobench.bench.authoring.checking import check_file
-    from gyrobench.bench.authoring.file_kinds import KINDS
+    from gyrobench.bench.authoring.file_kinds import KINDS, check_file
     from gyrobench.bench.foundations.shipped import find_document
     from gyrobench.bench.station.station import Station
 

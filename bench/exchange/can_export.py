@@ -24,8 +24,7 @@ from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.navigation.attitude import euler_rpy321
 from gyrobench.bench.navigation.positions import AXES
-from gyrobench.bench.runs.blf import BlfWriter
-from gyrobench.bench.runs.can_log import read_can_log
+from gyrobench.bench.runs.can_log import BlfWriter, read_can_log
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.provenance import started_utc
 from gyrobench.drivers.frames import FrameBlock

@@ -19,7 +19,7 @@ from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import DocumentError, MissingPackageError
 from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.foundations.text import did_you_mean
-from gyrobench.bench.runs.blf import read_blf
+from gyrobench.bench.runs.can_log import read_blf
 from gyrobench.drivers.frames import EXTENDED_ID, MAX_LENGTH, FrameBlock, concatenate
 from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
 

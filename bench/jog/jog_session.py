@@ -1,4 +1,4 @@
-"""A session of manual control, from the name of a station to the safe state at its end."""
+"""A session of manual control, from the name of a station to the safe state, and its typed commands."""
 
 from __future__ import annotations
 
@@ -6,25 +6,30 @@ import math
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
 
 from gyrobench.bench.engine.interlocks.watch import TrippedError
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.foundations.errors import GyrobenchError, InstrumentError
 from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.foundations.text import did_you_mean
 from gyrobench.bench.guard.process import guard_for
-from gyrobench.bench.jog.manual_control import ManualControl
-from gyrobench.bench.jog.manual_limits import manual_limits
-from gyrobench.bench.jog.shell import END_COMMANDS, Shell
+from gyrobench.bench.jog.manual_control import ManualControl, limit_lines, readings
+from gyrobench.bench.jog.manual_limits import AXES, manual_limits
 from gyrobench.bench.jog.terminal import (
+    CommandError,
     Display,
     EndSessionError,
     Interruptions,
     StoppedByOperatorError,
     TypedLines,
 )
+from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.station.instruments import Emulation, Instruments
 from gyrobench.bench.station.locks import JOG_COMMAND, BenchLock
 from gyrobench.bench.station.station import Station
@@ -171,3 +176,231 @@ def _error_text(error: GyrobenchError) -> str:
     if isinstance(error, TrippedError):
         return "\n".join(f"Interlock {trip.name}: {trip.text}" for trip in error.trips)
     return str(error)
+
+
+_WATCH_S = 60.0
+_MAX_WATCH_S = 604_800.0
+_END_USAGES = {"quit": "end; the bench goes to its safe state", "leave": "end; only the table is stopped"}
+#: Commands that end a session; "leave" without the safe state.
+END_COMMANDS = ("quit", "exit", "q", "leave")
+
+
+@dataclass(frozen=True)
+class Command:
+    """One command: each way to type it with its meaning, and the function that executes it."""
+
+    usages: Mapping[str, str]
+    execute: Callable[[list[str]], None]
+
+
+class Shell:
+    """Parses commands and executes them."""
+
+    def __init__(self, control: ManualControl, display: Display) -> None:
+        self._control = control
+        self._display = display
+        self._commands: Mapping[str, Command] = {
+            "show": Command({"show": "all readings"}, self._show),
+            "watch": Command({"watch [S]": "readings for S seconds, default 60"}, self._watch),
+            "table": Command(
+                {
+                    "table outer|inner ANGLE [at RATE]": "move one axis; deg, deg/s",
+                    "table to POSITION [AZIMUTH] [at RATE]": "go to z_up, x_down, ...",
+                    "table rate outer|inner RATE": "turn at a constant rate, deg/s",
+                },
+                self._table,
+            ),
+            "stop": Command(
+                {"stop": "stop the table"}, lambda words: _without_arguments(words, control.stop)
+            ),
+            "home": Command({"home [at RATE]": "all axes to zero"}, self._home),
+            "servo": Command({"servo on|off": "close or open the table's servos"}, self._servo),
+            "chamber": Command(
+                {
+                    "chamber TEMPERATURE [at RAMP]": "set point; degC, degC/min",
+                    "chamber on|off": "switch temperature control",
+                },
+                self._chamber,
+            ),
+            "unit": Command({"unit on|off": "switch the power of the INS"}, self._unit),
+            "ins": Command({"ins align|navigate|standby": "command the INS"}, self._ins),
+            "faults": Command({"faults": "faults, alarms, tripped interlocks"}, self._faults),
+            "clear": Command(
+                {"clear": "clear the chamber's alarms"},
+                lambda words: _without_arguments(words, control.clear),
+            ),
+            "events": Command({"events": "the chamber's event outputs"}, self._events),
+            "limits": Command({"limits": "limits of angle, rate, temperature"}, self._limits),
+            "help": Command({"help": "this list"}, self._help),
+        }
+
+    def execute(self, line: str) -> None:
+        """Parse a line and execute it.
+
+        Raises CommandError if it is not understood, or a limit forbids it. Raises GyrobenchError if it failed
+        during execution.
+        """
+        words = line.replace(",", " ").lower().split()
+        if not words:
+            return
+        command = self._commands.get(words[0])
+        if command is None:
+            known = [*self._commands, *_END_USAGES]
+            raise CommandError(
+                f"unknown command '{words[0]}'{did_you_mean(words[0], known)}; `help` lists the commands"
+            )
+        try:
+            command.execute(words[1:])
+        except _UsageError as error:
+            raise CommandError(f"{error}. Usage: {'  or  '.join(command.usages)}") from None
+
+    def _show(self, words: list[str]) -> None:
+        _without_arguments(words, self._control.bench.read_instruments)
+        self._print(readings(self._control.bench, self._control.tripped))
+
+    def _watch(self, words: list[str]) -> None:
+        duration_s = _number(words.pop(0), "a time in s") if words else _WATCH_S
+        _no_more(words)
+        if not 0.0 < duration_s <= _MAX_WATCH_S:
+            raise _UsageError("the time must be above 0 s and at most a week")
+        self._control.watch(duration_s)
+
+    def _table(self, words: list[str]) -> None:
+        what = words.pop(0) if words else ""
+        if what == "rate":
+            axis, rate = _axis(words), _number(_next(words), "a rate in deg/s")
+            _no_more(words)
+            self._control.turn_at(axis, rate)
+            return
+        if what == "to":
+            self._to_position(words)
+            return
+        axis = _axis([what])
+        angle_deg = _number(_next(words), "an angle in deg")
+        self._control.move({axis: angle_deg}, _rate(words))
+
+    def _to_position(self, words: list[str]) -> None:
+        name = _next(words)
+        if name not in POSITIONS:
+            raise _UsageError(
+                f"no position '{name}'{did_you_mean(name, POSITIONS)}; known: {', '.join(POSITIONS)}"
+            )
+        azimuth_deg = 0.0
+        if words and words[0] != "at":
+            azimuth_deg = _number(words.pop(0), "an azimuth in deg")
+        rate_dps = _rate(words)
+        station = self._control.bench.station
+        angles_deg = station.table.angles(POSITIONS[name].C_nb(np.deg2rad(azimuth_deg)))
+        names = self._control.limits.axes
+        self._control.move(
+            {axis: each for axis, each in zip(AXES, angles_deg, strict=True) if axis in names}, rate_dps
+        )
+
+    def _home(self, words: list[str]) -> None:
+        rate_dps = _rate(words)
+        self._control.move(dict.fromkeys(self._control.limits.axes, 0.0), rate_dps)
+
+    def _servo(self, words: list[str]) -> None:
+        self._control.servo_on() if _on(words) else self._control.servo_off()
+
+    def _chamber(self, words: list[str]) -> None:
+        if words and words[0] in ("on", "off"):
+            self._control.chamber_switch(_on(words))
+            return
+        temperature_c = _number(_next(words), "a temperature in degC")
+        if words and words[0] == "at":
+            words.pop(0)
+        ramp = _number(words.pop(0), "a ramp in degC/min") if words else None
+        _no_more(words)
+        self._control.chamber_to(temperature_c, ramp)
+
+    def _unit(self, words: list[str]) -> None:
+        self._control.unit_switch(_on(words))
+
+    def _ins(self, words: list[str]) -> None:
+        command = _next(words)
+        _no_more(words)
+        if command not in ("align", "navigate", "standby"):
+            raise _UsageError(f"the INS has no command '{command}'")
+        self._control.ins(command)
+
+    def _faults(self, words: list[str]) -> None:
+        _without_arguments(words, self._control.bench.read_instruments)
+        now = self._control.bench.readings
+        lines = [f"rate table: {each}" for each in now.table_faults]
+        lines += [f"chamber: {each}" for each in now.chamber_alarms]
+        lines += [f"interlock tripped: {each}" for each in self._control.tripped]
+        self._print(lines or ["none"])
+
+    def _events(self, words: list[str]) -> None:
+        _no_more(words)
+        self._print(self._control.events())
+
+    def _limits(self, words: list[str]) -> None:
+        _no_more(words)
+        self._print(limit_lines(self._control.limits))
+
+    def _help(self, words: list[str]) -> None:  # noqa: ARG002 - one help for all
+        usages = [usage for command in self._commands.values() for usage in command.usages.items()]
+        self._print([f"  {usage:38} {meaning}" for usage, meaning in (*usages, *_END_USAGES.items())])
+        self._print(["Ctrl-C stops the table."])
+
+    def _print(self, lines: list[str]) -> None:
+        for line in lines:
+            self._display.print(line)
+
+
+class _UsageError(Exception):
+    """Arguments that do not fit the command."""
+
+
+def _without_arguments(words: list[str], execute: Callable[[], None]) -> None:
+    _no_more(words)
+    execute()
+
+
+def _next(words: list[str]) -> str:
+    if not words:
+        raise _UsageError("an argument is missing")
+    return words.pop(0)
+
+
+def _no_more(words: list[str]) -> None:
+    if words:
+        raise _UsageError(f"unexpected argument '{' '.join(words)}'")
+
+
+def _number(word: str, what: str) -> float:
+    try:
+        number = float(word)
+    except ValueError:
+        number = float("nan")
+    if not np.isfinite(number):
+        raise _UsageError(f"'{word}' is not {what}")
+    return number
+
+
+def _axis(words: list[str]) -> str:
+    axis = _next(words)
+    if axis not in AXES:
+        raise _UsageError(f"'{axis}' is not an axis; the axes are outer and inner")
+    return axis
+
+
+def _rate(words: list[str]) -> float | None:
+    """Rate of ``at RATE``, None without it."""
+    if not words:
+        return None
+    if words.pop(0) != "at":
+        raise _UsageError("expected 'at RATE'")
+    rate_dps = _number(_next(words), "a rate in deg/s")
+    _no_more(words)
+    return rate_dps
+
+
+def _on(words: list[str]) -> bool:
+    word = _next(words)
+    _no_more(words)
+    if word not in ("on", "off"):
+        raise _UsageError(f"'{word}' is neither on nor off")
+    return word == "on"

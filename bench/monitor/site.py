@@ -17,8 +17,13 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from gyrobench.bench.foundations.errors import GyrobenchError, MissingPackageError, RunFolderError
 from gyrobench.bench.foundations.files import read_limited
 from gyrobench.bench.foundations.text import hours_minutes
-from gyrobench.bench.monitor.attitude_drawing import axes_drawing
-from gyrobench.bench.monitor.charts import bias_charts, profile_chart, temperature_charts, window_charts
+from gyrobench.bench.monitor.charts import (
+    axes_drawing,
+    bias_charts,
+    profile_chart,
+    temperature_charts,
+    window_charts,
+)
 from gyrobench.bench.monitor.metrics import CONTENT_TYPE as METRICS_TYPE
 from gyrobench.bench.monitor.metrics import metrics_text
 from gyrobench.bench.monitor.page_content import (

@@ -20,9 +20,9 @@ from gyrobench.bench.report.figures.estimators import (
     estimators_figure,
     fit_figure,
     has_distribution,
+    noise_figure,
     with_both,
 )
-from gyrobench.bench.report.figures.noise import noise_figure
 from gyrobench.bench.report.number_format import NO_PAPER, BiasScale, p_text
 from gyrobench.bench.report.page import Section, SectionFigure, SectionTable
 from gyrobench.bench.report.statements import SIGNIFICANCE, fit_sentence

@@ -1,4 +1,4 @@
-"""HTML pages that need nothing beside them: their parts as data, one template, and ``findings.json``.
+"""HTML pages that need nothing beside them, and the same as PDF: parts as data, one template, findings.json.
 
 Pages of findings (search, verification, batch) and the report of a run are all made of sections.
 """
@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import base64
 import gc
+import io
+import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
@@ -17,8 +19,9 @@ from pydantic import ConfigDict, Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
 from gyrobench.bench.foundations.csv_tables import read_text
-from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError
 from gyrobench.bench.foundations.files import make_folder, parse_json, write_whole
+from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.report.figures.style import is_drawn, save_figure, save_vectors, stamp
 
 #: Name of the file that keeps findings beside their page, for the report of the run.
@@ -204,3 +207,40 @@ def _as_file(
 def _data_uri(path: Path) -> str:
     kind = "svg+xml" if path.suffix == ".svg" else "png"
     return f"data:image/{kind};base64,{base64.b64encode(path.read_bytes()).decode()}"
+
+
+_LACKING = (
+    "can't load the library Pango, needed for PDF: {}. Install it (Debian, Ubuntu: "
+    "`apt-get install libpango-1.0-0 libpangoft2-1.0-0 libharfbuzz-subset0`; macOS: `brew install pango`), "
+    "or print report.html in a browser."
+)
+
+
+def write_pdf(page: Path, pdf: Path) -> Path:
+    """Convert a page to PDF; raises what :func:`pdf_of` does.
+
+    Raises RunFolderError if the file can't be written.
+    """
+    write_whole(pdf, pdf_of(page.read_text(encoding="utf-8")))
+    return pdf
+
+
+def pdf_of(page: str, attachments: Mapping[str, bytes] | None = None, variant: str | None = None) -> bytes:
+    """Convert a self-contained HTML page to PDF with tags.
+
+    ``attachments``: files inside the PDF, by name. ``variant``: as "pdf/a-3a"; default: plain PDF. Raises
+    GyrobenchError if a system library is missing, and MissingPackageError if weasyprint is not installed.
+    """
+    try:
+        html, urls = require("weasyprint"), require("weasyprint.urls")
+    except OSError as error:
+        raise GyrobenchError(_LACKING.format(str(error).splitlines()[0])) from error
+    for name in ("weasyprint", "fontTools"):
+        logging.getLogger(name).setLevel(logging.ERROR)
+    # Pictures are embedded: no other address is fetched.
+    document = html.HTML(string=page, url_fetcher=urls.URLFetcher(allowed_protocols=["data"]))
+    added = [
+        html.Attachment(file_obj=io.BytesIO(content), name=name, relationship="Source")
+        for name, content in (attachments or {}).items()
+    ]
+    return document.write_pdf(pdf_variant=variant, pdf_tags=True, attachments=added)  # type: ignore[no-any-return]

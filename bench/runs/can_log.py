@@ -1,24 +1,257 @@
-"""The raw CAN log: every frame received, in BLF files that python-can reads.
+"""The raw CAN log: every frame received, in BLF files, written and read in bulk.
 
 A BLF file is complete once it is closed, so the log is cut into parts: a part ends where
 :meth:`CanLog.cut` is called, and is on the disk from then on. A part that a kill or a power cut
 left open can still be read up to its last full container. Later frames begin a new part, so that
 frames before and after a gap are never taken for neighbours.
+
+The format is Vector's, in the form that python-can writes and reads: a header, then containers of deflated
+objects, one for each frame. Each container written here holds whole objects.
 """
 
 from __future__ import annotations
 
 import contextlib
+import io
 import os
+import struct
 from collections.abc import Container, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
+import can
+import numpy as np
+from can.io.blf import (
+    CAN_ERROR_EXT,
+    CAN_MESSAGE,
+    FILE_HEADER_SIZE,
+    FILE_HEADER_STRUCT,
+    LOG_CONTAINER,
+    LOG_CONTAINER_STRUCT,
+    NO_COMPRESSION,
+    OBJ_HEADER_BASE_STRUCT,
+    REMOTE_FLAG,
+    TIME_ONE_NANS,
+    ZLIB_DEFLATE,
+    BLFParseError,
+    systemtime_to_timestamp,
+    timestamp_to_systemtime,
+)
+from isal import isal_zlib
+from numpy.typing import NDArray
+
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import cant_be_written, make_folder, read_limited, sync_folder
-from gyrobench.bench.runs.blf import BlfWriter, read_blf
 from gyrobench.bench.runs.folder import find_parts, part_path
-from gyrobench.drivers.frames import FrameBlock, concatenate
+from gyrobench.drivers.frames import ERROR_FRAME, FRAME_DTYPE, REMOTE_FRAME, FrameBlock, concatenate
+
+#: As dense on frames of an INS as zlib's fastest level, in a third of its time.
+_LEVEL = 1
+#: Size of a container before compression; Vector's tools write 128 kB.
+_MAX_UNPACKED = 128 * 1024
+#: No program packs as much into one container; damaged bytes could request gigabytes.
+_MAX_UNPACKED_READ = 256 * 1024 * 1024
+_NS = 1e9
+_WRITER = (b"LOGG", FILE_HEADER_SIZE, 5, 0, 0, 0, 2, 6, 8, 1)
+
+_HEADER = [
+    ("signature", "S4"), ("header_size", "<u2"), ("version", "<u2"), ("size", "<u4"), ("kind", "<u4"),
+    ("time_unit", "<u4"), ("client", "<u2"), ("object_version", "<u2"), ("time", "<u8"),
+]  # fmt: skip
+#: Object of a data or remote frame.
+_FRAME = np.dtype(
+    [*_HEADER, ("channel", "<u2"), ("flags", "u1"), ("dlc", "u1"), ("id", "<u4"), ("data", "u1", (8,))]
+)
+#: Object of an error frame.
+_ERROR = np.dtype(
+    [*_HEADER, ("channel", "<u2"), ("unused", "V8"), ("dlc", "u1"), ("unused_2", "V5"), ("id", "<u4"),
+     ("unused_3", "V4"), ("data", "u1", (8,))]
+)  # fmt: skip
+
+
+def _template(dtype: np.dtype[np.void], kind: int) -> NDArray[np.void]:
+    template = np.zeros(1, dtype)
+    template["signature"], template["header_size"], template["version"] = b"LOBJ", 32, 1
+    template["size"], template["kind"], template["time_unit"] = dtype.itemsize, kind, TIME_ONE_NANS
+    template["channel"] = 1
+    return template
+
+
+_FRAMES, _ERRORS = _template(_FRAME, CAN_MESSAGE), _template(_ERROR, CAN_ERROR_EXT)
+
+
+class BlfWriter:
+    """Writes blocks of frames to a BLF file; the stream stays open.
+
+    The header is complete after :meth:`finish`. Raises OSError if the stream can't be written.
+    """
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream = stream
+        self.count = 0  #: Frames so far.
+        self._unpacked = FILE_HEADER_SIZE
+        self._start_s: float | None = None
+        self._stop_s = 0.0
+
+    def write(self, block: FrameBlock) -> None:
+        """Write frames, in containers that are passed to the operating system."""
+        if not len(block):
+            return
+        if self._start_s is None:
+            # A header has whole milliseconds, of calendar times alone.
+            first_s = float(block.timestamp_s[0])
+            self._start_s = int(first_s * 1000) / 1000 if timestamp_to_systemtime(first_s)[0] else 0.0
+            self._write_header()
+        self._stop_s = float(block.timestamp_s[-1])
+        self.count += len(block)
+        step = _MAX_UNPACKED // _FRAME.itemsize
+        for first in range(0, len(block), step):
+            self._write_container(_packed(block.take(slice(first, first + step)), self._start_s))
+        self._stream.flush()
+
+    def finish(self) -> None:
+        """Complete the header; more frames may follow, after which it is to be completed again."""
+        self._write_header()
+        self._stream.seek(0, io.SEEK_END)
+        self._stream.flush()
+
+    def _write_container(self, objects: bytes) -> None:
+        packed = isal_zlib.compress(objects, _LEVEL)
+        size = OBJ_HEADER_BASE_STRUCT.size + LOG_CONTAINER_STRUCT.size + len(packed)
+        header = OBJ_HEADER_BASE_STRUCT.pack(b"LOBJ", OBJ_HEADER_BASE_STRUCT.size, 1, size, LOG_CONTAINER)
+        container = LOG_CONTAINER_STRUCT.pack(ZLIB_DEFLATE, len(objects))
+        self._stream.write(b"".join((header, container, packed, bytes(size % 4))))  # padded as by python-can
+        self._unpacked += len(header) + len(container) + len(objects)
+
+    def _write_header(self) -> None:
+        size = max(self._stream.seek(0, io.SEEK_END), FILE_HEADER_SIZE)
+        self._stream.seek(0)
+        times = (*timestamp_to_systemtime(self._start_s), *timestamp_to_systemtime(self._stop_s))
+        header = FILE_HEADER_STRUCT.pack(*_WRITER, size, self._unpacked, self.count, 0, *times)
+        self._stream.write(header.ljust(FILE_HEADER_SIZE, b"\0"))
+
+
+def _packed(block: FrameBlock, start_s: float) -> bytes:
+    """Objects of some frames, one after the other."""
+    rows = block.rows
+    objects = _filled(_FRAMES, rows, start_s)
+    flags = rows["flags"]
+    if not flags.any():
+        return objects.tobytes()
+    objects["flags"] = np.where(flags & REMOTE_FRAME, REMOTE_FLAG, 0)
+    is_error = (flags & ERROR_FRAME) != 0
+    space = np.zeros((len(rows), _ERROR.itemsize), np.uint8)
+    space[:, : _FRAME.itemsize] = objects.view(np.uint8).reshape(len(rows), -1)
+    errors = _filled(_ERRORS, rows[is_error], start_s)
+    space[is_error] = errors.view(np.uint8).reshape(-1, _ERROR.itemsize)
+    lengths = np.where(is_error, _ERROR.itemsize, _FRAME.itemsize)
+    return space[np.arange(_ERROR.itemsize) < lengths[:, np.newaxis]].tobytes()
+
+
+def _filled(template: NDArray[np.void], rows: NDArray[np.void], start_s: float) -> NDArray[np.void]:
+    objects = np.frombuffer(bytearray(template.tobytes() * len(rows)), template.dtype)
+    objects["time"] = np.maximum((rows["time_s"] - start_s) * _NS, 0.0)
+    objects["dlc"], objects["id"], objects["data"] = rows["length"], rows["id"], rows["data"]
+    return objects
+
+
+def read_blf(content: bytes) -> tuple[FrameBlock, bool]:
+    """Frames of a BLF file, those of FD left out, and whether all of the file was read.
+
+    A file is read up to its first container that is cut off, damaged or of an unknown form. Other objects
+    than :class:`BlfWriter` writes are read by python-can, frame by frame.
+    """
+    try:
+        header = FILE_HEADER_STRUCT.unpack_from(content)
+        if header[0] != b"LOGG":
+            return FrameBlock.from_messages([]), False
+        objects, end = _unpacked(content, max(header[1], FILE_HEADER_STRUCT.size))
+        block, is_whole = _block(objects, systemtime_to_timestamp(header[14:22])), True
+    except struct.error:
+        return FrameBlock.from_messages([]), False
+    if block is None:
+        block, is_whole = _by_python_can(content[:end])
+    return block, is_whole and not content[end:].strip(b"\0")
+
+
+def _unpacked(content: bytes, end: int) -> tuple[bytes, int]:
+    """Objects of the containers from ``end`` to the first that can't be read, and where that begins."""
+    unpacked: list[bytes] = []
+    try:
+        while content[end : end + 4] == b"LOBJ":
+            _, _, _, size, kind = OBJ_HEADER_BASE_STRUCT.unpack_from(content, end)
+            packed = content[end + OBJ_HEADER_BASE_STRUCT.size : end + size]
+            method, unpacked_size = LOG_CONTAINER_STRUCT.unpack_from(packed)
+            objects = packed[LOG_CONTAINER_STRUCT.size :]
+            if kind != LOG_CONTAINER or end + size > len(content) or unpacked_size > _MAX_UNPACKED_READ:
+                break
+            if method == ZLIB_DEFLATE:
+                unpacking = isal_zlib.decompressobj()
+                objects = unpacking.decompress(objects, unpacked_size + 1)
+                if not unpacking.eof:
+                    break
+            elif method != NO_COMPRESSION:
+                break
+            if len(objects) != unpacked_size:
+                break
+            unpacked.append(objects)
+            end += size + size % 4
+    except (struct.error, isal_zlib.error):  # type: ignore[misc] # its stub has an instance
+        pass
+    return b"".join(unpacked), end
+
+
+def _block(objects: bytes, start_s: float) -> FrameBlock | None:
+    """Frames of objects as :class:`BlfWriter` writes them; None if there are others."""
+    content = np.frombuffer(objects, np.uint8)
+    if len(content) % _FRAME.itemsize == 0:
+        frames = content.view(_FRAME)
+        if _are_like(_FRAMES, frames):
+            return _read(frames, start_s)
+    starts, at = [], 0
+    while at + 12 <= len(objects):  # error frames between the others: their objects are longer
+        starts.append(at)
+        at += max(int.from_bytes(objects[at + 8 : at + 12], "little"), 12)
+    begin = np.array(starts)
+    size = np.diff(np.append(begin, at))
+    is_error = size == _ERROR.itemsize
+    if at != len(objects) or not np.all(is_error | (size == _FRAME.itemsize)):
+        return None
+    rows = np.empty(len(begin), FRAME_DTYPE)
+    for template, chosen in ((_FRAMES, ~is_error), (_ERRORS, is_error)):
+        places = begin[chosen, np.newaxis] + np.arange(template.itemsize)
+        frames = content[places].view(template.dtype)[:, 0]
+        if not _are_like(template, frames):
+            return None
+        rows[chosen] = _read(frames, start_s).rows
+    return FrameBlock(rows)
+
+
+def _are_like(template: NDArray[np.void], objects: NDArray[np.void]) -> bool:
+    fixed = ("signature", "header_size", "version", "size", "kind", "time_unit")
+    return all(np.all(objects[name] == template[name]) for name in fixed) and bool(
+        np.all(objects["dlc"] <= 8)
+    )
+
+
+def _read(objects: NDArray[np.void], start_s: float) -> FrameBlock:
+    is_error = objects.dtype == _ERROR
+    flags = ERROR_FRAME if is_error else np.where(objects["flags"] & REMOTE_FLAG, REMOTE_FRAME, 0)
+    time_s = objects["time"] / _NS + start_s
+    return FrameBlock.from_columns(time_s, objects["id"], objects["dlc"], objects["data"], flags)
+
+
+def _by_python_can(content: bytes) -> tuple[FrameBlock, bool]:
+    messages: list[can.Message] = []
+    is_whole = False
+    try:
+        with can.BLFReader(io.BytesIO(content)) as reader:
+            messages.extend(reader)
+        is_whole = True
+    except (ValueError, OverflowError, struct.error, can.CanError, BLFParseError):
+        pass  # damaged in a way that the containers do not show
+    return FrameBlock.from_messages(messages), is_whole
+
 
 _SUFFIX = ".blf"
 #: A dwell of some hours on a bus that is never idle.

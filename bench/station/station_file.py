@@ -24,14 +24,15 @@ from gyrobench.bench.navigation.error_model import MAX_LATITUDE
 from gyrobench.bench.station.instrument_sections import (
     ChamberSection,
     Identity,
+    LaboratorySection,
     Mounting,
     NotNegative,
     Positive,
     RateTableSection,
+    Traceability,
     without_password,
 )
 from gyrobench.bench.station.interlocks import Interlocks
-from gyrobench.bench.station.laboratory import LaboratorySection, Traceability
 from gyrobench.bench.station.receivers import Receiver
 from gyrobench.drivers.ins.command_map import CommandMap
 from gyrobench.drivers.ins.signal_map import SignalMap

@@ -9,8 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
-from gyrobench.drivers.emulators.world.motion_profile import AxisState
-from gyrobench.drivers.emulators.world.table_axis import TableAxis
+from gyrobench.drivers.emulators.world.table_axis import AxisState, TableAxis
 
 #: The rate trip stands this much above the rate limit until it is set.
 _RATE_TRIP_FACTOR = 1.2

@@ -31,13 +31,11 @@ from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.drivers.emulators.can_ins import CanChannel, CanInsEmulator, EmulatedUnit
 from gyrobench.drivers.emulators.dialect import ChamberEmulation, Connection, SerialInstrument, TableEmulation
 from gyrobench.drivers.emulators.world.strapdown import table_attitude
-from gyrobench.drivers.emulators.world.surroundings import OUTER
-from gyrobench.drivers.emulators.world.world import World
+from gyrobench.drivers.emulators.world.world import OUTER, World
 from gyrobench.drivers.emulators.world.world_file import load_world
 
 if TYPE_CHECKING:
-    from gyrobench.drivers.emulators.faults.fault import BenchParts
-    from gyrobench.drivers.emulators.faults.faulty_lines import FaultySerial
+    from gyrobench.drivers.emulators.faults.fault import BenchParts, FaultySerial
     from gyrobench.drivers.emulators.faults.injector import Injection, Injector
 
 _LOG = logging.getLogger("gyrobench")
@@ -107,7 +105,7 @@ class EmulatedBench:
         self._lines: dict[str, FaultySerial] = {}
         self._parts: list[BenchParts] = []
         if faults is not None:  # without, a run starts faster without their models
-            from gyrobench.drivers.emulators.faults.faulty_lines import FaultySerial
+            from gyrobench.drivers.emulators.faults.fault import FaultySerial
 
             self._lines = {name: FaultySerial(instrument) for name, instrument in self.serial.items()}
             self.serial = dict(self._lines)
@@ -128,8 +126,7 @@ class EmulatedBench:
             ins = CanInsEmulator(world, self.clock.epoch.timestamp())
             unit = EmulatedUnit(world, ins, ins, Connection(), self._file.power_event(number))
             if self._lines:
-                from gyrobench.drivers.emulators.faults.fault import BenchParts
-                from gyrobench.drivers.emulators.faults.faulty_lines import FaultyCan
+                from gyrobench.drivers.emulators.faults.fault import BenchParts, FaultyCan
 
                 unit.bus = bus = FaultyCan(ins)
                 unit.connection = bus.connection
@@ -140,8 +137,12 @@ class EmulatedBench:
             self.units.append(unit)
 
     def _inject(self, path: Path, log: Path | None) -> None:
-        from gyrobench.drivers.emulators.faults.fault_list import check_faults, load_faults
-        from gyrobench.drivers.emulators.faults.injector import InjectionLog, Injector
+        from gyrobench.drivers.emulators.faults.injector import (
+            InjectionLog,
+            Injector,
+            check_faults,
+            load_faults,
+        )
 
         listed = load_faults(path)
         check_faults(path, listed, self._parts)

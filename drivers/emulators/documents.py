@@ -12,7 +12,7 @@ from pathlib import Path
 
 from gyrobench.bench.foundations.documents import StrictModel, json_schema, read_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.drivers.emulators.faults.fault_list import FaultList
+from gyrobench.drivers.emulators.faults.injector import FaultList
 from gyrobench.drivers.emulators.world.world_file import WorldFile
 
 _WRONG_FILE = 2

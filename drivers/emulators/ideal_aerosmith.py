@@ -16,8 +16,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Literal
 
-from gyrobench.drivers.emulators.dialect import TableEmulation
-from gyrobench.drivers.emulators.text_instrument import TextInstrument, decimal
+from gyrobench.drivers.emulators.dialect import TableEmulation, TextInstrument, decimal
 from gyrobench.drivers.emulators.world.table_axis import TableAxis
 
 #: The axis of the world that such a table has.

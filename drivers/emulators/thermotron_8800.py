@@ -17,9 +17,8 @@ from enum import IntEnum
 from functools import partial
 from typing import Literal
 
-from gyrobench.drivers.emulators.dialect import ChamberEmulation, OnEvent
-from gyrobench.drivers.emulators.text_instrument import TextInstrument, decimal
-from gyrobench.drivers.emulators.world.chamber_air import ChamberAir
+from gyrobench.drivers.emulators.dialect import ChamberEmulation, OnEvent, TextInstrument, decimal
+from gyrobench.drivers.emulators.world.thermal import ChamberAir
 from gyrobench.drivers.text_line import LINE_ENDINGS
 
 _CHANNEL = "1"

@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple
 from gyrobench.drivers.emulators.dialect import ChamberEmulation, OnEvent
 from gyrobench.drivers.emulators.modbus_rtu import HoldingRegister, ModbusRtuDevice, exception_frame
 from gyrobench.drivers.emulators.watlow_loop import MAX_RAMP, OUTPUTS, RampAction, WatlowLoop
-from gyrobench.drivers.emulators.world.chamber_air import ChamberAir
+from gyrobench.drivers.emulators.world.thermal import ChamberAir
 
 MODEL_NUMBER = 5270
 

@@ -15,10 +15,9 @@ import re
 from collections.abc import Callable
 from functools import partial
 
-from gyrobench.drivers.emulators.dialect import ChamberEmulation, OnEvent
-from gyrobench.drivers.emulators.text_instrument import TextInstrument, decimal
+from gyrobench.drivers.emulators.dialect import ChamberEmulation, OnEvent, TextInstrument, decimal
 from gyrobench.drivers.emulators.watlow_loop import MAX_RAMP, OUTPUTS, RampAction, WatlowLoop
-from gyrobench.drivers.emulators.world.chamber_air import ChamberAir
+from gyrobench.drivers.emulators.world.thermal import ChamberAir
 
 _REQUEST = re.compile(r":?([A-Z0-9*:]+)(\?| +(\S+))?")
 _LOOP = "SOURCE:CLOOP1:"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import IntEnum
 
 from gyrobench.drivers.emulators.dialect import OnEvent
-from gyrobench.drivers.emulators.world.chamber_air import ChamberAir
+from gyrobench.drivers.emulators.world.thermal import ChamberAir
 
 #: The output that switches the chamber.
 CHAMBER_OUTPUT = 1

@@ -1,6 +1,6 @@
 """Faults that the emulators inject from a list: what fails, when, for how long and how often.
 
-A :class:`~.fault_list.FaultList` has one entry a fault. The :class:`~.injector.Injector` schedules the
+A :class:`~.injector.FaultList` has one entry a fault. The :class:`~.injector.Injector` schedules the
 entries and carries them out on the emulated bench, through wrappers around the real emulators
-(:mod:`~.faulty_lines`). Without a list no wrapper exists.
+(:mod:`~.fault`). Without a list no wrapper exists.
 """

@@ -16,8 +16,16 @@ import numpy as np
 from pydantic import Field
 
 from gyrobench.drivers.emulators.can_formats.gyrobench_ins import HEADING, INS_STATUS
-from gyrobench.drivers.emulators.faults.fault import BenchParts, Count, End, Fault, Occurrence, Persistence
-from gyrobench.drivers.emulators.faults.faulty_lines import FaultyCan, FrameFilter
+from gyrobench.drivers.emulators.faults.fault import (
+    BenchParts,
+    Count,
+    End,
+    Fault,
+    FaultyCan,
+    FrameFilter,
+    Occurrence,
+    Persistence,
+)
 from gyrobench.drivers.frames import FrameBlock
 
 Identifier = Annotated[int, Field(ge=0, le=0x7FF)]

@@ -17,7 +17,7 @@ from gyrobench.drivers.emulators.dialect import (
     WithUnit,
 )
 from gyrobench.drivers.emulators.faults.fault import BenchParts, End, Fault, Occurrence, Persistence
-from gyrobench.drivers.emulators.world.chamber_air import ChamberAir
+from gyrobench.drivers.emulators.world.thermal import ChamberAir
 from gyrobench.drivers.emulators.world.undeclared_effects import Positive
 
 

@@ -15,8 +15,17 @@ from typing_extensions import override
 from gyrobench.drivers.emulators.acl_axis import ErrorCode
 from gyrobench.drivers.emulators.acutrol3000 import Acutrol3000Emulator
 from gyrobench.drivers.emulators.dialect import Restartable, SpeaksModbus
-from gyrobench.drivers.emulators.faults.fault import BenchParts, Count, End, Fault, Occurrence, Persistence
-from gyrobench.drivers.emulators.faults.faulty_lines import Exchange, FaultySerial, Reply
+from gyrobench.drivers.emulators.faults.fault import (
+    BenchParts,
+    Count,
+    End,
+    Exchange,
+    Fault,
+    FaultySerial,
+    Occurrence,
+    Persistence,
+    Reply,
+)
 from gyrobench.drivers.emulators.world.undeclared_effects import Positive
 
 LineName = Literal["table", "chamber"]

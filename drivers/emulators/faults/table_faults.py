@@ -18,9 +18,9 @@ from gyrobench.drivers.emulators.faults.fault import (
     Persistence,
     UnsupportedFaultError,
 )
-from gyrobench.drivers.emulators.world.surroundings import INNER, OUTER
 from gyrobench.drivers.emulators.world.table_axis import TableAxis
 from gyrobench.drivers.emulators.world.undeclared_effects import Positive
+from gyrobench.drivers.emulators.world.world import INNER, OUTER
 
 Trip = Literal["rate_trip", "tracking_error", "frame_time", "fine_feedback_loss", "coarse_feedback_loss"]
 

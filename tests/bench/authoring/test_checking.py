@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from gyrobench.bench.authoring.checking import check_file
-from gyrobench.bench.authoring.file_kinds import KINDS, PROCEDURE
+from gyrobench.bench.authoring.file_kinds import KINDS, PROCEDURE, check_file
 from gyrobench.bench.foundations.shipped import find_document, shipped_names
 from gyrobench.bench.station.station import Station
 

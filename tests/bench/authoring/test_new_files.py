@@ -5,8 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from gyrobench.bench.authoring.checking import check_file
-from gyrobench.bench.authoring.file_kinds import PROCEDURE, STATION, schema_of
+from gyrobench.bench.authoring.file_kinds import PROCEDURE, STATION, check_file, schema_of
 from gyrobench.bench.authoring.new_files import new_procedure, new_station
 from gyrobench.bench.foundations.documents import read_document
 from gyrobench.bench.foundations.errors import DocumentError

@@ -2,8 +2,7 @@
 
 import typer
 
-from gyrobench.bench.cli import app
-from gyrobench.bench.cli.command_groups import GROUPS
+from gyrobench.bench.cli import GROUPS, app
 from tests.bench.command_line import gyrobench
 
 

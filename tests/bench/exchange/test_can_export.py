@@ -11,8 +11,7 @@ from gyrobench.bench.dwells.marks import DwellMarks
 from gyrobench.bench.exchange.can_export import TimedLog, write_blf
 from gyrobench.bench.exchange.run_export import DataKind, ExportSelection, Format, export_run
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.runs.blf import BlfWriter
-from gyrobench.bench.runs.can_log import read_can_log
+from gyrobench.bench.runs.can_log import BlfWriter, read_can_log
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.runs.provenance import started_utc

@@ -1,6 +1,6 @@
 import pytest
 
-from gyrobench.bench.exchange.dwell_rows import cycle_numbers
+from gyrobench.bench.exchange.log_import import cycle_numbers
 
 
 @pytest.mark.parametrize(

@@ -2,8 +2,12 @@ import pytest
 
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document
-from gyrobench.bench.recording.emulated_station import write_station_file
-from gyrobench.bench.recording.emulator_process import EmulationSettings, emulated_dbc, serve_options
+from gyrobench.bench.recording.emulated_station import (
+    EmulationSettings,
+    emulated_dbc,
+    serve_options,
+    write_station_file,
+)
 from gyrobench.bench.station.station import Station
 from gyrobench.bench.station.station_file import load_station_file
 

@@ -3,7 +3,8 @@ import sys
 import pytest
 
 from gyrobench.bench.foundations.errors import GyrobenchError
-from gyrobench.bench.report.run_report import write_pdf, write_report
+from gyrobench.bench.report.page import write_pdf
+from gyrobench.bench.report.run_report import write_report
 from gyrobench.bench.runs.folder import RunFolder
 
 

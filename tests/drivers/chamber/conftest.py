@@ -10,7 +10,7 @@ import pytest
 from gyrobench.bench.foundations.clock import Clock, VirtualClock, WallClock
 from gyrobench.drivers.chamber.watlow_f4 import WatlowF4
 from gyrobench.drivers.emulators.watlow_f4 import WatlowF4Emulator
-from gyrobench.drivers.emulators.world.chamber_air import ChamberAir
+from gyrobench.drivers.emulators.world.thermal import ChamberAir
 from gyrobench.drivers.serial_line import SerialLine
 
 

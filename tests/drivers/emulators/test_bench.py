@@ -8,7 +8,7 @@ from numba.core.dispatcher import Dispatcher
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.drivers.emulators.bench import EmulatedBench, compile_world
-from gyrobench.drivers.emulators.world.surroundings import INNER, OUTER
+from gyrobench.drivers.emulators.world.world import INNER, OUTER
 
 COMPILE = "from gyrobench.drivers.emulators.bench import compile_world; compile_world()"
 

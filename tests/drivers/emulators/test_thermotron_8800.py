@@ -3,7 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gyrobench.drivers.emulators.thermotron_8800 import Thermotron8800Emulator
-from gyrobench.drivers.emulators.world.chamber_air import ChamberAir
+from gyrobench.drivers.emulators.world.thermal import ChamberAir
 
 
 class Panel:

@@ -4,7 +4,7 @@ from hypothesis import strategies as st
 from pymodbus.framer.rtu import FramerRTU
 
 from gyrobench.drivers.emulators.watlow_f4 import WatlowF4Emulator
-from gyrobench.drivers.emulators.world.chamber_air import ChamberAir, ChamberParameters
+from gyrobench.drivers.emulators.world.thermal import ChamberAir, ChamberParameters
 
 READ_PV = "01 03 00 64 00 01 C5 D5"
 PV_25 = "01 03 02 00 FA 38 07"

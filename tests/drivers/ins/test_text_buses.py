@@ -12,7 +12,7 @@ import pytest
 from gyrobench.bench.foundations.clock import VirtualClock, WallClock
 from gyrobench.bench.foundations.errors import ReplyError
 from gyrobench.drivers.frames import FrameBlock, concatenate
-from gyrobench.drivers.ins import text_buses
+from gyrobench.drivers.ins import can_bus
 from gyrobench.drivers.ins.can_bus import block_receiver, close_bus, open_bus
 from gyrobench.drivers.ins.can_ins import CanIns
 
@@ -216,7 +216,7 @@ def test_frames_behind_many_different_invalid_lines_are_received(make, line, wro
 
 
 def test_frames_in_more_layouts_than_a_bus_has_count_as_lost(monkeypatch):
-    monkeypatch.setattr(text_buses, "_MAX_LAYOUTS", 3)
+    monkeypatch.setattr(can_bus, "_MAX_LAYOUTS", 3)
     adapter = Slcan("socket")
     bus = adapter.open()
     adapter.send(b"t00z\rt0040\rt004111\rt00421122\rt0043112233\rt0043112234\rt0040\r")
@@ -279,8 +279,8 @@ def test_a_server_that_hangs_up_is_an_error_after_its_frames():
 
 
 def test_frames_that_find_the_queue_full_are_counted_and_reported(adapter, monkeypatch, signal_map, codec):
-    monkeypatch.setattr(text_buses, "_MAX_QUEUED", 5000)
-    monkeypatch.setattr(text_buses, "_MAX_READ", 1000)
+    monkeypatch.setattr(can_bus, "_MAX_QUEUED", 5000)
+    monkeypatch.setattr(can_bus, "_MAX_READ", 1000)
     driver = CanIns(bus := adapter.open(), signal_map, codec.database, WallClock())
     line = adapter.text[: 1 + min(adapter.text.index(end) for end in (b"\r", b">") if end in adapter.text)]
     sent = 600

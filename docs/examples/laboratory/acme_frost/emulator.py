@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from gyrobench.drivers.emulators.dialect import ChamberEmulation, OnEvent
-from gyrobench.drivers.emulators.world.chamber_air import ChamberAir
+from gyrobench.drivers.emulators.world.thermal import ChamberAir
 
 _MAX_REQUEST_BYTES = 64
 

@@ -12,7 +12,7 @@ from gyrobench.bench.bias.dwell import NavigationWindow
 from gyrobench.bench.bias.noise_estimate import NoiseEstimate, estimate_noise
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, RADPS_TO_DPH, UG_PER_SQRT_HZ_TO_SI
-from gyrobench.bench.report.figures.noise import noise_figure
+from gyrobench.bench.report.figures.estimators import noise_figure
 from gyrobench.bench.report.figures.style import png_bytes
 
 ARW, VRW = 0.001 * DEG_PER_SQRT_H_TO_SI, 20.0 * UG_PER_SQRT_HZ_TO_SI

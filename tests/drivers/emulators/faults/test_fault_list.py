@@ -7,7 +7,7 @@ import pytest
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.drivers.emulators.faults.fault import Persistence, Timing
-from gyrobench.drivers.emulators.faults.fault_list import AnyFault, load_faults
+from gyrobench.drivers.emulators.faults.injector import AnyFault, load_faults
 
 KINDS = {get_args(kind.model_fields["fault"].annotation)[0]: kind for kind in get_args(get_args(AnyFault)[0])}
 PAGE = (Path(__file__).parents[4] / "docs" / "faults.md").read_text()

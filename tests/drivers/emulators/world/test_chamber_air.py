@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gyrobench.drivers.emulators.world.chamber_air import ChamberAir, ChamberParameters
+from gyrobench.drivers.emulators.world.thermal import ChamberAir, ChamberParameters
 
 MINUTE, HOUR = 60, 3600
 

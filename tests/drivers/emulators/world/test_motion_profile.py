@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gyrobench.drivers.emulators.world.motion_profile import (
+from gyrobench.drivers.emulators.world.table_axis import (
     AxisLimits,
     AxisState,
     Motion,

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS
-from gyrobench.drivers.emulators.world.surroundings import INNER
-from gyrobench.drivers.emulators.world.world import World
+from gyrobench.drivers.emulators.world.world import INNER, World
 
 HEATING = {"from_unit": 2, "to_unit": 1, "coupling_k_per_w": 0.1, "time_constant_s": 300.0}
 POWER_W, SENSITIVITY = 21.0, [0.006, -0.005, 0.004]

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS
 from gyrobench.bench.foundations.documents import parse_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.drivers.emulators.world.surroundings import INNER, OUTER
 from gyrobench.drivers.emulators.world.thermal import ThermalNetwork
 from gyrobench.drivers.emulators.world.undeclared_effects import (
     AttitudeThermal,
@@ -30,6 +29,7 @@ from gyrobench.drivers.emulators.world.undeclared_effects import (
     UndeclaredBias,
     WarmUp,
 )
+from gyrobench.drivers.emulators.world.world import INNER, OUTER
 
 TRIPLES = ("optics_c", "electronics_c", "optics_rate_c_per_h", "convected_w", "up_body")
 

@@ -9,8 +9,7 @@ from gyrobench.drivers.emulators.can_ins import CanInsEmulator
 from gyrobench.drivers.emulators.world.inertial_unit import Alignment, Mode
 from gyrobench.drivers.emulators.world.ins_compensation import Coefficient
 from gyrobench.drivers.emulators.world.strapdown import matrix_of
-from gyrobench.drivers.emulators.world.surroundings import INNER, OUTER
-from gyrobench.drivers.emulators.world.world import World
+from gyrobench.drivers.emulators.world.world import INNER, OUTER, World
 
 QUICK = {"boot_s": 1.0, "levelling_s": 2.0, "coarse_alignment_s": 5.0, "fine_alignment_s": 10.0}
 
