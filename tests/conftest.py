@@ -1,8 +1,10 @@
-"""Order of the tests, which of them one worker runs, what workers compile, and where their locks are."""
+"""Order of the tests, which of them one worker runs, what workers compile and share, and where locks are."""
 
 import contextlib
 import gc
 import importlib
+import os
+import shutil
 import signal
 
 import hypothesis
@@ -24,8 +26,8 @@ hypothesis.settings.load_profile("no deadline")
 SHIFT_RUNS = {
     "tests/bench/engine/test_whole_procedure.py",
     "tests/bench/engine/test_whole_procedure_results.py",
-    "tests/bench/dwells/test_replay.py",
-    "tests/bench/dwells/test_results.py",
+    "tests/bench/dwells/test_run_dwells.py",
+    "tests/bench/dwells/test_run_results.py",
 }
 #: What takes long comes first, so that no worker has it left over at the end.
 LONG = SHIFT_RUNS | {"tests/bench/closure/test_whole_campaigns.py"}
@@ -86,6 +88,29 @@ def lock_folder_of_this_worker(tmp_path_factory):
     with pytest.MonkeyPatch.context() as environment:
         environment.setenv(LOCK_DIR_VARIABLE, str(tmp_path_factory.mktemp("locks")))
         yield
+
+
+@pytest.fixture(scope="session")
+def made_once(tmp_path_factory):
+    """``made_once(name, make)``: a folder that ``make(folder)`` fills for all workers, which only read."""
+    import fcntl
+
+    folder = tmp_path_factory.getbasetemp()
+    shared = folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
+
+    def made(name, make):
+        path = shared / name
+        with (shared / f"{name}.lock").open("a+") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            lock.seek(0)
+            if not lock.read():
+                shutil.rmtree(path, ignore_errors=True)
+                path.mkdir()
+                make(path)
+                lock.write("made")
+        return path
+
+    return made
 
 
 @pytest.fixture(autouse=True)

@@ -18,7 +18,9 @@ from tests.bench.monitor.served_run import now, run_under_way
 from tests.bench.monitor.test_browser import CHROMIUM, OPTIONS
 
 CAMPAIGN = Path(__file__).parent / "data/run_folders/campaign.tar.xz"
-WIDTHS_PX = (360, 1280)
+NARROW_PX = 360
+#: Pages that the quick tests look at, in a narrow window.
+QUICK = ("report", "search for effects", "monitor")
 AXE = (resources.files("axe_core_python") / "axe.min.js").read_text(encoding="utf-8")
 RUN_AXE = """
 axe.run(document, {resultTypes: ["violations"]}).then(results => {
@@ -55,15 +57,14 @@ def pages(tmp_path_factory):
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
-@pytest.mark.parametrize("width_px", WIDTHS_PX)
 @pytest.mark.parametrize(
-    "name",
+    ("name", "width_px"),
     [
-        *("report", "search for effects", "monitor"),
-        *(
-            pytest.param(name, marks=pytest.mark.long)
-            for name in ("record in the monitor", "question", "list of runs")
-        ),
+        pytest.param(
+            name, width_px, marks=[] if width_px == NARROW_PX and name in QUICK else pytest.mark.long
+        )
+        for name in (*QUICK, "record in the monitor", "question", "list of runs")
+        for width_px in (NARROW_PX, 1280)
     ],
 )
 def test_a_page_has_no_finding(pages, name, width_px, tmp_path):
@@ -72,8 +73,8 @@ def test_a_page_has_no_finding(pages, name, width_px, tmp_path):
 
 @pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
 def test_a_page_with_low_contrast_has_a_finding(pages, tmp_path):
-    pale = pages["report"].replace("</style>", "p { color: #cccccc !important; }</style>")
-    assert "color-contrast" in findings(pale, 1280, tmp_path)
+    pale = pages["monitor"].replace("</style>", "p { color: #cccccc !important; }</style>")
+    assert "color-contrast" in findings(pale, NARROW_PX, tmp_path)
 
 
 def findings(page, width_px, folder):

@@ -180,7 +180,7 @@ class Certificate:
             "item of the order": self.order.item,
             "calibrated": f"{started}" if started == ended else f"{started} to {ended}",
             "issued": f"{self.issued}",
-            "run": self.run.name,
+            "run": self.run.run_name,
             "data": self.seal,
         }
         return {name: text for name, text in facts.items() if text}
@@ -220,7 +220,7 @@ class Certificate:
             for entry in self.run.entries("past_due")
         ]
         if self.run.facts.ended != "finished":
-            texts.append(f"The run {self.run.facts.ended or 'has not ended'}: {self.run.facts.reason}")
+            texts.append(f"{self.run.ending} {_sentence(self.run.facts.reason)}".strip())
         return texts or ["None."]
 
     @property
@@ -304,7 +304,7 @@ def certificate_of(folder: RunFolder, order: Order, *, simulated: bool = False) 
     given = {
         name: getattr(order, name) or str(options.get(name, "")) for name in ("customer", "order", "item")
     }
-    number = order.number or f"{serial_number_of(run)}-{run.name}-{digest[:8]}"
+    number = order.number or f"{serial_number_of(run)}-{run.run_name}-{digest[:8]}"
     model, note = _model(folder, run)
     certificate = Certificate(
         run=run,

@@ -47,6 +47,9 @@ _UNITS: Mapping[str, tuple[str, float]] = {
     "K": (r"\kelvin", 1.0),
     "m": (r"\metre", 1.0),
     "s": (r"\second", 1.0),
+    "mm": (r"\milli\metre", 1.0),
+    "ms": (r"\milli\second", 1.0),
+    "ug/g2": (r"\metre\tothe{-1}\second\tothe{2}", 1e-6 / STANDARD_GRAVITY),
     "Hz": (r"\hertz", 1.0),
 }
 _CONFORMITY = {"accepted": "pass", "rejected": "fail", "marginal": "conditionalPass"}
@@ -169,7 +172,7 @@ class _Document:
             self._identifications(
                 ("customer", "Order", order.order),
                 ("customer", "Item of the order", order.item),
-                ("calibrationLaboratory", "Run", certificate.run.name),
+                ("calibrationLaboratory", "Run", certificate.run.run_name),
                 ("calibrationLaboratory", "Sealed data", certificate.seal),
             ),
             self._dcc("beginPerformanceDate", f"{started}"),
@@ -337,8 +340,7 @@ class _Document:
                     "Bias model", [self._list("Numbers of the model", numbers, certificate.model_note)]
                 )
             )
-        known = [each for each in certificate.coefficients if each.unit in _UNITS]
-        if known:
+        if certificate.coefficients:
             quantities = [
                 self._named(
                     f"{each.name} {each.axis}, {each.temperature_c:.1f} °C "
@@ -348,7 +350,7 @@ class _Document:
                     each.expanded,
                     each.k,
                 )
-                for each in known
+                for each in certificate.coefficients
             ]
             results.append(
                 self._measurement(

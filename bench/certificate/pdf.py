@@ -7,6 +7,7 @@ import math
 import tempfile
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -143,7 +144,10 @@ def _bias_table(results: Sequence[BiasResult]) -> SectionTable:
 
 def _model_section(certificate: Certificate) -> Section | None:
     table: dict[tuple[str, str], dict[str, str]] = defaultdict(dict)
-    for each in certificate.model:
+    bases = [each.name.partition(" along ")[0] for each in certificate.model]
+    for _, each in sorted(
+        zip(bases, certificate.model, strict=True), key=lambda pair: (bases.index(pair[0]), pair[1].name)
+    ):
         table[each.name, _printed(each.unit)][each.axis] = _with_expanded(each.value, each.expanded)
     if not table:
         return None
@@ -170,6 +174,7 @@ def _coefficients_section(certificate: Certificate) -> Section | None:
         rows = [
             [f"{name} {axis}", unit, *(found.get(each, "–") for each in shown)]
             for (name, axis, unit), found in by_name.items()
+            if found.keys() & set(shown)
         ]
         factors = _factors([each for each in certificate.coefficients if each.plateau in shown])
         caption = f"Coefficient ± U, {factors}, at the plateaus from {shown[0]} to {shown[-1]}."
@@ -199,7 +204,10 @@ def _factors(numbers: Sequence[ModelNumber]) -> str:
 
 def _figures(certificate: Certificate, folder: Path, word: str) -> Iterator[tuple[str, Path]]:
     run = certificate.run
-    drawn = run_figures(run.telemetry, run.dwells, run.bins, run.acceptance, run.marked_temperatures_c)
+    none = math.nan, math.nan, math.nan  # the biases by the paper's method are not certified
+    dwells = [replace(each, paper_bias_dph=none) for each in run.dwells]
+    bins = [replace(each, paper_bias_dph=math.nan) for each in run.bins]
+    drawn = run_figures(run.telemetry, dwells, bins, run.acceptance, run.marked_temperatures_c)
     for name, draw in drawn:
         path = folder / f"{name}.svg"
         path.write_bytes(_svg(draw(), word))

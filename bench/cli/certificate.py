@@ -43,9 +43,13 @@ def certificate(
         bool, typer.Option("--simulated", help="Of a run with emulated instruments; it says so everywhere.")
     ] = False,
     key: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Sign with this key: PKCS#12, or PEM with key and certificate."),
-    ] = None,
+        str,
+        typer.Option(
+            metavar="FILE|URI",
+            help="Sign with this key: PKCS#12, PEM with key and certificate, or on a token, as "
+            "'pkcs11:token=NAME;object=KEY?module-path=FILE'.",
+        ),
+    ] = "",
     schema: Annotated[
         Path | None,
         typer.Option(
@@ -68,7 +72,8 @@ def certificate(
 ) -> None:
     """Issue the calibration certificate of a sealed run as PDF/A-3 and as DCC, or verify one.
 
-    The DCC is attached to the PDF. A password of the key is taken from GYROBENCH_KEY_PASSWORD.
+    The DCC is attached to the PDF. The key's password, or the token's PIN, is taken from
+    GYROBENCH_KEY_PASSWORD.
 
     With --json: {"number", "files", "validated", "signed"}, or with --verify {"file", "valid", "signer",
     "fingerprint", "problem"}.
@@ -143,7 +148,8 @@ def _recalibration(folder: RunFolder, limit_dph: float) -> str:
     from gyrobench.bench.report.terminal.runs import recalibration_sentence
     from gyrobench.bench.runs.index.recalibration import recalibrations
     from gyrobench.bench.runs.index.run_biases import read_run_biases, trends
-    from gyrobench.bench.runs.index.run_index import Selection, find_runs
+    from gyrobench.bench.runs.index.run_index import find_runs
+    from gyrobench.bench.runs.index.selection import Selection
 
     index = open_index(str(folder.path.resolve().parent))
     own = Selection(unit=serial_number_of(read_run(folder)))

@@ -11,7 +11,7 @@ import typer
 from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, JsonOption, console, print_result
 from gyrobench.bench.cli.run_selection import IndexOption, RootArgument, open_index, with_selection
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.runs.index.run_index import ANY_RUN, Selection
+from gyrobench.bench.runs.index.selection import ANY_RUN, Selection
 
 if TYPE_CHECKING:
     from gyrobench.bench.fleet.jobs import FleetRecord, JobResult

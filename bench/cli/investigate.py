@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -23,6 +22,7 @@ from gyrobench.bench.cli.options import (
 from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, JsonOption, console, print_json
 
 if TYPE_CHECKING:
+    from gyrobench.bench.engine.investigation_runs import InvestigationStart, Observe
     from gyrobench.bench.engine.job import Job
     from gyrobench.bench.engine.observers import RunObserver
     from gyrobench.bench.engine.operator import Operator
@@ -121,30 +121,27 @@ def investigate(
     from gyrobench.bench.engine.investigation_runs import (
         StationBench,
         measure_campaign,
-        measure_verification,
-        opening_job,
-        verification_runs,
+        start_with_procedure,
+        start_with_runs,
     )
-    from gyrobench.bench.engine.job import emulation_of, job_in, prepare_job, require_one_unit
+    from gyrobench.bench.engine.job import require_one_unit
     from gyrobench.bench.foundations.clock import WallClock
     from gyrobench.bench.foundations.errors import DocumentError
     from gyrobench.bench.investigation.external_bench import ExternalBench
     from gyrobench.bench.investigation.investigation import Investigator
-    from gyrobench.bench.investigation.profile import Profile
     from gyrobench.bench.monitor.terminal_view import observe_in_terminal
     from gyrobench.bench.report.run_report import write_report
-    from gyrobench.bench.report.verification.verification_text import LABELS
-    from gyrobench.bench.runs.folder import RUNS, RunFolder
+    from gyrobench.bench.runs.folder import RunFolder
     from gyrobench.bench.station.instruments import Emulation
 
-    terminal, profile = console(as_json), None
+    terminal = console(as_json)
 
     def approved(proposal: Proposal, rivals: Sequence[Rival]) -> bool:
         _show(terminal, proposal, rivals)
-        return approve is Approval.AUTO or typer.confirm("Measure it?", err=as_json)
+        return _is_confirmed(approve, as_json)
 
-    measured = [Path(source) for source in sources if (Path(source) / RunFolder.journal).exists()]
-    if adaptive and (bench is not None or measured):
+    runs = [Path(source) for source in sources if (Path(source) / RunFolder.journal).exists()]
+    if adaptive and (bench is not None or runs):
         raise DocumentError("--adaptive goes with a procedure that is not measured yet. Leave it out")
     if bench is not None:
         if station or world or seed is not None or verification or len(sources) > 1:
@@ -161,50 +158,59 @@ def investigate(
     def observe(job: Job) -> AbstractContextManager[tuple[RunObserver, Operator]]:
         return observe_in_terminal(terminal, job, view is View.LIVE)
 
-    if measured and len(measured) == len(sources):
-        first = RunFolder(measured[0])
-        folder = out or first.path / "investigation"
-        clock = None
-        known = emulation_of(first)
-        chosen = Emulation(world or known.world, known.seed if seed is None else seed, known.faults)
-        job = job_in(first) if station is None else prepare_job(str(first.procedure), station)
-        job = replace(job, emulation=chosen)
+    if runs and len(runs) == len(sources):
+        start = start_with_runs(runs, station, world, seed, out)
+    elif len(sources) > 1 or sources[0].endswith(".csv"):
+        raise DocumentError(
+            f"{sources[0]}: is no run folder. Name a procedure, run folders, or a table with --bench"
+        )
     else:
-        if len(sources) > 1 or sources[0].endswith(".csv"):
-            raise DocumentError(
-                f"{sources[0]}: is no run folder. Name a procedure, run folders, or a table with --bench"
-            )
-        job = prepare_job(sources[0], station or EMULATED, Emulation(world or Emulation.world, seed or 0))
-        folder = out or RUNS / f"investigation_{job.plan.procedure.procedure}"
-        if adaptive:
-            profile = Profile.of(job.plan)
-            job = opening_job(job, profile, folder)
-        first = RunFolder(folder / "campaign")
-        measured = [first.path]
+        emulation = Emulation(world or Emulation.world, seed or 0)
+        start = start_with_procedure(sources[0], station or EMULATED, emulation, out, adaptive=adaptive)
+    job, first, clock = start.job, RunFolder(start.runs[0]), None
     require_one_unit(job)
-    allows = job.station.file.block_approval
-    if approve is Approval.AUTO and allows != "auto":
+    if approve is Approval.AUTO and job.station.file.block_approval != "auto":
         raise DocumentError(
             f"{job.station.path}: does not allow blocks without approval. Set block_approval: auto, or leave "
             "--approve auto out"
         )
-    if measured == [folder / "campaign"]:
+    if start.is_measured_first:
         clock = measure_campaign(job, first, observe)
         write_report(first)
-    own = StationBench(job, measured, folder, observe, clock)
-    found = Investigator(own, folder, budget_h, approved, profile).run(WallClock())
+    own = StationBench(job, start.runs, start.folder, observe, clock)
+    found = Investigator(own, start.folder, budget_h, approved, start.profile).run(WallClock())
     proof = None
     if found.is_conclusive and verification != "none":
         procedure = verification or "verify_compensation"
-        runs = verification_runs(first, found.closure, procedure, job, folder / "verification")
-        what = " and ".join(LABELS[name] for name in runs.selected)
-        hours = sum(runs.jobs[name].plan.duration_s for name in runs.selected) / 3600.0
-        terminal.print(f"Verification in {hours:.1f} h, with {what}.")
-        missing = [name for name in runs.selected if not runs.is_finished(name)]
-        if not missing or approve is Approval.AUTO or typer.confirm("Measure it?", err=as_json):
-            proof = measure_verification(runs, observe)
+        proof = _verified(terminal, start, found, procedure, observe, lambda: _is_confirmed(approve, as_json))
     write_report(first)
-    _report(terminal, found, folder, sources, proof, as_json)
+    _report(terminal, found, start.folder, sources, proof, as_json)
+
+
+def _is_confirmed(approve: Approval, as_json: bool) -> bool:
+    return approve is Approval.AUTO or typer.confirm("Measure it?", err=as_json)
+
+
+def _verified(
+    terminal: RunConsole,
+    start: InvestigationStart,
+    found: Investigation,
+    procedure: str,
+    observe: Observe,
+    is_confirmed: Callable[[], bool],
+) -> VerificationResult | None:
+    """Verify the compensation for the cause that was found; None where that is not confirmed."""
+    from gyrobench.bench.engine.investigation_runs import measure_verification, verification_runs
+    from gyrobench.bench.report.verification.verification_text import LABELS
+    from gyrobench.bench.runs.folder import RunFolder
+
+    campaign, folder = RunFolder(start.runs[0]), start.folder / "verification"
+    runs = verification_runs(campaign, found.closure, procedure, start.job, folder)
+    what = " and ".join(LABELS[name] for name in runs.selected)
+    hours = sum(runs.jobs[name].plan.duration_s for name in runs.selected) / 3600.0
+    terminal.print(f"Verification in {hours:.1f} h, with {what}.")
+    missing = [name for name in runs.selected if not runs.is_finished(name)]
+    return measure_verification(runs, observe) if not missing or is_confirmed() else None
 
 
 def _report(

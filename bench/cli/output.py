@@ -118,8 +118,7 @@ def print_tables(
     """Print the results of a run: biases or calibration check, the verdict, coefficients, characteristics."""
     from gyrobench.bench.report.bias_sections import acceptance_summary, bins_summary
     from gyrobench.bench.report.calibration_check import verification_section
-    from gyrobench.bench.report.characteristics import characteristics_sections
-    from gyrobench.bench.report.coefficients import coefficients_section
+    from gyrobench.bench.report.coefficients import characteristics_sections, coefficients_section
     from gyrobench.bench.report.terminal.tables import section_view
 
     sections = [

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gyrobench.bench.cli.output import console
-from gyrobench.bench.runs.index.run_index import Selection
+from gyrobench.bench.runs.index.selection import Selection
 
 if TYPE_CHECKING:
     from gyrobench.bench.runs.index.run_index import RunIndex

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +23,7 @@ from gyrobench.bench.closure.loop import Closure
 from gyrobench.bench.closure.plausibility import implausible
 from gyrobench.bench.closure.temperatures import TemperatureRecord
 from gyrobench.bench.dwells.closure_inputs import joined_rows, read_campaign, temperature_record
-from gyrobench.bench.engine.job import Job, job_in, prepare_job
+from gyrobench.bench.engine.job import Job, emulation_of, job_in, prepare_job
 from gyrobench.bench.engine.observers import RunObserver, RunOutcome
 from gyrobench.bench.engine.operator import Operator
 from gyrobench.bench.engine.run import EarlierRuns, is_whole, run_or_resume
@@ -45,10 +45,11 @@ from gyrobench.bench.investigation.profile import Profile
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.procedure.procedure_file import checked_procedure
-from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.folder import RUNS, RunFolder
 from gyrobench.bench.runs.journal import facts_of, read_journal
 from gyrobench.bench.runs.provenance import started_utc
 from gyrobench.bench.runs.telemetry import last_reading_s, read_telemetry
+from gyrobench.bench.station.instruments import Emulation
 from gyrobench.bench.verification.compensation_verification import DECLARED, EFFECT, NONE, VerificationResult
 
 #: Observer and operator of a run.
@@ -71,12 +72,52 @@ def measure_campaign(job: Job, folder: RunFolder, observe: Observe) -> Clock | N
     return clock
 
 
-def opening_job(job: Job, profile: Profile, folder: Path) -> Job:
-    """The first dwells of an adaptive campaign for the profile of a job; its procedure is in the folder."""
-    path = folder / "opening.yaml"
-    make_folder(folder)
-    write_whole(path, opening_procedure(profile, DwellPattern.of(job.plan)).encode())
-    return prepare_job(str(path), str(job.station.path), job.emulation, compensation=job.compensation)
+@dataclass(frozen=True)
+class InvestigationStart:
+    """What an investigation on a station begins with."""
+
+    job: Job
+    folder: Path  #: Of the investigation.
+    runs: Sequence[Path]  #: Run folders of the first table.
+    profile: Profile | None = None  #: Of an adaptive campaign, which measures the first dwells for it.
+
+    @property
+    def is_measured_first(self) -> bool:
+        """Whether the first table is a campaign of the investigation."""
+        return list(self.runs) == [self.folder / "campaign"]
+
+
+def start_with_runs(
+    runs: Sequence[Path], station: str | None, world: str | None, seed: int | None, out: Path | None
+) -> InvestigationStart:
+    """Begin with runs of one unit; what is None is that of the first, the folder ``investigation`` in it.
+
+    Raises DocumentError or RunFolderError if a file of the first run, or the station, can't be used.
+    """
+    first = RunFolder(runs[0])
+    known = emulation_of(first)
+    emulation = Emulation(world or known.world, known.seed if seed is None else seed, known.faults)
+    job = job_in(first) if station is None else prepare_job(str(first.procedure), station)
+    return InvestigationStart(replace(job, emulation=emulation), out or first.path / "investigation", runs)
+
+
+def start_with_procedure(
+    procedure: str, station: str, emulation: Emulation, out: Path | None, *, adaptive: bool
+) -> InvestigationStart:
+    """Begin with a campaign that is measured: the procedure, or its first dwells if it is ``adaptive``.
+
+    ``out``: folder of the investigation, by default under ``runs/``. Raises DocumentError if procedure or
+    station are wrong, and RunFolderError if the folder can't be written.
+    """
+    job = prepare_job(procedure, station, emulation)
+    folder = out or RUNS / f"investigation_{job.plan.procedure.procedure}"
+    profile = Profile.of(job.plan) if adaptive else None
+    if profile is not None:
+        path = folder / "opening.yaml"
+        make_folder(folder)
+        write_whole(path, opening_procedure(profile, DwellPattern.of(job.plan)).encode())
+        job = prepare_job(str(path), str(job.station.path), job.emulation, compensation=job.compensation)
+    return InvestigationStart(job, folder, [folder / "campaign"], profile)
 
 
 def verification_runs(

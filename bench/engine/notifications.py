@@ -10,7 +10,7 @@ from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.observers import RunObserver, RunOutcome
 from gyrobench.bench.engine.operator import RunCommand
 from gyrobench.bench.engine.resume import ResumeState
-from gyrobench.bench.messages.message import Event, Message, Remaining
+from gyrobench.bench.messages.delivery import Event, Message, Remaining
 from gyrobench.bench.messages.messenger import Messenger
 from gyrobench.bench.procedure.plan import Plan, PlannedStep
 from gyrobench.bench.runs.folder import RunFolder

@@ -110,7 +110,7 @@ class QuantityStatistics:
 
 
 def fit_batch(values: Mapping[BatchQuantity, Sequence[RunBias]]) -> list[QuantityStatistics]:
-    """Fit the model to each quantity measured on at least :data:`MIN_UNITS` units.
+    """Fit the model to each quantity measured on at least :data:`MIN_UNITS` units, in the order given.
 
     Raises MeasurementError if there is no such quantity.
     """
@@ -123,7 +123,11 @@ def fit_batch(values: Mapping[BatchQuantity, Sequence[RunBias]]) -> list[Quantit
             f"no gyro was measured in the same bin and positions on at least {MIN_UNITS} units. Select more "
             "runs"
         )
-    fitted = [stats for family in families.values() for stats in _fitted(family)]
+    order = list(values)
+    fitted = sorted(
+        (stats for family in families.values() for stats in _fitted(family)),
+        key=lambda stats: order.index(stats.quantity),
+    )
     adjusted = iter(holm([unit.p_value for stats in fitted for unit in stats.units]))
     return [
         replace(stats, units=[replace(unit, p_adjusted=float(next(adjusted))) for unit in stats.units])
@@ -297,7 +301,8 @@ _COMPLETE = ("clean", "explained")
 def read_batch(index: RunIndex, runs: Sequence[Mapping[str, Any]]) -> dict[BatchQuantity, Sequence[RunBias]]:
     """Read what can be compared between units of selected runs: biases and sizes of effects."""
     biases = read_run_biases(index, [run["path"] for run in runs])
-    values: dict[BatchQuantity, Sequence[RunBias]] = dict(biases.items())
+    by_bin = sorted(biases.items(), key=lambda pair: (pair[0].gyro, pair[0].bin_low_c))
+    values: dict[BatchQuantity, Sequence[RunBias]] = dict(by_bin)
     values.update(_effect_sizes(index, runs).items())
     return values
 

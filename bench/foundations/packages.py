@@ -31,7 +31,7 @@ _EXTRAS = {
     "prometheus_client": "metrics",
     "pymavlink": "logs",
     "pyulog": "logs",
-    **dict.fromkeys(("cryptography", "lxml", "pyhanko", "signxml"), "certificate"),
+    **dict.fromkeys(("cryptography", "lxml", "pkcs11", "pyhanko", "signxml"), "certificate"),
 }
 
 ObjectT = TypeVar("ObjectT")

@@ -15,8 +15,7 @@ from gyrobench.bench.foundations.clock import Clock, Deadline, WallClock
 from gyrobench.bench.foundations.documents import Problem
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.shipped import find_document
-from gyrobench.bench.messages.delivery import UndeliveredError, deliver
-from gyrobench.bench.messages.message import Message
+from gyrobench.bench.messages.delivery import Message, UndeliveredError, deliver
 from gyrobench.bench.station.receivers import Receiver
 from gyrobench.bench.station.station_file import load_station_file
 

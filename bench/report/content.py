@@ -18,6 +18,7 @@ from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.documents import read_document
 from gyrobench.bench.foundations.errors import GyrobenchError
 from gyrobench.bench.foundations.files import file_sha256
+from gyrobench.bench.foundations.text import hours_minutes
 from gyrobench.bench.report.page import FINDINGS_FILE, Findings, read_findings_file
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import RunFacts, facts_of, read_journal
@@ -42,7 +43,7 @@ Entry = Mapping[str, Any]
 class RunContent:
     """Contents of a run folder."""
 
-    name: str  #: Name of the folder.
+    name: str  #: Name of the folder: of the run, or of one of its several units its number.
     journal: list[Entry]  #: Its entries, up to the first damaged one.
     #: provenance, procedure, station: Content of these files; empty where missing.
     provenance: Entry
@@ -68,11 +69,21 @@ class RunContent:
     #: Who approved or declined the blocks of an investigation that this run belongs to.
     approvals: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)  #: Missing or unreadable files.
+    run_name: str = ""  #: Name of the run, also in the folder of one of its units.
 
     @cached_property
     def facts(self) -> RunFacts:
         """Summary of the journal."""
         return facts_of(self.journal)
+
+    @property
+    def ending(self) -> str:
+        """How the run ended, as a sentence; of a unit that was dropped from it, when."""
+        dropped, ended = self.last("unit_dropped"), self.facts.ended
+        if ended == "failed" and dropped.get("why") == self.facts.reason:
+            after = hours_minutes(self.facts.last_s)
+            return f"Unit {dropped.get('unit')} was dropped from the run {self.run_name} after {after} h."
+        return f"The run {ended}." if ended else "The run has not ended."
 
     @property
     def is_simulated(self) -> bool:
@@ -123,6 +134,7 @@ def read_run(folder: RunFolder) -> RunContent:
     bins: list[BiasBin] = read(folder.bias_bins, read_bins, [])
     return RunContent(
         name=folder.path.resolve().name,
+        run_name=folder.run_name,
         journal=journal,
         provenance=read(folder.provenance, lambda _: read_provenance(folder), {}),
         procedure=procedure,

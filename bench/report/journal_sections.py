@@ -183,6 +183,7 @@ class _Gathered:
     def __init__(self) -> None:
         self.events: list[RunEvent] = []
         self._open: dict[tuple[str, str], list[int]] = {}
+        self._dropped: object = ""
         self.readers: Mapping[str, Callable[[Entry], object]] = {
             "tripped": self._tripped,
             "made_safe": self._made_safe,
@@ -201,6 +202,7 @@ class _Gathered:
             "compensation_decided": lambda entry: self._add(
                 entry, "command", f"compensation {entry.get('which')}: {entry.get('answer')}", _by(entry)
             ),
+            "unit_dropped": self._unit_dropped,
             "run_ended": self._ended,
             "note": lambda entry: self._add(entry, "note", str(entry.get("text"))),
             "journal_repaired": lambda entry: self._add(
@@ -267,8 +269,12 @@ class _Gathered:
         by = f" by {entry['operator']}" if entry.get("operator") else ""
         self._add(entry, "resumed", f"The run was interrupted and resumed{by}.", f"from step {next_step}")
 
+    def _unit_dropped(self, entry: Entry) -> None:
+        self._dropped = entry.get("why")  # with which the journal of the unit ends
+        self._add(entry, "unit dropped", f"{entry.get('unit')}: {self._dropped}")
+
     def _ended(self, entry: Entry) -> None:
-        if entry.get("ended") != "finished":
+        if entry.get("ended") != "finished" and entry.get("reason") != self._dropped:
             self._add(entry, "ended", f"The run {entry.get('ended')}: {entry.get('reason')}")
 
 

@@ -34,8 +34,7 @@ from gyrobench.bench.report.bias_sections import (
 )
 from gyrobench.bench.report.budget_section import CAPTION, budget_box, budget_figure, budget_section, shares
 from gyrobench.bench.report.calibration_check import dwells_text, verification_section, verification_sentence
-from gyrobench.bench.report.characteristics import characteristics_sections
-from gyrobench.bench.report.coefficients import coefficients_section
+from gyrobench.bench.report.coefficients import characteristics_sections, coefficients_section
 from gyrobench.bench.report.content import Entry, RunContent, read_run
 from gyrobench.bench.report.estimator_sections import (
     estimators_note,
@@ -208,8 +207,8 @@ def render(
         ],
         sections=[part for part in parts if part],
     )
-    source = f"Run {content.name}{started}"
-    return render_page(page, source, f"{title}: {content.name}", prepared_by, _watermark(content))
+    source = f"Run {content.run_name}{started}"
+    return render_page(page, source, f"{title}: {content.run_name}", prepared_by, _watermark(content))
 
 
 def _watermark(content: RunContent) -> str:
@@ -251,8 +250,7 @@ def verdict_boxes(content: RunContent) -> list[Box]:
     ]
     notes += [] if is_safe else ["The safe state was not fully reached; see the section Safe state."]
     colour = facts.ended if is_safe and facts.ended in ("finished", "stopped") else "failed"
-    gist = f"The run {facts.ended}." if facts.ended else "The run has not ended."
-    boxes = [Box(colour, gist, facts.reason or ("" if facts.ended else _INTERRUPTED), notes)]
+    boxes = [Box(colour, content.ending, facts.reason or ("" if facts.ended else _INTERRUPTED), notes)]
     if acceptance:
         boxes.append(verdict_box(acceptance))
     if found := budget_box(content.budget):

@@ -94,6 +94,13 @@ class RunFolder:
         return RunFolder(self.units / number) if number else self
 
     @property
+    def run_name(self) -> str:
+        """Name of this folder; in the folder of one of several units, name of their run's folder."""
+        path = self.path.resolve()
+        run = path.parents[1] if len(path.parents) > 1 else path
+        return run.name if path.parent.name == UNITS and (run / JOURNAL).exists() else path.name
+
+    @property
     def unit_folders(self) -> list[RunFolder]:
         """Run folders of its units, in the order of their numbers; none for a run of a single unit."""
         found = self.units.glob(f"*/{JOURNAL}")

@@ -385,16 +385,27 @@ def load_key(path: Path) -> Ed25519PrivateKey:
 
     Raises DocumentError if it can't be read or is not an Ed25519 key.
     """
-    serialization = require("cryptography.hazmat.primitives.serialization")
     ed25519 = require("cryptography.hazmat.primitives.asymmetric.ed25519")
-    password = os.environ.get(PASSWORD_VARIABLE, "").encode() or None
     try:
-        key = serialization.load_pem_private_key(read_limited(path, 100_000, DocumentError), password)
+        key = pem_key(read_limited(path, 100_000, DocumentError))
     except (ValueError, TypeError) as error:
         raise DocumentError(f"{path}: is not a private key that can be read: {error}") from error
     if not isinstance(key, ed25519.Ed25519PrivateKey):
         raise DocumentError(f"{path}: is not an Ed25519 key. Make one with: gyrobench seal --new-key FILE")
     return key  # type: ignore[no-any-return]
+
+
+def pem_key(content: bytes) -> Any:
+    """Private key in PEM, with the password in GYROBENCH_KEY_PASSWORD if it has one.
+
+    Raises ValueError or TypeError if it can't be read.
+    """
+    load = require("cryptography.hazmat.primitives.serialization").load_pem_private_key
+    password = os.environ.get(PASSWORD_VARIABLE, "").encode() or None
+    try:
+        return load(content, password)
+    except TypeError:  # also if the password is that of another key, and this one has none
+        return load(content, None)
 
 
 def _public_bytes(path: Path) -> bytes:

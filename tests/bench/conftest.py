@@ -13,6 +13,7 @@ from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.foundations.arrays import RADPS_TO_DPH
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.monitor.terminal_view import LinesView
+from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
 from tests.bench.runs.index.sample_runs import emulated_run
@@ -117,12 +118,18 @@ def shift_runs(watched_shift_runs):
 
 
 @pytest.fixture(scope="session")
-def short_run(tmp_path_factory):
-    """The shipped ten-minute check in the world gyro_a."""
-    return run("ten_minute_check", tmp_path_factory.mktemp("short"), "gyro_a")
+def short_run(made_once):
+    """The shipped ten-minute check in the world gyro_a: run folder and what was printed."""
+
+    def make(folder):
+        _, _, printed = run("ten_minute_check", folder / "run", "gyro_a")
+        (folder / "printed").write_text(printed)
+
+    folder = made_once("short-run", make)
+    return RunFolder(folder / "run"), (folder / "printed").read_text()
 
 
 @pytest.fixture(scope="session")
-def sample(tmp_path_factory):
+def sample(made_once):
     """Path of a small run for index and fleet, whose tests copy it."""
-    return emulated_run(tmp_path_factory.mktemp("sample"))
+    return made_once("sample-run", emulated_run) / "run-00000"

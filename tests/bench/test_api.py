@@ -3,6 +3,8 @@
 import math
 import subprocess
 import sys
+import tarfile
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -74,8 +76,11 @@ def test_figures_are_matplotlib_s(run):
 
 
 def test_a_search_takes_a_file_or_a_data_frame(tmp_path):
-    table = gyrobench.run("quick_campaign", "quick", world="quick", out=tmp_path / "run").dwells
-    from_frame, from_folder = gyrobench.close_loop(table), gyrobench.close_loop(tmp_path / "run")
+    with tarfile.open(Path(__file__).parents[1] / "data/run_folders/campaign.tar.xz") as archive:
+        archive.extractall(tmp_path, filter="data")
+    [folder] = [path.parent for path in tmp_path.rglob("journal.jsonl")]
+    table = gyrobench.open_run(folder).dwells
+    from_frame, from_folder = gyrobench.close_loop(table), gyrobench.close_loop(folder)
     assert from_frame.verdict == from_folder.verdict
     assert from_frame.error_before_dph == pytest.approx(from_folder.error_before_dph)
     halves = [tmp_path / "one.csv", tmp_path / "two.csv"]

@@ -124,15 +124,16 @@ class Campaign:
     sigma_dph: np.ndarray
 
 
-def found_by(unit, rows, hours, closure):
-    """Outcome of a campaign."""
+def found_by(unit, rows, hours, closure, *, is_settled=False):
+    """Outcome of a campaign; ``is_settled``: its blocks confirmed the cause."""
     rivals = rivals_of(closure)
     known = calibration_of(Forecast(closure.noise.weighted(rows)), PROFILE, rivals, closure.noise_scale)
     variance = np.array([each.probability for each in known.rivals]) @ known.variances
     set_c = unit._set_c[-1]
     hours += abs(set_c - _END_C) / _END_C_PER_H
     causes = frozenset(each.effect.name for each in closure.effects)
-    return Campaign(hours, causes, closure.verdict, np.sqrt(variance))
+    verdict = "explained" if is_settled and causes else closure.verdict
+    return Campaign(hours, causes, verdict, np.sqrt(variance))
 
 
 def compared(seed):
@@ -148,7 +149,8 @@ def compared(seed):
     with tempfile.TemporaryDirectory() as folder:
         investigator = Investigator(UnitBench(own), Path(folder), 100.0, lambda *_: True, PROFILE)
         found = investigator.run(WallClock())
-    adaptive = found_by(own, found.rows, found.spent_h, found.closure)
+    is_settled = found.ended == "settled"
+    adaptive = found_by(own, found.rows, found.spent_h, found.closure, is_settled=is_settled)
     return kinds, fixed, adaptive, found
 
 

@@ -29,7 +29,6 @@ from gyrobench.bench.investigation.doubt import (
     searched,
 )
 from gyrobench.bench.investigation.forecast import Forecast
-from gyrobench.bench.investigation.investigation import MIN_GAIN
 from gyrobench.bench.investigation.proposal import hours_left, outcome_of, propose
 from tests.benchmarks.closure_laws import ON_THE_LIST
 from tests.benchmarks.investigation_units import SimulatedUnit
@@ -109,11 +108,11 @@ class Tie:
                 new = unit.measure(chosen.block.plan)
                 tested = set(state.tested)
                 confirmed = set(state.confirmed)
-                if is_test:
-                    tested.add(names)
+                if names:
                     rivals = confirming_rivals(state.closure)
                     outcome = outcome_of(state.forecast, chosen, new, rivals, state.closure.noise_scale)
                     confirmed |= {names} if outcome and outcome.agrees else set()
+                    tested |= {names} if is_test and outcome and not outcome.leaves_open else set()
                 rows = [*state.rows, *new]
                 self._known[blocks] = State(unit, rows, self._held_out, blocks, tested, confirmed)
 
@@ -124,11 +123,12 @@ class Tie:
             return [each for each in found if each.block.plan.duration_h <= left_h]
 
         names = frozenset(each.effect.name for each in state.closure.effects)
+        test_value = by_test if value in (by_entropy, by_hours_left) else value
         for with_single_dwells in (True, False):
             is_open = only_unconfirmed(state.closure, with_single_dwells=with_single_dwells)
             if is_open and names not in state.tested and (usable := short(state.confirming)):
-                return max(usable, key=lambda each: each.tested_per_h), True
-            useful = [each for each in short(state.proposals) if each.fall > MIN_GAIN]
+                return max(usable, key=lambda each: test_value(each, state)), True
+            useful = [each for each in short(state.proposals) if each.can_help]
             if useful:
                 return max(useful, key=lambda each: value(each, state)), False
         return None, False
@@ -174,6 +174,11 @@ def by_hours_left(proposal, state):
 def by_entropy(proposal, state):
     """Expected fall of the entropy per hour, the choice of `gyrobench investigate`."""
     return proposal.gain_per_h
+
+
+def by_test(proposal, state):
+    """How far the block tests the cause, per hour, the choice of `gyrobench investigate` to confirm one."""
+    return proposal.tested_per_h
 
 
 def by_d_optimality(proposal, state):

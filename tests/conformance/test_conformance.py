@@ -1,4 +1,4 @@
-"""The conformance suite accepts the shipped dialects, and finds each mistake of a broken one."""
+"""The conformance suite finds each mistake of a broken dialect; ``conformance/`` tests the shipped ones."""
 
 import os
 import subprocess
@@ -22,12 +22,6 @@ def suite(tmp_path, *arguments, path=()):
     )  # fmt: skip
     cases = ElementTree.parse(report).iter("testcase") if report.exists() else ()  # noqa: S314 - our own file
     return done, {case.get("name"): {child.tag for child in case} for case in cases}
-
-
-def test_the_shipped_dialects_conform(tmp_path):
-    done, outcomes = suite(tmp_path, "--dialect", "thermotron_8800", "--dialect", "acutrol3000")
-    assert done.returncode == 0, done.stdout[-3000:]
-    assert len(outcomes) > 60
 
 
 def test_each_mistake_is_found_by_the_test_for_it(tmp_path):

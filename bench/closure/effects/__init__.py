@@ -1,4 +1,4 @@
-"""The candidate effects: modules with an ``EFFECT``, other packages by entry point, users' files."""
+"""The candidate effects: those of the modules here, other packages' by entry point, users' files."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ def all_effects(*sources: Path) -> tuple[Effect, ...]:
     not left out silently: the outcome of a search depends on its candidates.
     """
     modules = (importlib.import_module(f"{__name__}.{each.name}") for each in pkgutil.iter_modules(__path__))
-    found = (getattr(module, "EFFECT", None) for module in modules)
-    effects = {each.name: each for each in found if isinstance(each, Effect)}
+    found = (each for module in modules for each in vars(module).values() if isinstance(each, Effect))
+    effects = {each.name: each for each in found}
     for name in installed(EFFECTS):
         effect = load(EFFECTS, name, Effect)
         reason = _reason_against(effect, name, effects)

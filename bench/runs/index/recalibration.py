@@ -23,7 +23,8 @@ from scipy.stats import norm
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.runs.index.run_biases import MONTH_DAYS, RunBias, Trend, read_run_biases
-from gyrobench.bench.runs.index.run_index import RunIndex, Selection, find_runs
+from gyrobench.bench.runs.index.run_index import RunIndex, find_runs
+from gyrobench.bench.runs.index.selection import Selection
 
 #: Dates are given up to this far after the last run.
 MAX_MONTHS = 120.0

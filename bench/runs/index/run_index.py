@@ -1,7 +1,7 @@
-"""The index of the runs of a folder or object store, and what selects runs of it.
+"""The index of the runs of a folder or object store: one DuckDB file, made from the run folders.
 
-It is one DuckDB file, made from the run folders: everything in it comes from there, so it may be removed at
-any time. Only runs whose files have changed are read again.
+Everything in it comes from the run folders, so it may be removed at any time. Only runs whose files
+have changed are read again.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
-from datetime import date, datetime, timedelta
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -21,6 +20,7 @@ from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError, Ru
 from gyrobench.bench.foundations.files import make_folder
 from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.foundations.text import counted
+from gyrobench.bench.runs.index.selection import Selection
 from gyrobench.bench.runs.index.store import UNITS, RunFiles, RunStore, open_store
 from gyrobench.bench.runs.index.tables import (
     RUN_TABLES,
@@ -36,47 +36,6 @@ from gyrobench.bench.runs.provenance import SIMULATED
 
 if TYPE_CHECKING:
     import duckdb
-
-
-@dataclass(frozen=True)
-class Selection:
-    """Criteria for runs; None for any."""
-
-    #: unit, batch, bench: Serial number, batch of its gyros, name of the station.
-    unit: str | None = None
-    batch: str | None = None
-    bench: str | None = None
-    procedure: str | None = None  #: Name of the procedure, or the beginning of its SHA-256.
-    #: since, until: First and last day (UTC) of the start of the run.
-    since: date | None = None
-    until: date | None = None
-    verdict: str | None = None  #: Verdict of the search for effects, or of acceptance.
-    ended: str | None = None  #: End of the run.
-
-    def condition(self) -> tuple[str, list[Any]]:
-        """SQL condition on the table of runs, and its parameters."""
-        tests = [
-            ("unit = ?", self.unit),
-            ("batch = ?", self.batch),
-            ("station = ?", self.bench),
-            ("(procedure = ? OR starts_with(procedure_sha256, ?))", self.procedure),
-            ("started_utc >= ?", _midnight(self.since)),
-            ("started_utc < ?", _midnight(self.until, days=1)),
-            ("(verdict = ? OR acceptance = ?)", self.verdict),
-            ("ended = ?", self.ended),
-        ]
-        asked = [(test, value) for test, value in tests if value is not None]
-        parameters = [value for test, value in asked for _ in range(test.count("?"))]
-        return " AND ".join(test for test, _ in asked) or "true", parameters
-
-
-#: No criterion.
-ANY_RUN = Selection()
-
-
-def _midnight(day: date | None, days: int = 0) -> datetime | None:
-    return None if day is None else datetime.combine(day + timedelta(days=days), datetime.min.time())
-
 
 INDEX = "index.duckdb"
 

@@ -1,5 +1,8 @@
 import datetime
+import os
 import shutil
+import subprocess
+from pathlib import Path
 
 import pytest
 
@@ -8,6 +11,8 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.seal import seal_run
 from tests.bench.command_line import gyrobench
 
+#: Of the token in software.
+LABEL, PIN = "bench", "1234"
 LABORATORY = """
 laboratory: {name: Example Laboratory, street: Long Road 1, city: Sampletown, country: DE, procedure: GYRO-07}
 traceability:
@@ -56,12 +61,51 @@ def other_key(tmp_path_factory):
     return new_signing_key(tmp_path_factory.mktemp("keys") / "other.pem", "Other Laboratory")
 
 
-def new_signing_key(path, owner):
+@pytest.fixture(scope="session")
+def token(tmp_path_factory):
+    """URI by label, certificate's file and PIN of two keys on a software token: RSA and EC."""
+    pkcs11 = pytest.importorskip("pkcs11")
+    x509 = pytest.importorskip("cryptography.x509")
+    rsa = pytest.importorskip("cryptography.hazmat.primitives.asymmetric.rsa")
+    Encoding = pytest.importorskip("cryptography.hazmat.primitives.serialization").Encoding
+    module = next(Path("/usr/lib").rglob("libsofthsm2.so"), None)
+    if module is None or shutil.which("softhsm2-util") is None:
+        pytest.skip("needs softhsm2, a PKCS#11 token in software")
+    folder = tmp_path_factory.mktemp("token")
+    (folder / "conf").write_text(f"directories.tokendir = {folder}\n")
+    os.environ["SOFTHSM2_CONF"] = str(folder / "conf")
+    softhsm("--init-token", "--free", "--label", LABEL, "--so-pin", "5678")
+    found = {}
+    for label, key in (("rsa", rsa.generate_private_key(65537, 2048)), ("ec", None)):
+        pem = new_signing_key(folder / f"{label}.pem", f"Token {label}", key)
+        identifier = label.encode().hex()
+        softhsm("--import", pem, "--token", LABEL, "--label", label, "--id", identifier)
+        certificate = x509.load_pem_x509_certificate(pem.with_suffix(".crt").read_bytes())
+        with pkcs11.lib(str(module)).get_token(token_label=LABEL).open(rw=True, user_pin=PIN) as session:
+            session.create_object(
+                {
+                    pkcs11.Attribute.CLASS: pkcs11.ObjectClass.CERTIFICATE,
+                    pkcs11.Attribute.CERTIFICATE_TYPE: pkcs11.CertificateType.X_509,
+                    pkcs11.Attribute.TOKEN: True,
+                    pkcs11.Attribute.ID: label.encode(),
+                    pkcs11.Attribute.SUBJECT: certificate.subject.public_bytes(),
+                    pkcs11.Attribute.VALUE: certificate.public_bytes(Encoding.DER),
+                }
+            )
+        found[label] = f"pkcs11:token={LABEL};object={label}?module-path={module}", pem.with_suffix(".crt")
+    return found
+
+
+def softhsm(*arguments):
+    subprocess.run(["softhsm2-util", *map(str, arguments), "--pin", PIN], check=True, capture_output=True)
+
+
+def new_signing_key(path, owner, key=None):
     x509 = pytest.importorskip("cryptography.x509")
     ec = pytest.importorskip("cryptography.hazmat.primitives.asymmetric.ec")
     hashes = pytest.importorskip("cryptography.hazmat.primitives.hashes")
     serialization = pytest.importorskip("cryptography.hazmat.primitives.serialization")
-    key = ec.generate_private_key(ec.SECP256R1())
+    key = key or ec.generate_private_key(ec.SECP256R1())
     name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, owner)])
     begin = datetime.datetime(2026, 1, 1, tzinfo=datetime.UTC)
     certificate = (

@@ -28,6 +28,7 @@ from gyrobench.bench.runs.tables.budget_table import (
     write_budget,
 )
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, write_coefficients
+from tests.bench.certificate.conftest import PIN
 from tests.bench.command_line import gyrobench
 
 etree = pytest.importorskip("lxml.etree")
@@ -166,7 +167,7 @@ def test_the_dcc_is_valid_against_the_schema_signed_too(measured_run, simulated,
     for made in (certificate_of(measured_run, SIGNED_BY), simulated):
         document = certificate_dcc(made)
         validate_dcc(document, Path(SCHEMA))
-        validate_dcc(sign_dcc(document, load_signing_key(signing_key)), Path(SCHEMA))
+        validate_dcc(sign_dcc(document, load_signing_key(str(signing_key))), Path(SCHEMA))
     with pytest.raises(DocumentError, match=r"line .*uniqueIdentifier"):
         validate_dcc(document.replace(b"uniqueIdentifier", b"identifier"), Path(SCHEMA))
 
@@ -185,7 +186,7 @@ def test_a_folder_without_the_schema_is_named(tmp_path, simulated):
 
 def test_a_signed_dcc_is_refused_after_one_byte_was_changed(simulated, signing_key, tmp_path):
     path = tmp_path / "certificate.xml"
-    signed = sign_dcc(certificate_dcc(simulated), load_signing_key(signing_key))
+    signed = sign_dcc(certificate_dcc(simulated), load_signing_key(str(signing_key)))
     path.write_bytes(signed)
     check = verify_file(path, signing_key.with_suffix(".crt"))
     assert (check.signer, check.problem) == ("CN=Example Laboratory", "")
@@ -204,7 +205,7 @@ def test_a_signed_pdf_is_tagged_has_the_dcc_and_is_refused_after_one_byte_was_ch
     reader = pytest.importorskip("pyhanko.pdf_utils.reader")
     path = tmp_path / "certificate.pdf"
     printed = certificate_pdf(simulated, {"certificate_SIMULATED.xml": certificate_dcc(simulated)})
-    signed = sign_pdf(printed, load_signing_key(signing_key), "Calibration certificate")
+    signed = sign_pdf(printed, load_signing_key(str(signing_key)), "Calibration certificate")
     path.write_bytes(signed)
     with path.open("rb") as stream:
         root = reader.PdfFileReader(stream).root
@@ -217,19 +218,65 @@ def test_a_signed_pdf_is_tagged_has_the_dcc_and_is_refused_after_one_byte_was_ch
     assert verify_file(path).problem
 
 
+@pytest.mark.parametrize("kind", ["rsa", "ec"])
+def test_a_key_on_a_token_signs_document_and_pdf(simulated, token, kind, tmp_path, monkeypatch):
+    weasyprint = pytest.importorskip("weasyprint")
+    monkeypatch.setenv("GYROBENCH_KEY_PASSWORD", PIN)
+    uri, trusted = token[kind]
+    key = load_signing_key(uri)
+    pdf = weasyprint.HTML(string="<h1>Certificate</h1>").write_pdf()
+    document, printed = tmp_path / "certificate.xml", tmp_path / "certificate.pdf"
+    document.write_bytes(sign_dcc(certificate_dcc(simulated), key))
+    printed.write_bytes(sign_pdf(pdf, key, "Calibration certificate"))
+    for path in (document, printed):
+        check = verify_file(path, trusted)
+        assert (check.signer, check.problem) == (f"CN=Token {kind}", "")
+        path.write_bytes(path.read_bytes().replace(b"ertificate", b"ertificatf", 1))
+        assert verify_file(path).problem
+
+
+def test_a_token_that_does_not_fit_is_named(token, monkeypatch):
+    monkeypatch.setenv("GYROBENCH_KEY_PASSWORD", "4321")
+    uri, _ = token["rsa"]
+    with pytest.raises(DocumentError, match="PinIncorrect"):
+        load_signing_key(uri)
+    monkeypatch.setenv("GYROBENCH_KEY_PASSWORD", PIN)
+    with pytest.raises(DocumentError, match="0 private keys on the token instead of one"):
+        load_signing_key(uri.replace("object=rsa", "object=other"))
+    with pytest.raises(DocumentError, match="NoSuchToken"):
+        load_signing_key(uri.replace("token=bench", "token=other"))
+    with pytest.raises(DocumentError, match="write pkcs11:token=NAME;object=KEY"):
+        load_signing_key("pkcs11:token=bench")
+
+
+def test_a_certificate_of_another_key_is_refused(simulated, signing_key, other_key, tmp_path):
+    mixed = tmp_path / "mixed.pem"
+    mixed.write_bytes(
+        signing_key.read_bytes().partition(b"-----BEGIN CERTIFICATE")[0]
+        + other_key.with_suffix(".crt").read_bytes()
+    )
+    with pytest.raises(DocumentError, match="does not belong to the key"):
+        sign_dcc(certificate_dcc(simulated), load_signing_key(str(mixed)))
+
+
 def test_a_certificate_of_another_signer_is_not_trusted(simulated, signing_key, other_key, tmp_path):
     path = tmp_path / "certificate.xml"
-    path.write_bytes(sign_dcc(certificate_dcc(simulated), load_signing_key(signing_key)))
+    path.write_bytes(sign_dcc(certificate_dcc(simulated), load_signing_key(str(signing_key))))
     assert "neither in" in verify_file(path, other_key.with_suffix(".crt")).problem
     with pytest.raises(DocumentError, match="holds no certificate in PEM"):
         verify_file(path, path)
+
+
+def test_the_password_of_another_key_is_no_obstacle(signing_key, monkeypatch):
+    monkeypatch.setenv("GYROBENCH_KEY_PASSWORD", "of another key")
+    assert len(load_signing_key(str(signing_key)).certificates) == 1
 
 
 def test_a_file_without_key_or_certificate_is_refused(tmp_path, signing_key):
     alone = tmp_path / "alone.pem"
     alone.write_bytes(signing_key.read_bytes().partition(b"-----BEGIN CERTIFICATE")[0])
     with pytest.raises(DocumentError, match=r"key can't be read|no private key with a certificate"):
-        load_signing_key(alone)
+        load_signing_key(str(alone))
 
 
 def test_the_command_writes_seals_and_verifies(emulated_run, signing_key, tmp_path, monkeypatch):

@@ -55,22 +55,22 @@ def table(tmp_path_factory):
     return path
 
 
-def test_close_prints_the_verdict_and_leaves_page_figures_and_tables(table):
-    result = gyrobench("close", table, cwd=table.parent)
+@pytest.fixture(scope="module")
+def searched(table):
+    return gyrobench("close", table, "--out", "found", "--hold-out-cycle", 1, cwd=table.parent)
+
+
+def test_close_holds_a_cycle_out_prints_the_verdict_and_leaves_page_figures_and_tables(table, searched):
+    result = searched
     assert result.returncode == 0, result.stderr
     assert result.stdout.startswith(("Search for effects\nExplained.", "Search for effects\nAmbiguous."))
     assert max(map(len, result.stdout.splitlines()[:-4])) <= 80
-    left = {path.name for path in (table.parent / "closure").iterdir()}
+    assert re.search(r"^Report +found/closure\.html$", result.stdout, re.MULTILINE)
+    found = table.parent / "found"
+    assert json.loads((found / "closure.json").read_text())["held_out_cycles"] == [1]
+    left = {path.name for path in found.iterdir()}
     tables = {"closure.json", "findings.json", "predictions.csv", "model.yaml"}
     assert left == {"closure.html", "figures", *tables}
-
-
-def test_close_holds_out_the_cycles_that_it_is_reported(table, tmp_path):
-    arguments = ("close", table, "--out", "found", "--hold-out-cycle", 1)
-    result = gyrobench(*arguments, cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
-    assert json.loads((tmp_path / "found/closure.json").read_text())["held_out_cycles"] == [1]
-    assert re.search(r"^Report +found/closure\.html$", result.stdout, re.MULTILINE)
 
 
 def test_close_searches_several_tables_and_says_what_is_held_out(table, tmp_path):
@@ -163,10 +163,9 @@ def test_plan_reports_the_effects_that_its_dwells_distinguish(tmp_path):
     assert (tmp_path / f"separability_{procedure}.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_plan_starts_from_a_search(table, tmp_path):
-    assert gyrobench("close", table, "--out", tmp_path / "found", cwd=tmp_path).returncode == 0
+def test_plan_starts_from_a_search(table, searched, tmp_path):
     arguments = ("plan", "quick_campaign", "--station", "quick", "--separability", "--closure")
-    result = gyrobench(*arguments, "found", cwd=tmp_path)
+    result = gyrobench(*arguments, table.parent / "found", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     text = " ".join(result.stdout.split())
     assert re.search(r"The search uses \d+ of \d+ dwells; the last cycle is held out", text)
@@ -175,7 +174,7 @@ def test_plan_starts_from_a_search(table, tmp_path):
     result = gyrobench(*arguments, "nowhere", cwd=tmp_path)
     assert result.returncode == EXIT_WRONG_INPUT
     assert "there is no closure.json" in result.stderr
-    result = gyrobench("plan", "quick_campaign", "--closure", "found", cwd=tmp_path)
+    result = gyrobench("plan", "quick_campaign", "--closure", table.parent / "found", cwd=tmp_path)
     assert "--separability only" in result.stderr
 
 
@@ -189,7 +188,7 @@ def test_a_wrong_procedure_lists_its_mistakes_and_nothing_is_made(tmp_path):
     (tmp_path / "wrong.yaml").write_text(
         "procedure: wrong\nsteps:\n  - sook: {for_s: 5}\n  - wait: {duration: 5}\n"
     )
-    result = gyrobench_process("run", "wrong.yaml", cwd=tmp_path)
+    result = gyrobench("run", "wrong.yaml", cwd=tmp_path)
     assert result.returncode == EXIT_WRONG_INPUT
     assert "wrong.yaml:3:" in result.stderr
     assert "did you mean 'soak'?" in result.stderr

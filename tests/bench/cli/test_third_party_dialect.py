@@ -1,9 +1,7 @@
 """A third-party package adds a chamber's dialect and its emulator; nothing here knows of it."""
 
-import os
 import re
 import shutil
-import subprocess
 from pathlib import Path
 
 import pytest
@@ -11,7 +9,7 @@ import pytest
 from gyrobench.bench.cli.output import EXIT_WRONG_INPUT
 from gyrobench.bench.foundations import packages
 from gyrobench.bench.foundations.shipped import find_document
-from tests.bench.command_line import PROCESS, WIDTH, gyrobench
+from tests.bench.command_line import gyrobench
 
 PACKAGE = Path(__file__).parents[3] / "docs/examples/laboratory/acme_frost"
 METADATA = "Metadata-Version: 2.1\nName: acme-frost\nVersion: 1.2\n"
@@ -63,12 +61,9 @@ def installed(site, monkeypatch):
     packages._all_entries.cache_clear()
 
 
-def test_a_run_goes_through_a_dialect_of_another_package(acme_station, site, tmp_path):
-    command = [*PROCESS, "run", "ten_minute_check", "--station", acme_station().name, "--world", "ideal"]
-    done = subprocess.run(
-        [*command, "--out", "acme-run"], cwd=tmp_path, capture_output=True, text=True, timeout=200,
-        env=os.environ | WIDTH | {"PYTHONPATH": str(site)},
-    )  # fmt: skip
+def test_a_run_goes_through_a_dialect_of_another_package(acme_station, installed, tmp_path):
+    options = ("--station", acme_station(), "--world", "ideal", "--out", "acme-run")
+    done = gyrobench("run", "ten_minute_check", *options, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "Acme Frost, shelf 3" in (tmp_path / "acme-run" / "provenance.json").read_text()
 

@@ -2,15 +2,9 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.candidates import Candidate, best_start, refine, stack, starts
-from gyrobench.bench.closure.effects import (
-    attitude_thermal,
-    bias_jump,
-    thermal_hysteresis,
-    thermal_lag,
-    time_drift,
-    warm_up,
-)
+from gyrobench.bench.closure.effects import attitude_thermal, bias_jump
 from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter, fixed
+from gyrobench.bench.closure.effects.laws import THERMAL_HYSTERESIS, THERMAL_LAG, TIME_DRIFT, WARM_UP
 from tests.bench.closure.thermal_bench import HALF_WIDTH_C, LAG_H, WARM_UP_H
 
 
@@ -24,22 +18,22 @@ def whole(effect, *values):
 
 
 @pytest.mark.parametrize(
-    ("module", "true", "tolerance"),
+    ("effect", "true", "tolerance"),
     [
-        (thermal_hysteresis, HALF_WIDTH_C, 0.08),
-        (thermal_lag, LAG_H * 3600.0, 0.08),
-        (warm_up, WARM_UP_H * 3600.0, 0.05),
-        (bias_jump, 0.4 * 3 * 67_200.0, 0.01),
+        (THERMAL_HYSTERESIS, HALF_WIDTH_C, 0.08),
+        (THERMAL_LAG, LAG_H * 3600.0, 0.08),
+        (WARM_UP, WARM_UP_H * 3600.0, 0.05),
+        (bias_jump.EFFECT, 0.4 * 3 * 67_200.0, 0.01),
     ],
 )
-def test_the_parameter_of_an_effect_is_recovered(problem, module, true, tolerance):
-    one = problem({module.EFFECT.name: 10.0})
-    assert fitted(one, module.EFFECT).values == (pytest.approx(true, rel=tolerance),)
+def test_the_parameter_of_an_effect_is_recovered(problem, effect, true, tolerance):
+    one = problem({effect.name: 10.0})
+    assert fitted(one, effect).values == (pytest.approx(true, rel=tolerance),)
 
 
 def test_parameters_of_two_effects_are_improved_together(problem):
     one = problem({"warm_up": 8.0, "thermal_hysteresis": 8.0})
-    begun = [whole(warm_up.EFFECT, 2700.0), whole(thermal_hysteresis.EFFECT, 7.0)]
+    begun = [whole(WARM_UP, 2700.0), whole(THERMAL_HYSTERESIS, 7.0)]
     better = refine(one, begun)
     assert (
         one.chi2_reduction(*stack(better, one.campaign))[0]
@@ -60,8 +54,8 @@ def test_a_parameter_stays_between_its_bounds(problem):
 
 
 def test_the_start_is_the_one_of_the_grid_that_explains_most(problem):
-    one, [form] = problem({"thermal_hysteresis": 8.0}), thermal_hysteresis.EFFECT.forms
-    start = best_start(one, thermal_hysteresis.EFFECT, form)
+    one, [form] = problem({"thermal_hysteresis": 8.0}), THERMAL_HYSTERESIS.forms
+    start = best_start(one, THERMAL_HYSTERESIS, form)
     assert start.values in starts(form, one.campaign)
     gain = one.chi2_reduction(start.columns(one.campaign))[0]
     assert gain == max(
@@ -71,7 +65,7 @@ def test_the_start_is_the_one_of_the_grid_that_explains_most(problem):
 
 
 def test_a_form_without_parameters_has_nothing_to_improve(problem):
-    drift = whole(time_drift.EFFECT)
+    drift = whole(TIME_DRIFT)
     assert refine(problem(), [drift]) == [drift]
     assert drift.parameter_count == 3
 
@@ -80,7 +74,7 @@ def test_all_combinations_of_starting_values_are_tried(clean):
     parameters = (Parameter("a", 0, 9, fixed(1.0, 2.0)), Parameter("b", 0, 9, fixed(3.0, 4.0, 5.0)))
     form = Form(("term",), lambda campaign, _: campaign.rate_c_per_h[:, :, None], parameters)
     assert starts(form, clean) == [(1, 3), (1, 4), (1, 5), (2, 3), (2, 4), (2, 5)]
-    assert starts(time_drift.EFFECT.forms[0], clean) == [()]
+    assert starts(TIME_DRIFT.forms[0], clean) == [()]
 
 
 def test_unknowns_are_the_terms_kept_and_the_parameters():

@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.candidates import solve_with
-from gyrobench.bench.closure.effects import bias_jump, g_sensitivity, temperature_rate, time_drift, warm_up
+from gyrobench.bench.closure.effects import bias_jump
 from gyrobench.bench.closure.effects.effect import Effect, Form
+from gyrobench.bench.closure.effects.laws import G_SENSITIVITY, TEMPERATURE_RATE, TIME_DRIFT, WARM_UP
 from gyrobench.bench.closure.problem import declared_problem
 from gyrobench.bench.closure.validation import (
     LeftOut,
@@ -22,7 +23,7 @@ def gains_by_cycle(problem, candidates, index):
 
 
 def test_an_effect_that_is_there_takes_most_away_in_cycles_left_out(problem):
-    gains = gains_by_cycle(problem({"temperature_rate": 5.0}), [whole(temperature_rate.EFFECT)], 0)
+    gains = gains_by_cycle(problem({"temperature_rate": 5.0}), [whole(TEMPERATURE_RATE)], 0)
     assert gains.keys() == {1, 2}
     assert min(gains.values()) > 0.9
 
@@ -31,7 +32,7 @@ def test_an_effect_that_is_not_there_takes_nothing_away(problem):
     gains = [
         gain
         for seed in range(10)
-        for gain in gains_by_cycle(problem(seed=seed), [whole(g_sensitivity.EFFECT)], 0).values()
+        for gain in gains_by_cycle(problem(seed=seed), [whole(G_SENSITIVITY)], 0).values()
     ]
     assert np.mean(gains) < 0.0
     assert max(gains) < 0.2
@@ -39,27 +40,24 @@ def test_an_effect_that_is_not_there_takes_nothing_away(problem):
 
 def test_each_effect_of_two_has_its_own_share(problem):
     one = problem({"temperature_rate": 5.0, "g_sensitivity": 2.0})
-    both = [whole(temperature_rate.EFFECT), whole(g_sensitivity.EFFECT)]
+    both = [whole(TEMPERATURE_RATE), whole(G_SENSITIVITY)]
     assert min(gains_by_cycle(one, both, 0).values()) > min(gains_by_cycle(one, both, 1).values()) > 0.4
 
 
 def test_the_only_cycle_that_shows_an_effect_is_not_asked(problem):
     one = problem({"warm_up": 5.0})
-    assert 1 not in gains_by_cycle(one, [whole(warm_up.EFFECT, WARM_UP_H * 3600.0)], 0)
+    assert 1 not in gains_by_cycle(one, [whole(WARM_UP, WARM_UP_H * 3600.0)], 0)
 
 
 def test_a_warm_up_in_each_cycle_is_confirmed_by_the_others(problem):
     one = problem({"warm_up": 5.0}, power_on_each_cycle=True, dwell_s=1680.0)
-    gains = gains_by_cycle(one, [whole(warm_up.EFFECT, WARM_UP_H * 3600.0)], 0)
+    gains = gains_by_cycle(one, [whole(WARM_UP, WARM_UP_H * 3600.0)], 0)
     assert gains.keys() == {1, 2}
     assert min(gains.values()) > 0.8
 
 
 def test_one_cycle_alone_has_none_to_be_left_out(problem):
-    assert (
-        gains_by_cycle(problem({"temperature_rate": 5.0}, cycles=2), [whole(temperature_rate.EFFECT)], 0)
-        == {}
-    )
+    assert gains_by_cycle(problem({"temperature_rate": 5.0}, cycles=2), [whole(TEMPERATURE_RATE)], 0) == {}
 
 
 def test_a_jump_between_two_cycles_is_determined_by_neither_alone(problem):
@@ -100,7 +98,7 @@ def test_a_run_that_was_searched_keeps_its_mean_error(problem):
 
 
 def test_chi2_of_a_cycle_left_out_is_that_of_a_fit_to_the_others(problem):
-    one, drift = problem({"time_drift": 20.0}), whole(time_drift.EFFECT)
+    one, drift = problem({"time_drift": 20.0}), whole(TIME_DRIFT)
     left_out = leave_out_cycles(one, [], [drift])[2]
     first = declared_problem(one.campaign, one.campaign.cycle == 1)
     second = one.campaign.cycle == 2
@@ -112,7 +110,7 @@ def test_chi2_of_a_cycle_left_out_is_that_of_a_fit_to_the_others(problem):
 
 def test_the_true_effect_leaves_the_noise(problem):
     one = problem({"time_drift": 20.0})
-    rest = measured_minus(one.campaign, one.searched, solve_with(one, [whole(time_drift.EFFECT)]))
+    rest = measured_minus(one.campaign, one.searched, solve_with(one, [whole(TIME_DRIFT)]))
     assert np.sqrt(np.mean(rest**2)) == pytest.approx(SIGMA_DPH, rel=0.15)
 
 

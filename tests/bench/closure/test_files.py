@@ -9,7 +9,8 @@ import pytest
 import yaml
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.effects import all_effects, bias_jump, g_sensitivity, time_drift
+from gyrobench.bench.closure.effects import all_effects, bias_jump
+from gyrobench.bench.closure.effects.laws import G_SENSITIVITY, TIME_DRIFT
 from gyrobench.bench.closure.files import (
     closure_document,
     format_predictions,
@@ -72,7 +73,7 @@ def test_the_document_is_json_without_nan(closed, effects):
 
 def test_shares_are_null_where_nothing_is_beyond_the_noise():
     quiet = campaign_of(measure({"time_drift": 1.2}, noise=0.5).rows)
-    closure = close_loop(quiet, effects=[time_drift.EFFECT])
+    closure = close_loop(quiet, effects=[TIME_DRIFT])
     [tried] = closure_document(closure)["tried"]
     assert closure.effects
     assert tried["share_explained_alone"] is None
@@ -82,7 +83,7 @@ def test_shares_are_null_where_nothing_is_beyond_the_noise():
 
 def test_effects_are_listed_strongest_first():
     rows = measure({"g_sensitivity": 3.0, "bias_jump": 8.0}, cycles=2).rows
-    closure = close_loop(campaign_of(rows), effects=[bias_jump.EFFECT, g_sensitivity.EFFECT])
+    closure = close_loop(campaign_of(rows), effects=[bias_jump.EFFECT, G_SENSITIVITY])
     document = closure_document(closure)
     assert [each["effect"] for each in document["effects"]] == ["bias_jump", "g_sensitivity"]
     assert document["effects"][0]["rms_dph"] > document["effects"][1]["rms_dph"]
@@ -99,7 +100,7 @@ def test_dwells_without_a_result_are_predicted_too_and_those_without_temperature
     rows = measure({"g_sensitivity": 4.0}, cycles=2).rows
     rows[4] = replace(rows[4], flags="vibration", bias_dph=(np.nan,) * 3)
     rows[8] = replace(rows[8], gyro_c=(np.nan,) * 3)
-    closure = close_loop(campaign_of(rows), effects=[g_sensitivity.EFFECT])
+    closure = close_loop(campaign_of(rows), effects=[G_SENSITIVITY])
     predicted = {int(row.pop("dwell")): [*row.values()] for row in predictions(closure)}
     assert [*predicted] == [row.dwell for row in rows]
     assert predicted[9] == [""] * 12
@@ -136,7 +137,7 @@ def test_in_clean_data_nothing_is_predicted_otherwise_after(closed):
 def test_the_model_gives_the_predictions(explained):
     document, campaign = model_document(explained), explained.campaign
     [effect] = document["effects"]
-    [form] = g_sensitivity.EFFECT.forms
+    [form] = G_SENSITIVITY.forms
     columns = form.columns(campaign, tuple(effect["parameters"].values()))
     for gyro, axis in enumerate("xyz"):
         declared = document["declared_dph"][axis]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.candidates import bic_penalty, evaluate
-from gyrobench.bench.closure.effects import g_sensitivity, time_drift
+from gyrobench.bench.closure.effects.laws import G_SENSITIVITY, TIME_DRIFT
 from tests.bench.closure.test_candidates import whole
 
 
@@ -19,26 +19,26 @@ def test_terms_that_the_data_have_are_kept_and_others_dropped(problem):
     def shape(course):
         return course.up[:, [0, 0, 0]] + course.up[:, [2, 2, 2]]
 
-    [sensitivity] = evaluate(problem({shape: 6.0}), [whole(g_sensitivity.EFFECT)]).candidates
+    [sensitivity] = evaluate(problem({shape: 6.0}), [whole(G_SENSITIVITY)]).candidates
     np.testing.assert_array_equal(sensitivity.kept, [[True, False, True]] * 3)
 
 
 def test_each_gyro_keeps_one_term_of_an_effect_that_is_not_there(problem):
-    [sensitivity] = evaluate(problem(), [whole(g_sensitivity.EFFECT)]).candidates
+    [sensitivity] = evaluate(problem(), [whole(G_SENSITIVITY)]).candidates
     np.testing.assert_array_equal(sensitivity.kept.sum(axis=1), [1, 1, 1])
 
 
 def test_terms_dropped_before_do_not_come_back(problem):
     kept = np.array([[False, True, False]] * 3)
-    only_one = replace(whole(g_sensitivity.EFFECT), kept=kept)
+    only_one = replace(whole(G_SENSITIVITY), kept=kept)
     [still] = evaluate(problem({"g_sensitivity": 4.0}), [only_one]).candidates
     np.testing.assert_array_equal(still.kept, kept)
 
 
 def test_the_bic_is_chi2_and_the_penalty_of_each_parameter(problem):
     one = problem({"time_drift": 4.0})
-    drift = evaluate(one, [whole(time_drift.EFFECT)])
-    left = one.chi2 - one.chi2_reduction(time_drift.EFFECT.forms[0].columns(one.campaign, ()))[0]
+    drift = evaluate(one, [whole(TIME_DRIFT)])
+    left = one.chi2 - one.chi2_reduction(TIME_DRIFT.forms[0].columns(one.campaign, ()))[0]
     assert drift.chi2 == pytest.approx(left)
     assert drift.bic == pytest.approx(left + 3 * bic_penalty(one))
     assert bic_penalty(one) == pytest.approx(np.log(75))
@@ -46,10 +46,10 @@ def test_the_bic_is_chi2_and_the_penalty_of_each_parameter(problem):
 
 def test_a_present_effect_lowers_the_bic_and_an_absent_one_raises_it(problem):
     there, not_there = problem({"time_drift": 4.0}), problem()
-    assert evaluate(there, [whole(time_drift.EFFECT)]).bic < evaluate(there, []).bic
-    assert evaluate(not_there, [whole(time_drift.EFFECT)]).bic > evaluate(not_there, []).bic
+    assert evaluate(there, [whole(TIME_DRIFT)]).bic < evaluate(there, []).bic
+    assert evaluate(not_there, [whole(TIME_DRIFT)]).bic > evaluate(not_there, []).bic
 
 
 def test_a_set_has_the_names_of_its_effects(problem):
-    both = evaluate(problem(), [whole(time_drift.EFFECT), whole(g_sensitivity.EFFECT)])
+    both = evaluate(problem(), [whole(TIME_DRIFT), whole(G_SENSITIVITY)])
     assert both.names == {"time_drift", "g_sensitivity"}

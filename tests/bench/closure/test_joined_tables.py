@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.effects import bias_jump, thermal_lag, time_drift, warm_up
+from gyrobench.bench.closure.effects import bias_jump
+from gyrobench.bench.closure.effects.laws import THERMAL_LAG, TIME_DRIFT, WARM_UP
 from gyrobench.bench.closure.joined_tables import ASSUMED_PAUSE_S, Source, joined
 from gyrobench.bench.closure.loop import close_loop, rotated
 from gyrobench.bench.closure.temperatures import TemperatureRecord
@@ -108,7 +109,7 @@ def test_effects_with_a_memory_are_those_of_each_table_alone(halves):
     weeks_s = 3e6
     later = source("b", moved(halves[1], weeks_s))
     campaign = joined([first, later])
-    [lag], [decay] = thermal_lag.EFFECT.forms, warm_up.EFFECT.forms
+    [lag], [decay] = THERMAL_LAG.forms, WARM_UP.forms
     for form, tolerance in ((lag, 0.02), (decay, 1e-9)):
         columns = form.columns(campaign, (3600.0,))
         np.testing.assert_allclose(
@@ -151,7 +152,7 @@ def test_the_cycle_held_out_is_the_last_one_of_the_first_table_with_several(rows
 
 def test_what_one_power_cycle_leaves_tied_a_second_table_settles():
     """Warm-up and drift in one power-on: a day later, after another power-on, they differ."""
-    effects = [bias_jump.EFFECT, time_drift.EFFECT, warm_up.EFFECT]
+    effects = [bias_jump.EFFECT, TIME_DRIFT, WARM_UP]
 
     def warm(course):
         return np.exp(-course.since_power_on_h / 12.0)[:, np.newaxis]
@@ -166,17 +167,17 @@ def test_what_one_power_cycle_leaves_tied_a_second_table_settles():
 
 
 def test_each_cycle_is_held_out_in_turn(rows):
-    closure = rotated(close_loop(campaign_of(rows), effects=[time_drift.EFFECT, warm_up.EFFECT]))
+    closure = rotated(close_loop(campaign_of(rows), effects=[TIME_DRIFT, WARM_UP]))
     assert [turn.cycle for turn in closure.rotation] == [1, 2, 3]
     last = closure.rotation[-1]
     assert (last.verdict, last.error_before_dph) == (closure.verdict, closure.error_before_dph)
-    alone = close_loop(campaign_of(rows), [1], [time_drift.EFFECT, warm_up.EFFECT])
+    alone = close_loop(campaign_of(rows), [1], [TIME_DRIFT, WARM_UP])
     assert closure.rotation[0].error_after_dph == alone.error_after_dph
     assert closure.rotation[0].error_before_dph != last.error_before_dph
 
 
 def test_a_cycle_without_which_too_little_is_left_is_listed_with_the_reason(rows):
     short = [row for row in rows if row.cycle == 1] + [row for row in rows if row.cycle == 2][:6]
-    closure = rotated(close_loop(campaign_of(short), [2], [time_drift.EFFECT]))
+    closure = rotated(close_loop(campaign_of(short), [2], [TIME_DRIFT]))
     assert [bool(turn.verdict) for turn in closure.rotation] == [False, True]
     assert "degrees of freedom" in closure.rotation[0].reason

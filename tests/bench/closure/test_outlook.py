@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.effects import (
-    g_sensitivity,
-    magnetic_sensitivity,
-    temperature_rate,
-    thermal_gradient,
-    time_drift,
-    warm_up,
+from gyrobench.bench.closure.effects import magnetic_sensitivity
+from gyrobench.bench.closure.effects.laws import (
+    G_SENSITIVITY,
+    TEMPERATURE_RATE,
+    THERMAL_GRADIENT,
+    TIME_DRIFT,
+    WARM_UP,
 )
 from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.closure.outlook import measured_unit, tie_outlooks
@@ -30,21 +30,21 @@ def slow_warm_up(course):
 
 #: Campaigns that leave a tie: effects hidden, sensors, candidates.
 TIES = {
-    "one power-on": ({slow_warm_up: 2.5}, ("set",), (time_drift, warm_up)),
-    "one heading": ({"g_sensitivity": 1.5}, ("set",), (g_sensitivity, magnetic_sensitivity)),
+    "one power-on": ({slow_warm_up: 2.5}, ("set",), (TIME_DRIFT, WARM_UP)),
+    "one heading": ({"g_sensitivity": 1.5}, ("set",), (G_SENSITIVITY, magnetic_sensitivity.EFFECT)),
     "no sensor at the electronics": (
         {"temperature_rate": 2.0},
         ("set",),
-        (temperature_rate, thermal_gradient),
+        (TEMPERATURE_RATE, THERMAL_GRADIENT),
     ),
 }
 
 
 @cache
 def closed(name):
-    effects, sensors, modules = TIES[name]
+    effects, sensors, candidates = TIES[name]
     rows = measure(effects, cycles=2, sensors=sensors).rows
-    return close_loop(campaign_of(rows), effects=[each.EFFECT for each in modules])
+    return close_loop(campaign_of(rows), effects=candidates)
 
 
 def plan(cycles=2, sensors=("set",), **options):
@@ -70,8 +70,7 @@ def test_separability_sees_an_effect_that_takes_the_place_of_another_for_lack_of
     assert ("g_sensitivity", "magnetic_sensitivity") in seen.not_distinguished(0.002)
     assert seen.expected_dph["g_sensitivity"] == pytest.approx(closure.effects[0].rms_dph, rel=0.2)
     boards = separability(
-        searched_dwells(plan(sensors=("set", "board"))),
-        [each.EFFECT for each in TIES["no sensor at the electronics"][2]],
+        searched_dwells(plan(sensors=("set", "board"))), TIES["no sensor at the electronics"][2]
     )
     assert np.isfinite(boards.distinguished_dph["temperature_rate", "thermal_gradient"])
 
@@ -111,12 +110,12 @@ def test_the_noise_is_that_of_the_closure():
 
 
 def test_outliers_count_as_in_the_search():
-    effects, sensors, modules = TIES["one power-on"]
+    effects, sensors, candidates = TIES["one power-on"]
     rows = measure(effects, cycles=2, sensors=sensors).rows
     rows[7] = replace(
         rows[7], bias_dph=tuple(each + 60.0 * rows[7].sigma_dph[0] for each in rows[7].bias_dph)
     )
-    closure = close_loop(campaign_of(rows), effects=[each.EFFECT for each in modules])
+    closure = close_loop(campaign_of(rows), effects=candidates)
     assert {each.dwell for each in closure.noise.outliers} == {rows[7].dwell}
     [disturbed], [usual] = (tie_outlooks(each, plan()) for each in (closure, closed("one power-on")))
     for name in ("if_found", "if_other"):

@@ -10,8 +10,9 @@ from scipy.stats import invgamma, multivariate_normal
 from gyrobench.bench.closure import posterior
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.candidates import hypothesis
-from gyrobench.bench.closure.effects import all_effects, temperature_rate, time_drift
+from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter, fixed
+from gyrobench.bench.closure.effects.laws import TEMPERATURE_RATE, TIME_DRIFT
 from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.closure.posterior import (
     MAGNITUDES,
@@ -66,11 +67,11 @@ def test_evidence_of_one_term_is_that_of_numerical_quadrature(problem, monkeypat
     clean = problem({"time_drift": 1.0}, cycles=2, seed=2)
     monkeypatch.setattr(posterior, "MAGNITUDES", np.array([sigma]))
     monkeypatch.setattr(posterior, "_SMALLER", np.eye(1))
-    evidences = Evidences(clean, [time_drift.EFFECT])
-    drift, none = hypothesis(clean, [whole(time_drift.EFFECT)]), hypothesis(clean, [])
+    evidences = Evidences(clean, [TIME_DRIFT])
+    drift, none = hypothesis(clean, [whole(TIME_DRIFT)]), hypothesis(clean, [])
     prior = [np.log(each) for each in posterior.EFFECT_COUNT_PRIOR[:2]]
     found = evidences.weights(drift)[0] - evidences.weights(none)[0] - (prior[1] - prior[0])
-    columns, rms = clean.beside(whole(time_drift.EFFECT).columns(clean.campaign)[clean.searched])
+    columns, rms = clean.beside(whole(TIME_DRIFT).columns(clean.campaign)[clean.searched])
     column = [columns[gyro, :, 0] / rms[gyro, 0] for gyro in range(3)]
     expected = log_evidence_by_quadrature(clean, column, sigma) - log_evidence_by_quadrature(
         clean, column, 0.0
@@ -78,11 +79,11 @@ def test_evidence_of_one_term_is_that_of_numerical_quadrature(problem, monkeypat
     assert found == pytest.approx(expected, abs=1e-3)
 
 
-@pytest.mark.parametrize("count", [60, pytest.param(600, marks=pytest.mark.long)])
+@pytest.mark.parametrize("count", [40, pytest.param(600, marks=pytest.mark.long)])
 def test_probabilities_are_frequencies_of_data_from_the_prior(problem, count):
     """Half the data have a drift of a magnitude from the prior, half nothing."""
     clean, random = problem(cycles=2), np.random.default_rng(5)
-    column = whole(time_drift.EFFECT).columns(clean.campaign)[clean.searched]
+    column = whole(TIME_DRIFT).columns(clean.campaign)[clean.searched]
     _, rms = clean.beside(column)
     stated, true = [], []
     prior = np.array(posterior.EFFECT_COUNT_PRIOR[:2]) / sum(posterior.EFFECT_COUNT_PRIOR[:2])
@@ -91,8 +92,8 @@ def test_probabilities_are_frequencies_of_data_from_the_prior(problem, count):
         size = random.choice(MAGNITUDES[:2]) * random.standard_normal(3) if is_there else np.zeros(3)
         noise = random.standard_normal((clean.searched.sum(), 3))
         data = with_biases(clean, noise + column[:, :, 0] / rms[:, 0] / clean.sigma_dph * size)
-        evidences = Evidences(data, [time_drift.EFFECT])
-        both = [hypothesis(data, []), hypothesis(data, [whole(time_drift.EFFECT)])]
+        evidences = Evidences(data, [TIME_DRIFT])
+        both = [hypothesis(data, []), hypothesis(data, [whole(TIME_DRIFT)])]
         stated.append(evidences.posterior(both).of_effect["time_drift"])
         true.append(is_there)
     stated, true = np.array(stated), np.array(true)
@@ -104,7 +105,7 @@ def test_probabilities_are_frequencies_of_data_from_the_prior(problem, count):
 
 def test_a_bend_that_no_effect_describes_is_not_on_the_list(problem):
     data = problem({"g_sensitivity": 2.0}, seed=3)
-    found, weighed = Search(data, [temperature_rate.EFFECT, time_drift.EFFECT]).most_probable()
+    found, weighed = Search(data, [TEMPERATURE_RATE, TIME_DRIFT]).most_probable()
     assert weighed.not_on_list > 0.99
     assert max(weighed.follows, key=weighed.follows.get).startswith("attitude")
     assert not found.names
@@ -196,16 +197,17 @@ def test_a_remainder_of_the_stated_size_is_shown_in_nine_of_ten(problem):
     index = remainder.names.index("temperature")
     size = detectable_dph(clean)["temperature"] / np.sqrt(np.mean(clean.sigma_dph**2))
     shown = []
-    for _ in range(60):
+    for _ in range(40):
         noise = random.standard_normal((clean.searched.sum(), 3))
         for gyro in range(3):
             amplitudes = size * np.sqrt(remainder.powers[gyro, index]) * random.standard_normal(RANK)
             noise[:, gyro] += remainder.directions[gyro, index] @ amplitudes
         data = with_biases(clean, noise)
         shown.append(Evidences(data, []).posterior([hypothesis(data, [])]).not_on_list > 0.5)
-    assert np.mean(shown) == pytest.approx(0.9, abs=0.12)
+    assert np.mean(shown) == pytest.approx(0.9, abs=0.15)  # three standard deviations
 
 
+@pytest.mark.long
 def test_a_simpler_set_in_place_of_the_most_probable_has_its_own_ties():
     """The most probable set has other neighbours than the simpler one that is found."""
     _, options = drawn(55)

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.effects import attitude_thermal, g_sensitivity, thermal_hysteresis, warm_up
+from gyrobench.bench.closure.effects import attitude_thermal
+from gyrobench.bench.closure.effects.laws import G_SENSITIVITY, THERMAL_HYSTERESIS, WARM_UP
 from gyrobench.bench.closure.loop import FoundEffect, close_loop
 from tests.bench.closure.test_candidates import whole
 from tests.bench.closure.thermal_bench import SIGMA_DPH, measure
@@ -10,8 +11,8 @@ from tests.bench.closure.thermal_bench import SIGMA_DPH, measure
 TRIANGLE = ((-20.0, 0.2, 0.0), (60.0, 0.2, 0.0), (20.0, 0.2, 0.0))
 
 
-def found(module, *values, axes=("x", "y", "z"), sigma=(), within=()):
-    candidate = whole(module.EFFECT, *values)
+def found(effect, *values, axes=("x", "y", "z"), sigma=(), within=()):
+    candidate = whole(effect, *values)
     shape = candidate.kept.shape
     return FoundEffect(
         candidate,
@@ -33,7 +34,7 @@ def found(module, *values, axes=("x", "y", "z"), sigma=(), within=()):
 
 
 def test_a_statement_has_size_gyros_and_parameters_with_their_uncertainties():
-    sentence = found(thermal_hysteresis, 5.25, sigma=[0.12], within=[(5.02, 5.5)]).statement
+    sentence = found(THERMAL_HYSTERESIS, 5.25, sigma=[0.12], within=[(5.02, 5.5)]).statement
     assert sentence.startswith("The bias depends on whether a temperature was reached from above or below")
     assert sentence.endswith(
         "0.0123 ± 0.0004 deg/h rms on the x, y and z gyros (half width 5.25 ± 0.12 degC)."
@@ -41,41 +42,41 @@ def test_a_statement_has_size_gyros_and_parameters_with_their_uncertainties():
 
 
 def test_a_time_constant_of_an_hour_or_more_is_stated_in_hours():
-    hours = found(warm_up, 5400.0, sigma=[720.0], within=[(3960.0, 6840.0)])
+    hours = found(WARM_UP, 5400.0, sigma=[720.0], within=[(3960.0, 6840.0)])
     assert hours.statement.endswith("(tau 1.50 ± 0.20 h).")
-    seconds = found(warm_up, 900.0, sigma=[31.0], within=[(840.0, 960.0)])
+    seconds = found(WARM_UP, 900.0, sigma=[31.0], within=[(840.0, 960.0)])
     assert seconds.statement.endswith("(tau 900 ± 31 s).")
 
 
 def test_an_interval_that_is_not_symmetric_is_stated_with_its_ends():
-    sentence = found(warm_up, 5400.0, sigma=[1800.0], within=[(3600.0, 10_800.0)]).statement
+    sentence = found(WARM_UP, 5400.0, sigma=[1800.0], within=[(3600.0, 10_800.0)]).statement
     assert sentence.endswith("(tau 1.5 h, 1.0 to 3.0 h with 95 %).")
 
 
 def test_a_parameter_at_its_bound_is_named_with_what_is_known_of_it():
-    highest = found(thermal_hysteresis, 40.0, sigma=[4.0], within=[(33.0, 40.0)])
+    highest = found(THERMAL_HYSTERESIS, 40.0, sigma=[4.0], within=[(33.0, 40.0)])
     assert highest.at_bound == ("half_width_c",)
     assert highest.statement.endswith("(half width 40 degC, its upper bound, above 33 degC with 95 %).")
-    lowest = found(thermal_hysteresis, 0.3, sigma=[0.2], within=[(0.3, 0.9)])
+    lowest = found(THERMAL_HYSTERESIS, 0.3, sigma=[0.2], within=[(0.3, 0.9)])
     assert lowest.at_bound == ("half_width_c",)
     assert "0.30 degC, its lower bound, below 0.90 degC with 95 %" in lowest.statement
-    assert found(warm_up, 7200.0, sigma=[60.0], within=[(7080.0, 7320.0)]).at_bound == ()
+    assert found(WARM_UP, 7200.0, sigma=[60.0], within=[(7080.0, 7320.0)]).at_bound == ()
 
 
 def test_several_parameters_are_listed():
     sentence = found(
-        attitude_thermal, 45.0, 3.25, sigma=[0.4, 0.6], within=[(44.2, 45.8), (2.1, 4.4)]
+        attitude_thermal.EFFECT, 45.0, 3.25, sigma=[0.4, 0.6], within=[(44.2, 45.8), (2.1, 4.4)]
     ).statement
     assert sentence.endswith("(onset 45.0 ± 0.4 degC; onset width 3.2 ± 0.6 degC).")
 
 
 def test_a_statement_about_one_gyro_and_no_parameter():
-    sentence = found(g_sensitivity, axes=("y",)).statement
+    sentence = found(G_SENSITIVITY, axes=("y",)).statement
     assert sentence.endswith("0.0123 ± 0.0004 deg/h rms on the y gyro.")
 
 
 def test_a_statement_about_two_gyros():
-    assert "on the x and z gyros" in found(g_sensitivity, axes=("x", "z")).statement
+    assert "on the x and z gyros" in found(G_SENSITIVITY, axes=("x", "z")).statement
 
 
 def test_a_tie_asks_for_the_measurement_that_resolves_it(closed):

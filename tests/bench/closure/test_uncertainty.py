@@ -7,7 +7,7 @@ import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.candidates import Candidate, best_start, refine, solve_with
-from gyrobench.bench.closure.effects import g_sensitivity, warm_up
+from gyrobench.bench.closure.effects.laws import G_SENSITIVITY, WARM_UP
 from gyrobench.bench.closure.problem import declared_problem
 from gyrobench.bench.closure.uncertainty import bound_of, draw, interval
 from tests.bench.closure.thermal_bench import SIGMA_DPH, measure
@@ -36,7 +36,7 @@ def test_sizes_and_predictions_are_within_their_95_percent_intervals(quiet):
     of_sizes, of_predictions = [], []
     for _ in range(100):
         sizes_dph = 2.0 * SIGMA_DPH * random.standard_normal((3, 3))
-        bias_dph, _, model, draws = fitted(quiet, g_sensitivity.EFFECT, (), sizes_dph, random)
+        bias_dph, _, model, draws = fitted(quiet, G_SENSITIVITY, (), sizes_dph, random)
         sigma_dph = draws.sigma(draws.sizes_dph["g_sensitivity"], model.sizes[0])
         of_sizes.append(np.abs(model.sizes[0] - sizes_dph) < TWO_SIGMA * sigma_dph)
         sigma_dph = draws.sigma(draws.bias_dph(quiet), model.bias_dph)
@@ -48,7 +48,7 @@ def test_sizes_and_predictions_are_within_their_95_percent_intervals(quiet):
 @pytest.mark.long
 def test_a_time_constant_is_within_its_95_percent_interval(quiet):
     random = np.random.default_rng(2)
-    effect = warm_up.EFFECT.bounded(quiet)
+    effect = WARM_UP.bounded(quiet)
     [parameter] = effect.forms[0].parameters
     held, lengths = [], []
     for _ in range(50):
@@ -63,7 +63,7 @@ def test_a_time_constant_is_within_its_95_percent_interval(quiet):
 
 
 def test_a_parameter_at_its_bound_has_an_interval_that_ends_there(quiet):
-    effect = warm_up.EFFECT.bounded(quiet)
+    effect = WARM_UP.bounded(quiet)
     [parameter] = effect.forms[0].parameters
     sizes_dph = 40.0 * SIGMA_DPH * np.ones((3, 1))
     _, candidate, _, draws = fitted(
@@ -80,6 +80,6 @@ def test_noise_above_the_stated_one_widens_the_uncertainties(quiet):
         random = np.random.default_rng(4)
         noisy = replace(quiet, sigma_dph=quiet.sigma_dph / scale)
         sizes_dph = 3.0 * SIGMA_DPH * np.ones((3, 3))
-        _, _, model, draws = fitted(noisy, g_sensitivity.EFFECT, (), sizes_dph, random)
+        _, _, model, draws = fitted(noisy, G_SENSITIVITY, (), sizes_dph, random)
         sigmas.append(draws.sigma(draws.sizes_dph["g_sensitivity"], model.sizes[0]).mean())
     assert 0.85 < sigmas[1] / sigmas[0] <= 1.0

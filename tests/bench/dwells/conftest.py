@@ -15,7 +15,7 @@ from gyrobench.bench.station.station import Station
 @pytest.fixture
 def copied_run(short_run, tmp_path):
     """A copy of the ten-minute check that a test may change."""
-    folder, _, _ = short_run
+    folder, _ = short_run
     shutil.copytree(folder.path, tmp_path / "run")
     return RunFolder(tmp_path / "run")
 
@@ -23,7 +23,7 @@ def copied_run(short_run, tmp_path):
 @pytest.fixture(scope="session")
 def recorded(short_run):
     """Marks and frames of the ten-minute check's dwell, and what to measure them with."""
-    folder, _, _ = short_run
+    folder, _ = short_run
     (entry,) = [entry for entry in read_journal(folder.journal) if entry["event"] == "dwell_finished"]
     marks = DwellMarks.from_json(entry["marks"])
     frames = dict(read_can_log(folder.can))[marks.log_part].data_frames()

@@ -16,7 +16,7 @@ from gyrobench.bench.station.station import Station
 @pytest.fixture(scope="module")
 def recorded(short_run):
     """Marks of one navigation after an alignment, its frames, and what measures them."""
-    folder, _, _ = short_run
+    folder, _ = short_run
     entry = next(entry for entry in read_journal(folder.journal) if entry["event"] == "dwell_finished")
     marks = DwellMarks.from_json(entry["marks"])
     frames = dict(read_can_log(folder.can))[marks.log_part].data_frames()

@@ -19,6 +19,18 @@ from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.emulators.acl_axis import SoftwareFault
 from tests.bench.engine.intervention import Intervention, RefusingOperator, run_with
 
+#: Dwells without a turn, as short as they can be.
+CHECK = """procedure: short_check
+steps:
+  - power_on: {settle_s: 20}
+  - repeat:
+      over: {azimuth_deg: [0, 180, 0, 180]}
+      steps:
+        - go_to: {position: z_up, azimuth_deg: $azimuth_deg, rate_dps: 30}
+        - align: {duration_s: 60}
+        - navigate: {duration_s: 61, purpose: calibration_check}
+"""
+
 
 def assert_safe(folder, outcome, bench):
     assert [action.problem for action in outcome.safe_state] == [""] * len(outcome.safe_state)
@@ -171,7 +183,9 @@ def test_only_two_dwells_in_a_row_contradict_a_signal_map_that_agreed_before(
         check(self, marks, frames, navigation)
 
     monkeypatch.setattr(SignCheck, "check", contradicted)
-    job = prepare_job("calibration_check", "emulated", Emulation("gyro_a", 1))
+    path = tmp_path / "short_check.yaml"
+    path.write_text(CHECK)
+    job = prepare_job(str(path), "emulated", Emulation("gyro_a", 1))
     folder, outcome = run_job(job, tmp_path / "run", RunObserver(), ConsentingOperator())
     assert outcome.ended == ended
     assert checked[:3] == [1, 2, 2]

@@ -167,6 +167,7 @@ def test_a_warm_up_is_found(job, tmp_path):
     assert (folder.figures / "warm_up.png").exists()
 
 
+@pytest.mark.long
 def test_sensitivities_to_temperature_its_rate_and_direction_are_found(job, tmp_path):
     _, result = result_of(job(THERMAL, [HYSTERESIS, RATE]), tmp_path / "run")
     truths = {
@@ -184,6 +185,7 @@ def test_sensitivities_to_temperature_its_rate_and_direction_are_found(job, tmp_
     assert all(abs(each.value) > 0.004 for each in named(result, "hysteresis"))
 
 
+@pytest.mark.long
 def test_the_noise_coefficients_of_the_world_are_found_in_a_long_navigation(job, tmp_path):
     drift = {"kind": "time_drift", "drift_dph_per_day": [0.2, -0.2, 0.3]}
     gyro = {"bias_instability_dph": 0.002, "rate_random_walk_dph_per_sqrt_h": 0.004, "pulse_arcsec": 0.02}

@@ -14,7 +14,6 @@ from gyrobench.bench.engine.resume import MAX_RESUMES_WITHOUT_PROGRESS, prepare_
 from gyrobench.bench.engine.run import resume_run, run_job
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.errors import BenchInUseError, RunFolderError
-from gyrobench.bench.report.run_report import write_report
 from gyrobench.bench.runs.folder import open_run_folder
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
@@ -174,14 +173,6 @@ def test_an_aborted_run_can_be_resumed(procedure, undisturbed, tmp_path):
     assert outcome.ended == "stopped"
     folder, _, _ = resumed(folder.path)
     assert_agree(read_dwells(folder.dwells), undisturbed)
-
-
-def test_a_finished_run_is_not_resumed(procedure, tmp_path):
-    path = broken_off(procedure, tmp_path / "run", "chamber_off")
-    resumed(path)
-    write_report(open_run_folder(path))
-    with pytest.raises(RunFolderError, match="finished"):
-        prepare_resumption(path)
 
 
 def test_a_run_in_progress_is_not_resumed(procedure, tmp_path):

@@ -181,15 +181,34 @@ def test_a_dwell_that_one_unit_has_not_finished_is_measured_again_for_it_alone(f
         assert [row.dwell for row in again] == [1, 2, 3, 4]
 
 
+class Scraper(RunObserver):
+    """Holds the run in its 7th window until a monitor serves that unit 1101 has 3 dwells, and keeps that."""
+
+    def __init__(self, recorder, root):
+        self.recorder, self.root, self.left, self.found = recorder, root, 7, {}
+
+    def step_started(self, planned, bench):
+        self.left -= planned.step.name == "navigate"
+        if self.left or self.found:
+            return
+        with served(Site(self.root, WallClock().utc).answer) as server:
+            dwells = ("gyrobench_dwells_measured", "run=run", "unit=1101")
+            while self.found.get(dwells) != 3.0:
+                self.recorder.beat(bench)
+                self.found = scraped(ask(server, "/metrics")[1].decode())
+
+
 @pytest.fixture(scope="module")
 def without_1102(files, tmp_path_factory):
-    watcher = Watcher()
-    folder, outcome = run_of(job_of(files, faulty=[2]), tmp_path_factory.mktemp("silent") / "run", watcher)
-    return folder, outcome, watcher
+    root, job, watcher = tmp_path_factory.mktemp("silent"), job_of(files, faulty=[2]), Watcher()
+    recorder = SnapshotRecorder(job.plan)
+    scraper = Scraper(recorder, root)
+    folder, outcome = run_of(job, root / "run", ObserverGroup(watcher, recorder, scraper))
+    return folder, outcome, watcher, recorder, scraper.found
 
 
 def test_a_unit_that_falls_silent_is_dropped_and_the_others_measure_the_same(whole, without_1102):
-    folder, outcome, watcher = without_1102
+    folder, outcome, watcher, *_ = without_1102
     assert outcome.ended == "finished"
     assert list(watcher.lost) == ["1102"]
     assert "silent" in watcher.lost["1102"]
@@ -241,6 +260,7 @@ def test_a_dropped_unit_stays_dropped_when_the_run_resumes(files, tmp_path):
     assert outcome.units["1102"].ended == "failed"
 
 
+@pytest.mark.long
 def test_a_run_whose_units_are_all_silent_holds_until_they_are_back(files, tmp_path):
     watcher = Watcher()
     job = job_of(files, faulty=[1, 2, 3, 4], fault=SILENT.replace("90000", "200"))
@@ -265,7 +285,7 @@ def test_a_run_without_units_fails(files, tmp_path):
 def test_without_dropping_the_run_holds_for_all(files, tmp_path):
     path = find_document("stations", "four_units")
     held = tmp_path / "held.yaml"
-    held.write_text(path.read_text() + "drop_units: false\ninterlocks: {max_hold_s: 600}\n")
+    held.write_text(path.read_text() + "drop_units: false\ninterlocks: {max_hold_s: 60}\n")
     watcher = Watcher()
     folder, outcome = run_of(job_of(files, held, [2]), tmp_path / "run", watcher)
     assert outcome.ended == "stopped"
@@ -274,6 +294,7 @@ def test_without_dropping_the_run_holds_for_all(files, tmp_path):
     assert not watcher.lost
 
 
+@pytest.mark.long
 def test_units_share_a_bus_by_an_offset_of_their_identifiers(files, whole, tmp_path):
     text = find_document("stations", "four_units").read_text()
     for number, offset in ((2, 64), (3, 128), (4, 192)):
@@ -291,42 +312,31 @@ def test_units_share_a_bus_by_an_offset_of_their_identifiers(files, whole, tmp_p
     assert dwells_of(folder, "1104") == dwells_of(whole[0], "1104")
 
 
-def test_the_report_shows_all_units_side_by_side(without_1102):
+def test_the_units_stand_side_by_side(without_1102):
     folder, *_ = without_1102
-    page = write_units_report(folder).read_text()
-    assert "Gyro bias of 4 units" in page
-    assert "Unit 1102 was dropped: the INS has been silent" in page
     (table,) = units_section(folder).tables
     assert [row[:2] for row in table.rows] == [
         [number, "dropped" if number == "1102" else "not judged"] for number in NUMBERS
     ]
+
+
+@pytest.mark.long
+def test_the_report_links_those_of_all_units(without_1102):
+    folder, *_ = without_1102
+    page = write_units_report(folder).read_text()
+    assert "Gyro bias of 4 units" in page
+    assert "Unit 1102 was dropped: the INS has been silent" in page
     assert all(f'<a href="units/{number}/report.html">' in page for number in NUMBERS)
     assert all(folder.unit(number).report.exists() for number in NUMBERS)
+    dropped = folder.unit("1102").report.read_text()
+    assert f"Unit 1102 was dropped from the run {folder.path.name} after 0:" in dropped
+    assert "The run failed" not in dropped
+    assert f"Gyro bias of unit 1101: {folder.path.name}" in folder.unit("1101").report.read_text()
 
 
-class Scraper(RunObserver):
-    """Holds the run in its 7th window until a monitor serves that unit 1101 has 3 dwells, and keeps that."""
-
-    def __init__(self, recorder, root):
-        self.recorder, self.root, self.left, self.found = recorder, root, 7, {}
-
-    def step_started(self, planned, bench):
-        self.left -= planned.step.name == "navigate"
-        if self.left or self.found:
-            return
-        with served(Site(self.root, WallClock().utc).answer) as server:
-            dwells = ("gyrobench_dwells_measured", "run=run", "unit=1101")
-            while self.found.get(dwells) != 3.0:
-                self.recorder.beat(bench)
-                self.found = scraped(ask(server, "/metrics")[1].decode())
-
-
-def test_the_live_view_and_the_metrics_of_a_run_under_way_show_all_units(files, tmp_path):
-    job = job_of(files, faulty=[2])
-    recorder = SnapshotRecorder(job.plan)
-    scraper = Scraper(recorder, tmp_path)
-    folder, _ = run_of(job, tmp_path / "run", ObserverGroup(recorder, scraper))
-    found, run = scraper.found, "run=run"
+def test_the_live_view_and_the_metrics_of_a_run_under_way_show_all_units(without_1102):
+    folder, _, _, recorder, found = without_1102
+    run = "run=run"
     assert found["gyrobench_run_state", run, "state=running"] == 1.0
     for number in NUMBERS:
         unit = f"unit={number}"
@@ -344,7 +354,7 @@ def test_the_live_view_and_the_metrics_of_a_run_under_way_show_all_units(files, 
     lines = [line.plain for line in screen(snapshot, 100, 40, is_ascii=True)]
     assert sum(line.startswith("unit 11") for line in lines) == len(NUMBERS)
     assert any("dropped: the INS has been silent" in line for line in lines)
-    site = Site(tmp_path, WallClock().utc)
+    site = Site(folder.path.parent, WallClock().utc)
     page = site.answer("/runs/run/").body.decode()
     assert "units 1101, 1102, 1103, 1104</p>" in page
     assert "Unit 1102 was dropped.</strong> the INS has been silent" in page

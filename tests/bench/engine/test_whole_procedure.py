@@ -85,7 +85,7 @@ def test_no_epoch_is_lost(shift_runs):
 
 
 def test_cantools_decodes_what_the_emulated_ins_sends(short_run):
-    folder, _, _ = short_run
+    folder, _ = short_run
     database = cantools.database.load_file(folder.path / "gyrobench_ins.dbc")
     station = Station(folder.station)
     messages = [message for _, part in read_can_log(folder.can) for message in part.messages()]
@@ -104,7 +104,7 @@ def test_cantools_decodes_what_the_emulated_ins_sends(short_run):
 
 
 def test_two_runs_with_one_seed_leave_identical_files(run_procedure, short_run, tmp_path):
-    first, _, _ = short_run
+    first, _ = short_run
     second, _, _ = run_procedure("ten_minute_check", tmp_path / "again", "gyro_a")
     names = sorted(str(path.relative_to(first.path)) for path in first.path.rglob("*") if path.is_file())
     assert names == sorted(str(p.relative_to(second.path)) for p in second.path.rglob("*") if p.is_file())
@@ -113,7 +113,7 @@ def test_two_runs_with_one_seed_leave_identical_files(run_procedure, short_run, 
 
 
 def test_another_seed_gives_other_noise(run_procedure, short_run, tmp_path):
-    first, _, _ = short_run
+    first, _ = short_run
     second, _, _ = run_procedure("ten_minute_check", tmp_path / "other", "gyro_a", seed=1)
     assert read_dwells(first.dwells)[0].bias_dph != read_dwells(second.dwells)[0].bias_dph
 
@@ -127,7 +127,7 @@ def test_telemetry_shows_the_chamber_at_each_temperature(shift_runs):
 
 
 def test_a_dwell_is_printed_as_soon_as_it_is_over(short_run):
-    _, _, printed = short_run
+    _, printed = short_run
     line = next(line for line in printed.splitlines() if line.startswith("  1/1"))
     assert "z_up" in line
     assert max(map(len, printed.splitlines())) <= 80

@@ -5,8 +5,8 @@ import pandas as pd
 import pytest
 
 from gyrobench.bench.closure.loadable_model import declared_model, model_with_effects
-from gyrobench.bench.exchange.compensation_tables import compensation_files, export_compensation
 from gyrobench.bench.exchange.export_folder import ExportFolder
+from gyrobench.bench.exchange.run_export import compensation_files, export_compensation
 from gyrobench.bench.runs.compensation_file import read_compensation
 from tests.bench.report import made_up_closure
 

@@ -3,7 +3,8 @@
 import pytest
 
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.runs.index.run_index import RunIndex, Selection, runs_in_index
+from gyrobench.bench.runs.index.run_index import RunIndex, runs_in_index
+from gyrobench.bench.runs.index.selection import Selection
 from gyrobench.bench.runs.index.store import open_store, runs_named
 from tests.bench.runs.index.sample_runs import copy_run
 

@@ -8,7 +8,8 @@ from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.errors import NoReplyError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.guard.protocol import GuardConfig
-from gyrobench.bench.guard.rescue import EngineEnd, EngineProcess, GuardLog, Rescue
+from gyrobench.bench.guard.rescue import Rescue
+from gyrobench.bench.guard.watching import EngineEnd, EngineProcess, GuardLog
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation, Outputs
 from gyrobench.bench.station.station import Station

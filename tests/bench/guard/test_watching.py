@@ -4,7 +4,7 @@ import pytest
 
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.guard.protocol import GuardConfig
-from gyrobench.bench.guard.rescue import EngineEnd, watch_engine
+from gyrobench.bench.guard.watching import EngineEnd, watch_engine
 
 
 @pytest.fixture

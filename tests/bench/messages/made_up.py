@@ -4,7 +4,7 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from gyrobench.bench.messages.message import Message, Remaining
+from gyrobench.bench.messages.delivery import Message, Remaining
 
 NEEDS_PERSON = Message(
     event="needs_person",

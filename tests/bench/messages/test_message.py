@@ -2,7 +2,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-from gyrobench.bench.messages.message import Message
+from gyrobench.bench.messages.delivery import Message
 from tests.bench.messages.made_up import ENDS, NEEDS_PERSON
 
 

@@ -117,8 +117,8 @@ def test_the_page_is_drawn_where_no_script_runs(chromium, tmp_path):
     [
         (made_up_snapshot(), 360, 740),
         (made_up_snapshot(), 1280, 900),
-        (waiting_snapshot(), 360, 740),
-        (replace(made_up_snapshot(), state=RunState.FINISHED), 360, 740),
+        pytest.param(waiting_snapshot(), 360, 740, marks=pytest.mark.long),
+        pytest.param(replace(made_up_snapshot(), state=RunState.FINISHED), 360, 740, marks=pytest.mark.long),
     ],
     ids=["running on a phone", "running on a desk", "waiting on a phone", "finished on a phone"],
 )

@@ -253,11 +253,14 @@ def telemetry() -> dict[str, np.ndarray]:
 
 
 @pytest.fixture(scope="session")
-def run_folder(tmp_path_factory: pytest.TempPathFactory, dwells: list[DwellRow]) -> RunFolder:
-    """A run folder with everything in it."""
-    folder = write_run(RunFolder(tmp_path_factory.mktemp("run") / "six_position_fig7-001"), dwells)
-    write_report(folder).unlink()  # its figures are drawn once for all tests
-    return folder
+def run_folder(made_once: Callable[..., Path], dwells: list[DwellRow]) -> RunFolder:
+    """A run folder with everything in it, which tests only read."""
+
+    def make(path: Path) -> None:
+        folder = write_run(RunFolder(path / "six_position_fig7-001"), dwells)
+        write_report(folder).unlink()  # its figures are drawn once for all tests
+
+    return RunFolder(made_once("made-up-run", make) / "six_position_fig7-001")
 
 
 @pytest.fixture

@@ -7,13 +7,8 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.effects import (
-    bias_jump,
-    g_sensitivity,
-    temperature_rate,
-    thermal_gradient,
-    time_drift,
-)
+from gyrobench.bench.closure.effects import bias_jump
+from gyrobench.bench.closure.effects.laws import G_SENSITIVITY, TEMPERATURE_RATE, THERMAL_GRADIENT, TIME_DRIFT
 from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.navigation.positions import POSITIONS
 
@@ -21,8 +16,8 @@ SIGMA_DPH = 0.002
 DWELLS_A_CYCLE = 48
 #: deg/h for each K/h.
 SENSITIVITY = np.array([0.0010, -0.0008, 0.0])
-EFFECTS = [each.EFFECT for each in (bias_jump, g_sensitivity, temperature_rate, thermal_gradient, time_drift)]
-TWIN = replace(temperature_rate.EFFECT, name="twin", experiment="separate the twins")
+EFFECTS = [bias_jump.EFFECT, G_SENSITIVITY, TEMPERATURE_RATE, THERMAL_GRADIENT, TIME_DRIFT]
+TWIN = replace(TEMPERATURE_RATE, name="twin", experiment="separate the twins")
 
 
 def made_up_rows(sensitivity=SENSITIVITY, unknown_dph=0.0, scatter=1.0, boards=True, cycles=3, runs=1):

@@ -17,7 +17,8 @@ from gyrobench.bench.runs.journal import Journal
 def test_whole_folder_is_read_without_complaint(run_folder: RunFolder, bins: list[BiasBin]) -> None:
     content = read_run(run_folder)
     assert content.problems == ["station.yaml is missing."]
-    assert content.name == "six_position_fig7-001"
+    assert content.name == content.run_name == "six_position_fig7-001"
+    assert content.ending == "The run finished."
     assert len(content.dwells) == 72
     assert len(content.bins) == len(bins)
     assert content.procedure["assumptions"] == ["ramp rates are <chosen> here"]

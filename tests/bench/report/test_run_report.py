@@ -90,11 +90,17 @@ def text_of(folder: RunFolder, prepared_by: str = "") -> str:
     return page_with(render(read_run(folder), [], prepared_by=prepared_by)).text
 
 
+@pytest.fixture(scope="module")
+def run_folder(run_folder: RunFolder, tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+    """A copy that these tests write reports into."""
+    return RunFolder(shutil.copytree(run_folder.path, tmp_path_factory.mktemp("run") / run_folder.path.name))
+
+
 @pytest.fixture
 def copy(run_folder: RunFolder, tmp_path: Path) -> RunFolder:
     """A copy of the run to change."""
     folder = RunFolder(tmp_path / "run")
-    shutil.copytree(run_folder.path, folder.path, ignore=shutil.ignore_patterns("figures"))
+    shutil.copytree(run_folder.path, folder.path)
     return folder
 
 
@@ -278,10 +284,10 @@ def test_run_that_the_papers_method_does_not_apply_to_says_so(
         for old, row in zip(old_dwells, dwells, strict=True)
     ]
     write_dwells(empty_folder.dwells, tested)
-    page = page_of(empty_folder)
-    assert "so it does not apply to these dwells" in page.text
-    assert "Comparison of the estimators" not in page.text
-    assert "Goodness of fit" in page.text
+    text = page_of(empty_folder).text
+    assert "so it does not apply to these dwells" in text
+    assert "Comparison of the estimators" not in text
+    assert "Goodness of fit" in text
 
 
 def test_dwells_solved_together_and_noise_have_their_sections(page: Page) -> None:
@@ -323,11 +329,11 @@ def test_damaged_results_are_named_and_leave_their_sections_out(
         shutil.copy(path, empty_folder.path)
     empty_folder.joint.write_text("stop\n1\n", encoding="utf-8")
     empty_folder.noise.write_text("{", encoding="utf-8")
-    page = page_of(empty_folder)
-    assert "joint.csv can't be used:" in page.text
-    assert "noise.json can't be used:" in page.text
-    assert "Joint solution of each plateau" not in page.text
-    assert "Noise of the INS" not in page.text
+    text = text_of(empty_folder)
+    assert "joint.csv can't be used:" in text
+    assert "noise.json can't be used:" in text
+    assert "Joint solution of each plateau" not in text
+    assert "Noise of the INS" not in text
 
 
 def test_sections_stand_before_the_dwells(
@@ -355,7 +361,7 @@ def test_single_position_without_a_dwell_in_a_bin_is_empty(
 ) -> None:
     two = [row for row in dwells if row.position in ("y_up", "z_up")]
     write_dwells(empty_folder.dwells, [row for row in two if row.position == "z_up" or row.chamber_c < 60.0])
-    text = page_of(empty_folder).text
+    text = text_of(empty_folder)
     assert text.count("empty") - text.count("empty in all positions") == 3
 
 
@@ -380,14 +386,14 @@ def test_equal_runs_give_equal_reports(page: Page, run_folder: RunFolder) -> Non
 def test_run_whose_positions_agree_says_so(empty_folder: RunFolder, equal_dwells: list[DwellRow]) -> None:
     write_dwells(empty_folder.dwells, equal_dwells)
     write_bins(empty_folder.bias_bins, bin_biases(equal_dwells))
-    assert page_of(empty_folder).text.count("No significant difference between positions") == 3
+    assert text_of(empty_folder).count("No significant difference between positions") == 3
 
 
 def test_failed_run_states_reason_step_and_unsafe_outputs(
     empty_folder: RunFolder, journal_writer: Callable[..., None]
 ) -> None:
     journal_writer(empty_folder, ended="failed", reason="chamber: no <reply>", problem="table: no reply")
-    text = page_of(empty_folder).text
+    text = text_of(empty_folder)
     assert (
         "The run failed. chamber: no <reply> Unfinished step: 6, turn 180 deg (cycle 1, 62 degC, z_up)."
         in text
@@ -419,20 +425,20 @@ def test_run_of_calibration_checks_is_no_failure(
 def test_unit_is_known_from_the_journal_before_anything_is_measured(empty_folder: RunFolder) -> None:
     with Journal(empty_folder.journal, VirtualClock()) as journal:
         journal.record("ins_identified", unit="1007", identity="made-up INS")
-    assert "Gyro bias of unit 1007" in page_of(empty_folder).text
+    assert "Gyro bias of unit 1007" in text_of(empty_folder)
 
 
 def test_run_in_one_position_says_once_that_there_is_nothing_to_compare(
     empty_folder: RunFolder, dwells: list[DwellRow]
 ) -> None:
     write_dwells(empty_folder.dwells, [row for row in dwells if row.position == "y_up"])
-    page = page_of(empty_folder)
-    assert page.text.count("Nothing to compare") == 1
+    text = text_of(empty_folder)
+    assert text.count("Nothing to compare") == 1
 
 
 def test_killed_run_is_reported_as_such(empty_folder: RunFolder, journal_writer: Callable[..., None]) -> None:
     journal_writer(empty_folder, ended="")
-    text = page_of(empty_folder).text
+    text = text_of(empty_folder)
     assert "The run has not ended. It was killed or is still running" in text
     assert "The journal has no safe state." in text
 
@@ -461,14 +467,14 @@ def test_data_that_can_not_be_hashed_are_reported(copy: RunFolder) -> None:
 
 
 def test_figures_are_drawn_again_only_if_what_they_show_has_changed(
-    run_folder: RunFolder, dwells: list[DwellRow]
+    copy: RunFolder, dwells: list[DwellRow]
 ) -> None:
-    write_report(run_folder)
-    figures = sorted(run_folder.figures.glob("*.png"))
+    write_report(copy)
+    figures = sorted(copy.figures.glob("*.png"))
     drawn = {path: path.stat().st_mtime_ns for path in figures}
-    write_report(run_folder)
+    write_report(copy)
     assert len(drawn) > 4
     assert {path: path.stat().st_mtime_ns for path in figures} == drawn
-    write_dwells(run_folder.dwells, [replace(dwells[0], cycle=dwells[0].cycle + 1), *dwells[1:]])
-    write_report(run_folder)
+    write_dwells(copy.dwells, [replace(dwells[0], cycle=dwells[0].cycle + 1), *dwells[1:]])
+    write_report(copy)
     assert all(path.stat().st_mtime_ns > drawn[path] for path in figures)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.effects import g_sensitivity
+from gyrobench.bench.closure.effects.laws import G_SENSITIVITY
 from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.closure.problem import predict
 from gyrobench.bench.verification.compensation_verification import compensation_result
@@ -19,9 +19,7 @@ FINER = 0.3
 
 def remaining(seed, name="effect"):
     """What remains in finer measurements with a compensation from a campaign of two cycles."""
-    closure = close_loop(
-        campaign_of(measure(SIZES, cycles=2, seed=seed).rows), effects=[g_sensitivity.EFFECT]
-    )
+    closure = close_loop(campaign_of(measure(SIZES, cycles=2, seed=seed).rows), effects=[G_SENSITIVITY])
     rows = measure(SIZES, cycles=1, seed=seed + 1000, noise=FINER).rows
     rows = [replace(row, sigma_dph=tuple(FINER * each for each in row.sigma_dph)) for row in rows]
     campaign = campaign_of(rows)

@@ -1,6 +1,6 @@
 import numpy as np
 
-from gyrobench.bench.closure.effects.g_sensitivity import EFFECT
+from gyrobench.bench.closure.effects.laws import G_SENSITIVITY as EFFECT
 from tests.bench.closure.thermal_bench import UP
 
 [FORM] = EFFECT.forms

@@ -1,6 +1,6 @@
 import numpy as np
 
-from gyrobench.bench.closure.effects.temperature_rate import EFFECT
+from gyrobench.bench.closure.effects.laws import TEMPERATURE_RATE as EFFECT
 
 [FORM] = EFFECT.forms
 

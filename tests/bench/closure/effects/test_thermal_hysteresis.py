@@ -1,7 +1,7 @@
 import numpy as np
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.effects.thermal_hysteresis import EFFECT
+from gyrobench.bench.closure.effects.laws import THERMAL_HYSTERESIS as EFFECT
 from tests.bench.closure.thermal_bench import measure
 
 [FORM] = EFFECT.forms

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.effects.thermal_lag import EFFECT
+from gyrobench.bench.closure.effects.laws import THERMAL_LAG as EFFECT
 from gyrobench.bench.closure.temperatures import TemperatureRecord
 from tests.bench.closure.thermal_bench import measure
 

@@ -1,6 +1,6 @@
 import numpy as np
 
-from gyrobench.bench.closure.effects.time_drift import EFFECT
+from gyrobench.bench.closure.effects.laws import TIME_DRIFT as EFFECT
 
 [FORM] = EFFECT.forms
 

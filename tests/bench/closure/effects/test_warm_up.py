@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.effects.warm_up import EFFECT
+from gyrobench.bench.closure.effects.laws import WARM_UP as EFFECT
 from tests.bench.closure.thermal_bench import measure
 
 [FORM] = EFFECT.forms

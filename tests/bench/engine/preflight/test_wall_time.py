@@ -19,6 +19,7 @@ from tests.bench.engine.test_wall_time import station_of
 SERVE = "gyrobench.drivers.emulators.serve"
 
 
+@pytest.mark.long
 @pytest.mark.wall_time
 def test_a_bench_behind_real_ports_passes_and_one_that_a_run_holds_is_refused(tmp_path):
     command = [

@@ -21,7 +21,10 @@ from tests.bench.report.made_up_closure import (
     without_boards,
 )
 
-SEARCHES = [clean, explained, ambiguous, faint, unexplained, quiet, without_boards]
+SEARCHES = [
+    *(clean, explained, ambiguous, unexplained),
+    *(pytest.param(search, marks=pytest.mark.long) for search in (faint, quiet, without_boards)),
+]
 
 
 @pytest.fixture(scope="module", params=SEARCHES)

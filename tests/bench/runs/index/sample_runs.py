@@ -11,9 +11,8 @@ from tests.benchmarks.fleet_runs import make_runs
 
 
 def emulated_run(folder):
-    """Make one real run; gives its path."""
+    """Make one real run."""
     make_runs(folder, 1, 1)
-    return folder / "run-00000"
 
 
 def copy_run(source, path, unit="1001", started="2026-01-05T08:00:00+00:00", x_dph=0.0):

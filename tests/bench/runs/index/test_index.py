@@ -76,35 +76,35 @@ def test_the_batch_of_a_unit_follows_the_table_of_units(runs):
         index.update()
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "reason"),
-    [
-        ("journal.jsonl", b"no journal\n{}\n", "damaged entry"),
-        ("provenance.json", b'{"gyrobench": "1"}', "started_utc: Field required"),
-        ("provenance.json", b"[", "Invalid JSON"),
-        ("dwells.csv", b"unit\n", "dwells.csv"),
-        ("bias_bins.csv", b"\xff\xfe", "not UTF-8"),
-        ("acceptance.json", b'{"verdict": 3}', "verdict: Input should be a valid string"),
-        ("closure/closure.json", b'{"effects": 1}', "effects"),
-    ],
-)
-def test_a_damaged_run_is_listed_with_the_reason_and_read_again_when_repaired(runs, name, content, reason):
+DAMAGES = [
+    ("journal.jsonl", b"no journal\n{}\n", "damaged entry"),
+    ("provenance.json", b'{"gyrobench": "1"}', "started_utc: Field required"),
+    ("provenance.json", b"[", "Invalid JSON"),
+    ("dwells.csv", b"unit\n", "dwells.csv"),
+    ("bias_bins.csv", b"\xff\xfe", "not UTF-8"),
+    ("acceptance.json", b'{"verdict": 3}', "verdict: Input should be a valid string"),
+    ("closure/closure.json", b'{"effects": 1}', "effects"),
+]
+
+
+def test_a_damaged_run_is_listed_with_the_reason_and_read_again_when_repaired(runs):
     index = index_of(runs)
     index.update()
-    file = runs / "a" / name
-    whole = file.read_bytes() if file.exists() else None
-    file.parent.mkdir(exist_ok=True)
-    file.write_bytes(content)
-    index.update()
-    problems = index.problems()
-    assert list(problems) == ["a"]
-    assert reason in problems["a"]
-    assert name.rpartition("/")[2] in problems["a"]
-    assert {run["path"] for run in find_runs(index, Selection())} == {"b", "deep/c"}
-    file.unlink() if whole is None else file.write_bytes(whole)
-    index.update()
-    assert not index.problems()
-    assert len(find_runs(index, Selection())) == 3
+    for name, content, reason in DAMAGES:
+        file = runs / "a" / name
+        whole = file.read_bytes() if file.exists() else None
+        file.parent.mkdir(exist_ok=True)
+        file.write_bytes(content)
+        index.update()
+        problems = index.problems()
+        assert list(problems) == ["a"], name
+        assert reason in problems["a"]
+        assert name.rpartition("/")[2] in problems["a"]
+        assert {run["path"] for run in find_runs(index, Selection())} == {"b", "deep/c"}
+        file.unlink() if whole is None else file.write_bytes(whole)
+        index.update()
+        assert not index.problems(), name
+        assert len(find_runs(index, Selection())) == 3
 
 
 def test_a_folder_with_a_journal_alone_is_reported(runs):
@@ -126,23 +126,20 @@ def test_an_object_store_is_indexed_like_a_folder(runs, tmp_path):
         memory.rm("/bucket", recursive=True)
 
 
-@pytest.mark.parametrize(
-    "sql",
-    [
+def test_a_query_can_only_read_and_sees_the_index_alone(runs, tmp_path):
+    (tmp_path / "secret.csv").write_text("a,b\n1,2\n")
+    index = index_of(runs)
+    index.update()
+    for sql in (
         "DELETE FROM runs",
         "COPY runs TO '{folder}/out.csv'",
         "SELECT * FROM read_csv('{folder}/secret.csv')",
         "ATTACH '{folder}/other.duckdb' AS other",
         "SET enable_external_access = true",
         "SELECT nothing FROM runs",
-    ],
-)
-def test_a_query_can_only_read_and_sees_the_index_alone(runs, tmp_path, sql):
-    (tmp_path / "secret.csv").write_text("a,b\n1,2\n")
-    index = index_of(runs)
-    index.update()
-    with pytest.raises(DocumentError, match="invalid query"):
-        index.query(sql.format(folder=tmp_path))
+    ):
+        with pytest.raises(DocumentError, match="invalid query"):
+            index.query(sql.format(folder=tmp_path))
     assert len(find_runs(index, Selection())) == 3
     assert sorted(path.name for path in tmp_path.iterdir()) == ["runs", "secret.csv"]
 
@@ -171,12 +168,12 @@ def test_a_damaged_index_is_rebuilt_at_once(runs):
     assert index_of(runs).update().read == 3
 
 
-@pytest.mark.parametrize(("sql", "count"), [("", 0), (";", 0), ("-- nothing", 0), ("SELECT 1; SELECT 2", 2)])
-def test_one_query_is_answered_at_a_time(runs, sql, count):
+def test_one_query_is_answered_at_a_time(runs):
     index = index_of(runs)
     index.update()
-    with pytest.raises(DocumentError, match=f"{count} queries given"):
-        index.query(sql)
+    for sql, count in (("", 0), (";", 0), ("-- nothing", 0), ("SELECT 1; SELECT 2", 2)):
+        with pytest.raises(DocumentError, match=f"{count} queries given"):
+            index.query(sql)
 
 
 def test_a_verdict_on_dwells_that_were_re_evaluated_is_stale(runs, sample):

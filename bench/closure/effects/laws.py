@@ -1,0 +1,158 @@
+"""Effects that are a law of the grammar: what drives the bias, a memory, and a factor."""
+
+from __future__ import annotations
+
+from gyrobench.bench.closure.campaign import Campaign
+from gyrobench.bench.closure.effects.effect import Parameter, fixed, searched_length_s, time_constant
+from gyrobench.bench.closure.effects.grammar import Law, effect_of
+
+_LAG_TAU = time_constant(1.0, 300.0, 900.0, 2700.0, 7200.0)
+_HALF_WIDTH = Parameter("half_width_c", 0.3, 40.0, fixed(1.0, 2.0, 4.0, 7.0, 12.0, 20.0))
+_WARM_UP_TAU = time_constant(300.0, 900.0, 2700.0, 7200.0, 21_600.0, 64_800.0)
+_S_PER_DAY = 86_400.0
+_TWO_DAYS_S = 2.0 * 86_400.0
+
+TEMPERATURE_RATE = effect_of(
+    Law("gyro_rate_c_per_h"),
+    name="temperature_rate",
+    statement="the bias follows the rate of change of the optics temperature",
+    experiment=(
+        "pass the same temperature at two ramp rates, upward and downward, then soak there: the effect is "
+        "proportional to the rate, changes sign with it and vanishes in the soak"
+    ),
+    terms=("temperature rate, K/h",),
+    imitated_by=("thermal_gradient",),
+)
+
+THERMAL_LAG = effect_of(
+    Law("gyro_c", memory="decay", parameters=(_LAG_TAU,)),
+    name="thermal_lag",
+    statement="the bias follows a temperature that lags behind the measured one",
+    experiment=(
+        "step the temperature once and soak: the bias settles a time constant later than the sensor; a "
+        "second sensor closer to the cavity shows the lag directly"
+    ),
+    terms=("sensor ahead of the lagging temperature, K",),
+    imitated_by=("thermal_gradient",),
+)
+
+THERMAL_HYSTERESIS = effect_of(
+    Law("gyro_c", memory="play", parameters=(_HALF_WIDTH,)),
+    name="thermal_hysteresis",
+    statement="the bias depends on whether a temperature was reached from above or below, at any rate",
+    experiment=(
+        "reach one temperature from above and from below and soak for hours: a lag decays, hysteresis "
+        "remains; small temperature loops show its width"
+    ),
+    terms=("play behind the temperature, K",),
+)
+
+THERMAL_GRADIENT = effect_of(
+    Law("above_optics_k"),
+    name="thermal_gradient",
+    statement=(
+        "the bias follows the temperature difference between electronics and optics, equally in all positions"
+    ),
+    experiment=(
+        "soak at one temperature and change the power of the electronics: the temperature difference "
+        "changes, while the temperature rate soon returns to zero"
+    ),
+    terms=("electronics above optics, K",),
+)
+
+G_SENSITIVITY = effect_of(
+    Law("constant", factor="up"),
+    name="g_sensitivity",
+    label="g-sensitivity",
+    statement="the bias follows gravity along the body axes, equally at all temperatures",
+    experiment=(
+        "compare up and down at the hottest and the coldest temperature after a soak: the difference is the "
+        "same at both; a magnetic shield or coil excludes the vertical magnetic field"
+    ),
+    terms=("Up along x", "Up along y", "Up along z"),
+    imitated_by=("magnetic_sensitivity",),
+)
+
+#: The springs of block and dither soften with temperature. The part that is equal at all temperatures is
+#: :data:`G_SENSITIVITY`.
+THERMAL_G_SENSITIVITY = effect_of(
+    Law("gyro_c", factor="up"),
+    name="thermal_g_sensitivity",
+    label="temperature-dependent g-sensitivity",
+    statement="the bias follows gravity along the body axes, in proportion to the optics temperature",
+    experiment=(
+        "compare up and down about each axis at five temperatures after a soak: the difference changes "
+        "linearly over the whole range, and not with the power of the electronics"
+    ),
+    terms=("temperature by Up along x, K", "temperature by Up along y, K", "temperature by Up along z, K"),
+)
+
+WARM_UP = effect_of(
+    Law("power_on", memory="decay", parameters=(_WARM_UP_TAU,)),
+    name="warm_up",
+    label="warm-up",
+    statement="the bias decays exponentially after power-on",
+    experiment="reach the same temperature soon after power-on and again hours later, in two power cycles",
+    terms=("decay since power-on",),
+)
+
+TIME_DRIFT = effect_of(
+    Law("time_days"),
+    name="time_drift",
+    statement="the bias drifts linearly with time",
+    experiment=(
+        "return to one position and temperature at the beginning, in the middle and at the end of a "
+        "power cycle, over two days or more"
+    ),
+    terms=("time, days",),
+    imitated_by=("daily_course",),
+)
+
+
+class _Ageing(Law):
+    """A decay through all power cycles; in a single one it can't be distinguished from a slow warm-up."""
+
+    def missing_input(self, campaign: Campaign) -> str | None:
+        """Two power cycles and two days."""
+        if len(campaign.power_on_s) > 1 and searched_length_s(campaign) > 2.0 * _S_PER_DAY:
+            return None
+        return "two power cycles and two days: in one, ageing looks like a slow warm-up"
+
+
+AGEING = effect_of(
+    _Ageing("start", memory="decay", parameters=(time_constant(_S_PER_DAY, _S_PER_DAY, 3.0 * _S_PER_DAY),)),
+    name="ageing",
+    statement="the bias settles exponentially over days, through power-off and power-on",
+    experiment=(
+        "return to one position and temperature every day for twice the time constant, with a power-off in "
+        "between: ageing continues where it was, a warm-up begins again"
+    ),
+    terms=("decay since the first dwell",),
+)
+
+DAILY_COURSE = effect_of(
+    Law("room_c"),
+    name="daily_course",
+    label="daily course of the room",
+    statement="the bias follows the temperature of the room",
+    experiment=(
+        "log the temperature of the room beside one position and temperature held for two days: a daily "
+        "course returns"
+    ),
+    terms=("room temperature, K",),
+    imitated_by=("supply_power",),
+    # Over two days and more a daily course returns: no drift looks like it.
+    may_imitate=lambda campaign: float(campaign.end_s.max() - campaign.start_s.min()) < _TWO_DAYS_S,
+)
+
+SUPPLY_POWER = effect_of(
+    Law("supply_w"),
+    name="supply_power",
+    label="supply power",
+    statement="the bias follows the power of the supply or heater",
+    experiment=(
+        "hold temperature and position and step the supply voltage or heater power with a programmable "
+        "supply: the bias follows within seconds, before any temperature does"
+    ),
+    terms=("supply power, W",),
+)

@@ -1,0 +1,89 @@
+"""Watching the engine: its beats, its process, and the guard's log."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import signal
+from enum import Enum
+from pathlib import Path
+
+from gyrobench.bench.foundations.clock import Clock
+from gyrobench.bench.guard.protocol import RELEASE
+
+_SELECT_S = 0.5
+_CHUNK = 4096
+
+
+class EngineEnd(Enum):
+    """How the engine's beats ended."""
+
+    RELEASED = "the engine released the guard"
+    CLOSED = "the engine died without releasing the guard"
+    SILENT = "the engine hangs"
+
+
+def watch_engine(descriptor: int, silence_s: float, clock: Clock) -> EngineEnd:
+    """Wait until the engine releases the guard, dies, or is silent for too long.
+
+    A wait that took much longer than it should counts as a short one: then the machine was suspended or the
+    guard was not scheduled, and the engine neither.
+    """
+    silent_s, last_s = 0.0, clock.now()
+    while silent_s < silence_s:
+        ready, _, _ = select.select([descriptor], [], [], min(_SELECT_S, silence_s - silent_s))
+        now_s = clock.now()
+        silent_s, last_s = silent_s + min(now_s - last_s, 2.0 * _SELECT_S), now_s
+        if ready:
+            data = os.read(descriptor, _CHUNK)
+            if not data:
+                return EngineEnd.CLOSED
+            if RELEASE in data:
+                return EngineEnd.RELEASED
+            silent_s = 0.0
+    return EngineEnd.SILENT
+
+
+class EngineProcess:
+    """The engine, which is the parent process, by a descriptor that stays valid if its number is reused."""
+
+    def __init__(self, pid: int) -> None:
+        self._descriptor: int | None = None
+        if os.getppid() != pid:
+            return
+        descriptor = os.pidfd_open(pid)
+        # While it is still the parent, its number can't have been reused before.
+        if os.getppid() == pid:
+            self._descriptor = descriptor
+        else:
+            os.close(descriptor)
+
+    def ended(self, within_s: float = 0.0) -> bool:
+        """Wait for its end, and return whether it has ended."""
+        if self._descriptor is None:
+            return True
+        ready, _, _ = select.select([self._descriptor], [], [], within_s)
+        return bool(ready)
+
+    def kill(self) -> None:
+        """End it at once, also if it is stopped."""
+        if self._descriptor is not None:
+            with contextlib.suppress(ProcessLookupError):
+                signal.pidfd_send_signal(self._descriptor, signal.SIGKILL)
+
+
+class GuardLog:
+    """Lines with their time, appended to a file; a line that can't be written is dropped."""
+
+    def __init__(self, path: Path, clock: Clock) -> None:
+        self._path = path
+        self._clock = clock
+
+    def add(self, text: str) -> None:
+        """Add one line; it is on the disk when this returns, if it can be."""
+        line = f"{self._clock.utc().isoformat(timespec='milliseconds')} guard {os.getpid()}: {text}\n"
+        with contextlib.suppress(OSError), self._path.open("a", encoding="utf-8") as stream:
+            stream.write(line)
+            stream.flush()
+            os.fsync(stream.fileno())
