@@ -65,6 +65,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     config = session.config
     if not hasattr(config, "workerinput"):
         return
+    gc.disable()  # importing hardly leaves anything to free
     number, others = int(config.workerinput["workerid"][2:]), config.workerinput["workercount"] - 1
     if number == 0:
         compile_world()
@@ -78,6 +79,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 @pytest.hookimpl(trylast=True)
 def pytest_collection_finish() -> None:
     """Leave what was imported out of garbage collection, which tests that draw figures do often."""
+    gc.enable()
     gc.collect()
     gc.freeze()
 
