@@ -142,13 +142,6 @@ def test_nothing_is_measured_for_a_unit_without_an_effect(tmp_path):
     assert found.closure.verdict == "clean"
 
 
-def test_a_declined_block_ends_the_investigation(tmp_path):
-    declining = investigator(
-        unit_with({"warm_up": 0.02}), tmp_path / "no", approve=lambda proposal, rivals: False
-    )
-    assert declining.run(WallClock()).ended == "declined"
-
-
 @pytest.mark.long
 def test_no_block_is_longer_than_what_is_left_of_the_budget(tmp_path):
     found = investigator(unit_with({"warm_up": 0.02}), tmp_path / "short", budget_h=1.5).run(WallClock())
@@ -237,7 +230,7 @@ def test_a_law_composed_for_what_is_on_no_list_is_tested_by_a_new_cycle(tmp_path
     assert events.count("measured") == 1
 
 
-def test_a_block_that_brings_flagged_dwells_alone_is_not_repeated_for_ever(tmp_path):
+def test_a_block_that_brings_flagged_dwells_alone_is_not_repeated_for_ever_and_may_be_declined(tmp_path):
     proposed, unit = [], unit_with({"warm_up": 0.02})
 
     def approve(proposal, rivals):
