@@ -26,8 +26,8 @@ hypothesis.settings.load_profile("no deadline")
 SHIFT_RUNS = {
     "tests/bench/engine/test_whole_procedure.py",
     "tests/bench/engine/test_whole_procedure_results.py",
-    "tests/bench/dwells/test_replay.py",
-    "tests/bench/dwells/test_results.py",
+    "tests/bench/dwells/test_run_dwells.py",
+    "tests/bench/dwells/test_run_results.py",
 }
 #: What takes long comes first, so that no worker has it left over at the end.
 LONG = SHIFT_RUNS | {"tests/bench/closure/test_whole_campaigns.py"}
@@ -65,6 +65,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     config = session.config
     if not hasattr(config, "workerinput"):
         return
+    gc.disable()  # importing hardly leaves anything to free
     number, others = int(config.workerinput["workerid"][2:]), config.workerinput["workercount"] - 1
     if number == 0:
         compile_world()
@@ -78,6 +79,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 @pytest.hookimpl(trylast=True)
 def pytest_collection_finish() -> None:
     """Leave what was imported out of garbage collection, which tests that draw figures do often."""
+    gc.enable()
     gc.collect()
     gc.freeze()
 

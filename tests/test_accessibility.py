@@ -18,9 +18,7 @@ from tests.bench.monitor.served_run import now, run_under_way
 from tests.bench.monitor.test_browser import CHROMIUM, OPTIONS
 
 CAMPAIGN = Path(__file__).parent / "data/run_folders/campaign.tar.xz"
-NARROW_PX = 360
-#: Pages that the quick tests look at, in a narrow window.
-QUICK = ("report", "search for effects", "monitor")
+WIDTHS_PX = (360, 1280)
 AXE = (resources.files("axe_core_python") / "axe.min.js").read_text(encoding="utf-8")
 RUN_AXE = """
 axe.run(document, {resultTypes: ["violations"]}).then(results => {
@@ -34,20 +32,9 @@ axe.run(document, {resultTypes: ["violations"]}).then(results => {
 
 
 @pytest.fixture(scope="module")
-def pages(tmp_path_factory):
-    """Each kind of page that gyrobench writes or serves, by name."""
-    place = tmp_path_factory.mktemp("pages")
-    with tarfile.open(CAMPAIGN) as archive:
-        archive.extractall(place, filter="data")
-    [run] = [path.parent for path in place.rglob("journal.jsonl")]
-    for command in ("close", "report"):
-        done = gyrobench(command, run, cwd=place)
-        assert done.returncode == 0, done.stderr
-    found = {
-        "report": (run / "report.html").read_text(encoding="utf-8"),
-        "search for effects": (run / "closure/closure.html").read_text(encoding="utf-8"),
-        "record in the monitor": Site(run, now).answer("/").body.decode(),
-    }
+def monitored(tmp_path_factory):
+    """Each kind of page that the monitor serves of a run under way, by name."""
+    place, found = tmp_path_factory.mktemp("monitor"), {}
     for name, snapshot in (("monitor", made_up_snapshot()), ("question", waiting_snapshot())):
         (place / name).mkdir()
         with run_under_way(place / name / "run", snapshot):
@@ -56,25 +43,45 @@ def pages(tmp_path_factory):
     return found
 
 
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """Each kind of page of a finished run, by name."""
+    place = tmp_path_factory.mktemp("pages")
+    with tarfile.open(CAMPAIGN) as archive:
+        archive.extractall(place, filter="data")
+    [run] = [path.parent for path in place.rglob("journal.jsonl")]
+    for command in ("close", "report"):
+        done = gyrobench(command, run, cwd=place)
+        assert done.returncode == 0, done.stderr
+    return {
+        "report": (run / "report.html").read_text(encoding="utf-8"),
+        "search for effects": (run / "closure/closure.html").read_text(encoding="utf-8"),
+        "record in the monitor": Site(run, now).answer("/").body.decode(),
+    }
+
+
+@pytest.mark.long
 @pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
+@pytest.mark.parametrize("width_px", WIDTHS_PX)
+@pytest.mark.parametrize("name", ["report", "search for effects", "record in the monitor"])
+def test_a_page_of_a_finished_run_has_no_finding(written, name, width_px, tmp_path):
+    assert findings(written[name], width_px, tmp_path) == {}
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
+@pytest.mark.parametrize("width_px", WIDTHS_PX)
 @pytest.mark.parametrize(
-    ("name", "width_px"),
-    [
-        pytest.param(
-            name, width_px, marks=[] if width_px == NARROW_PX and name in QUICK else pytest.mark.long
-        )
-        for name in (*QUICK, "record in the monitor", "question", "list of runs")
-        for width_px in (NARROW_PX, 1280)
-    ],
+    "name",
+    ["monitor", *(pytest.param(name, marks=pytest.mark.long) for name in ("question", "list of runs"))],
 )
-def test_a_page_has_no_finding(pages, name, width_px, tmp_path):
-    assert findings(pages[name], width_px, tmp_path) == {}
+def test_a_page_of_the_monitor_has_no_finding(monitored, name, width_px, tmp_path):
+    assert findings(monitored[name], width_px, tmp_path) == {}
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
-def test_a_page_with_low_contrast_has_a_finding(pages, tmp_path):
-    pale = pages["monitor"].replace("</style>", "p { color: #cccccc !important; }</style>")
-    assert "color-contrast" in findings(pale, NARROW_PX, tmp_path)
+def test_a_page_with_low_contrast_has_a_finding(monitored, tmp_path):
+    pale = monitored["monitor"].replace("</style>", "p { color: #cccccc !important; }</style>")
+    assert "color-contrast" in findings(pale, WIDTHS_PX[0], tmp_path)
 
 
 def findings(page, width_px, folder):

@@ -32,7 +32,7 @@ ATTITUDE_ERROR = 0.5
 _MAX_GROWTH = 1.1
 #: Size of the accelerometers' scale factor errors where gravity stands in place of the vertical specific
 #: force: their mean is not observed, and affects the other coefficients in second order.
-_SCALE = 1e-4
+FORCE_SCALE = 1e-4
 #: Which coefficients are scale factors of accelerometers.
 IS_FORCE_SCALE = [each.name == "accelerometer_scale_factor" for each in COEFFICIENTS]
 #: So closely the scale factors of accelerometers have the mean zero where the vertical force is not measured.
@@ -134,7 +134,7 @@ class Information:
             blocks.append(mean)
         sizes = np.array([each.size for each in (*COEFFICIENTS, *BESIDE)])
         if not all(each.epochs.has_vertical for each in sections):
-            sizes[np.flatnonzero(IS_FORCE_SCALE)] = _SCALE
+            sizes[np.flatnonzero(IS_FORCE_SCALE)] = FORCE_SCALE
         count = 3 * len(sections)
         drifts = count if options.bias_drift else 0
         beside = [ATTITUDE_ERROR] * count + [options.bias_drift] * drifts

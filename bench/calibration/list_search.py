@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT
-from gyrobench.bench.calibration.information import ATTITUDE_ERROR
+from gyrobench.bench.calibration.information import ATTITUDE_ERROR, FORCE_SCALE, IS_FORCE_SCALE
 from gyrobench.bench.calibration.recording import SensorNoise
 from gyrobench.bench.calibration.rotation_list import (
     STEP_S,
@@ -88,17 +88,18 @@ def shortest_list(
     max_rate_dps: float,
     whole_turns: float | None = None,
     site_sigmas: tuple[float, float] = (0.0, 0.0),
+    has_vertical: bool = True,
 ) -> tuple[RotationList, Forecast]:
     """A list of rotations that reaches the targets, and its forecast.
 
     ``pattern``: gives start, dwell and rate; its rotations are used, as far as needed, if nothing quicker is
-    found. ``targets`` (21,): largest uncertainties, SI; infinite where there is none. ``max_rate_dps``,
-    ``site_sigmas``, ``whole_turns``: as of :func:`forecast`; whole turns are tried only with the latter.
-    Raises DocumentError if no list reaches the targets.
+    found. ``targets`` (21,): largest uncertainties, SI; infinite where there is none. ``max_rate_dps`` and
+    after it: as of :func:`forecast`; whole turns are tried only with ``whole_turns``. Raises DocumentError if
+    no list reaches the targets.
     """
     left: list[str] = []
     for margin in _MARGINS:
-        search = _Search(pattern, margin * targets, table, site, noise, whole_turns)
+        search = _Search(pattern, margin * targets, table, site, noise, whole_turns, has_vertical)
         rotations, left = search.run()
         if left:
             break
@@ -109,7 +110,7 @@ def shortest_list(
                 "rotations": rotations,
             }
         )
-        expected = forecast(found, table, site, noise, max_rate_dps, whole_turns, site_sigmas)
+        expected = forecast(found, table, site, noise, max_rate_dps, whole_turns, site_sigmas, has_vertical)
         if (expected.sigmas <= targets)[np.isfinite(targets)].all():
             return found, expected
     raise DocumentError(
@@ -153,11 +154,15 @@ class _Search:
         site: Site,
         noise: SensorNoise,
         whole_turns: float | None,
+        has_vertical: bool,
     ) -> None:
         self._pattern, self._table, self._site, self._noise = pattern, table, site, noise
         self._targets, self._whole_turns = targets, whole_turns
         self._white = float(np.mean(noise.white_velocity**2)) / _EPOCH_S
         self._turn = (whole_turns or 0.0) ** 2
+        self._measured, self._sizes = 3 if has_vertical else 2, _SIZES.copy()
+        if not has_vertical:
+            self._sizes[np.flatnonzero(IS_FORCE_SCALE)] = FORCE_SCALE
         self._cache: dict[tuple[float, float, str, float], _Movement] = {}
         self._limits = {"outer": table.outer_limits_deg, "inner": table.inner_limits_deg}
         self._start = table.angles(POSITIONS[pattern.start].C_nb())
@@ -238,12 +243,12 @@ class _Search:
         information = np.array([each.information for each in parts]) + np.eye(len(_COLUMNS))
         variances = np.diagonal(np.linalg.inv(information), axis1=1, axis2=2)
         targeted = np.isfinite(self._targets)
-        ratios = (np.sqrt(variances) * _SIZES)[:, :COUNT] / self._targets
+        ratios = (np.sqrt(variances) * self._sizes)[:, :COUNT] / self._targets
         return np.asarray(ratios[:, targeted])
 
     def _begun(self) -> _Partial:
         state, covariance = np.zeros((9, len(_COLUMNS))), np.zeros((9, 9))
-        state[:3, COUNT:] = np.eye(3) * _SIZES[COUNT:]
+        state[:3, COUNT:] = np.eye(3) * self._sizes[COUNT:]
         covariance[3:6, 3:6] = self._white * np.eye(3)
         begun = _Partial((), self._start, state, covariance, np.zeros((len(_COLUMNS),) * 2))
         return self._through(begun, self._movement(self._start, None), (), self._start)
@@ -262,6 +267,7 @@ class _Search:
             movement.drive,
             movement.at_rest,
             movement.is_spin and self._whole_turns is not None,
+            self._measured,
             self._white,
             self._turn,
             state,
@@ -291,7 +297,7 @@ class _Search:
                 self._site.latitude,
                 self._site.gravity,
             )
-            drive = np.ascontiguousarray(drive[:, :, _COLUMNS] * _SIZES)
+            drive = np.ascontiguousarray(drive[:, :, _COLUMNS] * self._sizes)
             self._cache[key] = _Movement(transition, covariance, drive, at_rest[ends], bool(spins))
         return self._cache[key]
 
@@ -305,7 +311,7 @@ def _moved(angles: Angles, rotation: TableRotation) -> Angles:
 @compiled
 def _filter(
     transition: FloatArray, covariance: FloatArray, drive: FloatArray, at_rest: BoolArray, is_spin: bool,
-    white: float, turn: float, Z: FloatArray, P: FloatArray, information: FloatArray,
+    measured: int, white: float, turn: float, Z: FloatArray, P: FloatArray, information: FloatArray,
 ) -> None:  # fmt: skip
     columns = Z.shape[1]
     if is_spin:
@@ -321,7 +327,7 @@ def _filter(
         P[:6, :6] += covariance[epoch]
         if not at_rest[epoch]:
             continue
-        for i in range(3):
+        for i in range(measured):
             variance = P[3 + i, 3 + i] + white
             row = Z[3 + i].copy()
             gain = P[:, 3 + i] / variance

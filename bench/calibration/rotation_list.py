@@ -124,15 +124,21 @@ def forecast(
     max_rate_dps: float,
     whole_turns: float | None = None,
     site_sigmas: tuple[float, float] = (0.0, 0.0),
+    has_vertical: bool = True,
 ) -> Forecast:
     """Expected uncertainties by Fisher information, of biases that do not drift.
 
     ``max_rate_dps``: limit of the table. ``whole_turns``: standard uncertainty, rad, of its return after
-    whole turns. ``site_sigmas``: of gravity, m/s^2, and latitude, rad. Raises DocumentError if the table
-    can't do the rotations.
+    whole turns. ``site_sigmas``: of gravity, m/s^2, and latitude, rad. ``has_vertical``: whether the vertical
+    velocity is measured, as by increments. Raises DocumentError if the table can't do the rotations.
     """
     # They bring numba, which reading a list does not need.
-    from gyrobench.bench.calibration.information import CalibrationOptions, Information, site_parts
+    from gyrobench.bench.calibration.information import (
+        IS_FORCE_SCALE,
+        CalibrationOptions,
+        Information,
+        site_parts,
+    )
     from gyrobench.bench.calibration.section import EPOCH_S, Section
     from gyrobench.bench.calibration.strapdown import UNKNOWNS, Epochs
 
@@ -143,13 +149,15 @@ def forecast(
     size = round(EPOCH_S / STEP_S)
     ends = np.arange(size, len(angle) + 1, size, dtype=np.int64)
     turns = [(first // size, -(-last // size), np.eye(3)) for first, last in spins]
-    section = Section(STEP_S, angle, velocity, len(angle), Epochs(ends, at_rest[ends], turns))
+    section = Section(STEP_S, angle, velocity, len(angle), Epochs(ends, at_rest[ends], turns, has_vertical))
     gravity_sigma, latitude_sigma = site_sigmas
     options = CalibrationOptions(
         whole_turns=whole_turns, gravity_sigma=gravity_sigma, latitude_sigma=latitude_sigma
     )
     ideal = [section], [attitude[0]], np.zeros(UNKNOWNS), noise, site, options
     _, covariance, is_observed = Information.of(*ideal).solve()
+    if not has_vertical:
+        is_observed[:COUNT] &= ~np.array(IS_FORCE_SCALE)
     covariance = covariance[:COUNT, :COUNT] + sum(site_parts(*ideal).values())
     return Forecast(rotations.duration_s, np.sqrt(np.diag(covariance)), is_observed[:COUNT])
 

@@ -127,7 +127,8 @@ def _show_observability(
     whole_turns = None if whole_turns_arcsec is None else whole_turns_arcsec * pi / 648000.0
     max_rate_dps = station.file.rate_table.limits.rate_dps
     site_sigmas = station.gravity[1], station.prior().latitude
-    bench = (station.table, station.site, noise, max_rate_dps, whole_turns, site_sigmas)
+    has_vertical = station.file.ins.signals.increments is not None
+    bench = (station.table, station.site, noise, max_rate_dps, whole_turns, site_sigmas, has_vertical)
     files = []
     if reach:
         rotations, found = shortest_list(rotations, parse_targets(reach), *bench)

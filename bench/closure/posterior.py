@@ -109,12 +109,15 @@ class Posterior:
 
         ``has_remainder``: whether something is there that is not on the list; None for either.
         """
-        forms = [{name, *self.more_general.get(name, ())} for name in names]
         return sum(
             each.probability
             for each in self.hypotheses
-            if all(each.names & form for form in forms) and has_remainder in (None, each.has_remainder)
+            if self.contains(each, names) and has_remainder in (None, each.has_remainder)
         )
+
+    def contains(self, hypothesis: Weighed, names: Collection[str]) -> bool:
+        """Whether a hypothesis has all these effects, each as such or as a special case."""
+        return all(hypothesis.names & {name, *self.more_general.get(name, ())} for name in names)
 
     def of_any(self, names: Collection[str]) -> float:
         """Probability that at least one of these effects is there, alone or with others."""

@@ -153,12 +153,12 @@ class LiveBench:
 
     def tick(self) -> None:
         """Wait for the next tick, then poll what is due."""
-        tick_s = self.station.file.tick_s
-        next_tick_s = tick_s * (math.floor(self.clock.now() / tick_s + 1e-9) + 1)
+        tick_s, clock = self.station.file.tick_s, self.clock
+        next_tick_s = tick_s * (math.floor(clock.now() / tick_s + 1e-9) + 1)
         if all(unit.ins.keeps_frames for unit in self.units):
-            self.clock.sleep_until(next_tick_s)
-        while (now_s := self.clock.now()) < next_tick_s:
-            self.clock.sleep_until(min(next_tick_s, now_s + self.station.file.poll_period_s))
+            clock.sleep_until(next_tick_s)
+        while (now_s := clock.now()) < next_tick_s:
+            clock.sleep_until(min(next_tick_s, now_s + self.station.file.poll_period_s))
             self.poll_units()
         for unit in self.units:
             unit.write_waiting(now_s)
@@ -167,14 +167,16 @@ class LiveBench:
         self.lateness.add(next_tick_s, now_s, tick_s)
         if self._failing:
             self._reopen()
-        set_aside = {unit.name for unit in self.units if unit.is_set_aside}
-        if set(self._failing) - set_aside or self.clock.now() >= self._next_reading_s - 1e-6:
+        aside = {each.name for each in self.units if each.is_set_aside} if self._failing else set()
+        if not aside.issuperset(self._failing) or clock.now() >= self._next_reading_s - 1e-6:
             self.read_instruments()
 
     def trips(self) -> list[Trip]:
         """Return the interlocks that are tripped."""
         trips = self._watch.trips(self.clock.now(), self.state.expected)
-        return [*trips, *(trip for unit in self.units if not unit.is_set_aside for trip in unit.trips())]
+        for unit in self.units:
+            trips += [] if unit.is_set_aside else unit.trips()
+        return trips
 
     def good_for_s(self, trips: Iterable[Trip]) -> float:
         """Return for how long none of these interlocks has been tripped; zero while one is."""
@@ -270,7 +272,7 @@ class LiveBench:
         if self._telemetry:
             self._telemetry.add(telemetry_row(row, None))
         for unit, ins in zip(self.units, statuses, strict=True):
-            unit.observe(replace(readings, ins=ins), row)
+            unit.observe(readings if ins is readings.ins else replace(readings, ins=ins), row)
 
     def read_table(self) -> None:
         """Read the table alone, between the regular readings."""

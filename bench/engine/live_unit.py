@@ -153,7 +153,7 @@ class LiveUnit:
     def trips(self) -> list[Trip]:
         """Return the interlocks of this unit that are tripped."""
         trips = self._watch.trips(self._bench.clock.now(), self.state.expected)
-        return [replace(trip, unit=self.station.number) for trip in trips]
+        return [replace(trip, unit=self.station.number) for trip in trips] if trips else trips
 
     def good_since_s(self, name: str) -> float | None:
         """Time since which an interlock is good for this unit; None while it is tripped."""

@@ -12,6 +12,7 @@ from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.effect import Effect, searched_length_s
 from gyrobench.bench.closure.loop import Closure, close_loop
+from gyrobench.bench.closure.posterior import RIVAL, Weighed
 from gyrobench.bench.closure.search import RESTS_ON_DWELL
 from gyrobench.bench.investigation.choice import Rival
 from gyrobench.bench.investigation.proposal import SETTLED
@@ -50,22 +51,33 @@ def is_settled(closure: Closure) -> bool:
 
 
 def only_unconfirmed(closure: Closure, *, with_single_dwells: bool) -> bool:
-    """Whether a cause has enough probability, and is open only since held-out dwells do not confirm it.
+    """Whether a cause has enough probability, and is open only since new dwells have to confirm it.
 
-    A block that was predicted can confirm it in their place. ``with_single_dwells``: whether effects beside
-    it that a single dwell shows leave it open as well.
+    They do where held-out dwells do not, and where something beside it that is not on the list is improbable
+    but not excluded: a block that was predicted can. ``with_single_dwells``: whether effects beside it that a
+    single dwell shows leave it open as well.
     """
     names = {each.effect.name for each in closure.effects}
     others = closure.posterior.rivals(names).keys()
     single = {each.effect.name for each in closure.evidence if each.rejected.startswith(RESTS_ON_DWELL)}
-    is_probable = bool(names) and closure.verdict == "ambiguous" and closure.probability >= SETTLED
-    return is_probable and not (others if with_single_dwells else others - single)
+    is_probable = bool(names) and closure.verdict == "ambiguous" and cause_probability(closure) >= SETTLED
+    is_listed = closure.posterior.not_on_list < RIVAL
+    return is_probable and is_listed and not (others if with_single_dwells else others - single)
+
+
+def cause_probability(closure: Closure) -> float:
+    """Probability that all effects found are there, with or without others; of nothing if there are none."""
+    names = [each.effect.name for each in closure.effects]
+    return closure.posterior.of_all(names, has_remainder=None) if names else closure.posterior.nothing
 
 
 def rivals_of(closure: Closure) -> tuple[Rival, ...]:
-    """The most probable hypotheses of a search; together they have probability 1."""
-    best = [each for each in closure.posterior.hypotheses if each.probability > _MIN_PROBABILITY]
-    best = best[:_MAX_RIVALS]
+    """The most probable hypotheses of a search; together they have probability 1.
+
+    What is improbable beside the effects found does not leave the cause open: hypotheses with all of them
+    count as the first one that has the same probable others.
+    """
+    best = [each for each in _by_cause(closure) if each.probability > _MIN_PROBABILITY][:_MAX_RIVALS]
     total = sum(each.probability for each in best)
     effects = {each.effect.name: each.effect for each in closure.evidence}
     beyond_dph = remainder_dph(closure)
@@ -79,6 +91,19 @@ def rivals_of(closure: Closure) -> tuple[Rival, ...]:
         )
         for each in best
     )
+
+
+def _by_cause(closure: Closure) -> list[Weighed]:
+    posterior, names = closure.posterior, [each.effect.name for each in closure.effects]
+    others = frozenset(posterior.rivals(names))
+    merged: dict[object, Weighed] = {}
+    for each in posterior.hypotheses:
+        is_beyond = each.has_remainder and posterior.not_on_list >= RIVAL
+        is_same = bool(names) and posterior.contains(each, names)
+        key = (None, each.names & others, is_beyond) if is_same else (each.names, each.has_remainder)
+        first = merged.setdefault(key, replace(each, probability=0.0))
+        merged[key] = replace(first, probability=first.probability + each.probability)
+    return sorted(merged.values(), key=lambda each: -each.probability)
 
 
 def confirming_rivals(closure: Closure) -> tuple[Rival, Rival]:

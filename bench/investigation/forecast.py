@@ -19,6 +19,8 @@ from gyrobench.bench.procedure.estimate import ThermalEstimate
 _STEP_S = 60.0
 _MAX_STEPS = 20_000
 _S_PER_H = 3600.0
+#: Other column of the power of the supply.
+_SUPPLY_W = "supply_w"
 
 
 class Forecast:
@@ -43,23 +45,26 @@ class Forecast:
 
     @cached_property
     def _above_optics(self) -> tuple[FloatArray, FloatArray] | None:
-        """Electronics above optics as the campaign has them: offset (3,), and factor (3,) of the course's."""
+        """Electronics above optics as the campaign has them: offset (3,), and factor (3,) of the course's.
+
+        The offset is that of the last dwell: what the course does not describe lasts longer than a block.
+        """
         known_k, (_, course) = self.campaign.above_optics_c, self._fitted
         if known_k is None:
             return None
         if course is None:
-            return known_k.mean(axis=0) - ELECTRONICS_ABOVE_OPTICS_K, np.ones(3)
+            return known_k[-1] - ELECTRONICS_ABOVE_OPTICS_K, np.ones(3)
         above_k = course.electronics_c - course.optics_c
         above_k = course.means(above_k, self.campaign.start_s, self.campaign.end_s)
         pairs = zip(above_k.T, known_k.T, strict=True)
-        factors, offsets = np.transpose([np.polyfit(found_k, wanted_k, 1) for found_k, wanted_k in pairs])
-        return offsets, factors
+        factors = np.array([np.polyfit(found_k, wanted_k, 1)[0] for found_k, wanted_k in pairs])
+        return known_k[-1] - factors * above_k[-1], factors
 
     def rows(self, plan: BlockPlan) -> list[DwellRow]:
         """Rows of the planned dwells.
 
         Their biases are zero. What the table lacks is NaN, but for the electronics if their temperature is
-        known without a sensor.
+        known without a sensor. The supply has its last power, times the factor of the plan.
         """
         thermal, before = self._fitted
         time_s, set_c, power, up_body = _inputs(plan, self.measured)
@@ -72,10 +77,13 @@ class Forecast:
                 is_on = step.on
             elif isinstance(step, DwellStep):
                 since_s.append(step.start_s - power_on_s)
-        return self._rows(plan.dwells, course, since_s)
+        return self._rows(plan.dwells, course, since_s, power)
 
-    def _rows(self, steps: Sequence[DwellStep], course: Course, since_s: Sequence[float]) -> list[DwellRow]:
+    def _rows(
+        self, steps: Sequence[DwellStep], course: Course, since_s: Sequence[float], power: FloatArray
+    ) -> list[DwellRow]:
         last = self.measured[-1]
+        supply_w = dict(last.other).get(_SUPPLY_W)
         edges_s = np.array([[step.start_s, step.end_s] for step in steps]).reshape(-1, 2).T
 
         def means(values: FloatArray, like: float | Triple = 0.0) -> FloatArray:
@@ -91,6 +99,7 @@ class Forecast:
             for each in edges_s
         )
         rate_c_per_h = (last_c - first_c) / (edges_s[1] - edges_s[0])[:, np.newaxis] * _S_PER_H
+        factors = course.means(power, *edges_s)
         set_c, air_c, case_c = (
             means(values, like).tolist()
             for values, like in (
@@ -118,6 +127,7 @@ class Forecast:
                 chamber_c=air_c[index],
                 case_c=case_c[index],
                 board_c=_triple(electronics_c[index]),
+                other=() if supply_w is None else ((_SUPPLY_W, supply_w * float(factors[index])),),
             )
             for index, step in enumerate(steps)
         ]

@@ -25,6 +25,7 @@ from gyrobench.bench.investigation.blocks import NEW_CYCLE, Block, BlockPlanner
 from gyrobench.bench.investigation.choice import Rival
 from gyrobench.bench.investigation.doubt import (
     SLOW,
+    cause_probability,
     confirming_rivals,
     is_settled,
     only_unconfirmed,
@@ -36,6 +37,7 @@ from gyrobench.bench.investigation.external_bench import BlockPlan, BlockRefused
 from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.investigation.profile import Calibration, Profile
 from gyrobench.bench.investigation.proposal import (
+    MIN_GAIN,
     SETTLED,
     Outcome,
     Proposal,
@@ -50,8 +52,6 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal, read_journal
 from gyrobench.bench.station.locks import RunLock
 
-#: A block that is expected to remove less of the entropy, nats, is not worth its time.
-MIN_GAIN = 0.02
 #: The plan of a block, once it was approved, and its dwells, once they were checked.
 _PLAN, _DONE = "plan.json", "dwells.csv"
 #: Times that a kind of block is measured while the blocks bring only dwells with flags.
@@ -76,6 +76,8 @@ class Stage:
     proposal: Proposal | None = None  #: The block measured next; None at the end.
     #: What the block says about the rivals; None at the end, and if all its dwells have flags.
     outcome: Outcome | None = None
+    #: The same about the cause found and nothing; None without a cause.
+    confirmation: Outcome | None = None
     calibration: Calibration | None = None  #: Of the biases of a profile; None without one.
 
     @property
@@ -256,7 +258,7 @@ class Investigator:
                 useful = [
                     each
                     for each in found
-                    if max(each.fall, each.replaced_h) > MIN_GAIN
+                    if (each.can_help or each.replaced_h > MIN_GAIN)
                     and (stage.purpose != TEST_LAW or stage.is_uncertain or each.block.name == NEW_CYCLE)
                 ]
                 if not useful and stage.is_uncertain:
@@ -318,17 +320,21 @@ class Investigator:
         )
 
     def _confirmation(self, stage: Stage, ended: str = "") -> Stage | None:
-        """A stage whose block confirms a cause that the held-out dwells left open, if that is all.
+        """A stage whose block confirms a cause that only new dwells can confirm, if that is all.
 
         ``ended``: where no block distinguishes, effects that a single dwell shows are not counted.
         """
         is_probable = only_unconfirmed(stage.closure, with_single_dwells=not ended)
-        return self._cause_test(stage) if is_probable else None
+        return self._cause_test(stage, again=True) if is_probable else None
 
-    def _cause_test(self, last: Stage) -> Stage | None:
-        """A stage whose block tests the cause that a search found, unless one did."""
+    def _cause_test(self, last: Stage, *, again: bool = False) -> Stage | None:
+        """A stage whose block tests the cause that a search found, unless one did.
+
+        ``again``: also where that left it open.
+        """
         cause, without = confirming_rivals(last.closure)
-        if not cause.names or self._tested(CONFIRM, cause.names) is not None:
+        tested = self._tested(CONFIRM, cause.names)
+        if not cause.names or (tested is not None and not (again and tested.leaves_open)):
             return None
         return replace(last, rivals=(cause, without), purpose=CONFIRM)
 
@@ -371,7 +377,12 @@ class Investigator:
         posterior = stage.closure.posterior
         names = tuple(sorted(each.effect.name for each in stage.closure.effects))
         tested = self._tested(CONFIRM, names)
-        is_confirmed = tested is not None and tested.agrees
+        is_confirmed = any(
+            each.confirmation.agrees
+            for each in self._stages
+            if each.confirmation and confirming_rivals(each.closure)[0].names == names
+        )
+        is_listed = posterior.not_on_list <= 1.0 - SETTLED
         if is_settled(stage.closure) or (
             is_confirmed and only_unconfirmed(stage.closure, with_single_dwells=False)
         ):
@@ -382,8 +393,10 @@ class Investigator:
                     "Not on the list of effects: ageing and a drift together imitate one slow law of time."
                 )
             what = listed(sorted(map(stage.closure.label, names))) or "nothing beside the declared model"
-            return "settled", f"{what.capitalize()}: probability {stage.closure.probability:.4f}."
-        is_listed = posterior.not_on_list <= 1.0 - SETTLED
+            reason = f"{what.capitalize()}: probability {cause_probability(stage.closure):.4f}."
+            if not is_listed:
+                reason += f" Something beside it is not on the list: probability {posterior.not_on_list:.4f}."
+            return "settled", reason
         if stage.closure.verdict == "clean" and is_listed and not posterior.rivals(()):
             return "nothing_found", (
                 f"Nothing found: the declared model alone has the probability {posterior.nothing:.4f}, above "
@@ -427,7 +440,9 @@ class Investigator:
         self, stage: Stage, forecast: Forecast, proposal: Proposal, rows: Sequence[DwellRow], journal: Journal
     ) -> Stage:
         """The stage with its block; the dwells are added to the table."""
-        outcome = outcome_of(forecast, proposal, rows, stage.rivals, stage.closure.noise_scale)
+        scale, both = stage.closure.noise_scale, confirming_rivals(stage.closure)
+        outcome = outcome_of(forecast, proposal, rows, stage.rivals, scale)
+        confirmation = outcome_of(forecast, proposal, rows, both, scale) if both[0].names else None
         hours = (max(row.end_s for row in rows) - proposal.block.plan.start_s) / _S_PER_H
         self._flagged = [] if outcome else [*self._flagged, proposal.block.kinds]
         self._rows += rows
@@ -448,7 +463,7 @@ class Investigator:
                 )
             ],
         )
-        return replace(stage, proposal=proposal, outcome=outcome)
+        return replace(stage, proposal=proposal, outcome=outcome, confirmation=confirmation)
 
 
 def probabilities(closure: Closure) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtrc
+from scipy.special import chdtrc, ndtr
 
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.closure.campaign import Campaign, campaign_of
@@ -40,10 +40,11 @@ _MIN_RUN_SPREAD = 30.0
 _MIN_OFF_K = 10.0
 #: Dwells of which every prediction is less probable by chi2 fit none.
 _MIN_P_VALUE = 1e-4
-#: A prediction is tested where it differs by this square from that without it, in units of its uncertainty.
-_ENOUGH = 60.0
 #: A cause is settled at this probability.
 SETTLED = 0.99
+#: A block can help if it is expected to remove more of the entropy, nats, or to settle a cause with this
+#: probability.
+MIN_GAIN, _MIN_CHANCE = 0.02, 0.5
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,11 @@ class Proposal:
         return self.entropy - self.expected.entropy
 
     @property
+    def can_help(self) -> bool:
+        """Whether the block is worth its time for the cause."""
+        return self.fall > MIN_GAIN or self.trust * (1.0 - self.expected.unsettled) > _MIN_CHANCE
+
+    @property
     def trust(self) -> float:
         """Share of what is expected that counts."""
         return 1.0 / 2.0**self.repeats
@@ -88,8 +94,13 @@ class Proposal:
 
     @property
     def tested_per_h(self) -> float:
-        """How far the block tests the first of two rivals, as far as that is needed, per hour."""
-        return min(self.difference, _ENOUGH) / self.block.plan.duration_h
+        """Probability that the block settles the first of two rivals if it is the cause, per hour.
+
+        The logarithm of their odds is normal with half the squared difference as mean, and that as variance.
+        """
+        sigma = max(float(np.sqrt(self.difference)), 1e-9)
+        chance = float(ndtr(0.5 * sigma - np.log(SETTLED / (1.0 - SETTLED)) / sigma))
+        return self.trust * chance / self.block.plan.duration_h
 
 
 def propose(
@@ -150,7 +161,7 @@ def propose(
         )
         missing_h = calibration.missing_h(after[: len(calibration.rivals)])
         replaced_h = calibration.missing_h(calibration.variances) - missing_h
-        found = Proposal(block, new, (), 0.0, Expected(0.0, 0.0, 0.0))
+        found = Proposal(block, new, (), 0.0, Expected(0.0, 1.0, 0.0))
         if not is_settled:
             found = _weighed(block, new, predictions, rivals)
         return replace(found, repeats=repeats, replaced_h=replaced_h, missing_h=missing_h)
@@ -399,6 +410,11 @@ class Outcome:
     def agrees(self) -> bool:
         """Whether the dwells fit, and settle the first rival."""
         return self.fits and self.probabilities[0] >= SETTLED
+
+    @property
+    def leaves_open(self) -> bool:
+        """Whether the dwells fit, and settle no rival."""
+        return self.fits and max(self.probabilities) < SETTLED
 
 
 def outcome_of(

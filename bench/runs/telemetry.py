@@ -91,7 +91,8 @@ class Telemetry:
             for each in self._values
         ]
         buffer = io.BytesIO()
-        pq.write_table(pa.Table.from_arrays(columns, COLUMNS), buffer, use_dictionary=False)
+        table = pa.Table.from_arrays(columns, COLUMNS)
+        pq.write_table(table, buffer, use_dictionary=False, write_statistics=False)
         write_whole(part_path(self._folder, self._number, _SUFFIX), buffer.getvalue())
         self._written_rows = self._rows
         if self._rows >= _ROWS_PER_PART:

@@ -157,8 +157,11 @@ class DbcCodec:
     def decode_one(self, data: bytes, message_name: str, signal_name: str) -> float:
         """Decode one signal of one payload to the same value; NaN if it is absent or the data too short."""
         layout = self._layout(message_name)
-        is_sent = len(data) >= layout.length and layout.selects(signal_name, data)
-        return layout.fields[signal_name].physical_one(data) if is_sent else math.nan
+        field = layout.fields[signal_name]
+        is_sent = len(data) >= layout.length and (
+            field.signal.multiplexer_ids is None or layout.selects(signal_name, data)
+        )
+        return field.physical_one(data) if is_sent else math.nan
 
     def encode(self, message_name: str, values: Mapping[str, ArrayLike]) -> NDArray[np.uint8]:
         """Payloads of a message, shape (n, length of the message).
@@ -310,25 +313,28 @@ class BitField:
         return values
 
     @cached_property
-    def _one(self) -> tuple[Literal["little", "big"], int, int, int, float, float]:
-        """Byte order of a payload, shift to the last bit, masks of all and of the sign bit, scale, offset."""
+    def _one(self) -> tuple[Literal["little", "big"], int, int, int, bool, float, float]:
+        """Byte order, shift to the last bit, masks of all and of the sign bit, if float; scale, offset."""
         signal, shift = self.signal, int(self.right) - int(self.left)
-        sign = 1 << signal.length - 1 if signal.is_signed and not signal.conversion.is_float else 0
+        is_float = signal.conversion.is_float
+        sign = 1 << signal.length - 1 if signal.is_signed and not is_float else 0
         order: Literal["little", "big"] = "big" if self.big_endian else "little"
-        return order, shift, (1 << signal.length) - 1, sign, float(signal.scale), float(signal.offset)
+        mask = (1 << signal.length) - 1
+        return order, shift, mask, sign, is_float, float(signal.scale), float(signal.offset)
 
     def raw_one(self, data: bytes) -> float:
         """Read the field of one payload, as :meth:`raw` does."""
-        order, shift, mask, sign, _, _ = self._one
+        order, shift, mask, sign, is_float, _, _ = self._one
         raw = int.from_bytes(data.ljust(MAX_LENGTH, b"\0"), order) >> shift & mask
-        if self.signal.conversion.is_float:
+        if is_float:
             bits_type, float_type = _FLOATS[self.signal.length]
             return float(bits_type(raw).view(float_type))
         return raw - 2 * (raw & sign)
 
     def physical_one(self, data: bytes) -> float:
         """Read the field of one payload, scaled to the DBC's unit."""
-        return float(self.raw_one(data)) * self._one[4] + self._one[5]
+        *_, scale, offset = self._one
+        return float(self.raw_one(data)) * scale + offset
 
     def to_raw(self, values: FloatArray) -> Words:
         """Convert values in the DBC's unit to right-aligned bits; see :meth:`DbcCodec.encode`."""

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from gyrobench.bench.foundations.arrays import FloatArray, IntArray
-from gyrobench.drivers.frames import FrameBlock
+from gyrobench.drivers.frames import MAX_LENGTH, FrameBlock
 from gyrobench.drivers.ins.attitude import EulerSequence
 from gyrobench.drivers.ins.dbc_codec import DbcCodec
 from gyrobench.drivers.ins.readout import Alignment, InsMode, Readout
@@ -19,6 +18,7 @@ from gyrobench.drivers.ins.signal_map import BoundSignal, SignalMap
 #: Age from which values count as unknown.
 STALE_S = 5.0
 _NOW = np.zeros(1, np.int64)
+_NEVER = -math.inf, b""
 
 
 class NewestFrames:
@@ -30,16 +30,20 @@ class NewestFrames:
 
     def __init__(self, codec: DbcCodec) -> None:
         self._codec = codec
-        #: Fields of the frames by identifier; another dictionary after each change, as snapshots hold it.
-        self._newest: dict[int, tuple[Any, ...]] = {}
+        #: Time stamp and data by identifier; another dictionary after each change, as snapshots hold it.
+        self._newest: dict[int, tuple[float, bytes]] = {}
         self._received_s, self._stamp_s = -math.inf, 0.0
 
     def take(self, frames: FrameBlock, now_s: float) -> None:
         """Store frames that have just arrived, in order; at least one."""
         self._received_s, self._stamp_s = now_s, frames.timestamp_s.item(-1)
-        identifiers, places = np.unique(frames.arbitration_id[::-1], return_index=True)
-        newest = frames.rows[::-1][places].tolist()
-        self._newest = self._newest | dict(zip(identifiers.tolist(), newest, strict=True))
+        last = dict(zip(frames.arbitration_id.tolist(), range(len(frames)), strict=True))
+        rows = frames.rows[list(last.values())]
+        data, lengths = rows["data"].tobytes(), rows["length"].tolist()
+        begins = range(0, len(data), MAX_LENGTH)
+        payloads = [data[begin : begin + length] for begin, length in zip(begins, lengths, strict=True)]
+        newest = zip(rows["time_s"].tolist(), payloads, strict=True)
+        self._newest = self._newest | dict(zip(last, newest, strict=True))
 
     def forget(self, message_name: str) -> None:
         """Drop the frames of a message."""
@@ -58,17 +62,16 @@ class NewestFrames:
 class Snapshot:
     """Values of the newest frames at one moment, those stamped before ``oldest_s`` left out."""
 
-    def __init__(self, newest: Mapping[int, tuple[Any, ...]], oldest_s: float, codec: DbcCodec) -> None:
+    def __init__(self, newest: Mapping[int, tuple[float, bytes]], oldest_s: float, codec: DbcCodec) -> None:
         self._newest = newest
         self._oldest_s = oldest_s
         self._codec = codec
 
     def value(self, bound: BoundSignal) -> float:
         """Value of a signal; NaN without its frame."""
-        row = self._newest.get(self._codec.arbitration_id(bound.message))
-        if row is None or row[0] < self._oldest_s:
+        stamp_s, data = self._newest.get(self._codec.arbitration_id(bound.message), _NEVER)
+        if stamp_s < self._oldest_s:
             return math.nan
-        data = bytes(row[4][: row[2]])
         return bound.one_to_si(self._codec.decode_one(data, bound.message, bound.signal.name))
 
     def held(self, bound: BoundSignal, rows: IntArray) -> FloatArray:  # noqa: ARG002 - only now

@@ -6,6 +6,8 @@ import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
+import pytest
+
 from tests.conformance.broken_dialects import MISTAKES
 
 ROOT = Path(__file__).parents[2]
@@ -24,6 +26,7 @@ def suite(tmp_path, *arguments, path=()):
     return done, {case.get("name"): {child.tag for child in case} for case in cases}
 
 
+@pytest.mark.long
 def test_each_mistake_is_found_by_the_test_for_it(tmp_path):
     metadata = tmp_path / "site" / "acme_broken-1.0.dist-info"
     metadata.mkdir(parents=True)

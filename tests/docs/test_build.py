@@ -28,11 +28,13 @@ def built(tmp_path_factory):
     return out, done
 
 
+@pytest.mark.long
 def test_links_between_pages_and_to_files_lead_somewhere(built):
     _, done = built
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.long
 def test_the_reference_has_every_step_and_what_its_keys_mean(built):
     out, _ = built
     text = (out / "reference/procedure.html").read_text(encoding="utf-8")
@@ -41,6 +43,7 @@ def test_the_reference_has_every_step_and_what_its_keys_mean(built):
     assert "how often a failed exchange with an instrument is repeated" in text
 
 
+@pytest.mark.long
 def test_the_reference_of_stations_goes_down_to_the_last_key(built):
     out, _ = built
     text = (out / "reference/station.html").read_text(encoding="utf-8")
@@ -53,6 +56,7 @@ def test_the_reference_of_stations_goes_down_to_the_last_key(built):
         assert word in text
 
 
+@pytest.mark.long
 def test_every_command_has_a_section(built):
     out, _ = built
     text = (out / "reference/commands.html").read_text(encoding="utf-8")
@@ -60,6 +64,7 @@ def test_every_command_has_a_section(built):
         assert word in text
 
 
+@pytest.mark.long
 def test_no_page_asks_another_host_for_anything(built):
     """Pages are read where there is no network."""
     out, _ = built
@@ -69,6 +74,7 @@ def test_no_page_asks_another_host_for_anything(built):
         assert 'rel="stylesheet" href="http' not in text, page
 
 
+@pytest.mark.long
 def test_equations_are_drawn_by_the_browser_itself(built):
     out, _ = built
     text = (out / "method.html").read_text(encoding="utf-8")
@@ -84,6 +90,7 @@ def test_links_of_the_readme_lead_to_files():
             assert (ROOT / link).exists(), link
 
 
+@pytest.mark.long
 def test_every_page_is_reached_from_the_index(built):
     _, done = built
     assert "isn't included in any toctree" not in done.stderr

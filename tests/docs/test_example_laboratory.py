@@ -60,12 +60,14 @@ def output(repository):
     return done.stdout
 
 
+@pytest.mark.long
 def test_its_procedures_pass_in_each_world(output):
     passed = re.findall(r"tests/test_procedures\.py::(\S+) PASSED", output)
     both = "test_both_positions_are_measured_without_flags"
     assert passed == [f"{both}[ideal]", f"{both}[gyro_a]", "test_the_bias_of_the_world_is_found"]
 
 
+@pytest.mark.long
 def test_its_dialect_conforms(output):
     assert len(re.findall(r"test_chamber\.py::\S*acme_frost\S* PASSED", output)) > 10
     assert set(re.findall(r"(\S+) (?:FAILED|ERROR)", output)) == {
@@ -74,6 +76,7 @@ def test_its_dialect_conforms(output):
     }
 
 
+@pytest.mark.long
 def test_a_procedure_that_fails_shows_its_journal_and_real_instruments_are_refused(output):
     assert "journal of " in output
     assert "tripped  interlocks=" in output
@@ -81,7 +84,8 @@ def test_a_procedure_that_fails_shows_its_journal_and_real_instruments_are_refus
     assert "real.yaml: has instruments that are not emulated, which a test must not move." in output
 
 
-def test_the_files_of_both_services_run_the_same_commands(repository):
+def test_the_files_of_both_services_run_the_same_commands():
+    repository = DOCS / "examples/laboratory"
     github = (repository / ".github/workflows/ci.yml").read_text()
     gitlab = (repository / ".gitlab-ci.yml").read_text()
     commands = [line.strip().removeprefix("- ") for line in gitlab.splitlines() if line.startswith("    - ")]

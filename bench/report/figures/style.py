@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import io
 import math
 import struct
@@ -16,6 +17,7 @@ import numpy as np
 from isal import isal_zlib
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis, Tick, XAxis, YAxis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -98,6 +100,47 @@ GYRO_STYLES: Mapping[str, tuple[str, str, str]] = MappingProxyType(
 )
 
 
+class _AlikeTicks(Axis):
+    """An axis whose ticks are copies of its first: to make one takes longer than to draw it."""
+
+    def _get_tick(self, major: bool) -> Tick:
+        made = vars(self).get("majorTicks" if major else "minorTicks")
+        if not made:
+            return super()._get_tick(major)  # type: ignore[misc,no-any-return]
+        tick: Tick = copy.copy(made[0])
+        for name in ("tick1line", "tick2line", "gridline", "label1", "label2"):
+            setattr(tick, name, copy.copy(getattr(tick, name)))
+        for label in (tick.label1, tick.label2):
+            label.set_fontproperties(label.get_fontproperties())  # a copy
+        return tick
+
+    def _copy_tick_props(self, src: Tick, dest: Tick) -> None:
+        """Do nothing: the ticks are alike."""
+
+
+class _XAxis(_AlikeTicks, XAxis):
+    pass
+
+
+class _YAxis(_AlikeTicks, YAxis):
+    pass
+
+
+class _QuickAxes(Axes):
+    def _init_axis(self) -> None:
+        self.xaxis, self.yaxis = _XAxis(self, clear=False), _YAxis(self, clear=False)
+        for axis, spines in ((self.xaxis, ("bottom", "top")), (self.yaxis, ("left", "right"))):
+            for name in spines:
+                self.spines[name].register_axis(axis)
+
+
+class _QuickFigure(Figure):
+    """A figure whose axes make their ticks quickly."""
+
+    def add_subplot(self, *place: Any, **options: Any) -> Any:
+        return super().add_subplot(*place, axes_class=_QuickAxes, **options)
+
+
 def new_figure(
     height_in: float,
     *,
@@ -113,7 +156,7 @@ def new_figure(
     To compute margins takes longer than to draw a figure. The default ones hold a title, labels of ticks and
     of both axes; ``wspace`` and ``hspace`` between panels are parts of a panel's size.
     """
-    figure = Figure(figsize=(WIDTH_IN, height_in))
+    figure = _QuickFigure(figsize=(WIDTH_IN, height_in))
     FigureCanvasAgg(figure)
     figure.subplots_adjust(
         left_in / WIDTH_IN,
@@ -128,7 +171,7 @@ def new_figure(
 
 def fitted_figure(height_in: float) -> Figure:
     """Make an empty figure whose margins are computed from its texts when it is drawn."""
-    figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+    figure = _QuickFigure(figsize=(WIDTH_IN, height_in), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
@@ -208,7 +251,7 @@ def png_bytes(figure: Figure, key: str = "") -> bytes:
     pixels = np.asarray(canvas.buffer_rgba())[:, :, :3]  # type: ignore[no-untyped-call]
     height, width, _ = pixels.shape
     rows = np.zeros((height, 1 + 3 * width), np.uint8)  # a zero before each: not filtered
-    rows[:, 1:] = pixels.reshape(height, -1)
+    rows[:, 1:].reshape(pixels.shape)[:] = pixels  # without a copy
     dots_per_m, text = round(_PNG_DPI / _INCH_M), f"{_KEY}\0{key}"
     chunks = [
         (b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)),  # 8 bits of red, green and blue

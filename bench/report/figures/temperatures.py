@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import PatchCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
@@ -121,21 +122,18 @@ def _time_axes(
 def _draw_bands(figure: Figure, bands: Iterable[_Band], unit_s: float) -> None:
     """Bands across the temperatures, bars in the row of the position below."""
     upper, lower = figure.axes[0], figure.axes[-1]
-    rows = list(POSITIONS)
-    for band in bands:
-        start, width = band.start_s / unit_s, (band.end_s - band.start_s) / unit_s
-        colour = POSITION_STYLES[band.position].colour
-        upper.axvspan(start, start + width, color=colour, alpha=0.18, linewidth=0.0)
-        lower.add_patch(
-            Rectangle(
-                (start, rows.index(band.position) - 0.38),
-                width,
-                0.76,
-                facecolor="none" if band.is_flagged else colour,
-                edgecolor=colour,
-                linewidth=0.8,
-            )
-        )
+    rows, shown = list(POSITIONS), list(bands)
+    spans = [(each.start_s / unit_s, (each.end_s - each.start_s) / unit_s) for each in shown]
+    colours = [POSITION_STYLES[each.position].colour for each in shown]
+    faces = ["none" if band.is_flagged else colour for band, colour in zip(shown, colours, strict=True)]
+    across = upper.get_xaxis_transform()
+    upper.broken_barh(spans, (0.0, 1.0), transform=across, facecolors=colours, alpha=0.18, linewidth=0.0)
+    below = [
+        Rectangle((start, rows.index(band.position) - 0.38), width, 0.76)
+        for band, (start, width) in zip(shown, spans, strict=True)
+    ]
+    bars = PatchCollection(below, facecolors=faces, edgecolors=colours, linewidths=0.8)
+    lower.add_collection(bars, autolim=False)
 
 
 def _finish_temperatures(figure: Figure, axes: Axes, marked_c: Sequence[float]) -> None:

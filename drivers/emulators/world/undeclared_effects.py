@@ -355,7 +355,8 @@ class UndeclaredBias:
 
     def __init__(self, effects: Sequence[Effect]) -> None:
         self._effects = [effect.start() for effect in effects]
-        self._sources = tuple(effects)
+        none = Effect.added_scale_factor_ppm
+        self._scaling = [each for each in effects if type(each).added_scale_factor_ppm is not none]
 
     def added_dph(self, now: Conditions) -> FloatArray:
         """Sum of all effects, deg/h, shape (n, 3); to be called for all seconds in order of time."""
@@ -363,4 +364,4 @@ class UndeclaredBias:
 
     def added_scale_factor_ppm(self, now: Conditions) -> FloatArray:
         """Sum over all effects of what they add to the gyros' scale factors, ppm, shape (n, 3)."""
-        return sum((each.added_scale_factor_ppm(now) for each in self._sources), np.zeros(now.optics_c.shape))
+        return sum((each.added_scale_factor_ppm(now) for each in self._scaling), np.zeros(now.optics_c.shape))

@@ -14,6 +14,8 @@ from gyrobench.bench.navigation.attitude import UP, rotation_matrix
 from gyrobench.bench.navigation.earth import earth_rate_enu, gravity
 from gyrobench.bench.navigation.positions import POSITIONS
 
+integrate.enable_caching()  # compiled once for all processes
+
 LATITUDE = np.deg2rad(36.4)
 GRAVITY = gravity(LATITUDE)
 

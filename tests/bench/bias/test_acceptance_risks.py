@@ -16,7 +16,7 @@ LIMIT_DPH = 0.006
 LIMITS = AcceptanceLimits(position_difference_dph=LIMIT_DPH)
 SIGMA_DPH = 0.0011
 PLATEAUS_C = (72.5, 32.5, 2.5, -22.5)
-DRAWS = 120
+DRAWS = 60
 #: Errors in so many draws with a chance of 5 % each, with three standard deviations of luck.
 MOST = DRAWS * 0.05 + 3 * math.sqrt(DRAWS * 0.05 * 0.95)
 
@@ -94,7 +94,7 @@ def sloping(true_dph, slope_dph_per_c=0.0025):
 @pytest.mark.parametrize("unit", [equal, sloping(equal)], ids=["flat", "sloping"])
 def test_a_sound_unit_is_accepted_in_most_runs_and_never_rejected_for_its_temperature(unit):
     found = verdicts(unit, drift=drifting)
-    assert found["accepted"] > 0.8 * DRAWS
+    assert found["accepted"] > 0.75 * DRAWS
     assert found["rejected"] <= MOST
 
 

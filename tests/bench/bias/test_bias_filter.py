@@ -1,4 +1,5 @@
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -25,12 +26,20 @@ def estimate(dwell, prior=DEFAULT, noise=NOISE, latitude_deg=LATITUDE_DEG):
     return estimate_state_space(dwell, site(latitude_deg), noise, prior)
 
 
+@cache
+def quiet():
+    """A dwell without noise."""
+    return emulate(ins=sensors(BIAS_DPH, ACCELEROMETER_UG))
+
+
 def error_dph(dwell, bias_dph=BIAS_DPH, **known):
     return estimate(dwell, **known).bias_dph - bias_dph
 
 
-@pytest.mark.parametrize("latitude_deg", [-60.0, -0.5, 60.0])
-@pytest.mark.parametrize("position", POSITIONS)
+@pytest.mark.parametrize(
+    ("position", "latitude_deg"),
+    [*((position, -60.0) for position in POSITIONS), ("z_down", -0.5), ("x_up", 60.0), ("y_down", 60.0)],
+)
 def test_without_noise_the_bias_is_exact(position, latitude_deg):
     ins = sensors(BIAS_DPH, ACCELEROMETER_UG)
     dwell = emulate(position, ins, latitude_deg=latitude_deg, outer_level=True)
@@ -39,7 +48,7 @@ def test_without_noise_the_bias_is_exact(position, latitude_deg):
 
 @pytest.mark.parametrize("window_s", [60.0, 300.0, 1200.0])
 def test_the_bias_is_exact_in_short_and_long_windows(window_s):
-    for signs in ([1, 1, 1], [1, 1, -1], [1, -1, 1], [-1, 1, 1]):
+    for signs in ([1, 1, 1], [1, -1, 1]):
         bias_dph, accelerometer_ug = 0.05 * np.array(signs), -100.0 * np.array(signs)
         dwell = emulate("x_down", sensors(bias_dph, accelerometer_ug), window_s=window_s)
         assert np.abs(error_dph(dwell, bias_dph)).max() < EXACT_DPH
@@ -53,7 +62,7 @@ def test_the_bias_is_exact_after_a_slow_turn(position):
         assert np.abs(error_dph(dwell, bias_dph)).max() < EXACT_DPH
 
 
-@pytest.mark.parametrize("position", POSITIONS)
+@pytest.mark.parametrize("position", ["z_up", "y_down", "x_up"])
 def test_the_bias_is_exact_with_another_mechanisation(dwell_of, position):
     dwell = dwell_of(
         position=position, gyro_bias_dph=tuple(BIAS_DPH), accelerometer_bias_mps2=tuple(ACCELEROMETER_UG * UG)
@@ -69,7 +78,7 @@ def test_finds_the_level_accelerometers_and_leaves_the_vertical_one_to_the_prior
     assert found.accelerometer_sigma[1] == pytest.approx(DEFAULT.accelerometer_bias, rel=1e-4)
 
 
-@pytest.mark.parametrize("position", POSITIONS)
+@pytest.mark.parametrize("position", ["z_down", "y_up", "x_down"])
 def test_a_bias_that_turns_the_heading_by_degrees_leaves_the_others_alone(position):
     """0.5 deg/h East turns a gyrocompass by 2 deg, and takes 0.01 deg/h from the Earth's rate in its axes."""
     bias_dph = np.array([0.5, -0.5, 0.5])
@@ -141,7 +150,7 @@ def test_uncertainty_falls_while_the_dwell_goes_on():
 
 
 def test_the_clock_of_the_ins_may_start_anywhere():
-    dwell = emulate(ins=sensors(BIAS_DPH, ACCELEROMETER_UG))
+    dwell = quiet()
     later = replace(
         dwell,
         windows=tuple(replace(w, time_s=w.time_s + 1e9) for w in dwell.windows),
@@ -178,7 +187,7 @@ def test_missing_and_uneven_epochs_cost_little_and_bias_nothing():
 @pytest.mark.parametrize("white", [(0.0, 0.0), (1e-9, 1e-12), (0.01, 1e-4)])
 def test_any_noise_can_be_declared(arw, white):
     noise = replace(NoiseModel.from_datasheet(arw, 5.0), velocity_white=white[0], heading_white=white[1])
-    found = estimate(emulate(ins=sensors(BIAS_DPH, ACCELEROMETER_UG)), noise=noise)
+    found = estimate(quiet(), noise=noise)
     assert np.abs(found.bias_dph - BIAS_DPH).max() < EXACT_DPH + 0.01 * found.sigma_dph.max()
     assert found.sigma_dph.min() > 0.99 * np.sqrt(3.0) * arw
     assert found.fit.p_value > 0.9

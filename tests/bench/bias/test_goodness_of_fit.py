@@ -1,6 +1,7 @@
 """What the test of fit of the state-space estimate passes, and what it does not."""
 
 from dataclasses import fields, replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ NOISE = noise_model(ARW)
 FLAGGED = 1e-5
 
 
-def fits(count=4, declared=NOISE, **dwell):
+def fits(count=3, declared=NOISE, **dwell):
     random = np.random.default_rng(30)
     for _ in range(count):
         emulated = emulate(noise=NOISE, random=random, **dwell)
@@ -56,23 +57,28 @@ def test_less_noise_than_declared_shows_in_the_ratio():
         assert fit.ratio == pytest.approx(1.0 / 3.0, abs=0.1)
 
 
+@cache
+def undisturbed():
+    """A good dwell and its biases."""
+    dwell = emulate(ins=sensors(noise=NOISE), noise=NOISE, random=np.random.default_rng(31))
+    return dwell, estimate_state_space(dwell, site(), NOISE, PriorKnowledge()).bias_dph
+
+
 def spiked(at, velocity_mps=0.0, heading_rad=0.0):
     """Fit of a dwell with one wrong epoch of the first window, and what it does to the bias."""
-    dwell = emulate(ins=sensors(noise=NOISE), noise=NOISE, random=np.random.default_rng(31))
+    dwell, bias_dph = undisturbed()
     first = dwell.windows[0]
     velocity = first.velocity_enu_mps.copy()
     velocity[at] += velocity_mps
     headings = np.zeros(len(velocity))
     headings[at] = heading_rad
     wrong = replace(first, velocity_enu_mps=velocity, C_nb=turned_about_up(first.C_nb, headings))
-    with_spike, without = (
-        estimate_state_space(each, site(), NOISE, PriorKnowledge())
-        for each in (replace(dwell, windows=(wrong, *dwell.windows[1:])), dwell)
-    )
-    return with_spike.fit, np.abs(with_spike.bias_dph - without.bias_dph).max()
+    spike = replace(dwell, windows=(wrong, *dwell.windows[1:]))
+    found = estimate_state_space(spike, site(), NOISE, PriorKnowledge())
+    return found.fit, np.abs(found.bias_dph - bias_dph).max()
 
 
-@pytest.mark.parametrize("at", [0, 1, 10, 300, 590, 599, 600])
+@pytest.mark.parametrize("at", [0, 1, 300, 600])
 @pytest.mark.parametrize("spike", [{"velocity_mps": 1.0}, {"heading_rad": 1e-3}])
 def test_a_wrong_epoch_is_flagged_or_does_no_harm(at, spike):
     fit, shift_dph = spiked(at, **spike)

@@ -25,7 +25,7 @@ from tests.bench.bias.emulated_dwells import CLEAN, emulate, noise_model, sensor
 EAST, UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
 LATITUDE = np.radians(36.4)
 GRAVITY = normal_gravity(LATITUDE, 0.0)
-SAMPLE_S = 0.01
+SAMPLE_S = 0.05
 TURN_S = 18.0
 
 
@@ -103,7 +103,7 @@ def many_dwells():
     """Truth and estimate of dwells of all positions with several noises."""
     random = np.random.default_rng(20)
     result = []
-    for number in range(48):
+    for number in range(36):
         arw, vrw = (0.0005, 0.001, 0.003)[number % 3], (5.0, 20.0)[number % 2]
         ins = SimulatedIns(tuple(POSITIONS)[number % 6], (arw, arw, arw), vrw)
         truth = NoiseModel(arw * DEG_PER_SQRT_H_TO_SI, vrw * UG_PER_SQRT_HZ_TO_SI)
@@ -141,7 +141,8 @@ def test_velocity_random_walk_is_the_true_one_within_its_uncertainty(many_dwells
     assert_pulls(
         [pull(estimate.velocity_random_walk, truth.velocity_random_walk) for truth, estimate in many_dwells]
     )
-    assert all(e.velocity_random_walk.sigma < 0.07 * e.velocity_random_walk.value for _, e in many_dwells)
+    for truth, estimate in many_dwells:
+        assert estimate.velocity_random_walk.square_sigma < 0.12 * truth.velocity_random_walk**2
 
 
 def test_velocities_show_the_angle_random_walk_too(many_dwells):
@@ -326,7 +327,7 @@ def test_the_clock_of_the_ins_may_start_anywhere():
 def own_noise():
     """Dwells of an epoch a second, each with the noise that it shows itself."""
     result = []
-    for seed in range(60):
+    for seed in range(24):
         random = np.random.default_rng(2000 + seed)
         unit = sensors((0.01, -0.01, 0.02), (20.0, 10.0, 0.0), noise_model())
         one = emulate("z_up", unit, noise=noise_model(), random=random)
@@ -341,9 +342,9 @@ def test_good_dwells_pass_the_test_of_fit_with_the_noise_that_they_show(own_nois
             for one, noise in own_noise
         ]
     )
-    # Chances of more with uniform p values: 2e-3, 2e-4 and 6e-4.
+    # Chances of more with uniform p values: 3e-4, 1e-3 and 2e-4.
     assert np.count_nonzero(p_values < 1e-3) <= 1
-    assert np.count_nonzero(p_values < 0.05) <= 10
+    assert np.count_nonzero(p_values < 0.05) <= 5
     assert p_values.min() > 1e-5
 
 
@@ -356,6 +357,6 @@ def test_velocity_random_walk_of_the_model_is_seldom_too_small(own_noise):
     ratios = np.array([noise.noise_model().velocity_random_walk for _, noise in own_noise])
     ratios /= noise_model().velocity_random_walk
     # A sigma more than the estimate: no more than one in six is smaller, give or take three sigmas of that.
-    assert np.count_nonzero(ratios < 1.0) <= 10 + 9
+    assert np.count_nonzero(ratios < 1.0) <= 4 + 5
     assert ratios.min() > 0.3
     assert ratios.mean() < 2.0

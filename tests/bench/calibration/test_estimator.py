@@ -43,12 +43,12 @@ def recorded(increments, seed, sample_hz=20.0, noise=None):
 
 
 def test_every_coefficient_of_eighteen_rotations_is_found_as_well_as_the_noise_allows():
-    found = [calibrate([recorded(eighteen(), seed)], SITE) for seed in range(10)]
+    found = [calibrate([recorded(eighteen(), seed)], SITE) for seed in range(5)]
     assert all(each.is_observed.all() for each in found)
     deviations = np.array([(each.values - TRUTH) / each.sigmas for each in found])
-    # 210 values: the standard deviation of their root mean square is about 0.06 with the correlations.
-    assert np.sqrt(np.mean(deviations**2)) == pytest.approx(1.0, abs=0.15)
-    assert np.mean(np.abs(deviations) < 1.96) > 0.90
+    # 105 values: the standard deviation of their root mean square is about 0.085 with the correlations.
+    assert np.sqrt(np.mean(deviations**2)) == pytest.approx(1.0, abs=0.21)
+    assert np.mean(np.abs(deviations) < 1.96) > 0.88
     assert min(each.fit.p_value for each in found) > 1e-4
 
 

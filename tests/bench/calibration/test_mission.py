@@ -57,7 +57,7 @@ def test_a_scheme_that_retraces_its_turns_cancels_misalignments():
 def test_the_distribution_is_that_of_missions_with_drawn_coefficients():
     site, values, roots = SITES[1], residuals(1), np.diag(np.abs(residuals(2)))
     error = mission_error(values, roots @ roots, site)
-    draws = values + np.random.default_rng(3).standard_normal((60, COUNT)) @ roots
+    draws = values + np.random.default_rng(3).standard_normal((30, COUNT)) @ roots
     full_nmi = np.array(
         [np.hypot(*navigate(SensorErrors.from_vector(each), site)[1]).max() / 1852.0 for each in draws]
     )

@@ -64,6 +64,12 @@ def test_eighteen_rotations_give_the_expected_uncertainties():
     assert of(found, "gyro_scale_factor").max() < 0.5
     assert of(found, "gyro_misalignment").max() < 0.25
     assert np.isfinite(list(found.values())).all()
+    level = sigmas(rotations, has_vertical=False)
+    assert of(level, "gyro_scale_factor").max() < 0.5
+    assert of(level, "gyro_misalignment").max() < 0.25
+    assert {name for name in level if np.isnan(level[name])} == {
+        f"accelerometer_scale_factor_{axis}" for axis in "xyz"
+    }
 
 
 @pytest.mark.parametrize("site_sigmas", [(0.0, 0.0), (1e-4, np.deg2rad(1.0 / 60.0))])

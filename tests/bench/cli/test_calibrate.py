@@ -6,7 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.navigation.error_model import Site
 from tests.bench.calibration.rotated_unit import EIGHTEEN, Noise, Unit
 from tests.bench.command_line import gyrobench
@@ -188,8 +190,13 @@ def test_plan_shows_what_a_list_of_rotations_will_show(tmp_path):
     assert result.returncode == 0, result.stderr
     assert "outer_axis: 8 rotations in 24 min" in result.stdout
     assert "not observable" in result.stdout
-    record = json.loads(gyrobench("plan", "outer_axis", "--observability", "--json", cwd=tmp_path).stdout)
+    document = yaml.safe_load(find_document("stations", "emulated").read_text())
+    del document["ins"]["signals"]["increments"], document["ins"]["commands"]["send_increments"]
+    (tmp_path / "station.yaml").write_text(yaml.safe_dump(document))
+    command = ("plan", "outer_axis", "--observability", "--station", "station.yaml", "--json")
+    record = json.loads(gyrobench(*command, cwd=tmp_path).stdout)
     sigmas = {(row["coefficient"], row["axis"]): row["sigma"] for row in record["coefficients"]}
+    assert sigmas["accelerometer_scale_factor", "x"] is None
     assert sigmas["gyro_scale_factor", "x"] < 0.6
     assert sigmas["gyro_scale_factor", "z"] is None
     text = " ".join(result.stdout.split())

@@ -152,6 +152,7 @@ def test_plan_prints_the_timeline_and_draws_the_profile_without_an_instrument(tm
     assert max(map(len, result.stdout.splitlines())) <= 80
 
 
+@pytest.mark.long
 def test_plan_reports_the_effects_that_its_dwells_distinguish(tmp_path):
     procedure = "three_temperature_shift"
     result = gyrobench("plan", procedure, "--separability", "--target-dph", "0.05", cwd=tmp_path)
@@ -227,6 +228,7 @@ def test_an_instrument_that_can_not_be_reached_has_its_own_exit_code(tmp_path, p
     assert not (tmp_path / "runs").exists()
 
 
+@pytest.mark.long
 def test_sigterm_ends_a_run_with_what_was_measured_and_the_safe_state(tmp_path):
     command = [*PROCESS, "run", "quick_campaign", "--station", "quick", "--world", "quick"]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) as process:
@@ -269,6 +271,7 @@ def test_help_does_not_load_the_heavy_libraries():
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
 
 
+@pytest.mark.long
 def test_what_is_typed_during_a_run_on_virtual_time_is_executed_or_answered(tmp_path):
     command = [*PROCESS, "run", "quick_campaign", "--station", "quick", "--world", "quick", "--out", "run"]
     typed = "hello\npause\nabort\n"

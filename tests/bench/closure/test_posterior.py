@@ -79,7 +79,7 @@ def test_evidence_of_one_term_is_that_of_numerical_quadrature(problem, monkeypat
     assert found == pytest.approx(expected, abs=1e-3)
 
 
-@pytest.mark.parametrize("count", [60, pytest.param(600, marks=pytest.mark.long)])
+@pytest.mark.parametrize("count", [40, pytest.param(600, marks=pytest.mark.long)])
 def test_probabilities_are_frequencies_of_data_from_the_prior(problem, count):
     """Half the data have a drift of a magnitude from the prior, half nothing."""
     clean, random = problem(cycles=2), np.random.default_rng(5)
@@ -197,16 +197,17 @@ def test_a_remainder_of_the_stated_size_is_shown_in_nine_of_ten(problem):
     index = remainder.names.index("temperature")
     size = detectable_dph(clean)["temperature"] / np.sqrt(np.mean(clean.sigma_dph**2))
     shown = []
-    for _ in range(60):
+    for _ in range(40):
         noise = random.standard_normal((clean.searched.sum(), 3))
         for gyro in range(3):
             amplitudes = size * np.sqrt(remainder.powers[gyro, index]) * random.standard_normal(RANK)
             noise[:, gyro] += remainder.directions[gyro, index] @ amplitudes
         data = with_biases(clean, noise)
         shown.append(Evidences(data, []).posterior([hypothesis(data, [])]).not_on_list > 0.5)
-    assert np.mean(shown) == pytest.approx(0.9, abs=0.12)
+    assert np.mean(shown) == pytest.approx(0.9, abs=0.15)  # three standard deviations
 
 
+@pytest.mark.long
 def test_a_simpler_set_in_place_of_the_most_probable_has_its_own_ties():
     """The most probable set has other neighbours than the simpler one that is found."""
     _, options = drawn(55)

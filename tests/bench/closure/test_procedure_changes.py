@@ -106,7 +106,7 @@ def test_missing_positions_of_a_plateau_are_added_once(fig7, shift):
 
 
 @pytest.mark.parametrize("what", sorted(BY_NAME))
-@pytest.mark.parametrize("name", ["six_position_fig7", "three_temperature_shift", "ten_minute_check"])
+@pytest.mark.parametrize("name", ["three_temperature_shift", "ten_minute_check"])
 def test_a_changed_procedure_can_be_run(what, name):
     result = changed(what, shipped(name)[0])
     assert result is None or result[0].dwell_count >= len(result[1]) > 0

@@ -13,7 +13,7 @@ from gyrobench.bench.closure.search import SIGNIFICANCE, Search
 from tests.bench.closure.conftest import EQUIPPED
 from tests.bench.closure.thermal_bench import SIGMA_DPH
 
-CLEAN_SEEDS = range(20)
+CLEAN_SEEDS = range(8)
 TRIANGLE = ((-20.0, 0.2, 0.0), (60.0, 0.2, 0.0), (20.0, 0.2, 0.0))
 
 

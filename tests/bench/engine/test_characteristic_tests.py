@@ -140,6 +140,7 @@ def named(result, start):
     return [each for each in result.coefficients if each.name.startswith(start)]
 
 
+@pytest.mark.long
 def test_the_turn_on_scatter_of_the_world_is_found_also_by_a_run_killed_within_a_power_cycle(job, tmp_path):
     made = job(TURN_ON, power_on_repeatability_dph=0.004)
     with pytest.raises(KilledError):

@@ -247,6 +247,7 @@ def test_a_unit_that_is_silent_for_seconds_repeats_its_dwell(files, whole, tmp_p
         assert same[:3] == [True, True, not is_faulty]
 
 
+@pytest.mark.long
 def test_a_dropped_unit_stays_dropped_when_the_run_resumes(files, tmp_path):
     path, watcher = tmp_path / "run", Watcher("navigate", 7)
     with pytest.raises(KilledError):

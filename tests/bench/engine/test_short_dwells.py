@@ -90,7 +90,7 @@ def test_no_bias_is_estimated_before_the_turn_and_the_last_one_is_near_the_resul
 
 
 @pytest.mark.parametrize("world", ["ideal", "gyro_a"])
-def test_four_azimuths_give_the_bias_better_than_two(measured, world):
+def test_four_azimuths_give_the_bias_better_than_two_but_not_by_the_papers_method(measured, world):
     two, _ = measured(half_turn(), world)
     four, watcher = measured(FOUR_AZIMUTHS, world)
     assert len(four.windows) == 4
@@ -99,15 +99,11 @@ def test_four_azimuths_give_the_bias_better_than_two(measured, world):
     assert (four.estimate.sigma_dph < 0.8 * two.estimate.sigma_dph).all()
     # Without noise, rounding is left.
     assert np.abs(errors_in_sigmas(four, watcher)).max() < (0.25 if world == "ideal" else 4.0)
+    assert four.paper is None
+    assert np.isnan([four.row.paper_bias_dph, four.row.paper_sigma_dph]).all()
 
 
-def test_the_papers_method_does_not_apply_to_four_azimuths(measured):
-    dwell, _ = measured(FOUR_AZIMUTHS, "ideal")
-    assert dwell.paper is None
-    assert np.isnan([dwell.row.paper_bias_dph, dwell.row.paper_sigma_dph]).all()
-
-
-@pytest.mark.parametrize("position", ["z_up", "z_down", "y_down", "x_up"])
+@pytest.mark.parametrize("position", ["z_down", "y_down", "x_up"])
 def test_a_turn_to_the_other_side_gives_the_same_bias(measured, position):
     dwell, watcher = measured(half_turn(-180), "ideal", position)
     assert np.abs(errors_in_sigmas(dwell, watcher)).max() < 0.25

@@ -74,6 +74,7 @@ def test_an_engine_killed_while_its_guard_starts_leaves_a_safe_bench(served, tmp
     assert 7.0 <= entry["time_s"] < 60.0
 
 
+@pytest.mark.long
 def test_a_guard_that_can_not_write_still_makes_the_bench_safe(served, tmp_path):
     served.disturb()
     with orphaned_guard(served, tmp_path / "gone") as guard:

@@ -142,13 +142,6 @@ def test_nothing_is_measured_for_a_unit_without_an_effect(tmp_path):
     assert found.closure.verdict == "clean"
 
 
-def test_a_declined_block_ends_the_investigation(tmp_path):
-    declining = investigator(
-        unit_with({"warm_up": 0.02}), tmp_path / "no", approve=lambda proposal, rivals: False
-    )
-    assert declining.run(WallClock()).ended == "declined"
-
-
 @pytest.mark.long
 def test_no_block_is_longer_than_what_is_left_of_the_budget(tmp_path):
     found = investigator(unit_with({"warm_up": 0.02}), tmp_path / "short", budget_h=1.5).run(WallClock())
@@ -237,7 +230,7 @@ def test_a_law_composed_for_what_is_on_no_list_is_tested_by_a_new_cycle(tmp_path
     assert events.count("measured") == 1
 
 
-def test_a_block_that_brings_flagged_dwells_alone_is_not_repeated_for_ever(tmp_path):
+def test_a_block_that_brings_flagged_dwells_alone_is_not_repeated_for_ever_and_may_be_declined(tmp_path):
     proposed, unit = [], unit_with({"warm_up": 0.02})
 
     def approve(proposal, rivals):
@@ -273,22 +266,26 @@ def test_an_effect_that_a_single_dwell_shows_keeps_a_cause_open_while_blocks_dis
 
 
 @pytest.mark.parametrize(
-    ("rejected", "probability", "with_single_dwells", "without"),
+    ("rejected", "probability", "not_on_list", "with_single_dwells", "without"),
     [
-        ("it rests on dwell 1 alone (p = 1 without it)", 0.999, False, True),
-        ("not significant beside warm-up", 0.999, False, False),
-        ("it rests on dwell 1 alone (p = 1 without it)", 0.98, False, False),
+        ("it rests on dwell 1 alone (p = 1 without it)", 0.999, 0.0, False, True),
+        ("not significant beside warm-up", 0.999, 0.0, False, False),
+        ("it rests on dwell 1 alone (p = 1 without it)", 0.98, 0.0, False, False),
+        ("it rests on dwell 1 alone (p = 1 without it)", 0.999, 0.09, False, True),
+        ("it rests on dwell 1 alone (p = 1 without it)", 0.999, 0.11, False, False),
     ],
 )
-def test_a_cause_is_open_for_lack_of_confirmation_alone_if_no_other_effect_remains(
-    rejected, probability, with_single_dwells, without
+def test_a_cause_is_open_for_lack_of_confirmation_alone_if_nothing_else_remains(
+    rejected, probability, not_on_list, with_single_dwells, without
 ):
     effects = [SimpleNamespace(effect=SimpleNamespace(name="warm_up"))]
     other = Evidence(SimpleNamespace(name="bias_jump"), rejected=rejected)
-    posterior = SimpleNamespace(rivals=lambda names: {"bias_jump": 0.9})
-    closure = SimpleNamespace(
-        verdict="ambiguous", probability=probability, effects=effects, evidence=[other], posterior=posterior
+    posterior = SimpleNamespace(
+        rivals=lambda names: {"bias_jump": 0.9},
+        of_all=lambda names, has_remainder: probability,
+        not_on_list=not_on_list,
     )
+    closure = SimpleNamespace(verdict="ambiguous", effects=effects, evidence=[other], posterior=posterior)
     assert only_unconfirmed(closure, with_single_dwells=True) == with_single_dwells
     assert only_unconfirmed(closure, with_single_dwells=False) == without
 

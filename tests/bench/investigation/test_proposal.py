@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.posterior import Posterior, Weighed
 from gyrobench.bench.investigation.blocks import Block, catalogue
 from gyrobench.bench.investigation.choice import Expected
 from gyrobench.bench.investigation.doubt import rivals_of, searched
@@ -38,6 +39,24 @@ def test_an_effect_whose_input_only_a_block_has_is_predicted_for_that_block(rows
     assert cycle.fall == pytest.approx(0.0, abs=1e-6)
     assert headings.fall > 0.05
     assert np.allclose(cycle.predictions[0].mean_dph, cycle.predictions[1].mean_dph)
+
+
+def test_what_is_improbable_beside_the_cause_counts_as_the_cause(closure):
+    assert [each.effect.name for each in closure.effects] == ["g_sensitivity"]
+    weights = (
+        (["g_sensitivity"], False, 0.6),
+        (["g_sensitivity", "time_drift"], False, 0.2),
+        (["g_sensitivity", "warm_up"], False, 0.08),
+        (["g_sensitivity"], True, 0.07),
+        (["magnetic_sensitivity"], False, 0.05),
+    )
+    posterior = Posterior(tuple(Weighed(frozenset(names), *each, ()) for names, *each in weights), {})
+    found = {each.title: each.probability for each in rivals_of(replace(closure, posterior=posterior))}
+    assert found == {
+        "g_sensitivity": pytest.approx(0.75),
+        "g_sensitivity + time_drift": pytest.approx(0.2),
+        "magnetic_sensitivity": pytest.approx(0.05),
+    }
 
 
 def test_a_kind_that_was_measured_is_worth_half_of_what_is_expected(rows, closure):
@@ -93,6 +112,13 @@ def test_a_block_that_settles_the_cause_is_chosen_before_one_that_needs_another(
     hours = hours_left([settling, faster])
     assert hours(settling) == 2.0
     assert hours(faster) == pytest.approx(1.9 + 1.9)
+
+
+@pytest.mark.parametrize(
+    ("fall", "unsettled", "can_help"), [(0.03, 1.0, True), (0.01, 0.4, True), (0.01, 0.6, False)]
+)
+def test_a_block_helps_by_the_doubt_that_it_removes_or_by_settling_the_cause(fall, unsettled, can_help):
+    assert proposal(2.0, fall, unsettled).can_help == can_help
 
 
 def test_hours_until_the_biases_are_certain_count_too():

@@ -26,15 +26,13 @@ def names(folder):
     return {path.name for path in folder.iterdir()}
 
 
-def test_a_search_in_a_run_stands_in_its_folder_and_in_its_report(run):
+def test_a_search_in_an_emulated_run_stands_in_its_folder_and_report_marked_in_page_figures_and_files(
+    run, tmp_path
+):
     page, report = write_search(clean(), [run.path])
     assert (page, report) == (run.closure / "closure.html", run.report)
     assert names(run.closure) == FILES
     assert "Search for effects" in run.report.read_text()
-
-
-def test_what_is_found_in_an_emulated_run_is_marked_on_its_page_figures_and_files(run, tmp_path):
-    page, _ = write_search(clean(), [run.path])
     assert 'data-word="SIMULATED"' in page.read_text()
     assert read_findings_file(run.closure).watermark == "SIMULATED"
     plain, _ = write_search(clean(), [run.path], tmp_path / "a" / "b")  # says nothing of where it is from

@@ -121,17 +121,24 @@ def test_large_biases_are_drawn_in_degrees_per_hour(bins: list[BiasBin]) -> None
     assert bias_figure("x", [], bins).axes[0].get_ylabel() == "bias / (0.001 deg/h)"
 
 
+def spans_h(axes: Axes) -> list[tuple[float, float]]:
+    """Begin and end of each bar or band."""
+    paths = axes.collections[0].get_paths()
+    return [(path.get_extents().x0, path.get_extents().x1) for path in paths]
+
+
 def test_temperature_figure_has_a_band_and_a_bar_for_each_dwell(
     telemetry: Telemetry, dwells: list[DwellRow]
 ) -> None:
-    upper, lower = temperature_figure(telemetry, dwells).axes
-    assert len(upper.patches) == len(lower.patches) == len(dwells)
-    for row, band, bar in zip(dwells, upper.patches, lower.patches, strict=True):
-        colour = POSITION_STYLES[row.position].colour
-        assert band.get_facecolor()[:3] == bar.get_edgecolor()[:3] == to_rgba(colour)[:3]
-        assert bar.get_facecolor()[3] == (0.0 if row.flags else 1.0)
-        assert bar.get_x() == pytest.approx(row.start_s / 3600.0)
-        assert bar.get_width() == pytest.approx((row.end_s - row.start_s) / 3600.0)
+    figure = temperature_figure(telemetry, dwells)
+    bands, bars = (axes.collections[0] for axes in figure.axes)
+    known_h = np.array([(row.start_s, row.end_s) for row in dwells]) / 3600.0
+    for axes in figure.axes:
+        assert np.array(spans_h(axes)) == pytest.approx(known_h)
+    colours = [to_rgba(POSITION_STYLES[row.position].colour)[:3] for row in dwells]
+    assert [tuple(each[:3]) for each in bands.get_facecolor()] == colours
+    assert [tuple(each[:3]) for each in bars.get_edgecolor()] == colours
+    assert [each[3] for each in bars.get_facecolor()] == [0.0 if row.flags else 1.0 for row in dwells]
 
 
 def test_temperature_figure_draws_what_was_recorded(telemetry: Telemetry) -> None:
@@ -152,7 +159,7 @@ def test_temperature_figure_draws_what_was_recorded(telemetry: Telemetry) -> Non
 
 def test_temperature_figure_without_telemetry_shows_the_dwells(dwells: list[DwellRow]) -> None:
     figure = temperature_figure({}, dwells)
-    assert len(figure.axes[1].patches) == len(dwells)
+    assert len(spans_h(figure.axes[1])) == len(dwells)
     assert texts(figure) == ["no temperatures recorded"]
 
 
@@ -172,10 +179,9 @@ def test_without_dwells_there_are_no_lanes_of_positions(telemetry: Telemetry, dw
 
 def test_plan_figure_shows_every_stay_in_a_position(plan: Plan) -> None:
     figure = plan_figure(plan)
-    bars = figure.axes[1].patches
     spans = position_spans(plan)
-    assert len(bars) == len(spans)
-    assert [bar.get_x() for bar in bars] == pytest.approx([start_s / 3600.0 for start_s, _, _ in spans])
+    begins_h = [begin_h for begin_h, _ in spans_h(figure.axes[1])]
+    assert begins_h == pytest.approx([start_s / 3600.0 for start_s, _, _ in spans])
     assert figure.axes[0].get_title(loc="left") == "Plan of six_position_fig7"
     assert legend_labels(figure) == ["chamber, ramped set point", "gyros, predicted"]
 
@@ -206,6 +212,14 @@ def test_equal_data_give_equal_files_regardless_of_user_settings(
     assert first.startswith(b"\x89PNG")
     assert b"Software" not in first
     assert b"tEXt" not in first
+
+
+def test_ticks_are_those_of_matplotlib(
+    monkeypatch: pytest.MonkeyPatch, telemetry: Telemetry, dwells: list[DwellRow], bins: list[BiasBin]
+) -> None:
+    drawn = {name: png_bytes(draw()) for name, draw in run_figures(telemetry, dwells, bins)}
+    monkeypatch.setattr("gyrobench.bench.report.figures.style._QuickFigure", Figure)
+    assert {name: png_bytes(draw()) for name, draw in run_figures(telemetry, dwells, bins)} == drawn
 
 
 def test_other_data_give_another_file(dwells: list[DwellRow], bins: list[BiasBin]) -> None:
