@@ -2,6 +2,11 @@
 
 A run of a thousand hours has thousands of dwells. Their rows and what the joint solution needs are small; the
 navigation for the noise estimate is kept of some dwells only, evenly spread over the run.
+
+An INS takes the Earth's rotation for the latitude that was entered. An error of it, or a deflection of the
+vertical to the north, is a rate Up that adds to the bias of the vertical gyro, and a rate North that the
+level gyros measure independently of their biases, since it does not turn with the unit. It is corrected where
+confirmed, and flagged otherwise.
 """
 
 from __future__ import annotations
@@ -17,22 +22,25 @@ from gyrobench.bench.bias.acceptance import judge
 from gyrobench.bench.bias.bias_filter import Damping
 from gyrobench.bench.bias.bins import BiasBin, bin_biases, write_bins
 from gyrobench.bench.bias.budget import BiasBudget, BudgetedDwell, bias_budgets, with_budgets
+from gyrobench.bench.bias.dwell_table import Triple
 from gyrobench.bench.bias.joint_solution import JointDwell, JointSolution, pooled_up_rate, solve_jointly
 from gyrobench.bench.bias.noise_estimate import NoiseEstimate, estimate_noise
+from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.bias.plateaus import PlannedDwell, group_plateaus
 from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits, write_acceptance
-from gyrobench.bench.bias.vertical_pairs import UpRate
+from gyrobench.bench.bias.vertical_pairs import Finding, UpRate, exceeds_declared
 from gyrobench.bench.characteristics.allan_test import RateRecord
 from gyrobench.bench.characteristics.results import TestResult, write_characteristics
 from gyrobench.bench.dwells.check_dwell import CheckDwell, measure_check_dwell
 from gyrobench.bench.dwells.dwell import MeasuredDwell, MeasurementSetup, measure_dwell
-from gyrobench.bench.dwells.latitude import with_latitude
 from gyrobench.bench.dwells.marks import DwellMarks
 from gyrobench.bench.dwells.plateau_calibration import PlateauCalibration
 from gyrobench.bench.dwells.rotated_dwell import navigated_increments
 from gyrobench.bench.dwells.temperatures import stuck_sensors
+from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN, RADPS_TO_DPH
 from gyrobench.bench.foundations.errors import MeasurementError, RunFolderError
 from gyrobench.bench.foundations.files import remove
+from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.procedure.plan import Plan, PlannedStep
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.folder import RunFolder
@@ -357,3 +365,86 @@ def _noise(dwells: Sequence[MeasuredDwell], setup: MeasurementSetup) -> NoiseEst
         return estimate_noise([window for dwell in dwells for window in dwell.windows], setup.site.gravity)
     except MeasurementError:
         return None
+
+
+def with_latitude(
+    dwells: Sequence[MeasuredDwell],
+    solutions: Sequence[JointSolution],
+    rate: UpRate | None,
+    prior: PriorKnowledge,
+) -> list[MeasuredDwell]:
+    """The dwells of a run, the biases of vertical gyros without the effect of a wrong latitude.
+
+    Where rates North and Up together confirm that the latitude is off by more than declared, biases and
+    uncertainties of the vertical gyros are those of the joint solution without that rate. Where the rate
+    North leads to that, and no rate Up that agrees with it contradicts, the dwells are flagged.
+
+    Parameters
+    ----------
+    dwells : sequence of MeasuredDwell
+        Of the run, in order.
+    solutions : sequence of JointSolution
+        Of its plateaus.
+    rate : UpRate or None
+        Rate Up of all plateaus.
+    prior : PriorKnowledge
+        With the declared uncertainty of the latitude.
+    """
+    if rate is not None and rate.finding is Finding.LATITUDE_OFF:
+        corrected = {
+            dwell.number: biases
+            for solution in solutions
+            for right in [solution.corrected(rate)]
+            for dwell, *biases in zip(
+                solution.dwells,
+                RADPS_TO_DPH * right.bias_radps,
+                RADPS_TO_DPH * right.sigma_radps,
+                strict=True,
+            )
+        }
+        return [_corrected(dwell, *corrected.get(dwell.row.dwell, ())) for dwell in dwells]
+    if rate is not None and rate.applies and not rate.exceeds(prior.latitude):
+        return list(dwells)
+    flag = _north_flag(solutions, prior)
+    numbers = {dwell.number for solution in solutions for dwell in solution.dwells}
+    if not flag:
+        return list(dwells)
+    return [
+        replace(each, row=replace(each.row, flags=flag)) if each.row.dwell in numbers else each
+        for each in dwells
+    ]
+
+
+def _corrected(dwell: MeasuredDwell, *biases: np.ndarray) -> MeasuredDwell:
+    if not biases:
+        return dwell
+    row, axis = dwell.row, POSITIONS[dwell.row.position].up_axis
+    bias_dph, sigma_dph = (
+        _with(values, axis, float(joint[axis]))
+        for values, joint in zip((row.bias_dph, row.sigma_dph), biases, strict=True)
+    )
+    return replace(dwell, row=replace(row, bias_dph=bias_dph, sigma_dph=sigma_dph))
+
+
+def _with(values: Triple, axis: int, value: float) -> Triple:
+    x, y, z = (value if index == axis else each for index, each in enumerate(values))
+    return x, y, z
+
+
+def _north_flag(solutions: Sequence[JointSolution], prior: PriorKnowledge) -> str:
+    """Flag for a rate North that leads to a wrong latitude; empty without one."""
+    agreeing = [each for each in solutions if each.agrees]
+    if not agreeing:
+        return ""
+    rates, sigmas = np.array([each.north_rate for each in agreeing]).T
+    _, _, earth_up = agreeing[0].dwells[0].rows.earth_rate
+    error = float((rates / sigmas**2).sum() / (1.0 / sigmas**2).sum() / earth_up)
+    # What the misalignments of the gyros do is common to all plateaus.
+    sigma = float(np.hypot((1.0 / sigmas**2).sum() ** -0.5, sigmas.min() / 2.0) / abs(earth_up))
+    if not exceeds_declared(error, sigma, prior.latitude):
+        return ""
+    return (
+        f"a rate North fixed in the navigation frame, as of a latitude {RAD_TO_ARCMIN * error:+.2f} ± "
+        f"{RAD_TO_ARCMIN * sigma:.2f} arcmin off ({RAD_TO_ARCMIN * prior.latitude:.2g} arcmin declared): the "
+        "bias of the vertical gyro is off too. Check the latitude in station file and INS"
+    )

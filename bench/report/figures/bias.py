@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -158,35 +159,22 @@ def draw_bins(axes: Axes, bins: Sequence[BiasBin], scale: BiasScale) -> None:
     """Draw the biases of one position with their uncertainties, joined by a line."""
     if not bins:
         return
-    style = POSITION_STYLES[bins[0].position]
-    label, place = position_label(bins[0].position), _PLACES.index(bins[0].position)
-    _draw_line(axes, bins, scale, label, place, style.line, style.marker, style.colour, style.face)
+    position = bins[0].position
+    style, place = POSITION_STYLES[position], _PLACES.index(position)
+    look = {"linestyle": style.line, "marker": style.marker, "color": style.colour}
+    _draw_line(axes, bins, scale, place, label=position_label(position), markerfacecolor=style.face, **look)
 
 
-def _draw_line(
-    axes: Axes,
-    bins: Sequence[BiasBin],
-    scale: BiasScale,
-    label: str,
-    place: int,
-    line: str,
-    marker: str,
-    colour: str,
-    face: str = "",
-) -> None:
+def _draw_line(axes: Axes, bins: Sequence[BiasBin], scale: BiasScale, place: int, **look: Any) -> None:
     """Join bins by a line, each with its bar and its number of dwells at one of six places around it."""
     row, column = divmod(place, 3)
     axes.errorbar(
         [each.temperature_c for each in bins],
         [each.bias_dph * scale.factor for each in bins],
         [each.sigma_dph * scale.factor for each in bins],
-        label=label,
-        linestyle=line,
-        marker=marker,
         markersize=5.5,
-        markerfacecolor=face or colour,
-        color=colour,
         capsize=2.0,
+        **look,
     )
     for each in bins:
         axes.annotate(
@@ -196,7 +184,7 @@ def _draw_line(
             textcoords="offset points",
             ha="center",
             fontsize=5.5,
-            color=colour,
+            color=look["color"],
         )
 
 
@@ -240,16 +228,9 @@ def position_pair_figure(bins: Sequence[BiasBin], marked_c: Sequence[float] = ()
         axes.set(title=position_label(own[0].position), xlabel="temperature of the gyro / °C")
         for place, gyro in enumerate(AXES):
             colour, line, marker = GYRO_STYLES[gyro]
-            _draw_line(
-                axes,
-                [each for each in own if each.gyro == gyro],
-                scale,
-                gyro_label(gyro),
-                place,
-                line,
-                marker,
-                colour,
-            )
+            of_gyro = [each for each in own if each.gyro == gyro]
+            look = {"linestyle": line, "marker": marker, "color": colour}
+            _draw_line(axes, of_gyro, scale, place, label=gyro_label(gyro), **look)
         mark_temperatures(axes, "x", marked_c)
     panels[0].set(ylabel=f"bias / ({scale.unit})")
     common_legend(figure, panels, ncols=len(AXES), title=_BARS)

@@ -127,17 +127,9 @@ def _proof(proof: VerificationResult | None) -> list[Section]:
 def probability_figure(found: Investigation) -> Figure:
     """Draw the probability of each effect, of nothing and of what is on no list over the hours."""
     hours = [stage.spent_h for stage in found.stages]
-    curves: dict[str, list[float]] = {}
-    for stage in found.stages:
-        posterior = stage.closure.posterior
-        values = posterior.of_effect | {"nothing": posterior.nothing, "": posterior.not_on_list}
-        for name in values:
-            curves.setdefault(name, [])
-    for name, course in curves.items():
-        for stage in found.stages:
-            posterior = stage.closure.posterior
-            values = posterior.of_effect | {"nothing": posterior.nothing, "": posterior.not_on_list}
-            course.append(values.get(name, 0.0))
+    posteriors = [stage.closure.posterior for stage in found.stages]
+    values = [each.of_effect | {"nothing": each.nothing, "": each.not_on_list} for each in posteriors]
+    curves = {name: [each.get(name, 0.0) for each in values] for every in values for name in every}
     figure = fitted_figure(3.4)
     axes = figure.subplots()
     shown = sorted(

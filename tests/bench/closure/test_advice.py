@@ -14,10 +14,16 @@ from gyrobench.bench.foundations.documents import Problem
 from tests.bench.closure.plans import shipped, station
 
 TARGET_DPH = 0.001
+#: As many as leave some found only after a change, some pairs not distinguished, and lose one on a ramp.
+NAMES = {
+    "temperature_rate", "thermal_gradient", "thermal_lag", "attitude_thermal", "warm_up", "time_drift",
+    "bias_jump", "g_sensitivity",
+}  # fmt: skip
+EFFECTS = [each for each in all_effects() if each.name in NAMES]
 
 
 def now_of(plan, unit):
-    return separability(searched_dwells(planned_campaign(plan, unit)), all_effects())
+    return separability(searched_dwells(planned_campaign(plan, unit)), EFFECTS)
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +63,7 @@ def test_no_advice_if_all_effects_are_distinguished(fig7):
     document, plan, unit, _ = fig7
     campaign = searched_dwells(planned_campaign(plan, unit))
     # The others take a second power cycle, another heading, or something that is logged.
-    possible = [each for each in all_effects() if each.missing_input(campaign) is None]
+    possible = [each for each in EFFECTS if each.missing_input(campaign) is None]
     now = separability(campaign, possible)
     assert advise(document, plan, partial(plan_on, station()), unit, now, target_dph=0.1) == []
 

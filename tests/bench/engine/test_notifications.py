@@ -4,11 +4,10 @@ import json
 
 import pytest
 
-from gyrobench.bench.engine import notifications
 from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.observers import RunObserver
 from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.run import run_job
+from gyrobench.bench.engine.run import UNANSWERED_S, run_job
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
@@ -75,7 +74,7 @@ def test_the_end_of_a_run_is_sent_and_journaled(run_with_receiver):
 
 
 def test_an_unanswered_question_is_sent(run_with_receiver):
-    _, (question, end), _ = run_with_receiver(Slow(30, after=int(notifications.UNANSWERED_S) + 5))
+    _, (question, end), _ = run_with_receiver(Slow(30, after=int(UNANSWERED_S) + 5))
     assert question["event"] == "needs_person"
     assert question["question"] == "Is the cable plugged in?"
     assert question["answers"] == ["yes", "no"]
@@ -118,7 +117,7 @@ def test_a_hold_that_the_operator_ends_at_once_is_not_sent(run_with_receiver):
 
 def test_a_hold_that_waits_for_the_operator_is_sent_with_its_reason(run_with_receiver):
     fault = "faults:\n  - {fault: chamber_sensor_error, at_s: 100, for_s: 30}\n"
-    _, received, _ = run_with_receiver(Slow(30, after=int(notifications.UNANSWERED_S) + 5), fault)
+    _, received, _ = run_with_receiver(Slow(30, after=int(UNANSWERED_S) + 5), fault)
     hold = received[1]
     assert [each["event"] for each in received] == ["needs_person", "needs_person", "goes_on", "ends"]
     assert hold["question"] == f"The run holds: {hold['why']}"
