@@ -194,6 +194,13 @@ def both():
 
 
 @pytest.mark.timeout(7200)
+def test_an_adaptive_campaign_leaves_biases_as_certain(both):
+    ratios = [np.sqrt(np.mean(own.sigma_dph**2) / np.mean(fixed.sigma_dph**2)) for _, fixed, own, _ in both]
+    print(f"rms standard uncertainty over that of the fixed campaign, median: {np.median(ratios):.3f}")
+    assert np.median(ratios) <= 1.05
+
+
+@pytest.mark.timeout(7200)
 def test_an_adaptive_campaign_states_the_right_cause_at_least_as_often_as_the_fixed_one(both):
     fixed, own = (
         sum(
