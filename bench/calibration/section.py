@@ -77,7 +77,8 @@ class Section:
 
     def aligned(self, errors: SensorErrors) -> FloatArray:
         """Attitude (3, 3) at the start by gravity and the Earth's rate in the first rest."""
-        rate, force = (each[: self.first].mean(axis=0) for each in self.freed(errors, None))
+        resting = self.angle[: self.first], self.velocity[: self.first]
+        rate, force = (each.mean(axis=0) for each in errors.removed(*resting, self.interval_s))
         up = force / np.linalg.norm(force)
         east = np.cross(rate, up)
         east /= np.linalg.norm(east)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from gyrobench.bench import __version__
 from gyrobench.bench.bias.budget import COVERAGE
-from gyrobench.bench.certificate.content import BiasResult, Certificate
+from gyrobench.bench.certificate.content import BiasResult, Certificate, ModelNumber
 from gyrobench.bench.foundations.arrays import STANDARD_GRAVITY
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.packages import require
@@ -231,31 +231,21 @@ class _Document:
     def _statements(self, certificate: Certificate) -> etree._Element:
         found, (sentence, rule) = certificate.run.acceptance, certificate.conformity
         status = _CONFORMITY.get(found.verdict, "") if found and found.limits else ""
-        simulated = self._dcc(
-            "statement", self._text("name", SIMULATED), self._text("declaration", _EMULATED)
-        )
+        stated = [
+            (SIMULATED, _EMULATED if certificate.run.is_simulated else "", "", ""),
+            ("Statement of conformity", sentence, rule, status),
+            ("Deviations from the procedure", " ".join(certificate.deviations), "", ""),
+            ("Recalibration", certificate.order.recalibration, "", ""),
+        ]
+        return self._dcc("statements", *(self._statement(*each) for each in stated if each[1]))
+
+    def _statement(self, name: str, declaration: str, convention: str, status: str) -> etree._Element:
         return self._dcc(
-            "statements",
-            simulated if certificate.run.is_simulated else None,
-            self._dcc(
-                "statement",
-                self._text("name", "Statement of conformity"),
-                self._dcc("convention", _tidy(rule)) if rule else None,
-                self._text("declaration", sentence),
-                self._dcc("conformity", status) if status else None,
-            ),
-            self._dcc(
-                "statement",
-                self._text("name", "Deviations from the procedure"),
-                self._text("declaration", " ".join(certificate.deviations)),
-            ),
-            self._dcc(
-                "statement",
-                self._text("name", "Recalibration"),
-                self._text("declaration", certificate.order.recalibration),
-            )
-            if certificate.order.recalibration
-            else None,
+            "statement",
+            self._text("name", name),
+            self._dcc("convention", _tidy(convention)) if convention else None,
+            self._text("declaration", declaration),
+            self._dcc("conformity", status) if status else None,
         )
 
     def _common(self, certificate: Certificate) -> list[etree._Element | None]:
@@ -317,53 +307,31 @@ class _Document:
         return self._dcc("influenceCondition", self._text("name", name), self._dcc("data", *quantities))
 
     def _results(self, certificate: Certificate) -> list[etree._Element]:
-        found = [
-            self._bias_result(gyro, position, own)
-            for gyro in AXES
-            for position in POSITIONS
-            if (
-                own := [
-                    each for each in certificate.results if (each.gyro, each.position) == (gyro, position)
-                ]
-            )
-        ]
+        places: dict[tuple[str, str], list[BiasResult]] = {
+            (gyro, position): [] for gyro in AXES for position in POSITIONS
+        }
+        for each in certificate.results:
+            places[each.gyro, each.position].append(each)
+        found = [self._bias_result(*place, own) for place, own in places.items() if own]
         results = [self._measurement("Gyro biases by position and temperature", found)] if found else []
         if certificate.model:
-            numbers = [
-                self._named(
-                    f"{gyro_label(each.axis)}, {each.name}", each.value, each.unit, each.expanded, each.k
-                )
-                for each in certificate.model
+            quantities = [
+                self._named(f"{gyro_label(each.axis)}, {each.name}", each) for each in certificate.model
             ]
-            results.append(
-                self._measurement(
-                    "Bias model", [self._list("Numbers of the model", numbers, certificate.model_note)]
-                )
-            )
+            numbers = self._list("Numbers of the model", quantities, certificate.model_note)
+            results.append(self._measurement("Bias model", [numbers]))
         if certificate.coefficients:
             quantities = [
                 self._named(
                     f"{each.name} {each.axis}, {each.temperature_c:.1f} °C "
                     f"({'gyro' if each.name.startswith('gyro') else 'case'})",
-                    each.value,
-                    each.unit,
-                    each.expanded,
-                    each.k,
+                    each,
                 )
                 for each in certificate.coefficients
             ]
-            results.append(
-                self._measurement(
-                    "Coefficients of the sensors",
-                    [
-                        self._list(
-                            "Coefficients",
-                            quantities,
-                            " ".join([FRAME_TEXT, *plateau_findings(certificate.run.coefficients)]),
-                        )
-                    ],
-                )
-            )
+            note = " ".join([FRAME_TEXT, *plateau_findings(certificate.run.coefficients)])
+            coefficients = self._list("Coefficients", quantities, note)
+            results.append(self._measurement("Coefficients of the sensors", [coefficients]))
         return results
 
     def _measurement(self, name: str, results: Sequence[etree._Element]) -> etree._Element:
@@ -397,8 +365,9 @@ class _Document:
             "result", self._text("name", name), self._dcc("data", self._dcc("list", *quantities))
         )
 
-    def _named(self, name: str, value: float, unit: str, expanded: float, k: float) -> etree._Element:
-        return self._dcc("quantity", self._text("name", name), self._real(value, unit, expanded, k))
+    def _named(self, name: str, number: ModelNumber) -> etree._Element:
+        value = self._real(number.value, number.unit, number.expanded, number.k)
+        return self._dcc("quantity", self._text("name", name), value)
 
     def _list(self, name: str, quantities: Sequence[etree._Element], note: str = "") -> etree._Element:
         return self._dcc(

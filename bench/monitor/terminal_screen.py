@@ -98,7 +98,8 @@ def bias_line(snapshot: RunSnapshot, plus_minus: str) -> Text:
     """The live estimate of the current dwell."""
     dwell, live = snapshot.dwell, snapshot.live_bias
     if dwell is None:
-        return Text(f"dwells measured: {len(snapshot.dwells)} of {snapshot.dwell_count}", "dim")
+        text = f"dwells measured: {len(snapshot.dwells)} of {snapshot.dwell_count}, biases in 0.001 deg/h"
+        return Text(text, "dim")
     head = f"dwell {dwell.number}/{dwell.count}  "
     if live is None:
         return Text.assemble(head, ("bias observable after the turn", "dim"))

@@ -51,9 +51,9 @@ _NAMES = {
 _UNITS = {"ug": "µg"}
 _NOT_OBSERVED = "–"
 #: Height of a row of a legend as a part of its panel's.
-_LEGEND_ROW = 0.12
-#: Plateaus side by side.
-_PER_TABLE = 5
+_LEGEND_ROW = 0.13
+#: Plateaus side by side; of more than these the uncertainties stand below the values.
+_PER_TABLE, _PER_WIDE_TABLE = 5, 3
 
 
 def has_rotations(rows: Sequence[PlateauCoefficientRow]) -> bool:
@@ -72,12 +72,24 @@ def coefficients_section(
     if not has_rotations(rows):
         return None
     tables = list(_tables(rows))
-    notes = plateau_findings(rows)
+    notes = [*_not_observable(rows), *plateau_findings(rows)]
     if any(not math.isnan(row.sigma_with_force) for row in rows):
         notes.insert(0, _WITHOUT_FORCE)
         tables.append(_cost_table(rows))
     figure = SectionFigure("coefficients", _CAPTION, partial(coefficients_figure, rows, budget))
     return Section(_TITLE, [_TEXT, *notes], [figure], tables)
+
+
+def _not_observable(rows: Sequence[PlateauCoefficientRow]) -> list[str]:
+    """Which coefficients are not observable at any of the plateaus that are estimated."""
+    estimated = {row.plateau for row in rows if not math.isnan(row.value)}
+    observed = {(row.coefficient, row.axis) for row in rows if not math.isnan(row.value)}
+    axes: dict[str, list[str]] = {}
+    for row in _at_plateau(rows, min(estimated, default=0)):
+        if (row.coefficient, row.axis) not in observed:
+            axes.setdefault(row.coefficient, []).append(row.axis)
+    found = "; ".join(f"{_NAMES[name]} {', '.join(of)}" for name, of in axes.items())
+    return [f"Not observable ({_NOT_OBSERVED}): {found}."] if found else []
 
 
 @house_style
@@ -86,10 +98,11 @@ def coefficients_figure(rows: Sequence[PlateauCoefficientRow], budget: Sequence[
     covered = coverage(budget)
     figure = new_figure(5.6, left_in=0.62, right_in=0.1, wspace=0.3, hspace=0.34)
     panels = figure.subplots(2, 3)
+    factors = {f"{k:.2f}" for (kind, *_), (k, _) in covered.items() if kind in _NAMES} or {f"{NORMAL_K:.2f}"}
+    bars_text = f"bars: 95 %, k = {' to '.join(sorted({min(factors), max(factors)}))}"
     for (kind, title), axes in zip(_NAMES.items(), panels.ravel(), strict=True):
         own = [row for row in rows if row.coefficient == kind and not math.isnan(row.value)]
         axes.set_title(f"{title} / {_unit(own[0].unit)}" if own else title, fontsize=8)
-        factors: set[str] = set()
         for name, cycle in dict.fromkeys((row.axis, row.cycle) for row in own):
             chosen = [row for row in own if (row.axis, row.cycle) == (name, cycle)]
             colour, line, marker = GYRO_STYLES[name[0]]
@@ -98,7 +111,6 @@ def coefficients_figure(rows: Sequence[PlateauCoefficientRow], budget: Sequence[
                 covered.get((kind, name, row.plateau, 0.0), (NORMAL_K, NORMAL_K * row.sigma))
                 for row in chosen
             ]
-            factors |= {f"{k:.2f}" for k, _ in bars}
             axes.errorbar(
                 [row.temperature_c for row in chosen],
                 [row.value for row in chosen],
@@ -111,16 +123,19 @@ def coefficients_figure(rows: Sequence[PlateauCoefficientRow], budget: Sequence[
                 markerfacecolor="white" if is_second else colour,
                 capsize=2,
             )
-        if own:
+        if not own:
+            axes.text(0.5, 0.5, "not observable", transform=axes.transAxes, ha="center")
+            axes.set(xticks=[], yticks=[])
+        else:
             low, high = axes.get_ylim()
-            title = f"bars: 95 %, k = {' to '.join(sorted({min(factors), max(factors)}))}"
-            legend = axes.legend(ncols=3, loc="upper center", title=title, title_fontsize=7)
-            rows_in_it = 1 + math.ceil(len(legend.texts) / 3)
+            of_bars = bars_text if axes is panels[0, 0] else None
+            style = {"title": of_bars, "title_fontsize": 7, "columnspacing": 0.8, "handlelength": 1.8}
+            legend = axes.legend(ncols=3, loc="upper center", **style)
+            rows_in_it = math.ceil(len(legend.texts) / 3) + bool(of_bars)
             axes.set_ylim(low, high + _LEGEND_ROW * (high - low) * rows_in_it)
-    for axes in panels[1]:
-        axes.set_xlabel("case temperature / °C")
-    for axes in panels[0]:
-        axes.set_xlabel("gyro temperature / °C")
+    for sensor, row in zip(("gyro", "case"), panels, strict=True):
+        for axes in row:
+            axes.set_xlabel(f"{sensor} temperature / °C")
     return figure
 
 
@@ -128,13 +143,23 @@ def _tables(rows: Sequence[PlateauCoefficientRow]) -> Iterator[SectionTable]:
     heads = plateau_heads(rows)
     for begin in range(0, len(heads), _PER_TABLE):
         plateaus = list(heads)[begin : begin + _PER_TABLE]
-        columns = [[row for row in rows if row.plateau == plateau] for plateau in plateaus]
+        columns = [_at_plateau(rows, plateau) for plateau in plateaus]
+        between = "\n±" if len(plateaus) > _PER_WIDE_TABLE else " ±"
         header = ["coefficient", "axis", "unit", *(heads[plateau] for plateau in plateaus)]
         cells = [
-            [_NAMES[first.coefficient], first.axis, _unit(first.unit), *map(_cell, (first, *others))]
+            [_NAMES[first.coefficient], first.axis, _unit(first.unit)]
+            + [_cell(each).replace(" ±", between) for each in (first, *others)]
             for first, *others in zip(*columns, strict=True)
         ]
         yield SectionTable(_TABLE, header, cells, words=3)
+
+
+def _at_plateau(rows: Sequence[PlateauCoefficientRow], plateau: int) -> list[PlateauCoefficientRow]:
+    """Its rows, those of one kind of coefficient together."""
+    kinds = list(_NAMES)
+    return sorted(
+        (row for row in rows if row.plateau == plateau), key=lambda row: kinds.index(row.coefficient)
+    )
 
 
 def _unit(unit: str) -> str:
@@ -158,8 +183,7 @@ def _cost_table(rows: Sequence[PlateauCoefficientRow]) -> SectionTable:
             _NOT_OBSERVED if math.isnan(row.sigma) else f"{row.sigma:.2g}",
             f"{row.sigma_with_force:.2g}",
         ]
-        for row in rows
-        if row.plateau == first
+        for row in _at_plateau(rows, first)
     ]
     return SectionTable(
         f"Standard uncertainties at plateau {first}",

@@ -34,7 +34,7 @@ from gyrobench.bench.report.bias_sections import (
 )
 from gyrobench.bench.report.budget_section import CAPTION, budget_box, budget_figure, budget_section, shares
 from gyrobench.bench.report.calibration_check import dwells_text, verification_section, verification_sentence
-from gyrobench.bench.report.coefficients import characteristics_sections, coefficients_section
+from gyrobench.bench.report.coefficients import characteristics_sections, coefficients_section, has_rotations
 from gyrobench.bench.report.content import Entry, RunContent, read_run
 from gyrobench.bench.report.estimator_sections import (
     estimators_note,
@@ -196,7 +196,8 @@ def render(
         _safe_state_section(content.facts.safe_state),
         _list_section("Missing in the run folder", content.problems),
     ]
-    title = f"Gyro bias of unit {unit}" if unit else "Gyro bias"
+    subject = _subject(content)
+    title = f"{subject} of unit {unit}" if unit else subject
     started = f", started {facts['started']}" if "started" in facts else ""
     page = Section(
         title,
@@ -209,6 +210,12 @@ def render(
     )
     source = f"Run {content.run_name}{started}"
     return render_page(page, source, f"{title}: {content.run_name}", prepared_by, _watermark(content))
+
+
+def _subject(content: RunContent) -> str:
+    if has_rotations(content.coefficients):
+        return "Gyro and accelerometer coefficients"
+    return "Gyro bias" if content.dwells or not content.characteristics else "Gyro characteristics"
 
 
 def _watermark(content: RunContent) -> str:

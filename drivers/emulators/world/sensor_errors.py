@@ -115,7 +115,7 @@ def measure(
     Parameters
     ----------
     rotation, velocity : ndarray, shape (m, 3)
-        True increments; the first ``count`` are those of each second.
+        True increments of all seconds, or of one at rest for each.
     polynomials : ndarray, shape (2, 6, 12)
         Of gyros and accelerometers, see :class:`TriadErrors`; so are ``walks`` and ``pulses``, shape (2,).
     temperature_c : ndarray, shape (n, 7)
@@ -148,11 +148,11 @@ def measure(
             gyros[0, i] -= compensated_dph[i] * DPH_TO_RADPS
         accelerometers = _evaluated(polynomials[1], np.full(3, temperature_c[second, 0] - reference_c))
         rows = slice(second * count, (second + 1) * count)
-        measured[0, rows] = sense(
-            rotation[:count], gyros[1:], gyros[0], noise[0], dt, pulses[0], remainders[0]
-        )
+        first = second * count % rotation.shape[0]
+        true = slice(first, first + count)
+        measured[0, rows] = sense(rotation[true], gyros[1:], gyros[0], noise[0], dt, pulses[0], remainders[0])
         measured[1, rows] = sense(
-            velocity[:count], accelerometers[1:], accelerometers[0], noise[1], dt, pulses[1], remainders[1]
+            velocity[true], accelerometers[1:], accelerometers[0], noise[1], dt, pulses[1], remainders[1]
         )
     return measured[0], measured[1]
 

@@ -157,9 +157,14 @@ class ThermalNetwork:
         self.course = ThermalCourse(self.nodes_c[np.newaxis].copy(), np.zeros((1, 3)), np.zeros((1, 3)))
 
     def step(self, dt_s: float, air_c: float | FloatArray, up_body: FloatArray) -> None:
-        """Advance by ``dt_s`` (about a second) in air of each temperature in turn; ``up_body`` (3,) is Up."""
+        """Advance by ``dt_s`` (about a second) in air of each temperature in turn.
+
+        ``up_body`` is Up in body axes in each step, shape (n, 3), or in all, (3,).
+        """
+        air_c = np.atleast_1d(air_c)
+        up = np.broadcast_to(up_body, (len(air_c), 3))
         self.course = ThermalCourse(
-            *_steps(self.nodes_c, self._case, self._gyro, self._paths, up_body, np.atleast_1d(air_c),
+            *_steps(self.nodes_c, self._case, self._gyro, self._paths, np.ascontiguousarray(up), air_c,
                     1.0 if self.powered else 0.0, dt_s)
         )  # fmt: skip
 
@@ -196,7 +201,7 @@ def _steps(
             optics, electronics = nodes[1 + i], nodes[4 + i]
             c_optics, c_electronics, p_optics, p_electronics = gyro[i, 0], gyro[i, 1], gyro[i, 2], gyro[i, 3]
             g_oc, g_ec, g_eo, g_conv, share = gyro[i, 4], gyro[i, 5], gyro[i, 6], gyro[i, 7], gyro[i, 8]
-            upward = paths[i, 0] * up[0] + paths[i, 1] * up[1] + paths[i, 2] * up[2]
+            upward = paths[i, 0] * up[k, 0] + paths[i, 1] * up[k, 1] + paths[i, 2] * up[k, 2]
             convected[k, i] = g_conv * share * upward * (electronics - optics)
             to_optics = (g_eo + g_conv) * (electronics - optics) + convected[k, i]
             optics_loss, electronics_loss = g_oc * (optics - case_c), g_ec * (electronics - case_c)

@@ -42,7 +42,7 @@ class Conditions(NamedTuple):
     optics_rate_c_per_h: FloatArray  #: Shape (n, 3). Change of each gyro's optics in the last second.
     #: Shape (n, 3). The part of the heat flow from electronics to optics that depends on attitude.
     convected_w: FloatArray
-    up_body: FloatArray  #: Shape (3,). Up in body axes.
+    up_body: FloatArray  #: Shape (n, 3), or (3,) while it is constant. Up in body axes.
     compressor_duty: FloatArray  #: Shape (n, 1). Share of the time that the chamber's compressor runs.
     neighbours_k: FloatArray = np.zeros(
         (1, 1)
@@ -249,7 +249,8 @@ class GSensitivity(Effect):
 
     def _added_dph(self, now: Conditions) -> FloatArray:
         sensitivity = np.array(self.sensitivity_dph_per_g)
-        return np.asarray((np.diag(sensitivity) if sensitivity.ndim == 1 else sensitivity) @ now.up_body)
+        matrix = np.diag(sensitivity) if sensitivity.ndim == 1 else sensitivity
+        return np.asarray((matrix @ now.up_body[..., np.newaxis])[..., 0])
 
 
 class ChamberState(Effect):

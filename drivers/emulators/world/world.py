@@ -124,7 +124,7 @@ class UnitAir:
 
 
 _DT_S = 1.0 / SAMPLE_RATE_HZ
-#: Seconds that are simulated at once while nothing but the sensors changes.
+#: Seconds that are simulated at once, unless the unit changes by itself.
 _MAX_SECONDS = 60
 #: Stands for the sensors' output while the unit does not use it.
 _UNUSED = np.zeros((_MAX_SECONDS * SAMPLE_RATE_HZ, 3))
@@ -234,9 +234,13 @@ class World:
 
     def attitude(self) -> FloatArray:
         """True ``C_nb`` (3, 3) at this moment."""
-        time_s = np.array([self._sample * _DT_S])
-        outer, inner = (np.radians(axis.position_deg(time_s))[0] for axis in (self._outer, self._inner))
-        return np.asarray(table_attitude(*self._geometry, outer, inner))
+        return np.asarray(self._attitudes(1)[0])
+
+    def _attitudes(self, seconds: int) -> FloatArray:
+        """True ``C_nb`` (n, 3, 3) at this moment and each of the next whole seconds."""
+        time_s = (self._sample + SAMPLE_RATE_HZ * np.arange(float(seconds))) * _DT_S
+        angles = (np.radians(axis.position_deg(time_s)).tolist() for axis in (self._outer, self._inner))
+        return np.array([table_attitude(*self._geometry, *each) for each in zip(*angles, strict=True)])
 
     def advance(self, time_s: float) -> None:
         """Advance to ``time_s``; an earlier time changes nothing."""
@@ -245,10 +249,11 @@ class World:
             left, into_second = end - self._sample, self._sample % SAMPLE_RATE_HZ
             seconds, count = 1, min(left, SAMPLE_RATE_HZ - into_second)
             resting = self._at_rest()
-            if count == SAMPLE_RATE_HZ and resting is not None and not self.unit.changes_by_itself:
+            if count == SAMPLE_RATE_HZ and not self.unit.changes_by_itself:
                 seconds = min(left // SAMPLE_RATE_HZ, _MAX_SECONDS)
             if into_second == 0:
-                self._begin_seconds(seconds, self.attitude()[2] if resting is None else resting[2])
+                up_body = self._attitudes(seconds)[:, 2] if resting is None else resting[2]
+                self._begin_seconds(seconds, up_body)
             self._step_samples(seconds, count, resting)
 
     def advance_air(self, time_s: float) -> None:
@@ -256,7 +261,10 @@ class World:
         self.surroundings.step_air(math.ceil(_samples(time_s) / SAMPLE_RATE_HZ))
 
     def _begin_seconds(self, seconds: int, up_body: FloatArray) -> None:
-        """Step chamber, temperatures and undeclared effects to the beginning of each of the next seconds."""
+        """Step chamber, temperatures and undeclared effects to the beginning of each of the next seconds.
+
+        ``up_body`` is Up in body axes at these, or of all, (3,).
+        """
         self.surroundings.step_air(self._sample // SAMPLE_RATE_HZ + seconds)
         air_c, duty, self._neighbours_k = self._unit_air.take(seconds)
         self.thermal.step(1.0, air_c, up_body)
@@ -339,7 +347,7 @@ class World:
     def _measured_increments(
         self, normal: FloatArray, count: int, resting: tuple[FloatArray, FloatArray, FloatArray] | None
     ) -> tuple[FloatArray, FloatArray]:
-        rotation, velocity = self._ideal_increments(count) if resting is None else resting[:2]
+        rotation, velocity = self._ideal_increments(len(normal) * count) if resting is None else resting[:2]
         compensation = self.unit.compensation
         measured: tuple[FloatArray, FloatArray] = measure(
             rotation, velocity, self._polynomials, self.thermal.course.nodes_c[-len(normal) :],
@@ -348,7 +356,7 @@ class World:
             normal, count, _DT_S, self._walks, self._pulses, self._remainders,
         )  # fmt: skip
         if self._scale_varies or self._undeclared_ppm.any():
-            true = np.tile(rotation[:count], (len(normal), 1))
+            true = np.resize(rotation, (len(normal) * count, 3))  # repeats that of a second at rest
             ppm = np.repeat(self._undeclared_ppm[-len(normal) :], count, axis=0)
             ppm += (
                 self._half_asymmetry_ppm * np.sign(true)

@@ -189,6 +189,7 @@ def test_an_ins_without_specific_force_leaves_the_accelerometers_scale_factors_o
     rows = read_coefficients(folder.coefficients)
     open_ones = [(row.coefficient, row.axis) for row in rows if row.finding == "not observable"]
     assert open_ones == [("accelerometer_scale_factor", axis) for axis in "xyz"]
+    assert "Not observable (–): accel. scale factor x, y, z." in coefficients_section(rows).paragraphs
     assert_consistent(rows, len(COEFFICIENTS) - 3)
     bias = next(row for row in rows if row.coefficient == "accelerometer_bias" and row.axis == "z")
     assert bias.sigma_with_force < 0.7 * bias.sigma

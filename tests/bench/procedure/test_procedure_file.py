@@ -354,6 +354,7 @@ def test_the_procedure_that_the_mutations_start_from_is_valid() -> None:
     assert isinstance(outcome(ALL_KINDS), Plan)
 
 
+@pytest.mark.long
 @settings(max_examples=100, deadline=None)
 @given(st.randoms(use_true_random=False), st.lists(JUNK, min_size=1, max_size=3))
 def test_a_procedure_with_changed_values_gives_a_plan_or_located_errors(
@@ -366,6 +367,7 @@ def test_a_procedure_with_changed_values_gives_a_plan_or_located_errors(
     assert_plan_or_located_errors(yaml.safe_dump(data, sort_keys=False))
 
 
+@pytest.mark.long
 @settings(max_examples=100, deadline=None)
 @given(st.data(), st.sampled_from(sorted(PROCEDURES.glob("*.yaml"))))
 def test_a_procedure_with_changed_characters_gives_a_plan_or_located_errors(

@@ -374,6 +374,7 @@ def foreign_frames(draw):
     return can.Message(arbitration_id=identifier, data=data, **options)
 
 
+@pytest.mark.long
 @settings(deadline=None, max_examples=200)
 @given(frame=foreign_frames())
 def test_frames_that_are_not_for_the_ins_change_nothing(make_world, frame):
@@ -397,6 +398,7 @@ any_frame = st.builds(
 )  # fmt: skip
 
 
+@pytest.mark.long
 @settings(deadline=None, max_examples=100)
 @given(frames=st.lists(any_frame, max_size=12))
 def test_no_frame_ever_breaks_the_ins(make_world, frames):

@@ -210,6 +210,7 @@ def test_frames_from_the_bus_are_given_once(bench):
 line_like = st.text("OCLSsVNZtTrR0123456789abcdefABCDEF \r\n", max_size=30).map(str.encode)
 
 
+@pytest.mark.long
 @settings(deadline=None, max_examples=200)
 @given(chunks=st.lists(st.one_of(st.binary(max_size=80), line_like), max_size=8))
 def test_random_bytes_never_break_it_and_each_line_gets_one_answer(make_world, chunks):

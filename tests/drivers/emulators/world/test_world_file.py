@@ -218,6 +218,7 @@ def outcome(text):
         return str(error)
 
 
+@pytest.mark.long
 @settings(deadline=None, max_examples=200)
 @given(text=mutated())
 def test_a_mutated_world_either_loads_or_is_a_document_error(text):
