@@ -218,7 +218,8 @@ class Investigator:
                 if ended is None:
                     confirm = self._confirmation(stage)
                     stage, ended = self._with_block(confirm or stage, journal)
-                    if ended and ended[0] == "no_block" and (confirm := self._confirmation(stage, ended[0])):
+                    is_idle = ended is not None and ended[0] in ("no_block", "not_on_list")
+                    if is_idle and (confirm := self._confirmation(stage, is_last=True)):
                         stage, ended = self._with_block(confirm, journal)
                 if ended and (test := self._test(stage, ended[0])):
                     test, failed = self._with_block(test, journal)
@@ -320,13 +321,13 @@ class Investigator:
             f"{experiments or 'a measurement of other quantities'}."
         )
 
-    def _confirmation(self, stage: Stage, ended: str = "") -> Stage | None:
+    def _confirmation(self, stage: Stage, *, is_last: bool = False) -> Stage | None:
         """A stage whose block confirms a cause that only new dwells can confirm, if that is all.
 
-        ``ended``: where no block distinguishes, effects that a single dwell shows, or that are not
-        significant, are not counted.
+        ``is_last``: no block distinguishes; effects that a single dwell shows, or that are not significant,
+        are not counted.
         """
-        is_probable = only_unconfirmed(stage.closure, with_weak=not ended)
+        is_probable = only_unconfirmed(stage.closure, with_weak=not is_last)
         return self._cause_test(stage, again=True) if is_probable else None
 
     def _cause_test(self, last: Stage, *, again: bool = False) -> Stage | None:
