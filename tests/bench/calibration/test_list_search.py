@@ -68,6 +68,17 @@ def test_limits_of_the_table_are_kept_and_what_they_leave_open_is_named():
         proposed(parse_targets("gyro_scale_factor_z_ppm=1"), table=outer_alone)
 
 
+def test_a_target_of_what_is_not_observable_is_refused():
+    targets = parse_targets("accelerometer_scale_factor_ppm=150")
+    with pytest.raises(DocumentError, match="scale factors are not observable without increments"):
+        proposed(targets, has_vertical=False)
+
+
+def test_a_target_that_gravity_or_latitude_keeps_out_of_reach_is_named():
+    with pytest.raises(DocumentError, match=r"targets: accelerometer_scale_factor x \(\d+"):
+        proposed(parse_targets("accelerometer_scale_factor_x_ppm=1"), site_sigmas=(3e-4, 0.0))
+
+
 @pytest.mark.parametrize("text", ["gyro_bias=1", "gyro_bias_dph", "gyro_bias_dph=-1", "gyro_bias_dph=nan"])
 def test_targets_that_are_none_are_refused_with_the_known_names(text):
     with pytest.raises(DocumentError, match="gyro_misalignment_arcsec"):
