@@ -14,10 +14,9 @@ def proposed(targets, name="eighteen_rotations", table=TABLE, **options):
     return shortest_list(shipped(name), targets, table, SITE, NOISE, 100.0, **options)
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param("eighteen_rotations", marks=pytest.mark.long), "nineteen_positions"]
-)
-@pytest.mark.parametrize("kinds", [pytest.param(("gyro_scale", "gyro_mis"), marks=pytest.mark.long), ("",)])
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["eighteen_rotations", "nineteen_positions"])
+@pytest.mark.parametrize("kinds", [("gyro_scale", "gyro_mis"), ("",)])
 def test_a_list_that_reaches_what_a_shipped_one_does_is_not_longer(name, kinds):
     reached = forecast(shipped(name), TABLE, SITE, NOISE, 100.0)
     named = np.array([any(part in each for part in kinds) for each in NAMES])
