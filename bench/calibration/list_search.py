@@ -97,6 +97,12 @@ def shortest_list(
     after it: as of :func:`forecast`; whole turns are tried only with ``whole_turns``. Raises DocumentError if
     no list reaches the targets.
     """
+    unseen = np.array(IS_FORCE_SCALE) & np.isfinite(targets)
+    if unseen.any() and not has_vertical:
+        raise DocumentError(
+            "accelerometer scale factors are not observable without increments (ins.signals.increments). "
+            "Leave their targets out"
+        )
     left: list[str] = []
     for margin in _MARGINS:
         search = _Search(pattern, margin * targets, table, site, noise, whole_turns, has_vertical)
@@ -111,13 +117,24 @@ def shortest_list(
             }
         )
         expected = forecast(found, table, site, noise, max_rate_dps, whole_turns, site_sigmas, has_vertical)
-        if (expected.sigmas <= targets)[np.isfinite(targets)].all():
+        missed = np.isfinite(targets) & ~((expected.sigmas <= targets) & expected.is_observed)
+        if not missed.any():
             return found, expected
+        left = _named(missed, expected.sigmas)
     raise DocumentError(
         f"no list of up to {_MAX_ROTATIONS} rotations on this table reaches the targets: "
         f"{', '.join(left)}. Give larger uncertainties or a longer dwell_s, or --whole-turns-arcsec for "
         "scale factors"
     )
+
+
+def _named(missed: BoolArray, sigmas: FloatArray) -> list[str]:
+    """Coefficients that miss their targets, with their uncertainties."""
+    return [
+        f"{each.name} {each.axis} ({sigma * each.per_si:.3g} {each.unit})"
+        for each, sigma, misses in zip(COEFFICIENTS, sigmas, missed, strict=True)
+        if misses
+    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,14 +210,10 @@ class _Search:
                     break
         for each in known:
             return list(self._shortened(each).rotations), []
-        ratio = self._ratios(beam[:1])[0]
-        targeted = np.flatnonzero(np.isfinite(self._targets))
-        return [], [
-            f"{COEFFICIENTS[k].name} {COEFFICIENTS[k].axis} "
-            f"({ratio[n] * self._targets[k] * COEFFICIENTS[k].per_si:.3g} {COEFFICIENTS[k].unit})"
-            for n, k in enumerate(targeted)
-            if ratio[n] > 1.0
-        ]
+        sigmas = np.zeros(COUNT)
+        targeted = np.isfinite(self._targets)
+        sigmas[targeted] = self._ratios(beam[:1])[0] * self._targets[targeted]
+        return [], _named(sigmas > self._targets, sigmas)
 
     def _shortened(self, found: _Partial) -> _Partial:
         shorter: _Partial | None = found

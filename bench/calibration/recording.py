@@ -52,6 +52,9 @@ class IncrementRecording:
     #: Shape (n, 3, 3). Attitude of the table at the end of each increment, ENU, up to a constant rotation of
     #: what it carries; None where it is not known.
     table: FloatArray | None = None
+    #: Standard uncertainties of rounding, rad and m/s, of the attitude and velocity that increments are
+    #: differences of: coarse output that stays the same at rest shows none.
+    rounding: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         for name, values in (("angle", self.angle), ("velocity", self.velocity)):
@@ -181,7 +184,7 @@ def measure_noise(recordings: Sequence[IncrementRecording], rests: Sequence[Sequ
     interval_s = recordings[0].interval_s
     size = max(1, round(_ALLAN_S / interval_s))
     terms = []
-    for name in ("angle", "velocity"):
+    for name, rounding in zip(("angle", "velocity"), recordings[0].rounding, strict=True):
         for axis, label in enumerate(AXES):
             segments = []
             for recording, stretches in zip(recordings, rests, strict=True):
@@ -198,7 +201,7 @@ def measure_noise(recordings: Sequence[IncrementRecording], rests: Sequence[Sequ
             variances = np.maximum(fitted.terms, least)[[RANDOM_WALK, WHITE_ANGLE]]
             if name == "velocity" and not recordings[0].has_vertical:
                 variances = _OF_LEVEL * variances
-            terms.append(np.sqrt(variances))
+            terms.append(np.sqrt(np.maximum(variances, [0.0, rounding**2])))
     gyro, force = np.array(terms[:3]).T, np.array(terms[3:]).T
     return SensorNoise(gyro[0], gyro[1], force[0], force[1])
 

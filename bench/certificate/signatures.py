@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.parse import parse_qsl, unquote, unquote_to_bytes
+from urllib.parse import unquote, unquote_to_bytes
 
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.files import read_limited
@@ -133,8 +133,16 @@ def _of_token(uri: str, pin: str) -> SigningKey:
 def _opened(uri: str, pin: str) -> Iterator[tuple[Any, Any]]:
     """Session on a token and the private key on it; the user is logged out at the end."""
     path, _, query = uri.removeprefix(_TOKEN).partition("?")
-    named = dict(part.partition("=")[::2] for part in path.split(";"))
-    module = dict(parse_qsl(query)).get("module-path", "")
+    named, asked = (
+        dict(part.partition("=")[::2] for part in text.split(mark))
+        for text, mark in ((path, ";"), (query, "&"))
+    )
+    if "pin-value" in {*named, *asked}:
+        raise DocumentError(
+            "the URI of --key holds a PIN, which seals and the list of processes would show. Leave pin-value "
+            f"out, and set {PASSWORD_VARIABLE}"
+        )
+    module = unquote(asked.get("module-path", ""))
     if not (module and named.get("token") and ("object" in named or "id" in named)):
         raise DocumentError(
             f"{uri}: write pkcs11:token=NAME;object=KEY?module-path=FILE, or id=%01 instead of object"

@@ -65,6 +65,8 @@ def measure_rotations(marks: DwellMarks, frames: FrameBlock, setup: MeasurementS
         increments = navigated
     else:
         _check_axes(increments, navigated, marks)
+    limits = setup.budget_inputs
+    rounding = limits.heading_resolution_rad, limits.velocity_resolution_mps
     begin, stop = np.searchsorted(increments.row, [first, end])
     gaps = begin + 1 + np.flatnonzero(~increments.follows[begin + 1 : stop])
     pieces = []
@@ -82,7 +84,12 @@ def measure_rotations(marks: DwellMarks, frames: FrameBlock, setup: MeasurementS
         if sum(rest.end - rest.begin for rest in rests) * increments.interval_s >= MIN_REST_TOTAL_S:
             angle, velocity = increments.angle[part], increments.velocity[part]
             recording = IncrementRecording(
-                increments.interval_s, angle, velocity, has_vertical=is_sent, table=table
+                increments.interval_s,
+                angle,
+                velocity,
+                has_vertical=is_sent,
+                table=table,
+                rounding=(0.0, 0.0) if is_sent else rounding,
             )
             pieces.append((recording, rests))
     return RotatedDwell(

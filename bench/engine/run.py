@@ -353,6 +353,7 @@ def _execute(start: _Start, observer: RunObserver, operator: Operator) -> tuple[
         if outcome.is_safe:
             guard.release()
             messenger.patience_s = PATIENCE_S  # else the guard must not wait for the bench
+    observers.noted("evaluating the measurements")
     for record in records:
         try:
             _evaluate(record, job)

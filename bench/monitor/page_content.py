@@ -361,8 +361,8 @@ def _facts(run: RunSummary) -> Iterable[str]:
         yield f"▲ {counted(run.alarms, 'alarm').upper()}"
     if run.procedure:
         yield run.procedure
-    if run.unit:
-        yield f"unit {run.unit}"
+    if run.units:
+        yield f"{'units' if len(run.units) > 1 else 'unit'} {', '.join(run.units)}"
     yield (
         f"{run.dwells} of {counted(run.dwell_count, 'dwell')}"
         if run.dwell_count

@@ -238,10 +238,10 @@ RECORDS = {
 class RunSummary:
     """A run in the list of runs; unknown texts are empty."""
 
-    #: name, procedure, unit: Run folder, procedure and serial number of the INS.
+    #: name, procedure, units: Run folder, procedure and serial number of each INS.
     name: str
     procedure: str
-    unit: str
+    units: Sequence[str]
     #: state, reason: State, and why it holds, stopped or failed.
     state: RunState
     reason: str
@@ -321,11 +321,15 @@ def _changed_ns(path: Path) -> int:
         return 0
 
 
+def _known(unit: str) -> list[str]:
+    return [unit] if unit else []
+
+
 def _of_snapshot(name: str, snapshot: RunSnapshot) -> RunSummary:
     return RunSummary(
         name=name,
         procedure=snapshot.procedure,
-        unit=snapshot.unit,
+        units=[unit.number for unit in snapshot.units] or _known(snapshot.unit),
         state=snapshot.state,
         reason=snapshot.reason,
         started_utc=snapshot.started_utc,
@@ -343,7 +347,7 @@ def _of_journal(folder: RunFolder) -> RunSummary:
     return RunSummary(
         name=folder.path.name,
         procedure=facts.procedure,
-        unit=facts.unit,
+        units=[unit.path.name for unit in folder.unit_folders] or _known(facts.unit),
         state=state,
         reason=reason,
         started_utc=facts.started_utc,

@@ -242,6 +242,7 @@ class UnitStatus(StrictRecord):
     position: str = ""  #: of the newest dwell
     flagged: int = 0  #: completed dwells with flags
     ins_age_s: Number = math.nan  #: as in :class:`BenchReadings`
+    bins: tuple[LiveBin, ...] = ()  #: that its dwells fill
 
 
 #: Changes with the meaning of the fields.

@@ -174,7 +174,7 @@ def alarms_of(bench: LiveBench) -> tuple[Alarm, ...]:
 _UNKNOWN: Triple = (math.nan, math.nan, math.nan)
 
 
-def _unit_status(bench: LiveBench, number: str, outcome: RunOutcome) -> UnitStatus:
+def _unit_status(bench: LiveBench, number: str, outcome: RunOutcome, bins: tuple[LiveBin, ...]) -> UnitStatus:
     read = [unit.readings for unit in bench.units if unit.station.number == number and unit.is_read]
     readings = [each.ins for each in read]
     now_s = bench.clock.now()
@@ -192,6 +192,7 @@ def _unit_status(bench: LiveBench, number: str, outcome: RunOutcome) -> UnitStat
         position=newest[0].position if newest else "",
         flagged=sum(bool(dwell.row.flags) for dwell in outcome.dwells),
         ins_age_s=ages_s[0] if ages_s else math.nan,
+        bins=bins,
     )
 
 
@@ -295,6 +296,7 @@ class SnapshotRecorder(RunObserver):
         self._has_new_dwell = True
         self._dwells: tuple[MeasuredDwell, ...] = ()
         self._bins: tuple[LiveBin, ...] = ()
+        self._bins_of_units: dict[str, tuple[LiveBin, ...]] = {}
         self._messages: deque[Note] = deque(maxlen=MAX_MESSAGES)
         self._estimate: Callable[[], StateSpaceEstimate | None] | None = None
 
@@ -332,7 +334,10 @@ class SnapshotRecorder(RunObserver):
             bins=self._bins,
             alarms=alarms_of(bench) if is_read else (),
             messages=tuple(self._messages),
-            units=tuple(_unit_status(bench, *each) for each in self._outcome.units.items()),
+            units=tuple(
+                _unit_status(bench, number, outcome, self._bins_of_units.get(number, ()))
+                for number, outcome in self._outcome.units.items()
+            ),
         )
 
     def _take_estimate(self, bench: LiveBench) -> None:
@@ -455,7 +460,12 @@ class SnapshotRecorder(RunObserver):
         self._has_new_dwell = False
         rows = [dwell.row for dwell in self._shown.dwells]
         self._dwells = measured_dwells(rows)
-        self._bins = live_bins(rows, self._plan.procedure.bin_width_c)
+        width_c = self._plan.procedure.bin_width_c
+        self._bins = live_bins(rows, width_c)
+        self._bins_of_units = {
+            number: live_bins([dwell.row for dwell in each.dwells], width_c)
+            for number, each in self._outcome.units.items()
+        }
         self._unit = rows[-1].unit if rows else self._unit
 
     def _write(self) -> None:

@@ -8,13 +8,14 @@ from collections.abc import Sequence
 
 from rich.text import Text
 
-from gyrobench.bench.foundations.text import hours_minutes
+from gyrobench.bench.foundations.text import counted, hours_minutes
 from gyrobench.bench.monitor.snapshot import (
     BenchReadings,
     LiveBias,
     LiveBin,
     RunSnapshot,
     RunState,
+    Triple,
     WindowTrace,
     mean_known,
 )
@@ -39,8 +40,10 @@ _STALE_S = 30.0
 
 
 def headline(snapshot: RunSnapshot, width: int) -> Text:
-    """Name, unit, state, and time remaining."""
+    """Name, unit or number of units, state, and time remaining."""
     unit = f", unit {snapshot.unit}" if snapshot.unit else ""
+    if snapshot.units:
+        unit = f", {counted(len(snapshot.units), 'unit')}"
     times = f"{hours_minutes(snapshot.now_s)} h"
     if not snapshot.state.is_over:
         times += f", {hours_minutes(snapshot.left_s)} h left"
@@ -171,6 +174,7 @@ _AXES_WIDTH = 24
 _WITHOUT_ANGLES = 8
 _ARCSEC = 3600.0
 _BIN_LABEL_WIDTH, _BIN_WIDTH = 11, 11
+_MIN_BIN_ROWS = 1 + len(AXES)
 _MIN_SPAN_C, _MIN_SPAN_MMPS, _MIN_SPAN_ARCSEC = 4.0, 0.5, 0.5
 
 
@@ -223,33 +227,49 @@ def dwell_graphs(snapshot: RunSnapshot, width: int, height: int, is_ascii: bool)
 
 
 def bins_table(snapshot: RunSnapshot, height: int, plus_minus: str) -> list[Text]:
-    """The bins nearest to the temperature of the gyros, all three in each; no lines while all are empty."""
-    filled = _filled(snapshot)
-    if not filled or height <= len(AXES):
-        return []
-    now_c = mean_known(snapshot.bench.gyro_c) if snapshot.bench else math.nan
+    """The bins nearest to the temperature of the gyros, all three in each, of the units that fit.
+
+    No lines while all are empty.
+    """
+    tables = _filled_tables(snapshot)[: height // _MIN_BIN_ROWS]
+    return [
+        line
+        for head, gyro_c, bins in tables
+        for line in _unit_bins(head, mean_known(gyro_c), bins, height // len(tables), plus_minus)
+    ]
+
+
+def _filled_tables(snapshot: RunSnapshot) -> list[tuple[str, Triple, list[LiveBin]]]:
+    """Name, present temperatures and bins with a dwell, of each unit that is measured and has such bins."""
+    gyro_c = snapshot.bench.gyro_c if snapshot.bench else (math.nan,) * 3
+    tables = [(unit.number, unit.gyro_c, unit.bins) for unit in snapshot.units if not unit.dropped]
+    filled = [
+        (name, now_c, [each for each in bins if each.count])
+        for name, now_c, bins in tables or [("gyro", gyro_c, snapshot.bins)]
+    ]
+    return [table for table in filled if table[-1]]
+
+
+def _unit_bins(head: str, now_c: float, bins: list[LiveBin], height: int, plus_minus: str) -> list[Text]:
     nearest = sorted(
-        filled, key=lambda ends: abs(sum(ends) / 2.0 - now_c) if math.isfinite(now_c) else ends[0]
+        _ranges(bins), key=lambda ends: abs(sum(ends) / 2.0 - now_c) if math.isfinite(now_c) else ends[0]
     )
-    positions = [name for name in POSITIONS if any(each.position == name for each in snapshot.bins)]
-    head = f"{'gyro, C':<{_BIN_LABEL_WIDTH}}" + "".join(f"{name:>{_BIN_WIDTH}}" for name in positions)
+    positions = [name for name in POSITIONS if any(each.position == name for each in bins)]
+    title = f"{f'{head}, C':<{_BIN_LABEL_WIDTH}}" + "".join(f"{name:>{_BIN_WIDTH}}" for name in positions)
     shown = sorted(nearest[: (height - 1) // len(AXES)])
-    rows = [_bin_row(snapshot.bins, gyro, ends, positions, plus_minus) for ends in shown for gyro in AXES]
-    return [Text(head, "dim"), *rows]
+    rows = [_bin_row(bins, gyro, ends, positions, plus_minus) for ends in shown for gyro in AXES]
+    return [Text(title, "dim"), *rows]
 
 
-def _filled(snapshot: RunSnapshot) -> set[tuple[float, float]]:
-    """Ends of the bins with a dwell."""
-    return {(each.low_c, each.high_c) for each in snapshot.bins if each.count}
+def _ranges(bins: Sequence[LiveBin]) -> set[tuple[float, float]]:
+    return {(each.low_c, each.high_c) for each in bins}
 
 
 def _bin_row(
     bins: Sequence[LiveBin], gyro: str, ends: tuple[float, float], positions: Sequence[str], plus_minus: str
 ) -> Text:
     row = Text(f"{f'{gyro} {ends[0]:g}..{ends[1]:g}':<{_BIN_LABEL_WIDTH}}")
-    of_gyro = {
-        each.position: each for each in bins if each.gyro == gyro and each.low_c == ends[0] and each.count
-    }
+    of_gyro = {each.position: each for each in bins if each.gyro == gyro and each.low_c == ends[0]}
     for name in positions:
         one = of_gyro.get(name)
         text = f"{1e3 * one.bias_dph:z.1f}{plus_minus}{1e3 * one.sigma_dph:.1f}" if one else "."
@@ -296,7 +316,7 @@ def _beside(blocks: Sequence[Sequence[Text]], widths: Sequence[int], height: int
 
 MAX_WIDTH, MAX_HEIGHT = 240, 80
 #: Least and most rows of what can be drawn larger or smaller.
-_PROFILE_ROWS, _DWELL_ROWS, _MIN_BIN_ROWS = (5, 22), (6, 18), 4
+_PROFILE_ROWS, _DWELL_ROWS = (5, 22), (6, 18)
 _MAX_MESSAGE_ROWS = 5
 
 
@@ -330,11 +350,11 @@ def screen(snapshot: RunSnapshot, width: int, height: int, is_ascii: bool) -> li
 
 def _shares(room: int, snapshot: RunSnapshot) -> dict[str, int]:
     """Rows of each part: first the minimum of each, in the order of importance, then up to its maximum."""
-    filled = len(_filled(snapshot))
+    most_bin_rows = sum(1 + len(AXES) * len(_ranges(bins)) for _, _, bins in _filled_tables(snapshot))
     row_limits = {
         "profile": _PROFILE_ROWS,
         "dwell": _DWELL_ROWS,
-        "bins": (_MIN_BIN_ROWS, 1 + len(AXES) * filled) if filled else (0, 0),
+        "bins": (min(_MIN_BIN_ROWS, most_bin_rows), most_bin_rows),
         "sigma": (1, 1) if snapshot.dwell and len(snapshot.dwell.estimates) > 1 else (0, 0),
         "messages": (min(1, len(snapshot.messages)), min(_MAX_MESSAGE_ROWS, len(snapshot.messages))),
     }

@@ -117,6 +117,10 @@ def read_recording(path: Path) -> Recording:
 
     Raises DocumentError if the file can't be read, or a line of it is wrong; the message has its place.
     """
+    if path.is_dir():
+        raise DocumentError(
+            f"{path}: is a folder. Give a recording, a file that `gyrobench record` wrote (*.rec)"
+        )
     try:
         text = read_limited(path, MAX_RECORDING_BYTES, DocumentError).decode("utf-8")
     except UnicodeDecodeError as error:

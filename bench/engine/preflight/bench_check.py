@@ -151,7 +151,7 @@ def disk_check(station: Station, folder: Path, plan: Plan | None, frames_per_s: 
     free = shutil.disk_usage(existing).free
     found = f"{free / _GB:.1f} GB free at {existing}, a run writes {per_h / 1e6:.1f} MB/h"
     if plan is None:
-        return Check.skipped(subject, what, found, "Add --procedure to check its whole duration.")
+        return Check.skipped(subject, what, found, "Give a valid --procedure to check its whole duration.")
     needed = _FIXED_BYTES + _MARGIN * per_h * plan.duration_s / 3600.0
     return Check.of(
         subject,

@@ -282,10 +282,11 @@ def power_sentence(closure: Closure) -> str:
         return ""
     low, high = min(sizes, key=lambda name: sizes[name]), max(sizes, key=lambda name: sizes[name])
     unit = closure.quantity.unit
+    least, most = size_text(sizes[low]), size_text(sizes[high])
+    on = "" if least == most else f" if it follows {low}, to {most} {unit} if it follows {high}"
     return (
-        f"Something else would have been shown with {100.0 * POWER:.0f} % probability from "
-        f"{size_text(sizes[low])} {unit} rms if it follows {low}, to {size_text(sizes[high])} {unit} if it "
-        f"follows {high}; less is not excluded."
+        f"Something else would have been shown with {100.0 * POWER:.0f} % probability from {least} {unit} "
+        f"rms{on}; less is not excluded."
     )
 
 

@@ -35,6 +35,7 @@ UNITS = "units.csv"
 CLOSURE_FINDINGS = f"{CLOSURE}/findings.json"
 
 _OF_A_RUN = (JOURNAL, PROVENANCE, DWELLS, BIAS_BINS, ACCEPTANCE, COMPENSATION)
+_OF_AN_INVESTIGATION = "start.csv"
 #: Maximum depth of run folders; it also ends a walk through cyclic links.
 _MAX_DEPTH = 8
 _MAX_BYTES = 1_000_000_000
@@ -72,11 +73,13 @@ class RunStore:
     def runs(self) -> Iterator[RunFiles]:
         """Find run folders in order of their paths; folders inside a run are not searched.
 
-        Of a run with several units those of the units are found, not that of the whole.
+        Of a run with several units those of the units are found, not that of the whole; of an investigation
+        its runs.
         Raises RunFolderError if the root does not exist or can't be read.
         """
         for folder, inner, files in self._walk():
-            if JOURNAL in files and UNIT_FOLDERS not in inner:
+            is_run = JOURNAL in files and _OF_AN_INVESTIGATION not in files
+            if is_run and UNIT_FOLDERS not in inner:
                 found = {name: _tag(files[name]) for name in _OF_A_RUN if name in files}
                 if CLOSURE in inner:
                     found |= self._closure(folder)
@@ -84,9 +87,7 @@ class RunStore:
                 yield RunFiles(folder.removeprefix(self.root).strip("/") or ".", found)
             else:
                 # In place: sets the order of the walk.
-                ordered = (
-                    sorted(inner.items()) if JOURNAL not in files else [(UNIT_FOLDERS, inner[UNIT_FOLDERS])]
-                )
+                ordered = [(UNIT_FOLDERS, inner[UNIT_FOLDERS])] if is_run else sorted(inner.items())
                 inner.clear()
                 inner.update(ordered)
 

@@ -14,10 +14,9 @@ def proposed(targets, name="eighteen_rotations", table=TABLE, **options):
     return shortest_list(shipped(name), targets, table, SITE, NOISE, 100.0, **options)
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param("eighteen_rotations", marks=pytest.mark.long), "nineteen_positions"]
-)
-@pytest.mark.parametrize("kinds", [pytest.param(("gyro_scale", "gyro_mis"), marks=pytest.mark.long), ("",)])
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["eighteen_rotations", "nineteen_positions"])
+@pytest.mark.parametrize("kinds", [("gyro_scale", "gyro_mis"), ("",)])
 def test_a_list_that_reaches_what_a_shipped_one_does_is_not_longer(name, kinds):
     reached = forecast(shipped(name), TABLE, SITE, NOISE, 100.0)
     named = np.array([any(part in each for part in kinds) for each in NAMES])
@@ -66,6 +65,17 @@ def test_limits_of_the_table_are_kept_and_what_they_leave_open_is_named():
     outer_alone = TwoAxisTable(EAST, UP, np.eye(3), (-200.0, 200.0), (0.0, 0.0))
     with pytest.raises(DocumentError, match=r"no list of up to .* reaches the targets: gyro_scale_factor z"):
         proposed(parse_targets("gyro_scale_factor_z_ppm=1"), table=outer_alone)
+
+
+def test_a_target_of_what_is_not_observable_is_refused():
+    targets = parse_targets("accelerometer_scale_factor_ppm=150")
+    with pytest.raises(DocumentError, match="scale factors are not observable without increments"):
+        proposed(targets, has_vertical=False)
+
+
+def test_a_target_that_gravity_or_latitude_keeps_out_of_reach_is_named():
+    with pytest.raises(DocumentError, match=r"targets: accelerometer_scale_factor x \(\d+"):
+        proposed(parse_targets("accelerometer_scale_factor_x_ppm=1"), site_sigmas=(3e-4, 0.0))
 
 
 @pytest.mark.parametrize("text", ["gyro_bias=1", "gyro_bias_dph", "gyro_bias_dph=-1", "gyro_bias_dph=nan"])

@@ -1,5 +1,7 @@
 """Rests, rotations, spins and disturbances are found in increments."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -76,6 +78,19 @@ def test_the_noise_is_that_of_the_sensors():
     assert measured.white_angle == pytest.approx(1e-6, rel=0.1)
     assert measured.velocity_random_walk == pytest.approx(noise.velocity_random_walk, rel=0.25)
     assert measured.white_velocity == pytest.approx(1e-4, rel=0.1)
+
+
+def test_output_that_is_rounded_is_at_least_as_uncertain_as_its_rounding():
+    unit = Unit(rotations=(("outer", 90.0),) * 3, dwell_s=60.0, sample_hz=20.0)
+    recording = recorded(unit)
+    rests = [find_rests(recording)]
+    fine, coarse = (
+        measure_noise([replace(recording, rounding=each)], rests) for each in ((1e-12, 1e-12), (25e-6, 3e-3))
+    )
+    assert (fine.white_angle < 1e-6).all()
+    assert (coarse.white_angle == 25e-6).all()
+    assert (coarse.white_velocity == 3e-3).all()
+    np.testing.assert_array_equal(coarse.angle_random_walk, fine.angle_random_walk)
 
 
 def test_a_sensor_that_never_changes_is_refused():

@@ -249,6 +249,13 @@ def test_a_token_that_does_not_fit_is_named(token, monkeypatch):
         load_signing_key("pkcs11:token=bench")
 
 
+def test_a_uri_with_the_pin_is_refused_without_repeating_it():
+    pytest.importorskip("pkcs11")
+    with pytest.raises(DocumentError, match="holds a PIN") as refused:
+        load_signing_key("pkcs11:token=bench;object=rsa?module-path=/nowhere.so&pin-value=97531")
+    assert "97531" not in str(refused.value)
+
+
 def test_a_certificate_of_another_key_is_refused(simulated, signing_key, other_key, tmp_path):
     mixed = tmp_path / "mixed.pem"
     mixed.write_bytes(

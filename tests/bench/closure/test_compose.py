@@ -65,6 +65,7 @@ def test_a_residual_that_is_explained_is_not_composed():
     )
 
 
+@pytest.mark.long
 def test_noise_on_no_law_of_the_grammar_stays_other():
     steps = np.random.default_rng(3).standard_normal(400)
 

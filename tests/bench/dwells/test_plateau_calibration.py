@@ -118,6 +118,15 @@ def test_exchanged_axes_of_increments_give_no_coefficients(with_increments, axes
     assert "Check axes, signs and units of ins.signals.increments" in found.finding
 
 
+def test_navigation_output_that_is_rounded_counts_with_its_rounding(with_increments):
+    folder, _, _ = with_increments
+    setup = measurement_setup(Station(folder.station))
+    coarse = replace(setup, decode_increments=lambda _: None, heading_lsb_rad=8e-5, velocity_lsb_mps=0.01)
+    [found] = calibrate_rotations([next(iter(rotated(folder)))], coarse)
+    assert found.calibration.noise.white_angle == pytest.approx(8e-5 / np.sqrt(12.0))
+    assert (found.calibration.noise.white_velocity >= 0.01 / np.sqrt(12.0)).all()
+
+
 def test_a_temperature_that_changes_within_the_plateau_adds_the_slope_between_plateaus_times_its_range():
     slopes = np.linspace(-1.0, 1.0, COUNT) * 1e-6  # per K
 

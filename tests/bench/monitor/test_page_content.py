@@ -154,7 +154,7 @@ def test_readings_that_are_not_known_say_so():
 
 
 RUN = RunSummary(
-    "six position #1", "six_position", "1001", RunState.HOLDING, "the door is open",
+    "six position #1", "six_position", ["1001"], RunState.HOLDING, "the door is open",
     "2026-03-02T07:30:00+00:00", "2026-03-02T16:42:00+00:00", 13, 24, 21600.0,
 )  # fmt: skip
 
@@ -164,6 +164,11 @@ def test_a_run_under_way_in_one_line():
     assert row.address == "runs/six%20position%20%231/"
     assert (row.state, row.look, row.reason) == ("holding", "notable", "the door is open")
     assert row.facts == "six_position, unit 1001, 13 of 24 dwells, 6:00 h left, started 2026-03-02 07:30 UTC"
+
+
+def test_a_run_of_several_units_names_each():
+    row = list_row(replace(RUN, units=["1001", "1002"]), Freshness(1.0, False, ""))
+    assert row.facts.startswith("six_position, units 1001, 1002, 13 of 24")
 
 
 def test_a_run_that_is_over_has_nothing_left():

@@ -114,7 +114,7 @@ def test_an_investigation_is_listed_with_its_unit_its_dwells_and_its_end(tmp_pat
         assert summarise(tmp_path).state is RunState.RUNNING
         journal.record("investigation_ended", ended="settled", reason="Warm-up: probability 0.9990.")
     found = summarise(tmp_path)
-    assert (found.procedure, found.unit, found.dwells) == ("investigation", "S1", 30)
+    assert (found.procedure, found.units, found.dwells) == ("investigation", ["S1"], 30)
     assert (found.state, found.reason) == (RunState.FINISHED, "Warm-up: probability 0.9990.")
     assert found.started_utc
     assert snapshot_of(tmp_path).procedure == "investigation"
@@ -174,8 +174,16 @@ def write_journal(folder, entries):
 def test_a_run_without_a_snapshot_is_read_from_its_journal(tmp_path):
     write_journal(tmp_path / "old", JOURNAL)
     summary = summarise(tmp_path / "old")
-    assert (summary.procedure, summary.unit, summary.dwells) == ("shift", "1001", 2)
+    assert (summary.procedure, summary.units, summary.dwells) == ("shift", ["1001"], 2)
     assert (summary.state, summary.reason) == (RunState.FAILED, "the chamber is broken")
+
+
+def test_a_run_of_several_units_is_listed_with_all_of_them(tmp_path):
+    write_journal(tmp_path / "old", JOURNAL)
+    for number in ("1001", "1002"):
+        (tmp_path / "old/units" / number).mkdir(parents=True)
+        write_journal(tmp_path / "old/units" / number, JOURNAL)
+    assert summarise(tmp_path / "old").units == ["1001", "1002"]
 
 
 def test_a_run_that_did_not_report_of_its_end_was_cut_off(tmp_path):
@@ -190,7 +198,7 @@ def test_a_run_that_was_stopped_resumed_and_cut_off_does_not_report_its_old_end(
     summary = summarise(tmp_path / "old")
     assert summary.state is RunState.STOPPED
     assert "without recording its end" in summary.reason
-    assert (summary.procedure, summary.unit, summary.dwells) == ("shift", "1001", 2)
+    assert (summary.procedure, summary.units, summary.dwells) == ("shift", ["1001"], 2)
 
 
 def test_a_run_with_a_snapshot_is_read_from_it(tmp_path):

@@ -10,6 +10,7 @@ from gyrobench.bench.monitor.snapshot import (
     Question,
     RunSnapshot,
     RunState,
+    UnitStatus,
     WindowTrace,
 )
 from gyrobench.bench.monitor.terminal_screen import screen
@@ -77,6 +78,25 @@ def test_at_24_rows_there_is_everything():
     assert "sigma 40.0" in text
     for row in ("x 0..5         3.0±1.1", "y 0..5         0.0±1.1", "z 0..5         1.5±1.1"):
         assert row in text
+
+
+def test_each_of_several_units_has_its_bins():
+    one = made_up_snapshot()
+    bins = [one.bins, tuple(replace(each, bias_dph=each.bias_dph + 0.1) for each in one.bins)]
+    units = [
+        UnitStatus(number, "navigate", (4.1, 4.9, 3.6), 13, (0.0,) * 3, (1.0,) * 3, "", bins=of_unit)
+        for number, of_unit in zip(("1101", "1102"), bins, strict=True)
+    ]
+    dropped = replace(units[0], number="1103", dropped="no frames")
+    lines = shown(replace(one, units=(*units, dropped)), 80, 40)
+    assert ", 3 units " in lines[0]
+    text = "\n".join(lines)
+    first, second = text.index("1101, C"), text.index("1102, C")
+    assert "x 0..5         3.0±1.1" in text[first:second]
+    assert "x 0..5       103.0±1.1" in text[second:]
+    assert "1103, C" not in text
+    least = "\n".join(shown(replace(one, units=tuple(units)), 80, 22))
+    assert ("1101, C" in least, "1102, C" in least) == (True, False)
 
 
 def test_the_profile_has_room_before_all_else_that_is_drawn():

@@ -54,6 +54,11 @@ def test_remarks_and_empty_lines_are_left_out(tmp_path):
     assert (transfer.time_s, transfer.is_sent, transfer.data, transfer.line) == (0.5, True, b"AB", 6)
 
 
+def test_a_folder_is_refused_and_what_to_give_is_named(tmp_path):
+    with pytest.raises(DocumentError, match=r"is a folder\. Give a recording"):
+        read_recording(tmp_path)
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -21,6 +21,15 @@ def test_a_run_inside_a_run_is_part_of_it(tmp_path):
     assert [run.path for run in open_store(str(tmp_path)).runs()] == ["run"]
 
 
+def test_the_runs_of_an_investigation_are_found(tmp_path):
+    investigation = make_run(tmp_path / "investigation")
+    (investigation / "start.csv").touch()
+    for name in ("campaign", "block-1/run"):
+        make_run(investigation / name)
+    found = [run.path for run in open_store(str(tmp_path)).runs()]
+    assert found == ["investigation/block-1/run", "investigation/campaign"]
+
+
 def test_the_root_may_be_the_run(tmp_path):
     run = make_run(tmp_path / "run")
     assert [each.path for each in open_store(str(run)).runs()] == ["."]
