@@ -24,6 +24,8 @@ _MAX_RIVALS = 6
 _MIN_AGEING_S = 26.0 * 3600.0
 #: A remainder below this share of each effect found is what its law lacks.
 _INEXACT_SHARE = 0.25
+#: Effects beside a cause that are not significant leave it open from this probability of all of them on.
+_MAX_UNSHOWN = 0.5
 #: Both follow the time alone: an exponential and a line together fit any law that settles slowly, as a
 #: logarithm, so that they are not stated as two causes.
 SLOW = frozenset({"ageing", "time_drift"})
@@ -57,21 +59,22 @@ def only_unconfirmed(closure: Closure, *, with_weak: bool) -> bool:
 
     They do where held-out dwells do not, and where something beside it that is not on the list is improbable
     but not excluded, or so small that the laws of the effects found are not exact: a block that was predicted
-    can. ``with_weak``: whether effects beside it that a single dwell shows, or that are not significant,
-    leave it open as well.
+    can. ``with_weak``: whether effects beside it that a single dwell shows, or that are not significant and
+    together less probable than not, leave it open as well.
     """
     names = {each.effect.name for each in closure.effects}
-    others = closure.posterior.rivals(names).keys()
-    weak = {
-        each.effect.name
-        for each in closure.evidence
-        if each.rejected.startswith((RESTS_ON_DWELL, NOT_SIGNIFICANT))
-    }
+    others = closure.posterior.rivals(names)
+    weak, unshown = (
+        {each.effect.name for each in closure.evidence if each.rejected.startswith(why)} & others.keys()
+        for why in (RESTS_ON_DWELL, NOT_SIGNIFICANT)
+    )
+    if sum(others[name] for name in unshown) < _MAX_UNSHOWN:
+        weak |= unshown
     is_probable = bool(names) and cause_probability(closure) >= SETTLED
     is_listed = closure.verdict == "ambiguous" and closure.posterior.not_on_list < RIVAL
     if not is_probable or not (is_listed or remainder_share(closure) < _INEXACT_SHARE):
         return False
-    return not (others if with_weak else others - weak)
+    return not (others.keys() if with_weak else others.keys() - weak)
 
 
 def remainder_share(closure: Closure) -> float:

@@ -267,25 +267,26 @@ def test_an_effect_that_a_single_dwell_shows_keeps_a_cause_open_while_blocks_dis
 
 
 @pytest.mark.parametrize(
-    ("rejected", "probability", "not_on_list", "share", "without"),
+    ("rejected", "rival", "probability", "not_on_list", "share", "without"),
     [
-        ("it rests on dwell 1 alone (p = 1 without it)", 0.999, 0.0, 1.0, True),
-        ("not significant beside warm-up", 0.999, 0.0, 1.0, True),
-        ("warm-up alone is about as probable and simpler", 0.999, 0.0, 1.0, False),
-        ("it rests on dwell 1 alone (p = 1 without it)", 0.98, 0.0, 1.0, False),
-        ("it rests on dwell 1 alone (p = 1 without it)", 0.999, 0.09, 1.0, True),
-        ("it rests on dwell 1 alone (p = 1 without it)", 0.999, 0.11, 1.0, False),
-        ("it rests on dwell 1 alone (p = 1 without it)", 0.999, 0.11, 0.2, True),
+        ("it rests on dwell 1 alone (p = 1 without it)", 0.9, 0.999, 0.0, 1.0, True),
+        ("not significant beside warm-up", 0.9, 0.999, 0.0, 1.0, False),
+        ("not significant beside warm-up", 0.4, 0.999, 0.0, 1.0, True),
+        ("warm-up alone is about as probable and simpler", 0.4, 0.999, 0.0, 1.0, False),
+        ("it rests on dwell 1 alone (p = 1 without it)", 0.9, 0.98, 0.0, 1.0, False),
+        ("it rests on dwell 1 alone (p = 1 without it)", 0.9, 0.999, 0.09, 1.0, True),
+        ("it rests on dwell 1 alone (p = 1 without it)", 0.9, 0.999, 0.11, 1.0, False),
+        ("it rests on dwell 1 alone (p = 1 without it)", 0.9, 0.999, 0.11, 0.2, True),
     ],
 )
 def test_a_cause_is_open_for_lack_of_confirmation_alone_if_nothing_else_remains(
-    rejected, probability, not_on_list, share, without, monkeypatch
+    rejected, rival, probability, not_on_list, share, without, monkeypatch
 ):
     monkeypatch.setattr(doubt, "remainder_share", lambda closure: share)
     effects = [SimpleNamespace(effect=SimpleNamespace(name="warm_up"))]
     other = Evidence(SimpleNamespace(name="bias_jump"), rejected=rejected)
     posterior = SimpleNamespace(
-        rivals=lambda names: {"bias_jump": 0.9},
+        rivals=lambda names: {"bias_jump": rival},
         of_all=lambda names, has_remainder: probability,
         not_on_list=not_on_list,
     )
