@@ -45,6 +45,8 @@ _MAX_EXCHANGES = 6
 
 #: Begin of the objection to an effect that a single dwell shows.
 RESTS_ON_DWELL = "it rests on dwell"
+#: Begin of the objection to an effect that adds too little to others.
+NOT_SIGNIFICANT = "not significant"
 
 
 class Search:
@@ -106,7 +108,7 @@ class Search:
         if p_value >= SIGNIFICANCE:
             labels = [each.effect.display_name for each in of.without(one)]
             beside = f" beside {listed(labels)}" if labels else ""
-            return f"not significant{beside} (p = {p_value:.2g}, required below {SIGNIFICANCE:g})"
+            return f"{NOT_SIGNIFICANT}{beside} (p = {p_value:.2g}, required below {SIGNIFICANCE:g})"
         if not self._excludes_beyond(of, index):
             return "a parameter is at its upper bound, where the effect becomes another one"
         dwell, p_without = self._without_largest_dwell(of, index)

@@ -12,7 +12,7 @@ from gyrobench.bench.closure.effects.effect import Effect
 from gyrobench.bench.closure.noise import Noise, estimate_noise
 from gyrobench.bench.closure.posterior import Posterior
 from gyrobench.bench.closure.problem import Problem
-from gyrobench.bench.closure.search import SIGNIFICANCE, Search
+from gyrobench.bench.closure.search import NOT_SIGNIFICANT, SIGNIFICANCE, Search
 from gyrobench.bench.closure.validation import LackOfFit, lack_of_fit
 from gyrobench.bench.foundations.arrays import BoolArray
 from gyrobench.bench.foundations.text import listed, plain_name
@@ -82,7 +82,7 @@ class Selected:
         labels = listed([each.effect.display_name for each in found.candidates])
         with_it = search.add(found, effect)
         if with_it is None:
-            return f"not significant beside {labels}"
+            return f"{NOT_SIGNIFICANT} beside {labels}"
         place = [each.effect.name for each in with_it.candidates].index(effect.name)
         beside = f"{labels} alone" if labels else "the declared model alone"
         reason = f"{beside} is about as probable and simpler"

@@ -13,7 +13,7 @@ from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.effect import Effect, searched_length_s
 from gyrobench.bench.closure.loop import Closure, close_loop
 from gyrobench.bench.closure.posterior import RIVAL, Weighed
-from gyrobench.bench.closure.search import RESTS_ON_DWELL
+from gyrobench.bench.closure.search import NOT_SIGNIFICANT, RESTS_ON_DWELL
 from gyrobench.bench.investigation.choice import Rival
 from gyrobench.bench.investigation.proposal import SETTLED
 
@@ -22,6 +22,8 @@ _MIN_PROBABILITY = 1e-3
 _MAX_RIVALS = 6
 #: Ageing is a hypothesis of dwells over more than this: its shortest time constant is a day.
 _MIN_AGEING_S = 26.0 * 3600.0
+#: A remainder below this share of each effect found is what its law lacks.
+_INEXACT_SHARE = 0.25
 #: Both follow the time alone: an exponential and a line together fit any law that settles slowly, as a
 #: logarithm, so that they are not stated as two causes.
 SLOW = frozenset({"ageing", "time_drift"})
@@ -50,19 +52,31 @@ def is_settled(closure: Closure) -> bool:
     return is_stated and closure.probability >= SETTLED and not closure.posterior.rivals(names)
 
 
-def only_unconfirmed(closure: Closure, *, with_single_dwells: bool) -> bool:
+def only_unconfirmed(closure: Closure, *, with_weak: bool) -> bool:
     """Whether a cause has enough probability, and is open only since new dwells have to confirm it.
 
     They do where held-out dwells do not, and where something beside it that is not on the list is improbable
-    but not excluded: a block that was predicted can. ``with_single_dwells``: whether effects beside it that a
-    single dwell shows leave it open as well.
+    but not excluded, or so small that the laws of the effects found are not exact: a block that was predicted
+    can. ``with_weak``: whether effects beside it that a single dwell shows, or that are not significant,
+    leave it open as well.
     """
     names = {each.effect.name for each in closure.effects}
     others = closure.posterior.rivals(names).keys()
-    single = {each.effect.name for each in closure.evidence if each.rejected.startswith(RESTS_ON_DWELL)}
-    is_probable = bool(names) and closure.verdict == "ambiguous" and cause_probability(closure) >= SETTLED
-    is_listed = closure.posterior.not_on_list < RIVAL
-    return is_probable and is_listed and not (others if with_single_dwells else others - single)
+    weak = {
+        each.effect.name
+        for each in closure.evidence
+        if each.rejected.startswith((RESTS_ON_DWELL, NOT_SIGNIFICANT))
+    }
+    is_probable = bool(names) and cause_probability(closure) >= SETTLED
+    is_listed = closure.verdict == "ambiguous" and closure.posterior.not_on_list < RIVAL
+    if not is_probable or not (is_listed or remainder_share(closure) < _INEXACT_SHARE):
+        return False
+    return not (others if with_weak else others - weak)
+
+
+def remainder_share(closure: Closure) -> float:
+    """Largest remainder of a search with effects, as a share of the rms of the smallest one found."""
+    return remainder_dph(closure) / min(each.rms_dph for each in closure.effects)
 
 
 def cause_probability(closure: Closure) -> float:

@@ -30,6 +30,7 @@ from gyrobench.bench.investigation.doubt import (
     is_settled,
     only_unconfirmed,
     remainder_dph,
+    remainder_share,
     rivals_of,
     searched,
 )
@@ -217,7 +218,8 @@ class Investigator:
                 if ended is None:
                     confirm = self._confirmation(stage)
                     stage, ended = self._with_block(confirm or stage, journal)
-                    if ended and ended[0] == "no_block" and (confirm := self._confirmation(stage, ended[0])):
+                    is_idle = ended is not None and ended[0] in ("no_block", "not_on_list")
+                    if is_idle and (confirm := self._confirmation(stage, is_last=True)):
                         stage, ended = self._with_block(confirm, journal)
                 if ended and (test := self._test(stage, ended[0])):
                     test, failed = self._with_block(test, journal)
@@ -319,12 +321,13 @@ class Investigator:
             f"{experiments or 'a measurement of other quantities'}."
         )
 
-    def _confirmation(self, stage: Stage, ended: str = "") -> Stage | None:
+    def _confirmation(self, stage: Stage, *, is_last: bool = False) -> Stage | None:
         """A stage whose block confirms a cause that only new dwells can confirm, if that is all.
 
-        ``ended``: where no block distinguishes, effects that a single dwell shows are not counted.
+        ``is_last``: no block distinguishes; effects that a single dwell shows, or that are not significant,
+        are not counted.
         """
-        is_probable = only_unconfirmed(stage.closure, with_single_dwells=not ended)
+        is_probable = only_unconfirmed(stage.closure, with_weak=not is_last)
         return self._cause_test(stage, again=True) if is_probable else None
 
     def _cause_test(self, last: Stage, *, again: bool = False) -> Stage | None:
@@ -383,9 +386,7 @@ class Investigator:
             if each.confirmation and confirming_rivals(each.closure)[0].names == names
         )
         is_listed = posterior.not_on_list <= 1.0 - SETTLED
-        if is_settled(stage.closure) or (
-            is_confirmed and only_unconfirmed(stage.closure, with_single_dwells=False)
-        ):
+        if is_settled(stage.closure) or (is_confirmed and only_unconfirmed(stage.closure, with_weak=False)):
             if tested is not None and tested.probabilities[0] <= 1.0 - SETTLED:
                 return ("refuted", f"A block contradicts what {' + '.join(names)} predicted for it.")
             if tested is not None and set(names) >= SLOW:
@@ -395,14 +396,20 @@ class Investigator:
             what = listed(sorted(map(stage.closure.label, names))) or "nothing beside the declared model"
             reason = f"{what.capitalize()}: probability {cause_probability(stage.closure):.4f}."
             if not is_listed:
-                reason += f" Something beside it is not on the list: probability {posterior.not_on_list:.4f}."
+                reason += (
+                    f" Something beside it is not on the list: probability {posterior.not_on_list:.4f}, "
+                    f"{100.0 * remainder_share(stage.closure):.0f} % of its size."
+                )
+            if weak := posterior.rivals(names):
+                others = (f"{stage.closure.label(each)} ({value:.2f})" for each, value in weak.items())
+                reason += f" Not excluded beside it, but not shown: {', '.join(others)}."
             return "settled", reason
         if stage.closure.verdict == "clean" and is_listed and not posterior.rivals(()):
             return "nothing_found", (
                 f"Nothing found: the declared model alone has the probability {posterior.nothing:.4f}, above "
                 f"{CLEAN:g} but below {SETTLED:g}, and no effect one of {RIVAL:g}."
             )
-        if posterior.not_on_list >= SETTLED:
+        if posterior.not_on_list >= SETTLED and self._confirmation(stage) is None:
             return "not_on_list", f"Not on the list of effects: probability {posterior.not_on_list:.4f}."
         if self._spent_h >= self._budget_h and not (self._block_folder / _DONE).exists():
             return "budget", f"{self._spent_h:.1f} h of {self._budget_h:g} h on the bench are spent."

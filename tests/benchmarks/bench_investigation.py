@@ -93,7 +93,7 @@ class Tie:
             state = self._known[blocks]
             names = frozenset(each.effect.name for each in state.closure.effects)
             is_stated = is_settled(state.closure) or (
-                names in state.confirmed and only_unconfirmed(state.closure, with_single_dwells=False)
+                names in state.confirmed and only_unconfirmed(state.closure, with_weak=False)
             )
             if is_stated and not names >= SLOW:
                 return Settled(hours, True, names == self.truth, blocks, choice_s)
@@ -124,8 +124,8 @@ class Tie:
 
         names = frozenset(each.effect.name for each in state.closure.effects)
         test_value = by_test if value in (by_entropy, by_hours_left) else value
-        for with_single_dwells in (True, False):
-            is_open = only_unconfirmed(state.closure, with_single_dwells=with_single_dwells)
+        for with_weak in (True, False):
+            is_open = only_unconfirmed(state.closure, with_weak=with_weak)
             if is_open and names not in state.tested and (usable := short(state.confirming)):
                 return max(usable, key=lambda each: test_value(each, state)), True
             useful = [each for each in short(state.proposals) if each.can_help]

@@ -8,6 +8,7 @@ import pytest
 from gyrobench.bench.closure.loop import Evidence
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.investigation import doubt
 from gyrobench.bench.investigation.doubt import only_unconfirmed
 from gyrobench.bench.investigation.external_bench import AfterLastDwell, ExternalBench
 from gyrobench.bench.investigation.forecast import Forecast
@@ -266,18 +267,21 @@ def test_an_effect_that_a_single_dwell_shows_keeps_a_cause_open_while_blocks_dis
 
 
 @pytest.mark.parametrize(
-    ("rejected", "probability", "not_on_list", "with_single_dwells", "without"),
+    ("rejected", "probability", "not_on_list", "share", "without"),
     [
-        ("it rests on dwell 1 alone (p = 1 without it)", 0.999, 0.0, False, True),
-        ("not significant beside warm-up", 0.999, 0.0, False, False),
-        ("it rests on dwell 1 alone (p = 1 without it)", 0.98, 0.0, False, False),
-        ("it rests on dwell 1 alone (p = 1 without it)", 0.999, 0.09, False, True),
-        ("it rests on dwell 1 alone (p = 1 without it)", 0.999, 0.11, False, False),
+        ("it rests on dwell 1 alone (p = 1 without it)", 0.999, 0.0, 1.0, True),
+        ("not significant beside warm-up", 0.999, 0.0, 1.0, True),
+        ("warm-up alone is about as probable and simpler", 0.999, 0.0, 1.0, False),
+        ("it rests on dwell 1 alone (p = 1 without it)", 0.98, 0.0, 1.0, False),
+        ("it rests on dwell 1 alone (p = 1 without it)", 0.999, 0.09, 1.0, True),
+        ("it rests on dwell 1 alone (p = 1 without it)", 0.999, 0.11, 1.0, False),
+        ("it rests on dwell 1 alone (p = 1 without it)", 0.999, 0.11, 0.2, True),
     ],
 )
 def test_a_cause_is_open_for_lack_of_confirmation_alone_if_nothing_else_remains(
-    rejected, probability, not_on_list, with_single_dwells, without
+    rejected, probability, not_on_list, share, without, monkeypatch
 ):
+    monkeypatch.setattr(doubt, "remainder_share", lambda closure: share)
     effects = [SimpleNamespace(effect=SimpleNamespace(name="warm_up"))]
     other = Evidence(SimpleNamespace(name="bias_jump"), rejected=rejected)
     posterior = SimpleNamespace(
@@ -286,8 +290,8 @@ def test_a_cause_is_open_for_lack_of_confirmation_alone_if_nothing_else_remains(
         not_on_list=not_on_list,
     )
     closure = SimpleNamespace(verdict="ambiguous", effects=effects, evidence=[other], posterior=posterior)
-    assert only_unconfirmed(closure, with_single_dwells=True) == with_single_dwells
-    assert only_unconfirmed(closure, with_single_dwells=False) == without
+    assert not only_unconfirmed(closure, with_weak=True)
+    assert only_unconfirmed(closure, with_weak=False) == without
 
 
 @pytest.mark.long
