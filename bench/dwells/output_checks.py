@@ -209,10 +209,7 @@ def _hanging(
     """What stays the same for longer than noise lets it."""
     pulse = math.sqrt(12.0) * noise.heading_white
     steps = {name: max(step, pulse) if name in _ATTITUDE else step for name, step in steps.items()}
-    moves = {
-        name: np.abs(np.diff(values)) > 0.5 * max(steps[name], _ARITHMETIC)
-        for name, values in channels.items()
-    }
+    moves = {name: _moves(values, max(steps[name], _ARITHMETIC)) for name, values in channels.items()}
     walks = {"heading": noise.angle_random_walk} | dict.fromkeys(_VELOCITIES, noise.velocity_random_walk)
     longest_s = {
         name: max(_STILL_S, _STILL_TIMES * (max(steps[name], _ARITHMETIC) / walk) ** 2) if walk else math.inf
@@ -255,6 +252,17 @@ def _first_jump(
     if not jumps.any():
         return math.inf, 0, 0.0
     return float(time_s[1:-1][jumps][0]), int(jumps.sum()), float(np.median(np.abs(away[jumps])))
+
+
+def _moves(values: FloatArray, step: float) -> BoolArray:
+    """Whether each value but the first is half a step off the one before, or off where it stayed so far.
+
+    A floating-point number near zero moves in smaller steps than at its largest value.
+    """
+    moved = np.abs(np.diff(values)) > 0.5 * step
+    since = np.maximum.accumulate(np.concatenate([[0], np.where(moved, np.arange(1, len(values)), 0)]))
+    away = np.rint((values - values[since]) / step)
+    return np.asarray(moved | (np.diff(away) != 0.0))
 
 
 def _longest_still(time_s: FloatArray, moves: BoolArray) -> tuple[float, float]:

@@ -47,6 +47,12 @@ def test_a_dwell_has_both_estimates_its_windows_and_temperatures(recorded):
     assert np.abs(np.subtract(row.gyro_c, 25.0)).max() < 5.0
 
 
+def test_output_that_moves_in_finer_steps_than_its_coarsest_is_not_stuck(recorded):
+    marks, frames, setup = recorded
+    floating = replace(setup, heading_lsb_rad=np.deg2rad(1.5e-5))  # of 180 deg in single precision
+    assert measure_dwell(marks, frames, floating).row.flags == ""
+
+
 def test_a_dwell_whose_ins_fell_back_to_alignment_has_no_bias_and_says_why(recorded):
     marks, frames, setup = recorded
     early = replace(marks.windows[0], first_frame=0)
