@@ -44,6 +44,7 @@ from gyrobench.bench.investigation.proposal import (
     Proposal,
     calibration_of,
     hours_left,
+    is_confirmed_by,
     outcome_of,
     proposal_of,
     propose,
@@ -380,14 +381,14 @@ class Investigator:
         posterior = stage.closure.posterior
         names = tuple(sorted(each.effect.name for each in stage.closure.effects))
         tested = self._tested(CONFIRM, names)
-        is_confirmed = any(
-            each.confirmation.agrees
+        is_confirmed = is_confirmed_by(
+            each.confirmation
             for each in self._stages
             if each.confirmation and confirming_rivals(each.closure)[0].names == names
         )
         is_listed = posterior.not_on_list <= 1.0 - SETTLED
         if is_settled(stage.closure) or (is_confirmed and only_unconfirmed(stage.closure, with_weak=False)):
-            if tested is not None and tested.probabilities[0] <= 1.0 - SETTLED:
+            if tested is not None and tested.contradicts:
                 return ("refuted", f"A block contradicts what {' + '.join(names)} predicted for it.")
             if tested is not None and set(names) >= SLOW:
                 return "not_on_list", (
@@ -396,9 +397,10 @@ class Investigator:
             what = listed(sorted(map(stage.closure.label, names))) or "nothing beside the declared model"
             reason = f"{what.capitalize()}: probability {cause_probability(stage.closure):.4f}."
             if not is_listed:
+                share = remainder_share(stage.closure)
                 reason += (
-                    f" Something beside it is not on the list: probability {posterior.not_on_list:.4f}, "
-                    f"{100.0 * remainder_share(stage.closure):.0f} % of its size."
+                    f" Not excluded beside it: something not on the list, probability "
+                    f"{posterior.not_on_list:.4f}, {100.0 * share:.0f} % of its size."
                 )
             if weak := posterior.rivals(names):
                 others = (f"{stage.closure.label(each)} ({value:.2f})" for each, value in weak.items())

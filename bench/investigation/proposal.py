@@ -412,9 +412,20 @@ class Outcome:
         return self.fits and self.probabilities[0] >= SETTLED
 
     @property
+    def contradicts(self) -> bool:
+        """Whether the dwells exclude the first rival."""
+        return self.probabilities[0] <= 1.0 - SETTLED
+
+    @property
     def leaves_open(self) -> bool:
         """Whether the dwells fit, and settle no rival."""
         return self.fits and max(self.probabilities) < SETTLED
+
+
+def is_confirmed_by(outcomes: Iterable[Outcome]) -> bool:
+    """Whether the latest of the blocks that agree with a cause or contradict it agrees with it."""
+    clear = [each for each in outcomes if each.agrees or each.contradicts]
+    return bool(clear) and clear[-1].agrees
 
 
 def outcome_of(

@@ -10,7 +10,14 @@ from gyrobench.bench.investigation.blocks import Block, catalogue
 from gyrobench.bench.investigation.choice import Expected
 from gyrobench.bench.investigation.doubt import rivals_of, searched
 from gyrobench.bench.investigation.forecast import Forecast
-from gyrobench.bench.investigation.proposal import Proposal, hours_left, outcome_of, propose
+from gyrobench.bench.investigation.proposal import (
+    Outcome,
+    Proposal,
+    hours_left,
+    is_confirmed_by,
+    outcome_of,
+    propose,
+)
 from tests.bench.investigation.simulated_bench import first_campaign, simulate
 
 UNIT = {"unit": "S1", "seed": 4, "effects": {"g_sensitivity": 0.004}}
@@ -138,3 +145,14 @@ def test_a_block_that_makes_the_biases_certain_is_chosen_before_short_ones_that_
     )
     hours = hours_left([enough, short], is_settled=True)
     assert hours(enough) < hours(short)
+
+
+def test_a_cause_is_confirmed_by_the_latest_block_that_says_something_about_it():
+    agrees = Outcome((0.999, 0.001), (0.0, 0.0), 0.001, (0.5, 0.0), 0.0)
+    contradicts = Outcome((0.001, 0.999), (0.0, 0.0), 0.001, (0.0, 0.5), 0.0)
+    leaves_open = Outcome((0.6, 0.4), (0.0, 0.0), 0.001, (0.5, 0.5), 0.0)
+    assert is_confirmed_by([agrees, leaves_open])
+    assert is_confirmed_by([contradicts, agrees])
+    assert not is_confirmed_by([agrees, contradicts])
+    assert not is_confirmed_by([leaves_open])
+    assert not is_confirmed_by([])
