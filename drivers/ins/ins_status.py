@@ -37,13 +37,13 @@ class NewestFrames:
     def take(self, frames: FrameBlock, now_s: float) -> None:
         """Store frames that have just arrived, in order; at least one."""
         self._received_s, self._stamp_s = now_s, frames.timestamp_s.item(-1)
-        last = dict(zip(frames.arbitration_id.tolist(), range(len(frames)), strict=True))
-        rows = frames.rows[list(last.values())]
+        identifiers, places = np.unique(frames.arbitration_id[::-1], return_index=True)
+        rows = frames.rows[::-1][places]
         data, lengths = rows["data"].tobytes(), rows["length"].tolist()
         begins = range(0, len(data), MAX_LENGTH)
         payloads = [data[begin : begin + length] for begin, length in zip(begins, lengths, strict=True)]
         newest = zip(rows["time_s"].tolist(), payloads, strict=True)
-        self._newest = self._newest | dict(zip(last, newest, strict=True))
+        self._newest = self._newest | dict(zip(identifiers.tolist(), newest, strict=True))
 
     def forget(self, message_name: str) -> None:
         """Drop the frames of a message."""
