@@ -20,6 +20,7 @@ from gyrobench.bench.bias.bias_filter import StateSpaceEstimate, estimate_state_
 from gyrobench.bench.bias.dwell import Dwell, NavigationWindow, TurnPath
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.dwells.output_checks import rounding
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.csv_tables import read_text
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
@@ -327,7 +328,9 @@ def estimate_bias(
     )
     at_rest: tuple[FloatArray, ...] = tuple(window.C_nb[0] for window in windows)
     dwell = Dwell(position, float(np.deg2rad(azimuth_deg)), windows, at_rest, turns)
-    noise = NoiseModel.from_datasheet(arw_deg_per_sqrt_h, vrw_ug_per_sqrt_hz, *lsb)
+    noise = NoiseModel.from_datasheet(arw_deg_per_sqrt_h, vrw_ug_per_sqrt_hz, *lsb).at_least(
+        *rounding([(each.time_s, each.velocity_enu_mps, each.C_nb) for each in windows], *lsb)
+    )
     site = Site(float(np.deg2rad(latitude_deg)), height_m)
     return estimate_state_space(dwell, site, noise, prior or PriorKnowledge())
 

@@ -17,6 +17,7 @@ class ClockedPort(SerialBase):
     """A port on a clock; subclasses implement ``open``, which sets ``clock`` and ``is_open``."""
 
     clock: Clock
+    timeout: float | None = None  # nothing has to be configured when it changes
     _arrived: bytearray
 
     @abstractmethod
@@ -48,11 +49,13 @@ class ClockedPort(SerialBase):
 
     def read(self, size: int = 1, /) -> bytes:
         """Read up to ``size`` bytes, waiting on the clock until the time-out."""
-        if len(self._arrived) < size:
+        arrived = self._arrived
+        if len(arrived) < size:
             self._collect()
-            self._await(size)
-        data = bytes(self._arrived[:size])
-        del self._arrived[:size]
+            if len(arrived) < size:
+                self._await(size)
+        data = bytes(arrived[:size])
+        del arrived[:size]
         return data
 
     def _await(self, size: int) -> None:

@@ -42,11 +42,12 @@ class FrameBlock:
     sends them, and their 64 bytes would need a second layout.
     """
 
-    __slots__ = ("_only_data", "rows")
+    __slots__ = ("_ids", "_only_data", "rows")
 
     def __init__(self, rows: NDArray[np.void], only_data: bool = False) -> None:
         self.rows = rows
         self._only_data = only_data  # as far as is known
+        self._ids: NDArray[np.uint32] | None = None  # side by side, where asked for
 
     @classmethod
     def from_columns(
@@ -113,14 +114,20 @@ class FrameBlock:
     def take(self, rows: IntArray | BoolArray | slice) -> FrameBlock:
         """Select frames by a numpy index."""
         if isinstance(rows, slice):
-            return FrameBlock(self.rows[rows])
+            return FrameBlock(self.rows[rows], self._only_data)
         frames = self.rows.view(_OPAQUE)
         chosen = frames.compress(rows) if np.asarray(rows).dtype == np.bool_ else frames.take(rows)
         return FrameBlock(chosen.view(FRAME_DTYPE))
 
+    def rows_with_id(self, arbitration_id: int) -> IntArray:
+        """Rows of the frames of one identifier, with :data:`EXTENDED_ID` set if it has 29 bits."""
+        if self._ids is None:
+            self._ids = np.ascontiguousarray(self.rows["id"])
+        return np.flatnonzero(self._ids == arbitration_id)
+
     def with_id(self, arbitration_id: int) -> FrameBlock:
         """Select the frames of one identifier, with :data:`EXTENDED_ID` set if it has 29 bits."""
-        return self.take(self.rows["id"] == arbitration_id)
+        return self.take(self.rows_with_id(arbitration_id))
 
     def with_fields(self, **values: ArrayLike) -> FrameBlock:
         """Return a copy with other values in fields of :data:`FRAME_DTYPE`."""
@@ -140,12 +147,14 @@ class FrameBlock:
         return self.take(passes)
 
     def data_frames(self) -> FrameBlock:
-        """Leave out remote and error frames."""
+        """Leave out remote and error frames; the block itself if it has none."""
         if self._only_data:
             return self
         flags = self.rows["flags"]
-        others = flags.tobytes().strip(b"\0")
-        return FrameBlock(self.take(flags == 0).rows if others else self.rows, only_data=True)
+        if flags.tobytes().strip(b"\0"):
+            return FrameBlock(self.take(flags == 0).rows, only_data=True)
+        self._only_data = True
+        return self
 
     def messages(self) -> list[can.Message]:
         """Make a python-can message of each frame."""
@@ -171,4 +180,5 @@ def concatenate(blocks: Sequence[FrameBlock]) -> FrameBlock:
         return FrameBlock(np.empty(0, FRAME_DTYPE))
     if len(blocks) == 1:
         return blocks[0]
-    return FrameBlock(np.concatenate([block.rows.view(_OPAQUE) for block in blocks]).view(FRAME_DTYPE))
+    rows = np.concatenate([block.rows.view(_OPAQUE) for block in blocks]).view(FRAME_DTYPE)
+    return FrameBlock(rows, all(block._only_data for block in blocks))  # noqa: SLF001

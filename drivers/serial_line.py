@@ -133,7 +133,8 @@ class SerialLine:
     def write(self, data: bytes) -> None:
         """Send bytes. Raises ConnectionFailedError if the port went away."""
         try:
-            self._record(True, data)
+            if self._recording is not None:
+                self._recording.add(True, data)
             self._port.write(data)
             self._port.flush()
         except _port_errors() as error:
@@ -186,13 +187,10 @@ class SerialLine:
             "master uses this line.",
         )
 
-    def _record(self, is_sent: bool, data: bytes) -> None:
-        if self._recording is not None:
-            self._recording.add(is_sent, data)
-
     def _read(self, count: int) -> bytes:
-        data = bytes(self._port.read(count))
-        self._record(False, data)
+        data = self._port.read(count)
+        if self._recording is not None:
+            self._recording.add(False, data)
         return data
 
     def _record_unread(self) -> None:

@@ -36,6 +36,7 @@ import numpy as np
 
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.foundations.kernels import compiled
 
 #: Terms of the noise, in the order of arrays: S^2, N^2, K^2, and B^2 where asked for.
 WHITE_ANGLE, RANDOM_WALK, RATE_WALK, BIAS_INSTABILITY = range(4)
@@ -142,7 +143,8 @@ def allan_variance(segments: Sequence[FloatArray], interval_s: float) -> AllanVa
     top = longest // MIN_REPEATS
     wanted = np.geomspace(1, top, max(2, 1 + int(np.ceil(PER_DECADE * np.log10(top)))))
     factors = np.unique(np.rint(wanted).astype(np.int64))
-    sums = [[_squares(segment, int(factor)) for segment in segments] for factor in factors]
+    arrays = [np.ascontiguousarray(segment, np.float64) for segment in segments]
+    sums = [[_squares(segment, factor) for segment in arrays] for factor in factors.tolist()]
     squares, counts = np.array(sums).sum(axis=1).T
     present = counts > 0
     factors, squares, counts = factors[present], squares[present], counts[present]
@@ -208,13 +210,18 @@ def mean_ramp(segments: Sequence[FloatArray], interval_s: float, noise: RateNois
     return float(weights @ slopes / weights.sum()), float(weights.sum() ** -0.5)
 
 
+@compiled
 def _squares(angle: FloatArray, factor: int) -> tuple[float, int]:
     """Sum of squares about their mean of the second differences, and their number."""
-    if len(angle) < 2 * factor + 2:
-        return 0.0, 0
-    second = angle[2 * factor :] - 2.0 * angle[factor:-factor] + angle[: -2 * factor]
-    second = second[np.isfinite(second)]
-    return (float(second.var() * len(second)), len(second)) if len(second) > 1 else (0.0, 0)
+    mean, squares, count = 0.0, 0.0, 0
+    for k in range(len(angle) - 2 * factor):
+        second = angle[k + 2 * factor] - 2.0 * angle[k + factor] + angle[k]
+        if np.isfinite(second):
+            count += 1
+            away = second - mean
+            mean += away / count
+            squares += away * (second - mean)
+    return (squares, count) if count > 1 else (0.0, 0)
 
 
 def _solve(

@@ -296,8 +296,12 @@ class BiasFilter:
         prior_root = parameters.prior_root(self._prior, len(self._windows), self._earth_rate)
         prior_root[parameters.DAMPING, parameters.DAMPING] = _WIDE_DAMPING
         unknowns, covariance = solve(information.rows, information.data, prior_root)
-        sigma = math.sqrt(covariance[parameters.DAMPING, parameters.DAMPING])
-        return Damping(float(unknowns[parameters.DAMPING]), sigma)
+        variance = float(covariance[parameters.DAMPING, parameters.DAMPING])
+        # A velocity that walks at random returns to its mean by chance, as if it was damped. Once constants
+        # are fitted, the information of a rate times the mean of its estimate is half the duration for each
+        # axis (Dickey and Fuller, 1979).
+        duration_s = sum(window.last_s - window.first_s for window in self._windows)
+        return Damping(float(unknowns[parameters.DAMPING]) - duration_s * variance, math.sqrt(variance))
 
     def _latitude(self, information: DwellInformation) -> tuple[float, float]:
         prior = replace(self._prior, latitude=_WIDE_LATITUDE)

@@ -152,7 +152,12 @@ def _backward(
     moved, turned = np.empty((STATES, width)), np.empty((STATES, size))
     for k in range(len(rows) - 1, -2, -1):
         if number < len(saved) and saved[number] == k:
-            infos[number], all_responses[number] = info, responses
+            # Numba takes seconds to compile the assignment of a whole array.
+            for i in range(size):
+                for c in range(size):
+                    infos[number, i, c] = info[i, c]
+                for c in range(width):
+                    all_responses[number, i, c] = responses[i, c]
             number += 1
         if k < 0:
             break
@@ -196,8 +201,11 @@ def _backward(
                     moved[i, c] += factor * responses[j, c]
                 for c in range(size):
                     turned[i, c] += factor * info[j, c]
-        responses[:STATES] = moved
-        info[:STATES] = turned
+        for i in range(STATES):
+            for c in range(width):
+                responses[i, c] = moved[i, c]
+            for c in range(size):
+                info[i, c] = turned[i, c]
         for i in range(size):
             for j in range(STATES):
                 carried[j] = info[i, j]

@@ -179,4 +179,6 @@ def _backward(
                 carried[i, b] = 0.0
                 for j in range(STATES):
                     carried[i, b] += transitions[k, j, i] * costate[j, b]
-        costate[:] = carried
+        for i in range(STATES):
+            for b in range(3):
+                costate[i, b] = carried[i, b]

@@ -22,6 +22,18 @@ from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, UG_PER_SQRT
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.navigation.earth import MEAN_RADIUS
 
+#: Output that repeats its values more often than this, on average, is coarser than its noise.
+_MANY_REPEATS = 10.0
+
+
+def rounding_sigma(step: float, repeats: float) -> float:
+    """Standard uncertainty of an epoch's value by rounding to steps of this size.
+
+    Output that stays the same for many epochs repeats one rounding error, which counts once: ``repeats`` is
+    how many epochs have the same value, on average.
+    """
+    return step / math.sqrt(12.0) * math.sqrt(repeats if repeats > _MANY_REPEATS else 1.0)
+
 
 @dataclass(frozen=True)
 class NoiseModel:
@@ -69,6 +81,8 @@ class NoiseModel:
 
     def at_least(self, velocity_white: float, heading_white: float) -> NoiseModel:
         """The same with noise of the outputs not below these values, m/s and rad, which count as declared."""
+        if self.velocity_white >= velocity_white and self.heading_white >= heading_white:
+            return self
         arw_dof, vrw_dof, velocity_dof, heading_dof = self.dof
         return NoiseModel(
             self.angle_random_walk,

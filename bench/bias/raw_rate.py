@@ -20,7 +20,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solveh_banded
 
 from gyrobench.bench.bias.allan import RANDOM_WALK, WHITE_ANGLE, allan_variance, fit_rate_noise
 from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, FloatArray
@@ -235,6 +234,8 @@ def _slope(rate: FloatArray, interval: float, white: float, walk: float) -> tupl
 
     Neighbouring increments share the white noise of the angle between them.
     """
+    from scipy.linalg import solveh_banded  # 0.1 s to import, which calibrations do without
+
     count = len(rate)
     bands = np.empty((2, count))
     bands[0], bands[1] = 2.0 * white + walk * interval, -white

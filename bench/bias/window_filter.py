@@ -79,8 +79,8 @@ class WindowFilter:
         :mod:`gyrobench.bench.bias.window_filter`.
     root : ndarray, shape (k, c)
         Rows with the same normal equations as the white ones of all epochs.
-    last_s : float
-        Time of the last epoch used; NaN before the first one.
+    first_s, last_s : float
+        Time of the first epoch, and of the last one used, which is NaN before there is one.
     output_variances : ndarray, shape (3,)
         Of the noise of velocity East and North and of the heading.
     temperature_sum, epochs : ndarray of shape (3,), int
@@ -97,7 +97,7 @@ class WindowFilter:
         covariance: FloatArray,
     ) -> None:
         self._site, self._noise = site, noise
-        self._first_s = time_s
+        self.first_s = time_s
         white = np.array([noise.velocity_white, noise.velocity_white, noise.heading_white])
         self.output_variances = np.maximum(white, _MIN_WHITE) ** 2
         self._blocks: dict[int, _Block] = {}
@@ -115,8 +115,8 @@ class WindowFilter:
 
     def choose(self, time_s: FloatArray) -> IntArray:
         """Choose the first epoch of each second that has none yet; indices."""
-        numbers = slots(time_s, self._first_s, EPOCH_S)
-        last = -1 if math.isnan(self.last_s) else slots(np.array([self.last_s]), self._first_s, EPOCH_S)[0]
+        numbers = slots(time_s, self.first_s, EPOCH_S)
+        last = -1 if math.isnan(self.last_s) else slots(np.array([self.last_s]), self.first_s, EPOCH_S)[0]
         return np.flatnonzero(numbers > np.maximum.accumulate(np.append(last, numbers[:-1])))
 
     def add(
@@ -132,7 +132,7 @@ class WindowFilter:
         heading = -rotation_vector_enu(C_nb, self.C_nb)[:, 2]
         driven = np.zeros((len(time_s), INPUTS, DATA - SLOPE))
         driven[:, :3, :3] = self.C_nb * temperatures[:, np.newaxis]
-        driven[:, 3:, 3:5] = np.multiply.outer(np.exp((self._first_s - time_s) / TRANSIENT_S), np.eye(2))
+        driven[:, 3:, 3:5] = np.multiply.outer(np.exp((self.first_s - time_s) / TRANSIENT_S), np.eye(2))
         # Of the epoch before, whose noise the innovation does not hold.
         driven[:, 3:, 5] = -np.vstack([self._last_velocity, velocity_en_mps[:-1]])
         rows, gains, scales = whiten(
@@ -164,7 +164,7 @@ class WindowFilter:
             yield 0.5 * (times_s[0] + times_s[-1]), block.total / math.sqrt(len(times_s))
 
     def _sum_up(self, time_s: FloatArray, rows: FloatArray) -> None:
-        numbers = slots(time_s, self._first_s, BLOCK_S)
+        numbers = slots(time_s, self.first_s, BLOCK_S)
         for number in np.unique(numbers).tolist():
             block = self._blocks.setdefault(number, _Block())
             block.total += rows[numbers == number].sum(axis=0)

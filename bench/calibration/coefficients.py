@@ -154,14 +154,18 @@ class SensorErrors:
         )
         return SensorErrors(self.gyro_bias, gyro, self.force_bias, force)
 
+    def removal(self, interval_s: float) -> FloatArray:
+        """Matrices (2, 3, 4) that give true increments of angle and velocity from measured ones and 1."""
+        inverses = np.linalg.inv(np.eye(3) + np.array([self.gyro_matrix, self.force_matrix]))
+        biases = np.array([self.gyro_bias, self.force_bias])[:, :, np.newaxis]
+        return np.concatenate([inverses, -interval_s * inverses @ biases], axis=2)
+
     def removed(
         self, angle: FloatArray, velocity: FloatArray, interval_s: float
     ) -> tuple[FloatArray, FloatArray]:
         """True increments (n, 3) of angle (rad) and velocity (m/s) from measured ones."""
-        return (
-            _removed(angle, self.gyro_bias, self.gyro_matrix, interval_s),
-            _removed(velocity, self.force_bias, self.force_matrix, interval_s),
-        )
+        gyro, force = self.removal(interval_s)
+        return angle @ gyro[:, :3].T + gyro[:, 3], velocity @ force[:, :3].T + force[:, 3]
 
 
 def _rotation_to_lower(matrix: FloatArray) -> FloatArray:
@@ -172,13 +176,6 @@ def _rotation_to_lower(matrix: FloatArray) -> FloatArray:
     """
     upper = np.linalg.qr((np.eye(3) + matrix).T)
     return np.asarray((upper.Q * np.sign(np.diag(upper.R))).T)
-
-
-def _removed(measured: FloatArray, bias: FloatArray, matrix: FloatArray, interval_s: float) -> FloatArray:
-    inverse = np.ascontiguousarray(np.linalg.inv(np.eye(3) + matrix).T)
-    found = measured @ inverse
-    found -= interval_s * bias @ inverse
-    return np.asarray(found)
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,7 +35,6 @@ from gyrobench.bench.calibration.information import (
     CalibrationOptions,
     Information,
     integrated_sections,
-    site_parts,
 )
 from gyrobench.bench.calibration.recording import (
     IncrementRecording,
@@ -47,7 +46,7 @@ from gyrobench.bench.calibration.recording import (
     measure_noise,
 )
 from gyrobench.bench.calibration.section import Section
-from gyrobench.bench.calibration.strapdown import UNKNOWNS
+from gyrobench.bench.calibration.strapdown import UNKNOWNS, Trajectory
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import rotation_matrices
@@ -89,6 +88,7 @@ class Calibration(CoefficientEstimate):
     sections: tuple[Section, ...]  #: Of each recording, between rests.
     starts: tuple[FloatArray, ...]  #: Attitude ``C_nb`` (3, 3) at the start of each.
     unknowns: FloatArray  #: Shape (34,). Values that the increments are freed of, observed or not.
+    trajectories: tuple[Trajectory, ...]  #: Of the sections, at values close to these.
     #: Shapes (n, n). Parts of the covariance by the uncertainty of gravity and latitude.
     by_site: Mapping[str, FloatArray]
 
@@ -146,7 +146,7 @@ def calibrate(
         covariance = covariance * widening**2
     coefficients = tuple((*COEFFICIENTS, *BESIDE)[each] for each in options.columns)
     count = len(coefficients)
-    by_site = site_parts(sections, found.starts, found.common, noise, site, options, found.values)
+    by_site = found.information.site_parts(site, options)
     return Calibration(
         values=found.values[:count],
         covariance=covariance[:count, :count] + sum(by_site.values()),
@@ -161,6 +161,7 @@ def calibrate(
         sections=tuple(sections),
         starts=tuple(found.starts),
         unknowns=found.common,
+        trajectories=tuple(found.trajectories),
         by_site=by_site,
     )
 
@@ -174,6 +175,8 @@ class _Solution:
     common: FloatArray  #: Shape (34,).
     starts: list[FloatArray]
     fit: Chi2Test
+    information: Information
+    trajectories: list[Trajectory]
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,11 +198,12 @@ class _Problem:
         beside = 6 if self.options.bias_drift else 3
         origin, left = np.concatenate([common[used], np.zeros(beside * len(self.sections))]), np.inf
         for _ in range(_MAX_ROUNDS):
-            found = Information.of(self.sections, starts, common, self.noise, self.site, self.options)
+            trajectories = integrated_sections(self.sections, starts, common, self.site, self.options)
+            found = Information.of(self.sections, trajectories, common, self.noise, self.site, self.options)
             values, covariance, is_observed = found.solve(origin)
             attitudes = values[len(used) :].reshape(-1, 3)[: len(starts)]
             step = np.concatenate([values[: len(used)] - common[used], attitudes.ravel()])
-            before, left = left, float(np.linalg.norm(found.root @ [*values, -1.0]) ** 2)
+            before, left = left, float(np.linalg.norm(found.root @ [*values, 0.0, -1.0]) ** 2)
             common[used] = values[: len(used)]
             origin[len(used) : len(step)] -= attitudes.ravel()
             starts = [turn @ start for turn, start in zip(rotation_matrices(attitudes), starts, strict=True)]
@@ -208,7 +212,7 @@ class _Problem:
             is_still = np.abs(step) < _MAX_STEP * np.sqrt(excess * np.diag(covariance))[: len(step)]
             if abs(left - before) < _CONVERGED * excess and is_still[is_observed[: len(step)]].all():
                 fit = _test_fit(values, covariance, found.blocks)
-                return _Solution(values, covariance, is_observed, common, starts, fit)
+                return _Solution(values, covariance, is_observed, common, starts, fit, found, trajectories)
         raise MeasurementError(
             f"the estimate does not converge in {_MAX_ROUNDS} rounds: the increments do not follow from "
             "rotations between rests at one place. Check signs, axes and units in the import map"
@@ -276,18 +280,17 @@ def covariances_by_source(
     """
     larger = float(np.sqrt(1.0 + _VARIANCE_STEP))
 
-    known = (calibration.sections, calibration.starts, calibration.unknowns)
-    trajectories = integrated_sections(*known, site, options)
+    known = calibration.sections, calibration.trajectories, calibration.unknowns
 
     def information(noise: str = "", whole_turns: float | None = options.whole_turns) -> Information:
         changed = {noise: getattr(calibration.noise, noise) * larger} if noise else {}
         assumed = replace(calibration.noise, **changed), site, replace(options, whole_turns=whole_turns)
-        return Information.of(*known, *assumed, trajectories)
+        return Information.of(*known, *assumed)
 
     def covariance(found: Information) -> FloatArray:
         return np.asarray(found.solve()[1][:COUNT, :COUNT])
 
-    unchanged = information()
+    unchanged = information()  # with the same rounding as the others
     base = covariance(unchanged)
     parts = {name: covariance(information(name)) for name in _NOISE}
     if options.whole_turns is not None:
@@ -351,7 +354,7 @@ def _test_fit(values: FloatArray, covariance: FloatArray, blocks: Sequence[Float
     """Test that the noise explains the residuals, summed over minutes."""
     sums = np.vstack([_sums(each) for each in blocks])
     sums = sums[sums.any(axis=1)]  # without those of what is not measured
-    return chi2_test(sums[:, -1] - sums[:, :-1] @ values, sums[:, :-1], covariance)
+    return chi2_test(sums[:, -1] - sums[:, :-2] @ values, sums[:, :-2], covariance)
 
 
 def _sums(rows: FloatArray) -> FloatArray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -16,6 +16,7 @@ from gyrobench.bench.calibration.strapdown import (
     ATTITUDE,
     DELAY,
     DRIFT,
+    LATITUDE,
     LEVER_ARMS,
     QUADRATIC,
     Trajectory,
@@ -76,19 +77,20 @@ def integrated_sections(
     site: Site,
     options: CalibrationOptions,
 ) -> list[Trajectory]:
-    """Trajectory of each section from its attitude at the start, freed of ``common`` (34,)."""
-    gravity = options.gravity or site.gravity
+    """Trajectory of each section from its attitude (3, 3) at the start, freed of ``common`` (34,)."""
+    gravity, every = options.gravity or site.gravity, range(LATITUDE)
+    columns = [*options.columns, *every[ATTITUDE], *(every[DRIFT] if options.bias_drift else ()), LATITUDE]
     pairs = zip(sections, starts, strict=True)
-    return [section.integrated(start, common, site.latitude, gravity) for section, start in pairs]
+    return [section.integrated(start, common, site.latitude, gravity, columns) for section, start in pairs]
 
 
 @dataclass(frozen=True, eq=False)
 class Information:
     """White rows as a function of the coefficients and of all other unknowns, at assumed values of them."""
 
-    #: Rows (m, 21 + k + 1) of each recording, SI: coefficients, what is estimated beside them, attitudes at
-    #: the start, drifts of the biases, data. They give the values, of the attitudes corrections to those
-    #: assumed.
+    #: Rows (m, 21 + k + 2) of each recording, SI: coefficients, what is estimated beside them, attitudes at
+    #: the start, drifts of the biases; then an error of the latitude, and data. They give the values, of the
+    #: attitudes corrections to those assumed.
     blocks: list[FloatArray]
     sizes: FloatArray  #: Shape (21 + k,). Large values of the unknowns, SI.
     drifts: int  #: How many of the unknowns, the last ones, are drifts of biases.
@@ -97,35 +99,24 @@ class Information:
     def of(
         cls,
         sections: Sequence[Section],
-        starts: Sequence[FloatArray],
+        trajectories: Sequence[Trajectory],
         common: FloatArray,
         noise: SensorNoise,
         site: Site,
         options: CalibrationOptions,
-        trajectories: Sequence[Trajectory] | None = None,
     ) -> Information:
-        """Integrate increments from attitudes (3, 3) at the ``starts``, with the values ``common`` (34,).
-
-        ``trajectories``: what :func:`integrated_sections` gives with these values, where it is known.
-        """
+        """From what :func:`integrated_sections` gives with the values ``common`` (34,)."""
         used, blocks = options.columns, []
-        trajectories = trajectories or integrated_sections(sections, starts, common, site, options)
         for number, (section, trajectory) in enumerate(zip(sections, trajectories, strict=True)):
+            table = options.whole_turns, options.heading
             rows, data = white_rows(
-                trajectory,
-                section.lengths_s,
-                section.epochs,
-                noise,
-                site.latitude,
-                options.whole_turns,
-                options.heading,
+                trajectory, section.lengths_s, section.epochs, noise, site.latitude, *table
             )
-            own = [ATTITUDE, DRIFT] if options.bias_drift else [ATTITUDE]
-            block = np.zeros((len(rows), len(used) + 3 * len(own) * len(sections) + 1))
-            block[:, : len(used)] = rows[:, used]
-            for kind, part in enumerate(own):
-                block[:, len(used) + 3 * (kind * len(sections) + number) :][:, :3] = rows[:, part]
-            block[:, -1] = data + rows[:, used] @ common[used]
+            own = rows[:, len(used) : -1].reshape(len(rows), -1, 3)
+            beside = np.zeros((len(rows), own.shape[1], len(sections), 3))
+            beside[:, :, number] = own
+            parts = rows[:, : len(used)], beside.reshape(len(rows), -1), rows[:, -1:]
+            block = np.column_stack([*parts, data + rows[:, : len(used)] @ common[used]])
             blocks.append(block)
         if not any(section.epochs.has_vertical for section in sections):
             # Gravity in place of the vertical force does not show the mean of the scale factors.
@@ -137,12 +128,12 @@ class Information:
             sizes[np.flatnonzero(IS_FORCE_SCALE)] = FORCE_SCALE
         count = 3 * len(sections)
         drifts = count if options.bias_drift else 0
-        beside = [ATTITUDE_ERROR] * count + [options.bias_drift] * drifts
-        return cls(blocks, np.array([*(sizes[each] for each in used), *beside]), drifts)
+        own_sizes = [ATTITUDE_ERROR] * count + [options.bias_drift] * drifts
+        return cls(blocks, np.array([*sizes[used], *own_sizes]), drifts)
 
     @cached_property
     def root(self) -> FloatArray:
-        """Fewest rows (m, 21 + k + 1) with the same normal equations; data last."""
+        """Fewest rows (m, 21 + k + 2) with the same normal equations; latitude and data last."""
         return compress(np.vstack([compress(each) for each in self.blocks]))
 
     def solve(self, origin: FloatArray | None = None) -> tuple[FloatArray, FloatArray, BoolArray]:
@@ -151,7 +142,7 @@ class Information:
         What the data leave open stays near ``origin`` (21 + k,), or zero.
         """
         centre = np.zeros(len(self.sizes)) if origin is None else origin
-        rows, left = self.root[:, :-1], self.root[:, -1] - self.root[:, :-1] @ centre
+        rows, left = self.root[:, :-2], self.root[:, -1] - self.root[:, :-2] @ centre
         values, covariance = solve(rows, left, np.diag(self.sizes))
         # Drifts are as likely as their sizes say.
         is_size = np.arange(len(self.sizes)) < len(self.sizes) - self.drifts
@@ -159,30 +150,16 @@ class Information:
         growth = np.sqrt(np.diag(wide) / np.diag(covariance))
         return centre + values, covariance, np.asarray(growth < _MAX_GROWTH)
 
+    def site_parts(self, site: Site, options: CalibrationOptions) -> Mapping[str, FloatArray]:
+        """Covariances (21 + k, 21 + k) by what is assumed of the place, which the residuals hardly show.
 
-def site_parts(
-    sections: Sequence[Section],
-    starts: Sequence[FloatArray],
-    common: FloatArray,
-    noise: SensorNoise,
-    site: Site,
-    options: CalibrationOptions,
-    values: FloatArray | None = None,
-) -> Mapping[str, FloatArray]:
-    """Covariances (k, k) by what is assumed of the place, which the residuals hardly show.
-
-    ``starts``, ``common``: as of :meth:`Information.of`. ``values``: all unknowns, which the data may leave
-    open.
-    """
-    gravity, count = options.gravity or site.gravity, len(options.columns)
-    # An error of gravity is one of all three scale factors.
-    is_scale = np.isin(options.columns, np.flatnonzero(IS_FORCE_SCALE))
-    shifts = {"gravity": np.where(is_scale, options.gravity_sigma / gravity, 0.0)}
-    if options.latitude_sigma:
-        beside, fixed = site.latitude + options.latitude_sigma, replace(options, gravity=gravity)
-        here, there = (
-            Information.of(sections, starts, common, noise, replace(site, latitude=each), fixed)
-            for each in (site.latitude, beside)
-        )
-        shifts["latitude"] = (there.solve(values)[0] - here.solve(values)[0])[:count]
-    return {name: np.outer(shift, shift) for name, shift in shifts.items()}
+        Of the coefficients and what is estimated beside them.
+        """
+        count = len(options.columns)
+        # An error of gravity is one of all three scale factors.
+        is_scale = np.isin(options.columns, np.flatnonzero(IS_FORCE_SCALE))
+        shifts = {"gravity": is_scale * options.gravity_sigma / (options.gravity or site.gravity)}
+        if options.latitude_sigma:
+            shift, _ = solve(self.root[:, :-2], self.root[:, -2], np.diag(self.sizes))
+            shifts["latitude"] = options.latitude_sigma * shift[:count]
+        return {name: np.outer(shift, shift) for name, shift in shifts.items()}

@@ -326,37 +326,65 @@ def _filter(
     transition: FloatArray, covariance: FloatArray, drive: FloatArray, at_rest: BoolArray, is_spin: bool,
     measured: int, white: float, turn: float, Z: FloatArray, P: FloatArray, information: FloatArray,
 ) -> None:  # fmt: skip
-    columns = Z.shape[1]
     if is_spin:
-        Z[6:] = Z[:3]
-        P[6:] = P[:3]
-        P[:, 6:] = P[:, :3].copy()
+        for i in range(3):
+            for a in range(Z.shape[1]):
+                Z[6 + i, a] = Z[i, a]
+            for a in range(9):
+                P[6 + i, a] = P[i, a]
+        for a in range(9):
+            for i in range(3):
+                P[a, 6 + i] = P[a, i]
     is_turned = not is_spin
     for epoch in range(len(transition)):
-        F = transition[epoch]
-        Z[:6] = F @ np.ascontiguousarray(Z[:6]) + drive[epoch]
-        P[:6] = F @ np.ascontiguousarray(P[:6])
-        P[:, :6] = np.ascontiguousarray(P[:, :6]) @ F.T
-        P[:6, :6] += covariance[epoch]
+        _moved_on(transition[epoch], Z)
+        _moved_on(transition[epoch], P)
+        _moved_on(transition[epoch], P.T)
+        for i in range(6):
+            for a in range(Z.shape[1]):
+                Z[i, a] += drive[epoch, i, a]
+            for a in range(6):
+                P[i, a] += covariance[epoch, i, a]
         if not at_rest[epoch]:
             continue
         for i in range(measured):
-            variance = P[3 + i, 3 + i] + white
-            row = Z[3 + i].copy()
-            gain = P[:, 3 + i] / variance
-            Z -= np.outer(gain, row)
-            P -= np.outer(gain, P[3 + i].copy())
-            for a in range(columns):
-                for b in range(columns):
-                    information[a, b] += row[a] * row[b] / variance
+            _take(Z[3 + i].copy(), P[3 + i].copy(), P[3 + i, 3 + i] + white, Z, P, information)
         if not is_turned:
             is_turned = True
             for i in range(3):
                 spread = P[:, i] - P[:, 6 + i]
-                variance = spread[i] - spread[6 + i] + turn
-                row = Z[i] - Z[6 + i]
-                Z -= np.outer(spread / variance, row)
-                P -= np.outer(spread / variance, spread)
-                for a in range(columns):
-                    for b in range(columns):
-                        information[a, b] += row[a] * row[b] / variance
+                _take(Z[i] - Z[6 + i], spread, spread[i] - spread[6 + i] + turn, Z, P, information)
+
+
+@compiled
+def _moved_on(transition: FloatArray, rows: FloatArray) -> None:
+    """Multiply the first six rows by a transition, in place."""
+    moved = np.empty(6)
+    for a in range(rows.shape[1]):
+        for i in range(6):
+            moved[i] = 0.0
+            for j in range(6):
+                moved[i] += transition[i, j] * rows[j, a]
+        for i in range(6):
+            rows[i, a] = moved[i]
+
+
+@compiled
+def _take(
+    row: FloatArray,
+    spread: FloatArray,
+    variance: float,
+    Z: FloatArray,
+    P: FloatArray,
+    information: FloatArray,
+) -> None:
+    """Take in a measurement: its row, its covariance with the state, its variance."""
+    for i in range(9):
+        gain = spread[i] / variance
+        for a in range(len(row)):
+            Z[i, a] -= gain * row[a]
+        for j in range(9):
+            P[i, j] -= gain * spread[j]
+    for a in range(len(row)):
+        for b in range(len(row)):
+            information[a, b] += row[a] * row[b] / variance

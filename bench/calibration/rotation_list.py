@@ -6,6 +6,7 @@ the responses, and these, whitened by the expected noise, the Fisher information
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -13,11 +14,12 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from gyrobench.bench.bias.noise_model import NoiseModel
+from gyrobench.bench.bias.noise_model import NoiseModel, rounding_sigma
 from gyrobench.bench.calibration.coefficients import COUNT
 from gyrobench.bench.calibration.recording import SensorNoise
 from gyrobench.bench.foundations.arrays import (
     DEG_PER_SQRT_H_TO_SI,
+    STANDARD_GRAVITY,
     UG_PER_SQRT_HZ_TO_SI,
     BoolArray,
     FloatArray,
@@ -33,9 +35,10 @@ from gyrobench.bench.navigation.table_axes import Angles, TwoAxisTable
 #: Time between two ideal increments, s, and the time in which an axis reaches its rate.
 STEP_S, _RAMP_S = 0.05, 1.0
 _WHOLE_TURN_DEG = 360.0
-#: Noise of the velocity at rest, m/s; angle and velocity random walk of a typical unit, SI, and that noise.
-_MIN_WHITE_VELOCITY = 1e-3
-_TYPICAL = (0.0006 * DEG_PER_SQRT_H_TO_SI, 5.0 * UG_PER_SQRT_HZ_TO_SI, _MIN_WHITE_VELOCITY)
+#: Angle and velocity random walk of a typical unit, SI, and its noise of the velocity at rest, m/s.
+_TYPICAL = (0.0006 * DEG_PER_SQRT_H_TO_SI, 5.0 * UG_PER_SQRT_HZ_TO_SI, 1e-3)
+#: Least noise of the velocity at rest, m/s: it divides.
+_MIN_WHITE_VELOCITY = 1e-6
 
 
 class TableRotation(StrictModel):
@@ -91,16 +94,24 @@ def rotation_list_text(rotations: RotationList) -> str:
     return "\n".join(lines) + "\n"
 
 
-def expected_noise(declared: NoiseModel | None) -> SensorNoise:
+def expected_noise(
+    declared: NoiseModel | None, rotations: RotationList, velocity_step_mps: float = 0.0
+) -> SensorNoise:
     """Noise of a unit as its station declares it; of a navigation-grade unit where it is to be estimated.
 
-    The velocity at rest counts with at least 1 mm/s, for vibration of the table.
+    ``velocity_step_mps``: resolution of the velocity, where it stands in for increments.
     """
     walk, velocity_walk, white = (
         _TYPICAL
         if declared is None
         else (declared.angle_random_walk, declared.velocity_random_walk, declared.velocity_white)
     )
+    # A tilt that walks through the whole list moves the velocity of a rest so far, on average over the list.
+    tilt = walk * math.sqrt(2.0 / math.pi) * 2.0 / 3.0 * math.sqrt(rotations.duration_s)
+    moved_mps = STANDARD_GRAVITY * tilt * rotations.dwell_s
+    if velocity_step_mps:
+        repeats = rotations.dwell_s / (1.0 + moved_mps / velocity_step_mps)
+        white = math.hypot(white, rounding_sigma(velocity_step_mps, repeats))
     white = max(white, _MIN_WHITE_VELOCITY)
     return SensorNoise(np.full(3, walk), np.zeros(3), np.full(3, velocity_walk), np.full(3, white))
 
@@ -137,7 +148,7 @@ def forecast(
         IS_FORCE_SCALE,
         CalibrationOptions,
         Information,
-        site_parts,
+        integrated_sections,
     )
     from gyrobench.bench.calibration.section import EPOCH_S, Section
     from gyrobench.bench.calibration.strapdown import UNKNOWNS, Epochs
@@ -154,11 +165,13 @@ def forecast(
     options = CalibrationOptions(
         whole_turns=whole_turns, gravity_sigma=gravity_sigma, latitude_sigma=latitude_sigma
     )
-    ideal = [section], [attitude[0]], np.zeros(UNKNOWNS), noise, site, options
-    _, covariance, is_observed = Information.of(*ideal).solve()
+    common = np.zeros(UNKNOWNS)
+    trajectories = integrated_sections([section], [attitude[0]], common, site, options)
+    ideal = Information.of([section], trajectories, common, noise, site, options)
+    _, covariance, is_observed = ideal.solve()
     if not has_vertical:
         is_observed[:COUNT] &= ~np.array(IS_FORCE_SCALE)
-    covariance = covariance[:COUNT, :COUNT] + sum(site_parts(*ideal).values())
+    covariance = covariance[:COUNT, :COUNT] + sum(ideal.site_parts(site, options).values())
     return Forecast(rotations.duration_s, np.sqrt(np.diag(covariance)), is_observed[:COUNT])
 
 

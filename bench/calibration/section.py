@@ -10,6 +10,7 @@ import numpy as np
 from gyrobench.bench.calibration.coefficients import COUNT, SensorErrors
 from gyrobench.bench.calibration.recording import IncrementRecording, Rest, Rotation
 from gyrobench.bench.calibration.strapdown import (
+    ATTITUDE,
     DELAY,
     LEVER_ARMS,
     QUADRATIC,
@@ -100,11 +101,15 @@ class Section:
         return angle, velocity
 
     def integrated(
-        self, start: FloatArray, common: FloatArray, latitude: float, gravity: float
+        self, start: FloatArray, common: FloatArray, latitude: float, gravity: float, columns: Sequence[int]
     ) -> Trajectory:
-        """From an attitude (3, 3) at the start, freed of ``common`` (34,)."""
-        freed = self.freed(SensorErrors.from_vector(common[:COUNT]), common)
-        return integrated(*freed, self.interval_s, self.epochs.ends, start, latitude, gravity)
+        """From an attitude (3, 3) at the start, freed of ``common`` (34,), with responses to ``columns``."""
+        errors, angle, velocity = SensorErrors.from_vector(common[:COUNT]), self.angle, self.velocity
+        if any(COUNT <= each < ATTITUDE.start for each in columns):
+            angle, velocity = self.freed(errors, common)
+            errors = SensorErrors()
+        ends = self.epochs.ends
+        return integrated(angle, velocity, self.interval_s, ends, start, latitude, gravity, columns, errors)
 
     @property
     def lengths_s(self) -> FloatArray:

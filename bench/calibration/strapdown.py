@@ -29,7 +29,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrobench.bench.calibration.coefficients import BESIDE, COUNT, LOWER
+from gyrobench.bench.calibration.coefficients import BESIDE, COUNT, LOWER, SensorErrors
 from gyrobench.bench.calibration.recording import SensorNoise
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 from gyrobench.bench.foundations.kernels import compiled
@@ -38,11 +38,12 @@ from gyrobench.bench.navigation.earth import earth_rate_enu
 
 #: Columns of the responses: the coefficients; inner lever arms of the accelerometers by rows, m; delay of the
 #: accelerometers, s; their quadratic terms, s^2/m; initial attitude error, rad; drift of the gyro biases
-#: about those at half time, rad/s^2.
+#: about those at half time, rad/s^2; latitude, rad.
 LEVER_ARMS, DELAY, QUADRATIC = slice(COUNT, COUNT + 9), COUNT + 9, slice(COUNT + 10, COUNT + 13)
 UNKNOWNS = COUNT + len(BESIDE)
 ATTITUDE, DRIFT = slice(UNKNOWNS, UNKNOWNS + 3), slice(UNKNOWNS + 3, UNKNOWNS + 6)
-COLUMNS = UNKNOWNS + 6
+LATITUDE = UNKNOWNS + 6
+_ALL = tuple(range(LATITUDE))
 _ROWS, _COLUMNS = LOWER
 #: Rotation, rad, after which the responses are brought up to date; their attitude in between is the mean.
 _MAX_TURN = 0.01
@@ -73,12 +74,12 @@ def white_rows(
     whole_turns: float | None,
     heading: float | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Rows (m, 40) and data (m,), white with unit variance, of a unit that begins at rest.
+    """Rows (m, c) and data (m,), white with unit variance, of a unit that begins at rest.
 
     Parameters
     ----------
     trajectory : Trajectory
-        Of the increments freed of the errors known so far.
+        Of the increments freed of the errors known so far, with the responses to c columns.
     lengths_s : ndarray, shape (n,)
         Of the epochs.
     whole_turns : float, optional
@@ -90,22 +91,23 @@ def white_rows(
     """
     n, turns = len(lengths_s), _turns(epochs, whole_turns, heading)
     starts, ends = np.full((2, n + 1), -1, np.int64)
-    turned = (trajectory.response[b, :3] - R @ trajectory.response[a, :3] for a, b, R, _ in turns)
-    rows = [*trajectory.response[1:, 3:], *turned]
-    data = [*-trajectory.integral[1:], *(_returned(trajectory, *turn[:3]) for turn in turns)]
-    for number, (a, b, _, _) in enumerate(turns):
+    columns = trajectory.response.shape[2]
+    stacked = np.empty((n + len(turns), 3, columns + 1))
+    stacked[:n, :, :columns], stacked[:n, :, columns] = trajectory.response[1:, 3:], -trajectory.integral[1:]
+    for number, (a, b, R, _) in enumerate(turns):
         starts[a], ends[b] = number, number
+        stacked[n + number, :, :columns] = trajectory.response[b, :3] - R @ trajectory.response[a, :3]
+        stacked[n + number, :, columns] = _returned(trajectory, a, b, R)
     white = float(np.mean(noise.white_velocity**2)) + _MIN_VELOCITY**2
     output = 2.0 * float(np.mean(noise.white_angle**2)) + _MIN_ANGLE**2
     R = np.array([each[2] for each in turns]).reshape(-1, 3, 3)
     variances = np.array([each[3] for each in turns]).reshape(-1, 3) ** 2 + output
-    stacked = np.concatenate([np.array(rows), np.array(data)[:, :, np.newaxis]], axis=2)
     transition, covariance = _intervals(trajectory, lengths_s, noise, latitude)
     measured = 3 if epochs.has_vertical else 2
     whitened = _whiten(
         transition, covariance, stacked, epochs.at_rest, starts, ends, R, variances, white, measured
     )
-    return whitened[:, :COLUMNS], whitened[:, COLUMNS]
+    return whitened[:, :columns], whitened[:, columns]
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +117,7 @@ class Trajectory:
     attitude: FloatArray  #: Shape (n + 1, 3, 3). C_nb.
     integral: FloatArray  #: Shape (n + 1, 3). u, m/s, ENU; zero at rest if the sensors have no error.
     force: FloatArray  #: Shape (n, 3). Integral of the specific force over each epoch, m/s, ENU.
-    #: Shape (n + 1, 6, 40). Attitude (rad) and u (m/s) for each coefficient and the rest of the columns, SI.
+    #: Shape (n + 1, 6, c). Derivatives of attitude (rad) and u (m/s) by coefficients and other columns, SI.
     response: FloatArray
 
 
@@ -127,17 +129,27 @@ def integrated(
     C_nb: FloatArray,
     latitude: float,
     gravity: float,
+    columns: Sequence[int] = _ALL,
+    errors: SensorErrors | None = None,
 ) -> Trajectory:
-    """Integrate increments (k, 3), body axes, rad and m/s, from the attitude ``C_nb`` up to ``ends`` (n,)."""
+    """Integrate increments (k, 3), body axes, rad and m/s, from the attitude ``C_nb`` up to ``ends`` (n,).
+
+    ``columns``: of the responses. ``errors``: of the increments; none with columns beside the coefficients.
+    """
     steps = interval_s * np.arange(np.diff(ends, prepend=0).max() + 1.0)
     earth = rotation_matrices(-earth_rate_enu(latitude) * steps[:, np.newaxis])
     half = rotation_matrices(-0.5 * earth_rate_enu(latitude) * interval_s)
     attitude = np.empty((len(ends) + 1, 3, 3))
     integral, force = np.zeros((len(ends) + 1, 3)), np.empty((len(ends), 3))
-    response = np.zeros((len(ends) + 1, 6, COLUMNS))
+    which = np.array(columns, np.int64)
+    response = np.zeros((len(ends) + 1, 6, len(which)))
     attitude[0] = C_nb
-    response[0, :3, ATTITUDE] = np.eye(3)
-    _integrate(angle, velocity, interval_s, ends, earth, half, gravity, attitude, integral, force, response)
+    response[0, :3] = which == np.arange(ATTITUDE.start, ATTITUDE.stop)[:, np.newaxis]
+    turns = earth, half, np.cross([1.0, 0.0, 0.0], earth_rate_enu(latitude))
+    states = attitude, integral, force, response
+    removal = (errors or SensorErrors()).removal(interval_s)
+    has_beside = any(COUNT <= each < UNKNOWNS for each in columns)
+    _integrate(angle, velocity, removal, interval_s, ends, has_beside, *turns, gravity, which, *states)
     return Trajectory(attitude, integral, force, response)
 
 
@@ -181,6 +193,12 @@ def _times(a: FloatArray, b: _Vector) -> _Vector:
 
 
 @compiled
+def _removed(removal: FloatArray, measured: FloatArray) -> _Vector:
+    x, y, z = _times(removal, (measured[0], measured[1], measured[2]))
+    return x + removal[0, 3], y + removal[1, 3], z + removal[2, 3]
+
+
+@compiled
 def _cross(a: _Vector, b: _Vector) -> _Vector:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
@@ -192,8 +210,9 @@ def _sum(a: _Vector, b: _Vector, share: float) -> _Vector:
 
 @compiled
 def _integrate(
-    angle: FloatArray, velocity: FloatArray, interval_s: float, ends: IntArray, earth: FloatArray,
-    half: FloatArray, gravity: float, attitudes: FloatArray, integrals: FloatArray, forces: FloatArray,
+    angle: FloatArray, velocity: FloatArray, removal: FloatArray, interval_s: float, ends: IntArray,
+    has_beside: bool, earth: FloatArray, half: FloatArray, by_latitude: FloatArray, gravity: float,
+    columns: IntArray, attitudes: FloatArray, integrals: FloatArray, forces: FloatArray,
     responses: FloatArray,
 ) -> None:  # fmt: skip
     C, begin = attitudes[0].copy(), attitudes[0].copy()
@@ -210,7 +229,7 @@ def _integrate(
     theta = dv = (0.0, 0.0, 0.0)
     for k in range(ends[-1]):
         theta_before, dv_before = theta, dv
-        theta, dv = (angle[k, 0], angle[k, 1], angle[k, 2]), (velocity[k, 0], velocity[k, 1], velocity[k, 2])
+        theta, dv = _removed(removal[0], angle[k]), _removed(removal[1], velocity[k])
         if k == 0:
             theta_before, dv_before = theta, dv
         cross = _cross(theta, dv)
@@ -220,67 +239,72 @@ def _integrate(
         set_turn(turn, _sum(theta, _cross(theta_before, theta), 1.0 / 12.0))
         _set_product(turned, C, turn)
         _set_product(C, earth[1], turned)
-        before, after = max(k - 1, 0), min(k + 1, count - 1)
-        per_s = 1.0 / ((after - before) * interval_s)
-        square = theta[0] ** 2 + theta[1] ** 2 + theta[2] ** 2
         for i in range(3):
             angles[i] += theta[i]
             velocities[i] += dv[i]
             lifts[i] += lift[i]
             u[i] += lift[i]
             force[i] += lift[i]
-            delayed[i] -= cross[i] / interval_s
-            squares[i] += dv[i] ** 2 / interval_s
-            for j in range(3):
-                arms[i, j] += theta[i] * theta[j] / interval_s
-            arms[i, i] -= square / interval_s
-            arms[i, (i + 1) % 3] -= (angle[after, (i + 2) % 3] - angle[before, (i + 2) % 3]) * per_s
-            arms[i, (i + 2) % 3] += (angle[after, (i + 1) % 3] - angle[before, (i + 1) % 3]) * per_s
+        if has_beside:
+            before, after = max(k - 1, 0), min(k + 1, count - 1)
+            per_s = 1.0 / ((after - before) * interval_s)
+            square = theta[0] ** 2 + theta[1] ** 2 + theta[2] ** 2
+            for i in range(3):
+                delayed[i] -= cross[i] / interval_s
+                squares[i] += dv[i] ** 2 / interval_s
+                for j in range(3):
+                    arms[i, j] += theta[i] * theta[j] / interval_s
+                arms[i, i] -= square / interval_s
+                arms[i, (i + 1) % 3] -= (angle[after, (i + 2) % 3] - angle[before, (i + 2) % 3]) * per_s
+                arms[i, (i + 2) % 3] += (angle[after, (i + 1) % 3] - angle[before, (i + 1) % 3]) * per_s
         u[2] -= gravity * interval_s
         samples += 1
         if k + 1 != ends[epoch] and angles[0] ** 2 + angles[1] ** 2 + angles[2] ** 2 < _MAX_TURN**2:
             continue
         middle, step, length_s = 0.5 * (begin + C), earth[samples], samples * interval_s
         since_middle_s = (k + 1 - 0.5 * samples - 0.5 * ends[-1]) * interval_s
-        for c in range(COLUMNS):
+        for r, c in enumerate(columns):
             for i in range(3):
-                tilt[i] = response[i, c]
+                tilt[i] = response[i, r]
             # Response of the true increments: those measured less the errors.
             if c < 3:
                 for i in range(3):
-                    response[i, c] -= middle[i, c] * length_s
+                    response[i, r] -= middle[i, c] * length_s
             elif c < 12:
                 for i in range(3):
-                    response[i, c] -= middle[i, (c - 3) // 3] * angles[(c - 3) % 3]
+                    response[i, r] -= middle[i, (c - 3) // 3] * angles[(c - 3) % 3]
             elif c < 15:
                 for i in range(3):
-                    response[3 + i, c] -= middle[i, c - 12] * length_s
+                    response[3 + i, r] -= middle[i, c - 12] * length_s
             elif c < COUNT:
                 for i in range(3):
-                    response[3 + i, c] -= middle[i, _ROWS[c - 15]] * velocities[_COLUMNS[c - 15]]
+                    response[3 + i, r] -= middle[i, _ROWS[c - 15]] * velocities[_COLUMNS[c - 15]]
             elif c < DELAY:
                 sensor, arm = (c - COUNT) // 3, (c - COUNT) % 3
                 for i in range(3):
-                    response[3 + i, c] -= middle[i, sensor] * arms[sensor, arm]
+                    response[3 + i, r] -= middle[i, sensor] * arms[sensor, arm]
             elif c == DELAY:
                 for i in range(3):
-                    response[3 + i, c] += (
+                    response[3 + i, r] += (
                         middle[i, 0] * delayed[0] + middle[i, 1] * delayed[1] + middle[i, 2] * delayed[2]
                     )
             elif c < UNKNOWNS:
                 sensor = c - DELAY - 1
                 for i in range(3):
-                    response[3 + i, c] -= middle[i, sensor] * squares[sensor]
+                    response[3 + i, r] -= middle[i, sensor] * squares[sensor]
+            elif c == LATITUDE:
+                for i in range(3):
+                    response[i, r] -= by_latitude[i] * length_s
             elif c >= UNKNOWNS + 3:
                 for i in range(3):
-                    response[i, c] -= middle[i, c - UNKNOWNS - 3] * length_s * since_middle_s
-            a, b, d = response[0, c], response[1, c], response[2, c]
+                    response[i, r] -= middle[i, c - UNKNOWNS - 3] * length_s * since_middle_s
+            a, b, d = response[0, r], response[1, r], response[2, r]
             for i in range(3):
-                response[i, c] = step[i, 0] * a + step[i, 1] * b + step[i, 2] * d
-                tilt[i] = 0.5 * (tilt[i] + response[i, c])
-            response[3, c] += tilt[1] * lifts[2] - tilt[2] * lifts[1]
-            response[4, c] += tilt[2] * lifts[0] - tilt[0] * lifts[2]
-            response[5, c] += tilt[0] * lifts[1] - tilt[1] * lifts[0]
+                response[i, r] = step[i, 0] * a + step[i, 1] * b + step[i, 2] * d
+                tilt[i] = 0.5 * (tilt[i] + response[i, r])
+            response[3, r] += tilt[1] * lifts[2] - tilt[2] * lifts[1]
+            response[4, r] += tilt[2] * lifts[0] - tilt[0] * lifts[2]
+            response[5, r] += tilt[0] * lifts[1] - tilt[1] * lifts[0]
         begin[:] = C
         sums[:] = 0.0
         samples = 0
@@ -295,7 +319,7 @@ def attitudes(
     angle: FloatArray, interval_s: float, ends: IntArray, C_nb: FloatArray, latitude: float
 ) -> FloatArray:
     """Attitudes (n + 1, 3, 3) at the start and the ends of epochs, from increments of angle."""
-    return integrated(angle, np.zeros_like(angle), interval_s, ends, C_nb, latitude, 0.0).attitude
+    return integrated(angle, np.zeros_like(angle), interval_s, ends, C_nb, latitude, 0.0, ()).attitude
 
 
 def epoch_steps(
@@ -343,21 +367,43 @@ def _intervals(
     trajectory: Trajectory, lengths_s: FloatArray, noise: SensorNoise, latitude: float
 ) -> tuple[FloatArray, FloatArray]:
     """Transition and noise (n, 6, 6) of psi and u over each epoch."""
-    n = len(lengths_s)
-    cross = np.cross(trajectory.force[:, np.newaxis, :], np.eye(3))  # cross @ psi = psi x force
-    C = 0.5 * (trajectory.attitude[1:] + trajectory.attitude[:-1])
-    gyro = C * noise.angle_random_walk**2 @ C.transpose(0, 2, 1)
-    force = C * noise.velocity_random_walk**2 @ C.transpose(0, 2, 1)
-    time = lengths_s[:, np.newaxis, np.newaxis]
-    transition, covariance = np.zeros((2, n, 6, 6))
-    transition[:, :3, :3] = rotation_matrices(-earth_rate_enu(latitude) * lengths_s[:, np.newaxis])
-    transition[:, 3:, :3] = cross
-    transition[:, 3:, 3:] = np.eye(3)
-    covariance[:, :3, :3] = gyro * time
-    covariance[:, 3:, :3] = 0.5 * cross @ gyro * time
-    covariance[:, :3, 3:] = covariance[:, 3:, :3].transpose(0, 2, 1)
-    covariance[:, 3:, 3:] = force * time + cross @ gyro @ cross.transpose(0, 2, 1) * time / 3.0
+    transition, covariance = np.zeros((2, len(lengths_s), 6, 6))
+    walks = noise.angle_random_walk**2, noise.velocity_random_walk**2
+    _set_intervals(
+        trajectory.attitude,
+        trajectory.force,
+        lengths_s,
+        *walks,
+        earth_rate_enu(latitude),
+        transition,
+        covariance,
+    )
     return transition, covariance
+
+
+@compiled
+def _set_intervals(
+    attitude: FloatArray, force: FloatArray, lengths_s: FloatArray, angle_walk: FloatArray,
+    velocity_walk: FloatArray, earth: FloatArray, transition: FloatArray, covariance: FloatArray,
+) -> None:  # fmt: skip
+    cross, tilts, lifts, moved, twice = np.zeros((5, 3, 3))
+    for n, time in enumerate(lengths_s):
+        F, Q, C = transition[n], covariance[n], 0.5 * (attitude[n] + attitude[n + 1])
+        set_turn(F[:3, :3], (-earth[0] * time, -earth[1] * time, -earth[2] * time))
+        for i in range(3):
+            j, k = (i + 1) % 3, (i + 2) % 3
+            F[3 + i, 3 + i] = 1.0
+            # cross @ psi = psi x force
+            cross[i, j], cross[i, k] = force[n, k], -force[n, j]
+            for j in range(3):
+                tilts[i, j] = lifts[i, j] = 0.0
+                for k in range(3):
+                    tilts[i, j] += time * C[i, k] * angle_walk[k] * C[j, k]
+                    lifts[i, j] += time * C[i, k] * velocity_walk[k] * C[j, k]
+        F[3:, :3] = cross
+        _set_product(moved, cross, tilts)
+        _set_product(twice, moved, cross)  # its transpose is its negative
+        Q[:3, :3], Q[3:, :3], Q[:3, 3:], Q[3:, 3:] = tilts, 0.5 * moved, 0.5 * moved.T, lifts - twice / 3.0
 
 
 @compiled
@@ -434,7 +480,9 @@ def _whiten(
                 used += 1
         if starts[epoch] >= 0:
             R = rotations[starts[epoch]]
-            X[6:] = R @ X[:3]
-            P[6:] = R @ P[:3]
-            P[:, 6:] = np.ascontiguousarray(P[:, :3]) @ R.T
+            for i in range(3):
+                X[6 + i] = R[i, 0] * X[0] + R[i, 1] * X[1] + R[i, 2] * X[2]
+                P[6 + i] = R[i, 0] * P[0] + R[i, 1] * P[1] + R[i, 2] * P[2]
+            for i in range(3):
+                P[:, 6 + i] = R[i, 0] * P[:, 0] + R[i, 1] * P[:, 1] + R[i, 2] * P[:, 2]
     return rows[:used]

@@ -119,10 +119,17 @@ def _of_token(uri: str, pin: str) -> SigningKey:
         return encode(int.from_bytes(raw[:half]), int.from_bytes(raw[half:]))  # type: ignore[no-any-return]
 
     with _opened(uri, pin) as (session, key):
-        held = {
-            x509.load_der_x509_certificate(each[attribute.VALUE]): each[attribute.ID] == key[attribute.ID]
-            for each in session.get_objects({attribute.CLASS: pkcs11.ObjectClass.CERTIFICATE})
-        }
+        held = {}
+        for each in session.get_objects({attribute.CLASS: pkcs11.ObjectClass.CERTIFICATE}):
+            is_own = each[attribute.ID] == key[attribute.ID]
+            try:
+                held[x509.load_der_x509_certificate(each[attribute.VALUE])] = is_own
+            except ValueError as error:
+                if is_own:  # that of another key is not needed
+                    raise DocumentError(
+                        f"{uri}: the certificate of the key can't be read: {error}. Write it to the token "
+                        "again, as DER"
+                    ) from error
     chain = [each for each, is_own in held.items() if is_own][:1]
     for each in chain:  # which grows by the issuer of its last one
         chain += [other for other in held if other.subject == each.issuer and other not in chain][:1]

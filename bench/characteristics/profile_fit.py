@@ -109,6 +109,8 @@ def indicators(groups: Sequence[object]) -> FloatArray:
 _MIN_SPAN_C = 5.0
 #: Half widths of the play that are tried, K; the largest relative to the span of temperatures.
 _NARROWEST_C, _WIDEST, _WIDTHS = 0.2, 0.25, 25
+#: Change, K, by which a temperature that was heated begins to be cooled.
+_REVERSAL_C = 1.0
 #: Points of a dwell at which the history is followed.
 _POINTS = 7
 #: Correlation above which two sensitivities are inseparable.
@@ -176,7 +178,12 @@ def thermal_sensitivity(rows: Sequence[DwellRow], reference_c: float | None, deg
                 "intervals include this, but something else acts on the bias. Try gyrobench close."
             )
         offset = constants @ fit.coefficients[degree + 2 :]
-        curves.append(Curve.of(gyro, temperature, bias - offset, sigma, fit.fitted - offset))
+        is_cooling = play_state(temperature, _REVERSAL_C) > 0.0
+        parts = [
+            f"{'cooling' if cooling else 'heating'}, cycle {row.cycle}"
+            for cooling, row in zip([is_cooling[1], *is_cooling[1:]], good, strict=True)
+        ]
+        curves.append(Curve.of(gyro, temperature, bias - offset, sigma, fit.fitted - offset, parts))
     at_c = ", ".join(f"{each:.1f}" for each in dict.fromkeys(zeros_c))
     notes.insert(0, f"The temperature sensitivities are those at {at_c} degC.")
     return TestResult(test="thermal_sensitivity", coefficients=coefficients, curves=curves, notes=notes)

@@ -42,13 +42,24 @@ class Curve(StrictModel):
     low: list[float]
     high: list[float]
     fit: list[float]
+    #: Name of the part of the measurement that each point belongs to: a line ends with its part. Empty if
+    #: there is one.
+    parts: list[str] = Field(default_factory=list)
 
     @classmethod
-    def of(cls, gyro: str, x: FloatArray, value: FloatArray, sigma: FloatArray, fit: FloatArray) -> Curve:
+    def of(
+        cls,
+        gyro: str,
+        x: FloatArray,
+        value: FloatArray,
+        sigma: FloatArray,
+        fit: FloatArray,
+        parts: Sequence[str] = (),
+    ) -> Curve:
         """Points (n,) with standard uncertainties."""
         low, high = value - sigma, value + sigma
         named = {"x": x, "value": value, "low": low, "high": high, "fit": fit}
-        return cls(gyro=gyro, **{name: each.tolist() for name, each in named.items()})
+        return cls(gyro=gyro, parts=list(parts), **{name: each.tolist() for name, each in named.items()})
 
 
 class TestResult(StrictModel):

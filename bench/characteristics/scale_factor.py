@@ -124,7 +124,9 @@ def _over_time(
         found.append(coefficient(gyro, f"{name} standard deviation", "ppm", *roots))
         found.append(coefficient(gyro, f"{name} variance", "ppm^2", size, low, high))
     mean = float(share @ fit.values)
-    return found, Curve.of(gyro, hours, value - mean, sigma, design @ fit.values - mean)
+    return found, Curve.of(
+        gyro, hours, value - mean, sigma, design @ fit.values - mean, [each.run for each in records]
+    )
 
 
 def _over_rates(gyro: str, spun: Sequence[SpinScaleFactor]) -> list[Coefficient]:

@@ -122,7 +122,7 @@ def print_tables(
     from gyrobench.bench.report.terminal.tables import section_view
 
     sections = [
-        bins_summary(bins) if bins or not verification else None,
+        bins_summary(bins) if bins or not (verification or coefficients or characteristics) else None,
         verification_section(verification),
         acceptance_summary(acceptance),
         coefficients_section(coefficients),

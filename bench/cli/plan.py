@@ -116,6 +116,7 @@ def _show_observability(
         load_rotation_list,
         rotation_list_text,
     )
+    from gyrobench.bench.dwells.dwell import measurement_setup
     from gyrobench.bench.foundations.csv_tables import write_text
     from gyrobench.bench.foundations.shipped import find_document
     from gyrobench.bench.report.terminal.calibration import forecast_summary
@@ -123,12 +124,13 @@ def _show_observability(
 
     rotations = load_rotation_list(find_document("rotations", name))
     station = Station(find_document("stations", station_name))
-    noise = expected_noise(station.noise(0.0, 0.0))
+    has_increments = station.file.ins.signals.increments is not None
+    step_mps = 0.0 if has_increments else measurement_setup(station).velocity_lsb_mps
+    noise = expected_noise(station.noise(0.0, 0.0), rotations, step_mps)
     whole_turns = None if whole_turns_arcsec is None else whole_turns_arcsec * pi / 648000.0
     max_rate_dps = station.file.rate_table.limits.rate_dps
     site_sigmas = station.gravity[1], station.prior().latitude
-    has_vertical = station.file.ins.signals.increments is not None
-    bench = (station.table, station.site, noise, max_rate_dps, whole_turns, site_sigmas, has_vertical)
+    bench = (station.table, station.site, noise, max_rate_dps, whole_turns, site_sigmas, has_increments)
     files = []
     if reach:
         rotations, found = shortest_list(rotations, parse_targets(reach), *bench)

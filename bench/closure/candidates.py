@@ -6,11 +6,11 @@ The comparison of hypotheses is here alone: :class:`Hypothesis` ranks them, stat
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
 
 import numpy as np
-from scipy.optimize import minimize
 
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.effects.effect import Effect, Form
@@ -157,19 +157,52 @@ def refine(problem: Problem, candidates: Sequence[Candidate]) -> list[Candidate]
     def negative_reduction(offsets: FloatArray) -> float:
         return -problem.chi2_reduction(*stack(split(offsets), problem.campaign))[0]
 
-    zero = np.zeros(len(start))
-    found = minimize(
-        negative_reduction,
-        zero,
-        method="Nelder-Mead",
-        options={
-            "initial_simplex": np.vstack([zero, np.eye(len(start))]),
-            "maxfev": _MAX_EVALUATIONS * len(start),
-            "xatol": _PARAMETER_PRECISION,
-            "fatol": _CHI2_PRECISION,
-        },
-    )
-    return split(found.x)
+    simplex = np.vstack([np.zeros(len(start)), np.eye(len(start))])
+    most = _MAX_EVALUATIONS * len(start)
+    return split(lowest(negative_reduction, simplex, most, _PARAMETER_PRECISION, _CHI2_PRECISION))
+
+
+def lowest(
+    cost: Callable[[FloatArray], float],
+    simplex: FloatArray,
+    max_evaluations: int,
+    point_precision: float,
+    cost_precision: float,
+) -> FloatArray:
+    """Point (n,) of the lowest cost by the method of Nelder and Mead (1965), from a simplex (n + 1, n).
+
+    The steps are those of scipy.optimize, whose import takes longer than all searches of a campaign. It ends
+    with the first step after ``max_evaluations``, or as soon as both precisions are reached.
+    """
+    costs = np.array([cost(corner) for corner in simplex])
+    evaluations = len(costs)
+
+    def tried(factor: float) -> tuple[float, FloatArray]:
+        nonlocal evaluations
+        evaluations += 1
+        point = (1.0 + factor) * centre - factor * simplex[-1]
+        return cost(point), point
+
+    while True:
+        order = np.argsort(costs)
+        simplex, costs = simplex[order], costs[order]
+        is_precise = np.abs(simplex[1:] - simplex[0]).max() <= point_precision
+        if evaluations >= max_evaluations or (is_precise and costs[-1] - costs[0] <= cost_precision):
+            return np.asarray(simplex[0])
+        centre = np.sum(simplex[:-1], 0) / len(simplex[0])
+        found, point = tried(1.0)
+        if found < costs[0]:
+            found, point = min((found, point), tried(2.0), key=itemgetter(0))
+        elif found >= costs[-2]:
+            outside = found < costs[-1]
+            limit = found if outside else costs[-1]
+            found, point = tried(0.5 if outside else -0.5)
+            if found > limit or (found == limit and not outside):
+                simplex[1:] = simplex[0] + 0.5 * (simplex[1:] - simplex[0])
+                costs[1:] = [cost(corner) for corner in simplex[1:]]
+                evaluations += len(costs) - 1
+                continue
+        simplex[-1], costs[-1] = point, found
 
 
 def stack(candidates: Sequence[Candidate], campaign: Campaign) -> tuple[FloatArray, BoolArray]:

@@ -182,11 +182,6 @@ class Closure:
         """Ratio of the noise to the stated uncertainties."""
         return self.noise.scale
 
-    @property
-    def noise_sentences(self) -> list[str]:
-        """See :meth:`~.noise.Noise.sentences`."""
-        return self.noise.sentences(is_all=self.verdict != "unexplained")
-
     @cached_property
     def prediction_sigma_dph(self) -> FloatArray:
         """Standard uncertainty of the bias by the model in all dwells (n, 3), deg/h.
@@ -202,10 +197,14 @@ class Closure:
         )
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the effects found."""
+        return tuple(each.effect.name for each in self.effects)
+
+    @property
     def probability(self) -> float:
         """Probability that all effects found are there; of nothing undeclared if there are none."""
-        names = [each.effect.name for each in self.effects]
-        return self.posterior.of_all(names) if names else self.posterior.nothing
+        return self.posterior.of_all(self.names) if self.effects else self.posterior.nothing
 
     @property
     def separating_measurement(self) -> str | None:
@@ -341,7 +340,7 @@ def _turn(campaign: Campaign, cycle: int, effects: Sequence[Effect]) -> Turn:
     return Turn(
         cycle,
         closure.verdict,
-        tuple(each.effect.name for each in closure.effects),
+        closure.names,
         closure.error_before_dph,
         closure.error_after_dph,
         closure.noise_scale * rms_of_known(campaign.known_sigma_dph[campaign.cycle == cycle]),

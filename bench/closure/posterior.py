@@ -17,11 +17,12 @@ import numpy as np
 from scipy.special import gammaln, logsumexp
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.candidates import Candidate, Hypothesis, stack
-from gyrobench.bench.closure.effects.effect import Effect, Parameter
-from gyrobench.bench.closure.problem import MIN_VISIBLE, Problem
+from gyrobench.bench.closure.candidates import Candidate, Hypothesis
+from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter
+from gyrobench.bench.closure.problem import Problem
 from gyrobench.bench.closure.remainder import TOGETHER, remainder_of
-from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray, rms_of_known
+from gyrobench.bench.closure.terms import Terms
+from gyrobench.bench.foundations.arrays import FloatArray, rms_of_known
 
 #: Prior probability of so many effects; all sets of as many are equally probable.
 EFFECT_COUNT_PRIOR = (0.4, 0.35, 0.15, 0.1)
@@ -167,6 +168,7 @@ class Evidences:
         }
         self._problem, self._effects = problem, effects
         self._weights: dict[object, tuple[float, FloatArray]] = {}
+        self._steps: dict[Form, tuple[FloatArray, FloatArray]] = {}
         self._dof = np.array([basis.shape[0] - basis.shape[1] for basis in problem.bases], dtype=np.float64)
         self._remainder = remainder_of(problem)
         shares = np.array([TOGETHER_SHARE if name == TOGETHER else 1.0 for name in self.processes])
@@ -220,20 +222,25 @@ class Evidences:
         return self._weights[key]
 
     def _weighed(self, of: Hypothesis, *, is_summed: bool) -> tuple[float, FloatArray]:
-        terms = _Terms.of(self._problem, of.candidates)
-        scales = terms.scales()
-        per_gyro = self._log_evidence(terms.products[:, None], scales * terms.kept[:, None])
-        best = scales[np.argmax(per_gyro[..., 0], axis=1)]
-        per_gyro += self._other_terms(terms, best)[:, np.newaxis]
-        axes = (len(MAGNITUDES),) * len(of.candidates)
-        alone = _summed(per_gyro.reshape(3, *axes, -1), len(axes))
-        prior = self._log_prior(of)
-        prior += _log_parameter_volume(self._problem, of.candidates, terms, best * terms.kept)
+        terms, prior = Terms.of(self._problem, of.candidates), self._log_prior(of)
+        alone, best = self._without_process(of, terms)
         with_process = self._with_processes(terms, best, alone, is_summed=is_summed)
         return (
             prior + math.log(1.0 - REMAINDER_PRIOR) + alone,
             prior + self._log_process_prior + with_process,
         )
+
+    def _without_process(self, of: Hypothesis, terms: Terms) -> tuple[float, FloatArray]:
+        """Log evidence without a process, and the most probable magnitudes (3, k)."""
+        count = len(of.candidates)
+        combinations = np.array(list(itertools.product(MAGNITUDES, repeat=count)))
+        scales = combinations.reshape(len(MAGNITUDES) ** count, count)[:, terms.owner]
+        per_gyro = self._log_evidence(terms.products[:, None], scales * terms.kept[:, None])
+        best = scales[np.argmax(per_gyro[..., 0], axis=1)]
+        per_gyro += self._other_terms(terms, best)[:, np.newaxis]
+        alone = _summed(per_gyro.reshape(3, *(len(MAGNITUDES),) * count, -1), count)
+        alone += _log_parameter_volume(self._problem, of.candidates, terms, best * terms.kept)
+        return alone + self._log_time_share(of.candidates, terms, best * terms.kept), best
 
     def _log_prior(self, of: Hypothesis) -> float:
         count = len(of.candidates)
@@ -242,7 +249,31 @@ class Evidences:
         optional = sum(each.kept.size for each in of.candidates if each.kept.shape[1] > 1)
         return math.log(EFFECT_COUNT_PRIOR[count] / sets) - forms + optional * math.log(_ABSENT)
 
-    def _other_terms(self, terms: _Terms, scales: FloatArray) -> FloatArray:
+    def _log_time_share(self, candidates: Sequence[Candidate], terms: Terms, scales: FloatArray) -> float:
+        """Logarithm of the mean evidence of all times of a step over that of the best; 0 without one."""
+        total, count = 0.0, len(terms.owner)
+        for place, each in enumerate(candidates):
+            if not any(math.isinf(parameter.low) for parameter in each.form.parameters):
+                continue
+            if each.form not in self._steps:
+                self._steps[each.form] = _steps(self._problem, each.form)
+            times_s, steps = self._steps[each.form]
+            [mine] = np.flatnonzero(terms.owner == place)
+            log_evidence = np.zeros(len(times_s) + 1)
+            for gyro in np.flatnonzero(terms.kept[:, mine]):
+                used = np.flatnonzero(terms.kept[gyro] & (np.arange(count) != mine))
+                basis, _ = np.linalg.qr(terms.columns[gyro][:, used])
+                fitted, data = terms.columns[gyro][:, [mine]], terms.columns[gyro][:, count]
+                columns = np.concatenate([steps[gyro] / max(terms.rms[gyro, mine], 1e-9), fitted], axis=1)
+                columns = columns - basis @ (basis.T @ columns)
+                weight = np.sum(columns**2, axis=0) + scales[gyro, mine] ** -2
+                log_evidence += 0.5 * ((columns.T @ data) ** 2 / weight - np.log(weight))
+            density = np.exp(log_evidence - log_evidence.max())
+            share = np.trapezoid(density[:-1], times_s) / np.ptp(times_s)
+            total += math.log(max(share, _STEP))
+        return total
+
+    def _other_terms(self, terms: Terms, scales: FloatArray) -> FloatArray:
         """Log evidence of all subsets of terms over that of those kept, (3, components of the noise prior).
 
         Each term is dropped or added beside those kept, as if it were independent of the others. An effect
@@ -255,9 +286,7 @@ class Evidences:
         ratios -= self._log_evidence(terms.products, scales * terms.kept)[:, np.newaxis]
         return np.asarray(np.sum(np.logaddexp(0.0, ratios) * can_change[..., np.newaxis], axis=1))
 
-    def _with_processes(
-        self, terms: _Terms, best: FloatArray, alone: float, *, is_summed: bool
-    ) -> FloatArray:
+    def _with_processes(self, terms: Terms, best: FloatArray, alone: float, *, is_summed: bool) -> FloatArray:
         """Log evidence with each process.
 
         The magnitudes of the effects are the ``best`` (3, k), or summed one at a time.
@@ -275,7 +304,7 @@ class Evidences:
         added = [by_magnitude(each, 1) - without for each in self._processes(terms, scales)]
         return np.array([alone + each[0] + np.sum(each[1:] - each[0]) for each in added])
 
-    def _processes(self, terms: _Terms, scales: FloatArray) -> Iterator[FloatArray]:
+    def _processes(self, terms: Terms, scales: FloatArray) -> Iterator[FloatArray]:
         """Log evidence with each process: (3, its magnitudes, scales, components of the noise prior).
 
         ``scales`` (3, S, k) are those of the terms.
@@ -320,54 +349,6 @@ class Evidences:
         return np.asarray(np.stack(parts, axis=-1) - log_determinant[..., np.newaxis])
 
 
-@dataclass(frozen=True)
-class _Terms:
-    """Terms and data of a hypothesis beside the declared model, in units of the noise and each of rms 1."""
-
-    columns: FloatArray  #: Shape (3, m, k + 1). The data are last.
-    products: FloatArray  #: Shape (3, k + 1, k + 1).
-    kept: BoolArray  #: Shape (3, k).
-    owner: IntArray  #: Shape (k,). Index of each term's effect.
-    rms: FloatArray  #: Shape (3, k). Of the terms before that.
-
-    @classmethod
-    def of(cls, problem: Problem, candidates: Sequence[Candidate]) -> _Terms:
-        if candidates:
-            all_columns, kept = stack(candidates, problem.campaign)
-        else:
-            all_columns, kept = np.zeros((len(problem.campaign), 3, 0)), np.ones((3, 0), dtype=bool)
-        visible, rms = problem.beside(all_columns[problem.searched])
-        owner = np.repeat(np.arange(len(candidates)), [each.kept.shape[1] for each in candidates])
-        rms = rms * _share_beside_others(visible / rms[:, None], kept, owner)
-        columns = np.concatenate([visible / rms[:, None], problem.residuals.T[..., None]], axis=2)
-        return cls(columns, np.swapaxes(columns, 1, 2) @ columns, kept, owner.astype(np.int64), rms)
-
-    def scales(self) -> FloatArray:
-        """All combinations of the effects' magnitudes, as those of the terms (combinations, k)."""
-        count = int(self.owner.max(initial=-1)) + 1
-        combinations = np.array(list(itertools.product(MAGNITUDES, repeat=count))).reshape(
-            len(MAGNITUDES) ** count, count
-        )
-        return combinations[:, self.owner]
-
-
-def _share_beside_others(columns: FloatArray, kept: BoolArray, owner: IntArray) -> FloatArray:
-    """Share (3, k) of columns of rms 1 (3, m, k) that is independent of the other effects' terms.
-
-    What an effect adds to a set is its size: otherwise a set that contains correlated effects of opposite
-    sign would be counted beside each of its parts.
-    """
-    shares = np.ones(kept.shape)
-    for gyro, effect in itertools.product(range(3), range(int(owner.max(initial=0)) + 1)):
-        mine, others = owner == effect, (owner != effect) & kept[gyro]
-        if others.any():
-            columns_of_others, _ = np.linalg.qr(columns[gyro][:, others])
-            rest = columns[gyro][:, mine]
-            rest = rest - columns_of_others @ (columns_of_others.T @ rest)
-            shares[gyro, mine] = np.maximum(np.sqrt(np.mean(rest**2, axis=0)), MIN_VISIBLE)
-    return shares
-
-
 def _summed(per_gyro: FloatArray, magnitudes: int) -> float:
     """Log evidence of all gyros from that of each (3, magnitudes, ..., components of the noise prior)."""
     top = per_gyro.reshape(3, -1).max(axis=1).reshape(3, *(1,) * (per_gyro.ndim - 1))
@@ -376,7 +357,7 @@ def _summed(per_gyro: FloatArray, magnitudes: int) -> float:
         shares = np.moveaxis(np.tensordot(_SMALLER, shares, (1, axis)), 0, axis)
     together = np.sum(np.log(np.maximum(shares, 1e-300)) + top, axis=0)
     together += np.log([probability for probability, _, _ in NOISE_PRIOR])
-    return float(logsumexp(together)) - magnitudes * math.log(len(MAGNITUDES))
+    return float(np.logaddexp.reduce(together, axis=None)) - magnitudes * math.log(len(MAGNITUDES))
 
 
 def _smaller() -> FloatArray:
@@ -390,15 +371,18 @@ _SMALLER = _smaller()
 
 
 def _log_parameter_volume(
-    problem: Problem, candidates: Sequence[Candidate], terms: _Terms, scales: FloatArray
+    problem: Problem, candidates: Sequence[Candidate], terms: Terms, scales: FloatArray
 ) -> float:
     """Logarithm of the share of the prior of nonlinear parameters that the data leave (Laplace).
 
-    The curvature is that of the fit, linearized in the parameters, beside the sizes of all terms.
+    The curvature is that of the fit, linearized in the parameters, beside the sizes of all terms. A time
+    without bounds is left out: nothing changes with it between two dwells.
     """
     slopes = []
     for place, each in enumerate(candidates):
         for index, parameter in enumerate(each.form.parameters):
+            if math.isinf(parameter.low):
+                continue
             value = each.values[index]
             width = prior_width(problem, parameter, value)
             step = _STEP * width if value + _STEP * width <= parameter.high else -_STEP * width
@@ -421,6 +405,16 @@ def _log_parameter_volume(
         across = columns.T @ change
         information += change.T @ change - across.T @ np.linalg.solve(normal, across)
     return -0.5 * float(np.linalg.slogdet(np.eye(len(slopes)) + information / (2.0 * np.pi))[1])
+
+
+def _steps(problem: Problem, form: Form) -> tuple[FloatArray, FloatArray]:
+    """Times (t,) of a step, the edges and the middle of each dwell, and its columns (3, m, t) beside."""
+    campaign, searched = problem.campaign, problem.searched
+    edges_s = (campaign.start_s[searched], campaign.middle_s[searched], campaign.end_s[searched])
+    times_s = np.unique(np.concatenate(edges_s))
+    return times_s, problem.beside(
+        np.concatenate([form.columns(campaign, (at_s,))[searched] for at_s in times_s.tolist()], axis=2)
+    )[0]
 
 
 _DRAWS = 200

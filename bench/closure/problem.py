@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -30,10 +31,16 @@ class Problem:
     bases: tuple[FloatArray, ...]
     residuals: FloatArray  #: Shape (m, 3). Residuals of the measured biases, in standard deviations.
 
-    @property
+    @cached_property
     def sigma_dph(self) -> FloatArray:
         """Standard deviation of the noise in the dwells searched, shape (m, 3)."""
         return self.campaign.sigma_dph[self.searched] * self.noise_scale
+
+    @cached_property
+    def _stacked_bases(self) -> FloatArray:
+        """Bases of the three gyros, shape (3, m, r), filled up with columns of zeros."""
+        widest = max(basis.shape[1] for basis in self.bases)
+        return np.stack([np.pad(basis, ((0, 0), (0, widest - basis.shape[1]))) for basis in self.bases])
 
     @property
     def least_scatter(self) -> float:
@@ -77,15 +84,15 @@ class Problem:
 
     def chi2_reduction(self, columns: FloatArray, kept: BoolArray | None = None) -> tuple[float, int]:
         """Reduction of chi2 by a fit of terms, and the number of independent ones among them."""
-        reduction, rank = 0.0, 0
-        for gyro in range(3):
-            terms = self.independent_part(columns, gyro, kept)
-            lengths, directions = np.linalg.eigh(terms.T @ terms)
-            independent = lengths > MIN_SHARE**2
-            parts = directions[:, independent].T @ (terms.T @ self.residuals[:, gyro])
-            reduction += float(np.sum(parts**2 / lengths[independent]))
-            rank += int(independent.sum())
-        return reduction, rank
+        terms = np.moveaxis(columns[self.searched] / self.sigma_dph[..., np.newaxis], 1, 0)
+        if kept is not None:
+            terms = np.where(kept[:, np.newaxis], terms, 0.0)
+        lengths = np.sqrt(np.sum(terms**2, axis=1, keepdims=True))
+        terms = _residual(self._stacked_bases, terms / np.where(lengths > 0.0, lengths, 1.0))
+        squares, directions = np.linalg.eigh(terms.mT @ terms)
+        independent = squares > MIN_SHARE**2
+        parts = (directions.mT @ (terms.mT @ self.residuals.T[..., np.newaxis]))[..., 0]
+        return float(np.sum(parts[independent] ** 2 / squares[independent])), int(independent.sum())
 
     def independent_lengths(self, columns: FloatArray, kept: BoolArray) -> FloatArray:
         """Length of each kept term that is independent of the columns so far, in standard deviations."""
@@ -204,5 +211,5 @@ def _basis(columns: FloatArray) -> FloatArray:
 
 def _residual(basis: FloatArray, data: FloatArray) -> FloatArray:
     """Data minus their projection onto a basis; twice, against rounding."""
-    once = data - basis @ (basis.T @ data)
-    return np.asarray(once - basis @ (basis.T @ once))
+    once = data - basis @ (basis.mT @ data)
+    return np.asarray(once - basis @ (basis.mT @ once))

@@ -194,6 +194,10 @@ class Separability:
     #: Size that effects found by a closure have in these dwells, by name; others have a target size.
     expected_dph: Mapping[str, float] = field(default_factory=dict)
 
+    def label(self, name: str) -> str:
+        """Label of an effect."""
+        return next((each.effect.display_name for each in self.detections if each.effect.name == name), name)
+
     def nearest_alternative(self, name: str) -> tuple[str, float] | None:
         """Effect hardest to distinguish from one, and the smallest size at which it is; None without any."""
         sizes = {other: size for (present, other), size in self.distinguished_dph.items() if present == name}

@@ -22,7 +22,7 @@ from functools import cache
 
 import numpy as np
 
-from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, b_splines
 
 _STEPS_A_DWELL = 10
 _SPLINE_DEGREE = 5
@@ -141,15 +141,18 @@ class _Segment:
         part: slice,
     ) -> _Segment:
         """Interpolate the case temperature by a spline of its integral, which keeps the dwells' means."""
-        from scipy.interpolate import make_interp_spline
-
         edges_h = np.append(start_s, end_s[-1]) / _S_PER_H
         lengths_h = np.diff(edges_h)
         sums = np.concatenate([[0.0], np.cumsum(case_c * lengths_h)])
         step_h = lengths_h / _STEPS_A_DWELL
         times_h = edges_h[:-1, np.newaxis] + (np.arange(_STEPS_A_DWELL) + 0.5) * step_h[:, np.newaxis]
         degree = max((min(_SPLINE_DEGREE, len(case_c)) - 1) // 2 * 2 + 1, 1)
-        driven_c = make_interp_spline(edges_h, sums, k=degree).derivative()(times_h)
+        ends, half = np.ones(degree + 1), (degree + 1) // 2  # no knots beside the ends
+        inner = edges_h[half : len(edges_h) - half]
+        knots = np.concatenate([edges_h[0] * ends, inner, edges_h[-1] * ends])
+        factors = np.linalg.solve(b_splines(edges_h, knots, degree), sums)
+        slopes = degree * np.diff(factors) / (knots[degree + 1 : -1] - knots[1 : -degree - 1])
+        driven_c = (b_splines(times_h.ravel(), knots[1:-1], degree - 1) @ slopes).reshape(times_h.shape)
         return cls(part, is_fitted, up_body, driven_c, step_h)
 
     def start(self, readings: FloatArray) -> FloatArray:

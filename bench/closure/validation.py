@@ -11,13 +11,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import BSpline
 from scipy.special import chdtrc, fdtrc, ndtr
 
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate, solve_with
 from gyrobench.bench.closure.problem import SCALE_C, Problem, Solution, declared_problem
-from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, b_splines, rms
 
 #: A lack of fit is significant below this p-value.
 LACK_OF_FIT_P = 1e-3
@@ -84,7 +83,7 @@ def _spline(values: FloatArray, knots: int) -> FloatArray:
     low, high = float(values.min()), float(values.max())
     inner = np.linspace(low, high if high > low else low + 1.0, knots)
     all_knots = np.concatenate([[inner[0]] * 3, inner, [inner[-1]] * 3])
-    return np.asarray(BSpline.design_matrix(values, all_knots, 3).toarray())
+    return b_splines(values, all_knots, 3)
 
 
 def _time(campaign: Campaign) -> FloatArray:

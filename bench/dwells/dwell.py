@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -24,7 +24,7 @@ from gyrobench.bench.bias.statistics import GoodnessOfFit
 from gyrobench.bench.bias.vertical_pairs import exceeds_declared
 from gyrobench.bench.bias.window_filter import EPOCH_S
 from gyrobench.bench.dwells.marks import DwellMarks, WindowMark
-from gyrobench.bench.dwells.output_checks import OutputFault, exceeds_noise, output_faults
+from gyrobench.bench.dwells.output_checks import OutputFault, exceeds_noise, output_faults, rounding
 from gyrobench.bench.dwells.sign_check import SignCheck
 from gyrobench.bench.dwells.temperatures import (
     DwellTemperatures,
@@ -113,15 +113,17 @@ class MeasurementSetup:
 
         Raises MeasurementError if it is to be estimated, and is not observable in these windows.
         """
-        if self.noise is not None:
-            if not exceeds_noise(windows, self.noise, self.site.gravity, *self._steps):
-                return self.noise
-            return estimate_noise(windows, self.site.gravity).exceeding(self.noise)
-        return (
-            estimate_noise(windows, self.site.gravity)
-            .noise_model()
-            .at_least(*(step / math.sqrt(12.0) for step in self._steps))
-        )
+        noise = self.noise
+        if noise is None:
+            noise = estimate_noise(windows, self.site.gravity).noise_model()
+        elif exceeds_noise(windows, noise, self.site.gravity, *self._steps):
+            noise = estimate_noise(windows, self.site.gravity).exceeding(noise)
+        rests = [(each.time_s, each.velocity_enu_mps, each.C_nb) for each in windows]
+        return noise.at_least(*self.rounding(rests))
+
+    def rounding(self, rests: Sequence[tuple[FloatArray, FloatArray, FloatArray]]) -> tuple[float, float]:
+        """See :func:`gyrobench.bench.dwells.output_checks.rounding`."""
+        return rounding(rests, *self._steps)
 
 
 @dataclass(frozen=True, eq=False)

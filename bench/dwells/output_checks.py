@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrobench.bench.bias.dwell import NavigationWindow
-from gyrobench.bench.bias.noise_model import NoiseModel
+from gyrobench.bench.bias.noise_model import NoiseModel, rounding_sigma
 from gyrobench.bench.bias.window_filter import EPOCH_S
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.navigation.attitude import rotation_vector_enu
@@ -203,6 +203,28 @@ def exceeds_noise(
     return False
 
 
+def rounding(
+    rests: Sequence[tuple[FloatArray, FloatArray, FloatArray]],
+    velocity_step_mps: float,
+    heading_step_rad: float,
+) -> tuple[float, float]:
+    """Standard uncertainties, m/s and rad, of velocity and heading by rounding, at an epoch a second.
+
+    ``rests``: times (n,), velocities (n, 3) and attitudes (n, 3, 3) of each.
+    """
+    velocities, headings = [], []
+    for time_s, velocity, C_nb in rests:
+        if len(time_s) > 1:
+            every = max(1, round(EPOCH_S / float(np.median(np.diff(time_s)))))
+            velocities += [*velocity[::every, :2].T]
+            headings.append(rotation_vector_enu(C_nb[::every], C_nb[0])[:, 2])
+    found = []
+    for channels, step in ((velocities, velocity_step_mps), (headings, heading_step_rad)):
+        changes = sum(1 + np.count_nonzero(np.abs(np.diff(each)) > _ARITHMETIC) for each in channels)
+        found.append(rounding_sigma(step, sum(map(len, channels)) / max(changes, 1)))
+    return found[0], found[1]
+
+
 def _hanging(
     time_s: FloatArray, channels: Mapping[str, FloatArray], steps: Mapping[str, float], noise: NoiseModel
 ) -> OutputFault | None:
@@ -215,7 +237,9 @@ def _hanging(
         name: max(_STILL_S, _STILL_TIMES * (max(steps[name], _ARITHMETIC) / walk) ** 2) if walk else math.inf
         for name, walk in walks.items()
     }
-    moves["whole output"], longest_s["whole output"] = np.any(list(moves.values()), axis=0), _STILL_S
+    # All channels stay as long as the one does that walks through its steps the fastest.
+    moves["whole output"] = np.any(list(moves.values()), axis=0)
+    longest_s["whole output"] = min(longest_s.values())
     for name, limit_s in longest_s.items():
         begin_s, still_s = _longest_still(time_s, moves[name])
         if still_s > limit_s:

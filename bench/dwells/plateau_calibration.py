@@ -406,7 +406,7 @@ def _calibrated(
 def _with_force(found: Calibration, site: Site, options: CalibrationOptions) -> CoefficientEstimate:
     """The same estimate as uncertain as it would be if the vertical specific force were measured."""
     sections = [replace(each, epochs=replace(each.epochs, has_vertical=True)) for each in found.sections]
-    information = Information.of(sections, found.starts, found.unknowns, found.noise, site, options)
+    information = Information.of(sections, found.trajectories, found.unknowns, found.noise, site, options)
     _, covariance, is_observed = information.solve()
     by_site = sum(part[:COUNT, :COUNT] for part in found.by_site.values())
     return CoefficientEstimate(found.values, covariance[:COUNT, :COUNT] + by_site, is_observed[:COUNT])

@@ -13,7 +13,7 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell_table import Triple
 from gyrobench.bench.calibration.recording import MIN_REST_TOTAL_S, IncrementRecording, Rest
-from gyrobench.bench.dwells.dwell import MeasurementSetup, checked_navigation
+from gyrobench.bench.dwells.dwell import MeasurementSetup, checked_navigation, rest_output
 from gyrobench.bench.dwells.marks import DwellMarks
 from gyrobench.bench.dwells.temperatures import dwell_temperatures
 from gyrobench.bench.foundations.arrays import FloatArray
@@ -65,8 +65,8 @@ def measure_rotations(marks: DwellMarks, frames: FrameBlock, setup: MeasurementS
         increments = navigated
     else:
         _check_axes(increments, navigated, marks)
-    limits = setup.budget_inputs
-    rounding = limits.heading_resolution_rad, limits.velocity_resolution_mps
+    at_rest = [] if is_sent else [rest_output(navigation, mark)[:3] for mark in marks.windows]
+    velocity_rounding, angle_rounding = setup.rounding(at_rest)
     begin, stop = np.searchsorted(increments.row, [first, end])
     gaps = begin + 1 + np.flatnonzero(~increments.follows[begin + 1 : stop])
     pieces = []
@@ -89,7 +89,7 @@ def measure_rotations(marks: DwellMarks, frames: FrameBlock, setup: MeasurementS
                 velocity,
                 has_vertical=is_sent,
                 table=table,
-                rounding=(0.0, 0.0) if is_sent else rounding,
+                rounding=(0.0, 0.0) if is_sent else (angle_rounding, velocity_rounding),
             )
             pieces.append((recording, rests))
     return RotatedDwell(
@@ -150,7 +150,7 @@ def navigated_increments(navigation: NavigationData, site: Site) -> Increments:
     force = np.cross(2.0 * earth + transport, np.stack([east, north, np.zeros_like(east)], axis=-1))
     force[:, :2] += np.diff(velocity, axis=0) / interval_s
     force[:, 2] = site.gravity
-    in_body = np.einsum("nji,njk,nk->ni", C_nb[:-1], half, force * interval_s)
+    in_body = (C_nb[:-1].transpose(0, 2, 1) @ (half @ (force * interval_s)[:, :, np.newaxis]))[:, :, 0]
     turning = np.cross(angle, in_body)
     sums = in_body - 0.5 * turning + np.cross(angle, turning) / 12.0
     # Rotation vectors and velocities hold coning and sculling, which increments of sensors do not.

@@ -190,14 +190,18 @@ class Engine:
             self._tick()
             now_s = clock.now()
             observers.ticked(self._bench, end_s - now_s)
-            late = f"{planned.step.describe()} did not end within {planned.timeout_s:.0f} s"
-            if now_s >= timeout_s and not self._units.drop_late(f"step {planned.number}: {late}"):
-                place = self._run.job.document.place(planned.location)
-                raise StepTimeoutError(
-                    f"{place}: step {planned.number} ({planned.label}: {planned.step.describe()}) did not "
-                    f"end within {planned.timeout_s:.0f} s. Check the instrument that it waits for, or "
-                    "increase the step's timeout_s"
-                )
+            if now_s >= timeout_s:
+                self._after_timeout(planned)
+
+    def _after_timeout(self, planned: PlannedStep) -> None:
+        """Drop the units that are late; raises StepTimeoutError if none can be dropped."""
+        late = f"did not end within {planned.timeout_s:.0f} s"
+        if not self._units.drop_late(f"step {planned.number}: {planned.step.describe()} {late}"):
+            place = self._run.job.document.place(planned.location)
+            raise StepTimeoutError(
+                f"{place}: step {planned.number} ({planned.label}: {planned.step.describe()}) {late}. Check "
+                "the instrument that it waits for, or increase the step's timeout_s"
+            )
 
     def _finish_step(self, planned: PlannedStep, took_s: float, is_approach: bool) -> None:
         run, kind = self._run, planned.step.name

@@ -52,11 +52,13 @@ class TickLateness:
 
     def add(self, due_s: float, now_s: float, period_s: float) -> None:
         """Count the tick that was due at ``due_s`` and came at ``now_s``."""
-        late_s = now_s - due_s
-        place = math.ceil(_PER_DECADE * math.log10(late_s / _LOWEST_S)) if late_s > _LOWEST_S else 0
-        self._counts[min(place, len(self._counts) - 1)] += 1
-        self._max_s = max(self._max_s, late_s)
-        if self._last_s is not None:
+        late_s, place = now_s - due_s, 0
+        if late_s > _LOWEST_S:
+            place = min(math.ceil(_PER_DECADE * math.log10(late_s / _LOWEST_S)), len(self._counts) - 1)
+        self._counts[place] += 1
+        if late_s > self._max_s:
+            self._max_s = late_s
+        if self._last_s is not None and due_s - self._last_s > 1.5 * period_s:
             self._missed += round((due_s - self._last_s) / period_s) - 1
         self._last_s = due_s
 

@@ -30,6 +30,7 @@ class RunOutcome:
     reason: str = ""  #: why it did not finish; empty where it did
     dwells: list[MeasuredDwell] = field(default_factory=list)
     check_dwells: list[CheckDwell] = field(default_factory=list)  #: dwells that check a calibration
+    finished: set[int] = field(default_factory=set)  #: numbers of all dwells that are over
     results: RunResults = field(default_factory=RunResults)
     #: Those of each unit by its number, where a run has several; it has no dwells itself then.
     units: dict[str, RunOutcome] = field(default_factory=dict)
@@ -139,7 +140,7 @@ class ObserverGroup(RunObserver):
                     needed += method.args[0]
                 elif getattr(method, "__func__", None) is not ignores:
                     needed.append(method)
-            setattr(self, name, partial(_notify, needed))
+            setattr(self, name, needed[0] if len(needed) == 1 else partial(_notify, needed))
 
 
 def _notify(methods: Sequence[Callable[..., None]], *details: object) -> None:

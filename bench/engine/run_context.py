@@ -29,6 +29,9 @@ class UnitRecord:
     state: ResumeState
     outcome: RunOutcome  #: its dwells, and how its part of the run ends
 
+    def __post_init__(self) -> None:
+        self.outcome.finished = self.state.finished
+
     def named(self, text: str) -> str:
         """A message about the unit, with its number where there are several."""
         return f"unit {self.number}: {text}" if self.number else text

@@ -152,7 +152,7 @@ class VerificationRuns:
         rows = {name: [dwell.row for dwell in dwells] for name, (dwells, _) in measured.items()}
         fitted_c = self._closure.campaign.gyro_c[self._closure.searched]
         draws = {DECLARED: self._closure.declared_draws, EFFECT: self._closure.model_draws}
-        own = {each.effect.name for each in self._closure.effects}
+        own = set(self._closure.names)
         fitted = {name: (draws[name], own.intersection(model.effects)) for name, model in self.models.items()}
         first = next(iter(rows.values()))
         site = self._job.station.site

@@ -17,6 +17,7 @@ from gyrobench.bench.closure.candidates import Candidate
 from gyrobench.bench.closure.effects.effect import Effect
 from gyrobench.bench.closure.problem import DEGREE, declared_columns
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
+from gyrobench.bench.foundations.text import plain_name
 
 #: Outcomes drawn under each hypothesis.
 _DRAWS = 96
@@ -38,6 +39,13 @@ class Rival:
     remainder_dph: float = 0.0
     #: Effects among them that were not fitted, since the dwells lack an input; what imitates them was.
     unfitted: tuple[Effect, ...] = ()
+
+    @property
+    def labels(self) -> list[str]:
+        """Labels of its effects."""
+        effects = (*(each.effect for each in self.candidates), *self.unfitted)
+        known = {each.name: each.display_name for each in effects}
+        return [known.get(name, plain_name(name)) for name in self.names]
 
     @property
     def title(self) -> str:

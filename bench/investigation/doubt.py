@@ -49,9 +49,8 @@ def _in_one_power_cycle(effect: Effect) -> Effect:
 
 def is_settled(closure: Closure) -> bool:
     """Whether a search states its cause, or that there is nothing, with enough probability."""
-    names = [each.effect.name for each in closure.effects]
     is_stated = closure.verdict in ("explained", "clean")
-    return is_stated and closure.probability >= SETTLED and not closure.posterior.rivals(names)
+    return is_stated and closure.probability >= SETTLED and not closure.posterior.rivals(closure.names)
 
 
 def only_unconfirmed(closure: Closure, *, with_weak: bool) -> bool:
@@ -62,15 +61,14 @@ def only_unconfirmed(closure: Closure, *, with_weak: bool) -> bool:
     can. ``with_weak``: whether effects beside it that a single dwell shows, or that are not significant and
     together less probable than not, leave it open as well.
     """
-    names = {each.effect.name for each in closure.effects}
-    others = closure.posterior.rivals(names)
+    others = closure.posterior.rivals(closure.names)
     weak, unshown = (
         {each.effect.name for each in closure.evidence if each.rejected.startswith(why)} & others.keys()
         for why in (RESTS_ON_DWELL, NOT_SIGNIFICANT)
     )
     if sum(others[name] for name in unshown) < _MAX_UNSHOWN:
         weak |= unshown
-    is_probable = bool(names) and cause_probability(closure) >= SETTLED
+    is_probable = bool(closure.names) and cause_probability(closure) >= SETTLED
     is_listed = closure.verdict == "ambiguous" and closure.posterior.not_on_list < RIVAL
     if not is_probable or not (is_listed or remainder_share(closure) < _INEXACT_SHARE):
         return False
@@ -84,8 +82,8 @@ def remainder_share(closure: Closure) -> float:
 
 def cause_probability(closure: Closure) -> float:
     """Probability that all effects found are there, with or without others; of nothing if there are none."""
-    names = [each.effect.name for each in closure.effects]
-    return closure.posterior.of_all(names, has_remainder=None) if names else closure.posterior.nothing
+    posterior, names = closure.posterior, closure.names
+    return posterior.of_all(names, has_remainder=None) if names else posterior.nothing
 
 
 def rivals_of(closure: Closure) -> tuple[Rival, ...]:
@@ -111,7 +109,7 @@ def rivals_of(closure: Closure) -> tuple[Rival, ...]:
 
 
 def _by_cause(closure: Closure) -> list[Weighed]:
-    posterior, names = closure.posterior, [each.effect.name for each in closure.effects]
+    posterior, names = closure.posterior, closure.names
     others = frozenset(posterior.rivals(names))
     merged: dict[object, Weighed] = {}
     for each in posterior.hypotheses:
@@ -123,10 +121,11 @@ def _by_cause(closure: Closure) -> list[Weighed]:
     return sorted(merged.values(), key=lambda each: -each.probability)
 
 
-def confirming_rivals(closure: Closure) -> tuple[Rival, Rival]:
-    """The cause that a search found, and nothing: what a block distinguishes to confirm it."""
+def confirming_rivals(closure: Closure) -> tuple[Rival, ...]:
+    """The cause that a search found, and it without each of its effects: what a block confirms."""
     found = tuple(each.candidate for each in closure.effects)
-    return Rival(tuple(sorted(each.effect.name for each in found)), found, 0.5), Rival((), (), 0.5)
+    sets = [found, *(tuple(each for each in found if each is not one) for one in found)]
+    return tuple(Rival(tuple(sorted(each.effect.name for each in one)), one, 1.0 / len(sets)) for one in sets)
 
 
 def remainder_dph(closure: Closure) -> float:

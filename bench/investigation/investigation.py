@@ -58,6 +58,8 @@ from gyrobench.bench.station.locks import RunLock
 _PLAN, _DONE = "plan.json", "dwells.csv"
 #: Times that a kind of block is measured while the blocks bring only dwells with flags.
 _MAX_FLAGGED = 2
+#: Blocks that are measured to confirm one cause while none is clear.
+MAX_TESTS = 2
 #: Purposes of a block.
 DISTINGUISH, CONFIRM, TEST_LAW, CALIBRATE = "distinguish", "confirm", "test_law", "calibrate"
 #: Ends after which an adaptive campaign still determines biases.
@@ -72,13 +74,13 @@ class Stage:
     spent_h: float  #: Hours on the bench since the first table, before the block; with a profile, in all.
     closure: Closure  #: The search.
     #: The hypotheses that a block has to distinguish. Where a cause is confirmed or a law tested, it is the
-    #: first, and the second does without it.
+    #: first, and the others do without it or one of its effects.
     rivals: tuple[Rival, ...]
     purpose: str = DISTINGUISH  #: DISTINGUISH, CONFIRM, TEST_LAW, or CALIBRATE: the cause is settled.
     proposal: Proposal | None = None  #: The block measured next; None at the end.
     #: What the block says about the rivals; None at the end, and if all its dwells have flags.
     outcome: Outcome | None = None
-    #: The same about the cause found and nothing; None without a cause.
+    #: The same about the cause found and it without each of its effects; None without a cause.
     confirmation: Outcome | None = None
     calibration: Calibration | None = None  #: Of the biases of a profile; None without one.
 
@@ -334,13 +336,14 @@ class Investigator:
     def _cause_test(self, last: Stage, *, again: bool = False) -> Stage | None:
         """A stage whose block tests the cause that a search found, unless one did.
 
-        ``again``: also where that left it open.
+        ``again``: also where that left it open, or fits neither with the cause nor without it.
         """
-        cause, without = confirming_rivals(last.closure)
-        tested = self._tested(CONFIRM, cause.names)
-        if not cause.names or (tested is not None and not (again and tested.leaves_open)):
+        rivals = confirming_rivals(last.closure)
+        tested = self._tests(CONFIRM, rivals[0].names)
+        is_enough = tested and (not again or tested[-1].is_clear or len(tested) == MAX_TESTS)
+        if not rivals[0].names or is_enough:
             return None
-        return replace(last, rivals=(cause, without), purpose=CONFIRM)
+        return replace(last, rivals=rivals, purpose=CONFIRM)
 
     def _test(self, last: Stage, ended: str) -> Stage | None:
         """A stage whose block tests what an investigation ends with: its cause, or a composed law.
@@ -363,10 +366,10 @@ class Investigator:
                 return replace(last, rivals=(with_law, without), purpose=TEST_LAW)
         return None
 
-    def _tested(self, purpose: str, names: tuple[str, ...]) -> Outcome | None:
-        """Outcome of the block that tested something."""
+    def _tests(self, purpose: str, names: tuple[str, ...]) -> list[Outcome]:
+        """Outcomes of the blocks that tested something."""
         tests = [each for each in self._stages if each.purpose == purpose and each.rivals[0].names == names]
-        return next((each.outcome for each in reversed(tests) if each.outcome), None)
+        return [each.outcome for each in tests if each.outcome]
 
     def _searched(self) -> Stage:
         closure = searched(self._bench.campaign(self._rows), self._held_out)
@@ -379,12 +382,12 @@ class Investigator:
 
     def _end(self, stage: Stage) -> tuple[str, str] | None:
         posterior = stage.closure.posterior
-        names = tuple(sorted(each.effect.name for each in stage.closure.effects))
-        tested = self._tested(CONFIRM, names)
+        names = tuple(sorted(stage.closure.names))
+        tested = next(reversed(self._tests(CONFIRM, names)), None)
         is_confirmed = is_confirmed_by(
             each.confirmation
             for each in self._stages
-            if each.confirmation and confirming_rivals(each.closure)[0].names == names
+            if each.confirmation and set(each.closure.names) == set(names)
         )
         is_listed = posterior.not_on_list <= 1.0 - SETTLED
         if is_settled(stage.closure) or (is_confirmed and only_unconfirmed(stage.closure, with_weak=False)):

@@ -43,8 +43,8 @@ _MIN_P_VALUE = 1e-4
 #: A cause is settled at this probability.
 SETTLED = 0.99
 #: A block can help if it is expected to remove more of the entropy, nats, or to settle a cause with this
-#: probability.
-MIN_GAIN, _MIN_CHANCE = 0.02, 0.5
+#: probability. With less entropy, a hypothesis is settled before it.
+MIN_GAIN, _MIN_CHANCE, _LITTLE_DOUBT = 0.02, 0.5, 0.056
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,8 @@ class Proposal:
     @property
     def can_help(self) -> bool:
         """Whether the block is worth its time for the cause."""
-        return self.fall > MIN_GAIN or self.trust * (1.0 - self.expected.unsettled) > _MIN_CHANCE
+        chance = self.trust * (1.0 - self.expected.unsettled) if self.entropy > _LITTLE_DOUBT else 0.0
+        return self.fall > MIN_GAIN or chance > _MIN_CHANCE
 
     @property
     def trust(self) -> float:
@@ -87,14 +88,15 @@ class Proposal:
 
     @property
     def difference(self) -> float:
-        """Squared difference of what the first two rivals predict, in units of the second's uncertainty."""
-        first, second = self.predictions[:2]
-        apart_dph = first.mean_dph - second.mean_dph
-        return float(apart_dph @ np.linalg.solve(second.covariance, apart_dph))
+        """Squared difference of the first rival's prediction from the closest other, in its uncertainty."""
+        first, *others = self.predictions
+        apart_dph = [first.mean_dph - each.mean_dph for each in others]
+        found = zip(apart_dph, others, strict=True)
+        return min(float(apart @ np.linalg.solve(each.covariance, apart)) for apart, each in found)
 
     @property
     def tested_per_h(self) -> float:
-        """Probability that the block settles the first of two rivals if it is the cause, per hour.
+        """Probability that the block settles the first rival if it is the cause, per hour.
 
         The logarithm of their odds is normal with half the squared difference as mean, and that as variance.
         """
@@ -417,14 +419,14 @@ class Outcome:
         return self.probabilities[0] <= 1.0 - SETTLED
 
     @property
-    def leaves_open(self) -> bool:
-        """Whether the dwells fit, and settle no rival."""
-        return self.fits and max(self.probabilities) < SETTLED
+    def is_clear(self) -> bool:
+        """Whether the dwells agree with the first rival, or exclude it."""
+        return self.agrees or self.contradicts
 
 
 def is_confirmed_by(outcomes: Iterable[Outcome]) -> bool:
     """Whether the latest of the blocks that agree with a cause or contradict it agrees with it."""
-    clear = [each for each in outcomes if each.agrees or each.contradicts]
+    clear = [each for each in outcomes if each.is_clear]
     return bool(clear) and clear[-1].agrees
 
 

@@ -145,7 +145,7 @@ def _single_unit(snapshot: RunSnapshot) -> UnitStatus:
         number=snapshot.unit,
         ins_mode=bench.ins_mode if bench else "",
         gyro_c=bench.gyro_c if bench else unknown,
-        dwells=len(snapshot.dwells),
+        dwells=snapshot.finished_dwells,
         bias_dph=last.bias_dph if last else unknown,
         sigma_dph=last.sigma_dph if last else unknown,
         flags=last.flags if last else "",

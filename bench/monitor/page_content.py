@@ -170,9 +170,9 @@ def _temperature_tile(bench: BenchReadings | None) -> Tile:
 
 def _dwell_tile(snapshot: RunSnapshot) -> Tile:
     flagged = sum(bool(dwell.flags) for dwell in snapshot.dwells)
-    measured = f"{len(snapshot.dwells)} measured" + (f", {flagged} flagged" if flagged else "")
+    measured = f"{snapshot.finished_dwells} measured" + (f", {flagged} flagged" if flagged else "")
     if snapshot.dwell is None or snapshot.state.is_over:
-        return Tile("Dwells", f"{len(snapshot.dwells)} of {snapshot.dwell_count}", measured)
+        return Tile("Dwells", f"{snapshot.finished_dwells} of {snapshot.dwell_count}", measured)
     dwell = snapshot.dwell
     where = f"{position_label(dwell.position)}, cycle {dwell.cycle}"
     return Tile("Dwell", f"{dwell.number} of {dwell.count}", f"{where}; {measured}")

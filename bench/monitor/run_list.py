@@ -95,6 +95,7 @@ def snapshot_of_unit(run: RunSnapshot, folder: RunFolder) -> RunSnapshot:
         attitude=None,
         dwell=None,
         dwells=measured_dwells(rows),
+        finished_dwells=status.dwells,
         bins=live_bins(rows, procedure.bin_width_c),
     )
 
@@ -131,7 +132,8 @@ def snapshot_from_records(folder: RunFolder) -> RunSnapshot:
         now_s=now_s,
         left_s=_left_s(plan, content) if plan else 0.0,
         planned_s=plan.duration_s if plan else 0.0,
-        dwell_count=plan.dwell_count if plan else len(rows),
+        dwell_count=plan.dwell_count if plan else content.dwell_purposes.total(),
+        finished_dwells=content.dwell_purposes.total(),
         planned=planned_profile(plan) if plan else PlannedProfile(),
         measured=profile_of_telemetry(content.telemetry) if content.telemetry else MeasuredProfile(),
         bench=bench,
@@ -196,7 +198,9 @@ def _attitude(station: Station | None, bench: BenchReadings | None, content: Run
     if station is None or bench is None or math.isnan(bench.outer_deg + bench.inner_deg):
         return None
     east, north, up = station.table.attitude(bench.outer_deg, bench.inner_deg).tolist()
-    last = content.dwells[-1] if content.dwells else None
+    marks = content.last("dwell_finished").get("marks")
+    is_rotated = isinstance(marks, Mapping) and bool(marks.get("is_rotated"))
+    last = content.dwells[-1] if content.dwells and not is_rotated else None
     position, azimuth_deg = (last.position, last.azimuth_deg) if last else ("", math.nan)
     return Attitude(position, azimuth_deg, (tuple(east), tuple(north), tuple(up)))
 
@@ -334,7 +338,7 @@ def _of_snapshot(name: str, snapshot: RunSnapshot) -> RunSummary:
         reason=snapshot.reason,
         started_utc=snapshot.started_utc,
         updated_utc=snapshot.updated_utc,
-        dwells=len(snapshot.dwells),
+        dwells=snapshot.finished_dwells,
         dwell_count=snapshot.dwell_count,
         left_s=snapshot.left_s,
         alarms=0 if snapshot.state.is_over else len(snapshot.alarms),

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from functools import cache
 from pathlib import Path
@@ -112,7 +112,7 @@ _ALONG = math.cos(math.radians(10.0))
 class Attitude(StrictRecord):
     """Attitude of the unit."""
 
-    position: str  #: Commanded position, as in the procedure; empty before the first.
+    position: str  #: Commanded position, as in the procedure; empty before the first and after rotations.
     azimuth_deg: Number  #: Commanded turn about Up from the position's azimuth 0.
     #: Direction cosines from the table's angles: row East, North, Up; column body x, y, z.
     body_in_enu: tuple[Triple, Triple, Triple]
@@ -295,7 +295,10 @@ class RunSnapshot(StrictRecord):
     bench, attitude, step, dwell
         Present values; None where unknown or none is in progress.
     dwells, bins, alarms, messages
-        Completed dwells, the bins that they fill, active alarms, and the last messages, the newest last.
+        Completed dwells that are for a bias, the bins that they fill, active alarms, and the last messages,
+        the newest last.
+    finished_dwells : int
+        Number of completed dwells, with those for rotations and noise.
     units
         Each unit of a run with several; ``unit``, ``dwells`` and ``bins`` are then of the first that is
         measured.
@@ -317,6 +320,7 @@ class RunSnapshot(StrictRecord):
     left_s: float
     planned_s: float
     dwell_count: int
+    finished_dwells: int = 0
     reason: str = ""
     question: Question | None = None
     planned: PlannedProfile = field(default_factory=PlannedProfile)
@@ -366,7 +370,8 @@ class RunSnapshot(StrictRecord):
             raise RunFolderError(f"{damaged}: {where}: {first['msg']}") from error
         if any(len({len(series) for series in group}) > 1 for group in _series(snapshot)):
             raise RunFolderError(f"{damaged}: series of one table differ in length")
-        return snapshot
+        # Versions before 0.2.0 write no number.
+        return replace(snapshot, finished_dwells=max(snapshot.finished_dwells, len(snapshot.dwells)))
 
 
 def read_snapshot(path: Path) -> RunSnapshot:

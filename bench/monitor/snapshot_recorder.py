@@ -47,6 +47,7 @@ from gyrobench.bench.monitor.snapshot import (
     WindowTrace,
 )
 from gyrobench.bench.procedure.plan import Phase, Plan, PlannedStep
+from gyrobench.bench.procedure.rotations import RotatingStep
 from gyrobench.bench.procedure.steps import GoTo, Turn
 from gyrobench.bench.procedure.timeline import position_spans, temperature_profile
 from gyrobench.bench.runs.folder import RunFolder
@@ -184,7 +185,7 @@ def _unit_status(bench: LiveBench, number: str, outcome: RunOutcome, bins: tuple
         number=number,
         ins_mode=readings[0].mode.name.lower() if readings else "",
         gyro_c=tuple(readings[0].optics_c.tolist()) if readings else _UNKNOWN,
-        dwells=len(outcome.dwells),
+        dwells=len(outcome.finished),
         bias_dph=newest[0].bias_dph if newest else _UNKNOWN,
         sigma_dph=newest[0].sigma_dph if newest else _UNKNOWN,
         flags=newest[0].flags if newest else "",
@@ -322,6 +323,7 @@ class SnapshotRecorder(RunObserver):
             left_s=self._left_s,
             planned_s=self._plan.duration_s,
             dwell_count=self._plan.dwell_count,
+            finished_dwells=len(self._shown.finished),
             reason=self._reason,
             question=self._question,
             planned=self._planned,
@@ -376,6 +378,8 @@ class SnapshotRecorder(RunObserver):
             self._position, self._azimuth_deg = step.position, step.azimuth_deg
         elif isinstance(step, Turn):
             self._azimuth_deg += step.angle_deg
+        elif isinstance(step, RotatingStep):
+            self._position, self._azimuth_deg = "", math.nan
         self._follow_dwell(planned, now_s)
 
     def _follow_dwell(self, planned: PlannedStep, now_s: float) -> None:

@@ -101,7 +101,7 @@ def bias_line(snapshot: RunSnapshot, plus_minus: str) -> Text:
     """The live estimate of the current dwell."""
     dwell, live = snapshot.dwell, snapshot.live_bias
     if dwell is None:
-        text = f"dwells measured: {len(snapshot.dwells)} of {snapshot.dwell_count}, biases in 0.001 deg/h"
+        text = f"dwells measured: {snapshot.finished_dwells} of {snapshot.dwell_count}, biases in 0.001 deg/h"
         return Text(text, "dim")
     head = f"dwell {dwell.number}/{dwell.count}  "
     if live is None:
@@ -121,7 +121,7 @@ def unit_lines(snapshot: RunSnapshot, plus_minus: str) -> list[Text]:
             continue
         pairs = zip(AXES, unit.bias_dph, unit.sigma_dph, strict=True)
         values = "  ".join(f"{axis} {1e3 * b:+z.2f}{plus_minus}{1e3 * s:.2f}" for axis, b, s in pairs)
-        shown = "flagged" if unit.flags else values if unit.dwells else ""
+        shown = "flagged" if unit.flags else values if unit.position else ""
         lines.append(Text.assemble(head, f"{unit.ins_mode:<9} ", shown))
     return lines
 
@@ -282,7 +282,7 @@ def _position(snapshot: RunSnapshot, height: int, is_ascii: bool) -> list[Text]:
     if attitude is None:
         return [Text("table angles unknown", "dim")]
     azimuth = "" if math.isnan(attitude.azimuth_deg) else f" at {attitude.azimuth_deg:g} deg"
-    title = Text(f"{attitude.position}{azimuth}" if attitude.position else "no position yet", "bold")
+    title = Text(f"{attitude.position}{azimuth}" if attitude.position else "no position", "bold")
     words = textwrap.wrap(attitude.directions(), _AXES_WIDTH, break_on_hyphens=False)
     below = [Text(line, "dim") for line in words]
     if snapshot.bench and height > _WITHOUT_ANGLES:
@@ -350,16 +350,19 @@ def screen(snapshot: RunSnapshot, width: int, height: int, is_ascii: bool) -> li
 
 def _shares(room: int, snapshot: RunSnapshot) -> dict[str, int]:
     """Rows of each part: first the minimum of each, in the order of importance, then up to its maximum."""
-    most_bin_rows = sum(1 + len(AXES) * len(_ranges(bins)) for _, _, bins in _filled_tables(snapshot))
+    tables = _filled_tables(snapshot)
+    most_bin_rows = sum(1 + len(AXES) * len(_ranges(bins)) for _, _, bins in tables)
     row_limits = {
         "profile": _PROFILE_ROWS,
         "dwell": _DWELL_ROWS,
-        "bins": (min(_MIN_BIN_ROWS, most_bin_rows), most_bin_rows),
+        "bins": (min(_MIN_BIN_ROWS * len(tables), most_bin_rows), most_bin_rows),
         "sigma": (1, 1) if snapshot.dwell and len(snapshot.dwell.estimates) > 1 else (0, 0),
         "messages": (min(1, len(snapshot.messages)), min(_MAX_MESSAGE_ROWS, len(snapshot.messages))),
     }
     rows = dict.fromkeys(row_limits, 0)
     for part, (min_rows, _) in row_limits.items():
+        if part == "bins":  # of as many units as there is room for
+            min_rows = min(min_rows, max(room, _MIN_BIN_ROWS))
         if min_rows <= room:
             rows[part] = min_rows
             room -= min_rows

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from functools import partial
@@ -13,7 +14,13 @@ from matplotlib.figure import Figure
 from gyrobench.bench.bias.budget import NORMAL_K
 from gyrobench.bench.characteristics.results import Coefficient, Curve, TestName, TestResult
 from gyrobench.bench.navigation.positions import gyro_label
-from gyrobench.bench.report.figures.style import BARS_SHORT, GYRO_STYLES, house_style, new_figure
+from gyrobench.bench.report.figures.style import (
+    BARS_SHORT,
+    GYRO_STYLES,
+    common_legend,
+    house_style,
+    new_figure,
+)
 from gyrobench.bench.report.page import Section, SectionFigure, SectionTable
 from gyrobench.bench.runs.tables.budget_table import BudgetRow, coverage
 from gyrobench.bench.runs.tables.coefficient_table import (
@@ -52,6 +59,8 @@ _UNITS = {"ug": "µg"}
 _NOT_OBSERVED = "–"
 #: Height of a row of a legend as a part of its panel's.
 _LEGEND_ROW = 0.13
+#: Least range of a temperature axis, K.
+_MIN_SPAN_C = 2.0
 #: Plateaus side by side; of more than these the uncertainties stand below the values.
 _PER_TABLE, _PER_WIDE_TABLE = 5, 3
 
@@ -133,6 +142,9 @@ def coefficients_figure(rows: Sequence[PlateauCoefficientRow], budget: Sequence[
             legend = axes.legend(ncols=3, loc="upper center", **style)
             rows_in_it = math.ceil(len(legend.texts) / 3) + bool(of_bars)
             axes.set_ylim(low, high + _LEGEND_ROW * (high - low) * rows_in_it)
+            first_c, last_c = axes.get_xlim()
+            beside_c = max(0.0, 0.5 * (_MIN_SPAN_C - (last_c - first_c)))
+            axes.set_xlim(first_c - beside_c, last_c + beside_c)
     for sensor, row in zip(("gyro", "case"), panels, strict=True):
         for axes in row:
             axes.set_xlabel(f"{sensor} temperature / °C")
@@ -214,6 +226,8 @@ _TEXTS: dict[TestName, str] = {
     "negative direction) and nonlinearity (one rate less all rates) are means over all dwells; "
     "the worst rate counts.",
 }
+#: Lines of a fit's parts.
+_LINES = (("-", "#000000"), ("--", "#0072b2"), ("-.", "#d55e00"), (":", "#009e73"))
 _HEADER = ("coefficient", "gyro", "unit", "value", "95 % interval")
 _DIGITS = 3
 
@@ -258,7 +272,7 @@ def _interval(each: Coefficient) -> str:
 class _Axes(NamedTuple):
     x: str
     y: str
-    fit: str
+    fit: str  #: Label of its line, with a place for the name of its part.
     is_log: bool = False
     factor: float = 1000.0
 
@@ -267,7 +281,7 @@ _PANELS: dict[TestName, _Axes] = {
     "turn_on_repeatability": _Axes("power cycle", "bias less mean / (0.001 deg/h)", "mean"),
     "warm_up": _Axes("time since power-on / h", "bias less final bias / (0.001 deg/h)", "fit"),
     "thermal_sensitivity": _Axes(
-        "temperature of the gyro / °C", "bias less constant / (0.001 deg/h)", "fit, in the order of time"
+        "temperature of the gyro / °C", "bias less constant / (0.001 deg/h)", "fit, {}"
     ),
     "allan_variance": _Axes(
         "averaging time / s", "Allan deviation / (deg/h)", "fit", is_log=True, factor=1.0
@@ -280,9 +294,9 @@ _PANELS: dict[TestName, _Axes] = {
 
 @house_style
 def characteristics_figure(test: TestName, curves: Sequence[Curve]) -> Figure:
-    """Draw a test's points with bars and its fit, for each gyro."""
+    """Draw a test's points with bars and its fit, for each gyro; the lines of the fit end with their part."""
     names = _PANELS[test]
-    figure = new_figure(3.2)
+    figure = new_figure(3.5)
     panels = figure.subplots(1, len(curves), sharex=True, sharey=True, squeeze=False)[0]
     for axes, curve in zip(panels, curves, strict=True):
         colour, _, marker = GYRO_STYLES[curve.gyro]
@@ -300,11 +314,20 @@ def characteristics_figure(test: TestName, curves: Sequence[Curve]) -> Figure:
             elinewidth=0.6,
             alpha=0.7,
         )
-        axes.plot(curve.x, fit, color="#000000", linewidth=0.9, label=names.fit)
+        parts = [names.fit.format(part).rstrip(", ") for part in curve.parts or [""] * len(fit)]
+        known = list(dict.fromkeys(parts))
+        begin = 0
+        for _, points in itertools.groupby(curve.parts or parts):
+            end = begin + len(list(points))
+            line, colour = _LINES[known.index(parts[begin]) % len(_LINES)]
+            axes.plot(
+                curve.x[begin:end], fit[begin:end], line, color=colour, linewidth=1.1, label=parts[begin]
+            )
+            begin = end
         axes.set_title(gyro_label(curve.gyro))
         if names.is_log:
             axes.set(xscale="log", yscale="log")
     panels[0].set_ylabel(names.y)
-    panels[0].legend(loc="best", title=BARS_SHORT, title_fontsize=7)
     panels[len(panels) // 2].set_xlabel(names.x)
+    common_legend(figure, panels, ncols=2, title=BARS_SHORT)
     return figure

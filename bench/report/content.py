@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -37,6 +38,8 @@ from gyrobench.bench.runs.telemetry import read_telemetry
 
 T = TypeVar("T")
 Entry = Mapping[str, Any]
+#: What the dwells measure that give no bias by themselves, by their key in the journal.
+_PURPOSES = {"is_rotated": "rotations", "is_noise_record": "noise", "is_verification": "calibration check"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +72,8 @@ class RunContent:
     #: Who approved or declined the blocks of an investigation that this run belongs to.
     approvals: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)  #: Missing or unreadable files.
+    #: Number of finished dwells by what they are for: biases, rotations, noise, calibration check.
+    dwell_purposes: Counter[str] = field(default_factory=Counter)
     run_name: str = ""  #: Name of the run, also in the folder of one of its units.
 
     @cached_property
@@ -129,8 +134,10 @@ def read_run(folder: RunFolder) -> RunContent:
     verification: list[CalibrationCheckRow] = read(
         folder.calibration_check, read_calibration_check, [], is_optional=True
     )
-    # A run with calibration checks only has no table of dwells.
-    dwells: list[DwellRow] = read(folder.dwells, read_dwells, [], is_optional=bool(verification))
+    # Dwells with rotations, for noise or for calibration checks have no rows in this table.
+    purposes = _dwell_purposes(journal)
+    is_optional = bool(verification or purposes) and not purposes["biases"]
+    dwells: list[DwellRow] = read(folder.dwells, read_dwells, [], is_optional=is_optional)
     bins: list[BiasBin] = read(folder.bias_bins, read_bins, [])
     return RunContent(
         name=folder.path.resolve().name,
@@ -140,6 +147,7 @@ def read_run(folder: RunFolder) -> RunContent:
         procedure=procedure,
         station=read(folder.station, _mapping, {}),
         dwells=dwells,
+        dwell_purposes=purposes,
         bins=bins or _bins(dwells, procedure, problems),
         telemetry=read(folder.telemetry, read_telemetry, {}),
         joint_biases=read(folder.joint_biases, read_joint_biases, [], is_optional=True),
@@ -154,6 +162,16 @@ def read_run(folder: RunFolder) -> RunContent:
         approvals=_approvals(folder),
         problems=problems,
     )
+
+
+def _dwell_purposes(journal: Sequence[Entry]) -> Counter[str]:
+    found: dict[Any, str] = {}
+    for entry in journal:
+        marks = entry.get("marks")
+        if entry.get("event") == "dwell_finished" and isinstance(marks, Mapping):
+            is_for = [text for key, text in _PURPOSES.items() if marks.get(key)]
+            found[marks.get("dwell")] = is_for[0] if is_for else "biases"
+    return Counter(found.values())
 
 
 def approvals_in(folder: Path) -> list[str]:

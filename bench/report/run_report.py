@@ -177,6 +177,8 @@ def render(
     verification = verification_sentence(content.verification) if content.verification else ""
     no_bias = "" if content.bins or verification else _NO_BIAS
     no_dwell = f"{facts['dwells']}, without a turn." if verification else "No dwell was measured."
+    if content.dwell_purposes and not (content.dwell_purposes["biases"] or verification):
+        no_bias = no_dwell = f"{facts['dwells']}, which give no biases by themselves."
     parts = [
         acceptance_section(content.acceptance),
         comparison_section(
@@ -332,6 +334,9 @@ def _dwells_text(content: RunContent) -> str:
     flagged = sum(bool(row.flags) for row in content.dwells)
     texts = [f"{len(content.dwells)} measured, {flagged} of them flagged"] if content.dwells else []
     texts += [dwells_text(content.verification)] if content.verification else []
+    for what, text in (("rotations", "with rotations"), ("noise", "for noise")):
+        if count := content.dwell_purposes[what]:
+            texts.append(f"{counted(count, 'dwell')} {text}")
     return "; ".join(texts) or "none"
 
 

@@ -144,7 +144,7 @@ def _read_part(path: Path) -> dict[str, FloatArray]:
         # Damaged bytes could request gigabytes.
         if part.metadata.num_rows > _MAX_PART_ROWS:
             raise RunFolderError(f"{path}: {part.metadata.num_rows} rows; a part has up to {_ROWS_PER_PART}")
-        table = part.read(columns=list(COLUMNS))
+        table = part.read(columns=list(COLUMNS), use_threads=False)  # their start takes longer
         return {name: _floats(table.column(name)) for name in COLUMNS}
     except (OSError, KeyError, ValueError, pa.ArrowException) as error:
         if isinstance(error, RunFolderError):

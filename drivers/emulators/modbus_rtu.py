@@ -49,8 +49,6 @@ class HoldingRegister:
 
 
 _framer = FramerRTU(DecodePDU(is_server=True))
-#: Equal bytes have equal check sums; a poll repeats its requests, and most replies, for hours.
-_compute_crc = lru_cache(maxsize=1024)(FramerRTU.compute_CRC)
 
 
 def _framed(address: int, reply: ModbusPDU) -> bytes:
@@ -66,6 +64,23 @@ def exception_frame(address: int, function: int, code: int) -> bytes:
 @lru_cache(maxsize=1024)
 def _frame_of_numbers(address: int, numbers: tuple[int, ...]) -> bytes:
     return _framed(address, ReadHoldingRegistersResponse(registers=list(numbers)))
+
+
+# A poll repeats its requests, and most replies, for hours.
+@lru_cache(maxsize=1024)
+def _first_frame(received: bytes) -> tuple[bytes, bool]:
+    """A complete and intact frame, without its CRC, or nothing; and whether the bytes are done with.
+
+    The function code gives the length; with an unknown one, all bytes since the last silence are the frame.
+    """
+    if len(received) < FramerRTU.MIN_SIZE:
+        return b"", False
+    kind = _REQUESTS.get(received[1])
+    size = kind.calculateRtuFrameSize(received) if kind else len(received)
+    if not size or len(received) < size:
+        return b"", False
+    is_intact = FramerRTU.compute_CRC(received[:size]) == 0
+    return received[: size - 2] if is_intact else b"", is_intact or kind is not None
 
 
 @lru_cache(maxsize=1024)
@@ -94,29 +109,13 @@ class ModbusRtuDevice:
             self._received.clear()
         self._received_s = now_s
         self._received += data
-        frame = self._take_frame()
+        frame, is_over = _first_frame(bytes(self._received))
+        if is_over:
+            self._received.clear()
         if not frame or frame[0] not in (self._address, _BROADCAST) or frame[1] & _EXCEPTION_BIT:
             return b""
         reply = self._execute(frame[1], frame[2:])
         return b"" if frame[0] == _BROADCAST else reply
-
-    def _take_frame(self) -> bytes:
-        """Take a complete and intact frame, without its CRC, or nothing.
-
-        The function code gives the length; with an unknown one, all bytes since the last silence are
-        the frame.
-        """
-        received = bytes(self._received)
-        if len(received) < FramerRTU.MIN_SIZE:
-            return b""
-        kind = _REQUESTS.get(received[1])
-        size = kind.calculateRtuFrameSize(received) if kind else len(received)
-        if not size or len(received) < size:
-            return b""
-        intact = _compute_crc(received[:size]) == 0
-        if intact or kind:
-            self._received.clear()
-        return received[: size - 2] if intact else b""
 
     def _execute(self, function: int, content: bytes) -> bytes:
         """Execute a request; returns the frame of the reply."""

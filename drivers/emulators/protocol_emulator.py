@@ -64,11 +64,9 @@ class Serial(ClockedPort):  # the name that pyserial looks for
     def take(self) -> bytes:
         """Replies that have arrived."""
         self._check_connected()
-        if not self._due:
-            return b""
-        data, now_s = b"", self.clock.now()
-        while self._due and self._due[0][0] <= now_s:
-            data += self._due.popleft()[1]
+        data, due = b"", self._due
+        while due and due[0][0] <= self.clock.now():
+            data += due.popleft()[1]
         return data
 
     def _check_connected(self) -> None:

@@ -78,7 +78,8 @@ class WatlowF4Emulator:
             _SET_POINT_LOW: low_c,
             _SET_POINT_HIGH: high_c,
         }
-        self._now_s, self._date = 0.0, datetime(2026, 1, 1)
+        self._now_s = 0.0
+        self._set_s, self._set_date = 0.0, datetime(2026, 1, 1)  # when its clock was set, and to which date
         self._holding = self._registers()
         if model != "F4P":
             self.remove_ramp()
@@ -88,7 +89,6 @@ class WatlowF4Emulator:
     def feed(self, data: bytes, now_s: float) -> bytes:
         """Take bytes from the line at time ``now_s`` and return the reply, if one is complete."""
         self._watch_air()
-        self._date += timedelta(seconds=now_s - self._now_s)
         self._now_s = now_s
         return self._device.feed(data, now_s)
 
@@ -217,14 +217,20 @@ class WatlowF4Emulator:
         if end:
             self._loop.end_profile()
 
+    @property
+    def _date(self) -> datetime:
+        return self._set_date + timedelta(seconds=self._now_s - self._set_s)
+
     def _clock(self, name: str) -> int:
         return int(getattr(self._date, name))
 
     def _set_clock(self, name: str, value: int) -> None:
         # Registers are written one after the other: the 31st may precede its month.
-        for day in (self._date.day, 1):
+        date = self._date
+        for day in (date.day, 1):
             with contextlib.suppress(ValueError):
-                self._date = self._date.replace(**{"day": day, name: value})  # type: ignore[arg-type]
+                self._set_date = date.replace(**{"day": day, name: value})  # type: ignore[arg-type]
+                self._set_s = self._now_s
                 return
 
     def _number(self, value: float) -> int:

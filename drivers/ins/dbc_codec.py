@@ -137,13 +137,13 @@ class DbcCodec:
     def rows(self, block: FrameBlock, message_name: str) -> IntArray:
         """Rows of the block with frames of a message, without frames that are too short."""
         layout = self._layout(message_name)
-        found = np.flatnonzero(block.arbitration_id == layout.arbitration_id)
+        found = block.rows_with_id(layout.arbitration_id)
         return found[block.length[found] >= layout.length]
 
     def count_short(self, block: FrameBlock, message_name: str) -> int:
         """Count the frames of a message with fewer bytes than in the DBC."""
         layout = self._layout(message_name)
-        return int(np.sum(block.length[block.arbitration_id == layout.arbitration_id] < layout.length))
+        return int(np.sum(block.length[block.rows_with_id(layout.arbitration_id)] < layout.length))
 
     def decode(self, block: FrameBlock, message_name: str) -> dict[str, FloatArray]:
         """Values of every signal of a message, in the DBC's units, one for each selected frame.
@@ -154,14 +154,19 @@ class DbcCodec:
         words = Payloads(block.take(self.rows(block, message_name)).data)
         return {name: layout.physical(name, words) for name in layout.fields}
 
-    def decode_one(self, data: bytes, message_name: str, signal_name: str) -> float:
-        """Decode one signal of one payload to the same value; NaN if it is absent or the data too short."""
+    def decoder(self, message_name: str, signal_name: str) -> Callable[[bytes], float]:
+        """Return what decodes a signal of one payload as :meth:`decode`; NaN also if it is too short."""
         layout = self._layout(message_name)
-        field = layout.fields[signal_name]
-        is_sent = len(data) >= layout.length and (
-            field.signal.multiplexer_ids is None or layout.selects(signal_name, data)
-        )
-        return field.physical_one(data) if is_sent else math.nan
+        field, length = layout.fields[signal_name], layout.length
+        raw_one, scale, offset = field.raw_one, float(field.signal.scale), float(field.signal.offset)
+        is_always_sent = field.signal.multiplexer_ids is None
+
+        def decoded(data: bytes) -> float:
+            if len(data) < length or not (is_always_sent or layout.selects(signal_name, data)):
+                return math.nan
+            return float(raw_one(data)) * scale + offset
+
+        return decoded
 
     def encode(self, message_name: str, values: Mapping[str, ArrayLike]) -> NDArray[np.uint8]:
         """Payloads of a message, shape (n, length of the message).
@@ -313,28 +318,19 @@ class BitField:
         return values
 
     @cached_property
-    def _one(self) -> tuple[Literal["little", "big"], int, int, int, bool, float, float]:
-        """Byte order, shift to the last bit, masks of all and of the sign bit, if float; scale, offset."""
+    def raw_one(self) -> Callable[[bytes], float]:
+        """Reads the field of one payload, as :meth:`raw` does."""
         signal, shift = self.signal, int(self.right) - int(self.left)
-        is_float = signal.conversion.is_float
-        sign = 1 << signal.length - 1 if signal.is_signed and not is_float else 0
         order: Literal["little", "big"] = "big" if self.big_endian else "little"
-        mask = (1 << signal.length) - 1
-        return order, shift, mask, sign, is_float, float(signal.scale), float(signal.offset)
+        mask, sign = (1 << signal.length) - 1, 1 << signal.length - 1 if signal.is_signed else 0
 
-    def raw_one(self, data: bytes) -> float:
-        """Read the field of one payload, as :meth:`raw` does."""
-        order, shift, mask, sign, is_float, _, _ = self._one
-        raw = int.from_bytes(data.ljust(MAX_LENGTH, b"\0"), order) >> shift & mask
-        if is_float:
-            bits_type, float_type = _FLOATS[self.signal.length]
-            return float(bits_type(raw).view(float_type))
-        return raw - 2 * (raw & sign)
+        def bits(data: bytes) -> int:
+            return int.from_bytes(data.ljust(MAX_LENGTH, b"\0"), order) >> shift & mask
 
-    def physical_one(self, data: bytes) -> float:
-        """Read the field of one payload, scaled to the DBC's unit."""
-        *_, scale, offset = self._one
-        return float(self.raw_one(data)) * scale + offset
+        if signal.conversion.is_float:
+            bits_type, float_type = _FLOATS[signal.length]
+            return lambda data: float(bits_type(bits(data)).view(float_type))
+        return lambda data: (raw := bits(data)) - 2 * (raw & sign)
 
     def to_raw(self, values: FloatArray) -> Words:
         """Convert values in the DBC's unit to right-aligned bits; see :meth:`DbcCodec.encode`."""

@@ -7,8 +7,10 @@ from collections.abc import Mapping
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gyrobench.bench.foundations.arrays import FloatArray, IntArray
+from gyrobench.bench.foundations.kernels import compiled
 from gyrobench.drivers.frames import MAX_LENGTH, FrameBlock
 from gyrobench.drivers.ins.attitude import EulerSequence
 from gyrobench.drivers.ins.dbc_codec import DbcCodec
@@ -37,13 +39,13 @@ class NewestFrames:
     def take(self, frames: FrameBlock, now_s: float) -> None:
         """Store frames that have just arrived, in order; at least one."""
         self._received_s, self._stamp_s = now_s, frames.timestamp_s.item(-1)
-        identifiers, places = np.unique(frames.arbitration_id[::-1], return_index=True)
-        rows = frames.rows[::-1][places]
-        data, lengths = rows["data"].tobytes(), rows["length"].tolist()
-        begins = range(0, len(data), MAX_LENGTH)
-        payloads = [data[begin : begin + length] for begin, length in zip(begins, lengths, strict=True)]
-        newest = zip(rows["time_s"].tolist(), payloads, strict=True)
-        self._newest = self._newest | dict(zip(identifiers.tolist(), newest, strict=True))
+        rows = frames.take(_newest_rows(frames.arbitration_id)).rows
+        data = rows["data"].tobytes()
+        newest = {
+            identifier: (time_s, data[MAX_LENGTH * place : MAX_LENGTH * place + length])
+            for place, (time_s, identifier, length, _, _) in enumerate(rows.tolist())
+        }
+        self._newest = self._newest | newest
 
     def forget(self, message_name: str) -> None:
         """Drop the frames of a message."""
@@ -56,23 +58,35 @@ class NewestFrames:
 
     def snapshot(self, now_s: float) -> Snapshot:
         """The frames that are not stale."""
-        return Snapshot(self._newest, self._stamp_s + self.age_s(now_s) - STALE_S, self._codec)
+        return Snapshot(self._newest, self._stamp_s + self.age_s(now_s) - STALE_S)
+
+
+@compiled
+def _newest_rows(identifiers: NDArray[np.uint32]) -> IntArray:
+    """Last row of each identifier."""
+    found = np.empty(identifiers.size, np.int64)
+    count = 0
+    for row in range(identifiers.size - 1, -1, -1):
+        for place in range(count):
+            if identifiers[found[place]] == identifiers[row]:
+                break
+        else:
+            found[count] = row
+            count += 1
+    return found[:count]
 
 
 class Snapshot:
     """Values of the newest frames at one moment, those stamped before ``oldest_s`` left out."""
 
-    def __init__(self, newest: Mapping[int, tuple[float, bytes]], oldest_s: float, codec: DbcCodec) -> None:
+    def __init__(self, newest: Mapping[int, tuple[float, bytes]], oldest_s: float) -> None:
         self._newest = newest
         self._oldest_s = oldest_s
-        self._codec = codec
 
     def value(self, bound: BoundSignal) -> float:
         """Value of a signal; NaN without its frame."""
-        stamp_s, data = self._newest.get(self._codec.arbitration_id(bound.message), _NEVER)
-        if stamp_s < self._oldest_s:
-            return math.nan
-        return bound.one_to_si(self._codec.decode_one(data, bound.message, bound.signal.name))
+        stamp_s, data = self._newest.get(bound.arbitration_id, _NEVER)
+        return math.nan if stamp_s < self._oldest_s else bound.of_payload(data)
 
     def held(self, bound: BoundSignal, rows: IntArray) -> FloatArray:  # noqa: ARG002 - only now
         """Value of a signal, shape (1,)."""

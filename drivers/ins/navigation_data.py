@@ -271,7 +271,7 @@ def _only_late(readout: Readout, rows: IntArray, again: BoolArray, counts: BoolA
     steps = _nearest(np.diff(numbers), _modulus(readout, "epoch_counter"), 1.0)
     follows = np.concatenate([[False], steps == 1.0])
     later = np.arange(1, len(rows))
-    next_count = np.minimum(np.searchsorted(counted, later), len(counted) - 1)
+    next_count = np.minimum(np.cumsum(counts)[:-1], len(counted) - 1)
     group = np.concatenate([[0], np.cumsum(again)])
     same = (counted[next_count] >= later) & (group[counted[next_count]] == group[later])
     return np.asarray(same & follows[next_count], np.bool_)

@@ -178,13 +178,15 @@ class BlockReader:
     def held(self, bound: BoundSignal, rows: IntArray) -> FloatArray:
         """Last value that had arrived at each row of the block; NaN before the first."""
         frames, decoded = self._message(bound.message)
-        values = np.append(bound.to_si(decoded[bound.signal.name]), np.nan)
+        values = bound.to_si(decoded[bound.signal.name])
+        if rows is frames:
+            return values
         # Index -1, before the first value, is the NaN at the end.
         asked, places = self._places.get(bound.message, (None, frames))
         if asked is not rows:
             places = np.searchsorted(frames, rows, side="right") - 1
             self._places[bound.message] = rows, places
-        return np.asarray(values[places])
+        return np.append(values, np.nan)[places]
 
     def _message(self, message: str) -> tuple[IntArray, dict[str, FloatArray]]:
         if message not in self._decoded:

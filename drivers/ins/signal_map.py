@@ -8,6 +8,7 @@ temperature at the end of its field's range, or outside the DBC's, is saturated 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Any, Literal
@@ -320,7 +321,9 @@ class BoundSignal:
     """A quantity's signal and the linear conversion of its DBC value to SI."""
 
     message: str
+    arbitration_id: int  #: Identifier of the message, as in frames.
     signal: Signal
+    decode: Callable[[bytes], float]  #: Decodes the signal of one payload to the DBC's unit.
     gain: float
     offset: float
     saturates: bool = False
@@ -335,12 +338,16 @@ class BoundSignal:
             values = np.where((physical > low) & (physical < high), values, np.nan)
         return values
 
-    def one_to_si(self, physical: float) -> float:
-        """Convert one value as :meth:`to_si`."""
+    @cached_property
+    def of_payload(self) -> Callable[[bytes], float]:
+        """Reads the value of one payload, as :meth:`to_si`."""
+        decode, gain, offset = self.decode, self.gain, self.offset
         if self.bits is not None:
-            return float(self.to_si(physical))
-        is_valid = not self.saturates or self._limits[0] < physical < self._limits[1]
-        return physical * self.gain + self.offset if is_valid else math.nan
+            return lambda data: float(self.to_si(decode(data)))
+        if not self.saturates:
+            return lambda data: decode(data) * gain + offset
+        low, high = self._limits
+        return lambda data: gain * physical + offset if low < (physical := decode(data)) < high else math.nan
 
     def _field(self, physical: FloatArray | float) -> FloatArray:
         """The bits of the raw value as a number; NaN stays."""
@@ -468,7 +475,10 @@ def _bind_one(quantity: Quantity, codec: DbcCodec) -> BoundSignal:
     is_sensor = quantity.location[0] == "increments" and quantity.dimension is not Dimension.NUMBER
     is_limited = is_sensor or quantity.dimension in (Dimension.SPEED, Dimension.TEMPERATURE)
     saturates = bits is None and is_limited
-    return BoundSignal(message, signal, factor * gain, factor * offset, saturates, bits)
+    return BoundSignal(
+        message, codec.arbitration_id(message), signal, codec.decoder(message, name),
+        factor * gain, factor * offset, saturates, bits,
+    )  # fmt: skip
 
 
 #: A longer integer loses its lowest bits as a floating-point number.

@@ -346,18 +346,17 @@ class ReplyFraming:
         A prefix that is plausible only in the other byte order gives None, and the next prefix
         detects the order again.
         """
-        readings = {order: words.unpack(prefix) for order, words in _WORDS.items()}
-        plausible = {
-            order: reading for order, reading in readings.items() if reading[1] <= _MAX_MESSAGE_BYTES
-        }
-        if self._order is None:
-            if len(plausible) == 1:
-                (self._order,) = plausible
-            return min(plausible.values(), default=None)
-        if self._order not in plausible:
+        if self._order is not None:
+            code, length = _WORDS[self._order].unpack(prefix)
+            if length <= _MAX_MESSAGE_BYTES:
+                return code, length
             self._order = None
             return None
-        return plausible[self._order]
+        readings = {order: words.unpack(prefix) for order, words in _WORDS.items()}
+        plausible = {order: each for order, each in readings.items() if each[1] <= _MAX_MESSAGE_BYTES}
+        if len(plausible) == 1:
+            (self._order,) = plausible
+        return min(plausible.values(), default=None)
 
 
 def set_bits(register: int, names: Mapping[int, str], other: str) -> list[str]:

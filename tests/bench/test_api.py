@@ -7,7 +7,6 @@ import tarfile
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
@@ -28,6 +27,8 @@ def test_importing_the_package_loads_nothing_heavy():
 
 
 def test_tables_of_a_run_have_units_text_and_numbers(run):
+    import pandas as pd
+
     assert isinstance(run.dwells, pd.DataFrame)
     assert run.dwells.attrs["units"]["bias_x_dph"] == "deg/h"
     assert run.dwells["position"].tolist() == ["z_up"]

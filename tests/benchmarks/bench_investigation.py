@@ -29,6 +29,7 @@ from gyrobench.bench.investigation.doubt import (
     searched,
 )
 from gyrobench.bench.investigation.forecast import Forecast
+from gyrobench.bench.investigation.investigation import MAX_TESTS
 from gyrobench.bench.investigation.proposal import hours_left, outcome_of, propose
 from tests.benchmarks.closure_laws import ON_THE_LIST
 from tests.benchmarks.investigation_units import SimulatedUnit
@@ -106,13 +107,13 @@ class Tie:
             if blocks not in self._known:
                 unit = copy.deepcopy(state.unit)
                 new = unit.measure(chosen.block.plan)
-                tested = set(state.tested)
+                tested = [*state.tested]
                 confirmed = set(state.confirmed)
                 if names:
                     rivals = confirming_rivals(state.closure)
                     outcome = outcome_of(state.forecast, chosen, new, rivals, state.closure.noise_scale)
                     confirmed |= {names} if outcome and outcome.agrees else set()
-                    tested |= {names} if is_test and outcome and not outcome.leaves_open else set()
+                    tested += [names] * (MAX_TESTS if outcome.is_clear else 1) if is_test and outcome else []
                 rows = [*state.rows, *new]
                 self._known[blocks] = State(unit, rows, self._held_out, blocks, tested, confirmed)
 
@@ -126,7 +127,8 @@ class Tie:
         test_value = by_test if value in (by_entropy, by_hours_left) else value
         for with_weak in (True, False):
             is_open = only_unconfirmed(state.closure, with_weak=with_weak)
-            if is_open and names not in state.tested and (usable := short(state.confirming)):
+            is_tested = state.tested.count(names) >= MAX_TESTS
+            if is_open and not is_tested and (usable := short(state.confirming)):
                 return max(usable, key=lambda each: test_value(each, state)), True
             useful = [each for each in short(state.proposals) if each.can_help]
             if useful:

@@ -48,6 +48,7 @@ class Sandbox:
         self.broken: list[str] = []
         self._folder = ""
         self._watching = False
+        sys.dont_write_bytecode = True  # of drivers that are imported when a station names them
         sys.addaudithook(self._noticed)
 
     @contextmanager

@@ -10,7 +10,7 @@ _LAG_TAU = time_constant(1.0, 300.0, 900.0, 2700.0, 7200.0)
 _HALF_WIDTH = Parameter("half_width_c", 0.3, 40.0, fixed(1.0, 2.0, 4.0, 7.0, 12.0, 20.0))
 _WARM_UP_TAU = time_constant(300.0, 900.0, 2700.0, 7200.0, 21_600.0, 64_800.0)
 _S_PER_DAY = 86_400.0
-_TWO_DAYS_S = 2.0 * 86_400.0
+_TWO_DAYS_S = 2.0 * _S_PER_DAY
 
 TEMPERATURE_RATE = effect_of(
     Law("gyro_rate_c_per_h"),
@@ -114,7 +114,7 @@ class _Ageing(Law):
 
     def missing_input(self, campaign: Campaign) -> str | None:
         """Two power cycles and two days."""
-        if len(campaign.power_on_s) > 1 and searched_length_s(campaign) > 2.0 * _S_PER_DAY:
+        if len(campaign.power_on_s) > 1 and searched_length_s(campaign) > _TWO_DAYS_S:
             return None
         return "two power cycles and two days: in one, ageing looks like a slow warm-up"
 

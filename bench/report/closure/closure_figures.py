@@ -139,7 +139,7 @@ def closure_evidence_figure(closure: Closure) -> Figure:
     names = [each.effect.display_name for each in closure.evidence]
     figure = new_figure(1.5 + _BAR_HEIGHT_IN * len(names), left_in=0.15 + text_width_in(names, 9))
     axes = figure.add_subplot()
-    found = {each.effect.name for each in closure.effects}
+    found = set(closure.names)
     tied = {name for each in closure.effects for name in each.tied_with}
     by_p_value = is_noise_only(closure)
     for place, each in enumerate(closure.evidence):

@@ -97,7 +97,9 @@ def _residual(closure: Closure) -> Section:
     ]
     return Section(
         "Residual of the declared model",
-        _paragraphs(text.before_sentence(closure), *closure.noise_sentences),
+        _paragraphs(
+            text.before_sentence(closure), *closure.noise.sentences(is_all=closure.verdict != "unexplained")
+        ),
         figures,
     )
 
@@ -149,7 +151,7 @@ def effect_table(closure: Closure) -> SectionTable:
 
 def evidence_table(closure: Closure) -> SectionTable:
     """Each candidate alone, without columns that would be empty."""
-    found = {each.effect.name for each in closure.effects}
+    found = set(closure.names)
     tied = {name for each in closure.effects for name in each.tied_with}
     explanations = {
         "share": "" if is_noise_only(closure) else "share of excess variance explained",

@@ -213,7 +213,7 @@ def _unsettled(closure: Closure) -> str:
     found = f"{found_labels(closure)} ({probability_text(closure.probability)}"
     if closure.probability < EXPLAINED:
         return f"it is not settled whether it is {found}, required {EXPLAINED:g})."
-    rivals = closure.posterior.rivals([each.effect.name for each in closure.effects])
+    rivals = closure.posterior.rivals(closure.names)
     if rivals:
         others = listed([_with_probability(closure, name) for name in rivals])
         return f"it is not settled whether it is {found}) alone, or with or in place of it {others}."
@@ -351,7 +351,7 @@ def _evidence_of(found: FoundEffect, is_one_cycle: bool) -> str:
 
 def alternative_sentence(closure: Closure) -> str:
     """The best other candidate and the odds against it; its share if no effect was found."""
-    names = {each.effect.name for each in closure.effects}
+    names = set(closure.names)
     same = names.union(*(closure.posterior.more_general.get(name, ()) for name in names))
     others = [each for each in closure.evidence if not each.missing_input and each.effect.name not in same]
     if not others or closure.verdict == "clean":
@@ -395,9 +395,7 @@ def tie_sentences(closure: Closure) -> list[str]:
             )
     if sentences:
         return [*sentences, closure.separating_measurement or ""]
-    is_alone = closure.effects and not closure.posterior.rivals(
-        [each.effect.name for each in closure.effects]
-    )
+    is_alone = closure.effects and not closure.posterior.rivals(closure.names)
     return ["No other candidate of those tried fits equally well."] if is_alone else []
 
 

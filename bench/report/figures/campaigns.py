@@ -39,8 +39,9 @@ def separability_figure(separability: Separability, target_dph: float, name: str
         [[separability.correlation.get((row, column), 1.0) for column in names] for row in names]
     )
     image = axes.imshow(values, vmin=0.0, vmax=1.0, cmap="Blues", aspect="auto")
-    axes.set_xticks(range(len(names)), names, rotation=35, ha="right", rotation_mode="anchor")
-    axes.set_yticks(range(len(names)), names)
+    labels = [*map(separability.label, names)]
+    axes.set_xticks(range(len(names)), labels, rotation=35, ha="right", rotation_mode="anchor")
+    axes.set_yticks(range(len(names)), labels)
     axes.spines[:].set_visible(False)
     axes.tick_params(length=0)
     framed = {

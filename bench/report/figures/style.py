@@ -8,6 +8,7 @@ import math
 import struct
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
@@ -18,8 +19,9 @@ from isal import isal_zlib
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis, Tick, XAxis, YAxis
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_agg import FigureCanvasAgg, RendererAgg, get_hinting_flag
 from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties, fontManager, get_font
 
 from gyrobench.bench.foundations.files import write_whole
 
@@ -33,6 +35,9 @@ _CHARACTER, _LEGEND_ROW = 0.58, 1.75
 _KEY_IN = 0.53  # of a column of a legend: its line, and the space to the next column
 #: Name of the text of a PNG file that holds the key, near its beginning.
 _KEY, _KEY_WITHIN_BYTES = "Inputs", 1000
+
+_KEPT_TEXTS = 300  # images of lines of text, some kB each
+_DOT = 64  # the unit of sizes of fonts is a part of a dot
 
 #: Title of legends where bars are uncertainties.
 BARS, BARS_SHORT = "bars: standard uncertainty (k = 1)", "bars: k = 1"
@@ -101,21 +106,53 @@ GYRO_STYLES: Mapping[str, tuple[str, str, str]] = MappingProxyType(
 
 
 class _AlikeTicks(Axis):
-    """An axis whose ticks are copies of its first: to make one takes longer than to draw it."""
+    """An axis whose ticks are copies of its first, with labels of their own: its lines are drawn at once."""
+
+    axis_name: str
+    _boxes: Any = None
 
     def _get_tick(self, major: bool) -> Tick:
         made = vars(self).get("majorTicks" if major else "minorTicks")
         if not made:
             return super()._get_tick(major)  # type: ignore[misc,no-any-return]
         tick: Tick = copy.copy(made[0])
-        for name in ("tick1line", "tick2line", "gridline", "label1", "label2"):
-            setattr(tick, name, copy.copy(getattr(tick, name)))
+        tick.label1, tick.label2 = copy.copy(tick.label1), copy.copy(tick.label2)
         for label in (tick.label1, tick.label2):
             label.set_fontproperties(label.get_fontproperties())  # a copy
         return tick
 
     def _copy_tick_props(self, src: Tick, dest: Tick) -> None:
         """Do nothing: the ticks are alike."""
+
+    def _get_tick_boxes_siblings(self, renderer: Any) -> Any:
+        # Labels of several panels are not aligned, and the boxes are known while an axis is drawn.
+        return self._boxes or super()._get_tick_boxes_siblings(renderer)  # type: ignore[misc]
+
+    def draw(self, renderer: Any) -> None:
+        if not self.get_visible():
+            return
+        ticks = self._update_ticks()  # type: ignore[attr-defined]
+        self._boxes = self._get_ticklabel_bboxes(ticks, renderer)  # type: ignore[attr-defined]
+        for group in (self.majorTicks, self.minorTicks):
+            if places := [tick.get_loc() for tick in ticks if tick in group]:
+                first = group[0]
+                for line, across in (
+                    (first.gridline, (0.0, 1.0, math.nan)),
+                    (first.tick1line, (0.0,)),
+                    (first.tick2line, (1.0,)),
+                ):
+                    data = np.repeat(places, len(across)), np.tile(across, len(places))
+                    line.set_data(*(data if self.axis_name == "x" else reversed(data)))
+                    line.draw(renderer)
+        for tick in ticks:
+            tick.label1.draw(renderer)
+            tick.label2.draw(renderer)
+        self._update_label_position(renderer)  # type: ignore[attr-defined]
+        self.label.draw(renderer)
+        self._update_offset_text_position(*self._boxes)  # type: ignore[attr-defined]
+        self.offsetText.set_text(self.get_major_formatter().get_offset())
+        self.offsetText.draw(renderer)
+        self._boxes = None
 
 
 class _XAxis(_AlikeTicks, XAxis):
@@ -132,6 +169,57 @@ class _QuickAxes(Axes):
         for axis, spines in ((self.xaxis, ("bottom", "top")), (self.yaxis, ("left", "right"))):
             for name in spines:
                 self.spines[name].register_axis(axis)
+
+
+@lru_cache(_KEPT_TEXTS)
+def _image_of(text: str, font_properties: FontProperties, dpi: float) -> tuple[Any, ...]:
+    """Width, height and descent of a line of text, its image, and the lower left corner of that, in dots."""
+    font = get_font(fontManager._find_fonts_by_props(font_properties))  # noqa: SLF001
+    font.clear()
+    font.set_size(font_properties.get_size_in_points(), dpi)
+    font.set_text(text, 0.0, flags=get_hinting_flag())  # type: ignore[no-untyped-call]
+    font.draw_glyphs_to_bitmap(antialiased=True)
+    sizes = (*font.get_width_height(), font.get_descent(), *font.get_bitmap_offset())
+    width, height, descent, left, low = (each / _DOT for each in sizes)
+    return width, height, descent, font.get_image().copy(), left, low
+
+
+class _QuickRenderer(RendererAgg):
+    """A renderer that keeps the images of texts: labels of axes and ticks are the same in many figures."""
+
+    def get_text_width_height_descent(self, s: str, prop: FontProperties, ismath: Any) -> Any:
+        if ismath:
+            return super().get_text_width_height_descent(s, prop, ismath)  # type: ignore[no-untyped-call]
+        return _image_of(s, prop, self.dpi)[:3]
+
+    def draw_text(
+        self,
+        gc: Any,
+        x: float,
+        y: float,
+        s: str,
+        prop: Any,
+        angle: float,
+        ismath: Any = False,
+        mtext: Any = None,
+    ) -> None:
+        if ismath:
+            super().draw_text(gc, x, y, s, prop, angle, ismath, mtext)  # type: ignore[no-untyped-call]
+            return
+        _, _, descent, image, left, low = _image_of(s, prop.copy(), self.dpi)
+        turn = math.radians(angle)
+        x, y = round(x + left + descent * math.sin(turn)), round(y + low + descent * math.cos(turn))
+        self._renderer.draw_text_image(image, x, y + 1, angle, gc)
+
+
+class _Canvas(FigureCanvasAgg):
+    renderer: RendererAgg | None = None
+
+    def get_renderer(self) -> RendererAgg:
+        size = *self.get_width_height(physical=True), self.figure.dpi
+        if self.renderer is None or size != (self.renderer.width, self.renderer.height, self.renderer.dpi):
+            self.renderer = _QuickRenderer(*size)  # type: ignore[no-untyped-call]
+        return self.renderer
 
 
 class _QuickFigure(Figure):
@@ -157,7 +245,7 @@ def new_figure(
     of both axes; ``wspace`` and ``hspace`` between panels are parts of a panel's size.
     """
     figure = _QuickFigure(figsize=(WIDTH_IN, height_in))
-    FigureCanvasAgg(figure)
+    _Canvas(figure)
     figure.subplots_adjust(
         left_in / WIDTH_IN,
         bottom_in / height_in,
@@ -172,7 +260,7 @@ def new_figure(
 def fitted_figure(height_in: float) -> Figure:
     """Make an empty figure whose margins are computed from its texts when it is drawn."""
     figure = _QuickFigure(figsize=(WIDTH_IN, height_in), layout="constrained")
-    FigureCanvasAgg(figure)
+    _Canvas(figure)
     return figure
 
 
@@ -243,12 +331,13 @@ def mark_temperatures(axes: Axes, along: Literal["x", "y"], marked_c: Sequence[f
 @house_style
 def png_bytes(figure: Figure, key: str = "") -> bytes:
     """Draw a figure; equal figures give equal bytes. A key is kept in the PNG, see :func:`is_drawn`."""
-    dpi, canvas = figure.dpi, FigureCanvasAgg(figure)
+    dpi = figure.dpi
     figure.set_dpi(_PNG_DPI)
-    canvas.draw()  # type: ignore[no-untyped-call]  # unlike savefig, which draws everything twice
+    renderer = _Canvas(figure).get_renderer()
+    figure.draw(renderer)  # unlike savefig, which draws everything twice
     figure.set_dpi(dpi)
     # In a fifth of the time of PIL, which looks for the best filter of each row.
-    pixels = np.asarray(canvas.buffer_rgba())[:, :, :3]  # type: ignore[no-untyped-call]
+    pixels = np.asarray(renderer.buffer_rgba())[:, :, :3]  # type: ignore[no-untyped-call]
     height, width, _ = pixels.shape
     rows = np.zeros((height, 1 + 3 * width), np.uint8)  # a zero before each: not filtered
     rows[:, 1:].reshape(pixels.shape)[:] = pixels  # without a copy

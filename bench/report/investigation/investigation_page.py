@@ -9,7 +9,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from gyrobench.bench.foundations.files import make_folder
-from gyrobench.bench.foundations.text import plain_name, probability_number
+from gyrobench.bench.foundations.text import probability_number
 from gyrobench.bench.investigation.investigation import CALIBRATE, CONFIRM, TEST_LAW, Investigation
 from gyrobench.bench.report.closure.closure_page import closure_sections
 from gyrobench.bench.report.closure.closure_text import verdict_sentence
@@ -137,7 +137,7 @@ def probability_figure(found: Investigation) -> Figure:
     )
     colours = iter(_CURVES)
     for name in shown:
-        label, colour = _OTHERS.get(name, (plain_name(name), ""))
+        label, colour = _OTHERS.get(name, (found.closure.label(name), ""))
         axes.plot(
             hours,
             curves[name],

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from gyrobench.bench.closure.loop import Closure
-from gyrobench.bench.foundations.text import counted, listed, plain_name, probability_number
+from gyrobench.bench.foundations.text import counted, listed, probability_number
 from gyrobench.bench.investigation.choice import Rival
 from gyrobench.bench.investigation.doubt import rivals_of
 from gyrobench.bench.investigation.investigation import CONFIRM, Investigation, Stage
@@ -29,7 +29,7 @@ _RULED_OUT = 0.01
 
 def title_of(rival: Rival) -> str:
     """A hypothesis in words."""
-    names = listed([plain_name(name) for name in rival.names]) or "nothing beside the declared model"
+    names = listed(rival.labels) or "nothing beside the declared model"
     return f"{names}, and something not on the list" if rival.remainder_dph else names
 
 
@@ -90,25 +90,27 @@ def test_sentence(found: Investigation) -> str:
     stage = found.test
     if stage is None or stage.outcome is None:
         return ""
-    after, before = stage.outcome.error_dph
+    after, *others = stage.outcome.error_dph
+    before = min(others)
     probability, tested = stage.outcome.probabilities[0], stage.rivals[0]
     words = ("agrees with", "contradicts")
     if stage.purpose == CONFIRM:
-        is_stated = set(tested.names) == {each.effect.name for each in found.closure.effects}
+        is_stated = set(tested.names) == set(found.closure.names)
         subject = "the cause" if is_stated else f"{title_of(tested)}, which is not stated by the last search"
     else:
         subject, words = (
             f"the composed law ({tested.candidates[-1].effect.statement})",
             ("confirms", "refutes"),
         )
-    held = "leaves open"
+    held, part = "leaves open", "one of its effects" if len(others) > 1 else "it"
     if not stage.outcome.fits:
-        held = "fits neither the declared model nor"
+        without = "the declared model" if len(others) == 1 else f"the cause without {part}"
+        held = f"fits neither {without} nor"
     elif probability >= 1.0 - _RULED_OUT or probability <= _RULED_OUT:
         held = words[0] if probability > 0.5 else words[1]
     return (
         f"A block predicted before it was measured {held} {subject}: rms error {1e3 * before:.2f} x 0.001 "
-        f"deg/h without it, {1e3 * after:.2f} with it, noise {1e3 * stage.outcome.noise_dph:.2f}."
+        f"deg/h without {part}, {1e3 * after:.2f} with it, noise {1e3 * stage.outcome.noise_dph:.2f}."
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 
 import numpy as np
 from rich.console import Group, RenderableType
@@ -56,10 +56,10 @@ def separability_summary(
         sorted(separability.detections, key=missing_input), key=missing_input
     ):
         if missing:
-            names = listed([detection.effect.name for detection in each])
+            names = listed([detection.effect.display_name for detection in each])
             parts.append(Text(f"Not observable: {names}. Missing input: {missing}."))
     parts += [Text(line) for line in _not_distinguished(separability, seen, target_dph)]
-    parts += [Text(_advice_sentence(each)) for each in advice]
+    parts += [Text(_advice_sentence(each, separability.label)) for each in advice]
     return Group(*parts)
 
 
@@ -76,7 +76,10 @@ def closure_outlook(
     """
     rms_k = unit.thermal.rms_k if unit.thermal else None
     fitted = "are those of a typical unit" if rms_k is None else f"fit its dwells within {rms_k:.2g} K rms"
-    sizes = listed([f"{name} {_size(size_dph)}" for name, size_dph in expected_dph.items()]) or "none"
+    sizes = (
+        listed([f"{closure.label(name)} {_size(size_dph)}" for name, size_dph in expected_dph.items()])
+        or "none"
+    )
     parts: list[RenderableType] = [
         Text("What the plan decides of the search", style="bold"),
         Text(
@@ -89,21 +92,23 @@ def closure_outlook(
     table = titled_table()
     for header in ("found", "tied with", "now", "plan alone", "if found", "if tied"):
         is_word = header in ("found", "tied with")
-        table.add_column(header, justify="left" if is_word else "right", no_wrap=True)
+        table.add_column(header, justify="left" if is_word else "right", no_wrap=not is_word)
     for each in ties:
         odds = [_odds(value) for value in (each.now, each.alone, each.if_found, each.if_other)]
-        table.add_row(each.found, each.other, *odds)
+        table.add_row(closure.label(each.found), closure.label(each.other), *odds)
     columns = (
         "now: odds by which the dwells searched prefer the effect found. plan alone: expected from the plan "
         "without them, if the effect found is present. if found, if tied: expected with both, for the effect "
         f"that is present; settled from {TIE_ODDS:.0f} to 1 for both."
     )
     missing = [
-        f"{each.other} is not fitted. Missing input: {each.missing_input}."
+        f"{closure.label(each.other)} is not fitted. Missing input: {each.missing_input}."
         for each in ties
         if each.missing_input
     ]
-    open_ties = [(each.found, each.other) for each in ties if not each.is_settled]
+    open_ties = [
+        (closure.label(each.found), closure.label(each.other)) for each in ties if not each.is_settled
+    ]
     outcome = (
         f"Still tied after the plan: {pairs_text(open_ties)}." if open_ties else "The plan settles all ties."
     )
@@ -113,7 +118,7 @@ def closure_outlook(
         Text(columns),
         *map(Text, missing),
         Text(outcome),
-        *(Text(_advice_sentence(each)) for each in advice),
+        *(Text(_advice_sentence(each, closure.label)) for each in advice),
     )
 
 
@@ -156,19 +161,21 @@ def _table(separability: Separability, seen: Sequence[Detection]) -> Table:
     table = titled_table()
     for header in ("effect", "found", "worst", "VIF", "alternative", "distinct"):
         is_word = header in ("effect", "alternative")
-        table.add_column(header, justify="left" if is_word else "right", no_wrap=True)
+        table.add_column(header, justify="left" if is_word else "right", no_wrap=not is_word)
     for each in seen:
-        name = each.effect.name
-        nearest, size_dph = separability.nearest_alternative(name) or ("none", each.typical_dph)
+        nearest, size_dph = separability.nearest_alternative(each.effect.name) or ("none", each.typical_dph)
         inflation = f"x{each.inflation:.1f}" if each.inflation < _MAX_INFLATION else "x>1000"
         sizes = _size(each.typical_dph), _size(each.largest_dph)
-        table.add_row(name, *sizes, inflation, nearest, _size(size_dph))
+        table.add_row(
+            each.effect.display_name, *sizes, inflation, separability.label(nearest), _size(size_dph)
+        )
     return table
 
 
 def _not_distinguished(separability: Separability, seen: Sequence[Detection], target_dph: float) -> list[str]:
-    hidden = [each.effect.name for each in seen if each.effect.name in separability.not_found(target_dph)]
-    pairs = separability.not_distinguished(target_dph)
+    not_found = separability.not_found(target_dph)
+    hidden = [each.effect.display_name for each in seen if each.effect.name in not_found]
+    pairs = _labelled(separability.not_distinguished(target_dph), separability.label)
     if not seen:
         return []
     if not (hidden or pairs):
@@ -181,17 +188,23 @@ def _not_distinguished(separability: Separability, seen: Sequence[Detection], ta
     return [*lines, ""]
 
 
-def _advice_sentence(advice: Advice) -> str:
+def _labelled(pairs: Collection[tuple[str, str]], label: Callable[[str], str]) -> list[tuple[str, str]]:
+    return [(label(one), label(other)) for one, other in pairs]
+
+
+def _advice_sentence(advice: Advice, label: Callable[[str], str]) -> str:
     benefits = []
     if advice.found:
         them = "it" if len(advice.found) == 1 else "them"
-        benefits.append(f"finds {listed(advice.found)} and distinguishes {them} from all others")
+        benefits.append(
+            f"finds {listed([*map(label, advice.found)])} and distinguishes {them} from all others"
+        )
     if advice.pairs:
-        benefits.append(f"distinguishes {pairs_text(advice.pairs)}")
+        benefits.append(f"distinguishes {pairs_text(_labelled(advice.pairs, label))}")
     if not advice.what:
         return f"No known change {', or '.join(benefits)}."
     hours = f"{abs(advice.added_h):.1f} h {'less' if advice.added_h < 0.0 else 'more'}"
-    lost = f", but does not distinguish {pairs_text(advice.lost)}" if advice.lost else ""
+    lost = f", but does not distinguish {pairs_text(_labelled(advice.lost, label))}" if advice.lost else ""
     return f"With {hours}: {listed(advice.what)}. This {', and '.join(benefits)}{lost}."
 
 

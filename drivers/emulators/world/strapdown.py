@@ -26,6 +26,9 @@ _SOMIGLIANA_K = 1.93185265241e-3
 #: Layout of the navigation state: quaternion body to ENU (w, x, y, z), velocity east and north
 #: in m/s, latitude and longitude in rad.
 STATE_SIZE = 8
+#: Density of latitudes, some centimetres apart, whose radii count around them, and from whose sine and cosine
+#: the first term of a series leads to others in double precision.
+_PER_RAD = 1e8
 
 # Tuples stay in registers, where small arrays would be allocated for every sample.
 _Row = tuple[float, float, float]
@@ -257,12 +260,20 @@ def navigate(
     """
     n = rotation.shape[0]
     kept = np.empty((max(0, (n - 1 - first) // every + 1) if first < n else 0, STATE_SIZE))
-    row = 0
+    row, number = 0, math.inf
+    place = place_sine = place_cosine = per_meridian = per_across = 0.0
     for k in range(n):
         v_east, v_north, latitude = state[4], state[5], state[6]
-        meridian, across = principal_radii(latitude)
-        per_meridian, per_across = 1.0 / (meridian + height), 1.0 / (across + height)
-        sine, cosine = math.sin(latitude), math.cos(latitude)
+        if np.rint(latitude * _PER_RAD) != number:
+            number = np.rint(latitude * _PER_RAD)
+            place = number / _PER_RAD
+            place_sine, place_cosine = math.sin(place), math.cos(place)
+            meridian, across = principal_radii(place)
+            per_meridian, per_across = 1.0 / (meridian + height), 1.0 / (across + height)
+        moved = latitude - place
+        sine, cosine = place_sine + moved * place_cosine, place_cosine - moved * place_sine
+        per_cosine = 1.0 / cosine
+        tangent = sine * per_cosine
         earth_n, earth_u = EARTH_RATE * cosine, EARTH_RATE * sine
 
         # Velocity increment in the body frame at the start of the sample, then in ENU.
@@ -278,7 +289,7 @@ def navigate(
         d2 = c20 * f0 + c21 * f1 + c22 * f2
 
         # Half of the navigation frame's own turn in the sample, and Coriolis. Gravity has no level part.
-        transport_u = v_east * per_across * sine / cosine
+        transport_u = v_east * per_across * tangent
         z0 = -v_north * per_meridian * dt
         z1 = (earth_n + v_east * per_across) * dt
         z2 = (earth_u + transport_u) * dt
@@ -291,13 +302,14 @@ def navigate(
         frame = _quaternion_of(
             mean_n * per_meridian * dt,
             -(earth_n + mean_e * per_across) * dt,
-            -(earth_u + mean_e * per_across * sine / cosine) * dt,
+            -(earth_u + mean_e * per_across * tangent) * dt,
         )
         q = _times(_times(frame, attitude), _quaternion_of(a0, a1, a2))
-        norm = math.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
-        state[0], state[1], state[2], state[3] = q[0] / norm, q[1] / norm, q[2] / norm, q[3] / norm
+        # The length is 1 but for rounding, so the first term of the series of its inverse suffices.
+        scale = 1.5 - 0.5 * (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+        state[0], state[1], state[2], state[3] = scale * q[0], scale * q[1], scale * q[2], scale * q[3]
         state[6] = latitude + mean_n * per_meridian * dt
-        state[7] += mean_e * per_across / cosine * dt
+        state[7] += mean_e * per_across * per_cosine * dt
         if k >= first and (k - first) % every == 0:
             kept[row] = state
             row += 1

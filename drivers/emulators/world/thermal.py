@@ -72,49 +72,60 @@ class ChamberAir:
         """Share of the time that the compressor runs: it cycles where little cooling is needed."""
         return _within(-self.power / _MIN_STEADY_COOLING, 0.0, 1.0)
 
-    def step(self, dt_s: float) -> None:
-        """Advance by ``dt_s``."""
-        if self.faults.door_open:
-            self._drift(dt_s, _DOOR_TIME_CONSTANT_S)
-        elif self.running and not (self.faults.stopped or self.faults.blind):
-            self._control(dt_s)
-        else:
-            self._drift(dt_s, self.parameters.ambient_time_constant_s)
+    def step(self, dt_s: float, count: int = 1) -> FloatArray:
+        """Advance ``count`` times by ``dt_s``; returns temperature and compressor duty after each, (2, n)."""
+        limits, faults = self.parameters, self.faults
+        is_controlled = self.running and not (faults.stopped or faults.blind or faults.door_open)
+        constant_s = limits.control_time_constant_s if is_controlled else limits.ambient_time_constant_s
+        if faults.door_open:
+            constant_s = _DOOR_TIME_CONSTANT_S
+        bounds = np.array(
+            [limits.heating_limit_c_per_min, limits.cooling_limit_c_per_min, limits.ambient_c,
+             limits.ambient_time_constant_s, limits.low_c, limits.high_c]
+        )  # fmt: skip
+        course = np.empty((2, count))
+        self.air_c, self.working_set_point_c, self.power = _air_steps(
+            course, dt_s, is_controlled, -math.expm1(-dt_s / constant_s), bounds, self.air_c,
+            self.working_set_point_c, self.set_point_c,
+            math.inf if self.ramp_rate_c_per_min is None else self.ramp_rate_c_per_min, faults.error_c,
+        )  # fmt: skip
+        return course
 
     def disturb(self, delta_c: float) -> None:
         """Step the air's temperature, as an opened door does."""
         self.air_c += delta_c
 
-    def _control(self, dt_s: float) -> None:
-        limits = self.parameters
-        target_c = self.set_point_c
-        if self.ramp_rate_c_per_min is not None:
-            span_c = self.ramp_rate_c_per_min * dt_s / 60.0
-            target_c = _within(target_c, self.working_set_point_c - span_c, self.working_set_point_c + span_c)
-        self.working_set_point_c = target_c
-        gap_c = _within(target_c + self.faults.error_c, limits.low_c, limits.high_c) - self.air_c
-        approach_c_per_min = -gap_c * math.expm1(-dt_s / limits.control_time_constant_s) * 60.0 / dt_s
-        rate_c_per_min = _within(
-            approach_c_per_min, -limits.cooling_limit_c_per_min, limits.heating_limit_c_per_min
-        )
-        self.air_c += rate_c_per_min * dt_s / 60.0
-        lost_c_per_min = (self.air_c - limits.ambient_c) * 60.0 / limits.ambient_time_constant_s
-        demand_c_per_min = rate_c_per_min + lost_c_per_min
-        full_c_per_min = (
-            limits.heating_limit_c_per_min if demand_c_per_min > 0.0 else limits.cooling_limit_c_per_min
-        )
-        self.power = _within(demand_c_per_min / full_c_per_min, -1.0, 1.0)
 
-    def _drift(self, dt_s: float, time_constant_s: float) -> None:
-        share = -math.expm1(-dt_s / time_constant_s)
-        self.air_c += (self.parameters.ambient_c - self.air_c) * share
-        # A ramp that starts later starts from the air's temperature then.
-        self.working_set_point_c = self.air_c
-        self.power = 0.0
-
-
+@compiled
 def _within(value: float, low: float, high: float) -> float:
     return low if value < low else high if value > high else value
+
+
+@compiled
+def _air_steps(
+    course: FloatArray, dt: float, is_controlled: bool, share: float, limits: FloatArray, air_c: float,
+    working_c: float, set_point_c: float, ramp_c_per_min: float, error_c: float,
+) -> tuple[float, float, float]:  # fmt: skip
+    """Make a step for each column of ``course``; returns the air's temperature, working set point and power.
+
+    ``share``: part of the way to the temperature aimed at that the air covers in a step.
+    """
+    heating, cooling, ambient_c, ambient_time_constant_s, low_c, high_c = limits
+    power = 0.0
+    for k in range(course.shape[1]):
+        if is_controlled:
+            span_c = ramp_c_per_min * dt / 60.0
+            working_c = _within(set_point_c, working_c - span_c, working_c + span_c)
+            gap_c = _within(working_c + error_c, low_c, high_c) - air_c
+            rate = _within(gap_c * share * 60.0 / dt, -cooling, heating)
+            air_c += rate * dt / 60.0
+            demand = rate + (air_c - ambient_c) * 60.0 / ambient_time_constant_s
+            power = _within(demand / (heating if demand > 0.0 else cooling), -1.0, 1.0)
+        else:
+            air_c += (ambient_c - air_c) * share
+            working_c = air_c  # a ramp that starts later starts from the air's temperature then
+        course[0, k], course[1, k] = air_c, _within(-power / _MIN_STEADY_COOLING, 0.0, 1.0)
+    return air_c, working_c, power
 
 
 class ThermalCourse(NamedTuple):
@@ -161,10 +172,9 @@ class ThermalNetwork:
 
         ``up_body`` is Up in body axes in each step, shape (n, 3), or in all, (3,).
         """
-        air_c = np.atleast_1d(air_c)
-        up = np.broadcast_to(up_body, (len(air_c), 3))
+        up = np.ascontiguousarray(up_body).reshape(-1, 3)
         self.course = ThermalCourse(
-            *_steps(self.nodes_c, self._case, self._gyro, self._paths, np.ascontiguousarray(up), air_c,
+            *_steps(self.nodes_c, self._case, self._gyro, self._paths, up, np.atleast_1d(air_c),
                     1.0 if self.powered else 0.0, dt_s)
         )  # fmt: skip
 
@@ -195,13 +205,13 @@ def _steps(
     n = air_c.size
     course, rate, convected = np.empty((n, 7)), np.empty((n, 3)), np.empty((n, 3))
     for k in range(n):
-        case_c = nodes[0]
+        case_c, row = nodes[0], min(k, len(up) - 1)
         into_case = case[1] * (air_c[k] - case_c)
         for i in range(3):
             optics, electronics = nodes[1 + i], nodes[4 + i]
             c_optics, c_electronics, p_optics, p_electronics = gyro[i, 0], gyro[i, 1], gyro[i, 2], gyro[i, 3]
             g_oc, g_ec, g_eo, g_conv, share = gyro[i, 4], gyro[i, 5], gyro[i, 6], gyro[i, 7], gyro[i, 8]
-            upward = paths[i, 0] * up[k, 0] + paths[i, 1] * up[k, 1] + paths[i, 2] * up[k, 2]
+            upward = paths[i, 0] * up[row, 0] + paths[i, 1] * up[row, 1] + paths[i, 2] * up[row, 2]
             convected[k, i] = g_conv * share * upward * (electronics - optics)
             to_optics = (g_eo + g_conv) * (electronics - optics) + convected[k, i]
             optics_loss, electronics_loss = g_oc * (optics - case_c), g_ec * (electronics - case_c)

@@ -6,7 +6,6 @@ Its units share the surroundings: the table's axes, the chamber's air, and the h
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable, Sequence
 from itertools import groupby
 from typing import NamedTuple
@@ -64,7 +63,7 @@ class Surroundings:
         self.dissipated_w: dict[int, float] = {}  #: Heat of each unit at present, by its number.
         self._start_s = start_s
         self._heating = file.neighbour_heating
-        self._courses: list[deque[tuple[float, float]]] = []
+        self._courses: list[list[FloatArray]] = []
         self._advance: list[Callable[[float], None]] = []
         for axis in self.axes.values():
             axis.before_motion = self._before_motion
@@ -75,19 +74,18 @@ class Surroundings:
         ``advance`` advances the unit to a time.
         """
         self._advance.append(advance)
-        present = self.air.air_c, self.air.compressor_duty
-        course = deque([present] * (self.air_s - self._start_s))
+        present = [[self.air.air_c], [self.air.compressor_duty]]
+        course = [np.repeat(present, self.air_s - self._start_s, axis=1)]
         self._courses.append(course)
         return UnitAir(self, course, [each for each in self._heating if each.to_unit == number])
 
     def step_air(self, seconds: int) -> None:
         """Advance the chamber's air to that time."""
-        while self.air_s < seconds:
-            self.air_s += 1
-            self.air.step(1.0)
-            second = self.air.air_c, self.air.compressor_duty
+        if seconds > self.air_s:
+            steps = self.air.step(1.0, seconds - self.air_s)
+            self.air_s = seconds
             for course in self._courses:
-                course.append(second)
+                course.append(steps)
 
     def _before_motion(self, now_s: float) -> None:
         for advance in self._advance:
@@ -98,10 +96,7 @@ class UnitAir:
     """The air around one unit."""
 
     def __init__(
-        self,
-        surroundings: Surroundings,
-        course: deque[tuple[float, float]],
-        heating: Sequence[NeighbourHeating],
+        self, surroundings: Surroundings, course: list[FloatArray], heating: Sequence[NeighbourHeating]
     ) -> None:
         self._surroundings = surroundings
         self._course = course  # seconds that the unit has not taken yet
@@ -110,7 +105,9 @@ class UnitAir:
 
     def take(self, seconds: int) -> AirSeconds:
         """Air of the next seconds, to which the surroundings have been advanced."""
-        air_c, duty = np.array([self._course.popleft() for _ in range(seconds)]).T
+        course = np.concatenate(self._course, axis=1)
+        self._course[:] = [course[:, seconds:]]
+        air_c, duty = course[:, :seconds]
         if not self._heating:
             return AirSeconds(air_c, duty, np.zeros(seconds))
         added_k = np.zeros(seconds)
@@ -287,9 +284,9 @@ class World:
         if duty is None:
             duty = np.full((1, 1), self.air.compressor_duty)
             course = ThermalCourse(*(each[-1:] for each in course))
-        self._undeclared_dph = np.zeros((len(duty), 3)) + self._wander_dph
         if not self.file.undeclared_effects:
-            self._undeclared_ppm = np.zeros((len(duty), 3)) + self._power_on_ppm
+            none = np.zeros((len(duty), 3))
+            self._undeclared_dph, self._undeclared_ppm = none + self._wander_dph, none + self._power_on_ppm
             return
         sample = self._sample + SAMPLE_RATE_HZ * np.arange(float(len(duty)))[:, np.newaxis]
         on_s = (sample - self._powered_on_sample) * _DT_S
@@ -304,7 +301,7 @@ class World:
             compressor_duty=duty,
             neighbours_k=self._neighbours_k[-len(duty) :, np.newaxis],
         )
-        self._undeclared_dph += self._undeclared.added_dph(now)
+        self._undeclared_dph = self._undeclared.added_dph(now) + self._wander_dph
         self._undeclared_ppm = self._undeclared.added_scale_factor_ppm(now) + self._power_on_ppm
 
     def _step_samples(

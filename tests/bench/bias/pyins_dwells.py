@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from pyins._numba_integrate import integrate  # the public Integrator warns with pandas 3
 from scipy.spatial.transform import Rotation
 
 from gyrobench.bench.bias.dwell import Dwell, NavigationWindow, TurnPath
@@ -13,8 +12,6 @@ from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, FloatArray
 from gyrobench.bench.navigation.attitude import UP, rotation_matrix
 from gyrobench.bench.navigation.earth import earth_rate_enu, gravity
 from gyrobench.bench.navigation.positions import POSITIONS
-
-integrate.enable_caching()  # compiled once for all processes
 
 LATITUDE = np.deg2rad(36.4)
 GRAVITY = gravity(LATITUDE)
@@ -76,6 +73,9 @@ def measured_increments(
 
 def simulate(ins: RestingIns) -> Dwell:
     """Navigate through one dwell: a window, a turn, a window."""
+    from pyins._numba_integrate import integrate  # the public Integrator warns with pandas 3
+
+    integrate.enable_caching()  # compiled once for all processes
     C_before = POSITIONS[ins.position].C_nb()
     turn = np.deg2rad(ins.turn_deg)
     C_after = rotation_matrix(UP, turn) @ C_before

@@ -54,6 +54,7 @@ def test_a_scheme_that_retraces_its_turns_cancels_misalignments():
     assert day_m[RETRACED_HALF_TURNS] < 0.1 * day_m[HALF_TURNS]
 
 
+@pytest.mark.long
 def test_the_distribution_is_that_of_missions_with_drawn_coefficients():
     site, values, roots = SITES[1], residuals(1), np.diag(np.abs(residuals(2)))
     error = mission_error(values, roots @ roots, site)

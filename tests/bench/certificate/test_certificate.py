@@ -28,7 +28,7 @@ from gyrobench.bench.runs.tables.budget_table import (
     write_budget,
 )
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, write_coefficients
-from tests.bench.certificate.conftest import PIN
+from tests.bench.certificate.conftest import LABEL, PIN
 from tests.bench.command_line import gyrobench
 
 etree = pytest.importorskip("lxml.etree")
@@ -247,6 +247,37 @@ def test_a_token_that_does_not_fit_is_named(token, monkeypatch):
         load_signing_key(uri.replace("token=bench", "token=other"))
     with pytest.raises(DocumentError, match="write pkcs11:token=NAME;object=KEY"):
         load_signing_key("pkcs11:token=bench")
+
+
+@pytest.fixture
+def damaged_certificate(token):
+    """Stores a certificate that is none, with an identifier, on the token."""
+    pkcs11 = pytest.importorskip("pkcs11")
+    attribute = pkcs11.Attribute
+    module = token["rsa"][0].partition("module-path=")[2]
+    opened = pkcs11.lib(module).get_token(token_label=LABEL).open
+    kind = {attribute.CLASS: pkcs11.ObjectClass.CERTIFICATE, attribute.LABEL: "damaged"}
+
+    def store(identifier):
+        of_none = {attribute.SUBJECT: b"0", attribute.VALUE: b"no certificate", attribute.TOKEN: True}
+        of_none[attribute.CERTIFICATE_TYPE] = pkcs11.CertificateType.X_509
+        with opened(rw=True, user_pin=PIN) as session:
+            session.create_object({**kind, **of_none, attribute.ID: identifier})
+
+    yield store
+    with opened(rw=True, user_pin=PIN) as session:
+        for each in session.get_objects(kind):
+            each.destroy()
+
+
+def test_a_certificate_on_a_token_that_can_not_be_read_is_named(token, damaged_certificate, monkeypatch):
+    monkeypatch.setenv("GYROBENCH_KEY_PASSWORD", PIN)
+    uri, _ = token["rsa"]
+    damaged_certificate(b"of another key")
+    assert load_signing_key(uri).certificates
+    damaged_certificate(b"rsa")
+    with pytest.raises(DocumentError, match="the certificate of the key can't be read"):
+        load_signing_key(uri)
 
 
 def test_a_uri_with_the_pin_is_refused_without_repeating_it():

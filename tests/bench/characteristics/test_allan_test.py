@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.signal import fftconvolve
 
 from gyrobench.bench.characteristics.allan_test import RateRecord, allan_test, square_interval
 from gyrobench.bench.foundations.errors import MeasurementError
@@ -17,6 +16,8 @@ TRUTHS = {"Q": 0.03, "N": 0.0005, "B": 0.004, "K": 0.006, "R": 0.02}
 
 def angles(random: np.random.Generator, seconds: int) -> np.ndarray:
     """Angle of one gyro each second, rad: flicker by Kasdin's filter, the others by definition."""
+    from scipy.signal import fftconvolve
+
     taps = np.concatenate([[1.0], np.cumprod((np.arange(1, 2 * seconds) - 0.5) / np.arange(1, 2 * seconds))])
     flicker = fftconvolve(random.standard_normal(2 * seconds), taps)[seconds : 2 * seconds]
     rate = (
@@ -29,6 +30,7 @@ def angles(random: np.random.Generator, seconds: int) -> np.ndarray:
     return np.concatenate([[0.0], np.cumsum(rate)]) + random.uniform(-0.5, 0.5, seconds + 1) * pulse
 
 
+@pytest.mark.long
 def test_intervals_hold_the_five_coefficients() -> None:
     random = np.random.default_rng(1)
     held: dict[str, list[bool]] = {name: [] for name in TRUTHS}

@@ -57,7 +57,10 @@ def held(campaigns, name, truth):
     return np.mean(found), len(found)
 
 
-@pytest.mark.parametrize(("cycles", "each", "scatter"), [(1, 12, 0.1), (3, 8, 0.6), (8, 1, 0.3)])
+@pytest.mark.parametrize(
+    ("cycles", "each", "scatter"),
+    [(1, 12, 0.1), pytest.param(3, 8, 0.6, marks=pytest.mark.long), (8, 1, 0.3)],
+)
 def test_intervals_hold_drift_and_scatter_in_95_percent_of_campaigns(cycles, each, scatter):
     random = np.random.default_rng((1, cycles))
     drift = 0.05 if each > 1 else 0.0
@@ -79,6 +82,7 @@ def test_the_scatter_from_power_cycle_to_power_cycle_is_apart_from_that_within()
         assert 0.87 <= share <= 1.0, name
 
 
+@pytest.mark.long
 def test_the_intervals_of_worst_asymmetry_and_nonlinearity_hold_them():
     random = np.random.default_rng(4)
     for asymmetry, slope in ((0.0, 0.0), (1.5, 0.1)):
@@ -97,6 +101,11 @@ def test_dwells_without_a_result_and_unequal_temperatures_are_noted():
     notes = " ".join(scale_factor_stability(records).notes)
     assert "1 measurement left out: the unit rests for 3 s." in notes
     assert "differs by 3.5 K" in notes
+
+
+def test_the_parts_of_the_fit_are_power_cycles():
+    curve = scale_factor_stability(campaign(np.random.default_rng(4), 2, 4)).curves[0]
+    assert curve.parts == ["r0"] * 4 + ["r1"] * 4
 
 
 def test_three_measurements_are_too_few():

@@ -37,6 +37,17 @@ def test_without_noise_the_coefficients_are_those_of_the_model() -> None:
     assert found["hysteresis"] == pytest.approx(HYSTERESIS, abs=3e-4)
 
 
+def test_the_parts_of_the_fit_are_heating_and_cooling() -> None:
+    rows = over_temperature(np.random.default_rng(2), _bias, 2.0, 1e-6)
+    [first, *_] = thermal_sensitivity(rows, 20.0, 3).curves
+    steps = np.diff(first.x)
+    named = [part.startswith("heating") for part in first.parts[1:]]
+    # A reversal shows where the temperature has left its extreme.
+    steady = np.abs(steps) > 2.0
+    assert np.mean((steps > 0.0)[steady] == np.array(named)[steady]) > 0.9
+    assert {part.split(",")[0] for part in first.parts} == {"heating", "cooling"}
+
+
 def test_one_temperature_is_refused() -> None:
     with pytest.raises(MeasurementError, match=r"span 0\.0 K"):
         thermal_sensitivity(power_cycles(np.random.default_rng(3), 20, 0.001, 0.001), None, 3)

@@ -159,7 +159,7 @@ def test_plan_reports_the_effects_that_its_dwells_distinguish(tmp_path):
     assert result.returncode == 0, result.stderr
     printed = " ".join(result.stdout.split())
     assert "Not found" not in printed
-    assert "Not distinguished at 50.00: chamber_state from bias_jump" in printed
+    assert "Not distinguished at 50.00: chamber state from bias jump" in printed
     assert "add a cycle and measure two positions on each ramp. This distinguishes" in printed
     assert (tmp_path / f"separability_{procedure}.png").read_bytes().startswith(b"\x89PNG")
 
@@ -171,7 +171,7 @@ def test_plan_starts_from_a_search(table, searched, tmp_path):
     text = " ".join(result.stdout.split())
     assert re.search(r"The search uses \d+ of \d+ dwells; the last cycle is held out", text)
     assert "as measured in the closure" in text
-    assert "Effects found, with their sizes in the plan's dwells: temperature_rate" in text
+    assert "Effects found, with their sizes in the plan's dwells: temperature rate" in text
     result = gyrobench(*arguments, "nowhere", cwd=tmp_path)
     assert result.returncode == EXIT_WRONG_INPUT
     assert "there is no closure.json" in result.stderr

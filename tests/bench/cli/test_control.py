@@ -12,7 +12,7 @@ from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
 from gyrobench.bench.engine.operator import RunCommand, take_sender
 from tests.bench.command_line import gyrobench as command
 
-#: Holds a run folder as a run does, and prints the signal that it gets.
+#: Holds a run folder as a run does, and prints each signal that it gets.
 HOLDER = """
 import signal, sys
 from pathlib import Path
@@ -21,14 +21,14 @@ from gyrobench.bench.station.locks import RunLock
 signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGUSR1])
 with RunLock(Path(sys.argv[1]), WallClock()):
     print("held", flush=True)
-    print(signal.sigwait([signal.SIGUSR1]).name, flush=True)
+    while True:
+        print(signal.sigwait([signal.SIGUSR1]).name, flush=True)
 """
 
 
-@pytest.fixture
-def run_in_progress(tmp_path):
-    run = tmp_path / "run"
-    run.mkdir()
+@pytest.fixture(scope="module")
+def run_in_progress(tmp_path_factory):
+    run = tmp_path_factory.mktemp("run")
     with subprocess.Popen([sys.executable, "-c", HOLDER, run], stdout=subprocess.PIPE, text=True) as holder:
         assert holder.stdout.readline() == "held\n"
         yield run, holder
@@ -73,9 +73,12 @@ def test_a_process_that_does_not_hold_the_run_gets_no_signal(run_in_progress, pi
     run, _ = run_in_progress
     lock = run / ".lock"
     assert lock.stat().st_mode & 0o777 == 0o644
-    lock.write_text(json.dumps(json.loads(lock.read_text()) | {"pid": os.getpid() if pid == "own" else pid}))
-    monkeypatch.setattr("os.kill", lambda *_: pytest.fail("a signal was sent"))
-    done = command("control", run, "hold", cwd=run.parent)
+    true = lock.read_text()
+    lock.write_text(json.dumps(json.loads(true) | {"pid": os.getpid() if pid == "own" else pid}))
+    with monkeypatch.context() as patch:
+        patch.setattr("os.kill", lambda *_: pytest.fail("a signal was sent"))
+        done = command("control", run, "hold", cwd=run.parent)
+    lock.write_text(true)
     assert done.returncode == EXIT_NOT_FINISHED
     assert "does not hold it" in done.stderr
 

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
+from scipy.optimize import minimize, rosen
 
-from gyrobench.bench.closure.candidates import Candidate, best_start, refine, stack, starts
+from gyrobench.bench.closure.candidates import Candidate, best_start, lowest, refine, stack, starts
 from gyrobench.bench.closure.effects import attitude_thermal, bias_jump
 from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter, fixed
 from gyrobench.bench.closure.effects.laws import THERMAL_HYSTERESIS, THERMAL_LAG, TIME_DRIFT, WARM_UP
@@ -81,3 +82,15 @@ def test_unknowns_are_the_terms_kept_and_the_parameters():
     attitude = attitude_thermal.EFFECT
     kept = np.array([[True, False, False, True], [True, True, False, False], [True, False, False, False]])
     assert Candidate(attitude, attitude.forms[0], (45.0, 3.0), kept).parameter_count == 7
+
+
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_the_simplex_takes_the_steps_of_scipys(count):
+    def cost(point):
+        return rosen(np.append(point, 0.5)) if count > 1 else np.cosh(point[0] - 0.7)
+
+    simplex = np.vstack([np.zeros(count), np.eye(count)])
+    options = {"initial_simplex": simplex, "xatol": 1e-3, "fatol": 1e-3, "maxfev": 4000}
+    expected = minimize(cost, simplex[0], method="Nelder-Mead", options=options)
+    assert expected.success
+    np.testing.assert_allclose(lowest(cost, simplex, 4000, 1e-3, 1e-3), expected.x, rtol=1e-12)

@@ -78,10 +78,6 @@ def follows_of_wandering(kind, seed):
     return follows
 
 
-def test_a_bias_that_wanders_is_no_effect_but_follows_time():
-    follows_of_wandering("random_walk", 0)
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("kind", ["random_walk", "flicker"])
 def test_a_bias_that_wanders_is_noise_of_its_own_spectrum(kind):

@@ -182,6 +182,19 @@ def test_the_prior_of_an_onset_does_not_depend_on_its_zero(problem):
     assert prior_width(one, scale, 10.0) == pytest.approx(10.0 * np.log(12.0))
 
 
+def test_the_evidence_of_a_step_is_the_same_for_all_times_between_two_dwells(problem):
+    dense = problem(cycles=2, seed=2)
+    campaign = replace(dense.campaign, end_s=dense.campaign.end_s - 300.0)
+    clean = declared_problem(campaign, dense.searched)
+    gap_s = np.linspace(campaign.end_s[10], campaign.start_s[11], 4)[1:-1]
+    data = with_biases(clean, clean.residuals + 4.0 * (campaign.start_s > gap_s[0])[clean.searched, None])
+    [jump] = [each for each in all_effects() if each.name == "bias_jump"]
+    fits = [hypothesis(data, [replace(whole(jump), values=(at_s,))]) for at_s in gap_s.tolist()]
+    first, second = (Evidences(data, [jump]).weights(each)[0] for each in fits)
+    assert gap_s[1] > gap_s[0]
+    assert first == pytest.approx(second, abs=1e-6)
+
+
 def test_effects_that_are_not_significant_count(problem):
     search = Search(problem(seed=4), all_effects())
     found, weighed = search.most_probable()

@@ -87,20 +87,25 @@ def campaign(course=None, **changes):
     return campaign_of([replace(row, **changes) for row in rows], record)
 
 
+@cache
+def fitted_to_all():
+    return TYPICAL.fitted_to(campaign(measured()[2]))
+
+
 def rms(off_k):
     return float(np.sqrt(np.mean(off_k**2)))
 
 
 def test_what_is_fitted_describes_all_temperatures_of_the_campaign():
     _, _, truth = measured()
-    fitted, course = TYPICAL.fitted_to(campaign(truth))
+    fitted, course = fitted_to_all()
     assert fitted.rms_k < MAX_RMS_K
     for name in ("case_c", "optics_c", "electronics_c"):
         assert rms(getattr(course, name) - getattr(truth, name)) < MAX_RMS_K, name
 
 
 def test_electronics_are_hotter_with_their_heat_path_down():
-    fitted, _ = TYPICAL.fitted_to(campaign(measured()[2]))
+    fitted, _ = fitted_to_all()
     for found, path in zip(fitted.electronics_rise_k[:, 1:], PATHS.values(), strict=True):
         assert np.dot(found, path) / np.linalg.norm(found) < -0.95
 
@@ -108,8 +113,8 @@ def test_electronics_are_hotter_with_their_heat_path_down():
 @pytest.mark.parametrize("known", ["recorded", "of dwells"])
 def test_a_block_that_was_not_measured_is_predicted_from_the_end(known):
     """Without power, then at another temperature in one position: nothing of it was in the campaign."""
-    bench, _, truth = measured()
-    fitted, course = TYPICAL.fitted_to(campaign(truth if known == "recorded" else None))
+    bench, _, _ = measured()
+    fitted, course = fitted_to_all() if known == "recorded" else TYPICAL.fitted_to(campaign())
     again = Bench()
     again.network.nodes_c[:] = bench.network.nodes_c
     again.air_c = bench.air_c

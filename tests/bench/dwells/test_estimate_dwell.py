@@ -27,33 +27,37 @@ def noise_of(factor=1.0):
     )
 
 
-def setup_for(declared):
+def setup_for(declared, velocity_lsb_mps=VELOCITY_LSB_MPS, heading_lsb_deg=ANGLE_LSB_DEG):
     return MeasurementSetup(
         decode=lambda frames: pytest.fail("nothing is to be decoded here"),
         table=None,
         site=site(),
         noise=declared,
         prior=PriorKnowledge(),
-        velocity_lsb_mps=VELOCITY_LSB_MPS,
-        heading_lsb_rad=np.radians(ANGLE_LSB_DEG),
+        velocity_lsb_mps=velocity_lsb_mps,
+        heading_lsb_rad=np.radians(heading_lsb_deg),
         resolution=(),
     )
 
 
 DECLARED = setup_for(noise_of())
+#: Resolution of an INS for land vehicles, m/s and deg, and its noise with it.
+COARSE = 0.01, 0.005
+COARSE_NOISE = NoiseModel.from_datasheet(0.0006, 5.0, COARSE[0], np.radians(COARSE[1]))
 
 
 def measured(
-    position="z_up", seed=0, noise=None, setup=DECLARED, accelerometer_ug=ACCELEROMETER_UG, **errors
-):
+    position="z_up", seed=0, noise=None, setup=DECLARED, accelerometer_ug=ACCELEROMETER_UG,
+    lsb=(VELOCITY_LSB_MPS, ANGLE_LSB_DEG), bias_dph=BIAS_DPH, **errors,
+):  # fmt: skip
     """Estimate, flags, and errors in units of sigma of a dwell of 10 Hz."""
     noise = noise or noise_of()
     dwell = emulate(
-        position, sensors(BIAS_DPH, accelerometer_ug, noise, **errors), random=np.random.default_rng(seed),
-        lsb=(VELOCITY_LSB_MPS, ANGLE_LSB_DEG), epoch_s=0.1, outer_level=True,
+        position, sensors(bias_dph, accelerometer_ug, noise, **errors), random=np.random.default_rng(seed),
+        lsb=lsb, epoch_s=0.1, outer_level=True,
     )  # fmt: skip
     estimate, flags, doubts = estimate_dwell(dwell, setup, setup.noise_in(dwell.windows))
-    return estimate, "; ".join([*flags, *doubts]), (estimate.bias_dph - BIAS_DPH) / estimate.sigma_dph
+    return estimate, "; ".join([*flags, *doubts]), (estimate.bias_dph - bias_dph) / estimate.sigma_dph
 
 
 @pytest.mark.parametrize("position", ["z_up", "y_down"])
@@ -91,6 +95,14 @@ def test_a_damped_velocity_shows_in_few_dwells():
     assert 1.0 / Damping.mean(damped).rate == pytest.approx(600.0, rel=0.3)
     assert "time constant of" in Damping.mean(damped).text
     assert Damping.mean(free).p_value > 1e-3
+
+
+def test_a_velocity_that_walks_at_random_is_not_taken_for_a_damped_one():
+    still = {"bias_dph": np.zeros(3), "accelerometer_ug": (0.0, 0.0, 0.0)}
+    found = [measured(seed=seed, **still)[0].damping for seed in range(12)]
+    away = np.array([each.rate / each.sigma for each in found])
+    assert abs(away.mean()) < 3.0 / np.sqrt(len(away))
+    assert away.max() < 3.0
 
 
 @pytest.mark.parametrize("factor", [1.3, 2.0])
@@ -150,6 +162,23 @@ def test_pulses_without_dither_are_noise_and_no_damage(position):
     assert flags == ""
     assert np.abs(away).max() < 4.0
     assert estimate.sigma_dph.min() > measured(position)[0].sigma_dph.min()
+
+
+@pytest.mark.parametrize("position", ["z_up", "x_down"])
+@pytest.mark.parametrize("seed", range(3))
+def test_coarse_output_that_stays_the_same_is_uncertain_and_no_fault(position, seed):
+    setup = setup_for(COARSE_NOISE, *COARSE)
+    estimate, flags, away = measured(position, seed, setup=setup, lsb=COARSE)
+    assert flags == ""
+    assert np.abs(away).max() < 3.0
+    as_white = estimate_dwell(
+        emulate(position, sensors(BIAS_DPH), random=np.random.default_rng(seed), epoch_s=0.1),
+        setup,
+        COARSE_NOISE,
+    )[0]
+    ratios = estimate.sigma_dph / as_white.sigma_dph
+    assert ratios.min() > 1.0
+    assert ratios.max() > 2.0  # that of the vertical gyro, whose heading moves through few steps
 
 
 def test_coarse_pulses_are_named_as_the_limit():

@@ -1,5 +1,6 @@
 """Rotations and spins about the table's axes while the INS navigates: recorded, interrupted, resumed."""
 
+import json
 import signal
 import subprocess
 import sys
@@ -10,17 +11,22 @@ import pytest
 import yaml
 
 from gyrobench.bench.bias.dwell_table import read_dwells
+from gyrobench.bench.calibration.rotation_list import load_rotation_list
 from gyrobench.bench.dwells.dwell import measurement_setup
 from gyrobench.bench.dwells.run_dwells import finished_marks, read_frames
 from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.run import run_job
+from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.monitor.run_list import snapshot_from_records
+from gyrobench.bench.monitor.snapshot_recorder import SnapshotRecorder
 from gyrobench.bench.navigation.attitude import angle_between
 from gyrobench.bench.runs.folder import open_run_folder
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.runs.tables.coefficient_table import read_coefficients
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.ins.readout import InsMode
+from tests.bench.command_line import gyrobench
 from tests.bench.engine.test_coefficient_compensation import plateau, station
 from tests.bench.engine.test_resumption import KilledError, Watcher, resumed
 
@@ -104,9 +110,15 @@ def assert_recorded(folder, job):
 
 def test_rests_and_rotations_are_in_the_journal_and_their_frames_in_the_log(job, tmp_path):
     made = job()
-    folder, outcome = run_job(made, tmp_path / "run", Watcher(), ConsentingOperator())
+    recorder = SnapshotRecorder(made.plan)
+    folder, outcome = run_job(made, tmp_path / "run", recorder, ConsentingOperator())
     assert outcome.ended == "finished", outcome.reason
     assert_recorded(folder, made)
+    assert outcome.finished == {1, 2}
+    snapshot, live = snapshot_from_records(folder), recorder.snapshot()
+    assert (snapshot.finished_dwells, live.finished_dwells) == (2, 2)
+    # The rotations have left the position.
+    assert (snapshot.attitude.position, live.attitude.position) == ("", "")
     for kind in ("rotate", "spin"):
         ((planned_s, took_s),) = outcome.took_s[kind]
         assert took_s == pytest.approx(planned_s, rel=0.1)  # the moves of a small table are short
@@ -117,8 +129,9 @@ def test_a_run_that_was_killed_in_a_rotation_resumes_with_the_alignment_before_i
     made = job()
     with pytest.raises(KilledError):
         run_job(made, tmp_path / "run", Killer(kind, 25), ConsentingOperator())
-    folder, _, _ = resumed(tmp_path / "run")
+    folder, outcome, _ = resumed(tmp_path / "run")
     assert_recorded(folder, made)
+    assert outcome.finished == {1, 2}
     started = [each["kind"] for each in read_journal(folder.journal) if each["event"] == "step_started"]
     assert started[started.index("rotate") :].count("align") == 1
 
@@ -238,3 +251,40 @@ def test_after_a_trip_in_a_rotation_the_bench_is_made_safe_and_the_whole_list_re
     assert story == expected
     assert [each["dwell"] for each in entries if each["event"] == "dwell_given_up"] == [dwell]
     assert_same_coefficients(folder, undisturbed)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("bench", ["emulated", "emulated_sbg"])
+def test_plan_observability_promises_what_the_run_states(bench, tmp_path):
+    rotations = load_rotation_list(find_document("rotations", "eighteen_rotations"))
+    steps = [
+        {"power_on": {"settle_s": 120}},
+        {"go_to": {"position": rotations.start, "rate_dps": rotations.rate_dps}},
+        {"align": {"duration_s": 300}},
+        {
+            "rotate": {
+                "rest_s": rotations.dwell_s,
+                "rate_dps": rotations.rate_dps,
+                "rotations": [each.model_dump(exclude_none=True) for each in rotations.rotations],
+            }
+        },
+        "power_off",
+    ]
+    path = tmp_path / "rotations.yaml"
+    path.write_text(yaml.safe_dump({"procedure": "rotations", "steps": steps}))
+    made = prepare_job(str(path), bench, Emulation("ideal"))
+    folder, outcome = run_job(made, tmp_path / "run", Watcher(), ConsentingOperator())
+    assert outcome.ended == "finished", outcome.reason
+    stated = {(row.coefficient, row.axis): row.sigma for row in read_coefficients(folder.coefficients)}
+    command = ("plan", "eighteen_rotations", "--observability", "--station", bench, "--json")
+    planned = json.loads(gyrobench(*command, cwd=tmp_path).stdout)["coefficients"]
+    ratios = [
+        row["sigma"] / stated[row["coefficient"], row["axis"]] for row in planned if row["sigma"] is not None
+    ]
+    assert len(ratios) == (21 if bench == "emulated" else 18)
+    if bench == "emulated":
+        assert ratios == pytest.approx([1.0] * 21, abs=0.1)
+    else:  # how often coarse output changes differs from rest to rest
+        assert min(ratios) > 0.6
+        assert max(ratios) < 1.5
+        assert np.median(ratios) == pytest.approx(1.0, abs=0.15)

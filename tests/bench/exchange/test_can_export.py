@@ -2,7 +2,6 @@ import shutil
 
 import can
 import numpy as np
-import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -89,6 +88,8 @@ def test_a_part_that_was_never_closed_follows_the_one_before(two_dwells, copied)
 
 @pytest.fixture(scope="module")
 def of_run(two_dwells, tmp_path_factory):
+    import pandas as pd
+
     out = tmp_path_factory.mktemp("navigation")
     export_run(two_dwells, ExportSelection([DataKind.NAVIGATION]), out)
     return pd.read_parquet(out / "navigation.parquet")
@@ -139,6 +140,8 @@ def test_rows_of_a_dwell_can_be_distinguished_from_those_between(of_run, two_dwe
 
 
 def test_one_dwell_alone_can_be_had_as_csv(of_run, two_dwells, tmp_path):
+    import pandas as pd
+
     export_run(two_dwells, ExportSelection([DataKind.NAVIGATION], [Format.CSV], dwell=2), tmp_path)
     table = pd.read_csv(tmp_path / "navigation_dwell_2.csv")
     (part,) = set(of_run.loc[of_run["dwell"] == 2, "part"])

@@ -1,7 +1,6 @@
 import json
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from gyrobench.bench.closure.loadable_model import declared_model, model_with_effects
@@ -29,6 +28,8 @@ def test_files_are_those_that_were_announced(exported):
 
 
 def test_the_table_is_the_model_over_the_temperatures_that_were_fitted(exported):
+    import pandas as pd
+
     closure, out = exported
     table, model = pd.read_csv(out / "compensation_table.csv"), model_with_effects(closure).compensation
     temperature_c = table["temperature_c"].to_numpy()
@@ -44,6 +45,8 @@ def test_the_table_is_the_model_over_the_temperatures_that_were_fitted(exported)
 
 
 def test_the_terms_give_back_every_number_of_the_compensation(exported):
+    import pandas as pd
+
     closure, out = exported
     terms, model = pd.read_csv(out / "compensation_terms.csv"), model_with_effects(closure).compensation
     for number, rows in terms.groupby("number"):

@@ -1,4 +1,3 @@
-import pyarrow as pa
 import pytest
 
 from gyrobench.bench.exchange.export_folder import type_of, unit_of
@@ -23,6 +22,8 @@ def test_a_name_reports_its_unit(column, unit):
 
 
 def test_names_counts_and_values_have_types_of_their_own():
+    import pyarrow as pa
+
     assert type_of("unit") == pa.string()
     assert type_of("dwell") == pa.int64()
     assert type_of("bias_x_dph") == pa.float64()

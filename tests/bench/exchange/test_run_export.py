@@ -5,8 +5,6 @@ import shutil
 
 import duckdb
 import numpy as np
-import pandas as pd
-import pyarrow.parquet as pq
 import pytest
 
 from gyrobench.bench.bias.dwell_table import read_dwells
@@ -36,6 +34,8 @@ def test_without_wishes_all_but_navigation_is_written_as_far_as_it_is_there(usua
 
 
 def test_dwells_are_read_back_by_pandas_with_types(usual, two_dwells):
+    import pandas as pd
+
     table, rows = pd.read_parquet(usual[0] / "dwells.parquet"), read_dwells(two_dwells.dwells)
     assert table["dwell"].tolist() == [1, 2]
     assert table["unit"].tolist() == [row.unit for row in rows]
@@ -45,6 +45,8 @@ def test_dwells_are_read_back_by_pandas_with_types(usual, two_dwells):
 
 
 def test_columns_say_their_units_and_files_where_they_came_from(usual, two_dwells):
+    import pyarrow.parquet as pq
+
     schema = pq.read_schema(usual[0] / "dwells.parquet")
     units = {field.name: (field.metadata or {}).get(b"unit", b"").decode() for field in schema}
     assert units["bias_x_dph"] == "deg/h"
@@ -75,6 +77,8 @@ def test_duckdb_queries_several_files_at_once(usual):
 
 @pytest.mark.parametrize("form", [Format.CSV, Format.PARQUET])
 def test_telemetry_holds_every_reading_with_its_calendar_time(two_dwells, form, tmp_path):
+    import pandas as pd
+
     export_run(two_dwells, ExportSelection([DataKind.TELEMETRY], [form]), tmp_path)
     path, readings = tmp_path / f"telemetry.{form}", read_telemetry(two_dwells.telemetry)
     table = pd.read_csv(path) if form is Format.CSV else pd.read_parquet(path)

@@ -3,8 +3,6 @@
 import struct
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 
 from gyrobench.bench.exchange.log_import import import_logs
@@ -38,6 +36,9 @@ def assert_same(rows, expected, tolerance_dph=0.2):
 
 
 def write_parquet(log):
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     pq.write_table(pa.table(log.columns), log.folder / "log.parquet")
     return {"signals": "{format: parquet}"}, "log.parquet"
 
@@ -155,6 +156,9 @@ def test_a_blf_log_that_is_cut_off_gives_what_there_is_and_a_warning(log, expect
 
 
 def test_text_in_place_of_numbers_is_reported_with_its_column(log):
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     changes, name = write_parquet(log)
     columns = {**log.columns, "gy": np.full(len(log.time_s), "fast")}
     pq.write_table(pa.table(columns), log.folder / name)

@@ -45,14 +45,12 @@ def test_a_batch_of_emulated_runs_is_marked(fitted, tmp_path):
     assert watermark([{"world": ""}]) == ""
 
 
-def test_labels_of_bins_do_not_overlap_and_the_legend_is_inside_without_repeats():
-    values = {}
-    for low_c in range(-25, 75, 10):
-        part = batch(
-            np.random.default_rng(low_c + 25), names=(LEVEL, *POSITIONS), outlier=("z", "x_up", 0.03)
-        )
-        values |= {replace(name, bin_low_c=low_c, bin_high_c=low_c + 5): runs for name, runs in part.items()}
-    ten_bins = fit_batch(values)
+def test_labels_of_bins_do_not_overlap_and_the_legend_is_inside_without_repeats(fitted):
+    ten_bins = [
+        replace(each, quantity=replace(each.quantity, bin_low_c=low_c, bin_high_c=low_c + 5))
+        for low_c in range(-25, 75, 10)
+        for each in fitted
+    ]
     for of_positions in (False, True):
         figure = batch_figure(ten_bins, of_positions=of_positions)
         figure.canvas.draw()

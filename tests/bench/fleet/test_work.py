@@ -5,7 +5,6 @@ import signal
 
 import psutil
 import pytest
-from distributed import LocalCluster
 
 import gyrobench.bench.fleet.jobs
 from gyrobench.bench.fleet.jobs import FleetRecord, JobKind, JobState, do_job, read_record
@@ -80,6 +79,8 @@ def test_what_was_done_is_on_record_when_the_rest_is_given_up(runs, tmp_path):
 
 
 def test_an_external_scheduler_is_used_and_stays(runs, tmp_path):
+    from distributed import LocalCluster
+
     record = FleetRecord(JobKind.REPORT, tmp_path / "record")
     with LocalCluster(
         n_workers=1, processes=False, protocol="tcp", dashboard_address="127.0.0.1:0"

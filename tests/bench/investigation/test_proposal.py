@@ -5,10 +5,11 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.effects.laws import TIME_DRIFT, WARM_UP
 from gyrobench.bench.closure.posterior import Posterior, Weighed
 from gyrobench.bench.investigation.blocks import Block, catalogue
 from gyrobench.bench.investigation.choice import Expected
-from gyrobench.bench.investigation.doubt import rivals_of, searched
+from gyrobench.bench.investigation.doubt import confirming_rivals, rivals_of, searched
 from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.investigation.proposal import (
     Outcome,
@@ -126,6 +127,22 @@ def test_a_block_that_settles_the_cause_is_chosen_before_one_that_needs_another(
 )
 def test_a_block_helps_by_the_doubt_that_it_removes_or_by_settling_the_cause(fall, unsettled, can_help):
     assert proposal(2.0, fall, unsettled).can_help == can_help
+
+
+def test_a_block_does_not_help_by_settling_what_is_settled():
+    settled = replace(proposal(2.0, 0.01, 0.0), entropy=0.05, expected=Expected(0.04, 0.0, 0.0))
+    assert not settled.can_help
+
+
+def test_a_cause_of_two_effects_is_confirmed_against_each_of_them_alone(closure):
+    effects = [
+        replace(closure.effects[0], candidate=replace(closure.effects[0].candidate, effect=each))
+        for each in (WARM_UP, TIME_DRIFT)
+    ]
+    both = replace(closure, effects=tuple(effects))
+    assert [each.names for each in confirming_rivals(both)] == [
+        ("time_drift", "warm_up"), ("time_drift",), ("warm_up",),
+    ]  # fmt: skip
 
 
 def test_hours_until_the_biases_are_certain_count_too():

@@ -133,6 +133,7 @@ def made_up_snapshot():
         left_s=15.0 * HOUR_S - now_s + 0.2 * HOUR_S,
         planned_s=15.0 * HOUR_S,
         dwell_count=24,
+        finished_dwells=len(dwells),
         planned=planned_profile(),
         measured=measured_profile(now_s),
         bench=BenchReadings(

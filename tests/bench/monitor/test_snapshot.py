@@ -46,6 +46,12 @@ def test_a_snapshot_survives_json(snapshot):
     assert again.dwell == snapshot.dwell
 
 
+def test_a_snapshot_without_the_number_of_finished_dwells_has_that_of_its_dwells():
+    data = json.loads(made_up_snapshot().to_json())
+    del data["finished_dwells"]
+    assert RunSnapshot.from_json(json.dumps(data).encode()).finished_dwells == 13
+
+
 def test_a_number_that_is_not_known_is_null_and_comes_back_as_nan():
     text = made_up_snapshot().to_json()
     assert b"NaN" not in text

@@ -99,6 +99,18 @@ def test_each_of_several_units_has_its_bins():
     assert ("1101, C" in least, "1102, C" in least) == (True, False)
 
 
+def test_four_units_have_their_bins_beside_graphs_in_60_rows():
+    one = made_up_snapshot()
+    units = tuple(
+        UnitStatus(number, "navigate", (4.1, 4.9, 3.6), 13, (0.0,) * 3, (1.0,) * 3, "", bins=one.bins)
+        for number in ("1101", "1102", "1103", "1104")
+    )
+    text = "\n".join(shown(replace(one, units=units), 100, 60))
+    assert all(f"{unit.number}, C" in text for unit in units)
+    assert "from now on: plan" in text
+    assert "mm/s" in text
+
+
 def test_the_profile_has_room_before_all_else_that_is_drawn():
     text = "\n".join(shown(made_up_snapshot(), 80, 12))
     assert "from now on: plan" in text

@@ -85,3 +85,22 @@ def test_approvals_of_an_investigation_are_read_from_its_folder(empty_folder: Ru
     first, second = read_run(empty_folder).approvals
     assert first.startswith("Block 1 approved by A. Smith, 20")
     assert second.startswith("Block 2 declined by B. Jones, ")
+
+
+def test_dwells_without_biases_need_no_table_of_dwells(empty_folder: RunFolder) -> None:
+    with Journal(empty_folder.journal, VirtualClock()) as journal:
+        journal.record("dwell_finished", marks={"dwell": 1, "is_rotated": True}, flags="")
+        journal.record("dwell_finished", marks={"dwell": 1, "is_rotated": True}, flags="")
+        journal.record("dwell_finished", marks={"dwell": 2, "is_noise_record": True}, flags="")
+    content = read_run(empty_folder)
+    assert content.dwell_purposes == {"rotations": 1, "noise": 1}
+    assert "dwells.csv is missing." not in content.problems
+
+
+def test_a_dwell_for_biases_needs_a_table_of_dwells(empty_folder: RunFolder) -> None:
+    with Journal(empty_folder.journal, VirtualClock()) as journal:
+        journal.record("dwell_finished", marks={"dwell": 1}, flags="")
+        journal.record("dwell_finished", marks={"dwell": 2, "is_rotated": True}, flags="")
+    content = read_run(empty_folder)
+    assert content.dwell_purposes == {"biases": 1, "rotations": 1}
+    assert "dwells.csv is missing." in content.problems

@@ -1,7 +1,4 @@
 import numpy as np
-import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 
 from gyrobench.bench.foundations.errors import RunFolderError
@@ -22,6 +19,8 @@ def times_s(folder):
 
 
 def test_pandas_opens_the_folder_as_one_table(tmp_path):
+    import pandas as pd
+
     telemetry = Telemetry(tmp_path)
     for second in range(2000):
         telemetry.add(row(float(second)))
@@ -106,6 +105,9 @@ def test_an_empty_folder_gives_empty_columns(tmp_path):
 
 
 def test_a_part_that_asks_for_far_more_rows_than_a_run_writes_is_refused(tmp_path):
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     table = pa.table({name: np.zeros(200_000) for name in COLUMNS})
     pq.write_table(table, tmp_path / "part-00001.parquet")
     with pytest.raises(RunFolderError, match=r"part-00001\.parquet: 200000 rows"):
@@ -113,6 +115,9 @@ def test_a_part_that_asks_for_far_more_rows_than_a_run_writes_is_refused(tmp_pat
 
 
 def test_a_part_with_text_in_the_place_of_numbers_is_refused(tmp_path):
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     pq.write_table(pa.table({name: ["x"] for name in COLUMNS}), tmp_path / "part-00001.parquet")
     with pytest.raises(RunFolderError, match=r"part-00001\.parquet: can't be read"):
         read_telemetry(tmp_path)

@@ -33,7 +33,7 @@ def assert_equals_cantools(codec, message, payloads):
     for row, payload in enumerate(payloads):
         expected = message.decode(payload, decode_choices=False)
         for name, values in decoded.items():
-            one = codec.decode_one(payload, message.name, name)
+            one = codec.decoder(message.name, name)(payload)
             if name not in expected:
                 assert math.isnan(values[row])
                 assert math.isnan(one)
@@ -204,7 +204,7 @@ def test_frames_that_are_too_short_are_left_out_and_counted(codec):
     assert codec.decode(block, "VELOCITY_NE")["VELOCITY_EAST"].shape == (2,)
     assert block.take(codec.rows(block, "VELOCITY_NE")).timestamp_s.tolist() == [0.0, 2.0]
     assert codec.count_short(block, "VELOCITY_NE") == 2
-    assert math.isnan(codec.decode_one(bytes(7), "VELOCITY_NE", "VELOCITY_EAST"))
+    assert math.isnan(codec.decoder("VELOCITY_NE", "VELOCITY_EAST")(bytes(7)))
 
 
 def test_unknown_names_are_answered_with_those_that_look_alike(codec):

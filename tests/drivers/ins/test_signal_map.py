@@ -233,10 +233,7 @@ def test_a_signal_is_split_into_bit_fields_as_the_maker_s_own_dbc_needs(tmp_path
     split, named = bind_signals(signal_map, own), bind_signals(as_shipped, shipped)
     payload = (1 << 27 | 1 << 5 | 1 << 4 | 3).to_bytes(4, "little") + b"\xff\xff"
     for path in ("mode", "alignment", "attitude.valid"):
-        one, other = (
-            bound[path].one_to_si(codec.decode_one(payload, bound[path].message, bound[path].signal.name))
-            for bound, codec in ((split, own), (named, shipped))
-        )
+        one, other = (bound[path].of_payload(payload) for bound in (split, named))
         assert one == other != 0.0
     values = split["mode"].to_si(np.array([3.0, 2.0**27 + 4.0, np.nan]))
     np.testing.assert_array_equal(values, [3.0, 4.0, np.nan])

@@ -183,10 +183,10 @@ def test_the_remaining_residual_is_located_or_noise():
 
 def test_scatter_above_the_stated_uncertainties_is_stated():
     closure = close_loop(campaign_of(made_up_rows(SENSITIVITY, scatter=1.3)), effects=EFFECTS)
-    [sentence] = closure.noise_sentences
+    [sentence] = closure.noise.sentences(is_all=True)
     assert sentence.startswith("The noise is 1.")
     assert "times the stated uncertainties; what is left follows nothing" in sentence
-    assert explained().noise_sentences == []
+    assert explained().noise.sentences(is_all=True) == []
 
 
 def test_a_clean_search_states_its_sensitivity():

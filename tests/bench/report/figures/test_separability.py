@@ -16,8 +16,9 @@ def separability_of(plan):
 def test_every_pair_shows_its_correlation_and_whether_it_is_distinguished():
     found = separability_of(shipped("six_position_fig7")[1])
     axes = separability_figure(found, 0.002, "six_position_fig7").axes[0]
-    names = [label.get_text() for label in axes.get_yticklabels()]
-    assert names == [label.get_text() for label in axes.get_xticklabels()]
+    names = [each.effect.name for each in found.detections if each.missing_input is None]
+    labels = [label.get_text() for label in axes.get_yticklabels()]
+    assert labels == [label.get_text() for label in axes.get_xticklabels()] == [*map(found.label, names)]
     shown = {
         (names[round(text.get_position()[1])], names[round(text.get_position()[0])]): text.get_text()
         for text in axes.texts

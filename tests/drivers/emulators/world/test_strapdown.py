@@ -1,7 +1,5 @@
 import numpy as np
-import pandas as pd
 import pytest
-from pyins.strapdown import Integrator
 from scipy.spatial.transform import Rotation
 
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS
@@ -75,6 +73,9 @@ def test_level_errors_swing_with_the_schuler_period():
 # pyins 1.0.1 passes pandas an argument that pandas 3 ignores with a warning.
 @pytest.mark.filterwarnings("ignore:The copy keyword is deprecated")
 def test_agrees_with_an_independent_mechanisation_with_biases_and_a_turn():
+    import pandas as pd
+    from pyins.strapdown import Integrator
+
     latitude = np.radians(36.4)
     inner = turn(600, 18, 600, np.pi)
     rotation, velocity = increments(latitude, np.zeros(inner.size), inner)

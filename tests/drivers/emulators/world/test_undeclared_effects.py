@@ -158,8 +158,7 @@ def position_spread(make_world_file, conditions):
             net, air_c = ThermalNetwork(file.thermal, optics_c), optics_c - 10.0
             net.powered = True
             for _ in range(6):
-                for _ in range(2400):
-                    net.step(1.0, air_c, np.array(up, dtype=float))
+                net.step(1.0, np.full(2400, air_c), np.array(up, dtype=float))
                 air_c += optics_c - net.optics_c.mean()
             assert net.optics_c.mean() == pytest.approx(optics_c, abs=0.5)
             now = conditions(optics_c=net.optics_c, convected_w=net.course.convected_w[-1], up_body=up)
