@@ -52,7 +52,6 @@ class Alignment(IntEnum):
 class Epochs(NamedTuple):
     """Navigation output at the INS's epochs."""
 
-    taken: int  #: Number of samples of the sensors that led to it.
     sample: IntArray  #: Shape (n,). Sample index since the world began (time = sample / 100 s).
     states: FloatArray  #: Shape (n, 8). Quaternion body to ENU, velocity east and north, latitude, longitude.
     mode: Mode
@@ -63,6 +62,7 @@ class Epochs(NamedTuple):
     read_c: FloatArray = np.empty((0, 7))
     #: First sample and measured increments, (m, 3) rad and m/s, where the unit sends them.
     increments: tuple[int, FloatArray, FloatArray] | None = None
+    taken: int = 0  #: Number of samples of the sensors that led to it.
 
 
 class InertialUnit:
@@ -212,7 +212,7 @@ class InertialUnit:
             seconds = (first_sample + n) // SAMPLE_RATE_HZ - first_sample // SAMPLE_RATE_HZ
             align_time_s = np.full(seconds, self.align_time_s)
         samples = np.arange(first_sample + 1 + first, first_sample + 1 + n, self._every)
-        epochs = Epochs(n, samples, states, self.mode, Alignment(alignment), align_time_s)
+        epochs = Epochs(samples, states, self.mode, Alignment(alignment), align_time_s, taken=n)
         if self.sends_increments and self.mode is Mode.NAVIGATE:
             return epochs._replace(increments=(first_sample, rotation, velocity))
         return epochs
@@ -231,10 +231,13 @@ def _restart(
     state: FloatArray, sums: FloatArray, counts: IntArray, levelling_samples: int, latitude: float
 ) -> None:
     """Begin the alignment from the start."""
-    sums[:] = 0.0
-    counts[:] = 0
+    for k in range(sums.size):
+        sums.flat[k] = 0.0
+    for k in range(counts.size):
+        counts[k] = 0
     counts[_LEVELLING] = levelling_samples
-    state[:] = 0.0
+    for k in range(STATE_SIZE):
+        state[k] = 0.0
     state[0], state[6] = 1.0, latitude
 
 
@@ -261,12 +264,17 @@ def _align(
             elif counts[_LEVELLING] > 0:
                 counts[_LEVELLING] -= counts[_SECOND]
             else:
-                sums[0] += sums[1]
+                for i in range(3):
+                    sums[0, 0, i] += sums[1, 0, i]
+                    sums[0, 1, i] += sums[1, 1, i]
                 counts[_ALIGNED] += counts[_SECOND]
                 if counts[_ALIGNED] * _DT_S >= coarse_s:
                     counts[_ALIGNMENT] = 2 if counts[_ALIGNED] * _DT_S >= fine_s else 1
-                    state[:4] = gyrocompass(sums[0, 0], sums[0, 1])
-            sums[1] = 0.0
+                    quaternion = gyrocompass(sums[0, 0], sums[0, 1])
+                    for i in range(4):
+                        state[i] = quaternion[i]
+            for i in range(3):
+                sums[1, 0, i] = sums[1, 1, i] = 0.0
             counts[_SECOND] = 0
             if taken and counts[_ALIGNMENT] != alignment:
                 break
@@ -278,7 +286,8 @@ def _align(
                 sums[1, 0, i] += rotation[k, i]
                 sums[1, 1, i] += velocity[k, i]
             if (first_sample + k + 1) % every == 0:
-                states[epochs] = state
+                for i in range(STATE_SIZE):
+                    states[epochs, i] = state[i]
                 epochs += 1
         taken = stop
         if (first_sample + taken) % SAMPLE_RATE_HZ == 0:

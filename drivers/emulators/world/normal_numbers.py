@@ -42,7 +42,7 @@ class NormalNumbers:
 
 
 def _strips() -> tuple[NDArray[np.uint64], FloatArray, FloatArray]:
-    """Of each strip, up to which number it lies below the curve, its width for one, and the curve's height."""
+    """Of each strip: the number up to which it is below the curve, its width for one, the curve's height."""
     limits, widths, heights = np.zeros(256, np.uint64), np.empty(256), np.empty(256)
     edge, height = _TAIL, math.exp(-0.5 * _TAIL * _TAIL)
     limits[0] = int(edge / (_AREA / height) * 2**_BITS)

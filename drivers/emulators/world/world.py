@@ -347,7 +347,7 @@ class World:
             _NONE_DPH if compensation is None else compensation.bias_dph,
             normal, count, _DT_S, self._walks, self._pulses, self._remainders,
         )  # fmt: skip
-        if self._scale_varies or self._undeclared_ppm.any():
+        if self._scale_varies or np.count_nonzero(self._undeclared_ppm):
             true = np.resize(rotation, (len(normal) * count, 3))  # repeats that of a second at rest
             ppm = np.repeat(self._undeclared_ppm[-len(normal) :], count, axis=0)
             ppm += (
