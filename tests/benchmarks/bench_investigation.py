@@ -93,15 +93,19 @@ class Tie:
         while True:
             state = self._known[blocks]
             names = frozenset(each.effect.name for each in state.closure.effects)
+            is_cause, is_confirmed = not names >= SLOW, names in state.confirmed
             is_stated = is_settled(state.closure) or (
-                names in state.confirmed and only_unconfirmed(state.closure, with_weak=False)
+                is_confirmed and only_unconfirmed(state.closure, with_weak=True)
             )
-            if is_stated and not names >= SLOW:
-                return Settled(hours, True, names == self.truth, blocks, choice_s)
-            chosen, is_test = self._next(state, value, self.campaign_h - hours)
-            choice_s = max(choice_s, state.choice_s)
-            if chosen is None or len(blocks) == _MAX_BLOCKS:
-                return Settled(self.campaign_h, False, False, blocks, choice_s)
+            chosen, is_test = None, False
+            if not (is_stated and is_cause) and len(blocks) < _MAX_BLOCKS:
+                chosen, is_test = self._next(state, value, self.campaign_h - hours)
+                choice_s = max(choice_s, state.choice_s)
+            if chosen is None:
+                is_stated |= is_confirmed and only_unconfirmed(state.closure, with_weak=False)
+                is_stated &= is_cause
+                hours = hours if is_stated else self.campaign_h
+                return Settled(hours, is_stated, is_stated and names == self.truth, blocks, choice_s)
             hours += chosen.block.plan.duration_h
             blocks = (*blocks, f"{TO_CONFIRM}{chosen.block.name}" if is_test else chosen.block.name)
             if blocks not in self._known:
