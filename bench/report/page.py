@@ -142,7 +142,9 @@ def with_figure_files(
 
     Raises RunFolderError if a file can't be written.
     """
-    gc.freeze()  # or each collection below looks at all modules
+    is_frozen = gc.get_freeze_count() > 0
+    if not is_frozen:
+        gc.freeze()  # or each collection below looks at all modules
     try:
         return [
             replace(
@@ -151,7 +153,8 @@ def with_figure_files(
             for section in sections
         ]
     finally:
-        gc.unfreeze()
+        if not is_frozen:
+            gc.unfreeze()
 
 
 def write_findings(path: Path, findings: Findings) -> Path:
