@@ -142,9 +142,7 @@ def with_figure_files(
 
     Raises RunFolderError if a file can't be written.
     """
-    is_frozen = gc.get_freeze_count() > 0
-    if not is_frozen:
-        gc.freeze()  # or each collection below looks at all modules
+    gc.freeze()  # or each collection below looks at all modules
     try:
         return [
             replace(
@@ -153,8 +151,7 @@ def with_figure_files(
             for section in sections
         ]
     finally:
-        if not is_frozen:
-            gc.unfreeze()
+        gc.unfreeze()
 
 
 def write_findings(path: Path, findings: Findings) -> Path:
