@@ -346,7 +346,7 @@ def png_bytes(figure: Figure, key: str = "") -> bytes:
     """Draw a figure; equal figures give equal bytes. A key is kept in the PNG, see :func:`is_drawn`."""
     dpi = figure.dpi
     figure.set_dpi(_PNG_DPI)
-    renderer = _canvas_of(figure).get_renderer()
+    renderer: RendererAgg = _canvas_of(figure).get_renderer()  # type: ignore[no-untyped-call]
     figure.draw(renderer)  # unlike savefig, which draws everything twice
     figure.set_dpi(dpi)
     # In a fifth of the time of PIL, which looks for the best filter of each row.
