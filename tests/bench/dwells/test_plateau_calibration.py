@@ -12,7 +12,7 @@ from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, Coeffi
 from gyrobench.bench.dwells.dwell import measurement_setup
 from gyrobench.bench.dwells.plateau_calibration import (
     PlateauCalibration,
-    calibrate_rotations,
+    RunRotations,
     with_temperature_change,
 )
 from gyrobench.bench.dwells.run_dwells import rotated
@@ -100,6 +100,13 @@ def test_rotations_give_every_coefficient_within_its_uncertainty(with_increments
     assert all(np.isnan(row.sigma_with_force) for row in rows)
 
 
+def calibrated(dwells, setup):
+    rotations = RunRotations()
+    for each in dwells:
+        rotations.add(*each, setup)
+    return rotations.calibrated(setup)
+
+
 @pytest.mark.parametrize(
     ("axes", "names"),
     [((1, 2, 0), ("angle", "velocity")), ((1, 0, 2), ("angle",)), ((1, 0, 2), ("velocity",))],
@@ -113,7 +120,7 @@ def test_exchanged_axes_of_increments_give_no_coefficients(with_increments, axes
         return replace(sent, **{name: getattr(sent, name)[:, axes] for name in names})
 
     first = next(iter(rotated(folder)))
-    [found] = calibrate_rotations([first], replace(setup, decode_increments=exchanged))
+    [found] = calibrated([first], replace(setup, decode_increments=exchanged))
     assert found.calibration is None
     assert "Check axes, signs and units of ins.signals.increments" in found.finding
 
@@ -122,7 +129,7 @@ def test_navigation_output_that_is_rounded_counts_with_its_rounding(with_increme
     folder, _, _ = with_increments
     setup = measurement_setup(Station(folder.station))
     coarse = replace(setup, decode_increments=lambda _: None, heading_lsb_rad=8e-5, velocity_lsb_mps=0.01)
-    [found] = calibrate_rotations([next(iter(rotated(folder)))], coarse)
+    [found] = calibrated([next(iter(rotated(folder)))], coarse)
     assert found.calibration.noise.white_angle == pytest.approx(8e-5 / np.sqrt(12.0))
     assert (found.calibration.noise.white_velocity >= 0.01 / np.sqrt(12.0)).all()
 
