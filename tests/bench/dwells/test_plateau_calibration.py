@@ -1,6 +1,7 @@
 """Coefficients over temperature from runs of the emulated bench, beside the declared truth of its world."""
 
 import itertools
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +17,7 @@ from gyrobench.bench.dwells.plateau_calibration import (
     with_temperature_change,
 )
 from gyrobench.bench.dwells.run_dwells import rotated
+from gyrobench.bench.engine.evaluation import recompute_run
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.report.coefficients import coefficients_section
@@ -98,6 +100,14 @@ def test_rotations_give_every_coefficient_within_its_uncertainty(with_increments
     assert max(sigma["gyro_scale_factor", axis] for axis in "xyz") < 0.2
     assert max(sigma["accelerometer_bias", axis] for axis in "xyz") < 1.0
     assert all(np.isnan(row.sigma_with_force) for row in rows)
+
+
+def test_the_log_gives_the_coefficients_that_were_measured_during_the_run(with_increments, tmp_path):
+    folder, _, _ = with_increments
+    again = recompute_run(shutil.copytree(folder.path, tmp_path / "copy"))
+    for one, other in zip(*(read_coefficients(each.coefficients) for each in (folder, again)), strict=True):
+        assert other.value == pytest.approx(one.value, abs=1e-6 * one.sigma)
+        assert other.sigma == pytest.approx(one.sigma, rel=1e-6)
 
 
 def calibrated(dwells, setup):
