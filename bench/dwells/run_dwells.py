@@ -89,9 +89,13 @@ def _recorded(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:
 
 def rotated(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:
     """Finished dwells with rotations that nothing disturbed, in order; raises as :func:`replay`."""
-    for marks in finished_marks(folder):
-        if marks.is_rotated and not marks.disturbances:
-            yield marks, read_frames(folder, marks)
+    for marks in rotated_marks(folder):
+        yield marks, read_frames(folder, marks)
+
+
+def rotated_marks(folder: RunFolder) -> list[DwellMarks]:
+    """Marks of :func:`rotated`."""
+    return [marks for marks in finished_marks(folder) if marks.is_rotated and not marks.disturbances]
 
 
 def noise_records(folder: RunFolder, setup: MeasurementSetup) -> list[RateRecord]:
