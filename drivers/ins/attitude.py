@@ -23,7 +23,6 @@ Navigation System Based on Ring Laser Gyroscope", section 4.
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -51,9 +50,21 @@ def attitude_matrices(
     sequence: EulerSequence, roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike
 ) -> FloatArray:
     """Matrices ``C_nb``, shape (n, 3, 3), of Euler angles in rad, shape (n,)."""
-    about_x, about_y = _turned("x", pitch), _turned("y", roll)
-    tilted = about_x @ about_y if sequence is EulerSequence.RPY_321 else about_y @ about_x
-    return np.asarray(_turned("z", yaw) @ tilted)
+    angles = (np.asarray(angle, np.float64) for angle in (roll, pitch, yaw))
+    with np.errstate(invalid="ignore"):  # an infinite angle has no sine; NaN is right
+        (cr, sr), (cp, sp), (cy, sy) = ((np.cos(angle), np.sin(angle)) for angle in angles)
+    nothing = np.zeros_like(cr)
+    tilted = (
+        ((cr, nothing, sr), (sp * sr, cp, -sp * cr), (-cp * sr, sp, cp * cr))
+        if sequence is EulerSequence.RPY_321
+        else ((cr, sr * sp, sr * cp), (nothing, cp, -sp), (-sr, cr * sp, cr * cp))
+    )
+    matrices = np.empty((*cr.shape, 3, 3))
+    for column, (x, y, z) in enumerate(zip(*tilted, strict=True)):
+        matrices[..., 0, column] = cy * x - sy * y
+        matrices[..., 1, column] = sy * x + cy * y
+        matrices[..., 2, column] = z
+    return matrices
 
 
 def quaternion_matrices(
@@ -73,18 +84,3 @@ def quaternion_matrices(
     cross = -np.cross(vector[..., np.newaxis, :], np.eye(3))
     outer = vector[..., :, np.newaxis] * vector[..., np.newaxis, :]
     return np.asarray(2.0 * (outer + scalar * cross) + (2.0 * scalar**2 - 1.0) * np.eye(3))
-
-
-def _turned(axis: Literal["x", "y", "z"], angle: ArrayLike) -> FloatArray:
-    """Matrices (n, 3, 3) that rotate vectors about an axis."""
-    angle = np.asarray(angle, np.float64)
-    with np.errstate(invalid="ignore"):  # an infinite angle has no sine; NaN is right
-        cosine, sine = np.cos(angle), np.sin(angle)
-    along = "xyz".index(axis)
-    first, second = (along + 1) % 3, (along + 2) % 3
-    matrices = np.zeros((*angle.shape, 3, 3))
-    matrices[..., along, along] = 1.0
-    matrices[..., first, first] = matrices[..., second, second] = cosine
-    matrices[..., first, second] = -sine
-    matrices[..., second, first] = sine
-    return matrices
