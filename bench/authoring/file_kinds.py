@@ -12,6 +12,7 @@ import subprocess
 import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -112,8 +113,13 @@ _WRONG_FILE = 2
 
 def emulator_schema(kind: str) -> dict[str, Any]:
     """JSON Schema of ``world`` or ``faults`` files, from the emulators' program."""
-    schema: dict[str, Any] = json.loads(_emulator_documents("schema", kind))
+    schema: dict[str, Any] = json.loads(_emulator_schema(kind))
     return schema
+
+
+@cache
+def _emulator_schema(kind: str) -> str:
+    return _emulator_documents("schema", kind)
 
 
 def check_emulator_file(kind: str, path: Path) -> None:

@@ -22,17 +22,19 @@ from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, UG_PER_SQRT
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.navigation.earth import MEAN_RADIUS
 
-#: Output that repeats its values more often than this, on average, is coarser than its noise.
-_MANY_REPEATS = 10.0
+#: Share of the epochs with one value that have one rounding error. While the true value moves through a
+#: step, its rounding error changes its sign: in simulated dwells with 2 to 300 equal epochs this share keeps
+#: the errors of all biases within 1.2 standard uncertainties, rms.
+_SAME_ERROR = 1.0 / 3.0
 
 
 def rounding_sigma(step: float, repeats: float) -> float:
     """Standard uncertainty of an epoch's value by rounding to steps of this size.
 
-    Output that stays the same for many epochs repeats one rounding error, which counts once: ``repeats`` is
-    how many epochs have the same value, on average.
+    ``repeats`` is how many epochs have the same value, on average: their rounding errors are alike, so
+    that each counts for less.
     """
-    return step / math.sqrt(12.0) * math.sqrt(repeats if repeats > _MANY_REPEATS else 1.0)
+    return step / math.sqrt(12.0) * math.sqrt(max(1.0, repeats * _SAME_ERROR))
 
 
 @dataclass(frozen=True)

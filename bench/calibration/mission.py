@@ -20,7 +20,7 @@ from functools import lru_cache
 import numpy as np
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, SensorErrors
-from gyrobench.bench.calibration.strapdown import set_turn
+from gyrobench.bench.calibration.turns import set_turn
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.kernels import compiled
 from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vectors

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrobench.bench.bias.allan import RANDOM_WALK, WHITE_ANGLE, allan_variance, fit_rate_noise
-from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
+from gyrobench.bench.calibration.turns import net_turn
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 from gyrobench.bench.foundations.errors import MeasurementError
-from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vectors
+from gyrobench.bench.navigation.attitude import rotation_vectors
 from gyrobench.bench.navigation.positions import AXES
 
 #: Time, s, over which increments are averaged to see motion.
@@ -49,9 +50,11 @@ class IncrementRecording:
     start_s: float = 0.0  #: Beginning of the first increment on the log's clock.
     #: Whether the vertical part of the velocity is measured, not gravity in place of it.
     has_vertical: bool = True
-    #: Shape (n, 3, 3). Attitude of the table at the end of each increment, ENU, up to a constant rotation of
-    #: what it carries; None where it is not known.
+    #: Shape (m, 3, 3). Attitudes of the table, ENU, up to a constant rotation of what it carries; None where
+    #: they are not known.
     table: FloatArray | None = None
+    #: Shape (m,). Increment from whose end on each is that of the table; None where each increment has one.
+    table_from: IntArray | None = None
     #: Standard uncertainties of rounding, rad and m/s, of the attitude and velocity that increments are
     #: differences of: coarse output that stays the same at rest shows none.
     rounding: tuple[float, float] = (0.0, 0.0)
@@ -69,6 +72,16 @@ class IncrementRecording:
     def duration_s(self) -> float:
         """Time from the first increment's beginning to the last one's end."""
         return len(self.angle) * self.interval_s
+
+    def table_turn(self, first: int, last: int) -> FloatArray | None:
+        """Rotation (3, 3) of the table from the end of one increment to that of another; None if unknown."""
+        if self.table is None:
+            return None
+        places = np.array([first, last])
+        if self.table_from is not None:
+            places = np.searchsorted(self.table_from, places, side="right") - 1
+        before, after = self.table[places]
+        return np.asarray(after @ before.T)
 
 
 @dataclass(frozen=True)
@@ -147,18 +160,13 @@ def find_rotations(recording: IncrementRecording, rests: Sequence[Rest]) -> list
     rotations = []
     for before, after in itertools.pairwise(rests):
         steps = recording.angle[before.end : after.begin] - level
-        turns = np.concatenate([[np.eye(3)], rotation_matrices(steps)])
-        while len(turns) > 1:  # products of neighbours
-            if len(turns) % 2:
-                turns = np.concatenate([turns, [np.eye(3)]])
-            turns = turns[::2] @ turns[1::2]
         travelled = steps.sum(axis=0)
         axis = int(np.argmax(np.abs(travelled)))
         rotations.append(
             Rotation(
                 before.end * recording.interval_s,
                 len(steps) * recording.interval_s,
-                rotation_vectors(turns)[0],
+                rotation_vectors(net_turn(steps)[np.newaxis])[0],
                 float(travelled[axis]),
                 axis,
             )

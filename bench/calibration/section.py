@@ -64,13 +64,13 @@ class Section:
         at_rest = np.zeros(len(ends), bool)
         for rest in rests:
             at_rest |= (ends >= rest.begin - offset) & (ends <= rest.end - offset)
-        spins, headings, known = [], [], recording.table
+        spins, headings = [], []
         for before, after, rotation in zip(rests, rests[1:], rotations, strict=False):
             edges = (before.end - offset) // size, -(-(after.begin - offset) // size)
-            turned = np.eye(3) if known is None else known[after.begin] @ known[before.end - 1].T
+            turned = recording.table_turn(before.end - 1, after.begin)
             if rotation.is_spin:
-                spins.append((*edges, turned))
-            if known is not None and rotation.kind != "disturbance" and turned[2, 2] > _MIN_UP:
+                spins.append((*edges, np.eye(3) if turned is None else turned))
+            if turned is not None and rotation.kind != "disturbance" and turned[2, 2] > _MIN_UP:
                 headings.append((*edges, turned))
         angle, velocity = recording.angle[offset:], recording.velocity[offset:]
         epochs = Epochs(ends, at_rest, spins, recording.has_vertical, headings)

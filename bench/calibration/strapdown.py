@@ -31,6 +31,7 @@ import numpy as np
 
 from gyrobench.bench.calibration.coefficients import BESIDE, COUNT, LOWER, SensorErrors
 from gyrobench.bench.calibration.recording import SensorNoise
+from gyrobench.bench.calibration.turns import Vector, set_product, set_turn
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 from gyrobench.bench.foundations.kernels import compiled
 from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vectors
@@ -45,8 +46,9 @@ ATTITUDE, DRIFT = slice(UNKNOWNS, UNKNOWNS + 3), slice(UNKNOWNS + 3, UNKNOWNS + 
 LATITUDE = UNKNOWNS + 6
 _ALL = tuple(range(LATITUDE))
 _ROWS, _COLUMNS = LOWER
-#: Rotation, rad, after which the responses are brought up to date; their attitude in between is the mean.
-_MAX_TURN = 0.01
+#: Rotations, rad, after which the attitude and the responses are brought up to date. Until then increments
+#: are summed with their coning and sculling, and the attitude of the responses is the mean.
+_MAX_SUM, _MAX_TURN = 2e-5, 0.01
 #: Noise of outputs without any, m/s and rad: far below what sensors resolve.
 _MIN_VELOCITY, _MIN_ANGLE = 1e-8, 1e-10
 
@@ -138,7 +140,7 @@ def integrated(
     """
     steps = interval_s * np.arange(np.diff(ends, prepend=0).max() + 1.0)
     earth = rotation_matrices(-earth_rate_enu(latitude) * steps[:, np.newaxis])
-    half = rotation_matrices(-0.5 * earth_rate_enu(latitude) * interval_s)
+    half = rotation_matrices(-0.5 * earth_rate_enu(latitude) * steps[:, np.newaxis])
     attitude = np.empty((len(ends) + 1, 3, 3))
     integral, force = np.zeros((len(ends) + 1, 3)), np.empty((len(ends), 3))
     which = np.array(columns, np.int64)
@@ -153,38 +155,8 @@ def integrated(
     return Trajectory(attitude, integral, force, response)
 
 
-# Tuples stay in registers, where small arrays would be allocated for every sample.
-_Vector = tuple[float, float, float]
-
-
 @compiled
-def set_turn(turn: FloatArray, vector: _Vector) -> None:
-    """Set ``turn`` (3, 3) to the rotation by a vector."""
-    x, y, z = vector
-    square = x * x + y * y + z * z
-    if square > 1e-8:
-        angle = np.sqrt(square)
-        sine, cosine = np.sin(angle) / angle, (1.0 - np.cos(angle)) / square
-    else:
-        sine, cosine = 1.0 - square / 6.0, 0.5 - square / 24.0
-    turn[0, 0] = 1.0 - cosine * (y * y + z * z)
-    turn[1, 1] = 1.0 - cosine * (x * x + z * z)
-    turn[2, 2] = 1.0 - cosine * (x * x + y * y)
-    turn[0, 1], turn[1, 0] = cosine * x * y - sine * z, cosine * x * y + sine * z
-    turn[0, 2], turn[2, 0] = cosine * x * z + sine * y, cosine * x * z - sine * y
-    turn[1, 2], turn[2, 1] = cosine * y * z - sine * x, cosine * y * z + sine * x
-
-
-@compiled
-def _set_product(product: FloatArray, a: FloatArray, b: FloatArray) -> None:
-    """Set ``product`` (3, 3), neither of the others, to that of two matrices."""
-    for i in range(3):
-        for j in range(3):
-            product[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
-
-
-@compiled
-def _times(a: FloatArray, b: _Vector) -> _Vector:
+def _times(a: FloatArray, b: Vector) -> Vector:
     return (
         a[0, 0] * b[0] + a[0, 1] * b[1] + a[0, 2] * b[2],
         a[1, 0] * b[0] + a[1, 1] * b[1] + a[1, 2] * b[2],
@@ -193,18 +165,18 @@ def _times(a: FloatArray, b: _Vector) -> _Vector:
 
 
 @compiled
-def _removed(removal: FloatArray, measured: FloatArray) -> _Vector:
+def _removed(removal: FloatArray, measured: FloatArray) -> Vector:
     x, y, z = _times(removal, (measured[0], measured[1], measured[2]))
     return x + removal[0, 3], y + removal[1, 3], z + removal[2, 3]
 
 
 @compiled
-def _cross(a: _Vector, b: _Vector) -> _Vector:
+def _cross(a: Vector, b: Vector) -> Vector:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @compiled
-def _sum(a: _Vector, b: _Vector, share: float) -> _Vector:
+def _sum(a: Vector, b: Vector, share: float) -> Vector:
     return a[0] + share * b[0], a[1] + share * b[1], a[2] + share * b[2]
 
 
@@ -223,31 +195,25 @@ def _integrate(
     # derivatives of the velocity increments by lever arms, delay and quadratic terms.
     sums = np.zeros((8, 3))
     angles, velocities, lifts, delayed, squares, arms = sums[0], sums[1], sums[2], sums[3], sums[4], sums[5:]
-    samples = epoch = 0
+    samples = summed = epoch = 0
     count = len(angle)
     turn, turned = np.empty((3, 3)), np.empty((3, 3))
-    theta = dv = (0.0, 0.0, 0.0)
+    theta = dv = alpha = speed = coning = sculling = (0.0, 0.0, 0.0)
     for k in range(ends[-1]):
         theta_before, dv_before = theta, dv
         theta, dv = _removed(removal[0], angle[k]), _removed(removal[1], velocity[k])
         if k == 0:
             theta_before, dv_before = theta, dv
-        cross = _cross(theta, dv)
-        moved = _sum(_sum(dv, cross, 0.5), _cross(theta, cross), 1.0 / 6.0)
-        moved = _sum(_sum(moved, _cross(theta_before, dv), 1.0 / 12.0), _cross(dv_before, theta), 1.0 / 12.0)
-        lift = _times(half, _times(C, moved))
-        set_turn(turn, _sum(theta, _cross(theta_before, theta), 1.0 / 12.0))
-        _set_product(turned, C, turn)
-        _set_product(C, earth[1], turned)
-        for i in range(3):
-            angles[i] += theta[i]
-            velocities[i] += dv[i]
-            lifts[i] += lift[i]
-            u[i] += lift[i]
-            force[i] += lift[i]
+        before = _sum(alpha, theta_before, 1.0 / 6.0)
+        coning = _sum(coning, _cross(before, theta), 0.5)
+        sculling = _sum(sculling, _cross(before, dv), 0.5)
+        sculling = _sum(sculling, _cross(_sum(speed, dv_before, 1.0 / 6.0), theta), 0.5)
+        alpha, speed = _sum(alpha, theta, 1.0), _sum(speed, dv, 1.0)
+        summed += 1
         if has_beside:
-            before, after = max(k - 1, 0), min(k + 1, count - 1)
-            per_s = 1.0 / ((after - before) * interval_s)
+            first, last = max(k - 1, 0), min(k + 1, count - 1)
+            per_s = 1.0 / ((last - first) * interval_s)
+            cross = _cross(theta, dv)
             square = theta[0] ** 2 + theta[1] ** 2 + theta[2] ** 2
             for i in range(3):
                 delayed[i] -= cross[i] / interval_s
@@ -255,10 +221,26 @@ def _integrate(
                 for j in range(3):
                     arms[i, j] += theta[i] * theta[j] / interval_s
                 arms[i, i] -= square / interval_s
-                arms[i, (i + 1) % 3] -= (angle[after, (i + 2) % 3] - angle[before, (i + 2) % 3]) * per_s
-                arms[i, (i + 2) % 3] += (angle[after, (i + 1) % 3] - angle[before, (i + 1) % 3]) * per_s
-        u[2] -= gravity * interval_s
-        samples += 1
+                arms[i, (i + 1) % 3] -= (angle[last, (i + 2) % 3] - angle[first, (i + 2) % 3]) * per_s
+                arms[i, (i + 2) % 3] += (angle[last, (i + 1) % 3] - angle[first, (i + 1) % 3]) * per_s
+        if k + 1 != ends[epoch] and alpha[0] ** 2 + alpha[1] ** 2 + alpha[2] ** 2 < _MAX_SUM**2:
+            continue
+        cross = _cross(alpha, speed)
+        moved = _sum(_sum(_sum(speed, sculling, 1.0), cross, 0.5), _cross(alpha, cross), 1.0 / 6.0)
+        lift = _times(half[summed], _times(C, moved))
+        set_turn(turn, _sum(alpha, coning, 1.0))
+        set_product(turned, C, turn)
+        set_product(C, earth[summed], turned)
+        for i in range(3):
+            angles[i] += alpha[i]
+            velocities[i] += speed[i]
+            lifts[i] += lift[i]
+            u[i] += lift[i]
+            force[i] += lift[i]
+        u[2] -= gravity * interval_s * summed
+        samples += summed
+        summed = 0
+        alpha = speed = coning = sculling = (0.0, 0.0, 0.0)
         if k + 1 != ends[epoch] and angles[0] ** 2 + angles[1] ** 2 + angles[2] ** 2 < _MAX_TURN**2:
             continue
         middle, step, length_s = 0.5 * (begin + C), earth[samples], samples * interval_s
@@ -401,8 +383,8 @@ def _set_intervals(
                     tilts[i, j] += time * C[i, k] * angle_walk[k] * C[j, k]
                     lifts[i, j] += time * C[i, k] * velocity_walk[k] * C[j, k]
         F[3:, :3] = cross
-        _set_product(moved, cross, tilts)
-        _set_product(twice, moved, cross)  # its transpose is its negative
+        set_product(moved, cross, tilts)
+        set_product(twice, moved, cross)  # its transpose is its negative
         Q[:3, :3], Q[3:, :3], Q[:3, 3:], Q[3:, 3:] = tilts, 0.5 * moved, 0.5 * moved.T, lifts - twice / 3.0
 
 

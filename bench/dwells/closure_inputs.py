@@ -63,7 +63,10 @@ def _source(path: Path, quantity: Quantity) -> Source:
         folder = open_run_folder(path)
         table = folder.dwells
         if not table.exists():
-            raise MeasurementError(f"{path}: no dwell was finished in this run: nothing to search")
+            raise MeasurementError(
+                f"{path}: no dwell was finished in this run: nothing to search. Rotations need a dwell "
+                "(align, navigate, turn, navigate) before them at the same set point"
+            )
         record = temperature_record(read_telemetry(folder.telemetry))
         provenance = read_provenance(folder)
         if "started_utc" in provenance and provenance.get("options", {}).get("clock") != "virtual":

@@ -8,7 +8,6 @@ the increments of the INS. Where it sends none they follow from its navigation o
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -170,7 +169,7 @@ class PlateauCalibration:
 def calibrate_plateaus(
     solutions: Sequence[JointSolution],
     rows: Iterable[DwellRow],
-    rotated: Iterable[tuple[DwellMarks, FrameBlock]],
+    rotations: Sequence[PlateauRotations],
     setup: MeasurementSetup,
 ) -> list[PlateauCalibration]:
     """Coefficients plateau by plateau, in the order of time.
@@ -181,11 +180,9 @@ def calibrate_plateaus(
         Of the plateaus with dwells.
     rows : iterable of DwellRow
         Of these dwells.
-    rotated : iterable of (DwellMarks, FrameBlock)
-        Dwells with rotations, in the order of time; those of one plateau are held at once.
+    rotations : sequence of PlateauRotations
+        In the order of time.
     """
-    groups = itertools.groupby(rotated, lambda each: _key(each[0]))
-    rotations = [each for _, group in groups for each in calibrate_rotations(list(group), setup)]
     by_number = {row.dwell: row for row in rows}
     places: list[tuple[int, JointSolution | None, PlateauRotations | None]] = []
     for solution in solutions:
@@ -320,20 +317,39 @@ def _agreement(one: CoefficientEstimate, other: CoefficientEstimate) -> float:
     return chi2_p_value(int(both.sum()), chi2)
 
 
-def calibrate_rotations(
-    dwells: Sequence[tuple[DwellMarks, FrameBlock]], setup: MeasurementSetup
-) -> list[PlateauRotations]:
-    """Coefficients from all dwells with rotations at one set point; those on a ramp to it are kept apart."""
-    groups: list[list[RotatedDwell]] = []
-    try:
-        for each in dwells:
-            dwell = measure_rotations(*each, setup)
-            if not (groups and _is_alike(groups[-1], dwell)):
-                groups.append([])
-            groups[-1].append(dwell)
-    except MeasurementError as error:
-        return [PlateauRotations(dwells[0][0], finding=f"the rotations give no coefficients: {error}")]
-    return [_calibrated_rotations(group, setup) for group in groups]
+class RunRotations:
+    """Dwells with rotations, measured one by one in the order of time; increments of one plateau are held."""
+
+    def __init__(self) -> None:
+        self.dwells: list[int] = []  #: Numbers of those added.
+        self._before: list[PlateauRotations] = []
+        self._last: list[DwellMarks] = []  # of the last set point
+        self._groups: list[list[RotatedDwell]] = []
+        self._finding = ""
+
+    def add(self, marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) -> None:
+        """Add the next dwell; with the first one of another set point those before are calibrated."""
+        if self._last and _key(self._last[0]) != _key(marks):
+            self._before, self._last, self._groups, self._finding = self.calibrated(setup), [], [], ""
+        self._last.append(marks)
+        self.dwells.append(marks.dwell)
+        if self._finding:
+            return
+        try:
+            dwell = measure_rotations(marks, frames, setup)
+        except MeasurementError as error:
+            self._groups, self._finding = [], f"the rotations give no coefficients: {error}"
+            return
+        if not (self._groups and _is_alike(self._groups[-1], dwell)):
+            self._groups.append([])
+        self._groups[-1].append(dwell)
+
+    def calibrated(self, setup: MeasurementSetup) -> list[PlateauRotations]:
+        """Coefficients of all set points; of one those on a ramp to it are kept apart."""
+        found = [_calibrated_rotations(group, setup) for group in self._groups]
+        if self._finding:
+            found = [PlateauRotations(self._last[0], finding=self._finding)]
+        return [*self._before, *found]
 
 
 def _is_alike(group: Sequence[RotatedDwell], dwell: RotatedDwell) -> bool:

@@ -69,6 +69,7 @@ def measure_rotations(marks: DwellMarks, frames: FrameBlock, setup: MeasurementS
     velocity_rounding, angle_rounding = setup.rounding(at_rest)
     begin, stop = np.searchsorted(increments.row, [first, end])
     gaps = begin + 1 + np.flatnonzero(~increments.follows[begin + 1 : stop])
+    table = np.array([setup.table.attitude(each.outer_deg, each.inner_deg) for each in marks.windows])
     pieces = []
     for part in itertools.starmap(slice, itertools.pairwise([begin, *gaps.tolist(), stop])):
         ends = [
@@ -76,11 +77,6 @@ def measure_rotations(marks: DwellMarks, frames: FrameBlock, setup: MeasurementS
             for each in marks.windows
         ]
         rests = [Rest(int(a), int(b)) for a, b in ends if b > a]
-        # Up to the end of a rest the table stands as it was read there.
-        counts = np.diff([0, *(int(end) for _, end in ends[:-1]), part.stop - part.start])
-        table = np.repeat(
-            [setup.table.attitude(each.outer_deg, each.inner_deg) for each in marks.windows], counts, axis=0
-        )
         if sum(rest.end - rest.begin for rest in rests) * increments.interval_s >= MIN_REST_TOTAL_S:
             angle, velocity = increments.angle[part], increments.velocity[part]
             recording = IncrementRecording(
@@ -89,6 +85,8 @@ def measure_rotations(marks: DwellMarks, frames: FrameBlock, setup: MeasurementS
                 velocity,
                 has_vertical=is_sent,
                 table=table,
+                # Up to the end of a rest the table stands as it was read there.
+                table_from=np.array([0, *(end for _, end in ends[:-1])]),
                 rounding=(0.0, 0.0) if is_sent else (angle_rounding, velocity_rounding),
             )
             pieces.append((recording, rests))

@@ -167,7 +167,7 @@ class DwellLedger:
         marks = self._recorder.marks()
         frames = unit.live.end_capture()
         if not marks.gives_bias:
-            return self._finish_recorded(marks)
+            return self._finish_recorded(marks, frames)
         measure = measure_check_dwell if marks.is_calibration_check else measure_dwell
         measured = measure(marks, frames, record.setup)
         is_map_wrong = bool(measured.signal_fault) and (self._contradicted or not self._has_agreed())
@@ -192,13 +192,15 @@ class DwellLedger:
             raise SignalMapError(measured.signal_fault)
         return True
 
-    def _finish_recorded(self, marks: DwellMarks) -> bool:
+    def _finish_recorded(self, marks: DwellMarks, frames: FrameBlock) -> bool:
         flags = "; ".join(marks.disturbances)
         if flags and self.may_repeat(marks.dwell):
             self.repeat(marks.dwell, flags)
             return False
         self._unit.journal.record("dwell_finished", marks=marks.to_json(), flags=flags)
         self._record.state.finished.add(marks.dwell)
+        if marks.is_rotated and not marks.disturbances:
+            self._record.outcome.rotations.add(marks, frames, self._record.setup)
         what = f"{len(marks.windows) - 1} rotations from" if marks.is_rotated else "noise in"
         self._noted(f"{what} {marks.position}: {flags or 'recorded'}")
         return True

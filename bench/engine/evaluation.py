@@ -9,7 +9,7 @@ from pathlib import Path
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells, write_dwells
 from gyrobench.bench.dwells.check_dwell import CheckDwell
 from gyrobench.bench.dwells.dwell import MeasuredDwell, MeasurementSetup, measurement_setup
-from gyrobench.bench.dwells.plateau_calibration import calibrate_plateaus, spin_record
+from gyrobench.bench.dwells.plateau_calibration import RunRotations, calibrate_plateaus, spin_record
 from gyrobench.bench.dwells.run_dwells import (
     RunResults,
     evaluate,
@@ -17,6 +17,7 @@ from gyrobench.bench.dwells.run_dwells import (
     planned_dwells,
     replay,
     rotated,
+    rotated_marks,
     write_results,
 )
 from gyrobench.bench.procedure.plan import Plan
@@ -33,10 +34,12 @@ def evaluate_run(
     dwells: Sequence[MeasuredDwell],
     check_dwells: Sequence[CheckDwell],
     calibration: Sequence[DwellRow],
+    rotations: RunRotations | None = None,
 ) -> RunResults:
     """Compute the results of all dwells of a run, and write them into its folder.
 
     ``check_dwells`` are compared with ``calibration``, or where that is empty with the run's own dwells.
+    ``rotations``: as measured during the run; where they are not those of the journal, the log is read.
     Raises RunFolderError if the tables can't be written.
     """
     check = calibration_check_rows(check_dwells, calibration or [dwell.row for dwell in dwells], setup)
@@ -45,7 +48,8 @@ def evaluate_run(
         dwells, setup, procedure.bin_width_c, procedure.acceptance, planned_dwells(plan), check
     )
     rows = [dwell.row for dwell in results.dwells]
-    coefficients = calibrate_plateaus(results.joint, rows, rotated(folder), setup)
+    turned = _rotations(folder, setup, rotations or RunRotations()).calibrated(setup)
+    coefficients = calibrate_plateaus(results.joint, rows, turned, setup)
     with_spins = procedure.tests.scale_factor_stability is not None
     records = noise_records(folder, setup) if procedure.tests.allan_variance else []
     spins = [spin_record(*each, setup) for each in rotated(folder)] if with_spins else []
@@ -55,6 +59,16 @@ def evaluate_run(
         write_dwells(folder.dwells, rows)
     write_results(folder, results)
     return results
+
+
+def _rotations(folder: RunFolder, setup: MeasurementSetup, known: RunRotations) -> RunRotations:
+    """Those of all dwells with rotations, read from the log where others are known."""
+    if known.dwells == [marks.dwell for marks in rotated_marks(folder)]:
+        return known
+    found = RunRotations()
+    for marks, frames in rotated(folder):
+        found.add(marks, frames, setup)
+    return found
 
 
 def recompute_run(path: Path) -> RunFolder:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Literal
 
@@ -11,6 +11,7 @@ from gyrobench.bench.bias.bias_filter import StateSpaceEstimate
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.dwells.check_dwell import CheckDwell
 from gyrobench.bench.dwells.dwell import MeasuredDwell
+from gyrobench.bench.dwells.plateau_calibration import RunRotations
 from gyrobench.bench.dwells.run_dwells import RunResults
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.operator import Operator, RunCommand
@@ -30,6 +31,7 @@ class RunOutcome:
     reason: str = ""  #: why it did not finish; empty where it did
     dwells: list[MeasuredDwell] = field(default_factory=list)
     check_dwells: list[CheckDwell] = field(default_factory=list)  #: dwells that check a calibration
+    rotations: RunRotations = field(default_factory=RunRotations)
     finished: set[int] = field(default_factory=set)  #: numbers of all dwells that are over
     results: RunResults = field(default_factory=RunResults)
     #: Those of each unit by its number, where a run has several; it has no dwells itself then.
@@ -61,6 +63,13 @@ class RunOutcome:
             flags = f"{len(flagged)} of {len(self.dwells)} dwells are flagged: {names}"
             return f"{flags}. dwells.csv has all of them."
         return ""
+
+    def release(self) -> None:
+        """Keep the rows of dwells and the results that are printed; the run folder has everything else."""
+        self.dwells = [replace(each, estimate=None, shared=None, windows=()) for each in self.dwells]
+        self.results = replace(self.results, dwells=[], budgets=[], joint=[], noise=None)
+        for unit in self.units.values():
+            unit.release()
 
     def fail(self, reason: str) -> None:
         """Note a failure, unless there is one already."""

@@ -408,6 +408,12 @@ def _evaluate(unit: UnitRecord, job: Job) -> None:
     outcome = unit.outcome
     calibration = [row for row in job.calibration if not unit.number or row.unit == unit.number]
     outcome.results = evaluate_run(
-        unit.folder, unit.plan, unit.setup, outcome.dwells, outcome.check_dwells, calibration
+        unit.folder,
+        unit.plan,
+        unit.setup,
+        outcome.dwells,
+        outcome.check_dwells,
+        calibration,
+        outcome.rotations,
     )
     outcome.dwells = outcome.results.dwells

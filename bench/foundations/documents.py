@@ -139,7 +139,7 @@ def read_document(path: Path) -> Document:
 def parse_document(text: str, path: Path) -> Document:
     """Parse YAML text that came from ``path``; see :func:`read_document`."""
     try:
-        node = yaml.compose(text, Loader=_Loader)
+        node = _composed(text)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         place = f"{mark.line + 1}:{mark.column + 1}" if mark else "1:1"
@@ -197,25 +197,42 @@ def problems_of(error: ValidationError, at: Location = ()) -> list[Problem]:
     return problems
 
 
-class _Loader(yaml.SafeLoader):
-    """Safe loader with the plain scalars of YAML 1.2: ``1e-5`` is a number, ``on`` is text.
+class _Composer(yaml.composer.Composer, yaml.resolver.BaseResolver):
+    """Composes nodes with the plain scalars of YAML 1.2: ``1e-5`` is a number, ``on`` is text.
 
     A text with too many values ends parsing at once; the rest would take minutes.
     """
 
-    def __init__(self, text: str) -> None:
-        super().__init__(text)
-        self._values = self._depth = 0
+    _values = _depth = 0
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         self._values += 1
         self._depth += 1
         if self._values > 2 * _MAX_VALUES or self._depth > 2 * _MAX_DEPTH:  # keys count here, not below
-            here = self.peek_event().start_mark  # type: ignore[no-untyped-call]
-            raise yaml.composer.ComposerError(None, None, _TOO_MUCH, here)
+            here = self.peek_event().start_mark  # type: ignore[attr-defined]  # of the parser
+            raise _TooLargeError(None, None, _TOO_MUCH, here)
         node = super().compose_node(parent, index)
         self._depth -= 1
         return node
+
+
+class _TooLargeError(yaml.composer.ComposerError):
+    """A text has too many values."""
+
+
+class _Loader(_Composer, yaml.SafeLoader):
+    """Safe loader in Python, whose messages the bench shows."""
+
+
+_ParserInC: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+class _FastLoader(_Composer, _ParserInC):  # type: ignore[misc]
+    """The same with the parser in C where PyYAML has it, four times as fast."""
+
+    def __init__(self, text: str) -> None:
+        yaml.composer.Composer.__init__(self)
+        _ParserInC.__init__(self, text)
 
 
 _SCALARS = {
@@ -227,14 +244,22 @@ _SCALARS = {
         r"|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))$"
     ),
 }
-_Loader.yaml_implicit_resolvers = {}
 for _tag, _first in (
     ("bool", "tTfF"),
     ("null", ["~", "n", "N", ""]),
     ("int", "-+0123456789"),
     ("float", "-+.0123456789"),
 ):
-    _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", _SCALARS[_tag], list(_first))
+    _Composer.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", _SCALARS[_tag], list(_first))
+
+
+def _composed(text: str) -> yaml.Node | None:
+    try:
+        return yaml.compose(text, Loader=_FastLoader)
+    except _TooLargeError:
+        raise
+    except (yaml.YAMLError, RecursionError, ValueError, OverflowError):
+        return yaml.compose(text, Loader=_Loader)
 
 
 _COLLECTION_TAGS = ("tag:yaml.org,2002:map", "tag:yaml.org,2002:seq")

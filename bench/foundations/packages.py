@@ -85,16 +85,17 @@ def load(group: str, name: str, kind: type[ObjectT]) -> ObjectT:
         packages = " and ".join(sorted(map(_package, found)))
         raise DocumentError(f"the {noun} {name!r} is provided by {packages}; uninstall all but one")
     entry = found[0]
-    origin = f"the {noun} {name!r} of {_package(entry)}"
     try:
         loaded = entry.load()  # code of another package may raise anything
     except Exception as error:
         raise DocumentError(
-            f"{origin} can't be imported: {type(error).__name__}: {error}. Repair or uninstall that package"
+            f"the {noun} {name!r} of {_package(entry)} can't be imported: {type(error).__name__}: {error}. "
+            "Repair or uninstall that package"
         ) from error
     if not isinstance(loaded, kind):
         raise DocumentError(
-            f"{origin} is not of type {kind.__name__} ({entry.value}). Report this to the package's author"
+            f"the {noun} {name!r} of {_package(entry)} is not of type {kind.__name__} ({entry.value}). "
+            "Report this to the package's author"
         )
     return loaded
 

@@ -6,6 +6,7 @@ They are in the top folder of the repository, and inside the package ``gyrobench
 from __future__ import annotations
 
 import logging
+from functools import cache
 from pathlib import Path
 from types import MappingProxyType
 
@@ -26,9 +27,14 @@ _RENAMED = MappingProxyType({"procedures": {"verification": "calibration_check"}
 
 def shipped_folders(kind: str) -> list[Path]:
     """Folders with shipped files of a kind, such as ``procedures``; those that exist."""
-    # In the repository, parents[2] holds links to the folders at the top.
-    folder = (Path(__file__).parents[2] / kind).resolve()
+    folder = _folder(kind)
     return [folder] if folder.is_dir() else []
+
+
+@cache
+def _folder(kind: str) -> Path:
+    # In the repository, parents[2] holds links to the folders at the top.
+    return (Path(__file__).parents[2] / kind).resolve()
 
 
 def shipped_names(kind: str) -> list[str]:

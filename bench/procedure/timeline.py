@@ -15,6 +15,8 @@ from gyrobench.bench.foundations.text import hours_minutes
 from gyrobench.bench.procedure.plan import Plan, PlannedStep
 from gyrobench.bench.procedure.steps import GoTo
 
+#: In place of a position where the table rotates.
+ROTATIONS = "rotations"
 _MAX_SAMPLES = 200
 
 
@@ -57,7 +59,10 @@ def temperature_profile(plan: Plan, interval_s: float = 60.0) -> tuple[FloatArra
 
 
 def position_spans(plan: Plan) -> list[tuple[float, float, str]]:
-    """Start, end and name of each stay in a position, from its go_to to the last step that belongs to it."""
+    """Start, end and name of each stay in a position, from its go_to to the last step that belongs to it.
+
+    The name of one with rotations, which leave the position, is :data:`ROTATIONS`.
+    """
     visits = itertools.accumulate(int(isinstance(planned.step, GoTo)) for planned in plan.steps)
     of_position = [pair for pair in zip(visits, plan.steps, strict=True) if pair[1].in_position]
     spans = []
@@ -65,7 +70,8 @@ def position_spans(plan: Plan) -> list[tuple[float, float, str]]:
         stay = [planned for _, planned in pairs]
         position = stay[0].after.position
         if position is not None:
-            spans.append((stay[0].start_s, stay[-1].end_s, position))
+            is_rotated = any(planned.is_rotated for planned in stay)
+            spans.append((stay[0].start_s, stay[-1].end_s, ROTATIONS if is_rotated else position))
     return spans
 
 

@@ -8,6 +8,7 @@ import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -143,6 +144,7 @@ def _utc_offset_s(moment: datetime) -> float:
     return 0.0 if offset is None else offset.total_seconds()
 
 
+@cache
 def _version(package: str) -> str:
     try:
         return version(package)

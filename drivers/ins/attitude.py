@@ -50,21 +50,20 @@ def attitude_matrices(
     sequence: EulerSequence, roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike
 ) -> FloatArray:
     """Matrices ``C_nb``, shape (n, 3, 3), of Euler angles in rad, shape (n,)."""
+    angles = (np.asarray(angle, np.float64) for angle in (roll, pitch, yaw))
     with np.errstate(invalid="ignore"):  # an infinite angle has no sine; NaN is right
-        (sr, cr), (sp, cp), (sy, cy) = (
-            (np.sin(angle), np.cos(angle))
-            for angle in (np.asarray(each, np.float64) for each in (roll, pitch, yaw))
-        )
-    # The rows without yaw; element by element, since numpy multiplies small matrices slowly.
-    if sequence is EulerSequence.RPY_321:
-        east, north, up = (cr, 0.0 * cr, sr), (sp * sr, cp, -sp * cr), (-cp * sr, sp, cp * cr)
-    else:
-        east, north, up = (cr, sr * sp, sr * cp), (0.0 * cp, cp, -sp), (-sr, cr * sp, cr * cp)
-    matrices = np.empty((*np.broadcast_shapes(cr.shape, cp.shape, cy.shape), 3, 3))
-    for column in range(3):
-        matrices[..., 0, column] = cy * east[column] - sy * north[column]
-        matrices[..., 1, column] = sy * east[column] + cy * north[column]
-        matrices[..., 2, column] = up[column]
+        (cr, sr), (cp, sp), (cy, sy) = ((np.cos(angle), np.sin(angle)) for angle in angles)
+    nothing = np.zeros_like(cr)
+    tilted = (
+        ((cr, nothing, sr), (sp * sr, cp, -sp * cr), (-cp * sr, sp, cp * cr))
+        if sequence is EulerSequence.RPY_321
+        else ((cr, sr * sp, sr * cp), (nothing, cp, -sp), (-sr, cr * sp, cr * cp))
+    )
+    matrices = np.empty((*cr.shape, 3, 3))
+    for column, (x, y, z) in enumerate(zip(*tilted, strict=True)):
+        matrices[..., 0, column] = cy * x - sy * y
+        matrices[..., 1, column] = sy * x + cy * y
+        matrices[..., 2, column] = z
     return matrices
 
 

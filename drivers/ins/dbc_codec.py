@@ -14,7 +14,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any, Literal
@@ -56,7 +56,11 @@ def load_dbc(path: Path, identifier_offset: int = 0) -> Database:
     Raises DocumentError if the file can't be read, is too large, or is not a valid DBC, or if an identifier
     with its offset is none.
     """
-    content = read_limited(path, MAX_DBC_BYTES, DocumentError)
+    return _database(path, read_limited(path, MAX_DBC_BYTES, DocumentError), identifier_offset)
+
+
+@lru_cache(maxsize=8)
+def _database(path: Path, content: bytes, identifier_offset: int) -> Database:
     database = Database()
     try:
         text = _text(content)

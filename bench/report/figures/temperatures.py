@@ -41,6 +41,8 @@ Readings = Mapping[str, FloatArray]
 
 _SHORT_RUN_S = 7200.0
 _MIN_AXIS_S = 60.0
+#: Of rotations, in no position.
+_OTHER_COLOUR = "#555555"
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,7 @@ def temperature_figure(
     figure = new_figure(4.8, hspace=0.07)
     title = "Temperatures and positions" if bands else "Temperatures"
     ends_s = [*time_s[-1:], *(band.end_s for band in bands)]
-    axes, unit_s = _time_axes(figure, title, ends_s, with_positions=bool(bands))
+    axes, unit_s = _time_axes(figure, title, ends_s, tuple(POSITIONS) if bands else ())
     _draw_bands(figure, bands, unit_s)
     time = time_s / unit_s
 
@@ -90,12 +92,14 @@ def temperature_figure(
 @house_style
 def plan_figure(plan: Plan) -> Figure:
     """Draw the temperatures and positions that a plan expects: the counterpart of the paper's Fig. 7."""
-    from gyrobench.bench.procedure.timeline import position_spans, temperature_profile
+    from gyrobench.bench.procedure.timeline import ROTATIONS, position_spans, temperature_profile
 
     time_s, chamber_c, gyro_c = temperature_profile(plan)
     figure = new_figure(4.8, hspace=0.07)
-    axes, unit_s = _time_axes(figure, f"Plan of {plan.procedure.procedure}", [plan.duration_s])
-    _draw_bands(figure, [_Band(*span) for span in position_spans(plan)], unit_s)
+    bands = [_Band(*span) for span in position_spans(plan)]
+    lanes = (*POSITIONS, *([ROTATIONS] if any(band.position == ROTATIONS for band in bands) else []))
+    axes, unit_s = _time_axes(figure, f"Plan of {plan.procedure.procedure}", [plan.duration_s], lanes)
+    _draw_bands(figure, bands, unit_s)
     axes.plot(time_s / unit_s, chamber_c, label="chamber, ramped set point", color="#777777", linewidth=1.6)
     axes.plot(time_s / unit_s, gyro_c, label="gyros, predicted", color=GYRO_STYLES["x"][0])
     _finish_temperatures(figure, axes, plan.procedure.marked_temperatures_c)
@@ -103,17 +107,17 @@ def plan_figure(plan: Plan) -> Figure:
 
 
 def _time_axes(
-    figure: Figure, title: str, ends_s: Sequence[float], *, with_positions: bool = True
+    figure: Figure, title: str, ends_s: Sequence[float], positions: Sequence[str]
 ) -> tuple[Axes, float]:
-    """Temperature above, positions below; returns the upper axes and the seconds in a unit of time."""
+    """Temperature above, any positions below; returns the upper axes and the seconds in a unit of time."""
     end_s = max(ends_s, default=0.0)
     unit_s, unit = (60.0, "min") if end_s < _SHORT_RUN_S else (3600.0, "h")
-    heights = [4.2, 1.0] if with_positions else [1.0]
+    heights = [4.2, len(positions) / len(POSITIONS)] if positions else [1.0]
     panels = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights, squeeze=False)[:, 0]
     panels[0].set(title=title, ylabel="temperature / °C")
     for lanes in panels[1:]:
-        lanes.set_ylim(len(POSITIONS) - 0.5, -0.5)
-        lanes.set_yticks(range(len(POSITIONS)), [position_label(name) for name in POSITIONS], fontsize=7)
+        lanes.set_ylim(len(positions) - 0.5, -0.5)
+        lanes.set_yticks(range(len(positions)), [position_label(name) for name in positions], fontsize=7)
         lanes.grid(False)
     panels[-1].set(xlabel=f"time / {unit}", xlim=(0.0, max(end_s, _MIN_AXIS_S) / unit_s))
     return panels[0], unit_s
@@ -122,14 +126,16 @@ def _time_axes(
 def _draw_bands(figure: Figure, bands: Iterable[_Band], unit_s: float) -> None:
     """Bands across the temperatures, bars in the row of the position below."""
     upper, lower = figure.axes[0], figure.axes[-1]
-    rows, shown = list(POSITIONS), list(bands)
+    lanes, shown = list(POSITIONS), list(bands)
     spans = [(each.start_s / unit_s, (each.end_s - each.start_s) / unit_s) for each in shown]
-    colours = [POSITION_STYLES[each.position].colour for each in shown]
+    colours = [
+        POSITION_STYLES[each.position].colour if each.position in lanes else _OTHER_COLOUR for each in shown
+    ]
     faces = ["none" if band.is_flagged else colour for band, colour in zip(shown, colours, strict=True)]
     across = upper.get_xaxis_transform()
     upper.broken_barh(spans, (0.0, 1.0), transform=across, facecolors=colours, alpha=0.18, linewidth=0.0)
     below = [
-        Rectangle((start, rows.index(band.position) - 0.38), width, 0.76)
+        Rectangle((start, [*lanes, band.position].index(band.position) - 0.38), width, 0.76)
         for band, (start, width) in zip(shown, spans, strict=True)
     ]
     bars = PatchCollection(below, facecolors=faces, edgecolors=colours, linewidths=0.8)

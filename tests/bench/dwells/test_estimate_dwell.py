@@ -181,6 +181,23 @@ def test_coarse_output_that_stays_the_same_is_uncertain_and_no_fault(position, s
     assert ratios.max() > 2.0  # that of the vertical gyro, whose heading moves through few steps
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("steps", [(1e-4, 1e-6), (2e-4, 1e-6), (5e-4, 1e-6)])
+def test_errors_of_rounded_output_are_as_large_as_stated(steps):
+    quiet = NoiseModel.from_datasheet(0.0002, 1.0)
+    setup = setup_for(NoiseModel.from_datasheet(0.0002, 1.0, steps[0], np.radians(steps[1])), *steps)
+    short = {"window_s": 60.0, "turn_s": 6.0, "align_s": 16.0, "lsb": steps, "epoch_s": 0.1}
+    found = []
+    for seed in range(60):
+        dwell = emulate(ins=sensors(noise=quiet), random=np.random.default_rng(seed), **short)
+        estimate = estimate_dwell(dwell, setup, setup.noise_in(dwell.windows))[0]
+        found.append(estimate.bias_dph / estimate.sigma_dph)
+    # The prior knowledge of the accelerometers counts in what is stated, and they have no errors here.
+    rms = np.sqrt(np.mean(np.square(found), axis=0))
+    assert rms.max() < 1.2
+    assert rms.min() > 0.5
+
+
 def test_coarse_pulses_are_named_as_the_limit():
     _, flags, _ = measured(gyro_pulse=5.0 * ARCSEC)
     assert "the resolution of the sensors limits the dwell" in flags

@@ -1,5 +1,7 @@
 """Runs whose INS uses a wrong latitude, on a strapdown that shares no code with the bench."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -13,6 +15,7 @@ from tests.adversarial.strapdown import Place
 UNIT = any_unit(np.random.default_rng(3))
 
 
+@cache
 def evaluated(error_arcmin, positions=ALL, declared_arcmin=0.33):
     case = Case(
         UNIT,

@@ -1,6 +1,7 @@
 """Coefficients over temperature from runs of the emulated bench, beside the declared truth of its world."""
 
 import itertools
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -12,10 +13,11 @@ from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, Coeffi
 from gyrobench.bench.dwells.dwell import measurement_setup
 from gyrobench.bench.dwells.plateau_calibration import (
     PlateauCalibration,
-    calibrate_rotations,
+    RunRotations,
     with_temperature_change,
 )
 from gyrobench.bench.dwells.run_dwells import rotated
+from gyrobench.bench.engine.evaluation import recompute_run
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.report.coefficients import coefficients_section
@@ -100,6 +102,21 @@ def test_rotations_give_every_coefficient_within_its_uncertainty(with_increments
     assert all(np.isnan(row.sigma_with_force) for row in rows)
 
 
+def test_the_log_gives_the_coefficients_that_were_measured_during_the_run(with_increments, tmp_path):
+    folder, _, _ = with_increments
+    again = recompute_run(shutil.copytree(folder.path, tmp_path / "copy"))
+    for one, other in zip(*(read_coefficients(each.coefficients) for each in (folder, again)), strict=True):
+        assert other.value == pytest.approx(one.value, abs=1e-6 * one.sigma)
+        assert other.sigma == pytest.approx(one.sigma, rel=1e-6)
+
+
+def calibrated(dwells, setup):
+    rotations = RunRotations()
+    for each in dwells:
+        rotations.add(*each, setup)
+    return rotations.calibrated(setup)
+
+
 @pytest.mark.parametrize(
     ("axes", "names"),
     [((1, 2, 0), ("angle", "velocity")), ((1, 0, 2), ("angle",)), ((1, 0, 2), ("velocity",))],
@@ -113,7 +130,7 @@ def test_exchanged_axes_of_increments_give_no_coefficients(with_increments, axes
         return replace(sent, **{name: getattr(sent, name)[:, axes] for name in names})
 
     first = next(iter(rotated(folder)))
-    [found] = calibrate_rotations([first], replace(setup, decode_increments=exchanged))
+    [found] = calibrated([first], replace(setup, decode_increments=exchanged))
     assert found.calibration is None
     assert "Check axes, signs and units of ins.signals.increments" in found.finding
 
@@ -122,7 +139,7 @@ def test_navigation_output_that_is_rounded_counts_with_its_rounding(with_increme
     folder, _, _ = with_increments
     setup = measurement_setup(Station(folder.station))
     coarse = replace(setup, decode_increments=lambda _: None, heading_lsb_rad=8e-5, velocity_lsb_mps=0.01)
-    [found] = calibrate_rotations([next(iter(rotated(folder)))], coarse)
+    [found] = calibrated([next(iter(rotated(folder)))], coarse)
     assert found.calibration.noise.white_angle == pytest.approx(8e-5 / np.sqrt(12.0))
     assert (found.calibration.noise.white_velocity >= 0.01 / np.sqrt(12.0)).all()
 

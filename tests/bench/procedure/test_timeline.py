@@ -10,7 +10,8 @@ from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.procedure.estimate import BenchEstimate, ThermalEstimate
 from gyrobench.bench.procedure.plan import Plan, expand
 from gyrobench.bench.procedure.procedure_file import load_procedure
-from gyrobench.bench.procedure.timeline import position_spans, temperature_profile, timeline_rows
+from gyrobench.bench.procedure.timeline import ROTATIONS, position_spans, temperature_profile, timeline_rows
+from gyrobench.bench.report.figures.temperatures import plan_figure
 
 PlanOf = Callable[[str], tuple[Document, Plan]]
 
@@ -188,6 +189,14 @@ def test_positions_span_from_their_go_to_to_their_last_step(planned: PlanOf) -> 
     assert first_end_s - first_start_s == pytest.approx(1606.0)
     assert second_end_s - second_start_s == pytest.approx(1606.0)
     assert second_end_s == pytest.approx(plan.duration_s)
+
+
+def test_a_stay_with_rotations_is_in_no_position(shipped: Path) -> None:
+    plan = expand(*load_procedure(shipped / "full_calibration.yaml"))
+    names = [name for _, _, name in position_spans(plan)]
+    assert names == ["z_up", *4 * [*POSITIONS, ROTATIONS, ROTATIONS]]
+    lanes = [label.get_text() for label in plan_figure(plan).axes[1].get_yticklabels()]
+    assert lanes[-2:] == ["X-Down", "Rotations"]
 
 
 def test_a_plan_without_positions_has_no_spans(planned: PlanOf) -> None:

@@ -1,0 +1,48 @@
+"""Rotations one after the other, as machine code."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.kernels import compiled
+
+#: Tuples stay in registers, where small arrays would be allocated for every sample.
+Vector = tuple[float, float, float]
+
+
+@compiled
+def set_turn(turn: FloatArray, vector: Vector) -> None:
+    """Set ``turn`` (3, 3) to the rotation by a vector."""
+    x, y, z = vector
+    square = x * x + y * y + z * z
+    if square > 1e-8:
+        angle = np.sqrt(square)
+        sine, cosine = np.sin(angle) / angle, (1.0 - np.cos(angle)) / square
+    else:
+        sine, cosine = 1.0 - square / 6.0, 0.5 - square / 24.0
+    turn[0, 0] = 1.0 - cosine * (y * y + z * z)
+    turn[1, 1] = 1.0 - cosine * (x * x + z * z)
+    turn[2, 2] = 1.0 - cosine * (x * x + y * y)
+    turn[0, 1], turn[1, 0] = cosine * x * y - sine * z, cosine * x * y + sine * z
+    turn[0, 2], turn[2, 0] = cosine * x * z + sine * y, cosine * x * z - sine * y
+    turn[1, 2], turn[2, 1] = cosine * y * z - sine * x, cosine * y * z + sine * x
+
+
+@compiled
+def set_product(product: FloatArray, a: FloatArray, b: FloatArray) -> None:
+    """Set ``product`` (3, 3), neither of the others, to that of two matrices."""
+    for i in range(3):
+        for j in range(3):
+            product[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
+
+
+@compiled
+def net_turn(steps: FloatArray) -> FloatArray:
+    """Matrix (3, 3) of rotations (n, 3), rad, one after the other, each about axes turned by those before."""
+    C, turn, turned = np.eye(3), np.empty((3, 3)), np.empty((3, 3))
+    for step in steps:
+        set_turn(turn, (step[0], step[1], step[2]))
+        set_product(turned, C, turn)
+        C, turned = turned, C
+    return C
