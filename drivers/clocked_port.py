@@ -83,4 +83,5 @@ class ClockedPort(SerialBase):
     def _collect(self) -> None:
         if not self.is_open:
             raise PortNotOpenError
-        self._arrived += self.take()
+        if arrived := self.take():
+            self._arrived += arrived

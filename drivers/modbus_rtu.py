@@ -55,6 +55,12 @@ def framed(content: bytes) -> bytes:
     return content + crc16(content).to_bytes(2, "little")
 
 
+@lru_cache(maxsize=1024)
+def _read_request(address: int, register: int, count: int) -> tuple[bytes, bytes]:
+    """Request for registers, and how its reply begins."""
+    return struct.pack(">BBHH", address, _READ, register, count), bytes((address, _READ, 2 * count))
+
+
 class UnknownRegisterError(RefusedError):
     """The device has no such register."""
 
@@ -75,8 +81,7 @@ class ModbusRtu:
         Raises RefusedError if the device replied with an exception. Raises ReplyError, NoReplyError,
         ConnectionFailedError if there was no valid reply.
         """
-        request = struct.pack(">BBHH", self._address, _READ, register, count)
-        start = bytes((self._address, _READ, 2 * count))
+        request, start = _read_request(self._address, register, count)
         reply = self._exchange(request, start, len(start) + 2 * count + 2, PAUSE_AFTER_READ_S)
         if reply[1] & _EXCEPTION_BIT:
             raise self._refused(reply, f"read {_label(register)}")

@@ -127,7 +127,7 @@ SOURCES: Mapping[str, Source] = MappingProxyType(
 _SETTLED = "not significant in the data (p ≥ 0.01): taken as zero"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Contribution:
     """Contribution of one source to the uncertainty of a result."""
 
@@ -190,7 +190,7 @@ def coverage_factor(dof: float) -> float:
     return float(stdtrit(dof, 0.5 * (1.0 + COVERAGE)))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Budget:
     """Uncertainty budget of one result."""
 
@@ -215,7 +215,7 @@ class Budget:
         return (contribution.sigma / self.stated.sigma) ** 2
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class BiasBudget:
     """Budget of the bias of one gyro, in deg/h, in a dwell or in a bin."""
 

@@ -146,6 +146,7 @@ def print_end(
     """
     from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN
     from gyrobench.bench.report.journal_sections import durations_section
+    from gyrobench.bench.report.page import free_memory
     from gyrobench.bench.report.run_report import units_section, write_report, write_units_report
     from gyrobench.bench.report.statements import latitude_sentence
     from gyrobench.bench.report.terminal.tables import section_view
@@ -155,6 +156,8 @@ def print_end(
     if not is_finished:
         console.print(f"The run {outcome.ended}: {outcome.reason}", soft_wrap=True, style="bold red")
         console.print(safe_state, soft_wrap=True)
+    outcome.release()
+    free_memory()
     report = write_units_report(folder) if outcome.units else write_report(folder)
     results = outcome.results
     if outcome.units:

@@ -160,10 +160,15 @@ class Search:
     def _more_general(
         self, found: Hypothesis, fitted: Mapping[frozenset[str], Hypothesis], weighed: Posterior
     ) -> dict[str, frozenset[str]]:
-        """By effect found: those that contain it and are improbable, or fitted no different from it."""
+        """By effect found: those that contain it and are less probable, or fitted no different from it.
+
+        A parameter that changes nothing below some value takes a part of the probability however many dwells
+        there are: a lag of seconds is no different from a rate.
+        """
         general: dict[str, frozenset[str]] = {}
+        limit = max(RIVAL, weighed.of_set(found.names, has_remainder=False) / _EVEN_ODDS)
         for each in (fitted[names] for names in weighed.similar(found.names) if names in fitted):
-            is_improbable = weighed.of_set(each.names, has_remainder=False) < RIVAL
+            is_improbable = weighed.of_set(each.names, has_remainder=False) < limit
             if self._is_special_case(found, each) and (
                 is_improbable or self._is_contained(each, [found.candidates])
             ):

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -330,11 +331,11 @@ def write_results(folder: RunFolder, results: RunResults) -> None:
     optional = (folder.noise, folder.calibration_check, folder.coefficients, folder.correlations)
     for stale in (*optional, folder.budget, folder.characteristics):
         remove(stale)
-    budgets = budget_rows(results.budgets)
-    for plateau in results.coefficients:
-        budgets += coefficient_budget_rows(plateau.number, plateau.budgets)
-    if budgets:
-        write_budget(folder.budget, budgets)
+    if results.budgets or any(plateau.budgets for plateau in results.coefficients):
+        # One by one: of a long run they are many.
+        biases = (budget_rows([each]) for each in results.budgets)
+        coefficients = (coefficient_budget_rows(each.number, each.budgets) for each in results.coefficients)
+        write_budget(folder.budget, chain.from_iterable(chain(biases, coefficients)))
     if results.coefficients:
         write_coefficients(folder.coefficients, [row for each in results.coefficients for row in each.rows()])
         write_correlations(

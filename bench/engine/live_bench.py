@@ -157,7 +157,10 @@ class LiveBench:
         """Wait for the next tick, then poll what is due."""
         tick_s, clock = self.station.file.tick_s, self.clock
         next_tick_s = tick_s * (math.floor(clock.now() / tick_s + 1e-9) + 1)
-        if all(unit.ins.keeps_frames for unit in self.units):
+        for unit in self.units:
+            if not unit.ins.keeps_frames:
+                break
+        else:
             clock.sleep_until(next_tick_s)
         while (now_s := clock.now()) < next_tick_s:
             clock.sleep_until(min(next_tick_s, now_s + self.station.file.poll_period_s))
@@ -169,9 +172,12 @@ class LiveBench:
         self.lateness.add(next_tick_s, now_s, tick_s)
         if self._failing:
             self._reopen()
-        aside = {each.name for each in self.units if each.is_set_aside} if self._failing else set()
-        if not aside.issuperset(self._failing) or clock.now() >= self._next_reading_s - 1e-6:
+        if clock.now() >= self._next_reading_s - 1e-6:
             self.read_instruments()
+        elif self._failing:
+            aside = {each.name for each in self.units if each.is_set_aside}
+            if not aside.issuperset(self._failing):
+                self.read_instruments()
 
     def trips(self) -> list[Trip]:
         """Return the interlocks that are tripped."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Literal
 
@@ -63,6 +63,13 @@ class RunOutcome:
             flags = f"{len(flagged)} of {len(self.dwells)} dwells are flagged: {names}"
             return f"{flags}. dwells.csv has all of them."
         return ""
+
+    def release(self) -> None:
+        """Keep the rows of dwells and the results that are printed; the run folder has everything else."""
+        self.dwells = [replace(each, estimate=None, shared=None, windows=()) for each in self.dwells]
+        self.results = replace(self.results, dwells=[], budgets=[], joint=[], noise=None)
+        for unit in self.units.values():
+            unit.release()
 
     def fail(self, reason: str) -> None:
         """Note a failure, unless there is one already."""

@@ -7,9 +7,10 @@ import io
 import math
 import re
 import sys
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
 from functools import partial
+from itertools import chain, islice
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeVar
@@ -28,6 +29,7 @@ LARGEST_NUMBER, SMALLEST_UNCERTAINTY = 1e30, 1e-30
 COLDEST_C, HOTTEST_C = -273.15, 1000.0
 _SHOWN_PROBLEMS = 20
 _INTEGER = re.compile(r"[-+]?[0-9]{1,18}")
+_LINE = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+")
 _NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
 
 
@@ -58,19 +60,27 @@ class CsvTable:
     def __init__(self, text: str, name: str, required: Sequence[str]) -> None:
         self._name = name
         self._problems: list[str] = []
-        self._rows: list[list[str]] = []
+        #: The rows as they are, and the one whose cells were read last: all cells would take five times as
+        #: much memory.
+        self._rows: list[str] = []
+        self._current, self._cells = -1, [""]
         self.lines: list[int] = []
-        reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+        taken: list[str] = []
+        reader = csv.reader(_lines(text, taken), strict=True)
+        counts = []
         try:
             self.header = header = [cell.strip() for cell in next(reader, [])]
+            taken.clear()
             for cells in reader:
                 if cells:
-                    self._rows.append(cells)
+                    self._rows.append("".join(taken))
                     self.lines.append(reader.line_num)
+                    counts.append(len(cells))
+                taken.clear()
         except csv.Error as error:
             raise DocumentError(f"{name}:{reader.line_num}: not valid CSV: {error}") from error
         self._columns = {column: index for index, column in enumerate(header)}
-        self._check_shape(header, required)
+        self._check_shape(counts, required)
 
     def __len__(self) -> int:
         return len(self._rows)
@@ -85,7 +95,11 @@ class CsvTable:
     def text(self, index: int, column: str) -> str:
         """Give the cell's text; empty where the table has no such column."""
         position = self._columns.get(column)
-        return "" if position is None else self._rows[index][position].strip()
+        if position is None:
+            return ""
+        if index != self._current:
+            self._current, self._cells = index, next(csv.reader([self._rows[index]], strict=True))
+        return self._cells[position].strip()
 
     def name(self, index: int, column: str) -> str:
         """Read a name, refused where a spreadsheet would take it for a formula."""
@@ -158,7 +172,8 @@ class CsvTable:
         shown = self._problems[:_SHOWN_PROBLEMS] + ([f"... and {more} more"] if more > 0 else [])
         raise DocumentError("\n".join(shown))
 
-    def _check_shape(self, header: list[str], required: Sequence[str]) -> None:
+    def _check_shape(self, counts: Sequence[int], required: Sequence[str]) -> None:
+        header = self.header
         missing = [column for column in required if column not in self._columns]
         if missing:
             raise DocumentError(
@@ -168,11 +183,16 @@ class CsvTable:
         twice = sorted({column for column in header if header.count(column) > 1})
         if twice:
             raise DocumentError(f"{self._name}:1: the header gives {', '.join(twice)} more than once")
-        for cells, line in zip(self._rows, self.lines, strict=True):
-            if len(cells) != len(header):
-                raise DocumentError(
-                    f"{self._name}:{line}: {len(cells)} cells where the header has {len(header)}"
-                )
+        for count, line in zip(counts, self.lines, strict=True):
+            if count != len(header):
+                raise DocumentError(f"{self._name}:{line}: {count} cells where the header has {len(header)}")
+
+
+def _lines(text: str, taken: list[str]) -> Iterator[str]:
+    """Lines of a text as a file would give them; each is also put into ``taken``."""
+    for line in _LINE.finditer(text):
+        taken.append(line[0])
+        yield line[0]
 
 
 def format_csv(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -186,9 +206,12 @@ def format_csv(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 def format_rows(columns: Sequence[str], rows: Iterable[Any]) -> str:
     """CSV text of instances of a data class, whose fields are the columns."""
-    table = list(rows)
-    names = [each.name for each in fields(table[0])] if table else []
-    return format_csv(columns, ([format_cell(getattr(row, name)) for name in names] for row in table))
+    rows = iter(rows)
+    first = list(islice(rows, 1))
+    names = [each.name for each in fields(first[0])] if first else []
+    return format_csv(
+        columns, ([format_cell(getattr(row, name)) for name in names] for row in chain(first, rows))
+    )
 
 
 CellReader = Callable[[CsvTable, int, str], Any]

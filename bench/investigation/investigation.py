@@ -224,6 +224,8 @@ class Investigator:
                     is_idle = ended is not None and ended[0] in ("no_block", "not_on_list")
                     if is_idle and (confirm := self._confirmation(stage, is_last=True)):
                         stage, ended = self._with_block(confirm, journal)
+                if ended and ended[0] in ("no_block", "not_on_list", "budget"):
+                    ended = self._end(stage, is_last=True) or ended
                 if ended and (test := self._test(stage, ended[0])):
                     test, failed = self._with_block(test, journal)
                     stage = test if failed is None else stage
@@ -380,7 +382,8 @@ class Investigator:
         calibration = calibration_of(forecast, self._profile, stage.rivals, closure.noise_scale, self._bench)
         return replace(stage, calibration=calibration)
 
-    def _end(self, stage: Stage) -> tuple[str, str] | None:
+    def _end(self, stage: Stage, *, is_last: bool = False) -> tuple[str, str] | None:
+        """Why an investigation ends after a search, None if not; ``is_last`` as in :meth:`_confirmation`."""
         posterior = stage.closure.posterior
         names = tuple(sorted(stage.closure.names))
         tested = next(reversed(self._tests(CONFIRM, names)), None)
@@ -390,7 +393,9 @@ class Investigator:
             if each.confirmation and set(each.closure.names) == set(names)
         )
         is_listed = posterior.not_on_list <= 1.0 - SETTLED
-        if is_settled(stage.closure) or (is_confirmed and only_unconfirmed(stage.closure, with_weak=False)):
+        if is_settled(stage.closure) or (
+            is_confirmed and only_unconfirmed(stage.closure, with_weak=not is_last)
+        ):
             if tested is not None and tested.contradicts:
                 return ("refuted", f"A block contradicts what {' + '.join(names)} predicted for it.")
             if tested is not None and set(names) >= SLOW:

@@ -52,7 +52,8 @@ def rotation_vector_enu(C_nb: FloatArray, C_nb_reference: FloatArray) -> FloatAr
     the reference. ``C_nb_reference`` (3, 3): attitude from which to count. Result (n, 3): rotation vectors,
     rad.
     """
-    return rotation_vectors(C_nb @ C_nb_reference.T)
+    # As one product: numpy multiplies a stack of small matrices slowly.
+    return rotation_vectors((C_nb.reshape(-1, 3) @ C_nb_reference.T).reshape(C_nb.shape))
 
 
 def angle_between(C_one: FloatArray, C_other: FloatArray) -> float:
@@ -73,12 +74,7 @@ def euler_rpy321(C_nb: FloatArray) -> FloatArray:
 
 def _axis_and_angle(turn: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Axis times sine (..., 3), sine and angle (...) of rotation matrices (..., 3, 3)."""
-    twice = [
-        turn[..., 2, 1] - turn[..., 1, 2],
-        turn[..., 0, 2] - turn[..., 2, 0],
-        turn[..., 1, 0] - turn[..., 0, 1],
-    ]
-    vector = 0.5 * np.stack(twice, axis=-1)
-    sine = np.sqrt((vector**2).sum(axis=-1))
+    x, y, z = (0.5 * (turn[..., i, j] - turn[..., j, i]) for i, j in ((2, 1), (0, 2), (1, 0)))
+    vector, sine = np.stack([x, y, z], axis=-1), np.sqrt(x**2 + y**2 + z**2)
     cosine = 0.5 * (turn[..., 0, 0] + turn[..., 1, 1] + turn[..., 2, 2] - 1.0)
     return vector, sine, np.arctan2(sine, cosine)

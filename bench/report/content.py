@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -47,7 +47,8 @@ class RunContent:
     """Contents of a run folder."""
 
     name: str  #: Name of the folder: of the run, or of one of its several units its number.
-    journal: list[Entry]  #: Its entries, up to the first damaged one.
+    #: Its entries, up to the first damaged one; without the windows of dwells, which are large and not shown.
+    journal: list[Entry]
     #: provenance, procedure, station: Content of these files; empty where missing.
     provenance: Entry
     procedure: Entry
@@ -129,7 +130,7 @@ def read_run(folder: RunFolder) -> RunContent:
             problems.append(f"{path.name} can't be used: {error}")
             return missing
 
-    read(folder.journal, lambda path: journal.extend(read_journal(path)), None)
+    read(folder.journal, lambda path: _add_entries(journal, read_journal(path)), None)
     procedure: Entry = read(folder.procedure, _mapping, {})
     verification: list[CalibrationCheckRow] = read(
         folder.calibration_check, read_calibration_check, [], is_optional=True
@@ -162,6 +163,13 @@ def read_run(folder: RunFolder) -> RunContent:
         approvals=_approvals(folder),
         problems=problems,
     )
+
+
+def _add_entries(journal: list[Entry], entries: Iterable[dict[str, Any]]) -> None:
+    for entry in entries:
+        if isinstance(marks := entry.get("marks"), dict):
+            marks.pop("windows", None)
+        journal.append(entry)
 
 
 def _dwell_purposes(journal: Sequence[Entry]) -> Counter[str]:

@@ -6,10 +6,12 @@ Pages of findings (search, verification, batch) and the report of a run are all 
 from __future__ import annotations
 
 import base64
+import ctypes
 import gc
 import io
 import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal
@@ -200,8 +202,15 @@ def _as_file(
         stamp(figure, watermark)
         save_figure(figure, path, key)
         save_vectors(figure, path, vectors)
-        gc.collect()  # figures are cycles of some megabytes
+        free_memory()
     return replace(drawn, figure=path)
+
+
+def free_memory() -> None:
+    """Free figures, cycles of some megabytes; and return memory to the system, where its library can."""
+    gc.collect()
+    with suppress(AttributeError, OSError, TypeError):
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def _data_uri(path: Path) -> str:

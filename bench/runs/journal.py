@@ -7,6 +7,7 @@ import hashlib
 import json
 import math
 import os
+import sys
 import threading
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -194,7 +195,8 @@ def _parse(path: str | Path, content: bytes) -> Iterator[tuple[dict[str, Any], i
         entry = _entry(line)
         if entry is not None:
             entry.pop(_LINK, None)
-            yield entry, len(line) + 1
+            # Names of keys are kept once, not once for each line.
+            yield {sys.intern(key): value for key, value in entry.items()}, len(line) + 1
         elif number < len(lines):
             raise RunFolderError(f"{path}:{number}: damaged entry: {_shown(line)!r}")
 

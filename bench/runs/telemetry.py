@@ -106,7 +106,8 @@ def read_telemetry(folder: Path) -> dict[str, FloatArray]:
     Raises RunFolderError if a part can't be read.
     """
     parts = [_read_part(path) for path in find_parts(folder, _SUFFIX).values()]
-    return {name: np.concatenate([np.empty(0), *(part[name] for part in parts)]) for name in COLUMNS}
+    # Columns leave the parts one by one, or the readings were in the memory twice.
+    return {name: np.concatenate([np.empty(0), *(part.pop(name) for part in parts)]) for name in COLUMNS}
 
 
 def damaged_telemetry(folder: Path) -> dict[Path, str]:

@@ -127,6 +127,8 @@ class ModbusRtuDevice:
             return exception_frame(self._address, function, _ILLEGAL_VALUE)
         first, values = request.address, request.registers
         match request:
+            case ReadHoldingRegistersRequest():
+                return self._read(function, first, request.count)
             case WriteSingleRegisterRequest():
                 answer: ModbusPDU = WriteSingleRegisterResponse(address=first, registers=values)
             case WriteMultipleRegistersRequest():
@@ -135,8 +137,6 @@ class ModbusRtuDevice:
                 sizes_agree = request.count == count and request.byte_count == 2 * count
                 if not 1 <= count <= _MAX_WRITTEN or not sizes_agree:
                     return exception_frame(self._address, function, _ILLEGAL_VALUE)
-            case _:
-                return self._read(function, first, request.count)
         failure = self._write(first, values)
         return (
             exception_frame(self._address, function, failure) if failure else _framed(self._address, answer)

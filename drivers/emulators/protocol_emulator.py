@@ -65,8 +65,10 @@ class Serial(ClockedPort):  # the name that pyserial looks for
         """Replies that have arrived."""
         self._check_connected()
         data, due = b"", self._due
-        while due and due[0][0] <= self.clock.now():
-            data += due.popleft()[1]
+        if due:
+            now_s = self.clock.now()
+            while due and due[0][0] <= now_s:
+                data += due.popleft()[1]
         return data
 
     def _check_connected(self) -> None:

@@ -328,13 +328,14 @@ class BitField:
         order: Literal["little", "big"] = "big" if self.big_endian else "little"
         mask, sign = (1 << signal.length) - 1, 1 << signal.length - 1 if signal.is_signed else 0
 
-        def bits(data: bytes) -> int:
-            return int.from_bytes(data.ljust(MAX_LENGTH, b"\0"), order) >> shift & mask
+        def whole(data: bytes) -> int:
+            raw = int.from_bytes(data.ljust(MAX_LENGTH, b"\0"), order) >> shift & mask
+            return raw - 2 * (raw & sign)
 
         if signal.conversion.is_float:
             bits_type, float_type = _FLOATS[signal.length]
-            return lambda data: float(bits_type(bits(data)).view(float_type))
-        return lambda data: (raw := bits(data)) - 2 * (raw & sign)
+            return lambda data: float(bits_type(whole(data) & mask).view(float_type))
+        return whole
 
     def to_raw(self, values: FloatArray) -> Words:
         """Convert values in the DBC's unit to right-aligned bits; see :meth:`DbcCodec.encode`."""

@@ -41,11 +41,13 @@ class NewestFrames:
         self._received_s, self._stamp_s = now_s, frames.timestamp_s.item(-1)
         rows = frames.take(_newest_rows(frames.arbitration_id)).rows
         data = rows["data"].tobytes()
-        newest = {
-            identifier: (time_s, data[MAX_LENGTH * place : MAX_LENGTH * place + length])
-            for place, (time_s, identifier, length, _, _) in enumerate(rows.tolist())
-        }
-        self._newest = self._newest | newest
+        # By columns: rows with arrays in them become objects slowly.
+        columns = zip(rows["id"].tolist(), rows["time_s"].tolist(), rows["length"].tolist(), strict=True)
+        newest, place = self._newest.copy(), 0
+        for identifier, time_s, length in columns:
+            newest[identifier] = time_s, data[place : place + length]
+            place += MAX_LENGTH
+        self._newest = newest
 
     def forget(self, message_name: str) -> None:
         """Drop the frames of a message."""
@@ -107,7 +109,7 @@ class InsStatus:
     @cached_property
     def mode(self) -> InsMode:
         """Mode of the INS."""
-        return InsMode(int(self._readout.mode(_NOW)[0]))
+        return self._readout.mode_of(self._number("mode"))
 
     @cached_property
     def alignment(self) -> Alignment:

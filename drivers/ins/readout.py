@@ -86,16 +86,25 @@ class Readout:
 
     def mode(self, rows: IntArray) -> NDArray[np.int8]:
         """Read the :class:`InsMode`, shape (n,)."""
-        if self.map.mode is None:
-            return np.full(len(rows), InsMode.UNKNOWN, np.int8)
+        values = self.value("mode", rows)
+        codes = {value: self.mode_of(value) for value in np.unique(values).tolist()}
+        found = np.full(len(rows), InsMode.UNKNOWN, np.int8)
+        for value, code in codes.items():
+            found[values == value] = code
+        return found
+
+    def mode_of(self, value: float) -> InsMode:
+        """The :class:`InsMode` for a value of its signal, which may be NaN."""
         mapped = self.map.mode
-        codes: dict[int, list[int]] = {
-            InsMode.STANDBY: mapped.standby,
-            InsMode.ALIGN: mapped.align,
-            InsMode.NAVIGATE: mapped.navigate,
-            InsMode.FAULT: mapped.fault,
-        }
-        return _coded(self.value("mode", rows), codes, InsMode.BOOT)
+        if mapped is None or math.isnan(value):
+            return InsMode.UNKNOWN
+        if value in mapped.fault:
+            return InsMode.FAULT
+        if value in mapped.navigate:
+            return InsMode.NAVIGATE
+        if value in mapped.align:
+            return InsMode.ALIGN
+        return InsMode.STANDBY if value in mapped.standby else InsMode.BOOT
 
     def alignment(self, rows: IntArray) -> NDArray[np.int8]:
         """Read the :class:`Alignment`, shape (n,)."""

@@ -61,7 +61,7 @@ class Law:
             terms = shaped(np.repeat(mean[:, np.newaxis], 3, axis=1))
         else:
             record = campaign.record
-            state = MEMORIES[self.memory](_course(self.driver, campaign), record.time_s, *values[count:])
+            state = MEMORIES[self.memory](course_of(self.driver, campaign), record.time_s, *values[count:])
             terms = [record.mean_over(each, campaign.start_s, campaign.end_s) for each in shaped(state)]
         stacked = np.stack(terms, axis=2)
         axes = FACTORS[self.factor]
@@ -95,7 +95,7 @@ class Law:
         self, campaign: Campaign, shaped: Callable[[FloatArray], list[FloatArray]]
     ) -> list[FloatArray]:
         """Means of the shape over the dwells: that of their means, and what the course within them adds."""
-        course = _course(self.driver, campaign)
+        course = course_of(self.driver, campaign)
         mean = partial(campaign.record.mean_over, start_s=campaign.start_s, end_s=campaign.end_s)
         terms = zip(
             shaped(driver_values(self.driver, campaign)), shaped(course), shaped(mean(course)), strict=True
@@ -281,7 +281,7 @@ def _missing_driver(driver: str, campaign: Campaign) -> str | None:
     return known.instrument if known else f"a column {driver.replace('{axis}', 'x')} in the dwell table"
 
 
-def _course(driver: str, campaign: Campaign) -> FloatArray:
+def course_of(driver: str, campaign: Campaign) -> FloatArray:
     """A driver at the times of the campaign's record (m, 3), without influence of held-out dwells."""
     if driver == "gyro_c":
         return campaign.record.gyro_c

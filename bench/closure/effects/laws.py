@@ -2,9 +2,21 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.effects.effect import Parameter, fixed, searched_length_s, time_constant
-from gyrobench.bench.closure.effects.grammar import Law, effect_of
+from gyrobench.bench.closure.effects.effect import (
+    Effect,
+    Form,
+    Parameter,
+    constant_at_end,
+    fixed,
+    same_for_all_gyros,
+    searched_length_s,
+    time_constant,
+)
+from gyrobench.bench.closure.effects.grammar import Law, effect_of, form_of
+from gyrobench.bench.foundations.arrays import FloatArray
 
 _LAG_TAU = time_constant(1.0, 300.0, 900.0, 2700.0, 7200.0)
 _HALF_WIDTH = Parameter("half_width_c", 0.3, 40.0, fixed(1.0, 2.0, 4.0, 7.0, 12.0, 20.0))
@@ -119,15 +131,42 @@ class _Ageing(Law):
         return "two power cycles and two days: in one, ageing looks like a slow warm-up"
 
 
-AGEING = effect_of(
-    _Ageing("start", memory="decay", parameters=(time_constant(_S_PER_DAY, _S_PER_DAY, 3.0 * _S_PER_DAY),)),
+def _log_time(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
+    """Mean of log(1 + t / tau) over each dwell, (n, 3, 1)."""
+
+    def integral(time_s: FloatArray) -> FloatArray:
+        after = np.maximum(time_s - campaign.whole.start_s[0], 0.0) / values[0]
+        return np.asarray((1.0 + after) * np.log1p(after) - after)
+
+    spans = np.maximum(campaign.end_s - campaign.start_s, 1e-9) / values[0]
+    mean = (integral(campaign.end_s) - integral(campaign.start_s)) / spans
+    return same_for_all_gyros(mean[:, np.newaxis])
+
+
+_EXPONENTIAL = _Ageing(
+    "start", memory="decay", parameters=(time_constant(_S_PER_DAY, _S_PER_DAY, 3.0 * _S_PER_DAY),)
+)
+#: Stress that relaxes by many processes at once follows the logarithm of time, as crystals age.
+AGEING = Effect(
     name="ageing",
-    statement="the bias settles exponentially over days, through power-off and power-on",
+    statement=(
+        "the bias settles over days, exponentially or by the logarithm of time, through all power cycles"
+    ),
     experiment=(
         "return to one position and temperature every day for twice the time constant, with a power-off in "
         "between: ageing continues where it was, a warm-up begins again"
     ),
-    terms=("decay since the first dwell",),
+    compensation=constant_at_end,
+    forms=(
+        form_of(_EXPONENTIAL, ("decay since the first dwell",), "exponential"),
+        Form(
+            ("logarithm of the time since the first dwell",),
+            _log_time,
+            (time_constant(0.5 * _S_PER_DAY, _S_PER_DAY, 3.0 * _S_PER_DAY),),
+            _EXPONENTIAL.missing_input,
+            "logarithmic",
+        ),
+    ),
 )
 
 DAILY_COURSE = effect_of(

@@ -176,17 +176,19 @@ class TableChecks:
         for (axis, range_deg), angle_deg, rate_dps, acceleration_dps2 in zip(
             self._angles_deg.items(), angles_deg, rates_dps, self._accelerations_dps2, strict=True
         ):
-            if problem := _out_of_range(f"the angle of the {axis} axis", angle_deg, *range_deg, "deg"):
+            low_deg, high_deg = range_deg
+            if not low_deg <= angle_deg <= high_deg:
                 yield Finding(
                     f"{axis}_angle",
-                    problem,
+                    _out_of_range(f"the angle of the {axis} axis", angle_deg, low_deg, high_deg, "deg"),
                     "Check cables and mechanical stops before the table moves again.",
                 )
             for interlock, what, value, limit, unit in (
                 ("table_rate", "rate", rate_dps, self._rate_dps, "deg/s"),
                 ("table_acceleration", "acceleration", acceleration_dps2, self._acceleration_dps2, "deg/s2"),
             ):
-                if problem := _out_of_range(f"the {what} of the {axis} axis", value, -limit, limit, unit):
+                if not -limit <= value <= limit:
+                    problem = _out_of_range(f"the {what} of the {axis} axis", value, -limit, limit, unit)
                     yield Finding(interlock, problem, _CHECK_SERVO)
 
     def _motion_although_stopped(self, readings: Readings) -> Iterator[Finding]:

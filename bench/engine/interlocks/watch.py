@@ -109,17 +109,19 @@ class InterlockWatch:
         good_expected, good_until_s = self._good
         if expected is good_expected and now_s < good_until_s:
             return []
-        found: dict[str, list[Finding]] = {name: [] for name in self._rules}
+        found: dict[str, list[Finding]] = {}
         if self._readings is not None:
             for each in self._checks:
                 for finding in each.findings(self._readings, expected, now_s):
-                    found[finding.interlock].append(finding)
-        for name, findings in found.items():
-            if findings:
-                self._good_since_s.pop(name, None)
-            else:
-                self._good_since_s.setdefault(name, now_s)
-        trips = [Trip(name, tuple(each), self._rules[name]) for name, each in found.items() if each]
+                    found.setdefault(finding.interlock, []).append(finding)
+        if found or len(self._good_since_s) < len(self._rules):
+            for name in self._rules:
+                if name in found:
+                    self._good_since_s.pop(name, None)
+                else:
+                    self._good_since_s.setdefault(name, now_s)
+        names = sorted(found, key=list(self._rules).index) if found else []
+        trips = [Trip(name, tuple(found[name]), self._rules[name]) for name in names]
         if self._readings is not None and not trips:
             self._good = (
                 expected,

@@ -36,7 +36,12 @@ _KEY_IN = 0.53  # of a column of a legend: its line, and the space to the next c
 #: Name of the text of a PNG file that holds the key, near its beginning.
 _KEY, _KEY_WITHIN_BYTES = "Inputs", 1000
 
+#: The quick classes below override internals of matplotlib, and are tested with this version of it; with any
+#: other its own classes draw the same, in more time.
+_IS_TESTED = matplotlib.__version_info__[:2] == (3, 11)
+
 _KEPT_TEXTS = 300  # images of lines of text, some kB each
+_STRIP_ROWS = 64  # of pixels, compressed at once
 _DOT = 64  # the unit of sizes of fonts is a part of a dot
 
 #: Title of legends where bars are uncertainties.
@@ -244,8 +249,7 @@ def new_figure(
     To compute margins takes longer than to draw a figure. The default ones hold a title, labels of ticks and
     of both axes; ``wspace`` and ``hspace`` between panels are parts of a panel's size.
     """
-    figure = _QuickFigure(figsize=(WIDTH_IN, height_in))
-    _Canvas(figure)
+    figure = _empty_figure(height_in)
     figure.subplots_adjust(
         left_in / WIDTH_IN,
         bottom_in / height_in,
@@ -259,9 +263,18 @@ def new_figure(
 
 def fitted_figure(height_in: float) -> Figure:
     """Make an empty figure whose margins are computed from its texts when it is drawn."""
-    figure = _QuickFigure(figsize=(WIDTH_IN, height_in), layout="constrained")
-    _Canvas(figure)
+    return _empty_figure(height_in, layout="constrained")
+
+
+def _empty_figure(height_in: float, **options: Any) -> Figure:
+    figure = (_QuickFigure if _IS_TESTED else Figure)(figsize=(WIDTH_IN, height_in), **options)
+    _canvas_of(figure)
     return figure
+
+
+def _canvas_of(figure: Figure) -> FigureCanvasAgg:
+    """Make a canvas, which becomes that of the figure."""
+    return (_Canvas if _IS_TESTED else FigureCanvasAgg)(figure)
 
 
 def text_width_in(texts: Iterable[str], size: float) -> float:
@@ -333,20 +346,25 @@ def png_bytes(figure: Figure, key: str = "") -> bytes:
     """Draw a figure; equal figures give equal bytes. A key is kept in the PNG, see :func:`is_drawn`."""
     dpi = figure.dpi
     figure.set_dpi(_PNG_DPI)
-    renderer = _Canvas(figure).get_renderer()
+    renderer: RendererAgg = _canvas_of(figure).get_renderer()  # type: ignore[no-untyped-call]
     figure.draw(renderer)  # unlike savefig, which draws everything twice
     figure.set_dpi(dpi)
     # In a fifth of the time of PIL, which looks for the best filter of each row.
     pixels = np.asarray(renderer.buffer_rgba())[:, :, :3]  # type: ignore[no-untyped-call]
     height, width, _ = pixels.shape
-    rows = np.zeros((height, 1 + 3 * width), np.uint8)  # a zero before each: not filtered
-    rows[:, 1:].reshape(pixels.shape)[:] = pixels  # without a copy
+    packed = isal_zlib.compressobj(1)
+    data = []
+    for strip in np.array_split(pixels, math.ceil(height / _STRIP_ROWS)):  # not all rows in the memory twice
+        rows = np.zeros((len(strip), 1 + 3 * width), np.uint8)  # a zero before each: not filtered
+        rows[:, 1:].reshape(strip.shape)[:] = strip  # without a copy
+        data.append(packed.compress(rows.data))
+    data.append(packed.flush())
     dots_per_m, text = round(_PNG_DPI / _INCH_M), f"{_KEY}\0{key}"
     chunks = [
         (b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)),  # 8 bits of red, green and blue
         *([(b"tEXt", text.encode())] if key else []),
         (b"pHYs", struct.pack(">IIB", dots_per_m, dots_per_m, 1)),
-        (b"IDAT", isal_zlib.compress(rows.data, 1)),
+        (b"IDAT", b"".join(data)),
         (b"IEND", b""),
     ]
     return b"\x89PNG\r\n\x1a\n" + b"".join(

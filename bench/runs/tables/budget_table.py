@@ -18,7 +18,7 @@ from gyrobench.bench.foundations.csv_tables import CsvTable, format_rows, read_r
 COMBINED, ANY_POWER_CYCLE = "combined", "combined_any_power_cycle"
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, slots=True)
 class BudgetRow:
     """A contribution to the uncertainty of one result, or a sum."""
 

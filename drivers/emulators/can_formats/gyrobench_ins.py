@@ -78,7 +78,8 @@ class GyrobenchFormat(CanFormat):
     @override
     def frames(self, epochs: Epochs) -> FrameBlock:
         seconds, count = len(epochs.align_time_s), len(epochs.sample)
-        frames = FrameBlock(np.zeros(seconds * _SLOW_FRAMES + count * _FAST_FRAMES, FRAME_DTYPE))
+        rows = np.zeros(seconds * _SLOW_FRAMES + count * _FAST_FRAMES, FRAME_DTYPE)
+        frames = FrameBlock(rows, only_data=True)
         valid = epochs.mode is Mode.NAVIGATE or epochs.alignment > 0
         _encode(
             frames.timestamp_s, frames.arbitration_id, frames.length, frames.data, self._slow_data(epochs),

@@ -15,12 +15,13 @@ from typing import NamedTuple
 import numpy as np
 
 from gyrobench.bench.foundations.arrays import FloatArray, IntArray
+from gyrobench.bench.foundations.kernels import compiled
 from gyrobench.drivers.emulators.world.ins_compensation import (
     InsCompensation,
     TemperatureHistory,
     empty_table,
 )
-from gyrobench.drivers.emulators.world.strapdown import STATE_SIZE, add_up, gyrocompass, matrix_of, navigate
+from gyrobench.drivers.emulators.world.strapdown import STATE_SIZE, gyrocompass, matrix_of, navigate
 from gyrobench.drivers.emulators.world.world_file import InsBehaviour
 
 #: Samples of the inertial sensors in a second.
@@ -61,6 +62,7 @@ class Epochs(NamedTuple):
     read_c: FloatArray = np.empty((0, 7))
     #: First sample and measured increments, (m, 3) rad and m/s, where the unit sends them.
     increments: tuple[int, FloatArray, FloatArray] | None = None
+    taken: int = 0  #: Number of samples of the sensors that led to it.
 
 
 class InertialUnit:
@@ -82,15 +84,14 @@ class InertialUnit:
         self._height = height
         self._every = round(behaviour.epoch_period_s * SAMPLE_RATE_HZ)
         self._state = np.zeros(STATE_SIZE)
-        self._sums = np.zeros((2, 3))
-        self._second_sums = np.zeros((2, 3))
-        self._second_samples = 0
-        self._aligned_samples = 0
+        # Increments of the alignment, and of the second that is under way.
+        self._sums = np.zeros((2, 2, 3))
+        self._counts = np.zeros(4, np.int64)  # see _LEVELLING
+        self._levelling_samples = round(behaviour.levelling_s * SAMPLE_RATE_HZ)
         self._boot_samples = 0
         self._temperatures = TemperatureHistory()
         self.powered = False
         self.mode = Mode.OFF
-        self.alignment = Alignment.INVALID
         self.pitch_first = False
         self.never_aligns = False  #: Alignment never reaches a result.
         self.sends_increments = False  #: Whether epochs come with the increments while it navigates.
@@ -108,9 +109,14 @@ class InertialUnit:
         return self.powered and (self.mode is Mode.OFF or self.compensation is not None)
 
     @property
+    def alignment(self) -> Alignment:
+        """Quality of the present alignment."""
+        return Alignment(self._counts[_ALIGNMENT])
+
+    @property
     def align_time_s(self) -> float:
         """Time at rest used by the present alignment."""
-        return self._aligned_samples * _DT_S
+        return float(self._counts[_ALIGNED]) * _DT_S
 
     def power(self, on: bool) -> None:
         """Switch the unit on (it boots) or off; the loaded table is lost."""
@@ -162,14 +168,14 @@ class InertialUnit:
         """Up as navigated, or during alignment from the accelerometers in the present second."""
         if self.mode is Mode.NAVIGATE:
             return np.asarray(matrix_of(self._state[:4])[2])
-        up = self._second_sums[1]
-        return up / math.sqrt(up @ up) if self._second_samples else np.zeros(3)
+        up = self._sums[1, 1]
+        return up / math.sqrt(up @ up) if self._counts[_SECOND] else np.zeros(3)
 
     def advance(self, first_sample: int, rotation: FloatArray, velocity: FloatArray) -> Epochs | None:
         """Take the next sensor samples.
 
-        None of them is beyond the next whole second, unless the first is at one and the unit navigates, is
-        in standby or off.
+        None of them is beyond the next whole second, unless the first is at one. While it aligns, it takes
+        them up to a second with which the quality of the alignment changes.
 
         Parameters
         ----------
@@ -183,62 +189,108 @@ class InertialUnit:
         Epochs or None
             The epochs that ended within these samples; None while the unit is off or boots.
         """
-        if first_sample % SAMPLE_RATE_HZ == 0:
-            self._evaluate_last_second()
         n = len(rotation)
         if self.mode is Mode.OFF:
-            self._boot_samples -= n
-            return None
-        first = (-(first_sample + 1)) % self._every
-        samples = np.arange(first_sample + 1 + first, first_sample + 1 + n, self._every)
-        if self.mode is Mode.NAVIGATE:
+            if first_sample % SAMPLE_RATE_HZ == 0 and self.powered and self._boot_samples <= 0:
+                self.mode = Mode.STANDBY
+            else:
+                self._boot_samples -= n
+                return None
+        first, alignment = (-(first_sample + 1)) % self._every, self._counts[_ALIGNMENT]
+        if self.mode is Mode.ALIGN:
+            coarse_s = math.inf if self.never_aligns else self._behaviour.coarse_alignment_s
+            n, alignment, states, align_time_s = _align(
+                self._state, self._sums, self._counts, rotation, velocity, first_sample, self._every,
+                self._levelling_samples, self._latitude, coarse_s, self._behaviour.fine_alignment_s,
+            )  # fmt: skip
+        elif self.mode is Mode.NAVIGATE:
             states = navigate(self._state, rotation, velocity, _DT_S, self._height, first, self._every)
         else:
-            if self.mode is Mode.ALIGN:
-                add_up(rotation, self._second_sums[0])
-                add_up(velocity, self._second_sums[1])
-                self._second_samples += n
-            states = np.empty((len(samples), STATE_SIZE))
+            states = np.empty((max(0, (n - 1 - first) // self._every + 1), STATE_SIZE))
             states[:] = self._state
-        seconds = (first_sample + n) // SAMPLE_RATE_HZ - first_sample // SAMPLE_RATE_HZ
-        epochs = Epochs(samples, states, self.mode, self.alignment, np.full(seconds, self.align_time_s))
+        if self.mode is not Mode.ALIGN:
+            seconds = (first_sample + n) // SAMPLE_RATE_HZ - first_sample // SAMPLE_RATE_HZ
+            align_time_s = np.full(seconds, self.align_time_s)
+        samples = np.arange(first_sample + 1 + first, first_sample + 1 + n, self._every)
+        epochs = Epochs(samples, states, self.mode, Alignment(alignment), align_time_s, taken=n)
         if self.sends_increments and self.mode is Mode.NAVIGATE:
             return epochs._replace(increments=(first_sample, rotation, velocity))
         return epochs
 
     def _reset_state(self) -> None:
-        self._sums[:] = 0.0
-        self._aligned_samples = 0
-        self._levelling_samples = round(self._behaviour.levelling_s * SAMPLE_RATE_HZ)
-        self._reset_second()
-        self.alignment = Alignment.INVALID
-        self._state[:] = 0.0
-        self._state[0] = 1.0
-        self._state[6] = self._latitude
+        _restart(self._state, self._sums, self._counts, self._levelling_samples, self._latitude)
 
-    def _reset_second(self) -> None:
-        self._second_sums[:] = 0.0
-        self._second_samples = 0
 
-    def _evaluate_last_second(self) -> None:
-        if self.mode is Mode.OFF:
-            if self.powered and self._boot_samples <= 0:
-                self.mode = Mode.STANDBY
-        elif self.mode is Mode.ALIGN:
-            limit = _MOTION_RADPS * _DT_S * self._second_samples + _PULSES_RAD
-            if max(map(abs, self._second_sums[0].tolist())) > limit:
-                self._reset_state()
+#: Places of the samples of the second under way, those still to be left out, those used by the alignment, and
+#: its quality.
+_SECOND, _LEVELLING, _ALIGNED, _ALIGNMENT = range(4)
+
+
+@compiled
+def _restart(
+    state: FloatArray, sums: FloatArray, counts: IntArray, levelling_samples: int, latitude: float
+) -> None:
+    """Begin the alignment from the start."""
+    for k in range(sums.size):
+        sums.flat[k] = 0.0
+    for k in range(counts.size):
+        counts[k] = 0
+    counts[_LEVELLING] = levelling_samples
+    for k in range(STATE_SIZE):
+        state[k] = 0.0
+    state[0], state[6] = 1.0, latitude
+
+
+@compiled
+def _align(
+    state: FloatArray, sums: FloatArray, counts: IntArray, rotation: FloatArray, velocity: FloatArray,
+    first_sample: int, every: int, levelling_samples: int, latitude: float, coarse_s: float, fine_s: float,
+) -> tuple[int, int, FloatArray, FloatArray]:  # fmt: skip
+    """Take samples (n, 3) up to a second with which the quality of the alignment changes.
+
+    Returns how many were taken, that quality, the states (m, 8) at the epochs, which are ``every`` samples
+    apart, and the time used by the alignment at the whole seconds.
+    """
+    n = rotation.shape[0]
+    states, align_time_s = np.empty((n // every + 1, STATE_SIZE)), np.empty(n // SAMPLE_RATE_HZ + 1)
+    taken = epochs = seconds = 0
+    alignment = counts[_ALIGNMENT]
+    while taken < n:
+        into_second = (first_sample + taken) % SAMPLE_RATE_HZ
+        if into_second == 0:
+            limit = _MOTION_RADPS * _DT_S * counts[_SECOND] + _PULSES_RAD
+            if max(abs(sums[1, 0, 0]), abs(sums[1, 0, 1]), abs(sums[1, 0, 2])) > limit:
+                _restart(state, sums, counts, levelling_samples, latitude)
+            elif counts[_LEVELLING] > 0:
+                counts[_LEVELLING] -= counts[_SECOND]
             else:
-                self._add_second()
-                self._reset_second()
-
-    def _add_second(self) -> None:
-        if self._levelling_samples > 0:
-            self._levelling_samples -= self._second_samples
-            return
-        self._sums += self._second_sums
-        self._aligned_samples += self._second_samples
-        if self.align_time_s >= self._behaviour.coarse_alignment_s and not self.never_aligns:
-            fine = self.align_time_s >= self._behaviour.fine_alignment_s
-            self.alignment = Alignment.FINE if fine else Alignment.COARSE
-            self._state[:4] = gyrocompass(self._sums[0], self._sums[1])
+                for i in range(3):
+                    sums[0, 0, i] += sums[1, 0, i]
+                    sums[0, 1, i] += sums[1, 1, i]
+                counts[_ALIGNED] += counts[_SECOND]
+                if counts[_ALIGNED] * _DT_S >= coarse_s:
+                    counts[_ALIGNMENT] = 2 if counts[_ALIGNED] * _DT_S >= fine_s else 1
+                    quaternion = gyrocompass(sums[0, 0], sums[0, 1])
+                    for i in range(4):
+                        state[i] = quaternion[i]
+            for i in range(3):
+                sums[1, 0, i] = sums[1, 1, i] = 0.0
+            counts[_SECOND] = 0
+            if taken and counts[_ALIGNMENT] != alignment:
+                break
+            alignment = counts[_ALIGNMENT]
+        stop = min(n, taken + SAMPLE_RATE_HZ - into_second)
+        counts[_SECOND] += stop - taken
+        for k in range(taken, stop):  # one by one: the sum does not depend on how they are split
+            for i in range(3):
+                sums[1, 0, i] += rotation[k, i]
+                sums[1, 1, i] += velocity[k, i]
+            if (first_sample + k + 1) % every == 0:
+                for i in range(STATE_SIZE):
+                    states[epochs, i] = state[i]
+                epochs += 1
+        taken = stop
+        if (first_sample + taken) % SAMPLE_RATE_HZ == 0:
+            align_time_s[seconds] = counts[_ALIGNED] * _DT_S
+            seconds += 1
+    return taken, alignment, states[:epochs], align_time_s[:seconds]

@@ -182,14 +182,6 @@ def matrix_of(q: FloatArray) -> FloatArray:
 
 
 @compiled
-def add_up(increments: FloatArray, total: FloatArray) -> None:
-    """Add increments (n, 3) to ``total`` (3,) one by one: the sum does not depend on how they are split."""
-    for k in range(increments.shape[0]):
-        for i in range(3):
-            total[i] += increments[k, i]
-
-
-@compiled
 def gyrocompass(rotation: FloatArray, velocity: FloatArray) -> FloatArray:
     """Unit quaternion body to ENU (w, x, y, z) from measured increments summed at rest, each of shape (3,).
 

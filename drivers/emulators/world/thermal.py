@@ -65,6 +65,11 @@ class ChamberAir:
         self.running = False
         self.working_set_point_c = self.air_c
         self.power = 0.0  #: Share of full power: 1 heats, -1 cools.
+        limits = self.parameters
+        self._bounds = np.array(
+            [limits.heating_limit_c_per_min, limits.cooling_limit_c_per_min, limits.ambient_c,
+             limits.ambient_time_constant_s, limits.low_c, limits.high_c]
+        )  # fmt: skip
         self.faults = AirFaults()  #: Active faults.
 
     @property
@@ -79,13 +84,9 @@ class ChamberAir:
         constant_s = limits.control_time_constant_s if is_controlled else limits.ambient_time_constant_s
         if faults.door_open:
             constant_s = _DOOR_TIME_CONSTANT_S
-        bounds = np.array(
-            [limits.heating_limit_c_per_min, limits.cooling_limit_c_per_min, limits.ambient_c,
-             limits.ambient_time_constant_s, limits.low_c, limits.high_c]
-        )  # fmt: skip
         course = np.empty((2, count))
         self.air_c, self.working_set_point_c, self.power = _air_steps(
-            course, dt_s, is_controlled, -math.expm1(-dt_s / constant_s), bounds, self.air_c,
+            course, dt_s, is_controlled, -math.expm1(-dt_s / constant_s), self._bounds, self.air_c,
             self.working_set_point_c, self.set_point_c,
             math.inf if self.ramp_rate_c_per_min is None else self.ramp_rate_c_per_min, faults.error_c,
         )  # fmt: skip

@@ -146,9 +146,8 @@ class AttitudeThermal(Effect):
 
     def _added_dph(self, now: Conditions) -> FloatArray:
         below = (self.onset_c - now.optics_c) / self.onset_width_c
-        softened = np.maximum(below, 0.0) + np.log1p(np.exp(-np.abs(below)))
-        per_w = np.array(self.sensitivity_dph_per_w)
-        return per_w * (now.convected_w * (softened * (self.onset_width_c / self.onset_c)))
+        softened = np.logaddexp(below, 0.0) * (self.onset_width_c / self.onset_c)
+        return np.asarray(self.sensitivity_dph_per_w * (now.convected_w * softened))
 
 
 class ThermalHysteresis(Effect):
@@ -360,8 +359,14 @@ class UndeclaredBias:
 
     def added_dph(self, now: Conditions) -> FloatArray:
         """Sum of all effects, deg/h, shape (n, 3); to be called for all seconds in order of time."""
-        return sum((effect(now) for effect in self._effects), np.zeros(now.optics_c.shape))
+        total = np.zeros(now.optics_c.shape)
+        for effect in self._effects:
+            total += effect(now)
+        return total
 
     def added_scale_factor_ppm(self, now: Conditions) -> FloatArray:
         """Sum over all effects of what they add to the gyros' scale factors, ppm, shape (n, 3)."""
-        return sum((each.added_scale_factor_ppm(now) for each in self._scaling), np.zeros(now.optics_c.shape))
+        total = np.zeros(now.optics_c.shape)
+        for each in self._scaling:
+            total += each.added_scale_factor_ppm(now)
+        return total

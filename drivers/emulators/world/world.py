@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
 
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, FloatArray
-from gyrobench.drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs, InertialUnit, Mode
+from gyrobench.drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs, InertialUnit
+from gyrobench.drivers.emulators.world.normal_numbers import NormalNumbers
 from gyrobench.drivers.emulators.world.sensor_errors import (
     ARCSEC,
     PPM,
@@ -146,14 +146,14 @@ class World:
         surroundings: Surroundings | None = None,
         number: int = 1,
     ) -> None:
-        def random(stream: int) -> np.random.Generator:
+        def seed_of(stream: int) -> tuple[int, ...]:
             # A bench that starts in the middle of a run must not repeat the noise of the run's start.
-            return np.random.default_rng((seed, stream, start_s, *([number - 1] if number > 1 else [])))
+            return (seed, stream, start_s, *([number - 1] if number > 1 else []))
 
         self.file = file
-        self._random = random(0)
+        self._random = NormalNumbers(seed_of(0))
         # A separate stream: the unit's own readings do not change the other random numbers.
-        self._unit_random = random(1)
+        self._unit_random = NormalNumbers(seed_of(1))
         self._latitude = math.radians(file.latitude_deg)
         self._geometry = _geometry(file.table)
         self.surroundings = surroundings or Surroundings(file, start_s)  #: Shared with the other units.
@@ -175,10 +175,10 @@ class World:
         self._polynomials = np.array([triad.polynomials for triad in triads])
         self._walks = np.array([triad.random_walk for triad in triads])
         self._pulses = np.array([triad.pulse for triad in triads])
-        self._wander = BiasWander(file.gyro, random(2))
+        self._wander = BiasWander(file.gyro, np.random.default_rng(seed_of(2)))
         self._wander_dph = np.zeros((1, 3))
         self._power_on_bias, self._power_on_ppm = np.zeros(3), np.zeros(3)
-        self._scale_random = random(3)
+        self._scale_random = NormalNumbers(seed_of(3))
         over_rate = file.gyro.scale_factor_asymmetry_ppm, file.gyro.scale_factor_ppm_per_dps
         self._half_asymmetry_ppm, self._ppm_per_dps = np.array(over_rate) * [[0.5], [1.0]]
         self._scale_varies = bool(np.any(over_rate))
@@ -196,9 +196,9 @@ class World:
         on = on and not self._has_lost_supply
         if on and not self.thermal.powered:
             spread = self.file.gyro.power_on_repeatability_dph * DPH_TO_RADPS
-            self._power_on_bias = self._random.normal(0.0, 1.0, 3) * spread
+            self._power_on_bias = self._random.standard_normal(3) * spread
             spread_ppm = self.file.gyro.scale_factor_repeatability_ppm
-            self._power_on_ppm = self._scale_random.normal(0.0, 1.0, 3) * spread_ppm
+            self._power_on_ppm = self._scale_random.standard_normal(3) * spread_ppm
             self._powered_on_sample = self._sample
         self.thermal.powered = on
         self.surroundings.dissipated_w[self._number] = self.thermal.power_w if on else 0.0
@@ -317,29 +317,24 @@ class World:
             normal = self._random.standard_normal((seconds, 6 * count + readings))
             rotation, velocity = self._measured_increments(normal, count, resting)
         self._sample += seconds * count
-        # During alignment the unit evaluates each second.
-        step = count if unit.mode is Mode.ALIGN else seconds * count
-        parts = [
-            unit.advance(first + begin, rotation[begin : begin + step], velocity[begin : begin + step])
-            for begin in range(0, seconds * count, step)
-        ]
-        epochs = [part for part in parts if part is not None and (len(part.sample) or part.increments)]
-        if not (self.on_epochs and epochs):
+        parts, taken = [], 0
+        while taken < seconds * count:
+            epochs = unit.advance(first + taken, rotation[taken:], velocity[taken:])
+            if epochs is None:
+                return
+            taken += epochs.taken
+            if len(epochs.sample) or epochs.increments:
+                parts.append(epochs)
+        if not (self.on_epochs and parts):
             return
         if readings and not normal.size:
             normal = self._random.standard_normal((seconds, readings))
         read_c = self.thermal.course.nodes_c[-seconds:]
         if readings:
             read_c = self._with_faults(self.thermal.read_c(read_c, normal[:, -readings:]))
-        for _, alike in groupby(epochs, key=lambda part: part.alignment):
-            joined, *others = alike
-            if others:
-                sample, states, times_s = (
-                    np.concatenate([each[i] for each in (joined, *others)]) for i in (0, 1, 4)
-                )
-                joined = joined._replace(sample=sample, states=states, align_time_s=times_s)
-            self.on_epochs(joined._replace(read_c=read_c[: len(joined.align_time_s)]))
-            read_c = read_c[len(joined.align_time_s) :]
+        for epochs in parts:
+            self.on_epochs(epochs._replace(read_c=read_c[: len(epochs.align_time_s)]))
+            read_c = read_c[len(epochs.align_time_s) :]
 
     def _measured_increments(
         self, normal: FloatArray, count: int, resting: tuple[FloatArray, FloatArray, FloatArray] | None
@@ -352,7 +347,7 @@ class World:
             _NONE_DPH if compensation is None else compensation.bias_dph,
             normal, count, _DT_S, self._walks, self._pulses, self._remainders,
         )  # fmt: skip
-        if self._scale_varies or self._undeclared_ppm.any():
+        if self._scale_varies or np.count_nonzero(self._undeclared_ppm):
             true = np.resize(rotation, (len(normal) * count, 3))  # repeats that of a second at rest
             ppm = np.repeat(self._undeclared_ppm[-len(normal) :], count, axis=0)
             ppm += (

@@ -5,11 +5,12 @@ from types import SimpleNamespace
 
 import pytest
 
+from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.loop import Evidence
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.investigation import doubt
-from gyrobench.bench.investigation.doubt import only_unconfirmed
+from gyrobench.bench.investigation.doubt import is_settled, only_unconfirmed, searched
 from gyrobench.bench.investigation.external_bench import AfterLastDwell, ExternalBench
 from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.investigation.investigation import Investigator
@@ -19,6 +20,7 @@ from gyrobench.bench.runs.journal import read_journal
 from tests.bench.investigation import simulated_bench
 from tests.bench.investigation.simulated_bench import first_campaign, simulate
 from tests.benchmarks.bench_investigation import unit_of
+from tests.benchmarks.investigation_units import SimulatedUnit
 
 
 def unit_with(effects, seed=2, refuses=("factor",)):
@@ -310,9 +312,26 @@ def test_a_cause_is_open_for_lack_of_confirmation_alone_if_nothing_else_remains(
 
 
 @pytest.mark.long
-def test_an_ageing_of_another_law_is_not_settled_as_two_effects(tmp_path):
-    """A logarithmic ageing, which an exponential one and a drift imitate together."""
-    unit = unit_of(5)
-    found = Investigator(unit, tmp_path / "ageing", 36.0, lambda *_: True).run(WallClock())
+def test_a_logarithmic_ageing_is_one_cause(tmp_path):
+    """An exponential one and a drift imitate it together."""
+    found = Investigator(unit_of(5), tmp_path / "ageing", 36.0, lambda *_: True).run(WallClock())
+    assert found.ended == "settled"
+    assert found.closure.names == ("ageing",)
+
+
+@pytest.mark.long
+def test_an_ageing_and_a_drift_are_not_settled_as_two_effects(tmp_path):
+    """Together they imitate a slow law that is neither exponential nor logarithmic."""
+    unit = SimulatedUnit(5, ("ageing", "time_drift"), (9.0, 5.0))
+    found = Investigator(unit, tmp_path / "slow", 36.0, lambda *_: True).run(WallClock())
     assert found.closure.posterior.sets[0] == {"ageing", "time_drift"}
     assert found.ended == "not_on_list"
+
+
+@pytest.mark.parametrize("seed", [302, 305])
+def test_small_effects_that_a_first_campaign_shows(seed):
+    """A refrigeration of 1.2 times the noise that runs on after ramps; a rate, and no lag of minutes."""
+    unit = unit_of(seed)
+    closure = searched(campaign_of(unit.rows), [max(row.cycle for row in unit.rows)])
+    assert is_settled(closure)
+    assert set(closure.names) == set(unit.kinds)

@@ -38,6 +38,8 @@ TRUE = {
     "ageing": (AGEING_H * 3600.0,),
     "magnetic_sensitivity": (INCLINATION_DEG,),
 }
+#: Forms that no effect is simulated by here.
+OTHER_FORMS = {"heat to remove", "logarithmic"}
 NEED_EQUIPMENT = {"magnetic_sensitivity", "supply_power", "daily_course", "ageing", "neighbouring_unit"}
 #: What the columns may miss of a simulated effect: its course between the dwells has to be guessed.
 MISSED = {"thermal_hysteresis": 0.02, "chamber_state": 0.01, "neighbouring_unit": 0.005}
@@ -107,7 +109,7 @@ def test_columns_at_the_true_parameters_make_up_the_simulated_effect(problem, ef
     misses = [
         1.0 - one.chi2_reduction(form.columns(one.campaign, TRUE.get(effect.name, ())))[0] / one.chi2
         for form in effect.forms
-        if form.missing_input(one.campaign) is None
+        if form.missing_input(one.campaign) is None and form.name not in OTHER_FORMS
     ]
     assert min(misses) < MISSED.get(effect.name, 0.002)
 
