@@ -24,8 +24,8 @@ from gyrobench.bench.navigation.earth import MEAN_RADIUS
 
 #: Share of the epochs with one value that have one rounding error. While the true value moves through a
 #: step, its rounding error changes its sign: in simulated dwells with 2 to 300 equal epochs this share keeps
-#: the errors of all biases within 1.2 standard uncertainties, rms.
-_SAME_ERROR = 1.0 / 3.0
+#: the errors of all biases within 1.3 standard uncertainties, rms.
+_SAME_ERROR = 1.0 / 4.0
 
 
 def rounding_sigma(step: float, repeats: float) -> float:

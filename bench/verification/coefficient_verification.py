@@ -87,9 +87,13 @@ def coefficient_result(
 ) -> CoefficientResult:
     """What is left of the coefficients with one compensation.
 
+    Where plateaus have rotations, those without do not count: on a ramp a dwell may be one by itself, which
+    hardly shows some of the coefficients.
     ``correlations``: shape (21, 21) by plateau, NaN where not observable: such a coefficient counts as zero
     and known in the missions.
     """
+    turned = {row.plateau for row in rows if np.isfinite(row.gyro_rate_c_per_h)}
+    rows = [row for row in rows if row.plateau in turned] or rows
     by_name = _by_name(rows)
     pairs = [
         np.array([(row.value, row.sigma) for row in by_name[name] if np.isfinite(row.value)]).reshape(-1, 2)

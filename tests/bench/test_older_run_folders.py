@@ -62,8 +62,10 @@ def test_a_campaign_is_reported_closed_and_read_from_python(unpacked):
     closed = command("close", folder, cwd=folder.parent)
     assert closed.returncode == 0, closed.stderr
     again = json.loads((folder / "closure" / "closure.json").read_text())
-    for key in ("verdict", "noise_dph", "error_before_dph", "error_after_dph", "lack_of_fit_p_before"):
-        assert again[key] == found[key]
+    assert again["verdict"] == found["verdict"]
+    # The last digits of linear algebra depend on the processor.
+    for key in ("noise_dph", "error_before_dph", "error_after_dph", "lack_of_fit_p_before"):
+        assert again[key] == pytest.approx(found[key], rel=1e-9)
     assert (folder / "dwells.csv").read_bytes() == dwells
     run = gyrobench.open_run(folder)
     assert len(run.dwells) == 72

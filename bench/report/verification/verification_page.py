@@ -151,7 +151,7 @@ def _bars(axes: Axes, result: VerificationResult, size: str, noise: str, factor:
 def _plateau_labels(rows: Sequence[VerificationRow]) -> list[str]:
     """Temperature, and in brackets the cycle if there are several."""
     several = len({row.cycle for row in rows}) > 1
-    return [f"{row.gyro_c:.0f} °C" + (f" ({row.cycle})" if several else "") for row in rows]
+    return [f"{row.gyro_c:z.0f} °C" + (f" ({row.cycle})" if several else "") for row in rows]
 
 
 _RESIDUALS = (

@@ -58,7 +58,7 @@ def model_sentences(closure: Closure, models: Mapping[str, LoadableModel]) -> li
     """The compensations to load, and the part of the model that an INS can't subtract."""
     declared = models[DECLARED].compensation
     low_c, high_c = declared.low_c.min(), declared.high_c.max()
-    limits = f"Temperatures are limited to the fitted range, {low_c:.0f} to {high_c:.0f} °C."
+    limits = f"Temperatures are limited to the fitted range, {low_c:z.0f} to {high_c:z.0f} °C."
     if EFFECT in models:
         effects = listed([closure.label(name) for name in models[EFFECT].effects])
         what = f"Two compensations: the declared model (a polynomial for each gyro), and one with {effects}."
@@ -193,7 +193,7 @@ def new_conditions_sentence(result: VerificationResult) -> str:
     """Temperatures and attitudes of the new measurements that were not in the fit."""
     rows = result.results[0].rows
     new = [row for row in rows if row.fit != "fitted"]
-    temperatures = listed([f"{row.gyro_c:.0f} °C" for row in new])
+    temperatures = listed([f"{row.gyro_c:z.0f} °C" for row in new])
     return (
         f"All measurements are new. {len(new)} of {len(rows)} plateaus are at gyro temperatures that were "
         f"not fitted{f' ({temperatures})' if new else ''}. {result.new_attitudes} of {result.dwells} dwells "
@@ -231,7 +231,7 @@ def plateau_rows(result: VerificationResult) -> list[list[str]]:
     rows = []
     for plateau in zip(*(each.rows for each in result.results), strict=False):
         first = plateau[0]
-        where = [f"{first.gyro_c:.0f}", f"{first.cycle}", first.fit]
+        where = [f"{first.gyro_c:z.0f}", f"{first.cycle}", first.fit]
         for line in _block(plateau):
             rows.append([*where, *line])
             where = [""] * len(where)

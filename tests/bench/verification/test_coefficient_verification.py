@@ -1,4 +1,5 @@
 import csv
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -74,6 +75,14 @@ def test_what_is_left_is_compared_with_the_noise(results):
     assert after.plateaus[z] == 0
     assert before.plateaus[z] == len(TEMPERATURES_C)
     assert after.worst.error.stated_nmi[-1] < 0.5 * before.worst.error.stated_nmi[-1]
+
+
+def test_plateaus_of_a_dwell_alone_do_not_count_beside_those_with_rotations(results):
+    dwell_alone = [replace(row, plateau=99, value=1e3, gyro_rate_c_per_h=np.nan) for row in rows_of({})]
+    found = coefficient_result("declared", rows_of({}) + dwell_alone, {}, SITE)
+    assert np.array_equal(found.rms, coefficient_result("declared", rows_of({}), {}, SITE).rms)
+    assert {each.plateau for each in found.missions} == set(range(1, len(TEMPERATURES_C) + 1))
+    assert coefficient_result("declared", dwell_alone, {}, SITE).rms.max() == pytest.approx(1e3)
 
 
 def test_correlations_change_the_distribution_of_missions():
