@@ -183,15 +183,3 @@ DAILY_COURSE = effect_of(
     # Over two days and more a daily course returns: no drift looks like it.
     may_imitate=lambda campaign: float(campaign.end_s.max() - campaign.start_s.min()) < _TWO_DAYS_S,
 )
-
-SUPPLY_POWER = effect_of(
-    Law("supply_w"),
-    name="supply_power",
-    label="supply power",
-    statement="the bias follows the power of the supply or heater",
-    experiment=(
-        "hold temperature and position and step the supply voltage or heater power with a programmable "
-        "supply: the bias follows within seconds, before any temperature does"
-    ),
-    terms=("supply power, W",),
-)

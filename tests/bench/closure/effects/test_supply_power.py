@@ -1,0 +1,65 @@
+from dataclasses import replace
+
+import numpy as np
+
+from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.effects.supply_power import EFFECT
+from gyrobench.bench.closure.loop import close_loop
+from tests.bench.closure.thermal_bench import STEP_S, measure
+from tests.benchmarks.closure_courses import lagged
+
+AT_ONCE, LAGGING = EFFECT.forms
+TAU_H = 0.1
+OFF_STEPS = 10
+OPTIONS = {
+    "cycles": 3, "pause_s": OFF_STEPS * STEP_S, "power_on_each_cycle": True,
+    "sensors": ("set", "air", "board", "supply"),
+}  # fmt: skip
+
+
+def lagging_w(course):
+    """Power (m, 1) behind a lag that begins with zero; the last pause of each run is without power."""
+    after = np.r_[course.run[OFF_STEPS:], course.run[-OFF_STEPS:]]
+    power_w = np.where(after == course.run, course.supply_w, 0.0)
+    return lagged(np.append(0.0, power_w)[:, None], TAU_H)[1:]
+
+
+def test_the_lag_begins_with_zero_at_each_power_on_and_at_the_first_as_stated():
+    measured = measure(**OPTIONS)
+    campaign = campaign_of(measured.rows)
+    whole_w = lagging_w(measured.course)[:, 0]
+    means_w = [
+        whole_w[round(row.start_s / STEP_S) : round(row.end_s / STEP_S)].mean() for row in measured.rows
+    ]
+    cold, warm = (LAGGING.columns(campaign, (3600.0 * TAU_H, share))[:, 0, 0] for share in (0.0, 1.0))
+    first = campaign.since_power_on_s < 1.0
+    assert first.sum() == OPTIONS["cycles"]
+    assert np.sqrt(np.mean((cold - means_w) ** 2)) < 0.3
+    # Dwells have steps of the power within, of which the form knows the mean.
+    np.testing.assert_allclose(cold[first], np.array(means_w)[first], rtol=0.04)
+    assert warm[0] - cold[0] > 5.0
+    np.testing.assert_allclose(warm[3:], cold[3:], atol=1e-3)
+
+
+def test_dwells_that_are_held_out_do_not_change_the_others():
+    campaign = campaign_of(measure(**OPTIONS).rows).holding_out([2])
+    other = {name: values + 9.0 * campaign.held_out for name, values in campaign.columns.items()}
+    found, changed = (
+        LAGGING.columns(each, (3600.0 * TAU_H, 0.0))[~campaign.held_out]
+        for each in (campaign, replace(campaign, columns=other))
+    )
+    np.testing.assert_array_equal(found, changed)
+
+
+def test_a_supply_that_lags_is_no_warm_up():
+    closure = close_loop(campaign_of(measure({lagging_w: 3.0}, **OPTIONS).rows))
+    assert [each.effect.name for each in closure.effects] == ["supply_power"]
+    assert closure.effects[0].candidate.form.name == "lagging"
+
+
+def test_a_power_that_never_changes_shows_no_lag():
+    rows = measure(**OPTIONS).rows
+    assert LAGGING.missing_input(campaign_of(rows)) is None
+    constant = [replace(row, other=(("supply_w", 40.0),)) for row in rows]
+    assert "change of the supply's power" in LAGGING.missing_input(campaign_of(constant))
+    assert AT_ONCE.missing_input(campaign_of(constant)) is None
