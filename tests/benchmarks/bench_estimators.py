@@ -423,9 +423,8 @@ def test_speed():
     print(f"{'threads':>8}{'output':>8}{'state-space':>14}{'100 dwells':>12}{'paper':>10}{'ratio':>8}")
     free = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
     for threads, environment in (("1", free | {"OMP_NUM_THREADS": "1"}), ("any", free)):
-        process = subprocess.run(
-            [sys.executable, __file__], env=environment, check=True, stdout=subprocess.PIPE
-        )
+        command = [sys.executable, "-m", "tests.benchmarks.bench_estimators"]
+        process = subprocess.run(command, env=environment, check=True, stdout=subprocess.PIPE)
         for rate, (state_space_ms, paper_ms) in json.loads(process.stdout).items():
             print(
                 f"{threads:>8}{rate:>8}{state_space_ms:>11.2f} ms{state_space_ms / 10:>10.2f} s"
