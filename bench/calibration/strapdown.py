@@ -31,9 +31,9 @@ import numpy as np
 
 from gyrobench.bench.calibration.coefficients import BESIDE, COUNT, LOWER, SensorErrors
 from gyrobench.bench.calibration.recording import SensorNoise
-from gyrobench.bench.calibration.turns import Vector, set_product, set_turn
+from gyrobench.bench.calibration.turns import Vector, set_turn
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
-from gyrobench.bench.foundations.kernels import compiled
+from gyrobench.bench.foundations.kernels import compiled, set_product
 from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vectors
 from gyrobench.bench.navigation.earth import earth_rate_enu
 

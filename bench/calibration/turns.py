@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.bench.foundations.kernels import compiled
+from gyrobench.bench.foundations.kernels import compiled, set_product
 
 #: Tuples stay in registers, where small arrays would be allocated for every sample.
 Vector = tuple[float, float, float]
@@ -27,14 +27,6 @@ def set_turn(turn: FloatArray, vector: Vector) -> None:
     turn[0, 1], turn[1, 0] = cosine * x * y - sine * z, cosine * x * y + sine * z
     turn[0, 2], turn[2, 0] = cosine * x * z + sine * y, cosine * x * z - sine * y
     turn[1, 2], turn[2, 1] = cosine * y * z - sine * x, cosine * y * z + sine * x
-
-
-@compiled
-def set_product(product: FloatArray, a: FloatArray, b: FloatArray) -> None:
-    """Set ``product`` (3, 3), neither of the others, to that of two matrices."""
-    for i in range(3):
-        for j in range(3):
-            product[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
 
 
 @compiled

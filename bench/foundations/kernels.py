@@ -16,6 +16,8 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.runtime import nrtdynmod
 from numba.core.runtime.nrt import rtsys
 
+from gyrobench.bench.foundations.arrays import FloatArray
+
 FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
 
 #: The classes below are tested with this version of numba; any other caches in its usual way.
@@ -113,3 +115,11 @@ def compiled(function: Any = None, *, fastmath: bool = False) -> Any:
     if _IS_TESTED:
         kernel._cache = _MachineCode(function)  # type: ignore[attr-defined,no-untyped-call]  # noqa: SLF001
     return kernel
+
+
+@compiled
+def set_product(product: FloatArray, a: FloatArray, b: FloatArray) -> None:
+    """Set ``product`` (3, 3), neither of the others, to that of two matrices."""
+    for i in range(3):
+        for j in range(3):
+            product[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]

@@ -224,6 +224,7 @@ class InertialUnit:
 #: Places of the samples of the second under way, those still to be left out, those used by the alignment, and
 #: its quality.
 _SECOND, _LEVELLING, _ALIGNED, _ALIGNMENT = range(4)
+_COARSE, _FINE = int(Alignment.COARSE), int(Alignment.FINE)
 
 
 @compiled
@@ -269,7 +270,7 @@ def _align(
                     sums[0, 1, i] += sums[1, 1, i]
                 counts[_ALIGNED] += counts[_SECOND]
                 if counts[_ALIGNED] * _DT_S >= coarse_s:
-                    counts[_ALIGNMENT] = 2 if counts[_ALIGNED] * _DT_S >= fine_s else 1
+                    counts[_ALIGNMENT] = _FINE if counts[_ALIGNED] * _DT_S >= fine_s else _COARSE
                     quaternion = gyrocompass(sums[0, 0], sums[0, 1])
                     for i in range(4):
                         state[i] = quaternion[i]

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.bench.foundations.kernels import compiled
+from gyrobench.bench.foundations.kernels import compiled, set_product
 
 #: Rotation rate of the Earth, rad/s.
 EARTH_RATE = 7.292115e-5
@@ -71,14 +71,6 @@ def _set_rotation(C: FloatArray, axis: FloatArray, angle: float) -> None:
 
 
 @compiled
-def _set_product(C: FloatArray, a: FloatArray, b: FloatArray) -> None:
-    """Set ``C`` to the product of two matrices (3, 3), neither of them ``C``."""
-    for i in range(3):
-        for j in range(3):
-            C[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
-
-
-@compiled
 def table_attitude(
     outer_axis: FloatArray, inner_axis: FloatArray, mounting: FloatArray, outer: float, inner: float
 ) -> FloatArray:
@@ -86,8 +78,8 @@ def table_attitude(
     outer_turn, inner_turn, table = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     _set_rotation(outer_turn, outer_axis, outer)
     _set_rotation(inner_turn, inner_axis, inner)
-    _set_product(table, outer_turn, inner_turn)
-    _set_product(outer_turn, table, mounting)
+    set_product(table, outer_turn, inner_turn)
+    set_product(outer_turn, table, mounting)
     return outer_turn
 
 
@@ -136,8 +128,8 @@ def true_increments(
                 velocity[k, i] = before[2, i] * lift
         else:
             after = table_attitude(outer_axis, inner_axis, mounting, outer[k + 1], inner[k + 1])
-            _set_product(turned, step, after)
-            _set_product(between, before.T, turned)
+            set_product(turned, step, after)
+            set_product(between, before.T, turned)
             _set_rotation_vector(rotation[k], between)
             for i in range(3):
                 velocity[k, i] = 0.5 * (before[2, i] * lift + after[2, i] * lift)
