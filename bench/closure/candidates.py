@@ -23,6 +23,7 @@ _PARAMETER_PRECISION = 1e-2
 _CHI2_PRECISION = 0.05
 #: Factor beyond the upper bound of a parameter at which the effect is another one to a few percent.
 _BEYOND = 10.0
+_OTHER_SCALES = (0.5, 2.0)
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,17 @@ class Candidate:
         return replace(self, values=values) if values != self.values else None
 
     @property
+    def at_other_scales(self) -> list[Candidate]:
+        """The effect with each width or time constant at half and at twice its value, within the bounds."""
+        found = []
+        for place, each in enumerate(self.form.parameters):
+            for factor in _OTHER_SCALES if each.is_scale else ():
+                value = min(max(self.values[place] * factor, each.low), each.high)
+                values = (*self.values[:place], value, *self.values[place + 1 :])
+                found.append(replace(self, values=values))
+        return found
+
+    @property
     def parameter_count(self) -> int:
         """Number of fitted sizes and parameters."""
         return int(self.kept.sum()) + len(self.values)
@@ -72,6 +84,11 @@ class Hypothesis:
     def names(self) -> frozenset[str]:
         """Names of the effects."""
         return frozenset(each.effect.name for each in self.candidates)
+
+    @property
+    def forms(self) -> frozenset[tuple[str, str]]:
+        """Names of the effects and of their forms."""
+        return frozenset((each.effect.name, each.form.name) for each in self.candidates)
 
     @property
     def parameter_count(self) -> int:

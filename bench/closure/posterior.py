@@ -125,9 +125,16 @@ class Posterior:
         return sum(each.probability for each in self.hypotheses if each.names.intersection(names))
 
     def rivals(self, names: Collection[str]) -> dict[str, float]:
-        """Effects beside these, or in place of them, that are not improbable."""
-        same = {*names}.union(*self.more_general.values())
-        return {name: p for name, p in self.of_effect.items() if name not in same and p >= RIVAL}
+        """Effects beside these, or in place of them, that are not improbable.
+
+        A more general law is one beside an effect that it contains, not in place of it.
+        """
+        found: dict[str, float] = {}
+        for each in self.hypotheses:
+            general = (self.more_general.get(name, ()) for name in {*names} - each.names)
+            for name in each.names.difference(names, *general):
+                found[name] = found.get(name, 0.0) + each.probability
+        return {name: found[name] for name in sorted(found) if found[name] >= RIVAL}
 
     def odds(self, names: frozenset[str], other: frozenset[str]) -> float:
         """Odds of one set to another one, both without a remainder."""
@@ -182,23 +189,27 @@ class Evidences:
     def posterior(self, hypotheses: Iterable[Hypothesis]) -> Posterior:
         """Probabilities of hypotheses, which include the declared model alone.
 
-        An effect that can't be fitted because an input is missing is as probable as the one that it imitates.
+        Those of a set of effects in several forms are added. An effect that can't be fitted because an input
+        is missing is as probable as the one that it imitates.
         """
-        hypotheses, found = list(hypotheses), []
+        found: dict[frozenset[str], list[tuple[float, FloatArray, tuple[Candidate, ...]]]] = {}
+        hypotheses = sorted(hypotheses, key=lambda each: each.bic)
         top = max(max(alone, *processes) for alone, processes in map(self.weights, hypotheses))
         for each in hypotheses:
             alone, processes = self.weights(each)
             # Where a remainder is improbable the magnitudes of the effects are those without it.
             if processes.max() > top - _NEGLIGIBLE:
                 alone, processes = self.weights(each, is_summed=True)
-            sets = (each.names, *_imitating(each, self._effects, self._problem.campaign))
-            found += [(names, each.candidates, alone, processes) for names in sets]
-        whole = logsumexp(np.concatenate([[alone, *processes] for *_, alone, processes in found]))
-        follows = np.exp(logsumexp(np.array([processes for *_, processes in found]), axis=0) - whole)
+            for names in (each.names, *_imitating(each, self._effects, self._problem.campaign)):
+                found.setdefault(names, []).append((alone, processes, each.candidates))
+        every = [each for fits in found.values() for each in fits]
+        whole = logsumexp(np.concatenate([[alone, *processes] for alone, processes, _ in every]))
+        follows = np.exp(logsumexp(np.array([processes for _, processes, _ in every]), axis=0) - whole)
         weighed = []
-        for names, candidates, alone, processes in found:
-            weighed.append(Weighed(names, False, math.exp(alone - whole), candidates))
-            weighed.append(Weighed(names, True, math.exp(logsumexp(processes) - whole), candidates))
+        for names, fits in found.items():
+            for has_remainder in (False, True):
+                logs = [processes if has_remainder else alone for alone, processes, _ in fits]
+                weighed.append(Weighed(names, has_remainder, math.exp(logsumexp(logs) - whole), fits[0][2]))
         return Posterior(
             tuple(sorted(weighed, key=lambda each: -each.probability)),
             dict(zip(self.processes, (follows / follows.sum()).tolist(), strict=True)),

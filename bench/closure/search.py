@@ -47,6 +47,8 @@ _MAX_EXCHANGES = 6
 RESTS_ON_DWELL = "it rests on dwell"
 #: Begin of the objection to an effect that adds too little to others.
 NOT_SIGNIFICANT = "not significant"
+#: Begin of the objection to an effect that others explain whose laws are not exact.
+MAY_BE_LACK = "it may be what the laws of the others lack"
 
 
 class Search:
@@ -61,6 +63,7 @@ class Search:
         self.declared = evaluate(problem, ())
         self._known: dict[tuple[object, ...], Hypothesis | None] = {}
         self._insignificant: dict[frozenset[str], Hypothesis] = {}
+        self._by_forms: dict[frozenset[tuple[str, str]], Hypothesis] = {}
         alone = {effect.name: self._added(self.declared, effect) for effect in self.effects}
         self.alone = {name: each for name, each in alone.items() if each is not None}
 
@@ -116,6 +119,21 @@ class Search:
             return f"{RESTS_ON_DWELL} {dwell} alone (p = {p_without:.2g} without it)"
         return ""
 
+    def without_lacks(self, of: Hypothesis) -> Hypothesis:
+        """A hypothesis without the effects that may be what the laws of the others lack."""
+        p_values = [self._p_beside_inexact(of, index) for index in range(len(of.candidates))]
+        if max(p_values, default=0.0) < SIGNIFICANCE:
+            return of
+        fewer = evaluate(self.problem, of.without(of.candidates[int(np.argmax(p_values))]))
+        return self.without_lacks(self._fitted(fewer)[fewer.names])
+
+    def lack(self, of: Hypothesis, index: int) -> str:
+        """Why one effect of a hypothesis may be what the laws of the others lack; empty if it is not."""
+        p_value = self._p_beside_inexact(of, index)
+        if p_value < SIGNIFICANCE:
+            return ""
+        return f"{MAY_BE_LACK} (p = {p_value:.2g} beside them with other scales and a delay)"
+
     def shows(self, of: Hypothesis, index: int) -> list[bool]:
         """Which gyros by themselves show one effect of a hypothesis; at least the most significant."""
         one = of.candidates[index]
@@ -143,7 +161,7 @@ class Search:
         for _ in range(_MAX_EXCHANGES):
             self._fit_similar(best)
             fitted = self._fitted(best)
-            weighed = evidences.posterior(list(fitted.values()))
+            weighed = evidences.posterior([*fitted.values(), *self._other_forms(fitted)])
             sets = (fitted[names] for names in weighed.sets if names in fitted)
             found = next(each for each in sets if not self._objections(each))
             if found.names == best.names:
@@ -195,6 +213,14 @@ class Search:
                 fitted[each.names] = each
         return fitted
 
+    def _other_forms(self, fitted: Mapping[frozenset[str], Hypothesis]) -> list[Hypothesis]:
+        """The same sets of effects in other forms."""
+        return [
+            each
+            for forms, each in self._by_forms.items()
+            if each.names in fitted and forms != fitted[each.names].forms
+        ]
+
     def _added(self, to: Hypothesis, effect: Effect) -> Hypothesis | None:
         problem, campaign = self.problem, self.problem.campaign
         beside = problem.with_columns(*stack(to.candidates, campaign)) if to.candidates else problem
@@ -214,10 +240,13 @@ class Search:
                 found.append(evaluate(problem, refine(problem, whole) if to.candidates else whole))
             elif rank:
                 failed.append(candidate)
-        if failed and not found:
-            weak = ranked([evaluate(problem, [*to.candidates, each]) for each in failed])[0]
-            known = self._insignificant.get(weak.names, weak)
-            self._insignificant[weak.names] = ranked([weak, known])[0]
+        weak = [] if found else [evaluate(problem, [*to.candidates, each]) for each in failed]
+        if weak:
+            best = ranked(weak)[0]
+            known = self._insignificant.get(best.names, best)
+            self._insignificant[best.names] = ranked([best, known])[0]
+        for each in (*found, *weak):
+            self._by_forms[each.forms] = ranked([each, self._by_forms.get(each.forms, each)])[0]
         return ranked(found)[0] if found else None
 
     def _exchanged(self, best: Hypothesis) -> Hypothesis:
@@ -255,6 +284,23 @@ class Search:
         rest = problem.searched & (np.arange(len(problem.searched)) != place)
         without = declared_problem(problem.campaign, rest, problem.noise_scale)
         return dwell, self._p_beside(self._beside_others(of, index, without), one)
+
+    def _p_beside_inexact(self, of: Hypothesis, index: int) -> float:
+        """p-value of one effect beside the others, none of whose laws is exact; 0 without others.
+
+        A real cause has several widths or time constants where a law has one, and acts with a delay: the
+        others may have any size at other scales, and any share of the change since the dwell before.
+        """
+        one, campaign = of.candidates[index], self.problem.campaign
+        others = of.without(one)
+        if not others:
+            return 0.0
+        terms, _ = stack(others, campaign)
+        changes = np.diff(terms, axis=0, prepend=terms[:1])
+        scales = [wider.columns(campaign) for each in others for wider in each.at_other_scales]
+        return self._p_beside(
+            self.problem.with_columns(np.concatenate([terms, changes, *scales], axis=2)), one
+        )
 
     def _excludes_beyond(self, of: Hypothesis, index: int) -> bool:
         """Whether what an effect becomes beyond its open end is not tied with it, if it was fitted there."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -36,24 +37,29 @@ class Selected:
 
     noise: Noise  #: Of the search.
     search: Search
-    found: Hypothesis  #: The effects found; the declared model alone if there are none.
+    best: Hypothesis  #: The most probable one without an objection.
     posterior: Posterior  #: Probabilities of all sets of effects.
 
     @cached_property
+    def found(self) -> Hypothesis:
+        """The effects found: those of the best that are no lack of the others' laws; none, if it has none."""
+        return self.search.without_lacks(self.best)
+
+    @cached_property
     def with_effects(self) -> Problem:
-        """The problem after a fit of the effects found."""
-        problem, candidates = self.search.problem, self.found.candidates
+        """The problem after a fit of the best effects."""
+        problem, candidates = self.search.problem, self.best.candidates
         return problem.with_columns(*stack(candidates, problem.campaign)) if candidates else problem
 
     @cached_property
     def after(self) -> LackOfFit:
-        """Test of the residual with the effects found."""
-        return lack_of_fit(self.with_effects, sum(len(each.values) for each in self.found.candidates))
+        """Test of the residual with the best effects."""
+        return lack_of_fit(self.with_effects, sum(len(each.values) for each in self.best.candidates))
 
     @property
     def cost(self) -> float:
         """See :meth:`~.noise.Noise.cost`."""
-        return self.noise.cost(self.found.bic, int(self.search.problem.searched.sum()))
+        return self.noise.cost(self.best.bic, int(self.search.problem.searched.sum()))
 
     @property
     def not_accepted(self) -> NotAccepted | None:
@@ -72,7 +78,7 @@ class Selected:
         alone = search.alone.get(effect.name)
         if alone is None or effect.name in found.names or search.p_value(alone, 0) >= SIGNIFICANCE:
             return ""
-        for names in self.posterior.sets[: self.posterior.sets.index(found.names)]:
+        for names in itertools.takewhile(lambda each: each != found.names, self.posterior.sets):
             objections = self._objections(names)
             if objection := objections.get(effect.name):
                 return objection
@@ -88,14 +94,14 @@ class Selected:
         reason = f"{beside} is about as probable and simpler"
         if self.posterior.not_on_list > 0.5:
             reason = "something that is not on the list is more probable"
-        return search.objection(with_it, place) or reason
+        return search.objection(with_it, place) or search.lack(with_it, place) or reason
 
     def _objections(self, names: frozenset[str]) -> dict[str, str]:
         """The objection to each effect of a set of the posterior; empty if there is none."""
         fits = [each.candidates for each in self.posterior.hypotheses if each.names == names]
         fitted = evaluate(self.search.problem, fits[0])
         return {
-            each.effect.name: self.search.objection(fitted, index)
+            each.effect.name: self.search.objection(fitted, index) or self.search.lack(fitted, index)
             for index, each in enumerate(fitted.candidates)
         }
 
@@ -124,7 +130,7 @@ def _settled(campaign: Campaign, searched: BoolArray, effects: Sequence[Effect],
     for _ in range(_MAX_SEARCHES):
         search = Search(noise.problem(campaign, searched), effects)
         selected = Selected(noise, search, *search.most_probable())
-        noise = estimate_noise(campaign, searched, selected.found.candidates)
+        noise = estimate_noise(campaign, searched, selected.best.candidates)
         if is_last or noise.is_like(selected.noise):
             break
         # Scatter that has structure beside another set of effects is not noise.

@@ -13,7 +13,7 @@ from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.effect import Effect, searched_length_s
 from gyrobench.bench.closure.loop import Closure, close_loop
 from gyrobench.bench.closure.posterior import RIVAL, Weighed
-from gyrobench.bench.closure.search import NOT_SIGNIFICANT, RESTS_ON_DWELL
+from gyrobench.bench.closure.search import MAY_BE_LACK, NOT_SIGNIFICANT, RESTS_ON_DWELL
 from gyrobench.bench.investigation.choice import Rival
 from gyrobench.bench.investigation.proposal import SETTLED
 
@@ -58,13 +58,13 @@ def only_unconfirmed(closure: Closure, *, with_weak: bool) -> bool:
 
     They do where held-out dwells do not, and where something beside it that is not on the list is improbable
     but not excluded, or so small that the laws of the effects found are not exact: a block that was predicted
-    can. ``with_weak``: whether effects beside it that a single dwell shows, or that are not significant and
-    together less probable than not, leave it open as well.
+    can. ``with_weak``: whether others leave it open as well that a single dwell shows, or that are together
+    less probable than not and not significant or no more than what the laws of the effects found may lack.
     """
     others = closure.posterior.rivals(closure.names)
     weak, unshown = (
         {each.effect.name for each in closure.evidence if each.rejected.startswith(why)} & others.keys()
-        for why in (RESTS_ON_DWELL, NOT_SIGNIFICANT)
+        for why in (RESTS_ON_DWELL, (NOT_SIGNIFICANT, MAY_BE_LACK))
     )
     if sum(others[name] for name in unshown) < _MAX_UNSHOWN:
         weak |= unshown

@@ -410,6 +410,15 @@ class Investigator:
                     f" Not excluded beside it: something not on the list, probability "
                     f"{posterior.not_on_list:.4f}, {100.0 * share:.0f} % of its size."
                 )
+            general = {
+                other: posterior.of_effect[other]
+                for name in names
+                for other in posterior.more_general.get(name, ())
+                if other in posterior.of_effect
+            }
+            if general and (most := max(general, key=general.__getitem__)):
+                label = stage.closure.label(most)
+                reason += f" Of a more general law: {label}, probability {general[most]:.4f}."
             if weak := posterior.rivals(names):
                 others = (f"{stage.closure.label(each)} ({value:.2f})" for each, value in weak.items())
                 reason += f" Not excluded beside it, but not shown: {', '.join(others)}."

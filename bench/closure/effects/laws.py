@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.effects.effect import (
     Effect,
+    FittedForm,
     Form,
+    InsTerms,
     Parameter,
     constant_at_end,
     fixed,
@@ -15,8 +19,8 @@ from gyrobench.bench.closure.effects.effect import (
     searched_length_s,
     time_constant,
 )
-from gyrobench.bench.closure.effects.grammar import Law, effect_of, form_of
-from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.closure.effects.grammar import Law, effect_of, form_of, ins_terms
+from gyrobench.bench.foundations.arrays import FloatArray, rms
 
 _LAG_TAU = time_constant(1.0, 300.0, 900.0, 2700.0, 7200.0)
 _HALF_WIDTH = Parameter("half_width_c", 0.3, 40.0, fixed(1.0, 2.0, 4.0, 7.0, 12.0, 20.0))
@@ -48,15 +52,54 @@ THERMAL_LAG = effect_of(
     imitated_by=("thermal_gradient",),
 )
 
-THERMAL_HYSTERESIS = effect_of(
-    Law("gyro_c", memory="play", parameters=(_HALF_WIDTH,)),
+_PLAY = Law("gyro_c", memory="play", parameters=(_HALF_WIDTH,))
+#: Half widths of equally many joints, in units of their mean: the midpoints of equal parts of 0 to 2.
+_JOINTS = (0.25, 0.75, 1.25, 1.75)
+
+
+def _many_widths(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
+    """Mean of play with half widths from zero to twice the mean, (n, 3, 1)."""
+    return np.asarray(np.mean([_PLAY.columns(campaign, (values[0] * each,)) for each in _JOINTS], axis=0))
+
+
+def _as_one_width(fitted: FittedForm) -> InsTerms:
+    """Play of one width, which is what an INS subtracts: the mean width, with the closest sizes."""
+    one_width = {_ONE_WIDTH: _PLAY}
+    if fitted.form.name == _ONE_WIDTH:
+        return ins_terms(one_width, fitted)
+    many, one = (
+        columns(fitted.campaign, fitted.values)[fitted.searched, :, 0]
+        for columns in (fitted.form.columns, _PLAY.columns)
+    )
+    many, one = many - many.mean(axis=0), one - one.mean(axis=0)
+    shares = np.sum(one * many, axis=0) / np.maximum(np.sum(one**2, axis=0), 1e-300)
+    sizes_dph = fitted.sizes_dph * shares[:, np.newaxis]
+    missed_dph = rms(many * fitted.sizes_dph[:, 0] - one * sizes_dph[:, 0])
+    terms = ins_terms(one_width, replace(fitted, form=THERMAL_HYSTERESIS.forms[0], sizes_dph=sizes_dph))
+    note = f"compensated by play of one width, which misses {missed_dph:.2g} deg/h rms of it"
+    return replace(terms, note=note)
+
+
+_ONE_WIDTH = "one width"
+#: Joints that slip at one stress, or many that slip at different ones: the loops of Rayleigh's law.
+THERMAL_HYSTERESIS = Effect(
     name="thermal_hysteresis",
     statement="the bias depends on whether a temperature was reached from above or below, at any rate",
     experiment=(
         "reach one temperature from above and from below and soak for hours: a lag decays, hysteresis "
         "remains; small temperature loops show its width"
     ),
-    terms=("play behind the temperature, K",),
+    compensation=_as_one_width,
+    forms=(
+        form_of(_PLAY, ("play behind the temperature, K",), _ONE_WIDTH),
+        Form(
+            ("mean play behind the temperature, K",),
+            _many_widths,
+            (_HALF_WIDTH,),
+            _PLAY.missing_input,
+            "many widths",
+        ),
+    ),
 )
 
 THERMAL_GRADIENT = effect_of(

@@ -55,7 +55,7 @@ def test_a_parameter_stays_between_its_bounds(problem):
 
 
 def test_the_start_is_the_one_of_the_grid_that_explains_most(problem):
-    one, [form] = problem({"thermal_hysteresis": 8.0}), THERMAL_HYSTERESIS.forms
+    one, form = problem({"thermal_hysteresis": 8.0}), THERMAL_HYSTERESIS.forms[0]
     start = best_start(one, THERMAL_HYSTERESIS, form)
     assert start.values in starts(form, one.campaign)
     gain = one.chi2_reduction(start.columns(one.campaign))[0]

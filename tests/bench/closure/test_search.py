@@ -6,10 +6,10 @@ import pytest
 from gyrobench.bench.closure.candidates import evaluate
 from gyrobench.bench.closure.effects import all_effects, bias_jump
 from gyrobench.bench.closure.effects.effect import Effect, Form
-from gyrobench.bench.closure.effects.laws import TIME_DRIFT
+from gyrobench.bench.closure.effects.laws import THERMAL_HYSTERESIS, THERMAL_LAG, TIME_DRIFT
 from gyrobench.bench.closure.posterior import TIE_ODDS
 from gyrobench.bench.closure.problem import declared_problem
-from gyrobench.bench.closure.search import SIGNIFICANCE, Search
+from gyrobench.bench.closure.search import MAY_BE_LACK, SIGNIFICANCE, Search
 from tests.bench.closure.conftest import EQUIPPED
 from tests.bench.closure.thermal_bench import SIGMA_DPH
 
@@ -114,6 +114,22 @@ def test_the_first_of_several_effects_may_be_one_that_is_none_of_them(search):
     one, best = search({"g_sensitivity": 4.0, "bias_jump": 4.0, "thermal_hysteresis": 4.0}, cycles=2, seed=7)
     first = min(one.alone.values(), key=lambda each: each.bic)
     assert first.names.isdisjoint(best.names)
+
+
+@pytest.mark.parametrize(("effect", "drift"), [(THERMAL_LAG, 0.0), (TIME_DRIFT, 8.0)])
+def test_what_one_width_lacks_of_a_hysteresis_of_many_is_no_second_effect(problem, effect, drift):
+    """A lag takes it up, and is significant. A drift that is there is accepted."""
+    one, [width, many] = problem(), THERMAL_HYSTERESIS.forms
+    bias_dph = one.campaign.bias_dph.copy()
+    for form, values, size in ((many, (8.0,), 40.0), (TIME_DRIFT.forms[0], (), drift)):
+        course = form.columns(one.campaign, values)[:, :, 0]
+        bias_dph += size * SIGMA_DPH * course / course.std()
+    searched = declared_problem(replace(one.campaign, bias_dph=bias_dph), one.searched)
+    searching = Search(searched, [replace(THERMAL_HYSTERESIS, forms=(width,)), effect])
+    both = searching.add(searching.alone["thermal_hysteresis"], effect)
+    place = [each.effect.name for each in both.candidates].index(effect.name)
+    assert searching.p_value(both, place) < SIGNIFICANCE
+    assert searching.lack(both, place).startswith(MAY_BE_LACK) == (drift == 0.0)
 
 
 def test_an_effect_in_one_dwell_is_not_found(problem):

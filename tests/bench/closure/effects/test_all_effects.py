@@ -39,7 +39,7 @@ TRUE = {
     "magnetic_sensitivity": (INCLINATION_DEG,),
 }
 #: Forms that no effect is simulated by here.
-OTHER_FORMS = {"heat to remove", "lagging", "logarithmic"}
+OTHER_FORMS = {"heat to remove", "lagging", "logarithmic", "many widths"}
 NEED_EQUIPMENT = {"magnetic_sensitivity", "supply_power", "daily_course", "ageing", "neighbouring_unit"}
 #: What the columns may miss of a simulated effect: its course between the dwells has to be guessed.
 MISSED = {"thermal_hysteresis": 0.02, "chamber_state": 0.01, "neighbouring_unit": 0.005}
