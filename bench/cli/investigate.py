@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -117,29 +118,10 @@ def investigate(
 
     Example: gyrobench investigate quick_campaign --station quick --world quick --approve auto
     """
-    from gyrobench.bench.bias.dwell_table import read_dwells
-    from gyrobench.bench.engine.investigation_runs import (
-        StationBench,
-        measure_campaign,
-        start_with_procedure,
-        start_with_runs,
-    )
-    from gyrobench.bench.engine.job import require_one_unit
-    from gyrobench.bench.foundations.clock import WallClock
     from gyrobench.bench.foundations.errors import DocumentError
-    from gyrobench.bench.investigation.external_bench import ExternalBench
-    from gyrobench.bench.investigation.investigation import Investigator
-    from gyrobench.bench.monitor.terminal_view import observe_in_terminal
-    from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.runs.folder import RunFolder
-    from gyrobench.bench.station.instruments import Emulation
 
-    terminal = console(as_json)
-
-    def approved(proposal: Proposal, rivals: Sequence[Rival]) -> bool:
-        _show(terminal, proposal, rivals)
-        return _is_confirmed(approve, as_json)
-
+    consent = _Consent(console(as_json), approve, as_json)
     runs = [Path(source) for source in sources if (Path(source) / RunFolder.journal).exists()]
     if adaptive and (bench is not None or runs):
         raise DocumentError("--adaptive goes with a procedure that is not measured yet. Leave it out")
@@ -148,15 +130,68 @@ def investigate(
             raise DocumentError(
                 "--bench goes with one table, without --station, --world, --seed and --verification"
             )
-        table = Path(sources[0])
-        folder = out or table.parent / "investigation"
-        external = ExternalBench(bench, read_dwells(table), bench_time_limit_s, terminal.print)
-        found = Investigator(external, folder, budget_h, approved).run(WallClock())
-        _report(terminal, found, folder, sources, None, as_json)
+        folder = out or Path(sources[0]).parent / "investigation"
+        found = _with_command(bench, Path(sources[0]), folder, budget_h, bench_time_limit_s, consent)
+        _report(consent.terminal, found, folder, sources, None, as_json)
         return
+    start = _start(sources, runs, station, world, seed, out, adaptive=adaptive)
+    if approve is Approval.AUTO and start.job.station.file.block_approval != "auto":
+        raise DocumentError(
+            f"{start.job.station.path}: does not allow blocks without approval. Set block_approval: auto, or "
+            "leave --approve auto out"
+        )
+    found, proof = _with_station(start, budget_h, verification or "verify_compensation", view, consent)
+    _report(consent.terminal, found, start.folder, sources, proof, as_json)
 
-    def observe(job: Job) -> AbstractContextManager[tuple[RunObserver, Operator]]:
-        return observe_in_terminal(terminal, job, view is View.LIVE)
+
+@dataclass(frozen=True)
+class _Consent:
+    """Approval of blocks: it shows each and asks, if a person approves."""
+
+    terminal: RunConsole
+    approve: Approval
+    as_json: bool
+
+    def __call__(self, proposal: Proposal, rivals: Sequence[Rival]) -> bool:
+        from gyrobench.bench.report.investigation.investigation_text import proposal_sentences
+
+        for sentence in proposal_sentences(proposal, rivals):
+            self.terminal.print(sentence)
+        return self.is_given()
+
+    def is_given(self) -> bool:
+        """Whether to measure what was shown."""
+        return self.approve is Approval.AUTO or typer.confirm("Measure it?", err=self.as_json)
+
+
+def _with_command(
+    command: str, table: Path, folder: Path, budget_h: float, time_limit_s: float | None, consent: _Consent
+) -> Investigation:
+    """Investigate a table with blocks that a command measures."""
+    from gyrobench.bench.bias.dwell_table import read_dwells
+    from gyrobench.bench.foundations.clock import WallClock
+    from gyrobench.bench.investigation.external_bench import ExternalBench
+    from gyrobench.bench.investigation.investigation import Investigator
+
+    external = ExternalBench(command, read_dwells(table), time_limit_s, consent.terminal.print)
+    return Investigator(external, folder, budget_h, consent).run(WallClock())
+
+
+def _start(
+    sources: Sequence[str],
+    runs: Sequence[Path],
+    station: str | None,
+    world: str | None,
+    seed: int | None,
+    out: Path | None,
+    *,
+    adaptive: bool,
+) -> InvestigationStart:
+    """What an investigation on a station begins with: a procedure, or runs that were measured."""
+    from gyrobench.bench.engine.investigation_runs import start_with_procedure, start_with_runs
+    from gyrobench.bench.engine.job import require_one_unit
+    from gyrobench.bench.foundations.errors import DocumentError
+    from gyrobench.bench.station.instruments import Emulation
 
     if runs and len(runs) == len(sources):
         start = start_with_runs(runs, station, world, seed, out)
@@ -167,37 +202,39 @@ def investigate(
     else:
         emulation = Emulation(world or Emulation.world, seed or 0)
         start = start_with_procedure(sources[0], station or EMULATED, emulation, out, adaptive=adaptive)
+    require_one_unit(start.job)
+    return start
+
+
+def _with_station(
+    start: InvestigationStart, budget_h: float, verification: str, view: View, consent: _Consent
+) -> tuple[Investigation, VerificationResult | None]:
+    """Investigate on a station, and verify the compensation of a cause that was found."""
+    from gyrobench.bench.engine.investigation_runs import StationBench, measure_campaign
+    from gyrobench.bench.foundations.clock import WallClock
+    from gyrobench.bench.investigation.investigation import Investigator
+    from gyrobench.bench.monitor.terminal_view import observe_in_terminal
+    from gyrobench.bench.report.run_report import write_report
+    from gyrobench.bench.runs.folder import RunFolder
+
+    def observe(job: Job) -> AbstractContextManager[tuple[RunObserver, Operator]]:
+        return observe_in_terminal(consent.terminal, job, view is View.LIVE)
+
     job, first, clock = start.job, RunFolder(start.runs[0]), None
-    require_one_unit(job)
-    if approve is Approval.AUTO and job.station.file.block_approval != "auto":
-        raise DocumentError(
-            f"{job.station.path}: does not allow blocks without approval. Set block_approval: auto, or leave "
-            "--approve auto out"
-        )
     if start.is_measured_first:
         clock = measure_campaign(job, first, observe)
         write_report(first)
     own = StationBench(job, start.runs, start.folder, observe, clock)
-    found = Investigator(own, start.folder, budget_h, approved, start.profile).run(WallClock())
+    found = Investigator(own, start.folder, budget_h, consent, start.profile).run(WallClock())
     proof = None
     if found.is_conclusive and verification != "none":
-        procedure = verification or "verify_compensation"
-        proof = _verified(terminal, start, found, procedure, observe, lambda: _is_confirmed(approve, as_json))
+        proof = _verified(start, found, verification, observe, consent)
     write_report(first)
-    _report(terminal, found, start.folder, sources, proof, as_json)
-
-
-def _is_confirmed(approve: Approval, as_json: bool) -> bool:
-    return approve is Approval.AUTO or typer.confirm("Measure it?", err=as_json)
+    return found, proof
 
 
 def _verified(
-    terminal: RunConsole,
-    start: InvestigationStart,
-    found: Investigation,
-    procedure: str,
-    observe: Observe,
-    is_confirmed: Callable[[], bool],
+    start: InvestigationStart, found: Investigation, procedure: str, observe: Observe, consent: _Consent
 ) -> VerificationResult | None:
     """Verify the compensation for the cause that was found; None where that is not confirmed."""
     from gyrobench.bench.engine.investigation_runs import measure_verification, verification_runs
@@ -208,9 +245,9 @@ def _verified(
     runs = verification_runs(campaign, found.closure, procedure, start.job, folder)
     what = " and ".join(LABELS[name] for name in runs.selected)
     hours = sum(runs.jobs[name].plan.duration_s for name in runs.selected) / 3600.0
-    terminal.print(f"Verification in {hours:.1f} h, with {what}.")
+    consent.terminal.print(f"Verification in {hours:.1f} h, with {what}.")
     missing = [name for name in runs.selected if not runs.is_finished(name)]
-    return measure_verification(runs, observe) if not missing or is_confirmed() else None
+    return measure_verification(runs, observe) if not missing or consent.is_given() else None
 
 
 def _report(
@@ -258,10 +295,3 @@ def _report(
         )
     if not found.is_conclusive:
         raise typer.Exit(EXIT_NOT_FINISHED)
-
-
-def _show(terminal: RunConsole, proposal: Proposal, rivals: Sequence[Rival]) -> None:
-    from gyrobench.bench.report.investigation.investigation_text import proposal_sentences
-
-    for sentence in proposal_sentences(proposal, rivals):
-        terminal.print(sentence)
