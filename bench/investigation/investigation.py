@@ -64,6 +64,7 @@ MAX_TESTS = 2
 DISTINGUISH, CONFIRM, TEST_LAW, CALIBRATE = "distinguish", "confirm", "test_law", "calibrate"
 #: Ends after which an adaptive campaign still determines biases.
 _CONCLUSIVE = ("settled", "nothing_found", "not_on_list", "refuted")
+_ONE_SLOW_LAW = "Not on the list of effects: ageing and a drift together imitate one slow law of time."
 _S_PER_H = 3600.0
 
 
@@ -303,6 +304,8 @@ class Investigator:
         not_on_list = closure.posterior.not_on_list
         if closure.verdict == "unexplained" and not_on_list > 0.5:
             return "not_on_list", f"Not on the list of effects: probability {not_on_list:.4f}."
+        if set(best.names) >= SLOW:
+            return "not_on_list", _ONE_SLOW_LAW
         rejected = {
             each.effect.name: each.rejected for each in closure.evidence if each.effect.name in best.names
         }
@@ -399,9 +402,7 @@ class Investigator:
             if tested is not None and tested.contradicts:
                 return ("refuted", f"A block contradicts what {' + '.join(names)} predicted for it.")
             if tested is not None and set(names) >= SLOW:
-                return "not_on_list", (
-                    "Not on the list of effects: ageing and a drift together imitate one slow law of time."
-                )
+                return "not_on_list", _ONE_SLOW_LAW
             what = listed(sorted(map(stage.closure.label, names))) or "nothing beside the declared model"
             reason = f"{what.capitalize()}: probability {cause_probability(stage.closure):.4f}."
             if not is_listed:
@@ -410,15 +411,10 @@ class Investigator:
                     f" Not excluded beside it: something not on the list, probability "
                     f"{posterior.not_on_list:.4f}, {100.0 * share:.0f} % of its size."
                 )
-            general = {
-                other: posterior.of_effect[other]
-                for name in names
-                for other in posterior.more_general.get(name, ())
-                if other in posterior.of_effect
-            }
-            if general and (most := max(general, key=general.__getitem__)):
-                label = stage.closure.label(most)
-                reason += f" Of a more general law: {label}, probability {general[most]:.4f}."
+            general = {other for name in names for other in posterior.more_general.get(name, ())}
+            for each in sorted(general & posterior.of_effect.keys()):
+                label = stage.closure.label(each)
+                reason += f" Of a more general law, {label}: probability {posterior.of_effect[each]:.4f}."
             if weak := posterior.rivals(names):
                 others = (f"{stage.closure.label(each)} ({value:.2f})" for each, value in weak.items())
                 reason += f" Not excluded beside it, but not shown: {', '.join(others)}."
