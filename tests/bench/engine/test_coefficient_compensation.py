@@ -11,7 +11,7 @@ from gyrobench.bench.runs.compensation_file import read_compensation
 from tests.bench.closure.campaigns import write_world
 from tests.bench.command_line import gyrobench
 
-pytestmark = pytest.mark.long
+pytestmark = [pytest.mark.long, pytest.mark.draws]
 
 RATE_PPM = (0.5, -0.4, 0.3)
 SCALE_FACTOR_PPM = {"x": [40.0, 0.3], "y": [-30.0, 0.2], "z": [25.0, -0.25]}
