@@ -228,7 +228,7 @@ class AxisCommands:
 
     def _ask_numbers(self, values: Callable[[AclAxis], Iterable[float]]) -> Handler:
         return self._ask(
-            lambda axis: ";".join(format_number(value, self._decimals) for value in values(axis))
+            lambda axis: ";".join([format_number(value, self._decimals) for value in values(axis)])
         )
 
     def _reset(self, arguments: Arguments) -> str:
