@@ -24,10 +24,11 @@ signal.signal(signal.SIGHUP, signal.SIG_DFL)
 # No deadline: a busy machine must not make a test fail. Fixtures of a function serve all its examples.
 COMMON = {"deadline": None, "suppress_health_check": [hypothesis.HealthCheck.function_scoped_fixture]}
 hypothesis.settings.register_profile("quick", max_examples=25, **COMMON)
-hypothesis.settings.register_profile("thorough", max_examples=300, **COMMON)
+hypothesis.settings.register_profile("thorough", max_examples=200, **COMMON)
 hypothesis.settings.load_profile("quick")
 
-#: Tests that look at figures. In all others a figure is an empty file: drawing is a tenth of their time.
+#: Tests that look at figures, beside those marked so. In all others a figure is an empty file: drawing takes
+#: a tenth of their time.
 DRAWN = ("tests/bench/report/", "tests/docs/", "tests/test_accessibility.py")
 
 #: These look at the same runs of a shift.
@@ -38,7 +39,13 @@ SHIFT_RUNS = {
     "tests/bench/dwells/test_run_results.py",
 }
 #: What takes long comes first, so that no worker has it left over at the end.
-LONG = SHIFT_RUNS | {"tests/bench/closure/test_whole_campaigns.py"}
+LONG = SHIFT_RUNS | {
+    "tests/bench/closure/test_whole_campaigns.py",
+    "tests/bench/engine/test_several_units.py",
+    "tests/bench/investigation/test_investigation.py",
+    "tests/bench/monitor/test_browser.py",
+    "tests/drivers/emulators/test_serve.py",
+}
 
 
 class SharedRunsScheduling(LoadFileScheduling):

@@ -14,7 +14,6 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.special import gammaln, logsumexp
 
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate, Hypothesis
@@ -203,13 +202,14 @@ class Evidences:
             for names in (each.names, *_imitating(each, self._effects, self._problem.campaign)):
                 found.setdefault(names, []).append((alone, processes, each.candidates))
         every = [each for fits in found.values() for each in fits]
-        whole = logsumexp(np.concatenate([[alone, *processes] for alone, processes, _ in every]))
-        follows = np.exp(logsumexp(np.array([processes for _, processes, _ in every]), axis=0) - whole)
+        whole = np.logaddexp.reduce(np.concatenate([[alone, *processes] for alone, processes, _ in every]))
+        follows = np.exp(np.logaddexp.reduce([processes for _, processes, _ in every], axis=0) - whole)
         weighed = []
         for names, fits in found.items():
             for has_remainder in (False, True):
-                logs = [processes if has_remainder else alone for alone, processes, _ in fits]
-                weighed.append(Weighed(names, has_remainder, math.exp(logsumexp(logs) - whole), fits[0][2]))
+                logs = np.ravel([processes if has_remainder else alone for alone, processes, _ in fits])
+                probability = math.exp(np.logaddexp.reduce(logs) - whole)
+                weighed.append(Weighed(names, has_remainder, probability, fits[0][2]))
         return Posterior(
             tuple(sorted(weighed, key=lambda each: -each.probability)),
             dict(zip(self.processes, (follows / follows.sum()).tolist(), strict=True)),
@@ -352,8 +352,8 @@ class Evidences:
         half_dof = 0.5 * self._dof.reshape(3, *(1,) * (half_chi2.ndim - 1))
         parts = [
             shape * math.log(scale)
-            - gammaln(shape)
-            + gammaln(shape + half_dof)
+            - math.lgamma(shape)
+            + np.vectorize(math.lgamma)(shape + half_dof)
             - (shape + half_dof) * np.log(scale + half_chi2)
             for _, shape, scale in NOISE_PRIOR
         ]

@@ -132,9 +132,7 @@ def _below(state: FloatArray, onset: float, width: float) -> list[FloatArray]:
 
 
 def _saturation(state: FloatArray, centre: float, width: float) -> list[FloatArray]:
-    from scipy.special import expit
-
-    return [np.asarray(expit((state - centre) / width))]
+    return [np.exp(-np.logaddexp(0.0, (centre - state) / width))]
 
 
 def _resonance(state: FloatArray, centre: float, half_width: float) -> list[FloatArray]:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable
+from statistics import NormalDist
 
 import numpy as np
-from scipy.special import chdtri
 
 from gyrobench.bench.closure.candidates import start_count
 from gyrobench.bench.closure.loop import Closure, Evidence, FoundEffect
@@ -57,7 +57,7 @@ def smallest_visible_dph(closure: Closure) -> float:
     number of dwells searched times the square of its size over the noise.
     """
     counts = [start_count(each.effect, closure.campaign) for each in closure.evidence]
-    reduction = float(chdtri(1, SIGNIFICANCE / (min(counts) * len(counts))))
+    reduction = NormalDist().inv_cdf(0.5 * SIGNIFICANCE / (min(counts) * len(counts))) ** 2
     return closure.noise_dph * float(np.sqrt(reduction / closure.searched.sum()))
 
 

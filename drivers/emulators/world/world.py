@@ -256,7 +256,8 @@ class World:
 
     def advance_air(self, time_s: float) -> None:
         """Advance the chamber's air alone to ``time_s``."""
-        self.surroundings.step_air(math.ceil(_samples(time_s) / SAMPLE_RATE_HZ))
+        if time_s > self.surroundings.air_s:
+            self.surroundings.step_air(math.ceil(_samples(time_s) / SAMPLE_RATE_HZ))
 
     def _begin_seconds(self, seconds: int, up_body: FloatArray) -> None:
         """Step chamber, temperatures and undeclared effects to the beginning of each of the next seconds.

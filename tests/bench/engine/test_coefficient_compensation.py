@@ -12,7 +12,7 @@ from gyrobench.bench.runs.compensation_file import read_compensation
 from tests.bench.closure.campaigns import write_world
 from tests.bench.command_line import gyrobench
 
-pytestmark = pytest.mark.long
+pytestmark = [pytest.mark.long, pytest.mark.draws]
 
 RATE_PPM = (0.5, -0.4, 0.3)
 #: Of each accelerometer to Up along x, y and z at 25 degC, and its relative change.
