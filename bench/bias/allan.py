@@ -36,6 +36,7 @@ import numpy as np
 
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.foundations.kernels import compiled
 
 #: Terms of the noise, in the order of arrays: S^2, N^2, K^2, and B^2 where asked for.
 WHITE_ANGLE, RANDOM_WALK, RATE_WALK, BIAS_INSTABILITY = range(4)
@@ -133,8 +134,6 @@ def allan_variance(segments: Sequence[FloatArray], interval_s: float) -> AllanVa
     difference counts if its three samples are there. Channels with the same noise are further segments.
     ``interval_s``: time between two samples. Raises MeasurementError if no segment is long enough.
     """
-    from gyrobench.bench.bias.second_differences import sum_of_squares
-
     longest = max((len(each) for each in segments), default=0)
     if longest < 2 * MIN_REPEATS:
         raise MeasurementError(
@@ -145,13 +144,27 @@ def allan_variance(segments: Sequence[FloatArray], interval_s: float) -> AllanVa
     wanted = np.geomspace(1, top, max(2, 1 + int(np.ceil(PER_DECADE * np.log10(top)))))
     factors = np.unique(np.rint(wanted).astype(np.int64))
     arrays = [np.ascontiguousarray(segment, np.float64) for segment in segments]
-    sums = [[sum_of_squares(segment, factor) for segment in arrays] for factor in factors.tolist()]
+    sums = [[_sum_of_squares(segment, factor) for segment in arrays] for factor in factors.tolist()]
     squares, counts = np.array(sums).sum(axis=1).T
     present = counts > 0
     factors, squares, counts = factors[present], squares[present], counts[present]
     variance = squares / counts / (2.0 * (factors * interval_s) ** 2)
     lengths = tuple(sorted(len(each) for each in segments))
     return AllanVariance(interval_s, factors, variance, counts.astype(np.int64), lengths)
+
+
+@compiled
+def _sum_of_squares(angle: FloatArray, factor: int) -> tuple[float, int]:
+    """Sum of squares about their mean of the second differences, and their number."""
+    mean, squares, count = 0.0, 0.0, 0
+    for k in range(len(angle) - 2 * factor):
+        second = angle[k + 2 * factor] - 2.0 * angle[k + factor] + angle[k]
+        if np.isfinite(second):
+            count += 1
+            away = second - mean
+            mean += away / count
+            squares += away * (second - mean)
+    return (squares, count) if count > 1 else (0.0, 0)
 
 
 def fit_rate_noise(allan: AllanVariance, *, with_instability: bool = False) -> RateNoise:

@@ -21,12 +21,12 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gyrobench.bench.bias.bins import BiasBin
 from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.error_split import ErrorPart
 from gyrobench.bench.foundations.arrays import (
     DEG_PER_SQRT_H_TO_SI,
     DPH_TO_RADPS,
@@ -38,9 +38,6 @@ from gyrobench.bench.foundations.arrays import (
     FloatArray,
 )
 from gyrobench.bench.navigation.positions import AXES
-
-if TYPE_CHECKING:  # it brings numba, which a report does not need
-    from gyrobench.bench.bias.error_split import ErrorPart
 
 #: Coverage probability of expanded uncertainties, and its factor for a normal distribution.
 COVERAGE = 0.95

@@ -6,11 +6,14 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, Coefficient, CoefficientEstimate
+from gyrobench.bench.calibration.estimator import Calibration
+from gyrobench.bench.calibration.rotation_list import Forecast
+from gyrobench.bench.calibration.spins import SpinScaleFactor
 from gyrobench.bench.foundations.arrays import (
     DEG_PER_SQRT_H_TO_SI,
     RADPS_TO_DPH,
@@ -23,11 +26,6 @@ from gyrobench.bench.foundations.text import format_number
 from gyrobench.bench.navigation.earth import earth_rate_enu
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import AXES
-
-if TYPE_CHECKING:  # they bring numba, which a report does not need
-    from gyrobench.bench.calibration.estimator import Calibration
-    from gyrobench.bench.calibration.rotation_list import Forecast
-    from gyrobench.bench.calibration.spins import SpinScaleFactor
 
 NOT_OBSERVABLE = "not observable"
 

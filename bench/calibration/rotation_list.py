@@ -16,7 +16,15 @@ from pydantic import Field
 
 from gyrobench.bench.bias.noise_model import NoiseModel, rounding_sigma
 from gyrobench.bench.calibration.coefficients import COUNT
+from gyrobench.bench.calibration.information import (
+    IS_FORCE_SCALE,
+    CalibrationOptions,
+    Information,
+    integrated_sections,
+)
 from gyrobench.bench.calibration.recording import SensorNoise
+from gyrobench.bench.calibration.section import EPOCH_S, Section
+from gyrobench.bench.calibration.strapdown import UNKNOWNS, Epochs
 from gyrobench.bench.foundations.arrays import (
     DEG_PER_SQRT_H_TO_SI,
     STANDARD_GRAVITY,
@@ -143,16 +151,6 @@ def forecast(
     whole turns. ``site_sigmas``: of gravity, m/s^2, and latitude, rad. ``has_vertical``: whether the vertical
     velocity is measured, as by increments. Raises DocumentError if the table can't do the rotations.
     """
-    # They bring numba, which reading a list does not need.
-    from gyrobench.bench.calibration.information import (
-        IS_FORCE_SCALE,
-        CalibrationOptions,
-        Information,
-        integrated_sections,
-    )
-    from gyrobench.bench.calibration.section import EPOCH_S, Section
-    from gyrobench.bench.calibration.strapdown import UNKNOWNS, Epochs
-
     start = table.angles(POSITIONS[rotations.start].C_nb())
     _check(rotations, table, start, max_rate_dps)
     attitude, at_rest, spins = motion(rotations, table, start)

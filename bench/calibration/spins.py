@@ -14,19 +14,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gyrobench.bench.bias.statistics import chi2_p_value
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS
+from gyrobench.bench.calibration.estimator import Calibration
+from gyrobench.bench.calibration.section import SpinError
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import AXES
-
-if TYPE_CHECKING:  # they bring numba, which a procedure file does not need
-    from gyrobench.bench.calibration.estimator import Calibration
-    from gyrobench.bench.calibration.section import SpinError
 
 #: Rates that differ by less than this part are one.
 _SAME_RATE = 0.02

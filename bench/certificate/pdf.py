@@ -6,7 +6,7 @@ import io
 import math
 import tempfile
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -219,10 +219,3 @@ def _svg(figure: Figure, word: str) -> bytes:
     stamp(figure, word)
     figure.savefig(stream, format="svg", metadata={"Date": None, "Title": word or None})
     return stream.getvalue()
-
-
-def file_names(certificate: Certificate, formats: Iterable[str]) -> dict[str, str]:
-    """Names of the certificate's files by format; those of an emulated run say so."""
-    word = f"_{SIMULATED}" if certificate.run.is_simulated else ""
-    suffixes = {"pdf": "pdf", "dcc": "xml"}
-    return {each: f"certificate{word}.{suffixes[each]}" for each in formats}

@@ -14,8 +14,6 @@ from gyrobench.bench.foundations.errors import DocumentError
 if TYPE_CHECKING:
     from gyrobench.bench.runs.folder import RunFolder
 
-_FORMATS = ("dcc", "pdf")
-
 
 def certificate(
     run_folder: Annotated[
@@ -87,38 +85,22 @@ def certificate(
         return
     if run_folder is None:
         raise DocumentError("no run folder is given. Name one, or a file with --verify")
-    wanted = [each.strip() for each in formats.split(",")]
-    if not wanted or set(wanted) - set(_FORMATS):
-        raise DocumentError(f"--format {formats}: is not dcc, pdf or dcc,pdf")
-    from gyrobench.bench.certificate import content, dcc, pdf, signatures
-    from gyrobench.bench.foundations.files import make_folder, write_whole
+    from gyrobench.bench.certificate.content import Order, certificate_of
+    from gyrobench.bench.certificate.issue import FORMATS, issue_certificate
+    from gyrobench.bench.certificate.signatures import load_signing_key
     from gyrobench.bench.runs.folder import open_run_folder
     from gyrobench.bench.runs.seal import keep_sealed
 
+    wanted = {each.strip() for each in formats.split(",")}
+    if not wanted <= set(FORMATS):
+        raise DocumentError(f"--format {formats}: is not dcc, pdf or dcc,pdf")
     folder = open_run_folder(run_folder)
     recalibration = _recalibration(folder, limit_dph) if limit_dph else ""
-    stated = content.Order(customer, order, item, number, authorised_by, ambient, recalibration)
-    made = content.certificate_of(folder, stated, simulated=simulated)
-    names = pdf.file_names(made, wanted)
-    signing = signatures.load_signing_key(key) if key else None
-    files: dict[str, bytes] = {}
-    if "dcc" in wanted:
-        document = dcc.certificate_dcc(made)
-        if signing:
-            document = signatures.sign_dcc(document, signing)
-        if schema is not None:
-            dcc.validate_dcc(document, schema)
-        files[names["dcc"]] = document
-    if "pdf" in wanted:
-        printed = pdf.certificate_pdf(made, files)
-        reason = f"Calibration certificate {made.number}"
-        files[names["pdf"]] = signatures.sign_pdf(printed, signing, reason) if signing else printed
-    into = out or folder.path / "certificate"
-    make_folder(into)
-    for name, data in files.items():
-        write_whole(into / name, data)
+    stated = Order(customer, order, item, number, authorised_by, ambient, recalibration)
+    made = certificate_of(folder, stated, simulated=simulated)
+    signing = load_signing_key(key) if key else None
+    paths = issue_certificate(made, wanted, out or folder.path / "certificate", signing, schema)
     keep_sealed(folder)
-    paths = [into / name for name in files]
     if as_json:
         print_json(
             {

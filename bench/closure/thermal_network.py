@@ -16,13 +16,12 @@ network is initialized again after each pause.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, b_splines
+from gyrobench.bench.foundations.kernels import compiled
 
 _STEPS_A_DWELL = 10
 _SPLINE_DEGREE = 5
@@ -163,7 +162,7 @@ class _Segment:
 
     def residuals(self, values: FloatArray, readings: FloatArray) -> FloatArray:
         """Model minus readings (m, 3): optics, slopes, electronics; NaN without a reading."""
-        return np.stack(_compiled()(values, self.up_body, self.driven_c, self.step_h), axis=1) - readings
+        return np.stack(_run(values, self.up_body, self.driven_c, self.step_h), axis=1) - readings
 
 
 def _without_pauses(start_s: FloatArray, end_s: FloatArray, fitted: BoolArray) -> list[slice]:
@@ -218,7 +217,7 @@ def _with_start(parameters: FloatArray, segment: _Segment, readings: FloatArray)
 
 
 def _above(values: FloatArray, segment: _Segment) -> FloatArray:
-    optics_c, _, electronics_c = _compiled()(values, segment.up_body, segment.driven_c, segment.step_h)
+    optics_c, _, electronics_c = _run(values, segment.up_body, segment.driven_c, segment.step_h)
     return np.asarray(electronics_c - optics_c)
 
 
@@ -228,15 +227,7 @@ def _weighted(residuals: FloatArray) -> FloatArray:
     return weighted
 
 
-@cache
-def _compiled() -> Callable[..., tuple[FloatArray, FloatArray, FloatArray]]:
-    """:func:`_run` as machine code; numba takes a second to import, and few searches need it."""
-    from gyrobench.bench.foundations.kernels import compiled
-
-    machine_code: Callable[..., tuple[FloatArray, FloatArray, FloatArray]] = compiled(_run)
-    return machine_code
-
-
+@compiled
 def _run(
     values: FloatArray, up_body: FloatArray, driven_c: FloatArray, step_h: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:

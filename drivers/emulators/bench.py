@@ -207,7 +207,7 @@ def compile_world() -> None:
     """
     started_s = time.perf_counter()
     bench = EmulatedBench(VirtualClock(), find_document("worlds", _DEFAULT_WORLD), 0)
-    is_first_time = bool(table_attitude.stats.cache_misses)
+    is_first_time = table_attitude.compilations > 0
     if is_first_time:
         _LOG.warning("Compiling the simulated bench, once after installation; this takes some 10 s.")
     unit = bench.world.unit

@@ -14,7 +14,8 @@ from gyrobench.bench.bias.dwell_table import read_dwells, write_dwells
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS
 from gyrobench.bench.certificate.content import Order, certificate_of
 from gyrobench.bench.certificate.dcc import certificate_dcc, validate_dcc
-from gyrobench.bench.certificate.pdf import certificate_pdf, file_names
+from gyrobench.bench.certificate.issue import file_names
+from gyrobench.bench.certificate.pdf import certificate_pdf
 from gyrobench.bench.certificate.signatures import load_signing_key, sign_dcc, sign_pdf, verify_file
 from gyrobench.bench.cli.output import EXIT_WRONG_INPUT
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError

@@ -157,11 +157,11 @@ def test_noise_that_the_first_window_does_not_show_leaves_the_biases_unknown(rec
 def test_after_warming_up_no_estimate_compiles_anything(recorded, has_noise):
     marks, frames, setup = recorded
     warm_up(setup if has_noise else replace(setup, noise=None))
-    compiled = list(whiten.signatures)
+    compiled = list(whiten.dispatcher.signatures)
     assert compiled
     measure_dwell(marks, frames, setup)
     assert Replayed(marks, frames, setup).estimate_at(end_of(recorded)) is not None
-    assert list(whiten.signatures) == compiled
+    assert list(whiten.dispatcher.signatures) == compiled
 
 
 @pytest.mark.long

@@ -10,8 +10,10 @@ import pytest
 SOURCE = """
 import sys
 import numpy as np
-from numba.core.codegen import CPUCodeLibrary
 from gyrobench.bench.foundations.kernels import compiled
+
+assert "numba" not in sys.modules
+from numba.core.codegen import CPUCodeLibrary
 
 optimized = []
 optimize = CPUCodeLibrary._optimize_final_module
@@ -32,8 +34,8 @@ def twice(values):
 
 given = np.arange(4.0)
 results = [kernel(given) for kernel in (halves, twice)[: int(sys.argv[1])]]
-hits = halves.stats.cache_hits.total() + twice.stats.cache_hits.total()
-misses = halves.stats.cache_misses.total() + twice.stats.cache_misses.total()
+hits = sum(each.dispatcher.stats.cache_hits.total() for each in (halves, twice))
+misses = halves.compilations + twice.compilations
 print(results, hits, misses, "numba.np.arraymath" in sys.modules, bool(optimized))
 """
 
@@ -58,6 +60,26 @@ def test_a_kernel_is_compiled_once_and_loaded_without_the_compiler(tmp_path):
     assert compiled == "[3.0] 0 1 True True"
     assert loaded.startswith("[3.0] 1 0 ")  # this one may have compiled numba's allocation of arrays
     assert used(tmp_path, 2, processes=2) == ["[3.0, 12.0] 1 1 True True", "[3.0, 12.0] 2 0 False False"]
+
+
+FAILING = """
+from numba import TypingError
+from gyrobench.bench.foundations.kernels import compiled
+
+def wrong(value):
+    return value.no_such_attribute
+
+for _ in range(2):
+    try:
+        compiled(wrong)(1.0)
+    except TypingError:
+        print("failed")
+"""
+
+
+def test_a_kernel_that_fails_to_compile_makes_no_other_wait(tmp_path):
+    (tmp_path / "kernels_to_use.py").write_text(FAILING)
+    assert used(tmp_path, 1) == ["failed\nfailed"]
 
 
 OTHER = """

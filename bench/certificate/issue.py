@@ -1,0 +1,53 @@
+"""A calibration certificate as signed files: the PDF, with the DCC attached."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from pathlib import Path
+
+from gyrobench.bench.certificate.content import Certificate
+from gyrobench.bench.certificate.dcc import certificate_dcc, validate_dcc
+from gyrobench.bench.certificate.pdf import certificate_pdf
+from gyrobench.bench.certificate.signatures import SigningKey, sign_dcc, sign_pdf
+from gyrobench.bench.foundations.files import make_folder, write_whole
+from gyrobench.bench.runs.provenance import SIMULATED
+
+FORMATS = ("dcc", "pdf")
+
+
+def file_names(certificate: Certificate, formats: Iterable[str]) -> dict[str, str]:
+    """Names of the certificate's files by format; those of an emulated run say so."""
+    word = f"_{SIMULATED}" if certificate.run.is_simulated else ""
+    suffixes = {"pdf": "pdf", "dcc": "xml"}
+    return {each: f"certificate{word}.{suffixes[each]}" for each in formats}
+
+
+def issue_certificate(
+    certificate: Certificate,
+    formats: Collection[str],
+    out: Path,
+    key: SigningKey | None = None,
+    schema: Path | None = None,
+) -> list[Path]:
+    """Write a certificate into the folder ``out`` once all its files are made; returns them.
+
+    ``formats``: of :data:`FORMATS`. With ``key`` both are signed; with ``schema``, the folder of PTB's
+    schemas, the DCC is validated. Raises DocumentError for a DCC that the schema refuses.
+    """
+    names = file_names(certificate, formats)
+    files: dict[str, bytes] = {}
+    if "dcc" in formats:
+        document = certificate_dcc(certificate)
+        if key:
+            document = sign_dcc(document, key)
+        if schema is not None:
+            validate_dcc(document, schema)
+        files[names["dcc"]] = document
+    if "pdf" in formats:
+        printed = certificate_pdf(certificate, files)
+        reason = f"Calibration certificate {certificate.number}"
+        files[names["pdf"]] = sign_pdf(printed, key, reason) if key else printed
+    make_folder(out)
+    for name, data in files.items():
+        write_whole(out / name, data)
+    return [out / name for name in files]
