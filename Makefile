@@ -29,8 +29,9 @@ investigate: $(VENV)/.installed
 test: install
 	$(BIN)/python -m pytest -m "not long" -n 4 --dist loadfile --no-loadscope-reorder
 
+# With many more examples of those that hypothesis makes up.
 test-long: install
-	$(BIN)/python -m pytest -m long -n 4 --dist loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest -m "long or hypothesis" --hypothesis-profile=thorough -n 4 --dist loadfile --no-loadscope-reorder
 
 soak: install
 	$(BIN)/python -m tests.soak all --table docs/reliability.md

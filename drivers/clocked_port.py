@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 
-from serial.serialutil import PortNotOpenError, SerialBase
+from serial.serialutil import SerialBase
 
 from gyrobench.bench.foundations.clock import Clock
 
@@ -25,8 +25,8 @@ class ClockedPort(SerialBase):
         """Time on the clock at which the next bytes arrive; None if none are under way."""
 
     @abstractmethod
-    def take(self) -> bytes:
-        """Bytes that have arrived since the last call; raises SerialException if the port is gone."""
+    def collect(self) -> None:
+        """Add bytes that have arrived since the last call; raises SerialException if the port is gone."""
 
     def close(self) -> None:
         """Disconnect; the instrument continues unchanged."""
@@ -44,22 +44,21 @@ class ClockedPort(SerialBase):
     @property
     def in_waiting(self) -> int:
         """Number of bytes that have arrived."""
-        self._collect()
+        self.collect()
         return len(self._arrived)
 
     def read(self, size: int = 1, /) -> bytes:
         """Read up to ``size`` bytes, waiting on the clock until the time-out."""
         arrived = self._arrived
         if len(arrived) < size:
-            self._collect()
-            if len(arrived) < size:
-                self._await(size)
+            self._await(size)
         data = bytes(arrived[:size])
         del arrived[:size]
         return data
 
     def _await(self, size: int) -> None:
         end_s = None if self.timeout is None else self.clock.now() + self.timeout * self.clock.speed
+        self.collect()
         while len(self._arrived) < size:
             due_s = self.next_due_s()
             if due_s is None or (end_s is not None and due_s > end_s):
@@ -67,21 +66,15 @@ class ClockedPort(SerialBase):
                     self.clock.sleep_until(end_s)
                 break
             self.clock.sleep_until(due_s)
-            self._collect()
+            self.collect()
 
     def flush(self) -> None:
         """Do nothing: written bytes are sent at once."""
 
     def reset_input_buffer(self) -> None:
         """Discard what has arrived."""
-        self._collect()
+        self.collect()
         self._arrived.clear()
 
     def reset_output_buffer(self) -> None:
         """Do nothing: no output waits."""
-
-    def _collect(self) -> None:
-        if not self.is_open:
-            raise PortNotOpenError
-        if arrived := self.take():
-            self._arrived += arrived

@@ -105,10 +105,9 @@ class ModbusRtu:
         self._line.discard_input()
         self._line.write(framed(request))
         reply = self._receive(size)
-        refusal = bytes((self._address, request[1] | _EXCEPTION_BIT))
         if crc16(reply) != 0:
             raise self._unexpected(request, reply, "the CRC is wrong; check cable, baud rate and parity")
-        if not reply.startswith((start, refusal)):
+        if not reply.startswith(start) and reply[:2] != bytes((self._address, request[1] | _EXCEPTION_BIT)):
             raise self._unexpected(request, reply, "another device or function replied; check the address")
         self._out_of_step = False
         self._next_request_s = clock.now() + pause_s

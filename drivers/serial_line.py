@@ -148,7 +148,9 @@ class SerialLine:
         """
         try:
             self._port.timeout = deadline.remaining_s() / self.clock.speed
-            data = self._read(count)
+            data: bytes = self._port.read(count)
+            if self._recording is not None:
+                self._recording.add(False, data)
         except _port_errors() as error:
             raise self._gone(error) from error
         if len(data) < count:
@@ -163,7 +165,7 @@ class SerialLine:
         """Discard unread input, so that the next reply is the next one read."""
         try:
             if self._recording is not None:
-                self._record_unread()
+                self._record_unread(self._recording)
             self._port.reset_input_buffer()
         except _port_errors() as error:
             raise self._gone(error) from error
@@ -187,17 +189,13 @@ class SerialLine:
             "master uses this line.",
         )
 
-    def _read(self, count: int) -> bytes:
-        data = self._port.read(count)
-        if self._recording is not None:
-            self._recording.add(False, data)
-        return data
-
-    def _record_unread(self) -> None:
+    def _record_unread(self, recording: RecordingFile) -> None:
         self._port.timeout = 0
         left = _MAX_DISCARDED
         while left > 0 and (waiting := self._port.in_waiting):
-            left -= len(self._read(min(waiting, left)))
+            data = self._port.read(min(waiting, left))
+            recording.add(False, data)
+            left -= len(data)
 
     def _gone(self, error: Exception) -> ConnectionFailedError:
         if isinstance(error.__cause__, ReplayError):

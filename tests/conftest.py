@@ -6,11 +6,14 @@ import importlib
 import os
 import shutil
 import signal
+from dataclasses import replace
+from pathlib import Path
 
 import hypothesis
 import pytest
 from xdist.scheduler import LoadFileScheduling
 
+from gyrobench.bench.report import page
 from gyrobench.bench.station.locks import LOCK_DIR_VARIABLE
 from gyrobench.drivers.emulators.bench import compile_world
 
@@ -18,9 +21,15 @@ from gyrobench.drivers.emulators.bench import compile_world
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
-# A busy machine must not make a test fail.
-hypothesis.settings.register_profile("no deadline", deadline=None)
-hypothesis.settings.load_profile("no deadline")
+# No deadline: a busy machine must not make a test fail. Fixtures of a function serve all its examples.
+COMMON = {"deadline": None, "suppress_health_check": [hypothesis.HealthCheck.function_scoped_fixture]}
+hypothesis.settings.register_profile("quick", max_examples=25, **COMMON)
+hypothesis.settings.register_profile("thorough", max_examples=200, **COMMON)
+hypothesis.settings.load_profile("quick")
+
+#: Tests that look at figures, beside those marked so. In all others a figure is an empty file: drawing takes
+#: a tenth of their time.
+DRAWN = ("tests/bench/report/", "tests/docs/", "tests/test_accessibility.py")
 
 #: These look at the same runs of a shift.
 SHIFT_RUNS = {
@@ -30,7 +39,13 @@ SHIFT_RUNS = {
     "tests/bench/dwells/test_run_results.py",
 }
 #: What takes long comes first, so that no worker has it left over at the end.
-LONG = SHIFT_RUNS | {"tests/bench/closure/test_whole_campaigns.py"}
+LONG = SHIFT_RUNS | {
+    "tests/bench/closure/test_whole_campaigns.py",
+    "tests/bench/engine/test_several_units.py",
+    "tests/bench/investigation/test_investigation.py",
+    "tests/bench/monitor/test_browser.py",
+    "tests/drivers/emulators/test_serve.py",
+}
 
 
 class SharedRunsScheduling(LoadFileScheduling):
@@ -83,6 +98,24 @@ def pytest_collection_finish() -> None:
     gc.collect()
     gc.freeze()
     gc.set_threshold(50_000, 10, 10)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item):
+    """Draw figures for tests that look at them alone."""
+    with pytest.MonkeyPatch.context() as patch:
+        if not item.nodeid.startswith(DRAWN) and not item.get_closest_marker("draws"):
+            patch.setattr(page, "_as_file", empty_figure)
+        return (yield)
+
+
+def empty_figure(folder, figure, *_):
+    """In place of drawing a figure into a folder."""
+    if figure.figure is None or isinstance(figure.figure, Path):
+        return figure
+    path = folder / f"{figure.name}.png"
+    path.write_bytes(b"\x89PNG")
+    return replace(figure, figure=path)
 
 
 @pytest.fixture(scope="session", autouse=True)

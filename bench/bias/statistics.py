@@ -25,6 +25,8 @@ from gyrobench.bench.foundations.arrays import FloatArray
 #: A polynomial gets one degree more where chance gives its residuals less often than this.
 _MIN_P_VALUE = 0.01
 
+#: Enough for some ten thousand degrees of freedom.
+_BETA_TERMS = 100
 #: Combinations of data whose variance the estimate leaves less of than this test nothing.
 _MIN_VARIANCE = 1e-3
 
@@ -125,6 +127,8 @@ def goodness_of_fit(
 
 def chi2_p_value(dof: int, chi2: float) -> float:
     """Probability of at least this sum of ``dof`` squares (Abramowitz and Stegun, 26.4.4 and 26.4.5)."""
+    if chi2 <= 0.0:
+        return 1.0  # also without degrees of freedom
     half = float(np.clip(0.5 * chi2, 1e-300, 1e300))
     odd = dof % 2
     # Each term is the one before it times half / power.
@@ -132,6 +136,28 @@ def chi2_p_value(dof: int, chi2: float) -> float:
     first = odd * (0.5 * math.log(half) - math.lgamma(1.5)) - half
     terms = np.exp(first + np.concatenate([[0.0], np.cumsum(logs)])[: dof // 2])
     return min(odd * math.erfc(math.sqrt(half)) + float(terms.sum()), 1.0)
+
+
+def f_p_value(dof: int, residual_dof: int, ratio: float) -> float:
+    """Probability of at least this ratio of the mean of ``dof`` squares to that of ``residual_dof``."""
+    a, b = 0.5 * residual_dof, 0.5 * dof
+    x, y = residual_dof / (residual_dof + dof * ratio), dof * ratio / (residual_dof + dof * ratio)
+    if x <= (a + 1.0) / (a + b + 2.0):  # where the fraction converges fast
+        return _incomplete_beta(x, y, a, b)
+    return 1.0 - _incomplete_beta(y, x, b, a)
+
+
+def _incomplete_beta(x: float, y: float, a: float, b: float) -> float:
+    """Regularised incomplete beta function by its continued fraction (DLMF 8.17.22); y is 1 - x."""
+    if x <= 0.0:
+        return 0.0
+    fraction = 1.0
+    for m in range(_BETA_TERMS, -1, -1):
+        even = (m + 1) * (b - m - 1) * x / ((a + 2 * m + 1) * (a + 2 * m + 2))
+        odd = -(a + m) * (a + b + m) * x / ((a + 2 * m) * (a + 2 * m + 1))
+        fraction = 1.0 + odd / (1.0 + even / fraction)
+    log_front = a * math.log(x) + b * math.log(y) + math.lgamma(a + b) - math.lgamma(a) - math.lgamma(b)
+    return math.exp(log_front) / (a * fraction)
 
 
 def lowest_polynomial(

@@ -140,8 +140,8 @@ def calibrate(
         if widening > _MAX_WIDENING and is_observed[:COUNT].any():
             raise MeasurementError(
                 f"the residuals are {widening:.3g} times the noise, at most {_MAX_WIDENING:g} times is "
-                "accepted. Try --lever-arms and --delay; check latitude, signs and time in the import map, "
-                "and whether the unit drifts or moves at rest"
+                "accepted. Check latitude, signs and times, and whether the unit drifts, moves at rest or "
+                "has biases that follow attitude; gyrobench calibrate has --lever-arms, --delay, --quadratic"
             )
         covariance = covariance * widening**2
     coefficients = tuple((*COEFFICIENTS, *BESIDE)[each] for each in options.columns)

@@ -63,6 +63,11 @@ class IncrementRecording:
         for name, values in (("angle", self.angle), ("velocity", self.velocity)):
             if not np.isfinite(values).all():
                 raise MeasurementError(f"an increment of {name} is not a number. Cut the recording there")
+        if self.interval_s > BLOCK_S:
+            raise MeasurementError(
+                f"samples are {self.interval_s:.3g} s apart; at most {BLOCK_S:g} s show motion. Check 'time' "
+                "in the import map"
+            )
         if self.duration_s < MIN_REST_TOTAL_S:
             raise MeasurementError(
                 f"{self.duration_s:.3g} s of increments; at least {MIN_REST_TOTAL_S:g} s are needed"
@@ -149,7 +154,8 @@ def find_rests(recording: IncrementRecording) -> list[Rest]:
     if total_s < MIN_REST_TOTAL_S:
         raise MeasurementError(
             f"the unit rests for {total_s:.3g} s of {recording.duration_s:.4g} s; at least "
-            f"{MIN_REST_TOTAL_S:g} s are needed. Record longer dwells between the rotations"
+            f"{MIN_REST_TOTAL_S:g} s are needed. Record longer dwells between the rotations, or check units "
+            "and 'time' in the import map"
         )
     return rests
 

@@ -183,6 +183,8 @@ def _check(rotations: RotationList, table: TwoAxisTable, start: Angles, max_rate
             raise DocumentError(f"{name}: {rate_dps:g} deg/s; the table turns at most {max_rate_dps:g} deg/s")
         angles[rotation.axis] += rotation.angle_deg
         low, high = limits[rotation.axis]
+        if low == high:
+            raise DocumentError(f"{name}: the table of the station has no {rotation.axis} axis that turns")
         if not low <= angles[rotation.axis] <= high:
             raise DocumentError(
                 f"{name} leads to {angles[rotation.axis]:g} deg; the limits of that axis are {low:g} "

@@ -107,7 +107,9 @@ def verify(
     )
     missing = [name for name in verification.selected if not verification.is_finished(name)]
     job = verification.jobs[verification.selected[0]]
-    plan = verification_plan(closure, verification.models, missing, job.plan.duration_s)
+    plan = verification_plan(
+        closure, verification.models, missing, job.plan.duration_s, verification.searches
+    )
     terminal.print(section_view(plan))
     for name in missing:
         _measure(terminal, verification, name, view)

@@ -49,7 +49,13 @@ def confounding(campaign: Campaign, searched: BoolArray) -> tuple[str, ...]:
                 "All dwells searched are in one power cycle: a slow warm-up cannot be distinguished from "
                 "drift."
             )
-    if is_dwells and seen.has_one_heading is not False:
+    if is_dwells and campaign.quantity.name == "accelerometer_bias":
+        sentences.append(
+            "A dwell shows an accelerometer's bias relative to the axis of its turn, as the gyros sense it: "
+            "biases that follow gravity linearly cannot be distinguished from misalignments of gyros or "
+            "accelerometers, at any temperature."
+        )
+    elif is_dwells and seen.has_one_heading is not False:
         headings = "All dwells have one heading or its opposite" if seen.has_one_heading else _NO_HEADINGS
         sentences.append(
             f"{headings}: an effect of the Earth's magnetic field cannot be distinguished from g-sensitivity."

@@ -91,14 +91,18 @@ def with_coefficients(model: LoadableModel, closures: Iterable[Closure], *, effe
         for found in closure.effects if effects else ():
             terms = _terms(closure, found)
             name = f"{found.effect.name} in {quantity.name}"
-            if "gravity_dph_per_g" in terms.coefficients and any(
+            is_gravity = found.effect.of_accelerometers or "gravity_dph_per_g" in terms.coefficients
+            if is_gravity and any(
                 each.startswith(_SEEN_AS_GRAVITY.get(quantity.name, ())) for each in corrections
             ):
-                notes.append(f"{name} is left out: scale factors and misalignments compensate it already")
+                notes.append(
+                    f"the effect {name} is left out: scale factors and misalignments compensate it already"
+                )
                 continue
             degree = terms.coefficients.get("polynomial_dph", np.zeros((3, 1))).shape[1] - 1
             if terms.left_out or terms.coefficients.keys() - _OF_OTHERS or degree > CORRECTION_DEGREE:
-                notes.append(f"{name} is left out: {terms.left_out or 'the INS has no term for it there'}")
+                reason = terms.left_out or "the INS has no term for it there"
+                notes.append(f"the effect {name} is left out: {reason}")
                 continue
             loaded.append(terms)
             names.append(name)

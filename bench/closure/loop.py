@@ -257,7 +257,8 @@ def close_loop(
         Candidates; by default all installed ones and those of the user's files.
     """
     sources = [Path(each.name) for each in campaign.tables]
-    candidates = all_effects(*sources) if effects is None else tuple(effects)
+    sensor = campaign.quantity.sensor
+    candidates = all_effects(*sources, sensor=sensor) if effects is None else tuple(effects)
     searched = _searched(campaign, hold_out_cycles)
     campaign = campaign.holding_out(np.unique(campaign.cycle[~searched]).tolist())
     return _closure(campaign, searched, candidates)

@@ -14,7 +14,6 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.special import gammaln, logsumexp
 
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate, Hypothesis
@@ -193,12 +192,14 @@ class Evidences:
                 alone, processes = self.weights(each, is_summed=True)
             sets = (each.names, *_imitating(each, self._effects, self._problem.campaign))
             found += [(names, each.candidates, alone, processes) for names in sets]
-        whole = logsumexp(np.concatenate([[alone, *processes] for *_, alone, processes in found]))
-        follows = np.exp(logsumexp(np.array([processes for *_, processes in found]), axis=0) - whole)
+        whole = np.logaddexp.reduce(np.concatenate([[alone, *processes] for *_, alone, processes in found]))
+        follows = np.exp(
+            np.logaddexp.reduce(np.array([processes for *_, processes in found]), axis=0) - whole
+        )
         weighed = []
         for names, candidates, alone, processes in found:
             weighed.append(Weighed(names, False, math.exp(alone - whole), candidates))
-            weighed.append(Weighed(names, True, math.exp(logsumexp(processes) - whole), candidates))
+            weighed.append(Weighed(names, True, math.exp(np.logaddexp.reduce(processes) - whole), candidates))
         return Posterior(
             tuple(sorted(weighed, key=lambda each: -each.probability)),
             dict(zip(self.processes, (follows / follows.sum()).tolist(), strict=True)),
@@ -341,8 +342,8 @@ class Evidences:
         half_dof = 0.5 * self._dof.reshape(3, *(1,) * (half_chi2.ndim - 1))
         parts = [
             shape * math.log(scale)
-            - gammaln(shape)
-            + gammaln(shape + half_dof)
+            - math.lgamma(shape)
+            + np.vectorize(math.lgamma)(shape + half_dof)
             - (shape + half_dof) * np.log(scale + half_chi2)
             for _, shape, scale in NOISE_PRIOR
         ]

@@ -8,8 +8,8 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
-from scipy.special import chdtrc
 
+from gyrobench.bench.bias.statistics import chi2_p_value
 from gyrobench.bench.closure.candidates import (
     Candidate,
     Hypothesis,
@@ -124,7 +124,7 @@ class Search:
             beside.chi2_reduction(columns, one.kept & (np.arange(3) == gyro)[:, np.newaxis])
             for gyro in range(3)
         ]
-        p_values = [_p_value(reduction, max(rank, 1)) for reduction, rank in gyros]
+        p_values = [chi2_p_value(max(rank, 1), reduction) for reduction, rank in gyros]
         return [p_value < SIGNIFICANCE or p_value == min(p_values) for p_value in p_values]
 
     @cached_property
@@ -204,12 +204,12 @@ class Search:
                 continue
             start = best_start(beside, effect, form)
             reduction, rank = beside.chi2_reduction(start.columns(campaign))
-            if _p_value(_MAX_REFINEMENT * reduction, rank + len(start.values)) >= SIGNIFICANCE:
+            if chi2_p_value(rank + len(start.values), _MAX_REFINEMENT * reduction) >= SIGNIFICANCE:
                 failed.append(start)
                 continue
             [candidate] = refine(beside, [start])
             reduction, rank = beside.chi2_reduction(candidate.columns(campaign))
-            if _p_value(reduction, rank + len(candidate.values)) < SIGNIFICANCE:
+            if chi2_p_value(rank + len(candidate.values), reduction) < SIGNIFICANCE:
                 whole = [replace(each, kept=np.ones_like(each.kept)) for each in (*to.candidates, candidate)]
                 found.append(evaluate(problem, refine(problem, whole) if to.candidates else whole))
             elif rank:
@@ -268,7 +268,7 @@ class Search:
     def _p_beside(self, beside: Problem, one: Candidate) -> float:
         """p-value of a candidate beside all terms of a problem, corrected for all candidate fits."""
         reduction, rank = beside.chi2_reduction(one.columns(self.problem.campaign))
-        return min(1.0, _p_value(reduction, rank + len(one.values)) * self.candidate_fits(one.effect))
+        return min(1.0, chi2_p_value(rank + len(one.values), reduction) * self.candidate_fits(one.effect))
 
     def _beside_others(self, of: Hypothesis, index: int, problem: Problem | None = None) -> Problem:
         """Problem after a fit of all terms of the other effects."""
@@ -298,7 +298,3 @@ def _at_bounds(candidates: Sequence[Candidate]) -> Iterator[list[Candidate]]:
             for bound in filter(np.isfinite, bounds):
                 values = (*each.values[:index], bound, *each.values[index + 1 :])
                 yield [*candidates[:place], replace(each, values=values), *candidates[place + 1 :]]
-
-
-def _p_value(chi2_reduction: float, parameters: int) -> float:
-    return float(chdtrc(parameters, chi2_reduction))

@@ -8,12 +8,13 @@ them, or the best value is at a bound, their distribution is neither normal nor 
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from statistics import NormalDist
 
 import numpy as np
-from scipy.special import chdtri, gammaln, ndtri
 
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate, stack
@@ -318,13 +319,14 @@ def _proposed(
     for _ in range(30):
         golden = (1.0 + golden) ** (1.0 / (count + 2.0))
     even = (0.5 + np.outer(np.arange(1, _NODES + 1), golden ** -np.arange(1.0, count + 2.0))) % 1.0
-    scale = np.sqrt(_TAILS / np.maximum(chdtri(_TAILS, even[:, -1:]), 1e-12))
-    places = centre + ndtri(even[:, :-1]) * scale @ root.T
+    scale = np.sqrt(_TAILS / np.maximum(_chi2_of_four(even[:, -1:]), 1e-12))
+    normal = np.vectorize(NormalDist().inv_cdf)(even[:, :-1])
+    places = centre + normal * scale @ root.T
     places[:: _NODES // _IN_BOX] = low + even[:_IN_BOX, :-1] * (high - low)
     squares = np.sum(np.linalg.solve(root, (places - centre).T) ** 2, axis=0)
     log_t = (
-        gammaln(0.5 * (_TAILS + count))
-        - gammaln(0.5 * _TAILS)
+        math.lgamma(0.5 * (_TAILS + count))
+        - math.lgamma(0.5 * _TAILS)
         - 0.5 * count * np.log(np.pi * _TAILS)
         - np.log(np.diag(root)).sum()
         - 0.5 * (_TAILS + count) * np.log1p(squares / _TAILS)
@@ -332,6 +334,15 @@ def _proposed(
     share = _IN_BOX / _NODES
     log_box = -np.log(high - low).sum()
     return places, np.logaddexp(np.log1p(-share) + log_t, np.log(share) + log_box)
+
+
+def _chi2_of_four(probability: FloatArray) -> FloatArray:
+    """Sum of four squares that is exceeded with this probability, ``exp(-h) (1 + h)`` of half the sum h."""
+    wanted = -np.log(probability)
+    half = wanted + np.sqrt(2.0 * wanted)  # never below the root, so that Newton's steps descend to it
+    for _ in range(6):
+        half = half - (half - np.log1p(half) - wanted) * (1.0 + half) / half
+    return 2.0 * half
 
 
 def _standard_normal(random: np.random.Generator, count: int) -> FloatArray:

@@ -7,12 +7,13 @@ constant of each run is in the model.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtrc, fdtrc, ndtr
 
+from gyrobench.bench.bias.statistics import chi2_p_value, f_p_value
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate, solve_with
 from gyrobench.bench.closure.problem import SCALE_C, Problem, Solution, declared_problem
@@ -69,10 +70,10 @@ def lack_of_fit(problem: Problem, parameters: int) -> LackOfFit:
         reduction, rank = problem.chi2_reduction(_in_all_dwells(columns(seen), problem))
         if rank and dof > rank:
             ratio = (reduction / rank) / max((problem.chi2 - reduction) / (dof - rank), problem.least_scatter)
-            structure[name] = float(fdtrc(rank, dof - rank, ratio))
+            structure[name] = f_p_value(rank, dof - rank, ratio)
     structure["the previous dwell"] = _serial_correlation(problem)
     return LackOfFit(
-        p_noise=float(chdtrc(dof, problem.chi2)),
+        p_noise=chi2_p_value(dof, problem.chi2),
         p_structure=structure,
         noise_ratio=float(np.sqrt(problem.chi2 / dof)),
     )
@@ -125,7 +126,7 @@ def _serial_correlation(problem: Problem) -> float:
     expected = -sum(float(np.sum(basis[1:] * basis[:-1])) for basis in problem.bases)
     scale = max(problem.chi2 / problem.dof, problem.least_scatter)
     spread = scale * np.sqrt(problem.campaign.is_measured[problem.searched].sum())
-    return float(2.0 * ndtr(-abs(products - scale * expected) / max(spread, 1e-300)))
+    return math.erfc(abs(products - scale * expected) / max(math.sqrt(2.0) * spread, 1e-300))
 
 
 _STRUCTURES: dict[str, Callable[[Campaign], FloatArray]] = {

@@ -146,7 +146,9 @@ class PlateauCalibration:
         with_force = np.full(COUNT, np.nan)
         if self.with_force is not None:
             with_force = self.with_force.sigmas * [each.per_si for each in estimate.coefficients]
-        rates = NOT_MEASURED if self.rotations is None else self.rotations.gyro_rate_c_per_h
+        rates = NOT_MEASURED  # also where the rotations give nothing
+        if self.rotations is not None and self.rotations.calibration is not None:
+            rates = self.rotations.gyro_rate_c_per_h
         return [
             PlateauCoefficientRow(
                 self.number,

@@ -6,6 +6,7 @@ between and enforces the step's time limit.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from functools import cache, singledispatch
@@ -169,20 +170,20 @@ def _soaking(step: Soak, context: StepContext) -> Ticks:
     begin_s = bench.clock.now()
     limit = step.until_gyro_rate_below_c_per_h or 0.0
     histories: dict[Unit, deque[tuple[float, ...]]] = {}
-    asked_s, rate = -np.inf, None
+    asked_s, is_new = -np.inf, False
     while (elapsed_s := bench.clock.now() - begin_s) < (step.at_most_s or np.inf):
         if asked_s < bench.readings.asked_s:
-            asked_s = bench.readings.asked_s
-            rates = []
+            asked_s, is_new = bench.readings.asked_s, True
             for unit in context.units.measuring:
                 try:
-                    rates.append(_gyro_rate_c_per_h(unit, histories.setdefault(unit, deque())))
+                    _keep_temperatures(unit, histories.setdefault(unit, deque()))
                 except InstrumentError as error:
                     context.units.fail(unit, error)
-            known = [each for each in rates if each is not None]
-            rate = max(known) if known and len(known) == len(rates) else None
-        if elapsed_s >= step.at_least_s and rate is not None and rate < limit:
-            return
+        if is_new and elapsed_s >= step.at_least_s:
+            is_new = False
+            rates = [_gyro_rate_c_per_h(histories.get(unit)) for unit in context.units.measuring]
+            if max(rates, default=np.inf) < limit:
+                return
         yield
 
 
@@ -480,17 +481,21 @@ def _choosing_euler_sequence(step: Align, unit: Unit) -> Ticks | None:
     return None if is_chosen else unit.live.ins.setting_euler_sequence(chosen)
 
 
-def _gyro_rate_c_per_h(unit: Unit, history: deque[tuple[float, ...]]) -> float | None:
-    """Largest rate of the gyro temperatures over the fit's span; None while it is too short."""
+def _keep_temperatures(unit: Unit, history: deque[tuple[float, ...]]) -> None:
+    """Add the gyro temperatures to those of the fit's span."""
     readings = unit.live.readings
-    if np.isnan(readings.ins.optics_c).any():
+    if any(map(math.isnan, readings.ins.optics_c)):
         raise InstrumentError(
             unit.live.name, "sends no gyro temperatures for the soak to wait for. Use for_s."
         )
-    history.append((readings.asked_s, *readings.ins.optics_c.tolist()))
+    history.append((readings.asked_s, *readings.ins.optics_c))
     while history[-1][0] - history[0][0] > _SOAK_FIT_S:
         history.popleft()
-    if history[-1][0] - history[0][0] < 0.9 * _SOAK_FIT_S:
-        return None
+
+
+def _gyro_rate_c_per_h(history: deque[tuple[float, ...]] | None) -> float:
+    """Largest rate of the gyro temperatures over the fit's span; infinite while it is too short."""
+    if not history or history[-1][0] - history[0][0] < 0.9 * _SOAK_FIT_S:
+        return np.inf
     values = np.array(history)
     return float(np.abs(slopes_c_per_h(values[:, 0], values[:, 1:])).max())

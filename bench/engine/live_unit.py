@@ -227,8 +227,6 @@ class LiveUnit:
 def telemetry_row(bench_row: tuple[float, ...], ins: InsStatus | None) -> tuple[float, ...]:
     """Values of a moment: those of the bench, and of an INS between them; NaN without an INS."""
     known = (
-        (math.nan,) * 8
-        if ins is None
-        else (*ins.optics_c.tolist(), *ins.electronics_c.tolist(), ins.case_c, float(ins.mode))
+        (math.nan,) * 8 if ins is None else (*ins.optics_c, *ins.electronics_c, ins.case_c, float(ins.mode))
     )
     return (*bench_row[:-2], *known, *bench_row[-2:])

@@ -7,6 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
+import numpy as np
+
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
 from gyrobench.bench.closure.files import CLOSURE_FILE
 from gyrobench.bench.closure.loadable_model import (
@@ -32,6 +34,8 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import facts_of, read_journal
 from gyrobench.bench.runs.provenance import read_provenance
 from gyrobench.bench.runs.tables.coefficient_table import (
+    PlateauCoefficientRow,
+    plateau_findings,
     read_coefficients,
     read_coefficients_apart,
     read_correlations,
@@ -52,6 +56,8 @@ from gyrobench.bench.verification.compensation_verification import (
 from gyrobench.drivers.ins.command_map import Compensation
 
 _AZIMUTH_TOLERANCE_DEG = 1.0
+#: Steps that measure all coefficients.
+_ROTATIONS = ("rotate", "spin")
 
 
 #: Dwells of a run, and those that check a calibration.
@@ -87,9 +93,13 @@ class VerificationRuns:
         self._closure = closure
         self._measured: dict[str, _Measured] = {}
         self._has_coefficients = coefficients
+        #: Searches of other coefficients of the run.
+        self.searches = _searches(run) if coefficients else ()
         declared, whole = declared_model(closure), model_with_effects(closure)
         if coefficients:
-            declared, whole = _with_coefficients(run, declared, whole)
+            declared, whole = _with_coefficients(run, self.searches, declared, whole)
+        if not whole.effects:
+            declared = replace(declared, notes=whole.notes)
         #: Models that can be loaded; without "effect" where the search found no effect to load.
         self.models: Mapping[str, LoadableModel] = MappingProxyType(
             {DECLARED: declared, **({EFFECT: whole} if whole.effects else {})}
@@ -113,6 +123,11 @@ class VerificationRuns:
         )
         self._job = self.jobs[self.selected[0]]
         _check_new(run, self._job)
+        if coefficients and not any(each.step.name in _ROTATIONS for each in self._job.plan.steps):
+            raise DocumentError(
+                f"{procedure}: the procedure measures no coefficients. Give one with rotations, as "
+                "--procedure full_calibration"
+            )
 
     def is_finished(self, name: str) -> bool:
         """Whether the run with a compensation is finished, with the same job.
@@ -168,20 +183,16 @@ class VerificationRuns:
             dwells=len(first),
             is_same_seed=bool(self._job.emulated_world()),
             notes=tuple(self._notes(rows)),
+            searches=self.searches,
             coefficients=tuple(self._coefficients(measured, site)),
         )
 
     def _coefficients(self, measured: Iterable[str], site: Site) -> Iterator[CoefficientResult]:
         for name in measured if self._has_coefficients else ():
             run = RunFolder(self.folder / name)
-            if not run.coefficients.exists():
-                raise DocumentError(
-                    f"{run.path}: the procedure measures no coefficients. Give one with rotations, as "
-                    "--procedure full_calibration"
-                )
-            yield coefficient_result(
-                name, read_coefficients(run.coefficients), read_correlations(run.correlations), site
-            )
+            _turned(run)
+            rows, correlations = read_coefficients(run.coefficients), read_correlations(run.correlations)
+            yield coefficient_result(name, rows, correlations, site)
 
     def _read(self, name: str) -> _Measured:
         return replay(RunFolder(self.folder / name), measurement_setup(self.jobs[name].station))
@@ -196,6 +207,9 @@ class VerificationRuns:
                     f"{', '.join(sorted(units))}."
                 )
             flagged = sum(bool(row.flags) for row in measured)
+            if self._has_coefficients:
+                found = plateau_findings(read_coefficients(RunFolder(self.folder / name).coefficients))
+                yield from (f"In the run {name}: {each}" for each in found)
             if flagged:
                 yield f"In the run {name} {flagged} of {len(measured)} dwells have flags and are not used."
         kept = _compensations_in_use(RunFolder(self.folder / NONE)) if NONE in rows else []
@@ -212,21 +226,38 @@ def new_emulation(run: RunFolder, world: str | None = None, seed: int | None = N
     return Emulation(world or known.world, known.seed + 1 if seed is None else seed)
 
 
-def _with_coefficients(run: RunFolder, *models: LoadableModel) -> list[LoadableModel]:
+def _searches(run: RunFolder) -> tuple[Closure, ...]:
+    """The searches of the run in coefficients beyond the gyros' biases."""
+    folders = [run.closure.with_name(f"{run.closure.name}_{each.name}") for each in QUANTITIES]
+    return tuple(read_closure(folder) for folder in folders if (folder / CLOSURE_FILE).exists())
+
+
+def _turned(run: RunFolder) -> list[PlateauCoefficientRow]:
+    """Coefficients of a run, with the uncertainties by which plateaus differ.
+
+    Raises DocumentError if no rotations of it could be evaluated: dwells alone leave coefficients open that
+    the others depend on.
+    """
+    rows = read_coefficients_apart(run.coefficients, run.budget) if run.coefficients.exists() else []
+    if not any(np.isfinite(row.gyro_rate_c_per_h) for row in rows):
+        [reason, *_] = [*plateau_findings(rows), "It has none."]
+        raise DocumentError(
+            f"{run.path}: no rotations of this run could be evaluated, and dwells alone do not determine the "
+            f"coefficients. {reason} Measure a procedure with rotations, as full_calibration"
+        )
+    return rows
+
+
+def _with_coefficients(
+    run: RunFolder, searches: Iterable[Closure], *models: LoadableModel
+) -> list[LoadableModel]:
     """Models of the gyros' biases with the other coefficients of a run.
 
     Where a search in one of them found effects its model replaces the polynomial in the second model; a
-    search of one cycle confirms none, and is left out. Raises DocumentError if the run has no coefficients.
+    search of one cycle confirms none, and is left out.
     """
-    if not run.coefficients.exists():
-        raise DocumentError(
-            f"{run.path}: has no {run.coefficients.name}. Measure a procedure with rotations, as "
-            "full_calibration"
-        )
-    polynomials = corrections(read_coefficients_apart(run.coefficients, run.budget))
-    folders = [run.closure.with_name(f"{run.closure.name}_{each.name}") for each in QUANTITIES]
-    found = [read_closure(folder) for folder in folders if (folder / CLOSURE_FILE).exists()]
-    closures = [each for each in found if not each.searched.all()]
+    polynomials = corrections(_turned(run))
+    closures = [each for each in searches if not each.searched.all()]
     return [
         with_coefficients(
             replace(model, compensation=replace(model.compensation, coefficients=polynomials)),

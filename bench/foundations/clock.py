@@ -155,7 +155,8 @@ class VirtualClock(Clock):
 
     def sleep_until(self, time_s: float) -> None:
         """Advance to exactly ``time_s``, without the rounding of a difference."""
-        self._now_s = max(self._now_s, time_s)
+        if time_s > self._now_s:
+            self._now_s = time_s
 
     @property
     def epoch(self) -> datetime:

@@ -42,8 +42,10 @@ class _LoadedAlone(Cache):
         return found
 
     def _loaded(self, sig: Any, target_context: Any) -> Any:
-        with self._guard_against_spurious_io_errors():
+        # Code that another version of this module stored is compiled again.
+        with self._guard_against_spurious_io_errors(), suppress(AttributeError, ImportError):
             return self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+        return None
 
     def release(self) -> None:
         """Let waiting processes continue: the code is in the cache, or can't be compiled."""

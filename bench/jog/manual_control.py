@@ -452,10 +452,8 @@ def _known(value: float | None, form: str) -> str:
     return "-" if value is None or not math.isfinite(value) else format(value, form)
 
 
-def _xyz(values: FloatArray) -> str:
-    return "  ".join(
-        f"{axis} {_known(float(value), '.2f')}" for axis, value in zip("xyz", values, strict=True)
-    )
+def _xyz(values: Sequence[float]) -> str:
+    return "  ".join(f"{axis} {_known(value, '.2f')}" for axis, value in zip("xyz", values, strict=True))
 
 
 def _switched(is_on: bool | None) -> str:

@@ -145,8 +145,8 @@ def bench_readings(bench: LiveBench) -> BenchReadings:
     return BenchReadings(
         chamber_set_c=math.nan if set_c is None else set_c,
         chamber_c=readings.chamber.temperature_c,
-        gyro_c=tuple(readings.ins.optics_c.tolist()),
-        electronics_c=tuple(readings.ins.electronics_c.tolist()),
+        gyro_c=readings.ins.optics_c,
+        electronics_c=readings.ins.electronics_c,
         case_c=readings.ins.case_c,
         outer_deg=outer_deg,
         inner_deg=inner_deg,
@@ -184,7 +184,7 @@ def _unit_status(bench: LiveBench, number: str, outcome: RunOutcome, bins: tuple
     return UnitStatus(
         number=number,
         ins_mode=readings[0].mode.name.lower() if readings else "",
-        gyro_c=tuple(readings[0].optics_c.tolist()) if readings else _UNKNOWN,
+        gyro_c=readings[0].optics_c if readings else _UNKNOWN,
         dwells=len(outcome.finished),
         bias_dph=newest[0].bias_dph if newest else _UNKNOWN,
         sigma_dph=newest[0].sigma_dph if newest else _UNKNOWN,
@@ -206,7 +206,7 @@ class _Window:
         self._rows: Thinned[tuple[float, float, float, InsStatus]] = Thinned(MAX_WINDOW_SAMPLES)
 
     def add(self, time_s: float, ins: InsStatus) -> None:
-        east, north, _ = ins.velocity_enu_mps.tolist()
+        east, north, _ = ins.velocity_enu_mps
         self._rows.add((time_s - self._begun_s, east, north, ins))
 
     def trace(self) -> WindowTrace:
@@ -399,7 +399,7 @@ class SnapshotRecorder(RunObserver):
             self._last_reading_s = readings.asked_s
             set_c = bench.state.commanded_c
             set_or_nan_c = math.nan if set_c is None else set_c
-            air_c, gyro_c = readings.chamber.temperature_c, readings.ins.optics_c.tolist()
+            air_c, gyro_c = readings.chamber.temperature_c, readings.ins.optics_c
             self._readings.add((readings.asked_s, set_or_nan_c, air_c, *gyro_c))
             if self._dwell and self._step and readings.asked_s >= self._step.started_s:
                 self._dwell.add(readings.asked_s, readings.ins)

@@ -274,6 +274,7 @@ class VerificationResult:
     #: Whether all runs had the same emulated world and seed, and so the same constants of the power cycle.
     is_same_seed: bool
     notes: tuple[str, ...]  #: Remarks; sentences.
+    searches: tuple[Closure, ...] = ()  #: In the campaign, of coefficients beyond the gyros' biases.
     #: Coefficients with each compensation; empty if they were not asked for.
     coefficients: tuple[CoefficientResult, ...] = ()
 

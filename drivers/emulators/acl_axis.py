@@ -281,10 +281,10 @@ class AclAxis:
 
     def state_register(self) -> int:
         """``AnSTATE``: mode, servo, reason for an open servo, and whether that is latched."""
-        value = int(self.mode)
-        value |= self.closed << 4 | (not self.closed and not self.faulted) << 5
+        faulted = self.faulted
+        value = int(self.mode) | self.closed << 4 | (not self.closed and not faulted) << 5
         value |= bool(self.software_faults) << 6 | bool(self.latched_interlocks) << 7
-        return value | self.faulted << 8 | self.faulted << 9
+        return value | faulted << 8 | faulted << 9
 
     def dynamics_register(self) -> int:
         """``AnDYN``: limits reached and profiles complete."""

@@ -114,7 +114,7 @@ def _parse_argument(word: str) -> Argument:
 
 def format_number(value: float, decimals: int) -> str:
     """Write a number in NR2: fixed point, no exponent, no plus sign, no negative zero."""
-    return f"{round(value, decimals) + 0.0:.{decimals}f}"
+    return f"{value:z.{decimals}f}"
 
 
 def number(argument: Argument) -> float:
@@ -133,7 +133,8 @@ def whole_number(argument: Argument) -> int:
 
 def expect(arguments: Arguments, *counts: int) -> None:
     """Refuse another number of arguments."""
-    refuse_if(len(arguments) not in counts, ErrorCode.WRONG_PARAMETER_COUNT)
+    if len(arguments) not in counts:
+        raise AclError(ErrorCode.WRONG_PARAMETER_COUNT)
 
 
 class AxisCommands:
@@ -227,7 +228,7 @@ class AxisCommands:
 
     def _ask_numbers(self, values: Callable[[AclAxis], Iterable[float]]) -> Handler:
         return self._ask(
-            lambda axis: ";".join(format_number(value, self._decimals) for value in values(axis))
+            lambda axis: ";".join([format_number(value, self._decimals) for value in values(axis)])
         )
 
     def _reset(self, arguments: Arguments) -> str:

@@ -147,7 +147,7 @@ class ModbusRtuDevice:
             registers = [self._registers[address] for address in range(first, first + count)]
         except KeyError:
             return exception_frame(self._address, function, _ILLEGAL_ADDRESS)
-        return _frame_of_numbers(self._address, tuple(register.read() & 0xFFFF for register in registers))
+        return _frame_of_numbers(self._address, tuple([register.read() & 0xFFFF for register in registers]))
 
     def _write(self, first: int, values: Sequence[int]) -> int:
         """Write successive registers up to a refused value; returns an exception code, or zero."""

@@ -61,15 +61,14 @@ class Serial(ClockedPort):  # the name that pyserial looks for
         """Time at which the instrument's next reply arrives."""
         return self._due[0][0] if self._due else None
 
-    def take(self) -> bytes:
-        """Replies that have arrived."""
+    def collect(self) -> None:
+        """Add replies that have arrived."""
+        if not self.is_open:
+            raise PortNotOpenError
         self._check_connected()
-        data, due = b"", self._due
-        if due:
-            now_s = self.clock.now()
-            while due and due[0][0] <= now_s:
-                data += due.popleft()[1]
-        return data
+        due = self._due
+        while due and due[0][0] <= self.clock.now():
+            self._arrived += due.popleft()[1]
 
     def _check_connected(self) -> None:
         if self._connection.generation != self._generation:

@@ -163,14 +163,13 @@ class DbcCodec:
         layout = self._layout(message_name)
         field, length = layout.fields[signal_name], layout.length
         raw_one, scale, offset = field.raw_one, float(field.signal.scale), float(field.signal.offset)
-        is_always_sent = field.signal.multiplexer_ids is None
 
         def decoded(data: bytes) -> float:
-            if len(data) < length or not (is_always_sent or layout.selects(signal_name, data)):
-                return math.nan
-            return float(raw_one(data)) * scale + offset
+            return raw_one(data) * scale + offset if len(data) >= length else math.nan
 
-        return decoded
+        if field.signal.multiplexer_ids is None:
+            return decoded
+        return lambda data: decoded(data) if layout.selects(signal_name, data) else math.nan
 
     def encode(self, message_name: str, values: Mapping[str, ArrayLike]) -> NDArray[np.uint8]:
         """Payloads of a message, shape (n, length of the message).

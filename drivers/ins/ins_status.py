@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Mapping
 from functools import cached_property
 
@@ -11,14 +12,18 @@ from numpy.typing import NDArray
 
 from gyrobench.bench.foundations.arrays import FloatArray, IntArray
 from gyrobench.bench.foundations.kernels import compiled
-from gyrobench.drivers.frames import MAX_LENGTH, FrameBlock
+from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.attitude import EulerSequence
 from gyrobench.drivers.ins.dbc_codec import DbcCodec
 from gyrobench.drivers.ins.readout import Alignment, InsMode, Readout
 from gyrobench.drivers.ins.signal_map import BoundSignal, SignalMap
 
+Triple = tuple[float, float, float]
+
 #: Age from which values count as unknown.
 STALE_S = 5.0
+#: Time stamp, identifier, length and data of a row of :data:`~gyrobench.drivers.frames.FRAME_DTYPE`.
+_ROW = struct.Struct("=dIB3x8s")
 _NOW = np.zeros(1, np.int64)
 _NEVER = -math.inf, b""
 
@@ -40,14 +45,11 @@ class NewestFrames:
         """Store frames that have just arrived, in order; at least one."""
         self._received_s, self._stamp_s = now_s, frames.timestamp_s.item(-1)
         rows = frames.take(_newest_rows(frames.arbitration_id)).rows
-        data = rows["data"].tobytes()
-        # By columns: rows with arrays in them become objects slowly.
-        columns = zip(rows["id"].tolist(), rows["time_s"].tolist(), rows["length"].tolist(), strict=True)
-        newest, place = self._newest.copy(), 0
-        for identifier, time_s, length in columns:
-            newest[identifier] = time_s, data[place : place + length]
-            place += MAX_LENGTH
-        self._newest = newest
+        self._newest = self._newest | {
+            identifier: (time_s, data[:length])
+            # As bytes: rows with arrays in them become objects slowly.
+            for time_s, identifier, length, data in _ROW.iter_unpack(rows.tobytes())
+        }
 
     def forget(self, message_name: str) -> None:
         """Drop the frames of a message."""
@@ -159,9 +161,9 @@ class InsStatus:
         return float(self._readout.time_s(_NOW)[0])
 
     @cached_property
-    def velocity_enu_mps(self) -> FloatArray:
-        """Velocity, shape (3,)."""
-        return np.array([self._number(f"velocity_{axis}") for axis in ("east", "north", "up")])
+    def velocity_enu_mps(self) -> Triple:
+        """Velocity."""
+        return self._number("velocity_east"), self._number("velocity_north"), self._number("velocity_up")
 
     @cached_property
     def attitude(self) -> FloatArray:
@@ -169,13 +171,13 @@ class InsStatus:
         return np.asarray(self._readout.attitude(_NOW)[0])
 
     @cached_property
-    def optics_c(self) -> FloatArray:
-        """Temperature of each gyro's optics by body axis, shape (3,)."""
+    def optics_c(self) -> Triple:
+        """Temperature of each gyro's optics by body axis."""
         return self._axes("gyro_optics_temperature")
 
     @cached_property
-    def electronics_c(self) -> FloatArray:
-        """Temperature of each gyro's electronics by body axis, shape (3,)."""
+    def electronics_c(self) -> Triple:
+        """Temperature of each gyro's electronics by body axis."""
         return self._axes("gyro_electronics_temperature")
 
     @cached_property
@@ -197,5 +199,5 @@ class InsStatus:
         bound = self._signals.get(path)
         return math.nan if bound is None else self._snapshot.value(bound)
 
-    def _axes(self, name: str) -> FloatArray:
-        return np.array([self._number(f"{name}.{axis}") for axis in "xyz"])
+    def _axes(self, name: str) -> Triple:
+        return self._number(f"{name}.x"), self._number(f"{name}.y"), self._number(f"{name}.z")

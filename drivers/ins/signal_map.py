@@ -381,7 +381,7 @@ class BoundSignal:
             return abs(self.gain)
         return 0.0 if self.signal.conversion.is_float else abs(self.signal.scale * self.gain)
 
-    @property
+    @cached_property
     def modulus(self) -> float:
         """Value at which an integer counter wraps, in SI; infinite for floating point."""
         if self.bits is not None:

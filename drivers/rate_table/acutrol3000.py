@@ -34,7 +34,7 @@ from gyrobench.drivers.serial_line import LineDefaults, SerialLine
 
 ReplyT = TypeVar("ReplyT")
 
-_REGISTER = re.compile(r"\d{1,10}", re.ASCII)
+_REGISTERS = re.compile(r"\d{1,10}(;\d{1,10})*", re.ASCII)
 #: Modes whose limits bound the motions of this driver: Off (controlled stop), Position, Rate.
 _LIMITED_MODES = ("O", "P", "R")
 _MAX_SERVO_CLOSE_S = 5.0
@@ -321,17 +321,19 @@ def _acknowledgement(text: str) -> None:
 
 
 def _finite_numbers(text: str, count: int) -> tuple[float, ...]:
-    values = tuple(map(float, re.split("[;,]", text)))
+    values = tuple(map(float, text.replace(",", ";").split(";")))
     if len(values) != count or not all(map(math.isfinite, values)):
         raise ValueError
     return values
 
 
 def _whole_numbers(text: str, count: int) -> tuple[int, ...]:
-    values = text.split(";")
-    if len(values) != count or not all(map(_REGISTER.fullmatch, values)):
+    if not _REGISTERS.fullmatch(text):
         raise ValueError
-    return tuple(map(int, values))
+    values = tuple(map(int, text.split(";")))
+    if len(values) != count:
+        raise ValueError
+    return values
 
 
 class ReplyFraming:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 from urllib.parse import parse_qs, unquote, urlsplit
 
-from serial.serialutil import SerialException
+from serial.serialutil import PortNotOpenError, SerialException
 
 from gyrobench.bench.foundations.clock import Clock, WallClock, clock_named
 from gyrobench.bench.foundations.errors import DocumentError
@@ -54,7 +54,7 @@ class Serial(ClockedPort):
 
     def write(self, data: bytes, /) -> int:  # type: ignore[override]
         """Send; raises SerialException with the place in the recording for other bytes than recorded."""
-        self._collect()
+        self.collect()
         try:
             self._script.send(bytes(data), self.clock.now())
         except ReplayError as error:
@@ -65,9 +65,11 @@ class Serial(ClockedPort):
         """Time of the next recorded bytes."""
         return self._script.next_due_s
 
-    def take(self) -> bytes:
-        """Recorded bytes that are due."""
-        return self._script.arrived(self.clock.now())
+    def collect(self) -> None:
+        """Add recorded bytes that are due."""
+        if not self.is_open:
+            raise PortNotOpenError
+        self._arrived += self._script.arrived(self.clock.now())
 
 
 class ReplayScript:

@@ -1,6 +1,6 @@
 import pytest
 import serial
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from pymodbus.framer.rtu import FramerRTU
 
@@ -121,7 +121,6 @@ REPLIES = st.one_of(
 QUESTIONS = st.lists(st.tuples(st.integers(0, 5), st.integers(1, 2), REPLIES), min_size=2, max_size=12)
 
 
-@settings(max_examples=400, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(questions=QUESTIONS)
 def test_no_late_lost_or_repeated_reply_gives_the_value_of_another_register(port, modbus, questions):
     for register, count, replies in questions:

@@ -15,13 +15,13 @@ from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.packages import EFFECTS, installed, load
 
 
-def all_effects(*sources: Path) -> tuple[Effect, ...]:
+def all_effects(*sources: Path, sensor: str = "gyro") -> tuple[Effect, ...]:
     """The effects of this package's modules, of other packages and of the user's files, by name.
 
-    ``sources``: the tables or runs searched; see
-    :func:`gyrobench.bench.closure.effects.effect_file.effect_folders`. Raises DocumentError if an effect of
-    another package can't be imported, is not an Effect, or has a name already used, or a file is wrong. It is
-    not left out silently: the outcome of a search depends on its candidates.
+    ``sensor``: "gyro" or "accelerometer", whose coefficients may show them. ``sources``: the tables or runs
+    searched; see :func:`gyrobench.bench.closure.effects.effect_file.effect_folders`. Raises DocumentError if
+    an effect of another package can't be imported, is not an Effect, or has a name already used, or a file is
+    wrong. It is not left out silently: the outcome of a search depends on its candidates.
     """
     modules = (importlib.import_module(f"{__name__}.{each.name}") for each in pkgutil.iter_modules(__path__))
     found = (each for module in modules for each in vars(module).values() if isinstance(each, Effect))
@@ -40,7 +40,7 @@ def all_effects(*sources: Path) -> tuple[Effect, ...]:
         effects[effect.name] = replace(
             effect, forms=tuple(checked(form, effect.name) for form in effect.forms)
         )
-    return tuple(effects[name] for name in sorted(effects))
+    return tuple(effects[name].seen_by(sensor) for name in sorted(effects) if sensor in effects[name].sensors)
 
 
 def _reason_against(effect: Effect, entry: str, known: Mapping[str, Effect]) -> str:

@@ -41,9 +41,7 @@ _WITHOUT_UNIT = f"The heat flow is not known: shown is the {_SCALE}."
 
 
 def _saturating(below: FloatArray) -> FloatArray:
-    from scipy.special import expit
-
-    return np.asarray(expit(below))
+    return np.asarray(np.exp(-np.logaddexp(0.0, -below)))
 
 
 def _growing(below: FloatArray) -> FloatArray:

@@ -40,9 +40,10 @@ def _heat_to_remove(campaign: Campaign, values: tuple[float, ...]) -> FloatArray
     cold_below_c, ratio, tau_s = values
     record, set_c = campaign.record, course_of("chamber_set_c", campaign)[:, :1]
     limited_c = set_c - ratio * lag(set_c, record.time_s, tau_s)
-    padded_c = np.pad(limited_c, ((1, 1), (0, 0)), mode="edge")
-    around_c = np.stack([padded_c[:-2], limited_c, padded_c[2:]])
-    low_c, high_c = around_c.min(axis=0) - _SWITCH_C, around_c.max(axis=0) + _SWITCH_C
+    before_c = np.concatenate([limited_c[:1], limited_c[:-1]])
+    after_c = np.concatenate([limited_c[1:], limited_c[-1:]])
+    low_c = np.minimum(np.minimum(before_c, after_c), limited_c) - _SWITCH_C
+    high_c = np.maximum(np.maximum(before_c, after_c), limited_c) + _SWITCH_C
     runs = np.clip((cold_below_c - low_c) / (high_c - low_c), 0.0, 1.0)
     return same_for_all_gyros(record.mean_over(runs, campaign.start_s, campaign.end_s))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -108,6 +109,14 @@ class Effect:
     #: Runs that an empirical law was composed from, and the fingerprints of their dwells; empty if not known.
     composed_from: tuple[str, ...] = ()
     composed_from_dwells: tuple[str, ...] = ()
+    sensors: tuple[str, ...] = ("gyro", "accelerometer")  #: Whose coefficients may show it.
+    #: Fields with other texts where accelerometers are searched.
+    of_accelerometers: tuple[tuple[str, str], ...] = ()
+
+    def seen_by(self, sensor: str) -> Effect:
+        """The effect with its texts for "gyro" or "accelerometer"."""
+        texts: dict[str, Any] = dict(self.of_accelerometers if sensor == "accelerometer" else ())
+        return replace(self, **texts)
 
     @property
     def display_name(self) -> str:

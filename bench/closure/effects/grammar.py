@@ -132,9 +132,7 @@ def _below(state: FloatArray, onset: float, width: float) -> list[FloatArray]:
 
 
 def _saturation(state: FloatArray, centre: float, width: float) -> list[FloatArray]:
-    from scipy.special import expit
-
-    return [np.asarray(expit((state - centre) / width))]
+    return [np.exp(-np.logaddexp(0.0, (centre - state) / width))]
 
 
 def _resonance(state: FloatArray, centre: float, half_width: float) -> list[FloatArray]:
@@ -325,11 +323,15 @@ def effect_of(
     label: str = "",
     imitated_by: tuple[str, ...] = (),
     may_imitate: Callable[[Campaign], bool] = always,
+    of_accelerometers: tuple[tuple[str, str], ...] = (),
 ) -> Effect:
     """Effect of one law, compensated by the INS's terms where the INS has them."""
     form = form_of(law, terms)
     compensation = partial(ins_terms, {form.name: law})
-    return Effect(name, statement, experiment, (form,), imitated_by, compensation, label, may_imitate)
+    return Effect(
+        name, statement, experiment, (form,), imitated_by, compensation, label, may_imitate,
+        of_accelerometers=of_accelerometers,
+    )  # fmt: skip
 
 
 def ins_terms(laws: Mapping[str, Law], fitted: FittedForm) -> InsTerms:

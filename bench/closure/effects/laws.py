@@ -72,6 +72,10 @@ THERMAL_GRADIENT = effect_of(
     terms=("electronics above optics, K",),
 )
 
+#: The specific force at rest is gravity, so the matrix of the sensors does the same.
+_OR_MISALIGNMENT = "as misalignments do at rest"
+_BY_MATRIX = "compensate the matrix that rotations measure (rotate): at rest it includes both"
+
 G_SENSITIVITY = effect_of(
     Law("constant", factor="up"),
     name="g_sensitivity",
@@ -83,6 +87,14 @@ G_SENSITIVITY = effect_of(
     ),
     terms=("Up along x", "Up along y", "Up along z"),
     imitated_by=("magnetic_sensitivity",),
+    of_accelerometers=(
+        ("label", "misalignment or g-sensitivity"),
+        (
+            "statement",
+            f"the bias follows gravity along the body axes, {_OR_MISALIGNMENT}, equally at all temperatures",
+        ),
+        ("experiment", _BY_MATRIX),
+    ),
 )
 
 #: The springs of block and dither soften with temperature. The part that is equal at all temperatures is
@@ -97,6 +109,15 @@ THERMAL_G_SENSITIVITY = effect_of(
         "linearly over the whole range, and not with the power of the electronics"
     ),
     terms=("temperature by Up along x, K", "temperature by Up along y, K", "temperature by Up along z, K"),
+    of_accelerometers=(
+        ("label", "misalignment or g-sensitivity over temperature"),
+        (
+            "statement",
+            f"the bias follows gravity along the body axes, {_OR_MISALIGNMENT}, in proportion to "
+            "the temperature",
+        ),
+        ("experiment", _BY_MATRIX),
+    ),
 )
 
 WARM_UP = effect_of(

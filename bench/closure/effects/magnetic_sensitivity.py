@@ -44,11 +44,6 @@ def _missing_input(campaign: Campaign) -> str | None:
     return needs_positions(campaign)
 
 
-def _is_of_gyros(campaign: Campaign) -> bool:
-    """An accelerometer senses gravity far more than any magnetic field."""
-    return campaign.quantity.sensor == "gyro"
-
-
 EFFECT = Effect(
     name="magnetic_sensitivity",
     label="magnetic sensitivity",
@@ -63,5 +58,5 @@ EFFECT = Effect(
         ),
     ),
     compensation=no_ins_term("the INS has no magnetometer"),
-    may_imitate=_is_of_gyros,
+    sensors=("gyro",),  # accelerometers sense gravity far more than any magnetic field
 )

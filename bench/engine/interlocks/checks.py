@@ -316,27 +316,42 @@ def ins_temperatures(station: Station) -> Iterator[InsTemperature]:
 
 
 def _gyro_temperature(attribute: str, index: int) -> Callable[[InsStatus], float]:
-    return lambda ins: float(getattr(ins, attribute)[index])
+    return lambda ins: getattr(ins, attribute)[index]
 
 
 class _WatchedTemperature:
     """A temperature with its newest value and its rate of change."""
 
     def __init__(self, source: InsTemperature, station: Station) -> None:
-        self.source = source
-        self.what = f"the temperature of the {source.what}"
-        self.rate_c_per_min = source.rate.limit_or_default_c_per_min(
+        self._read, self._interlock = source.read, source.interlock
+        self._what = f"the temperature of the {source.what}"
+        self._low_c, self._high_c = source.level.low_c, source.level.high_c
+        self._rate_c_per_min = source.rate.limit_or_default_c_per_min(
             station.file.chamber.limits.ramp_c_per_min
         )
-        self.rate = RateWindow.for_readings(source.rate.window_s, station.file.instruments_period_s)
+        self._rate = RateWindow.for_readings(source.rate.window_s, station.file.instruments_period_s)
         self.value_c = math.nan
         self.known_s = -math.inf
 
     def observe(self, ins: InsStatus, now_s: float) -> None:
-        self.value_c = self.source.read(ins)
-        self.rate.add(now_s, self.value_c)
+        self.value_c = self._read(ins)
         if math.isfinite(self.value_c):
+            self._rate.add(now_s, self.value_c)
             self.known_s = now_s
+
+    def is_within_limits(self) -> bool:
+        rate_per_s = self._rate.per_s()
+        return self._low_c <= self.value_c <= self._high_c and (
+            rate_per_s is None or abs(rate_per_s) * 60.0 <= self._rate_c_per_min
+        )
+
+    def findings(self, is_known: bool) -> Iterator[Finding]:
+        """Yield what is wrong; ``is_known``: whether the value is one, or has been unknown for long."""
+        problem = _out_of_range(self._what, self.value_c, self._low_c, self._high_c, "degC")
+        if problem and is_known:
+            yield Finding(f"{self._interlock}_temperature", problem, _COOL_DOWN)
+        if problem := _too_fast(self._what, self._rate.per_s(), self._rate_c_per_min):
+            yield Finding(f"{self._interlock}_rate", problem, f"{_CHECK_SENSOR}.")
 
 
 class InsChecks:
@@ -372,17 +387,11 @@ class InsChecks:
         if readings.ins.mode is InsMode.FAULT and self._observed_s >= self._on_s:
             yield Finding("ins_fault", "the INS reports a fault", "Read its built-in test results.")
         for temperature in self._temperatures:
-            # By the observations: the first may come before the first temperatures.
-            unknown_s = self._observed_s - max(temperature.known_s, self._on_s)
-            level, name = temperature.source.level, temperature.source.interlock
-            if (math.isfinite(temperature.value_c) or unknown_s > self._silence_s) and (
-                problem := _out_of_range(
-                    temperature.what, temperature.value_c, level.low_c, level.high_c, "degC"
-                )
-            ):
-                yield Finding(f"{name}_temperature", problem, _COOL_DOWN)
-            if problem := _too_fast(temperature.what, temperature.rate.per_s(), temperature.rate_c_per_min):
-                yield Finding(f"{name}_rate", problem, f"{_CHECK_SENSOR}.")
+            if not temperature.is_within_limits():
+                # By the observations: the first may come before the first temperatures.
+                unknown_s = self._observed_s - max(temperature.known_s, self._on_s)
+                is_known = math.isfinite(temperature.value_c) or unknown_s > self._silence_s
+                yield from temperature.findings(is_known)
 
     def good_until_s(self, readings: Readings) -> float:  # noqa: ARG002 - as the others
         """Return until when nothing goes wrong by the passage of time alone."""

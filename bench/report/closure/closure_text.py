@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable
+from statistics import NormalDist
 
 import numpy as np
-from scipy.special import chdtri
 
 from gyrobench.bench.closure.candidates import start_count
 from gyrobench.bench.closure.loop import Closure, Evidence, FoundEffect
@@ -57,7 +57,7 @@ def smallest_visible_dph(closure: Closure) -> float:
     number of dwells searched times the square of its size over the noise.
     """
     counts = [start_count(each.effect, closure.campaign) for each in closure.evidence]
-    reduction = float(chdtri(1, SIGNIFICANCE / (min(counts) * len(counts))))
+    reduction = NormalDist().inv_cdf(0.5 * SIGNIFICANCE / (min(counts) * len(counts))) ** 2
     return closure.noise_dph * float(np.sqrt(reduction / closure.searched.sum()))
 
 
@@ -248,13 +248,19 @@ def probability_text(probability: float) -> str:
     return f"P {number}" if number[0] in "<>" else f"P = {number}"
 
 
-def title(closure: Closure) -> str:
-    """Heading of a search: "Search for effects", of another quantity than gyro biases with its name."""
+def searched_name(closure: Closure) -> str:
+    """What was searched: "gyro biases", "gyro misalignments xy, yz and zx"."""
     quantity = closure.quantity
     what = f"{quantity.sensor} {quantity.label}s" + (
         f" {listed(quantity.axes)}" if quantity.axes[0][1:] else ""
     )
-    return "Search for effects" + ("" if quantity.is_gyro_bias else f": {what.replace('biass', 'biases')}")
+    return what.replace("biass", "biases")
+
+
+def title(closure: Closure) -> str:
+    """Heading of a search: "Search for effects", of another quantity than gyro biases with its name."""
+    is_gyro_bias = closure.quantity.is_gyro_bias
+    return "Search for effects" + ("" if is_gyro_bias else f": {searched_name(closure)}")
 
 
 def probability_sentence(closure: Closure) -> str:

@@ -8,7 +8,7 @@ import math
 import struct
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
@@ -116,11 +116,20 @@ class _AlikeTicks(Axis):
     axis_name: str
     _boxes: Any = None
 
+    @cached_property
+    def minorTicks(self) -> list[Tick]:  # type: ignore[override]  # noqa: N802
+        """None until a locator places some; matplotlib makes one for each axis."""
+        return []
+
     def _get_tick(self, major: bool) -> Tick:
         made = vars(self).get("majorTicks" if major else "minorTicks")
+        tick: Tick
         if not made:
-            return super()._get_tick(major)  # type: ignore[misc,no-any-return]
-        tick: Tick = copy.copy(made[0])
+            tick = super()._get_tick(major)  # type: ignore[misc]
+            if not major:
+                tick.set_clip_path(self.axes.patch)  # as the axis does with those that are there
+            return tick
+        tick = copy.copy(made[0])
         tick.label1, tick.label2 = copy.copy(tick.label1), copy.copy(tick.label2)
         for label in (tick.label1, tick.label2):
             label.set_fontproperties(label.get_fontproperties())  # a copy

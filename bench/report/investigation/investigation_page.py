@@ -18,7 +18,12 @@ from gyrobench.bench.report.figures.style import fitted_figure, house_style
 from gyrobench.bench.report.investigation import investigation_text as text
 from gyrobench.bench.report.page import Findings, Section, SectionFigure, SectionTable, write_findings
 from gyrobench.bench.report.verification.verification_page import residual_bars_figure
-from gyrobench.bench.report.verification.verification_text import SIZES, UNITS, outcome_sentence, total_rows
+from gyrobench.bench.report.verification.verification_text import (
+    outcome_sentence,
+    size_heads,
+    size_units,
+    total_rows,
+)
 from gyrobench.bench.runs.provenance import watermark_of
 from gyrobench.bench.verification.compensation_verification import VerificationResult
 
@@ -117,8 +122,8 @@ def _blocks(found: Investigation) -> list[Section]:
 def _proof(proof: VerificationResult | None) -> list[Section]:
     if proof is None:
         return []
-    caption = f"Remaining biases in new measurements, all plateaus, {UNITS}"
-    table = SectionTable(caption, ["compensation", *SIZES], total_rows(proof))
+    caption = f"Remaining biases in new measurements, all plateaus, {size_units(proof)}"
+    table = SectionTable(caption, ["compensation", *size_heads(proof)], total_rows(proof))
     bars = SectionFigure("residuals", f"{caption}, by plateau.", partial(residual_bars_figure, proof))
     return [Section("Compensation, before and after", [outcome_sentence(proof)], [bars], [table])]
 

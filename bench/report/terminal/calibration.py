@@ -88,7 +88,7 @@ def _cells(row: CoefficientRow) -> tuple[str, ...]:
     if row.value is None or row.sigma is None:
         return *words, NOT_OBSERVABLE, ""
     decimals = decimals_of(row.sigma)
-    return *words, f"{row.value:.{decimals}f}", f"{row.sigma:.{decimals}f}"
+    return *words, f"{row.value:z.{decimals}f}", f"{row.sigma:.{decimals}f}"
 
 
 def _topics(calibration: Calibration, site: Site) -> Iterator[tuple[str, str]]:

@@ -18,7 +18,7 @@ from gyrobench.bench.closure.loadable_model import LoadableModel
 from gyrobench.bench.closure.loop import Closure
 from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.text import counted, hours_minutes, listed, plain_name
-from gyrobench.bench.report.closure.closure_text import verdict_sentence
+from gyrobench.bench.report.closure.closure_text import searched_name, verdict_sentence
 from gyrobench.bench.report.figures.style import common_legend, house_style, new_figure, say_empty
 from gyrobench.bench.report.page import Box, Findings, Section, SectionFigure, SectionTable, write_findings
 from gyrobench.bench.report.verification.verification_text import (
@@ -27,8 +27,6 @@ from gyrobench.bench.report.verification.verification_text import (
     INCONCLUSIVE,
     LABELS,
     NOT_CONFIRMED,
-    SIZES,
-    UNITS,
     change_sentences,
     model_sentences,
     number_rows,
@@ -36,6 +34,8 @@ from gyrobench.bench.report.verification.verification_text import (
     outcome_sentence,
     plateau_rows,
     reading_sentences,
+    size_heads,
+    size_units,
     total_rows,
     with_text,
 )
@@ -54,7 +54,8 @@ _NOISE_COLOUR = "#222222"
 _GROUP_WIDTH = 0.8
 #: More labels of plateaus than these stand on end.
 _MAX_UPRIGHT = 4
-_PANELS = (
+_Panel = tuple[str, str, str, str, float]
+_PANELS: tuple[_Panel, ...] = (
     ("bias without the gyros' means", "rms / (0.001 deg/h)", "varying_rms_dph", "bias_noise_dph", 1000.0),
     ("spread between positions", "maximum / (0.001 deg/h)", "spread_dph", "spread_noise_dph", 1000.0),
     ("velocity error East", "maximum / (mm/s)", "velocity_east_mps", "velocity_noise_mps", 1000.0),
@@ -65,8 +66,13 @@ _PANELS = (
 @house_style
 def residual_bars_figure(result: VerificationResult) -> Figure:
     """Draw the sizes at all plateaus as bars, one for each compensation, with the noise as a line."""
-    figure = new_figure(5.6, wspace=0.24, hspace=0.42)
-    for axes, (title, unit, size, noise, factor) in zip(figure.subplots(2, 2).ravel(), _PANELS, strict=True):
+    panels = _measured_panels(result)
+    rows, columns = -(-len(panels) // 2), min(len(panels), 2)
+    figure = new_figure(0.2 + 2.7 * rows, wspace=0.24, hspace=0.42)
+    every = figure.subplots(rows, columns, squeeze=False).ravel()
+    for axes in every[len(panels) :]:
+        axes.set_axis_off()
+    for axes, (title, unit, size, noise, factor) in zip(every, panels, strict=False):
         _bars(axes, result, size, noise, factor)
         axes.set_title(title, fontsize=9)
         axes.set_ylabel(unit)
@@ -74,9 +80,21 @@ def residual_bars_figure(result: VerificationResult) -> Figure:
     return figure
 
 
+def _measured_panels(result: VerificationResult) -> list[_Panel]:
+    """The sizes that were measured; the first one if none was."""
+    rows = result.results[0].rows
+    return [each for each in _PANELS if any(math.isfinite(getattr(row, each[2])) for row in rows)] or [
+        _PANELS[0]
+    ]
+
+
+def _has_day(result: VerificationResult) -> bool:
+    return any(plateau.day for each in result.results for plateau in each.plateaus)
+
+
 @house_style
 def day_figure(result: VerificationResult) -> Figure:
-    """Draw the position error over a day for each plateau with all six positions."""
+    """Draw the position error over a day for each plateau with all six positions, of which there is one."""
     plateaus = [
         (rows, days)
         for rows, days in zip(
@@ -86,11 +104,8 @@ def day_figure(result: VerificationResult) -> Figure:
         )
         if any(days)
     ]
-    figure = new_figure(1.0 + 1.7 * max(len(plateaus), 1), hspace=0.2)
-    panels = figure.subplots(max(len(plateaus), 1), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
-    if not plateaus:
-        say_empty(panels[0], "no plateau with all six positions")
-        return figure
+    figure = new_figure(1.0 + 1.7 * len(plateaus), hspace=0.2)
+    panels = figure.subplots(len(plateaus), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     for axes, (rows, days) in zip(panels, plateaus, strict=True):
         for row, day in zip(rows, days, strict=True):
             if day is not None:
@@ -315,18 +330,20 @@ def _coefficient_parts(result: VerificationResult) -> list[Section]:
 
 def verification_sections(result: VerificationResult) -> list[Section]:
     """Compensations, residual, a day of a rotational INS, definitions."""
-    totals = SectionTable(_TOTAL.format(UNITS), ["compensation", *SIZES], total_rows(result))
+    units, heads = size_units(result), size_heads(result)
+    totals = SectionTable(_TOTAL.format(units), ["compensation", *heads], total_rows(result))
     plateaus = SectionTable(
-        _PLATEAUS.format(UNITS), ["°C", "cycle", "fit", "compensation", *SIZES], plateau_rows(result), words=4
+        _PLATEAUS.format(units), ["°C", "cycle", "fit", "compensation", *heads], plateau_rows(result), words=4
     )
     numbers = SectionTable(_NUMBERS, ["number", "x", "y", "z"], number_rows(result.models))
     figures = [SectionFigure("residuals", _RESIDUALS, partial(residual_bars_figure, result))]
+    day = SectionFigure("day", _DAY, partial(day_figure, result))
     return [
-        Section("Compensations", model_sentences(result.closure, result.models), tables=[numbers]),
-        Section("Residual", change_sentences(result), figures, [totals, plateaus]),
         Section(
-            "A day of a rotational INS", figures=[SectionFigure("day", _DAY, partial(day_figure, result))]
+            "Compensations", model_sentences(result.closure, result.models, result.searches), tables=[numbers]
         ),
+        Section("Residual", change_sentences(result), figures, [totals, plateaus]),
+        *([Section("A day of a rotational INS", figures=[day])] if _has_day(result) else []),
         *_coefficient_parts(result),
         Section("Definitions", reading_sentences(result)),
     ]
@@ -367,18 +384,31 @@ def write_verification_page(folder: Path, result: VerificationResult, dwells: Pa
 def _facts(result: VerificationResult) -> dict[str, str]:
     closure = result.closure
     measured = [LABELS[each.compensation] for each in result.results]
+    others = {f"search, {searched_name(each)}": _verdict(each) for each in result.searches}
     return {
-        "search": f"{closure.verdict}. {verdict_sentence(closure)}",
+        f"search, {searched_name(closure)}" if others else "search": _verdict(closure),
+        **others,
         "compensations": f"{counted(len(measured), 'run')}: {listed(measured)}",
         "dwells": f"{result.dwells} per run, at {counted(len(result.results[0].rows), 'plateau')}",
     }
 
 
+def _verdict(closure: Closure) -> str:
+    return f"{closure.verdict}. {verdict_sentence(closure)}"
+
+
 def verification_plan(
-    closure: Closure, models: Mapping[str, LoadableModel], missing: Sequence[str], run_s: float
+    closure: Closure,
+    models: Mapping[str, LoadableModel],
+    missing: Sequence[str],
+    run_s: float,
+    searches: Sequence[Closure] = (),
 ) -> Section:
-    """Verdict of the search, compensations, and duration of the remaining runs."""
-    sentences = model_sentences(closure, models)
+    """Verdict of the search, compensations, and duration of the remaining runs.
+
+    ``searches``: of other coefficients.
+    """
+    sentences = model_sentences(closure, models, searches)
     if missing:
         runs = (
             f"{hours_minutes(len(missing) * run_s)} h in total: {listed([LABELS[name] for name in missing])}"
@@ -386,5 +416,12 @@ def verification_plan(
         sentences.append(f"{counted(len(missing), 'run')} of {hours_minutes(run_s)} h remaining, {runs}.")
     else:
         sentences.append("All runs are complete.")
-    box = Box("open", f"{closure.verdict.capitalize()}.", verdict_sentence(closure))
-    return Section("", boxes=[box], paragraphs=sentences)
+    boxes = [
+        Box(
+            "open",
+            f"{f'{searched_name(each)}: ' if searches else ''}{each.verdict}.".capitalize(),
+            verdict_sentence(each),
+        )
+        for each in (closure, *searches)
+    ]
+    return Section("", boxes=boxes, paragraphs=sentences)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 from gyrobench.bench.closure.loadable_model import LoadableModel
 from gyrobench.bench.closure.loop import NOT_SEARCHED, Closure
@@ -54,8 +55,13 @@ _OTHER_POWER_CYCLES = (
 )
 
 
-def model_sentences(closure: Closure, models: Mapping[str, LoadableModel]) -> list[str]:
-    """The compensations to load, and the part of the model that an INS can't subtract."""
+def model_sentences(
+    closure: Closure, models: Mapping[str, LoadableModel], searches: Sequence[Closure] = ()
+) -> list[str]:
+    """The compensations to load, and the part of the model that an INS can't subtract.
+
+    ``searches``: of other coefficients.
+    """
     declared = models[DECLARED].compensation
     low_c, high_c = declared.low_c.min(), declared.high_c.max()
     limits = f"Temperatures are limited to the fitted range, {low_c:z.0f} to {high_c:z.0f} °C."
@@ -64,6 +70,8 @@ def model_sentences(closure: Closure, models: Mapping[str, LoadableModel]) -> li
         what = f"Two compensations: the declared model (a polynomial for each gyro), and one with {effects}."
     elif closure.effects:
         what = f"One compensation, the declared model. No INS term exists for {found_labels(closure)}."
+    elif any(each.effects for each in searches):
+        what = "One compensation, the declared model."
     else:
         done = "searched" if closure.verdict == NOT_SEARCHED else "found"
         what = f"One compensation, the declared model. No effect was {done}."
@@ -186,7 +194,8 @@ def fit_sentences(result: VerificationResult) -> list[str]:
 
 def reading_sentences(result: VerificationResult) -> list[str]:
     """Definitions of the numbers."""
-    return [_CONSTANT, _NOISE, _DAY, _SAME_SEED if result.is_same_seed else _OTHER_POWER_CYCLES]
+    day = [_DAY] if _SIZES[-1] in _measured(result) else []
+    return [_CONSTANT, _NOISE, *day, _SAME_SEED if result.is_same_seed else _OTHER_POWER_CYCLES]
 
 
 def new_conditions_sentence(result: VerificationResult) -> str:
@@ -208,22 +217,45 @@ def with_text(each: CompensationResult | CoefficientResult) -> str:
     ]
 
 
-#: Sizes of a row, with the units of :data:`UNITS`.
-SIZES = ("bias", "varying", "spread", "V_E", "24 h")
-UNITS = "bias, varying and spread in 0.001 deg/h, V_E in mm/s, 24 h in nmi"
-#: Field and noise of each size, factor to its unit, decimals.
-_SIZES: tuple[tuple[str, str, float, int], ...] = (
-    ("bias_rms_dph", "bias_noise_dph", 1000.0, 2),
-    ("varying_rms_dph", "bias_noise_dph", 1000.0, 2),
-    ("spread_dph", "spread_noise_dph", 1000.0, 2),
-    ("velocity_east_mps", "velocity_noise_mps", 1000.0, 1),
-    ("position_nmi", "position_noise_nmi", 1.0, 2),
+class _Size(NamedTuple):
+    head: str
+    unit: str
+    fields: tuple[str, str]  #: Of the size and of its noise.
+    factor: float  #: To its unit.
+    decimals: int
+
+
+_SIZES = (
+    _Size("bias", "0.001 deg/h", ("bias_rms_dph", "bias_noise_dph"), 1000.0, 2),
+    _Size("varying", "0.001 deg/h", ("varying_rms_dph", "bias_noise_dph"), 1000.0, 2),
+    _Size("spread", "0.001 deg/h", ("spread_dph", "spread_noise_dph"), 1000.0, 2),
+    _Size("V_E", "mm/s", ("velocity_east_mps", "velocity_noise_mps"), 1000.0, 1),
+    _Size("24 h", "nmi", ("position_nmi", "position_noise_nmi"), 1.0, 2),
 )
+
+
+def _measured(result: VerificationResult) -> list[_Size]:
+    """Sizes with a value at any plateau: procedures on ramps measure one position at each."""
+    rows = [row for each in result.results for row in (*each.rows, each.total)]
+    return [size for size in _SIZES if any(math.isfinite(getattr(row, size.fields[0])) for row in rows)]
+
+
+def size_heads(result: VerificationResult) -> list[str]:
+    """Heads of the sizes measured."""
+    return [size.head for size in _measured(result)]
+
+
+def size_units(result: VerificationResult) -> str:
+    """Units of the sizes measured: "bias and varying in 0.001 deg/h, 24 h in nmi"."""
+    heads: dict[str, list[str]] = {}
+    for size in _measured(result):
+        heads.setdefault(size.unit, []).append(size.head)
+    return ", ".join(f"{listed(names)} in {unit}" for unit, names in heads.items())
 
 
 def total_rows(result: VerificationResult) -> list[list[str]]:
     """Compensation and sizes over all plateaus, followed by the noise."""
-    return _block([each.total for each in result.results])
+    return _block([each.total for each in result.results], _measured(result))
 
 
 def plateau_rows(result: VerificationResult) -> list[list[str]]:
@@ -232,19 +264,20 @@ def plateau_rows(result: VerificationResult) -> list[list[str]]:
     for plateau in zip(*(each.rows for each in result.results), strict=False):
         first = plateau[0]
         where = [f"{first.gyro_c:z.0f}", f"{first.cycle}", first.fit]
-        for line in _block(plateau):
+        for line in _block(plateau, _measured(result)):
             rows.append([*where, *line])
             where = [""] * len(where)
     return rows
 
 
-def _block(rows: Sequence[VerificationRow]) -> list[list[str]]:
-    lines = [[LABELS[row.compensation], *_sizes(row)] for row in rows]
-    return [*lines, ["noise", *_sizes(rows[-1], is_noise=True)]]
+def _block(rows: Sequence[VerificationRow], sizes: Sequence[_Size]) -> list[list[str]]:
+    lines = [[LABELS[row.compensation], *_cells(row, sizes)] for row in rows]
+    return [*lines, ["noise", *_cells(rows[-1], sizes, is_noise=True)]]
 
 
-def _sizes(row: VerificationRow, is_noise: bool = False) -> list[str]:
-    values = [(getattr(row, names[is_noise]), factor, decimals) for *names, factor, decimals in _SIZES]
+def _cells(row: VerificationRow, sizes: Sequence[_Size], is_noise: bool = False) -> list[str]:
+    values = [size.factor * getattr(row, size.fields[is_noise]) for size in sizes]
     return [
-        "" if math.isnan(value) else f"{factor * value:.{decimals}f}" for value, factor, decimals in values
+        "" if math.isnan(value) else f"{value:.{size.decimals}f}"
+        for size, value in zip(sizes, values, strict=True)
     ]

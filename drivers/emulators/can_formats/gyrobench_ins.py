@@ -17,13 +17,7 @@ from typing_extensions import override
 
 from gyrobench.bench.foundations.arrays import FloatArray, IntArray
 from gyrobench.bench.foundations.kernels import compiled
-from gyrobench.drivers.emulators.can_formats import (
-    FRAME_S,
-    CanFormat,
-    empty_frames,
-    execute_command,
-    in_order,
-)
+from gyrobench.drivers.emulators.can_formats import FRAME_S, CanFormat, execute_command
 from gyrobench.drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs, Mode
 from gyrobench.drivers.emulators.world.ins_compensation import COEFFICIENTS, checksum
 from gyrobench.drivers.emulators.world.strapdown import euler_output
@@ -43,6 +37,8 @@ _SLOW_IDS = (
 )  # fmt: skip
 _SLOW_DATA = struct.Struct("<II ii BBHBBH IHH II hhhH hhhh")
 _FAST_IDS = VELOCITY_NE, ROLL_PITCH, HEADING
+_INCREMENT_IDS = ANGLE_INCREMENT, VELOCITY_INCREMENT
+_NONE = np.zeros((0, 3))
 _SLOW_FRAMES, _FAST_FRAMES = len(_SLOW_IDS), len(_FAST_IDS)
 _VELOCITY_LSB_PER_MPS, _ANGLE_LSB_PER_RAD = 1e4, math.degrees(1e6)
 #: Resolution of angle and velocity increments, and largest number in their 20 bits.
@@ -78,7 +74,9 @@ class GyrobenchFormat(CanFormat):
     @override
     def frames(self, epochs: Epochs) -> FrameBlock:
         seconds, count = len(epochs.align_time_s), len(epochs.sample)
-        rows = np.zeros(seconds * _SLOW_FRAMES + count * _FAST_FRAMES, FRAME_DTYPE)
+        first, rotation, velocity = epochs.increments or (0, _NONE, _NONE)
+        sent = len(rotation)
+        rows = np.zeros(seconds * _SLOW_FRAMES + count * _FAST_FRAMES + 2 * sent, FRAME_DTYPE)
         frames = FrameBlock(rows, only_data=True)
         valid = epochs.mode is Mode.NAVIGATE or epochs.alignment > 0
         _encode(
@@ -86,24 +84,12 @@ class GyrobenchFormat(CanFormat):
             epochs.read_c, epochs.align_time_s, epochs.sample,
             euler_output(epochs.states, self._world.unit.pitch_first), self._epoch_unix_s,
             self._epoch_counter, self._status_counter, int(epochs.alignment), valid,
+            first, rotation, velocity, self._increment_counter, self._rounded_off,
         )  # fmt: skip
         self._status_counter = (self._status_counter + seconds) & 0xFFFF
+        self._increment_counter = (self._increment_counter + sent) & 0xF
         self.skip_epochs(count)
-        return frames if epochs.increments is None else in_order(frames.rows, self._sent(*epochs.increments))
-
-    def _sent(self, first: int, rotation: FloatArray, velocity: FloatArray) -> NDArray[np.void]:
-        """Frames (n, 2) of the increments of n samples, behind those of an epoch at the same time."""
-        time_s = self._epoch_unix_s + np.arange(first + 1, first + 1 + len(rotation)) / SAMPLE_RATE_HZ
-        rows = empty_frames(
-            time_s + (_SLOW_FRAMES + _FAST_FRAMES) * FRAME_S, (ANGLE_INCREMENT, VELOCITY_INCREMENT), 8
-        )
-        for kind, increments in enumerate((rotation, velocity)):
-            _encode_increments(
-                rows["data"][:, kind], increments, _INCREMENT_LSB[kind], self._rounded_off[kind],
-                self._increment_counter,
-            )  # fmt: skip
-        self._increment_counter = (self._increment_counter + len(rotation)) & 0xF
-        return rows
+        return frames
 
     def _slow_data(self, epochs: Epochs) -> NDArray[np.uint8]:
         """Data of the slow frames of a second, shape (56,), without times, counters and temperatures."""
@@ -127,15 +113,36 @@ def _encode(
     frame_s: FloatArray, identifier: NDArray[np.uint32], length: NDArray[np.uint8], data: NDArray[np.uint8],
     slow: NDArray[np.uint8], temperatures_c: FloatArray, align_time_s: FloatArray, sample: IntArray,
     output: FloatArray, epoch_unix_s: float, counter: int, status_counter: int, alignment: int, valid: bool,
+    first: int, rotation: FloatArray, velocity: FloatArray, increment_counter: int, rounded_off: FloatArray,
 ) -> None:  # fmt: skip
-    """Fill the columns of the frames of some epochs.
+    """Fill the columns of the frames of some epochs and increments, in order of sending.
 
     ``slow``: data of the slow frames of a second, to which are added ``temperatures_c``, shape (k, 7), and
-    ``align_time_s``, shape (k,), of the k whole seconds, the time, and ``status_counter``.
+    ``align_time_s``, shape (k,), of the k whole seconds, the time, and ``status_counter``. ``rotation`` and
+    ``velocity``, shape (m, 3), are those of the samples from ``first`` on. Their frames are behind those of
+    an epoch at the same time. What is rounded off, (2, 3), is carried over.
     """
     length[:] = 8
-    row = second = 0
-    for k in range(sample.size):
+    row = second = sent = 0
+    for k in range(sample.size + 1):
+        while sent < rotation.shape[0] and (k == sample.size or first + 1 + sent < sample[k]):
+            time_s = epoch_unix_s + (first + 1 + sent) / SAMPLE_RATE_HZ
+            time_s += (_SLOW_FRAMES + _FAST_FRAMES) * FRAME_S
+            for kind in range(2):
+                frame_s[row + kind] = time_s + kind * FRAME_S
+                identifier[row + kind] = _INCREMENT_IDS[kind]
+                increment = rotation[sent] if kind == 0 else velocity[sent]
+                number = (increment_counter + sent & 0xF) << 60
+                for i in range(3):
+                    value = increment[i] / _INCREMENT_LSB[kind] + rounded_off[kind, i]
+                    whole = np.rint(value)
+                    rounded_off[kind, i] = value - whole
+                    number |= (int(min(max(whole, -_MAX_INCREMENT), _MAX_INCREMENT)) & 0xFFFFF) << 20 * i
+                _put_bits(data[row + kind], 0, 8, number)
+            row += 2
+            sent += 1
+        if k == sample.size:
+            break
         time_s = epoch_unix_s + sample[k] / SAMPLE_RATE_HZ
         if sample[k] % SAMPLE_RATE_HZ == 0:
             for place in range(_SLOW_FRAMES):
@@ -165,21 +172,6 @@ def _encode(
         _put_bits(data[row + 2], 4, 2, counter + k)
         data[row + 2, 6], data[row + 2, 7] = alignment, valid
         row += _FAST_FRAMES
-
-
-@compiled
-def _encode_increments(
-    data: NDArray[np.uint8], increments: FloatArray, lsb: float, rounded_off: FloatArray, counter: int
-) -> None:
-    """Fill the data (n, 8) of frames with increments (n, 3); what is rounded off is carried over."""
-    for k in range(increments.shape[0]):
-        number = (counter + k & 0xF) << 60
-        for i in range(3):
-            value = increments[k, i] / lsb + rounded_off[i]
-            whole = np.rint(value)
-            rounded_off[i] = value - whole
-            number |= (int(min(max(whole, -_MAX_INCREMENT), _MAX_INCREMENT)) & 0xFFFFF) << 20 * i
-        _put_bits(data[k], 0, 8, number)
 
 
 @compiled

@@ -134,13 +134,13 @@ def measure(
     """
     n = normal.shape[0]
     measured = np.empty((2, n * count, 3))
-    noise = np.empty((2, count, 3))
     root = math.sqrt(dt)
     for second in range(n):
         for k in range(count):
             for kind in range(2):
                 for i in range(3):
-                    noise[kind, k, i] = normal[second, 6 * k + 3 * kind + i] * root * walks[kind]
+                    noise = normal[second, 6 * k + 3 * kind + i] * root * walks[kind]
+                    measured[kind, second * count + k, i] = noise
         gyros = _evaluated(polynomials[0], temperature_c[second, 1:4] - reference_c)
         for i in range(3):
             gyros[0, i] += gyro_bias[i]
@@ -150,10 +150,11 @@ def measure(
         rows = slice(second * count, (second + 1) * count)
         first = second * count % rotation.shape[0]
         true = slice(first, first + count)
-        measured[0, rows] = sense(rotation[true], gyros[1:], gyros[0], noise[0], dt, pulses[0], remainders[0])
-        measured[1, rows] = sense(
-            velocity[true], accelerometers[1:], accelerometers[0], noise[1], dt, pulses[1], remainders[1]
-        )
+        _sense(measured[0, rows], rotation[true], gyros[1:], gyros[0], dt, pulses[0], remainders[0])
+        _sense(
+            measured[1, rows], velocity[true], accelerometers[1:], accelerometers[0], dt, pulses[1],
+            remainders[1],
+        )  # fmt: skip
     return measured[0], measured[1]
 
 
@@ -175,11 +176,20 @@ def sense(
     pulse : float
         Size of one output pulse; 0 for none. The remainder stays in ``remainder`` (3,).
     """
-    n = true.shape[0]
-    out = np.empty((n, 3))
-    for k in range(n):
+    out = noise.copy()
+    _sense(out, true, error_matrix, bias, dt, pulse, remainder)
+    return out
+
+
+@compiled
+def _sense(
+    out: FloatArray, true: FloatArray, error_matrix: FloatArray, bias: FloatArray, dt: float, pulse: float,
+    remainder: FloatArray,
+) -> None:  # fmt: skip
+    """As :func:`sense`; ``out`` holds the noise before, and the output afterwards."""
+    for k in range(true.shape[0]):
         for i in range(3):
-            value = true[k, i] + bias[i] * dt + noise[k, i]
+            value = true[k, i] + bias[i] * dt + out[k, i]
             for j in range(3):
                 value += error_matrix[i, j] * true[k, j]
             if pulse > 0.0:
@@ -188,7 +198,6 @@ def sense(
                 remainder[i] = value - whole
                 value = whole
             out[k, i] = value
-    return out
 
 
 @compiled

@@ -1,4 +1,4 @@
-"""Undeclared effects of a world: what acts on the gyro biases beyond the polynomials of the world file.
+"""Undeclared effects of a world: what acts on the sensors beyond the polynomials of the world file.
 
 Each class is one kind of entry of the key ``undeclared_effects``. Effects are evaluated once a second, in
 order of time, and add up.
@@ -26,7 +26,7 @@ Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 #: Three rows of three values, in body axes.
 Matrix = Annotated[list[Vector], Field(min_length=3, max_length=3)]
 
-_HOUR_S, _DAY_S = 3600.0, 86_400.0
+_HOUR_S, _DAY_S, _ROOM_C = 3600.0, 86_400.0, 25.0
 
 
 class Conditions(NamedTuple):
@@ -66,6 +66,10 @@ class Effect(StrictModel):
 
     def added_scale_factor_ppm(self, now: Conditions) -> FloatArray:
         """What the effect adds to the gyros' scale factors, ppm, shape (n, 3)."""
+        return np.zeros(now.optics_c.shape)
+
+    def added_ug(self, now: Conditions) -> FloatArray:
+        """What the effect adds to the biases of the accelerometers, ug, shape (n, 3)."""
         return np.zeros(now.optics_c.shape)
 
     def _added_dph(self, now: Conditions) -> FloatArray:
@@ -252,6 +256,29 @@ class GSensitivity(Effect):
         return np.asarray((matrix @ now.up_body[..., np.newaxis])[..., 0])
 
 
+class AccelerometerGravity(Effect):
+    """The mounts of the accelerometers bend under their weight: biases that follow Up in body axes.
+
+    Row i column j is accelerometer i to Up along axis j, or to its square. Without the squares the biases
+    are at rest those of misalignments and scale factors.
+    """
+
+    kind: Literal["accelerometer_gravity"] = Field(description="name of the effect")
+    sensitivity_ug_per_g: Matrix = Field(description="bias per g along each axis, ug/g")
+    per_c: float = Field(0.0, description="relative change of all per kelvin from 25 degC, 1/K")
+    square_ug_per_g2: Matrix = Field([[0.0] * 3] * 3, description="bias per g2 along each axis, ug/g2")
+
+    @override
+    def added_ug(self, now: Conditions) -> FloatArray:
+        linear, square = np.array(self.sensitivity_ug_per_g), np.array(self.square_ug_per_g2)
+        up = now.up_body[..., np.newaxis]
+        growth = 1.0 + self.per_c * (now.optics_c - _ROOM_C)
+        return np.asarray((linear @ up + square @ up**2)[..., 0] * growth)
+
+    def _added_dph(self, now: Conditions) -> FloatArray:
+        return np.zeros(now.optics_c.shape)
+
+
 class ChamberState(Effect):
     """Vibration of the chamber's compressor: a bias in proportion to the compressor's duty cycle."""
 
@@ -356,6 +383,7 @@ class UndeclaredBias:
         self._effects = [effect.start() for effect in effects]
         none = Effect.added_scale_factor_ppm
         self._scaling = [each for each in effects if type(each).added_scale_factor_ppm is not none]
+        self._of_force = [each for each in effects if type(each).added_ug is not Effect.added_ug]
 
     def added_dph(self, now: Conditions) -> FloatArray:
         """Sum of all effects, deg/h, shape (n, 3); to be called for all seconds in order of time."""
@@ -370,3 +398,7 @@ class UndeclaredBias:
         for each in self._scaling:
             total += each.added_scale_factor_ppm(now)
         return total
+
+    def added_ug(self, now: Conditions) -> FloatArray:
+        """Sum over all effects of what they add to the biases of the accelerometers, ug, shape (n, 3)."""
+        return sum((each.added_ug(now) for each in self._of_force), np.zeros(now.optics_c.shape))

@@ -16,6 +16,7 @@ from gyrobench.drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epoc
 from gyrobench.drivers.emulators.world.normal_numbers import NormalNumbers
 from gyrobench.drivers.emulators.world.sensor_errors import (
     ARCSEC,
+    MICRO_G,
     PPM,
     BiasWander,
     accelerometer_errors,
@@ -255,7 +256,8 @@ class World:
 
     def advance_air(self, time_s: float) -> None:
         """Advance the chamber's air alone to ``time_s``."""
-        self.surroundings.step_air(math.ceil(_samples(time_s) / SAMPLE_RATE_HZ))
+        if time_s > self.surroundings.air_s:
+            self.surroundings.step_air(math.ceil(_samples(time_s) / SAMPLE_RATE_HZ))
 
     def _begin_seconds(self, seconds: int, up_body: FloatArray) -> None:
         """Step chamber, temperatures and undeclared effects to the beginning of each of the next seconds.
@@ -287,6 +289,7 @@ class World:
         if not self.file.undeclared_effects:
             none = np.zeros((len(duty), 3))
             self._undeclared_dph, self._undeclared_ppm = none + self._wander_dph, none + self._power_on_ppm
+            self._undeclared_ug = none
             return
         sample = self._sample + SAMPLE_RATE_HZ * np.arange(float(len(duty)))[:, np.newaxis]
         on_s = (sample - self._powered_on_sample) * _DT_S
@@ -303,6 +306,7 @@ class World:
         )
         self._undeclared_dph = self._undeclared.added_dph(now) + self._wander_dph
         self._undeclared_ppm = self._undeclared.added_scale_factor_ppm(now) + self._power_on_ppm
+        self._undeclared_ug = self._undeclared.added_ug(now)
 
     def _step_samples(
         self, seconds: int, count: int, resting: tuple[FloatArray, FloatArray, FloatArray] | None
@@ -355,6 +359,9 @@ class World:
                 + self._ppm_per_dps * np.degrees(np.abs(true)) / _DT_S
             )
             measured = np.ascontiguousarray(measured[0] + PPM * ppm * true), measured[1]
+        if np.count_nonzero(self._undeclared_ug):
+            added = np.repeat(self._undeclared_ug[-len(normal) :] * (MICRO_G * _DT_S), count, axis=0)
+            measured = measured[0], measured[1] + added
         return measured if compensation is None else compensation.corrected(*measured, _DT_S)
 
     def _at_rest(self) -> tuple[FloatArray, FloatArray, FloatArray] | None:

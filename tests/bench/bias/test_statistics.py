@@ -6,12 +6,14 @@ import math
 
 import numpy as np
 import pytest
+from scipy.special import fdtrc
 from scipy.stats import kstest
 
 from gyrobench.bench.bias.statistics import (
     excess_information,
     excess_sigma,
     excess_variance,
+    f_p_value,
     holm,
     uniformity_band,
     uniformity_p_value,
@@ -140,3 +142,10 @@ def test_band_is_left_by_one_uniform_sample_in_twenty():
 def test_band_and_test_agree():
     values = np.maximum(np.arange(1, 11) / 10 - uniformity_band(10, 0.99), 0.0)
     assert uniformity_p_value(values) == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize("dof", [1, 2, 7, 40])
+@pytest.mark.parametrize("residual_dof", [1, 4, 51, 6000])
+@pytest.mark.parametrize("ratio", [0.0, 0.01, 0.9, 1.1, 4.0, 30.0])
+def test_the_p_value_of_a_ratio_of_mean_squares_is_that_of_scipy(dof, residual_dof, ratio):
+    assert f_p_value(dof, residual_dof, ratio) == pytest.approx(fdtrc(dof, residual_dof, ratio), rel=1e-9)

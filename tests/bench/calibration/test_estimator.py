@@ -265,7 +265,7 @@ def test_lever_arms_and_delay_are_estimated_where_asked_for():
     assert np.abs((found.values - truth) / found.sigmas).max() < 4.0
     assert found.sigmas[21:27].max() < 2e-3
     # Without them the velocity at rest contradicts the noise by far.
-    with pytest.raises(MeasurementError, match=r"times the noise.*Try --lever-arms and --delay"):
+    with pytest.raises(MeasurementError, match=r"times the noise.*has --lever-arms, --delay, --quadratic"):
         calibrate([log], SITE)
 
 

@@ -69,6 +69,11 @@ def test_a_unit_that_does_not_rest_is_refused():
         find_rests(recorded(unit))
 
 
+def test_samples_too_far_apart_to_show_motion_are_refused():
+    with pytest.raises(MeasurementError, match="samples are 50 s apart"):
+        IncrementRecording(50.0, np.zeros((100, 3)), np.zeros((100, 3)))
+
+
 def test_the_noise_is_that_of_the_sensors():
     unit = Unit(rotations=(("outer", 90.0),) * 3, dwell_s=120.0, sample_hz=20.0)
     noise = Noise(white_angle=1e-6)

@@ -125,3 +125,9 @@ def test_a_rotation_beyond_the_limits_of_the_table_is_named():
         forecast(rotations, narrow, SITE, NOISE, 100.0)
     with pytest.raises(DocumentError, match="10 deg/s; the table turns at most 5 deg/s"):
         forecast(rotations, TABLE, SITE, NOISE, 5.0)
+
+
+def test_a_table_of_one_axis_is_named():
+    one_axis = TwoAxisTable(EAST, UP, np.eye(3), (0.0, 0.0), (-380.0, 380.0))
+    with pytest.raises(DocumentError, match="the table of the station has no outer axis that turns"):
+        forecast(shipped("eighteen_rotations"), one_axis, SITE, NOISE, 100.0)

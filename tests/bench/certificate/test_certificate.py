@@ -15,7 +15,6 @@ from gyrobench.bench.calibration.coefficients import COEFFICIENTS
 from gyrobench.bench.certificate.content import Order, certificate_of
 from gyrobench.bench.certificate.dcc import certificate_dcc, validate_dcc
 from gyrobench.bench.certificate.issue import file_names
-from gyrobench.bench.certificate.pdf import certificate_pdf
 from gyrobench.bench.certificate.signatures import load_signing_key, sign_dcc, sign_pdf, verify_file
 from gyrobench.bench.cli.output import EXIT_WRONG_INPUT
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
@@ -199,24 +198,41 @@ def test_a_signed_dcc_is_refused_after_one_byte_was_changed(simulated, signing_k
         verify_file(path)
 
 
-def test_a_signed_pdf_is_tagged_has_the_dcc_and_is_refused_after_one_byte_was_changed(
-    simulated, signing_key, tmp_path
-):
+@pytest.fixture(scope="module")
+def certified(emulated_run, signing_key, tmp_path_factory):
+    """A run folder with the certificate that the command wrote, and what it printed."""
     pytest.importorskip("weasyprint")
+    run = RunFolder(tmp_path_factory.mktemp("certified") / "run")
+    shutil.copytree(emulated_run.path, run.path)
+    options = ("--simulated", "--key", signing_key, "--operator", "B. Jones")
+    with pytest.MonkeyPatch.context() as environment:
+        environment.delenv("GYROBENCH_DCC_SCHEMA", raising=False)
+        environment.setenv(OPERATOR_VARIABLE, "A. Smith")
+        done = gyrobench("certificate", run.path, *options, cwd=run.path.parent)
+        assert os.environ[OPERATOR_VARIABLE] == "A. Smith"  # the option holds for its command alone
+    assert done.returncode == 0, done.stderr
+    return run, done.stdout
+
+
+@pytest.fixture
+def signed_pdf(certified, tmp_path):
+    return Path(shutil.copy(certified[0].path / "certificate" / "certificate_SIMULATED.pdf", tmp_path))
+
+
+def test_a_signed_pdf_is_tagged_has_the_dcc_and_is_refused_after_one_byte_was_changed(
+    signed_pdf, signing_key
+):
     reader = pytest.importorskip("pyhanko.pdf_utils.reader")
-    path = tmp_path / "certificate.pdf"
-    printed = certificate_pdf(simulated, {"certificate_SIMULATED.xml": certificate_dcc(simulated)})
-    signed = sign_pdf(printed, load_signing_key(str(signing_key)), "Calibration certificate")
-    path.write_bytes(signed)
-    with path.open("rb") as stream:
+    with signed_pdf.open("rb") as stream:
         root = reader.PdfFileReader(stream).root
         assert root["/MarkInfo"]["/Marked"]
         assert "/AF" in root
         assert b"pdfaid" in root["/Metadata"].data
-    assert verify_file(path, signing_key.with_suffix(".crt")).problem == ""
-    at = len(printed) // 2
-    path.write_bytes(signed[:at] + bytes([signed[at] ^ 1]) + signed[at + 1 :])
-    assert verify_file(path).problem
+    assert verify_file(signed_pdf, signing_key.with_suffix(".crt")).problem == ""
+    changed = bytearray(signed_pdf.read_bytes())
+    changed[len(changed) // 3] ^= 1
+    signed_pdf.write_bytes(changed)
+    assert verify_file(signed_pdf).problem
 
 
 @pytest.mark.parametrize("kind", ["rsa", "ec"])
@@ -318,26 +334,17 @@ def test_a_file_without_key_or_certificate_is_refused(tmp_path, signing_key):
         load_signing_key(str(alone))
 
 
-def test_the_command_writes_seals_and_verifies(emulated_run, signing_key, tmp_path, monkeypatch):
-    monkeypatch.delenv("GYROBENCH_DCC_SCHEMA", raising=False)
-    monkeypatch.setenv(OPERATOR_VARIABLE, "A. Smith")
-    pytest.importorskip("weasyprint")
-    run = RunFolder(tmp_path / "run")
-    shutil.copytree(emulated_run.path, run.path)
-    options = ("--simulated", "--key", signing_key, "--operator", "B. Jones")
-    done = gyrobench("certificate", run.path, *options, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "The DCC is not validated" in done.stdout
+def test_the_command_writes_seals_and_verifies(certified, signed_pdf, tmp_path):
+    run, printed = certified
+    assert "The DCC is not validated" in printed
     last = verify_seals(run.path).seals[-1]
     assert last.operator == "B. Jones"
-    assert os.environ[OPERATOR_VARIABLE] == "A. Smith"  # the option holds for its command alone
     assert last.changes.added == [f"certificate/certificate_SIMULATED.{kind}" for kind in ("pdf", "xml")]
-    pdf = run.path / "certificate" / "certificate_SIMULATED.pdf"
-    good = gyrobench("certificate", "--verify", pdf, cwd=tmp_path)
+    good = gyrobench("certificate", "--verify", signed_pdf, cwd=tmp_path)
     assert good.returncode == 0, good.stderr
     assert "Unchanged since it was signed by CN=Example Laboratory" in good.stdout
-    pdf.write_bytes(pdf.read_bytes().replace(b"/Title", b"/Titlf", 1))
-    changed = gyrobench("certificate", "--verify", pdf, cwd=tmp_path)
+    signed_pdf.write_bytes(signed_pdf.read_bytes().replace(b"/Title", b"/Titlf", 1))
+    changed = gyrobench("certificate", "--verify", signed_pdf, cwd=tmp_path)
     assert changed.returncode == 1
     assert "does not fit" in changed.stdout or "damaged" in changed.stdout
 

@@ -11,14 +11,14 @@ import pytest
 
 from gyrobench.bench.bias.dwell_table import read_dwells, write_dwells
 from gyrobench.bench.cli.output import EXIT_INSTRUMENT, EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
-from tests.bench.command_line import PROCESS, gyrobench, gyrobench_process
+from tests.bench.command_line import PROCESS, gyrobench
 from tests.bench.report.made_up_closure import made_up_rows
 
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     cwd = tmp_path_factory.mktemp("bench")
-    return cwd, gyrobench_process("run", "ten_minute_check", "--world", "ideal", cwd=cwd)
+    return cwd, gyrobench("run", "ten_minute_check", "--world", "ideal", cwd=cwd)
 
 
 def test_a_shipped_procedure_runs_by_name_from_any_folder(finished):

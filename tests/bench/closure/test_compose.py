@@ -33,7 +33,7 @@ def supply_limit(course):
 
 
 def table(law, size=15.0, seed=0, **options):
-    return measure({law: size}, seed=seed, sensors=SENSORS, **({"cycles": 3} | options)).rows
+    return measure({law: size}, seed=seed, **({"cycles": 3, "sensors": SENSORS} | options)).rows
 
 
 @cache
@@ -109,7 +109,8 @@ def composed_on_the_command_line(folder, rows):
 
 
 def test_the_command_writes_a_composed_law_that_can_be_searched_for(tmp_path):
-    law, document = composed_on_the_command_line(tmp_path, table(onset_of_case))
+    rows = table(onset_of_case, cycles=2, sensors=("case", "board"))
+    law, document = composed_on_the_command_line(tmp_path, rows)
     assert "empirical" in (tmp_path / "closure" / "closure.html").read_text()
     assert document["verdict"] == "unexplained"
     composed = document["composed"]

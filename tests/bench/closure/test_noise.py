@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.loop import close_loop
+from gyrobench.bench.closure.loop import close_loop, without_search
 from gyrobench.bench.closure.noise import OUTLIER_SIGMA, estimate_noise
 from tests.bench.closure.thermal_bench import measure
 from tests.benchmarks.closure_units import make_unit
@@ -88,7 +88,7 @@ def test_a_bias_that_wanders_is_noise_of_its_own_spectrum(kind):
 
 def test_the_stated_noise_is_that_of_dwells_without_outliers():
     rows, truth = make_unit(13, noise="outliers")
-    closure = close_loop(campaign_of(rows))
+    closure = without_search(campaign_of(rows))
     assert closure.noise.outliers
     assert closure.noise_dph == pytest.approx(np.sqrt(np.mean(truth.sigma_dph**2)), rel=0.15)
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrobench.bench.bias.dwell_table import write_dwells
+from gyrobench.bench.bias.dwell_table import read_dwells, write_dwells
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.files import closure_document, format_predictions, model_document
@@ -100,6 +100,22 @@ def test_accelerometer_biases_of_dwells_leave_the_vertical_ones_out(tmp_path):
     assert closure.verdict == "explained"
     assert [each.effect.name for each in closure.effects] == ["temperature_rate"]
     assert closure.error_after_dph < 1.3 * closure.noise_dph
+
+
+def test_a_bias_that_follows_the_square_of_gravity_is_not_taken_for_a_misalignment(tmp_path):
+    path, _ = table_of(tmp_path, "accelerometer_bias", sigma_dph=4.0)
+    rows = []
+    for row in read_dwells(path):
+        others = dict(row.other)
+        others["accelerometer_bias_x_ug"] += {0: 10.0, 1: 20.0, 2: 0.0}[POSITIONS[row.position].up_axis]
+        rows.append(replace(row, other=tuple(others.items())))
+    write_dwells(path, rows)
+    closure = close_loop(read_campaign(path, quantity=quantity("accelerometer_bias")))
+    assert closure.verdict == "explained"
+    [effect] = closure.effects
+    assert effect.effect.name == "cross_axis_nonlinearity"
+    assert effect.sizes_dph[0, 0] == pytest.approx(10.0, abs=4.0 * effect.sizes_sigma_dph[0, 0])
+    assert "magnetic_sensitivity" not in [each.effect.name for each in closure.evidence]
 
 
 @pytest.fixture(scope="module")

@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import chdtri
 
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.candidates import Candidate, best_start, refine, solve_with
 from gyrobench.bench.closure.effects.laws import G_SENSITIVITY, WARM_UP
 from gyrobench.bench.closure.problem import declared_problem
-from gyrobench.bench.closure.uncertainty import bound_of, draw, interval
+from gyrobench.bench.closure.uncertainty import _chi2_of_four, bound_of, draw, interval
 from tests.bench.closure.thermal_bench import SIGMA_DPH, measure
 
 TWO_SIGMA = 1.96
@@ -83,3 +84,8 @@ def test_noise_above_the_stated_one_widens_the_uncertainties(quiet):
         _, _, model, draws = fitted(noisy, G_SENSITIVITY, (), sizes_dph, random)
         sigmas.append(draws.sigma(draws.sizes_dph["g_sensitivity"], model.sizes[0]).mean())
     assert 0.85 < sigmas[1] / sigmas[0] <= 1.0
+
+
+def test_the_quantiles_of_four_squares_are_those_of_scipy():
+    probability = np.array([1e-9, 1e-3, 0.3, 0.5, 0.9, 1.0 - 1e-6])
+    assert _chi2_of_four(probability) == pytest.approx(chdtri(4.0, probability), rel=1e-9)

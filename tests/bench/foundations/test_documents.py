@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import ClassVar
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field
 
@@ -179,7 +179,6 @@ def test_problems_that_are_equal_are_listed_once() -> None:
 FRAGMENTS = ["!!int ", "!!float ", "!!null ", "!!map ", "a", ": ", "- ", "\n", "1e", "&x ", "*x", "[", "]"]
 
 
-@settings(max_examples=400, deadline=None)
 @given(
     st.one_of(
         st.text(max_size=200),
@@ -202,7 +201,6 @@ SCALARS = st.one_of(
 )  # fmt: skip
 
 
-@settings(deadline=None)
 @given(
     st.recursive(
         SCALARS,

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from gyrobench.bench.foundations.documents import Document, parse_document
@@ -355,7 +355,6 @@ def test_the_procedure_that_the_mutations_start_from_is_valid() -> None:
 
 
 @pytest.mark.long
-@settings(max_examples=100, deadline=None)
 @given(st.randoms(use_true_random=False), st.lists(JUNK, min_size=1, max_size=3))
 def test_a_procedure_with_changed_values_gives_a_plan_or_located_errors(
     chance: random.Random, junk: list[Any]
@@ -368,7 +367,6 @@ def test_a_procedure_with_changed_values_gives_a_plan_or_located_errors(
 
 
 @pytest.mark.long
-@settings(max_examples=100, deadline=None)
 @given(st.data(), st.sampled_from(sorted(PROCEDURES.glob("*.yaml"))))
 def test_a_procedure_with_changed_characters_gives_a_plan_or_located_errors(
     data: st.DataObject, path: Path

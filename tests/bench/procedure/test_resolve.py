@@ -4,8 +4,8 @@ import pytest
 
 from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.procedure import procedure_file
 from gyrobench.bench.procedure.plan import Plan
-from gyrobench.bench.procedure.procedure_file import MAX_STEPS
 from gyrobench.bench.procedure.steps import GoTo, Wait
 
 PlanOf = Callable[[str], tuple[Document, Plan]]
@@ -58,9 +58,16 @@ def test_steps_of_an_anchor_stand_where_the_anchor_is(planned: PlanOf) -> None:
     )
 
 
-def test_as_many_steps_as_allowed_are_planned_and_one_more_is_refused(planned: PlanOf) -> None:
-    loop = "- repeat: {{over: {{a: {a}, b: {b}}}, steps: [power_off]}}"
-    _, plan = planned(loop.format(a=[1] * 100, b=[1] * 1000))
-    assert len(plan.steps) == MAX_STEPS
+def test_as_many_steps_as_allowed_are_planned_and_one_more_is_refused(
+    planned: PlanOf, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def loop(steps: int) -> str:
+        return f"- repeat: {{over: {{a: {[1] * 100}, b: {[1] * (steps // 100)}}}, steps: [power_off]}}"
+
     with pytest.raises(DocumentError, match="100001 steps"):
-        planned(loop.format(a=[1] * 100, b=[1] * 1000) + "\n- power_off")
+        planned(loop(procedure_file.MAX_STEPS) + "\n- power_off")
+    monkeypatch.setattr(procedure_file, "MAX_STEPS", 2000)
+    _, plan = planned(loop(2000))
+    assert len(plan.steps) == 2000
+    with pytest.raises(DocumentError, match="2001 steps"):
+        planned(loop(2000) + "\n- power_off")

@@ -4,7 +4,7 @@ from pathlib import Path
 import can
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from gyrobench.bench.foundations.errors import RunFolderError
@@ -131,7 +131,6 @@ def test_what_was_synchronized_is_complete_for_other_programs_while_the_part_con
     assert contents(tmp_path) == {1: list(range(100))}
 
 
-@settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_damage_anywhere_never_gives_a_frame_that_was_not_received_there(tmp_path, data):
     for path in tmp_path.iterdir():

@@ -1,16 +1,13 @@
 """Where a file was changed, found without a copy of it."""
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.runs.fingerprint import find_change, fingerprint_of
 
-FIXTURE = [HealthCheck.function_scoped_fixture]
 
-
-@settings(max_examples=150, deadline=None, suppress_health_check=FIXTURE)
 @given(
     content=st.binary(min_size=1, max_size=20_000),
     suffix=st.sampled_from([".blf", ".csv", ".jsonl"]),
@@ -31,7 +28,6 @@ def test_one_changed_byte_is_found_with_its_former_value(tmp_path, content, suff
     assert f"byte {at} is 0x{changed[at]:02x} and was 0x{content[at]:02x}" in change.text
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=FIXTURE)
 @given(content=st.binary(min_size=2, max_size=20_000), data=st.data())
 def test_the_range_of_several_changes_holds_the_first(tmp_path, content, data):
     path = tmp_path / "part.blf"

@@ -5,7 +5,7 @@ import subprocess
 import sys
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from gyrobench.bench.foundations.clock import VirtualClock
@@ -143,7 +143,6 @@ def test_a_number_that_is_not_finite_becomes_null(tmp_path):
     assert (entry["value_c"], entry["limits_c"], entry["of"]) == (None, [None, 70.0], {"x": None})
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(text=st.text(max_size=30), share=st.floats(0.0, 1.0))
 def test_cut_anywhere_a_journal_gives_the_entries_that_are_whole(tmp_path, text, share):
     path = tmp_path / "journal.jsonl"

@@ -2,7 +2,7 @@ import contextlib
 import math
 
 import pytest
-from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from gyrobench.bench.foundations.clock import VirtualClock, WallClock
@@ -287,7 +287,6 @@ def test_any_number_is_encoded_to_half_a_digit_or_not_at_all(value, decimals):
     assert abs(from_register(number, decimals) - value) <= 0.5000001 * 10.0**-decimals
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     reply=st.binary(max_size=12) | st.binary(min_size=1, max_size=8).map(lambda tail: framed(b"\x01" + tail))
 )

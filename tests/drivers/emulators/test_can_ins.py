@@ -7,7 +7,7 @@ import can
 import cantools
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -89,7 +89,6 @@ speeds = st.floats(-2e5, 2e5)
 angles = st.floats(-180.0, 180.0)
 
 
-@settings(deadline=None, max_examples=60)
 @given(velocities=st.lists(st.tuples(speeds, speeds), min_size=1, max_size=5))
 def test_velocities_arrive_within_half_a_step(make_world, velocities):
     bus = Bus(make_world())
@@ -106,7 +105,6 @@ def test_velocities_beyond_the_field_stay_at_its_ends(make_world):
     assert bus.newest("VELOCITY_NE") == {"VELOCITY_EAST": 214748.3647, "VELOCITY_NORTH": -214748.3648}
 
 
-@settings(deadline=None, max_examples=100)
 @given(rotation=st.tuples(angles, st.floats(-89.0, 89.0), angles), pitch_first=st.booleans())
 def test_the_angles_rebuild_the_attitude_in_either_sequence(make_world, rotation, pitch_first):
     bus = Bus(make_world())
@@ -375,7 +373,6 @@ def foreign_frames(draw):
 
 
 @pytest.mark.long
-@settings(deadline=None, max_examples=200)
 @given(frame=foreign_frames())
 def test_frames_that_are_not_for_the_ins_change_nothing(make_world, frame):
     bus = Bus(make_world(ins=QUICK)).switch_on()
@@ -399,7 +396,6 @@ any_frame = st.builds(
 
 
 @pytest.mark.long
-@settings(deadline=None, max_examples=100)
 @given(frames=st.lists(any_frame, max_size=12))
 def test_no_frame_ever_breaks_the_ins(make_world, frames):
     bus = Bus(make_world(ins=QUICK)).switch_on()

@@ -5,7 +5,7 @@ from pathlib import Path
 import can
 import cantools
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import gyrobench.drivers.ins
@@ -211,7 +211,6 @@ line_like = st.text("OCLSsVNZtTrR0123456789abcdefABCDEF \r\n", max_size=30).map(
 
 
 @pytest.mark.long
-@settings(deadline=None, max_examples=200)
 @given(chunks=st.lists(st.one_of(st.binary(max_size=80), line_like), max_size=8))
 def test_random_bytes_never_break_it_and_each_line_gets_one_answer(make_world, chunks):
     bench = Bench(make_world(ins={"boot_s": 1.0}))

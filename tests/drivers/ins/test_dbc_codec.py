@@ -9,7 +9,7 @@ import pytest
 from cantools.database import Database
 from cantools.database.can import Message, Signal
 from cantools.database.conversion import BaseConversion
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import gyrobench.drivers.ins
@@ -88,7 +88,6 @@ def fields(draw, name, position, width, big):
 
 
 @given(message=layouts(), data=st.data())
-@settings(max_examples=300, deadline=None)
 def test_any_layout_decodes_as_by_cantools(message, data):
     payloads = data.draw(
         st.lists(st.binary(min_size=message.length, max_size=message.length), min_size=1, max_size=5)
@@ -98,7 +97,6 @@ def test_any_layout_decodes_as_by_cantools(message, data):
 
 
 @given(message=layouts(), data=st.data())
-@settings(max_examples=200, deadline=None)
 def test_any_layout_encodes_as_by_cantools(message, data):
     codec = DbcCodec(Database([message]))
     values = {}
@@ -242,7 +240,6 @@ def test_a_dbc_that_cannot_be_read_is_named(tmp_path):
 
 
 @given(data=st.data())
-@settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_a_damaged_dbc_is_an_error_of_the_document(tmp_path, dbc_path, data):
     content = bytearray(dbc_path.read_bytes()[:3000])
     for _ in range(data.draw(st.integers(1, 4))):

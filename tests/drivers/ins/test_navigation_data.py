@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from gyrobench.drivers.frames import FrameBlock, concatenate
@@ -274,7 +274,6 @@ def test_no_frames_make_no_epochs(recording, make_signal_map, codec):
 
 
 @given(data=st.data())
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_any_frames_give_increasing_times_within_a_segment(make_signal_map, codec, data):
     frames = data.draw(
         st.lists(

@@ -7,7 +7,7 @@ from contextlib import suppress
 from itertools import cycle, islice
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from gyrobench.bench.foundations.clock import VirtualClock
@@ -444,7 +444,6 @@ def test_no_reply_makes_the_driver_raise_anything_but_instrument_errors(serve, s
     with serve(instrument) as line:
         table = Acutrol3000(line, reply_timeout_s=0.01)
 
-        @settings(max_examples=80, deadline=None)
         @given(st.lists(replies, max_size=3), st.sampled_from(sorted(requests)))
         def check(answers, request):
             instrument.replies = list(answers)

@@ -198,6 +198,12 @@ def test_difference_figure_fills_the_markers_of_what_differs(bins: list[BiasBin]
     assert sorted(drawn) == pytest.approx(sorted(1e3 * each.largest_difference_dph for each in comparisons))
 
 
+def test_difference_figure_has_the_acceptance_limit_within_its_range(bins: list[BiasBin]) -> None:
+    figure = position_difference_figure(compare_positions(bins), limit_dph=1.0)
+    assert "acceptance limit" in texts(figure)
+    assert figure.axes[0].get_ylim()[1] > 1e3
+
+
 def test_difference_figure_without_comparisons_says_so() -> None:
     assert texts(position_difference_figure([])) == ["no bin has dwells in two positions"]
 

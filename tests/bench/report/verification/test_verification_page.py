@@ -1,6 +1,7 @@
 """The page of a verification: complete, self-contained, figures beside it."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,16 @@ from gyrobench.bench.report.verification.verification_page import (
     verification_sections,
     write_verification_page,
 )
-from tests.bench.report.made_up_verification import alone, confirmed, improved, inconclusive, not_confirmed
+from gyrobench.bench.verification.compensation_verification import compensation_result
+from tests.bench.report.made_up_verification import (
+    SITE,
+    alone,
+    confirmed,
+    improved,
+    inconclusive,
+    not_confirmed,
+    rows_of,
+)
 
 COLOURS = {
     "Confirmed": "finished",
@@ -51,9 +61,30 @@ def test_the_bars_of_each_compensation_are_at_its_plateaus():
     assert [text.get_text() for text in spread.get_xticklabels()] == ["62 °C (1)", "32 °C (2)", "2 °C (1)"]
 
 
-def test_a_velocity_not_measured_is_marked():
-    velocity = residual_bars_figure(confirmed()).axes[2]
-    assert [text.get_text() for text in velocity.texts] == ["not measured"]
+def test_what_was_not_measured_has_no_panel_and_no_column(tmp_path):
+    titles = [axes.get_title(loc="left") for axes in residual_bars_figure(confirmed()).axes if axes.axison]
+    assert titles == ["bias without the gyros' means", "spread between positions", "rotational INS in 24 h"]
+    assert "V_E" not in write_verification_page(tmp_path, confirmed()).read_text(encoding="utf-8")
+    one_position = of_one_position(confirmed())
+    [section] = [each for each in verification_sections(one_position) if each.title == "Residual"]
+    assert [table.header[-2:] for table in section.tables] == [["bias", "varying"]] * 2
+    [axes] = residual_bars_figure(one_position).axes
+    assert axes.get_title(loc="left") == "bias without the gyros' means"
+    assert "A day of a rotational INS" not in [each.title for each in verification_sections(one_position)]
+
+
+def of_one_position(result):
+    """The same with dwells in one position, as on ramps."""
+    fitted_c = result.closure.campaign.gyro_c[result.closure.searched]
+    results = [
+        compensation_result(
+            each.compensation,
+            [row for row in rows_of(0.01) if row.position == "x_up"],
+            [], SITE, fitted_c,
+        )
+        for each in result.results
+    ]  # fmt: skip
+    return replace(result, results=tuple(results))
 
 
 def test_a_day_is_drawn_for_each_plateau_with_all_positions():

@@ -3,7 +3,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
@@ -79,7 +79,6 @@ def text_of(path, table):
     return path.read_text(encoding="utf-8")
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(rows, max_size=4))
 def test_reading_and_writing_again_gives_the_same_text(tmp_path, table):
     text = text_of(tmp_path / "verification.csv", table)
@@ -96,7 +95,6 @@ def test_rows_survive_the_file(tmp_path):
     assert not second.is_compared
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.sampled_from(COLUMNS), st.text(max_size=10))
 def test_any_cell_is_read_or_refused(tmp_path, column, text):
     path = tmp_path / "verification.csv"

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -221,7 +221,6 @@ def noisy_story(sizes):
     return story
 
 
-@settings(deadline=None, max_examples=25)
 @given(sizes=st.lists(st.integers(1, 130), min_size=1, max_size=5))
 def test_epochs_are_equal_to_the_bit_however_the_samples_are_cut(sizes):
     story = noisy_story(sizes)

@@ -2,7 +2,7 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from gyrobench.drivers.emulators.world.ins_compensation import (
@@ -157,7 +157,6 @@ def test_the_checksum_distinguishes_tables_that_differ_in_one_number():
     assert InsCompensation(tables[3], sensed(20.0), NO_UP).checksum == checksum(tables[3])
 
 
-@settings(deadline=None)
 @given(
     values=st.lists(
         st.floats(width=32, allow_nan=False, allow_infinity=False),

@@ -66,7 +66,7 @@ def test_many_small_steps_equal_one_big_step_to_the_bit(make_world, steps_s, see
     assert state_of(small) == state_of(big)
 
 
-@settings(deadline=None, max_examples=10)
+@settings(max_examples=10)
 @given(steps_s=st.lists(st.floats(0.003, 3.0), min_size=1, max_size=6))
 def test_any_steps_equal_one_big_step_to_the_bit(make_world, steps_s):
     big, small = (make_world("gyro_a", 1, ins=QUICK) for _ in range(2))

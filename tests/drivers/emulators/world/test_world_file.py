@@ -2,7 +2,7 @@ import re
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from gyrobench.bench.foundations.documents import parse_document, validate
@@ -219,7 +219,6 @@ def outcome(text):
 
 
 @pytest.mark.long
-@settings(deadline=None, max_examples=200)
 @given(text=mutated())
 def test_a_mutated_world_either_loads_or_is_a_document_error(text):
     assert re.match(r"loads|w\.yaml:\d+:\d+: ", outcome(text))
