@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
@@ -244,22 +244,20 @@ class BudgetInputs:
     temperature_c: float | None = None
 
 
-def bias_budgets(
+def dwell_budgets(dwells: Sequence[BudgetedDwell], inputs: BudgetInputs) -> Iterator[BiasBudget]:
+    """Budgets of the biases of the dwells of a run, one after the other."""
+    outside = _outside(dwells, inputs)
+    for each in dwells:
+        for axis, gyro in enumerate(AXES):
+            budget = _budget(axis, [each], [1.0], inputs, outside[axis])
+            yield BiasBudget(gyro, each.row.position, budget, each.row.dwell)
+
+
+def bin_budgets(
     dwells: Sequence[BudgetedDwell], bins: Sequence[BiasBin], inputs: BudgetInputs
 ) -> list[BiasBudget]:
-    """Budgets of all dwells, then of all bins that are not empty.
-
-    ``bins``: over those of the dwells that have no flags.
-    """
-    good = [each.row for each in dwells if not each.row.flags]
-    outside = [_Outside.of(axis, good, inputs) for axis in range(3)]
-    result = [
-        BiasBudget(
-            gyro, each.row.position, _budget(axis, [each], [1.0], inputs, outside[axis]), each.row.dwell
-        )
-        for each in dwells
-        for axis, gyro in enumerate(AXES)
-    ]
+    """Budgets of the bins, over those of the dwells that have no flags, that are not empty."""
+    outside, result = _outside(dwells, inputs), []
     for each in bins:
         axis = AXES.index(each.gyro)
         members = [
@@ -309,11 +307,7 @@ def coefficient_budget(
 
 def with_budgets(bins: Sequence[BiasBin], budgets: Iterable[BiasBudget]) -> list[BiasBin]:
     """The bins with the uncertainties of their budgets, in which common errors do not average out."""
-    sigmas = {
-        (each.gyro, each.position, each.bin_low_c): each.budget.stated.sigma
-        for each in budgets
-        if each.dwell is None
-    }
+    sigmas = {(each.gyro, each.position, each.bin_low_c): each.budget.stated.sigma for each in budgets}
     return [
         replace(each, sigma_dph=sigmas.get((each.gyro, each.position, each.bin_low_c), each.sigma_dph))
         for each in bins
@@ -341,6 +335,11 @@ class _Outside:
             for position in (positions if inputs.temperature_c else ())
         }
         return cls(*_between_power_cycles(axis, rows), curves)
+
+
+def _outside(dwells: Sequence[BudgetedDwell], inputs: BudgetInputs) -> list[_Outside]:
+    good = [each.row for each in dwells if not each.row.flags]
+    return [_Outside.of(axis, good, inputs) for axis in range(3)]
 
 
 #: Temperatures of one plateau differ by less, K.

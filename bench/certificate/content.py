@@ -35,7 +35,7 @@ from gyrobench.bench.report.statements import verdict_sentence
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.provenance import SIMULATED
 from gyrobench.bench.runs.seal import verify_seals
-from gyrobench.bench.runs.tables.budget_table import COMBINED, Coverage, coverage
+from gyrobench.bench.runs.tables.budget_table import Coverage, coverage
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow
 from gyrobench.bench.station.station_file import StationFile, load_station_file
 
@@ -370,7 +370,7 @@ def _model(folder: RunFolder, run: RunContent) -> tuple[list[ModelNumber], str]:
     terms = sum(each.sizes_dph.shape[1] + len(each.parameter_texts) for each in closure.effects)
     residual_dof = float(closure.searched.sum()) - _DEGREE - len(closure.campaign.run_names) - terms
     ks = {
-        gyro: coverage_factor(_dwells_dof(gyro, run) if closure.noise_scale == 1.0 else residual_dof)
+        gyro: coverage_factor(run.budget.dwells_dof(gyro) if closure.noise_scale == 1.0 else residual_dof)
         for gyro in AXES
     }
     rows = [
@@ -403,14 +403,6 @@ def _with_power(row: ModelNumber) -> ModelNumber:
     return replace(row, unit=f"deg/h/K{power}" if power > 1 else "deg/h/K" if power else "deg/h")
 
 
-def _dwells_dof(gyro: str, run: RunContent) -> float:
-    """Lower bound of the effective degrees of freedom of a combination of dwells: the smallest of them."""
-    sums = [
-        row.dof for row in run.budget if (row.result, row.axis, row.contribution) == ("dwell", gyro, COMBINED)
-    ]
-    return min(sums, default=math.inf)
-
-
 def _polynomial(gyro: str, run: RunContent) -> Iterator[ModelNumber]:
     axis = AXES.index(gyro)
     rows = [row for row in run.dwells if not row.flags]
@@ -422,7 +414,7 @@ def _polynomial(gyro: str, run: RunContent) -> Iterator[ModelNumber]:
     design = np.vander(temperature_c[known], _DEGREE + 1, increasing=True)
     fit = weighted_fit(bias[known], sigma[known] ** 2, design)
     ratio = math.sqrt(fit.chi2 / fit.dof)
-    k = coverage_factor(fit.dof if ratio > 1.0 else _dwells_dof(gyro, run))
+    k = coverage_factor(fit.dof if ratio > 1.0 else run.budget.dwells_dof(gyro))
     expanded = k * max(ratio, 1.0) * np.sqrt(np.diag(fit.covariance))
     for power, (value, own) in enumerate(zip(fit.values.tolist(), expanded.tolist(), strict=True)):
         yield _with_power(ModelNumber(f"{_POWER}{power}", gyro, value, own, k, ""))

@@ -60,7 +60,7 @@ def certificate_pdf(certificate: Certificate, attachments: Mapping[str, bytes] |
     with tempfile.TemporaryDirectory() as folder:
         page = _page(certificate, dict(_figures(certificate, Path(folder), word)))
         title = f"{word} Calibration certificate {certificate.order.number}".strip()
-        html = render_page(page, f"{title}, unit {certificate.unit}", title, watermark=word)
+        html = "".join(render_page(page, f"{title}, unit {certificate.unit}", title, watermark=word))
     return pdf_of(html, attachments, _VARIANT)
 
 

@@ -24,6 +24,8 @@ from gyrobench.bench.navigation.error_model import Site
 from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.navigation_data import Increments, NavigationData
 
+#: Epochs whose matrices are in memory at once.
+_BLOCK = 4096
 #: Part of the usual interval by which the time between two epochs may differ from it.
 _MAX_STEP_ERROR = 0.5
 #: Sum, rad or m/s, from which increments are compared with attitude and velocity, by how much of it they may
@@ -134,23 +136,19 @@ def navigated_increments(navigation: NavigationData, site: Site) -> Increments:
     The navigation frame turns with the Earth and with the velocity that the INS computes; to that belong the
     Coriolis acceleration and, in place of the vertical specific force, gravity.
     """
-    time_s, C_nb = navigation.ins_time_s, navigation.attitude
-    velocity = navigation.velocity_enu_mps[:, :2]
+    time_s, velocity = navigation.ins_time_s, navigation.velocity_enu_mps[:, :2]
     interval_s = float(np.median(np.diff(time_s)))
-    east, north = (0.5 * (velocity[1:] + velocity[:-1])).T
-    meridian, across = curvature_radii(site.latitude, site.height)
-    transport = np.stack([-north / meridian, east / across, east * np.tan(site.latitude) / across], axis=-1)
+    north = 0.5 * (velocity[1:, 1] + velocity[:-1, 1])
     # Where the INS takes itself to be: in hours its drift changes the Earth's rate that it subtracts.
-    latitude = site.latitude + np.cumsum(north) * interval_s / meridian
-    earth = EARTH_RATE * np.stack([np.zeros_like(latitude), np.cos(latitude), np.sin(latitude)], axis=-1)
-    turned, half = (rotation_matrices(part * (earth + transport) * interval_s) for part in (1.0, 0.5))
-    angle = rotation_vectors(C_nb[:-1].transpose(0, 2, 1) @ turned @ C_nb[1:])
-    force = np.cross(2.0 * earth + transport, np.stack([east, north, np.zeros_like(east)], axis=-1))
-    force[:, :2] += np.diff(velocity, axis=0) / interval_s
-    force[:, 2] = site.gravity
-    in_body = (C_nb[:-1].transpose(0, 2, 1) @ (half @ (force * interval_s)[:, :, np.newaxis]))[:, :, 0]
-    turning = np.cross(angle, in_body)
-    sums = in_body - 0.5 * turning + np.cross(angle, turning) / 12.0
+    latitude = site.latitude + np.cumsum(north) * interval_s / curvature_radii(site.latitude, site.height)[0]
+    parts = [
+        _sums(
+            navigation.attitude[begin:end], velocity[begin:end], latitude[begin : end - 1], interval_s, site
+        )
+        for begin in range(0, max(len(latitude), 1), _BLOCK)
+        for end in [begin + _BLOCK + 1]
+    ]
+    angle, sums = (np.concatenate(each) for each in zip(*parts, strict=True))
     # Rotation vectors and velocities hold coning and sculling, which increments of sensors do not.
     last = np.maximum(np.arange(len(angle)) - 1, 0)
     coning = np.cross(angle[last], angle) / 12.0
@@ -163,3 +161,21 @@ def navigated_increments(navigation: NavigationData, site: Site) -> Increments:
         follows=steady,
         interval_s=interval_s,
     )
+
+
+def _sums(
+    C_nb: FloatArray, velocity: FloatArray, latitude: FloatArray, interval_s: float, site: Site
+) -> tuple[FloatArray, FloatArray]:
+    """Turn and change of velocity (n, 3) in body axes between n + 1 epochs, latitude (n,)."""
+    east, north = (0.5 * (velocity[1:] + velocity[:-1])).T
+    meridian, across = curvature_radii(site.latitude, site.height)
+    transport = np.stack([-north / meridian, east / across, east * np.tan(site.latitude) / across], axis=-1)
+    earth = EARTH_RATE * np.stack([np.zeros_like(latitude), np.cos(latitude), np.sin(latitude)], axis=-1)
+    turned, half = (rotation_matrices(part * (earth + transport) * interval_s) for part in (1.0, 0.5))
+    angle = rotation_vectors(C_nb[:-1].transpose(0, 2, 1) @ turned @ C_nb[1:])
+    force = np.cross(2.0 * earth + transport, np.stack([east, north, np.zeros_like(east)], axis=-1))
+    force[:, :2] += np.diff(velocity, axis=0) / interval_s
+    force[:, 2] = site.gravity
+    in_body = (C_nb[:-1].transpose(0, 2, 1) @ (half @ (force * interval_s)[:, :, np.newaxis]))[:, :, 0]
+    turning = np.cross(angle, in_body)
+    return angle, in_body - 0.5 * turning + np.cross(angle, turning) / 12.0

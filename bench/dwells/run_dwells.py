@@ -12,9 +12,9 @@ confirmed, and flagged otherwise.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain
+from itertools import chain, islice
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,7 @@ import numpy as np
 from gyrobench.bench.bias.acceptance import judge
 from gyrobench.bench.bias.bias_filter import Damping
 from gyrobench.bench.bias.bins import BiasBin, bin_biases, write_bins
-from gyrobench.bench.bias.budget import BiasBudget, BudgetedDwell, bias_budgets, with_budgets
+from gyrobench.bench.bias.budget import BiasBudget, BudgetedDwell, bin_budgets, dwell_budgets, with_budgets
 from gyrobench.bench.bias.dwell_table import Triple
 from gyrobench.bench.bias.joint_solution import JointDwell, JointSolution, pooled_up_rate, solve_jointly
 from gyrobench.bench.bias.noise_estimate import NoiseEstimate, estimate_noise
@@ -240,7 +240,8 @@ class RunResults:
     #: As given; biases of vertical gyros without the effect of a wrong latitude, or flagged with it.
     dwells: list[MeasuredDwell] = field(default_factory=list)
     bins: list[BiasBin] = field(default_factory=list)  #: Bias per gyro, position and temperature.
-    budgets: list[BiasBudget] = field(default_factory=list)  #: Uncertainty budgets of dwells and bins.
+    #: Gives the uncertainty budgets of dwells and bins; they are many, and made one by one.
+    budgets: Callable[[], Iterator[BiasBudget]] = lambda: iter(())
     joint: list[JointSolution] = field(default_factory=list)  #: One for each plateau.
     #: Rate Up fixed in the navigation frame, from all plateaus whose dwells agree; None without any.
     up_rate: UpRate | None = None
@@ -287,11 +288,11 @@ def evaluate(
     rows = [dwell.row for dwell in evaluated if dwell.estimate and not dwell.row.flags]
     bins = bin_biases(rows, bin_width_c)
     parts = [BudgetedDwell(each.row, each.estimate.parts) for each in evaluated if each.estimate]
-    budgets = bias_budgets(parts, bins, setup.budget_inputs)
+    of_bins = bin_budgets(parts, bins, setup.budget_inputs)
     return RunResults(
         dwells=evaluated,
-        bins=with_budgets(bins, budgets),
-        budgets=budgets,
+        bins=with_budgets(bins, of_bins),
+        budgets=lambda: chain(dwell_budgets(parts, setup.budget_inputs), of_bins),
         joint=joint,
         up_rate=rate,
         noise=_noise([dwell for dwell in dwells if not dwell.is_disturbed], setup),
@@ -331,11 +332,11 @@ def write_results(folder: RunFolder, results: RunResults) -> None:
     optional = (folder.noise, folder.calibration_check, folder.coefficients, folder.correlations)
     for stale in (*optional, folder.budget, folder.characteristics):
         remove(stale)
-    if results.budgets or any(plateau.budgets for plateau in results.coefficients):
-        # One by one: of a long run they are many.
-        biases = (budget_rows([each]) for each in results.budgets)
-        coefficients = (coefficient_budget_rows(each.number, each.budgets) for each in results.coefficients)
-        write_budget(folder.budget, chain.from_iterable(chain(biases, coefficients)))
+    biases = (budget_rows([each]) for each in results.budgets())
+    coefficients = (coefficient_budget_rows(each.number, each.budgets) for each in results.coefficients)
+    rows = chain.from_iterable(chain(biases, coefficients))
+    for first in islice(rows, 1):
+        write_budget(folder.budget, chain([first], rows))
     if results.coefficients:
         write_coefficients(folder.coefficients, [row for each in results.coefficients for row in each.rows()])
         write_correlations(

@@ -86,8 +86,8 @@ class Damage:
             self._record(folder.journal, clock())
             return
         whole = folder.journal.with_name(folder.journal.name + ".whole")
-        kept = b"".join(line + b"\n" for line in lines if _is_sound(line))
-        write_whole(whole, kept)
+        kept = [line + b"\n" for line in lines if _is_sound(line)]
+        write_whole(whole, b"".join(kept))
         self._record(whole, clock(), broken_links(kept))
         try:
             whole.replace(folder.journal)

@@ -67,7 +67,14 @@ class RunOutcome:
     def release(self) -> None:
         """Keep the rows of dwells and the results that are printed; the run folder has everything else."""
         self.dwells = [replace(each, estimate=None, shared=None, windows=()) for each in self.dwells]
-        self.results = replace(self.results, dwells=[], budgets=[], joint=[], noise=None)
+        self.results = RunResults(
+            bins=self.results.bins,
+            up_rate=self.results.up_rate,
+            calibration_check=self.results.calibration_check,
+            coefficients=self.results.coefficients,
+            acceptance=self.results.acceptance,
+            characteristics=self.results.characteristics,
+        )
         for unit in self.units.values():
             unit.release()
 

@@ -16,7 +16,7 @@ from types import MappingProxyType
 from typing import Any, TypeVar
 
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.foundations.files import read_limited, write_whole
+from gyrobench.bench.foundations.files import read_limited, read_lines, write_whole
 from gyrobench.bench.foundations.text import format_cell
 
 RowT = TypeVar("RowT")
@@ -28,6 +28,7 @@ LARGEST_NUMBER, SMALLEST_UNCERTAINTY = 1e30, 1e-30
 #: Beyond any gyro; much larger temperatures would fill the memory with empty bins.
 COLDEST_C, HOTTEST_C = -273.15, 1000.0
 _SHOWN_PROBLEMS = 20
+_PART_LINES = 500
 _INTEGER = re.compile(r"[-+]?[0-9]{1,18}")
 _LINE = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+")
 _NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
@@ -48,6 +49,8 @@ class CsvTable:
         Name of the file in messages.
     required : sequence of str
         Columns that must be there.
+    left_out : int
+        Number of lines of the file between the header and the rest of the text.
 
     Attributes
     ----------
@@ -57,7 +60,7 @@ class CsvTable:
         Names of the columns.
     """
 
-    def __init__(self, text: str, name: str, required: Sequence[str]) -> None:
+    def __init__(self, text: str, name: str, required: Sequence[str], left_out: int = 0) -> None:
         self._name = name
         self._problems: list[str] = []
         #: The rows as they are, and the one whose cells were read last: all cells would take five times as
@@ -74,11 +77,11 @@ class CsvTable:
             for cells in reader:
                 if cells:
                     self._rows.append("".join(taken))
-                    self.lines.append(reader.line_num)
+                    self.lines.append(reader.line_num + left_out)
                     counts.append(len(cells))
                 taken.clear()
         except csv.Error as error:
-            raise DocumentError(f"{name}:{reader.line_num}: not valid CSV: {error}") from error
+            raise DocumentError(f"{name}:{reader.line_num + left_out}: not valid CSV: {error}") from error
         self._columns = {column: index for index, column in enumerate(header)}
         self._check_shape(counts, required)
 
@@ -197,21 +200,34 @@ def _lines(text: str, taken: list[str]) -> Iterator[str]:
 
 def format_csv(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """CSV text with a header and plain line ends."""
-    buffer = io.StringIO(newline="")
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows(rows)
-    return buffer.getvalue()
+    return "".join(_formatted(columns, rows))
+
+
+def _formatted(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[str]:
+    line = io.StringIO(newline="")
+    writer = csv.writer(line, lineterminator="\n")
+    for cells in chain([columns], rows):
+        writer.writerow(cells)
+        yield line.getvalue()
+        line.seek(0)
+        line.truncate()
 
 
 def format_rows(columns: Sequence[str], rows: Iterable[Any]) -> str:
     """CSV text of instances of a data class, whose fields are the columns."""
-    rows = iter(rows)
-    first = list(islice(rows, 1))
-    names = [each.name for each in fields(first[0])] if first else []
-    return format_csv(
-        columns, ([format_cell(getattr(row, name)) for name in names] for row in chain(first, rows))
-    )
+    return format_csv(columns, _cells(rows))
+
+
+def write_rows(path: Path, columns: Sequence[str], rows: Iterable[Any]) -> None:
+    """Write the same to a file row by row, whole or not at all; raises as :func:`write_text`."""
+    write_whole(path, (line.encode() for line in _formatted(columns, _cells(rows))))
+
+
+def _cells(rows: Iterable[Any]) -> Iterator[list[str]]:
+    names: list[str] = []
+    for row in rows:
+        names = names or [each.name for each in fields(row)]
+        yield [format_cell(getattr(row, name)) for name in names]
 
 
 CellReader = Callable[[CsvTable, int, str], Any]
@@ -240,10 +256,33 @@ def read_rows(
     ``readers``: of fields that are read otherwise. ``columns``: names of columns that are not those of their
     fields. Raises DocumentError if the file can't be read or is wrong; the message lists all problems.
     """
+    names = {each.name: columns.get(each.name, each.name) for each in fields(kind)}  # type: ignore[arg-type]
+    return _read(CsvTable(read_text(path), str(path), list(names.values())), kind, readers, names)
+
+
+def each_row(
+    path: Path, kind: type[RowT], readers: Mapping[str, CellReader] = MappingProxyType({})
+) -> Iterator[RowT]:
+    """The same one after the other, of a table that is larger than what is made of it.
+
+    Raises DocumentError at the first part of the file that is wrong.
+    """
+    names = {each.name: each.name for each in fields(kind)}  # type: ignore[arg-type]
+    lines = read_lines(path, MAX_TABLE_BYTES, DocumentError)
+    header, left_out = next(lines, b""), 0
+    while (part := list(islice(lines, _PART_LINES))) or not left_out:
+        while sum(line.count(b'"') for line in part) % 2 and (line := next(lines, b"")):
+            part.append(line)  # of a cell with line ends
+        text = _decoded(path, b"".join([header, *part]))
+        yield from _read(CsvTable(text, str(path), list(names), left_out), kind, readers, names)
+        left_out += max(len(part), 1)
+
+
+def _read(
+    table: CsvTable, kind: type[RowT], readers: Mapping[str, CellReader], names: Mapping[str, str]
+) -> list[RowT]:
     known = fields(kind)  # type: ignore[arg-type]
     readers = {each.name: readers.get(each.name, _READERS[str(each.type)]) for each in known}
-    names = {each.name: columns.get(each.name, each.name) for each in known}
-    table = CsvTable(read_text(path), str(path), required=list(names.values()))
     return table.rows(
         lambda index: kind(**{name: readers[name](table, index, names[name]) for name in names})
     )
@@ -254,8 +293,12 @@ def read_text(path: Path) -> str:
 
     Raises DocumentError if the file can't be read, is too large, or is not UTF-8.
     """
+    return _decoded(path, read_limited(path, MAX_TABLE_BYTES, DocumentError))
+
+
+def _decoded(path: Path, content: bytes) -> str:
     try:
-        return read_limited(path, MAX_TABLE_BYTES, DocumentError).decode("utf-8-sig")
+        return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise DocumentError(f"{path}: is not UTF-8 text: {error.reason} at byte {error.start}") from error
 

@@ -12,10 +12,10 @@ import json
 import os
 import re
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextvars import ContextVar
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
 
@@ -27,6 +27,22 @@ def read_limited(path: Path, max_bytes: int, error_type: type[DocumentError | Ru
 
     Raises error_type if the file can't be read, is not a plain file, or is too large.
     """
+    with _limited(path, max_bytes, error_type) as stream:
+        return stream.read()
+
+
+def read_lines(
+    path: Path, max_bytes: int, error_type: type[DocumentError | RunFolderError]
+) -> Iterator[bytes]:
+    """Lines of such a file with their ends, one at a time; raises as :func:`read_limited`."""
+    with _limited(path, max_bytes, error_type) as stream:
+        yield from stream
+
+
+@contextlib.contextmanager
+def _limited(
+    path: Path, max_bytes: int, error_type: type[DocumentError | RunFolderError]
+) -> Iterator[BinaryIO]:
     try:
         status = path.stat()
         if not stat.S_ISREG(status.st_mode):
@@ -34,7 +50,8 @@ def read_limited(path: Path, max_bytes: int, error_type: type[DocumentError | Ru
             raise error_type(f"{path}: can't be read: it is {what}")
         if status.st_size > max_bytes:
             raise error_type(f"{path}: {status.st_size} bytes; at most {max_bytes} are allowed")
-        return path.read_bytes()
+        with path.open("rb") as stream:
+            yield stream
     except OSError as error:
         if isinstance(error, RunFolderError):
             raise
@@ -57,8 +74,8 @@ def parse_json(text: str | bytes) -> Any:
         raise ValueError("nested too deeply") from None
 
 
-def write_whole(path: Path, data: bytes, *, is_synced: bool = True) -> None:
-    """Write a file whole or not at all; when this returns, it is on the disk.
+def write_whole(path: Path, data: bytes | Iterable[bytes], *, is_synced: bool = True) -> None:
+    """Write a file, from one or more parts, whole or not at all; when this returns, it is on the disk.
 
     An existing file of that name is replaced atomically.
 
@@ -69,7 +86,7 @@ def write_whole(path: Path, data: bytes, *, is_synced: bool = True) -> None:
     temporary = temporary_path(path)
     try:
         with temporary.open("wb") as stream:
-            stream.write(data)
+            stream.writelines([data] if isinstance(data, bytes) else data)
             if is_synced:
                 stream.flush()
                 os.fsync(stream.fileno())

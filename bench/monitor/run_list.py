@@ -6,12 +6,13 @@ import math
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from gyrobench.bench.bias.dwell_table import read_dwells
+from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
 from gyrobench.bench.bias.verdicts import read_acceptance
 from gyrobench.bench.engine.resume import NO_END_RECORDED, resume_state_of
 from gyrobench.bench.foundations.arrays import FloatArray
@@ -35,7 +36,7 @@ from gyrobench.bench.monitor.snapshot_recorder import (
 )
 from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.procedure.procedure_file import load_procedure
-from gyrobench.bench.report.content import Entry, RunContent, read_run
+from gyrobench.bench.report.content import Entry, read_run
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
 from gyrobench.bench.runs.journal import MAX_RUN_S, RunFacts, facts_of, read_journal
 from gyrobench.bench.station.locks import holder_of
@@ -115,6 +116,7 @@ def snapshot_from_records(folder: RunFolder) -> RunSnapshot:
     It has no traces of the current dwell, and alarms only as part of the reason.
     """
     content = read_run(folder)
+    journal = list(_intact_entries(folder.journal))
     station, plan = _station_and_plan(folder)
     state, reason = end_of(folder, content.facts)
     rows, now_s = content.dwells, content.facts.last_s
@@ -130,17 +132,17 @@ def snapshot_from_records(folder: RunFolder) -> RunSnapshot:
         state=state,
         reason=reason,
         now_s=now_s,
-        left_s=_left_s(plan, content) if plan else 0.0,
+        left_s=_left_s(plan, journal) if plan else 0.0,
         planned_s=plan.duration_s if plan else 0.0,
         dwell_count=plan.dwell_count if plan else content.dwell_purposes.total(),
         finished_dwells=content.dwell_purposes.total(),
         planned=planned_profile(plan) if plan else PlannedProfile(),
         measured=profile_of_telemetry(content.telemetry) if content.telemetry else MeasuredProfile(),
         bench=bench,
-        attitude=_attitude(station, bench, content),
+        attitude=_attitude(station, bench, content.dwells, journal),
         dwells=measured_dwells(rows),
         bins=live_bins(rows, plan.procedure.bin_width_c) if plan else (),
-        messages=tuple(_messages(content.journal))[-MAX_MESSAGES:],
+        messages=tuple(_messages(journal))[-MAX_MESSAGES:],
     )
 
 
@@ -152,10 +154,16 @@ def _station_and_plan(folder: RunFolder) -> tuple[Station | None, Plan | None]:
         return None, None
 
 
-def _left_s(plan: Plan, content: RunContent) -> float:
+def _intact_entries(journal: Path) -> Iterator[Entry]:
+    """Entries up to the first damaged one."""
+    with suppress(RunFolderError):
+        yield from read_journal(journal)
+
+
+def _left_s(plan: Plan, journal: Sequence[Entry]) -> float:
     """Planned time remaining; the whole duration if the journal does not match the plan."""
     try:
-        done = resume_state_of(content.journal, plan)
+        done = resume_state_of(journal, plan)
     except RunFolderError:
         return plan.duration_s
     return 0.0 if done.is_over(plan) else plan.duration_s - plan.steps[done.resume_index(plan)].start_s
@@ -194,13 +202,15 @@ def _mode(code: float) -> str:
     return known.get(code, "unknown")
 
 
-def _attitude(station: Station | None, bench: BenchReadings | None, content: RunContent) -> Attitude | None:
+def _attitude(
+    station: Station | None, bench: BenchReadings | None, dwells: Sequence[DwellRow], journal: Sequence[Entry]
+) -> Attitude | None:
     if station is None or bench is None or math.isnan(bench.outer_deg + bench.inner_deg):
         return None
     east, north, up = station.table.attitude(bench.outer_deg, bench.inner_deg).tolist()
-    marks = content.last("dwell_finished").get("marks")
-    is_rotated = isinstance(marks, Mapping) and bool(marks.get("is_rotated"))
-    last = content.dwells[-1] if content.dwells and not is_rotated else None
+    finished = [entry.get("marks") for entry in journal if entry.get("event") == "dwell_finished"]
+    is_rotated = bool(finished) and isinstance(finished[-1], Mapping) and bool(finished[-1].get("is_rotated"))
+    last = dwells[-1] if dwells and not is_rotated else None
     position, azimuth_deg = (last.position, last.azimuth_deg) if last else ("", math.nan)
     return Attitude(position, azimuth_deg, (tuple(east), tuple(north), tuple(up)))
 

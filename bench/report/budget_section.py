@@ -11,11 +11,17 @@ from matplotlib.figure import Figure
 
 from gyrobench.bench.bias.budget import SOURCES
 from gyrobench.bench.foundations.text import bin_label, counted, listed
-from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
+from gyrobench.bench.navigation.positions import POSITIONS, gyro_label, position_label
 from gyrobench.bench.report.figures.style import common_legend, house_style, new_figure
 from gyrobench.bench.report.number_format import BiasScale
 from gyrobench.bench.report.page import Box, Mark, Section, SectionTable
-from gyrobench.bench.runs.tables.budget_table import ANY_POWER_CYCLE, COMBINED, BudgetRow
+from gyrobench.bench.runs.tables.budget_table import (
+    ANY_POWER_CYCLE,
+    COMBINED,
+    BudgetRow,
+    BudgetSummary,
+    ContributionSummary,
+)
 
 #: Caption of the figure of shares.
 CAPTION = (
@@ -62,28 +68,22 @@ class Shares:
     parts: Mapping[str, float]  #: Share of each source, key of :data:`gyrobench.bench.bias.budget.SOURCES`.
 
 
-def shares(rows: Iterable[BudgetRow]) -> list[Shares]:
+def shares(budget: BudgetSummary) -> list[Shares]:
     """Shares of the variance of each gyro's biases, level and vertical, over the dwells."""
-    groups: dict[tuple[str, bool], list[BudgetRow]] = defaultdict(list)
-    for row in rows:
-        if row.result == "dwell":
-            groups[row.axis, _is_vertical(row)].append(row)
     found = []
-    for (axis, is_vertical), members in sorted(groups.items()):
-        variances: dict[str, float] = defaultdict(float)
-        for row in members:
-            if not math.isnan(row.share):
-                variances[row.contribution] += row.sigma**2
-        total, count = variances.pop(COMBINED), sum(row.contribution == COMBINED for row in members)
-        parts = {name: variance / total for name, variance in variances.items()}
+    for (axis, is_vertical), own in sorted(budget.dwells.items(), key=lambda each: each[0]):
+        total, count = own[COMBINED].variance, own[COMBINED].count
+        parts = {
+            name: each.variance / total for name, each in own.items() if each.shares and name != COMBINED
+        }
         label = f"{gyro_label(axis)} {_kind(is_vertical)}"
         found.append(Shares(label, is_vertical, count, math.sqrt(total / count), parts))
     return found
 
 
-def budget_box(rows: Sequence[BudgetRow]) -> Box | None:
+def budget_box(budget: BudgetSummary) -> Box | None:
     """State why the uncertainty is what it is; None without a budget."""
-    found, texts = shares(rows), []
+    found, texts = shares(budget), []
     for is_vertical in (False, True):
         own = [each for each in found if each.is_vertical is is_vertical]
         if not own:
@@ -94,66 +94,63 @@ def budget_box(rows: Sequence[BudgetRow]) -> Box | None:
             for source, share in each.parts.items():
                 parts[source] += share * each.count * each.sigma_dph**2 / total
         largest = sorted((-share, source) for source, share in parts.items() if share >= _NAMED)
-        causes = listed([f"{-100.0 * share:.0f} % by {_cause(rows, source)}" for share, source in largest])
+        causes = listed(
+            [f"{-100.0 * share:.0f} % by {_cause(budget.contributions[source])}" for share, source in largest]
+        )
         causes = causes.replace(" % by", " % of the variance by", 1)
         sigma_dph = math.sqrt(total / sum(each.count for each in own))
         texts.append(f"{sigma_dph:#.2g} deg/h for a {_kind(is_vertical)} gyro, {causes}")
     if not texts:
         return None
-    k = _range((row.k for row in rows if row.result == "dwell" and row.contribution == COMBINED), ".2f")
+    k = _range([end for own in budget.all_gyros.values() for end in own[COMBINED].k], ".2f")
     return Box(
         "open", "Standard uncertainty of a bias in a dwell:", f"{'; '.join(texts)}. U = {k} sigma (95 %)."
     )
 
 
-def budget_section(rows: Sequence[BudgetRow]) -> Section | None:
+def budget_section(budget: BudgetSummary) -> Section | None:
     """The contributions and the expanded uncertainties in tables; None without a budget."""
-    dwells = [row for row in rows if row.result == "dwell"]
-    if not dwells:
+    if not budget.dwells:
         return None
     tables = [
-        _contributions(own, _kind(is_vertical))
+        _contributions(budget.all_gyros[is_vertical], _kind(is_vertical))
         for is_vertical in (False, True)
-        if (own := [row for row in dwells if _is_vertical(row) is is_vertical])
+        if is_vertical in budget.all_gyros
     ]
-    bins = [row for row in rows if row.result == "bin" and row.contribution == COMBINED]
+    bins = [row for row in budget.stated if row.result == "bin"]
     return Section("Uncertainty budget", [_HOW], tables=[*tables, *([_bins(bins)] if bins else [])])
 
 
-def _contributions(rows: Sequence[BudgetRow], kind: str) -> SectionTable:
+def _contributions(own: Mapping[str, ContributionSummary], kind: str) -> SectionTable:
     scale = BiasScale(1000.0, "0.001 deg/h", 3)
     lines: list[list[str]] = []
     marks: list[Mark] = []
     for name in (*SOURCES, *_SUMS):
-        own = [row for row in rows if row.contribution == name]
-        if not own:
+        each = own.get(name)
+        if each is None:
             continue
         title = _SUMS.get(name) or SOURCES[name].title
-        known = [row for row in own if not math.isnan(row.sigma)]
         marks.append("sum" if name in _SUMS else "")
-        if not known:
-            lines.append([title, "B", f"{_input(own)} {own[0].note}".strip()])
+        if not each.known:
+            lines.append([title, "B", f"{_input(each)} {each.example.note}".strip()])
             continue
         if name in _SUMS:
-            k = _range((row.k for row in known), ".2f")
-            middle = ["", "", f"U = {scale.text(_rms(row.expanded for row in known))}", f"k = {k}"]
+            expanded = math.sqrt(each.expanded_square / each.known)
+            middle = ["", "", f"U = {scale.text(expanded)}", f"k = {_range(each.k, '.2f')}"]
         else:
-            sensitivity = _rms(row.sensitivity for row in known if not math.isnan(row.sensitivity))
+            sensitivity = math.sqrt(each.sensitivity_square / max(each.sensitivities, 1))
             cell = f"{sensitivity:.3g}" if sensitivity else ""
-            middle = [known[0].type, known[0].distribution, _input(known), cell]
-        stated = [row.share for row in known if not math.isnan(row.share)]
-        share = f"{100.0 * sum(stated) / len(stated):.1f}" if stated else "outside"
-        dof = min(row.dof for row in known)
+            middle = [each.example.type, each.example.distribution, _input(each), cell]
         lines.append(
             [
                 title,
                 *middle,
-                scale.text(_rms(row.sigma for row in known)),
-                share,
-                "∞" if math.isinf(dof) else f"{dof:.0f}",
+                scale.text(math.sqrt(each.variance / each.known)),
+                f"{100.0 * each.share / each.shares:.1f}" if each.shares else "outside",
+                "∞" if math.isinf(each.dof) else f"{each.dof:.0f}",
             ]
         )
-    count = counted(len({(row.dwell, row.axis) for row in rows}), "value")
+    count = counted(own[COMBINED].count, "value")
     header = ["contribution", "type", "distribution", "input", "sensitivity", "u", "% of variance", "dof"]
     return SectionTable(_CONTRIBUTIONS.format(kind, count, scale.unit), header, lines, words=3, marks=marks)
 
@@ -178,31 +175,21 @@ def _kind(is_vertical: bool) -> str:
     return "vertical" if is_vertical else "level"
 
 
-def _is_vertical(row: BudgetRow) -> bool:
-    return AXES[POSITIONS[row.position].up_axis] == row.axis
+def _cause(every: ContributionSummary) -> str:
+    how = "estimated" if every.is_estimated else "declared"
+    return SOURCES[every.example.contribution].title + (f" ({_input(every)}, {how})" if _input(every) else "")
 
 
-def _cause(rows: Iterable[BudgetRow], source: str) -> str:
-    own = [row for row in rows if row.contribution == source]
-    how = "estimated" if all(row.type == "A" for row in own) else "declared"
-    return SOURCES[source].title + (f" ({_input(own)}, {how})" if _input(own) else "")
-
-
-def _input(rows: Iterable[BudgetRow]) -> str:
+def _input(every: ContributionSummary) -> str:
     """Standard uncertainty of the input, or its range, with the unit."""
-    own = [row for row in rows if row.input_sigma > 0.0]
-    return f"{_range((row.input_sigma for row in own), ',.4g')} {own[0].input_unit}" if own else ""
+    low, high = every.input_sigma
+    return f"{_range((low, high), ',.4g')} {every.example.input_unit}" if low <= high else ""
 
 
 def _range(values: Iterable[float], form: str) -> str:
     """Smallest and largest of some values, or the one that all are."""
     ordered = sorted(values)
     return " to ".join(dict.fromkeys(format(each, form) for each in (ordered[0], ordered[-1])))
-
-
-def _rms(values: Iterable[float]) -> float:
-    every = list(values)
-    return math.sqrt(math.fsum(each**2 for each in every) / len(every)) if every else 0.0
 
 
 @house_style

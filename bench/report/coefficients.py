@@ -22,7 +22,7 @@ from gyrobench.bench.report.figures.style import (
     new_figure,
 )
 from gyrobench.bench.report.page import Section, SectionFigure, SectionTable
-from gyrobench.bench.runs.tables.budget_table import BudgetRow, coverage
+from gyrobench.bench.runs.tables.budget_table import BudgetSummary, coverage
 from gyrobench.bench.runs.tables.coefficient_table import (
     FRAME_TEXT,
     TEMPERATURE_TEXT,
@@ -75,7 +75,7 @@ def has_rotations(rows: Sequence[PlateauCoefficientRow]) -> bool:
 
 
 def coefficients_section(
-    rows: Sequence[PlateauCoefficientRow], budget: Sequence[BudgetRow] = ()
+    rows: Sequence[PlateauCoefficientRow], budget: BudgetSummary | None = None
 ) -> Section | None:
     """Tables and figure with the expanded uncertainties of the budget; None without rotations."""
     if not has_rotations(rows):
@@ -102,9 +102,9 @@ def _not_observable(rows: Sequence[PlateauCoefficientRow]) -> list[str]:
 
 
 @house_style
-def coefficients_figure(rows: Sequence[PlateauCoefficientRow], budget: Sequence[BudgetRow] = ()) -> Figure:
+def coefficients_figure(rows: Sequence[PlateauCoefficientRow], budget: BudgetSummary | None = None) -> Figure:
     """Each coefficient over temperature with bars of 95 %, by the budget, or for a normal distribution."""
-    covered = coverage(budget)
+    covered = coverage(budget) if budget else {}
     figure = new_figure(5.6, left_in=0.62, right_in=0.1, wspace=0.3, hspace=0.34)
     panels = figure.subplots(2, 3)
     factors = {f"{k:.2f}" for (kind, *_), (k, _) in covered.items() if kind in _NAMES} or {f"{NORMAL_K:.2f}"}

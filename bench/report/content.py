@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -20,11 +19,12 @@ from gyrobench.bench.foundations.documents import read_document
 from gyrobench.bench.foundations.errors import GyrobenchError
 from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.text import hours_minutes
+from gyrobench.bench.report.journal_sections import Took, took_in_journal
 from gyrobench.bench.report.page import FINDINGS_FILE, Findings, read_findings_file
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import RunFacts, facts_of, read_journal
 from gyrobench.bench.runs.provenance import is_emulated, read_provenance
-from gyrobench.bench.runs.tables.budget_table import BudgetRow, read_budget
+from gyrobench.bench.runs.tables.budget_table import BudgetSummary, read_budget
 from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow, read_calibration_check
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, read_coefficients
 from gyrobench.bench.runs.tables.joint_table import (
@@ -47,7 +47,7 @@ class RunContent:
     """Contents of a run folder."""
 
     name: str  #: Name of the folder: of the run, or of one of its several units its number.
-    #: Its entries, up to the first damaged one; without the windows of dwells, which are large and not shown.
+    #: Its entries, up to the first damaged one, but for steps and dwells without flags, which are many.
     journal: list[Entry]
     #: provenance, procedure, station: Content of these files; empty where missing.
     provenance: Entry
@@ -63,7 +63,8 @@ class RunContent:
     joint_biases: list[JointBiasRow] = field(default_factory=list)
     joint_plateaus: list[JointPlateauRow] = field(default_factory=list)
     noise: NoiseEstimate | None = None
-    budget: list[BudgetRow] = field(default_factory=list)  #: Uncertainty budgets; empty where missing.
+    #: Uncertainty budgets; empty where missing.
+    budget: BudgetSummary = field(default_factory=BudgetSummary)
     verification: list[CalibrationCheckRow] = field(default_factory=list)
     coefficients: list[PlateauCoefficientRow] = field(default_factory=list)  #: Of the sensors.
     characteristics: list[TestResult] = field(default_factory=list)  #: Results of the procedure's tests.
@@ -76,11 +77,10 @@ class RunContent:
     #: Number of finished dwells by what they are for: biases, rotations, noise, calibration check.
     dwell_purposes: Counter[str] = field(default_factory=Counter)
     run_name: str = ""  #: Name of the run, also in the folder of one of its units.
-
-    @cached_property
-    def facts(self) -> RunFacts:
-        """Summary of the journal."""
-        return facts_of(self.journal)
+    facts: RunFacts = field(default_factory=RunFacts)  #: Summary of the journal.
+    #: took_s, last_step: Durations of the finished steps, and the last entry of a step; empty without any.
+    took_s: Took = field(default_factory=dict)
+    last_step: Entry = field(default_factory=dict)
 
     @property
     def ending(self) -> str:
@@ -118,7 +118,7 @@ class RunContent:
 def read_run(folder: RunFolder) -> RunContent:
     """Read a run folder; missing or damaged files become problems, not errors."""
     problems: list[str] = []
-    journal: list[Entry] = []
+    journal = _Journal()
 
     def read(path: Path, reader: Callable[[Path], T], missing: T, *, is_optional: bool = False) -> T:
         if not path.exists():
@@ -130,20 +130,23 @@ def read_run(folder: RunFolder) -> RunContent:
             problems.append(f"{path.name} can't be used: {error}")
             return missing
 
-    read(folder.journal, lambda path: _add_entries(journal, read_journal(path)), None)
+    read(folder.journal, journal.read, None)
     procedure: Entry = read(folder.procedure, _mapping, {})
     verification: list[CalibrationCheckRow] = read(
         folder.calibration_check, read_calibration_check, [], is_optional=True
     )
     # Dwells with rotations, for noise or for calibration checks have no rows in this table.
-    purposes = _dwell_purposes(journal)
+    purposes = Counter(journal.purposes.values())
     is_optional = bool(verification or purposes) and not purposes["biases"]
     dwells: list[DwellRow] = read(folder.dwells, read_dwells, [], is_optional=is_optional)
     bins: list[BiasBin] = read(folder.bias_bins, read_bins, [])
     return RunContent(
         name=folder.path.resolve().name,
         run_name=folder.run_name,
-        journal=journal,
+        journal=journal.entries,
+        facts=journal.facts,
+        took_s=journal.took_s,
+        last_step=journal.last_step,
         provenance=read(folder.provenance, lambda _: read_provenance(folder), {}),
         procedure=procedure,
         station=read(folder.station, _mapping, {}),
@@ -153,7 +156,7 @@ def read_run(folder: RunFolder) -> RunContent:
         telemetry=read(folder.telemetry, read_telemetry, {}),
         joint_biases=read(folder.joint_biases, read_joint_biases, [], is_optional=True),
         joint_plateaus=read(folder.joint, read_joint_plateaus, [], is_optional=True),
-        budget=read(folder.budget, read_budget, [], is_optional=True),
+        budget=read(folder.budget, _budget, BudgetSummary(), is_optional=True),
         noise=read(folder.noise, read_noise, None, is_optional=True),
         verification=verification,
         coefficients=read(folder.coefficients, read_coefficients, [], is_optional=True),
@@ -165,21 +168,47 @@ def read_run(folder: RunFolder) -> RunContent:
     )
 
 
-def _add_entries(journal: list[Entry], entries: Iterable[dict[str, Any]]) -> None:
-    for entry in entries:
-        if isinstance(marks := entry.get("marks"), dict):
-            marks.pop("windows", None)
-        journal.append(entry)
+class _Journal:
+    """What a report needs of a journal, gathered entry by entry; see :class:`RunContent`."""
 
+    def __init__(self) -> None:
+        self.entries: list[Entry] = []
+        self.facts = RunFacts()
+        self.took_s: dict[str, list[tuple[float, float]]] = {}
+        self.last_step: Entry = {}
+        self.purposes: dict[Any, str] = {}  #: Of each finished dwell.
+        self._given_up: set[str] = set()
 
-def _dwell_purposes(journal: Sequence[Entry]) -> Counter[str]:
-    found: dict[Any, str] = {}
-    for entry in journal:
-        marks = entry.get("marks")
-        if entry.get("event") == "dwell_finished" and isinstance(marks, Mapping):
+    def read(self, path: Path) -> None:
+        """Read a journal. Raises RunFolderError where it is damaged, with all before it."""
+        damage: list[GyrobenchError] = []
+
+        def intact() -> Iterator[Entry]:
+            try:
+                yield from read_journal(path)
+            except GyrobenchError as error:
+                damage.append(error)
+
+        self.facts = facts_of(map(self._add, intact()))
+        if damage:
+            raise damage[0]
+
+    def _add(self, entry: Entry) -> Entry:
+        event, marks = entry.get("event"), entry.get("marks")
+        if event in ("step_started", "step_finished"):
+            self.last_step = entry
+            for kind, durations in took_in_journal([entry]).items():
+                self.took_s.setdefault(kind, []).extend(durations)
+        elif event == "dwell_finished" and isinstance(marks, Mapping):
+            dwell = marks.get("dwell")
             is_for = [text for key, text in _PURPOSES.items() if marks.get(key)]
-            found[marks.get("dwell")] = is_for[0] if is_for else "biases"
-    return Counter(found.values())
+            self.purposes[dwell] = is_for[0] if is_for else "biases"
+            if entry.get("flags") or str(dwell) in self._given_up:
+                self.entries.append({**entry, "marks": {"dwell": dwell}})
+        else:
+            self._given_up |= {str(entry.get("dwell"))} if event == "dwell_given_up" else set()
+            self.entries.append(entry)
+        return entry
 
 
 def approvals_in(folder: Path) -> list[str]:
@@ -223,6 +252,10 @@ def _chapters(folder: RunFolder, problems: list[str]) -> list[Findings]:
         except GyrobenchError as error:
             problems.append(f"{place.name} can't be used: {error}")
     return chapters
+
+
+def _budget(path: Path) -> BudgetSummary:
+    return BudgetSummary.of(read_budget(path))
 
 
 def _mapping(path: Path) -> Entry:

@@ -10,7 +10,7 @@ import ctypes
 import gc
 import io
 import logging
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
@@ -110,8 +110,8 @@ _FINDINGS = TypeAdapter(Findings)
 
 def render_page(
     page: Section, source: str, title: str = "", sign_off: str | None = None, watermark: str = ""
-) -> str:
-    """Give a page, whose figures are PNG files, as HTML text.
+) -> Iterator[str]:
+    """Give a page, whose figures are PNG files, as HTML text, part by part.
 
     The source is the line below the page's title, ``title`` that of the browser's window. ``sign_off`` is the
     name, which may be empty, for a sign-off table; it comes with a table of contents. ``watermark`` is a word
@@ -125,7 +125,7 @@ def render_page(
         lstrip_blocks=True,
     )
     environment.filters["data_uri"] = _data_uri
-    return environment.get_template(_PAGE).render(
+    return environment.get_template(_PAGE).generate(
         page=page,
         source=source,
         title=title or f"{page.title}: {source}",
@@ -165,7 +165,7 @@ def write_findings(path: Path, findings: Findings) -> Path:
     make_folder(folder / "figures")
     sections = with_figure_files(folder / "figures", findings.sections, watermark=findings.watermark)
     page = replace(findings, sections=sections).chapter
-    write_whole(path, render_page(page, findings.source, watermark=findings.watermark).encode())
+    write_whole(path, map(str.encode, render_page(page, findings.source, watermark=findings.watermark)))
     write_whole(folder / FINDINGS_FILE, _FINDINGS.dump_json(findings, indent=1) + b"\n")
     return path
 

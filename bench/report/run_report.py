@@ -50,7 +50,7 @@ from gyrobench.bench.report.figures.bias import (
     position_pair_figure,
 )
 from gyrobench.bench.report.figures.temperatures import Readings, temperature_figure
-from gyrobench.bench.report.journal_sections import durations_section, events_section, took_in_journal
+from gyrobench.bench.report.journal_sections import durations_section, events_section
 from gyrobench.bench.report.number_format import BiasScale
 from gyrobench.bench.report.page import (
     Box,
@@ -132,7 +132,7 @@ def write_report(
         vectors,
     )
     paths = [each.figure for each in own.figures if isinstance(each.figure, Path)]
-    write_whole(into.report, render(content, paths, sections, hashes, by).encode())
+    write_whole(into.report, map(str.encode, render(content, paths, sections, hashes, by)))
     if out is None:
         keep_sealed(folder)
     return into.report
@@ -166,8 +166,8 @@ def render(
     sections: Sequence[Section] = (),
     hashes: Sequence[DataHash] = (),
     prepared_by: str = "",
-) -> str:
-    """Give the report as HTML text.
+) -> Iterator[str]:
+    """Give the report as HTML text, part by part.
 
     ``figures`` are PNG files by the names of :func:`run_figures`; ``sections``, also with PNG files, come
     before the dwells.
@@ -191,7 +191,7 @@ def render(
         dwells_section(content.dwells, no_dwell),
         events_section(content.journal),
         _list_section("Approvals of the investigation", content.approvals),
-        durations_section(took_in_journal(content.journal)),
+        durations_section(content.took_s),
         _list_section("Assumptions of the procedure", content.procedure.get("assumptions")),
         _instruments_section(content),
         _hashes_section(hashes),
@@ -383,10 +383,9 @@ def open_step_of(content: RunContent) -> str:
     """Step that had started and not finished when the run ended; empty if none."""
     if content.facts.ended == "finished":
         return ""
-    steps = [entry for entry in content.journal if entry.get("event") in ("step_started", "step_finished")]
-    if not steps or steps[-1]["event"] == "step_finished":
+    last = content.last_step
+    if last.get("event") != "step_started":
         return ""
-    last = steps[-1]
     where = f" ({last['label']})" if last.get("label") else ""
     return f"{last.get('step', '?')}, {last.get('what', 'unknown kind')}{where}"
 
@@ -453,12 +452,12 @@ def write_units_report(folder: RunFolder, prepared_by: str = "", vectors: Sequen
             _units_section(content, units),
             Section("Reports", items=[PurePosixPath("units", unit.name, "report.html") for unit in units]),
             *filter(None, [events_section(content.journal)]),
-            durations_section(took_in_journal(content.journal)),
+            durations_section(content.took_s),
         ],
     )
     watermark = SIMULATED if content.is_simulated else ""
     text = render_page(page, f"Run {content.name}, {procedure}", sign_off=prepared_by, watermark=watermark)
-    write_whole(folder.report, text.encode())
+    write_whole(folder.report, map(str.encode, text))
     keep_sealed(folder)
     return folder.report
 

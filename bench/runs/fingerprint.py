@@ -39,10 +39,11 @@ def fingerprint_of(path: Path) -> str:
     """Fingerprint of a file as text. Raises RunFolderError if it can't be read."""
     try:
         with path.open("rb") as stream:
-            records = [_record(block) for block in _blocks(stream, path.suffix in _TEXT_SUFFIXES)]
+            blocks = _blocks(stream, path.suffix in _TEXT_SUFFIXES)
+            records = np.fromiter(map(_record, blocks), _RECORD)
     except OSError as error:
         raise RunFolderError(f"{path}: can't be read: {error.strerror}") from error
-    return base64.b85encode(zlib.compress(np.array(records, _RECORD).tobytes())).decode()
+    return base64.b85encode(zlib.compress(records.tobytes())).decode()
 
 
 @dataclass(frozen=True)
@@ -125,7 +126,7 @@ def _digest(block: bytes) -> bytes:
 def _blocks(stream: BinaryIO, is_text: bool) -> Iterator[bytes]:
     """Blocks of a file in order; of text, lines."""
     left = b""
-    while data := stream.read(_READ_BYTES):
+    while data := stream.read(16 * _BLOCK_BYTES):
         left += data
         start = 0
         while len(left) - start >= _BLOCK_BYTES:

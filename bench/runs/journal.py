@@ -19,7 +19,7 @@ from filelock import lock_descriptor
 
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.foundations.files import cant_be_written, parse_json, read_limited, sync_folder
+from gyrobench.bench.foundations.files import cant_be_written, parse_json, read_lines, sync_folder
 
 #: Some hundred times the journal of a run of 1000 h.
 MAX_JOURNAL_BYTES = 500_000_000
@@ -113,12 +113,16 @@ class Journal:
         """Number of intact bytes, the last intact line, and what follows it."""
         try:
             sync_folder(self._path.parent)
-            content = self._path.read_bytes()
+            sound_bytes, last_line = 0, b""
+            with self._path.open("rb") as lines:
+                for _, line in _parse(self._path, lines):
+                    sound_bytes, last_line = sound_bytes + len(line), line
+                lines.seek(sound_bytes)
+                return sound_bytes, last_line.removesuffix(b"\n"), lines.read(_SHOWN_CHARACTERS)
+        except RunFolderError:
+            raise
         except OSError as error:
             raise cant_be_written(self._path, error) from error
-        sound_bytes = sum(size_bytes for _, size_bytes in _parse(self._path, content))
-        last_line = content[:sound_bytes].removesuffix(b"\n").rpartition(b"\n")[2]
-        return sound_bytes, last_line, content[sound_bytes:]
 
     def _drop_half_line(self) -> None:
         if os.fstat(self._descriptor).st_size != self._sound_bytes:
@@ -130,12 +134,17 @@ def read_journal(path: Path) -> Iterator[dict[str, Any]]:
 
     Raises RunFolderError if the file can't be read, or a line before the last one is damaged.
     """
-    yield from parse_journal(read_limited(path, MAX_JOURNAL_BYTES, RunFolderError), path)
+    yield from parse_journal(journal_lines(path), path)
 
 
-def parse_journal(content: bytes, name: str | Path) -> Iterator[dict[str, Any]]:
-    """Entries of a journal's content, with the name of the file for messages; see :func:`read_journal`."""
-    yield from (entry for entry, _ in _parse(name, content))
+def parse_journal(lines: Iterable[bytes], name: str | Path) -> Iterator[dict[str, Any]]:
+    """Entries of a journal's lines, with the name of the file for messages; see :func:`read_journal`."""
+    yield from (entry for entry, _ in _parse(name, lines))
+
+
+def journal_lines(path: Path) -> Iterator[bytes]:
+    """Lines of a journal with their ends. Raises RunFolderError if the file can't be read."""
+    return read_lines(path, MAX_JOURNAL_BYTES, RunFolderError)
 
 
 def intact_lines(content: bytes) -> tuple[list[bytes], int]:
@@ -154,14 +163,15 @@ def is_linked(path: Path) -> bool:
         return False
 
 
-def broken_links(content: bytes) -> list[int]:
+def broken_links(lines: Iterable[bytes]) -> list[int]:
     """Numbers, from 1, of the lines whose link does not fit the line before; empty for an intact journal.
 
-    Journals without links are intact. Links that an entry ``data_given_up`` names are left out.
+    Journals without links are intact. Links that an entry ``data_given_up`` names are left out. The lines
+    have their ends; one that was cut off is left out.
     """
     broken, explained, is_linked = [], set(), False
     before = b""
-    for number, line in enumerate(content.split(b"\n")[:-1], start=1):
+    for number, line in enumerate(_whole(lines), start=1):
         entry = _entry(line) or {}
         link = entry.get(_LINK)
         if link is None:
@@ -171,7 +181,7 @@ def broken_links(content: bytes) -> list[int]:
         is_linked = is_linked or link is not None
         given_up = entry.get(BROKEN_LINKS)
         explained.update(given_up if isinstance(given_up, list) else [])
-        before = line
+        before = line.removesuffix(b"\n")
     return [number for number in broken if number not in explained]
 
 
@@ -187,18 +197,24 @@ def _entry(line: bytes) -> dict[str, Any] | None:
     return entry if isinstance(entry, dict) else None
 
 
-def _parse(path: str | Path, content: bytes) -> Iterator[tuple[dict[str, Any], int]]:
-    """Entries, each with the number of bytes that it takes."""
-    # An entry without its line end was never finished, and nothing was done on the strength of it.
-    lines = content.split(b"\n")[:-1]
-    for number, line in enumerate(lines, start=1):
+def _whole(lines: Iterable[bytes]) -> Iterator[bytes]:
+    """Lines that are not cut off: an entry without its line end was never finished, nor acted upon."""
+    return (line for line in lines if line.endswith(b"\n"))
+
+
+def _parse(path: str | Path, lines: Iterable[bytes]) -> Iterator[tuple[dict[str, Any], bytes]]:
+    """Entries, each with its line."""
+    damaged = ""
+    for number, line in enumerate(_whole(lines), start=1):
+        if damaged:
+            raise RunFolderError(damaged)
         entry = _entry(line)
-        if entry is not None:
-            entry.pop(_LINK, None)
-            # Names of keys are kept once, not once for each line.
-            yield {sys.intern(key): value for key, value in entry.items()}, len(line) + 1
-        elif number < len(lines):
-            raise RunFolderError(f"{path}:{number}: damaged entry: {_shown(line)!r}")
+        if entry is None:
+            damaged = f"{path}:{number}: damaged entry: {_shown(line[:-1])!r}"
+            continue
+        entry.pop(_LINK, None)
+        # Names of keys are kept once, not once for each line.
+        yield {sys.intern(key): value for key, value in entry.items()}, line
 
 
 def _shown(line: bytes) -> str:

@@ -30,7 +30,14 @@ from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.foundations.text import counted, listed
 from gyrobench.bench.runs.fingerprint import find_change, fingerprint_of
 from gyrobench.bench.runs.folder import JOURNAL, UNITS, RunFolder
-from gyrobench.bench.runs.journal import MAX_JOURNAL_BYTES, broken_links, facts_of, is_linked, read_journal
+from gyrobench.bench.runs.journal import (
+    MAX_JOURNAL_BYTES,
+    broken_links,
+    facts_of,
+    is_linked,
+    journal_lines,
+    read_journal,
+)
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
@@ -150,10 +157,12 @@ def seal_run(folder: RunFolder, key: Path | None = None, *, accept_changes: bool
     """
     for unit in folder.unit_folders:
         _seal_folder(unit, key, accept_changes)
-    return _seal_folder(folder, key, accept_changes)
+    written = _seal_folder(folder, key, accept_changes)
+    return _read_seal(written, None) if written else None
 
 
-def _seal_folder(folder: RunFolder, key: Path | None, accept_changes: bool) -> Seal | None:
+def _seal_folder(folder: RunFolder, key: Path | None, accept_changes: bool) -> Path | None:
+    """Path of the seal that is added; None where nothing has changed."""
     seals = _read_seals(folder.path)
     last = seals[-1] if seals else None
     sealed = last.files if last else {}
@@ -170,7 +179,6 @@ def _seal_folder(folder: RunFolder, key: Path | None, accept_changes: bool) -> S
             f"{folder.path}: {listed(changes.evidence)} changed since seal {last.number}. "
             "Restore them, or seal with --accept-changes, which keeps that on record"
         )
-    content = read_limited(folder.journal, MAX_JOURNAL_BYTES, RunFolderError)
     seal = Seal(
         number=last.number + 1 if last else 1,
         operator=operator_name(),
@@ -181,15 +189,15 @@ def _seal_folder(folder: RunFolder, key: Path | None, accept_changes: bool) -> S
         program=f"gyrobench {__version__}",
         previous_sha256=file_sha256(folder.path / last.where) if last else "",
         changes=changes,
-        journal_broken_links=broken_links(content),
+        journal_broken_links=broken_links(journal_lines(folder.journal)),
         files=files,
     )
     record = {name: value for name, value in asdict(seal).items() if name not in _NOT_WRITTEN}
     text = json.dumps(record).encode()
     signature = {"sha256": hashlib.sha256(text).hexdigest(), **_signature(text, key)}
     make_folder(folder.path / _SEALS)
-    write_whole(folder.path / seal.where, text + b"\n" + json.dumps(signature).encode() + b"\n")
-    return _read_seal(folder.path / seal.where, None)
+    write_whole(folder.path / seal.where, [text, b"\n", json.dumps(signature).encode(), b"\n"])
+    return folder.path / seal.where
 
 
 def keep_sealed(folder: RunFolder) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
@@ -171,7 +172,7 @@ def read_run_record(files: RunFiles, read: Callable[[str], bytes]) -> RunRecord:
     dwells = parse_dwells(*folder.text(DWELLS)) if DWELLS in files.files else []
     bins = parse_bins(*folder.text(BIAS_BINS)) if BIAS_BINS in files.files else []
     journal = folder.path(JOURNAL)
-    facts = facts_of(parse_journal(read(journal), journal))
+    facts = facts_of(parse_journal(io.BytesIO(read(journal)), journal))
     units = sorted({each.unit for each in dwells} - {""})
     row = RunRow(
         path=files.path,

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, fields
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
@@ -12,7 +12,8 @@ from typing import Any
 
 from gyrobench.bench.bias.budget import SOURCES, BiasBudget, Budget, Combined
 from gyrobench.bench.calibration.coefficients import Coefficient
-from gyrobench.bench.foundations.csv_tables import CsvTable, format_rows, read_rows, write_text
+from gyrobench.bench.foundations.csv_tables import CsvTable, each_row, write_rows
+from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
 #: Names of the sums in the column ``contribution``: the stated uncertainty, and that with what lies outside.
 COMBINED, ANY_POWER_CYCLE = "combined", "combined_any_power_cycle"
@@ -134,12 +135,99 @@ def _sum(
 
 def write_budget(path: Path, rows: Iterable[BudgetRow]) -> None:
     """Write ``budget.csv``. Raises RunFolderError if the file can't be written."""
-    write_text(path, format_rows(_COLUMNS, rows))
+    write_rows(path, _COLUMNS, rows)
 
 
-def read_budget(path: Path) -> list[BudgetRow]:
-    """Read ``budget.csv``; errors as for :func:`gyrobench.bench.foundations.csv_tables.read_rows`."""
-    return read_rows(path, BudgetRow, {"dof": _dof})
+def read_budget(path: Path) -> Iterator[BudgetRow]:
+    """Read ``budget.csv``; errors as for :func:`gyrobench.bench.foundations.csv_tables.each_row`."""
+    return each_row(path, BudgetRow, {"dof": _dof})
+
+
+@dataclass
+class ContributionSummary:
+    """One contribution to several results in numbers, or their sum."""
+
+    example: BudgetRow  #: The first, or the first with a known uncertainty where there is one.
+    count: int = 0  #: Number of results.
+    #: known, variance: Number of known uncertainties, and the sum of their squares.
+    known: int = 0
+    variance: float = 0.0
+    expanded_square: float = 0.0  #: Sum of the squares of the expanded uncertainties.
+    #: sensitivities, sensitivity_square, shares, share: Number and sum of what is known.
+    sensitivities: int = 0
+    sensitivity_square: float = 0.0
+    shares: int = 0
+    share: float = 0.0
+    #: dof: Least degrees of freedom of known uncertainties.
+    dof: float = math.inf
+    #: input_sigma, k: Smallest and largest; of none infinite.
+    input_sigma: tuple[float, float] = (math.inf, -math.inf)
+    k: tuple[float, float] = (math.inf, -math.inf)
+    is_estimated: bool = True  #: Whether all are of type A.
+
+    def add(self, row: BudgetRow) -> None:
+        """Count one more result."""
+        self.count += 1
+        self.is_estimated &= row.type == "A"
+        if row.input_sigma > 0.0:
+            self.input_sigma = _wider(self.input_sigma, row.input_sigma)
+        if math.isnan(row.sigma):
+            return
+        if not self.known:
+            self.example = row
+        self.known += 1
+        self.variance += row.sigma**2
+        self.dof = min(self.dof, row.dof)
+        if not math.isnan(row.sensitivity):
+            self.sensitivities += 1
+            self.sensitivity_square += row.sensitivity**2
+        if not math.isnan(row.share):
+            self.shares += 1
+            self.share += row.share
+        if not math.isnan(row.k):
+            self.k = _wider(self.k, row.k)
+            self.expanded_square += row.expanded**2
+
+
+def _wider(ends: tuple[float, float], value: float) -> tuple[float, float]:
+    return min(ends[0], value), max(ends[1], value)
+
+
+@dataclass(frozen=True)
+class BudgetSummary:
+    """Budgets of a run without those of each dwell, which are many."""
+
+    #: Of all results, by contribution.
+    contributions: dict[str, ContributionSummary] = field(default_factory=dict)
+    #: Of the biases in dwells: by gyro and whether it was vertical, and by contribution.
+    dwells: dict[tuple[str, bool], dict[str, ContributionSummary]] = field(default_factory=dict)
+    #: The same of all three gyros.
+    all_gyros: dict[bool, dict[str, ContributionSummary]] = field(default_factory=dict)
+    #: Stated uncertainties of bins and coefficients.
+    stated: list[BudgetRow] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, rows: Iterable[BudgetRow]) -> BudgetSummary:
+        """Summarise a table."""
+        result = cls()
+        for row in rows:
+            groups = [result.contributions]
+            if row.result == "dwell":
+                is_vertical = AXES[POSITIONS[row.position].up_axis] == row.axis
+                groups.append(result.dwells.setdefault((row.axis, is_vertical), {}))
+                groups.append(result.all_gyros.setdefault(is_vertical, {}))
+            elif row.contribution == COMBINED:
+                result.stated.append(row)
+            for group in groups:
+                if row.contribution not in group:
+                    group[row.contribution] = ContributionSummary(row)
+                group[row.contribution].add(row)
+        return result
+
+    def dwells_dof(self, gyro: str) -> float:
+        """Least degrees of freedom of a gyro's biases in dwells; infinite without any."""
+        sums = [own[COMBINED].dof for (axis, _), own in self.dwells.items() if axis == gyro]
+        return min(sums, default=math.inf)
 
 
 #: Coverage factor and expanded uncertainty by quantity, axis, and position and lower end of the bin in degC,
@@ -147,15 +235,14 @@ def read_budget(path: Path) -> list[BudgetRow]:
 Coverage = Mapping[tuple[str, str, str | int | None, float], tuple[float, float]]
 
 
-def coverage(rows: Iterable[BudgetRow]) -> Coverage:
+def coverage(budget: BudgetSummary) -> Coverage:
     """Coverage of the results of bins and plateaus, in their units."""
     return {
         (row.quantity, row.axis, row.position or row.plateau, row.bin_low_c if row.position else 0.0): (
             row.k,
             row.expanded,
         )
-        for row in rows
-        if row.contribution == COMBINED and row.result != "dwell"
+        for row in budget.stated
     }
 
 
@@ -164,7 +251,7 @@ def _dof(table: CsvTable, index: int, name: str) -> float:
     return math.inf if is_infinite else table.number(index, name, may_be_empty=True)
 
 
-def budget_records(rows: Sequence[BudgetRow]) -> list[dict[str, Any]]:
+def budget_records(rows: Iterable[BudgetRow]) -> list[dict[str, Any]]:
     """One object for each result, with its sums and its contributions; what is not known is left out."""
     of = attrgetter("result", "quantity", "axis", "dwell", "plateau", "position", "bin_low_c", "unit")
     records = []

@@ -12,8 +12,9 @@ from gyrobench.bench.bias.budget import (
     BudgetInputs,
     Combined,
     Contribution,
-    bias_budgets,
+    bin_budgets,
     coverage_factor,
+    dwell_budgets,
     with_budgets,
 )
 from gyrobench.bench.bias.error_split import ErrorPart
@@ -50,7 +51,8 @@ def dwells_of(parts, **rows):
 
 
 def budgets(dwells, inputs=NOTHING_DECLARED):
-    return bias_budgets(dwells, bin_biases(each.row for each in dwells), inputs)
+    bins = bin_biases(each.row for each in dwells)
+    return [*dwell_budgets(dwells, inputs), *bin_budgets(dwells, bins, inputs)]
 
 
 def bin_budget(dwells, inputs=NOTHING_DECLARED):

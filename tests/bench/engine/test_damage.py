@@ -160,12 +160,12 @@ def test_lost_dwells_at_two_temperatures_are_each_approached(run, tmp_path):
 
 def test_a_journal_that_lost_lines_names_the_links_that_are_broken(run, tmp_path):
     journal = run / "journal.jsonl"
-    assert broken_links(journal.read_bytes()) == []
+    assert broken_links(journal.read_bytes().splitlines(keepends=True)) == []
     damage_journal(run)
     found, _ = find_damage(RunFolder(run))
     found.give_up(RunFolder(run), lambda: VirtualClock(1e6))
     (given_up,) = [entry for entry in read_journal(journal) if entry["event"] == "data_given_up"]
     assert given_up["broken_links"]
-    assert broken_links(journal.read_bytes()) == []
+    assert broken_links(journal.read_bytes().splitlines(keepends=True)) == []
     lines = journal.read_bytes().split(b"\n")
-    assert broken_links(b"\n".join([*lines[:2], *lines[3:]]))[0] == 3
+    assert broken_links(b"\n".join([*lines[:2], *lines[3:]]).splitlines(keepends=True))[0] == 3

@@ -5,7 +5,7 @@ import pytest
 from gyrobench.bench.bias.budget import BiasBudget, Budget, Contribution
 from gyrobench.bench.report.budget_section import budget_box, budget_figure, budget_section, shares
 from gyrobench.bench.report.run_report import write_report
-from gyrobench.bench.runs.tables.budget_table import budget_rows, write_budget
+from gyrobench.bench.runs.tables.budget_table import BudgetSummary, budget_rows, write_budget
 
 
 def budget(noise_dph, latitude_dph, dof=math.inf):
@@ -18,18 +18,21 @@ def budget(noise_dph, latitude_dph, dof=math.inf):
     )
 
 
+def summary(budgets):
+    return BudgetSummary.of(budget_rows(budgets))
+
+
 LEVEL, VERTICAL = budget(0.001, 0.0), budget(0.0006, 0.0008)
-ROWS = budget_rows(
-    [
-        *(BiasBudget(gyro, "z_up", LEVEL, dwell) for dwell in (1, 2) for gyro in "xy"),
-        *(BiasBudget("z", "z_up", VERTICAL, dwell) for dwell in (1, 2)),
-        *(BiasBudget(gyro, "z_up", LEVEL, None, 20.0, 25.0) for gyro in "xyz"),
-    ]
-)
+BUDGETS = [
+    *(BiasBudget(gyro, "z_up", LEVEL, dwell) for dwell in (1, 2) for gyro in "xy"),
+    *(BiasBudget("z", "z_up", VERTICAL, dwell) for dwell in (1, 2)),
+    *(BiasBudget(gyro, "z_up", LEVEL, None, 20.0, 25.0) for gyro in "xyz"),
+]
+SUMMARY = summary(BUDGETS)
 
 
 def test_the_statement_gives_the_causes_of_level_and_vertical_gyros_the_largest_first():
-    assert budget_box(ROWS).text == (
+    assert budget_box(SUMMARY).text == (
         "0.0010 deg/h for a level gyro, 100 % of the variance by angle random walk of the gyros "
         "(0.0006 deg/sqrt(h), declared); 0.0010 deg/h for a vertical gyro, 64 % of the variance by latitude "
         "and deflection of the vertical (0.33 arcmin, declared) and 36 % by angle random walk of the gyros "
@@ -38,7 +41,7 @@ def test_the_statement_gives_the_causes_of_level_and_vertical_gyros_the_largest_
 
 
 def test_the_statement_says_what_was_estimated_and_the_range_of_k():
-    rows = budget_rows(
+    rows = summary(
         BiasBudget("x", "z_up", budget(0.001, 0.0, dof), dwell) for dwell, dof in enumerate((4.0, 1e6), 1)
     )
     text = budget_box(rows).text
@@ -47,18 +50,19 @@ def test_the_statement_says_what_was_estimated_and_the_range_of_k():
 
 
 def test_without_a_budget_nothing_is_said():
-    assert (budget_box([]), budget_section([]), shares([])) == (None, None, [])
+    none = BudgetSummary()
+    assert (budget_box(none), budget_section(none), shares(none)) == (None, None, [])
 
 
 def test_shares_are_those_of_the_variance_and_add_up():
-    found = {each.label: each for each in shares(ROWS)}
+    found = {each.label: each for each in shares(SUMMARY)}
     assert list(found) == ["X gyro level", "Y gyro level", "Z gyro vertical"]
     assert found["Z gyro vertical"].parts == pytest.approx({"angle_random_walk": 0.36, "latitude": 0.64})
     assert (found["X gyro level"].count, found["X gyro level"].sigma_dph) == (2, pytest.approx(0.001))
 
 
 def test_each_bar_of_the_figure_reaches_100_percent_and_has_its_number_of_dwells():
-    [axes] = budget_figure(shares(ROWS)).axes
+    [axes] = budget_figure(shares(SUMMARY)).axes
     ends = {}
     for bar in axes.patches:
         ends[bar.get_y()] = max(ends.get(bar.get_y(), 0.0), bar.get_x() + bar.get_width())
@@ -67,7 +71,7 @@ def test_each_bar_of_the_figure_reaches_100_percent_and_has_its_number_of_dwells
 
 
 def test_the_tables_hold_contributions_sums_and_what_was_not_evaluated():
-    level, vertical, bins = budget_section(ROWS).tables
+    level, vertical, bins = budget_section(SUMMARY).tables
     assert vertical.rows == [
         ["angle random walk of the gyros", "B", "normal", "0.0006 deg/sqrt(h)", "1", "0.600", "36.0", "∞"],
         [
@@ -89,7 +93,7 @@ def test_the_tables_hold_contributions_sums_and_what_was_not_evaluated():
 
 
 def test_the_first_page_of_the_report_shows_the_figure_before_the_contents(empty_folder):
-    write_budget(empty_folder.budget, ROWS)
+    write_budget(empty_folder.budget, budget_rows(BUDGETS))
     page = write_report(empty_folder).read_text()
     assert page.index("Standard uncertainty of a bias in a dwell") < page.index("Shares of the variance")
     assert page.index("Shares of the variance") < page.index("<h2>Contents</h2>")

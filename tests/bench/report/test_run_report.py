@@ -87,7 +87,7 @@ def page_of(folder: RunFolder) -> Page:
 
 def text_of(folder: RunFolder, prepared_by: str = "") -> str:
     """Text of the report without figures, which take most of the time."""
-    return page_with(render(read_run(folder), [], prepared_by=prepared_by)).text
+    return page_with("".join(render(read_run(folder), [], prepared_by=prepared_by))).text
 
 
 @pytest.fixture(scope="module")
@@ -192,7 +192,7 @@ def test_what_search_and_proof_found_is_taken_in_while_it_is_of_these_dwells(
     write_closure_page(folder.closure, clean(), "the run", folder.dwells)
     folder.verify.mkdir()
     write_verification_page(folder.verify, confirmed(), folder.dwells)
-    page = page_with(render(read_run(folder), []))
+    page = page_with("".join(render(read_run(folder), [])))
     assert "Search for effects Clean." in page.text
     assert "Verification of a compensation Confirmed." in page.text
     figures = {path.read_bytes() for path in folder.path.glob("*/figures/*.png")}
@@ -348,7 +348,7 @@ def test_sections_stand_before_the_dwells(
         [SectionTable("its caption", ["temperature / °C", "X gyro"], [["72", "1.0 ± 0.2"]])],
     )
     sections = with_figure_files(empty_folder.path, [section])
-    page = page_with(render(read_run(empty_folder), [], sections))
+    page = page_with("".join(render(read_run(empty_folder), [], sections)))
     assert (
         "One bias for all positions What <follows> is made up. the caption its caption "
         "temperature / °C X gyro 72 1.0 ± 0.2 Dwells Bias" in page.text

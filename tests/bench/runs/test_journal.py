@@ -223,20 +223,20 @@ def test_each_line_carries_the_hash_of_the_line_before_also_after_a_cut(tmp_path
     content = path.read_bytes()
     lines = content.splitlines()
     assert json.loads(lines[2])["previous_sha256"] == hashlib.sha256(lines[1]).hexdigest()
-    assert broken_links(content) == []
-    assert broken_links(content.replace(b'"b"', b'"x"')) == [3]
-    assert broken_links(b"\n".join([*lines[:1], *lines[2:], b""])) == [2]
-    assert broken_links(b"\n".join([*lines[1:], b""])) == [1]
+    assert broken_links(content.splitlines(keepends=True)) == []
+    assert broken_links(content.replace(b'"b"', b'"x"').splitlines(keepends=True)) == [3]
+    assert broken_links(b"\n".join([*lines[:1], *lines[2:], b""]).splitlines(keepends=True)) == [2]
+    assert broken_links(b"\n".join([*lines[1:], b""]).splitlines(keepends=True)) == [1]
     assert all("previous_sha256" not in entry for entry in read_journal(path))
 
 
 def test_an_old_journal_is_linked_from_where_it_is_continued(tmp_path):
     path = tmp_path / "journal.jsonl"
     path.write_text('{"event": "a"}\n{"event": "b"}\n')
-    assert broken_links(path.read_bytes()) == []
+    assert broken_links(path.read_bytes().splitlines(keepends=True)) == []
     with Journal(path, VirtualClock()) as journal:
         journal.record("c")
         journal.record("d")
     content = path.read_bytes()
-    assert broken_links(content) == []
-    assert broken_links(content.replace(b'"b"', b'"x"')) == [3]
+    assert broken_links(content.splitlines(keepends=True)) == []
+    assert broken_links(content.replace(b'"b"', b'"x"').splitlines(keepends=True)) == [3]

@@ -33,7 +33,7 @@ def test_a_table_that_is_written_is_read_as_it_was(tmp_path):
     write_budget(path, ROWS)
     write_budget(tmp_path / "again.csv", read_budget(path))
     assert (tmp_path / "again.csv").read_bytes() == path.read_bytes()
-    found = read_budget(path)
+    found = list(read_budget(path))
     assert [row.dwell for row in found] == [row.dwell for row in ROWS]
     assert math.isinf(found[1].dof)
     assert math.isnan(found[2].sigma)
@@ -44,7 +44,7 @@ def test_a_wrong_number_is_named(tmp_path):
     write_budget(path, ROWS)
     path.write_text(path.read_text().replace(",0.36,", ",much,"))
     with pytest.raises(DocumentError, match=r"budget\.csv:2: column share: expected a number; found 'much'"):
-        read_budget(path)
+        list(read_budget(path))
 
 
 def test_records_hold_only_what_json_can_say():
