@@ -24,7 +24,6 @@ from gyrobench.bench.runs.index.store import runs_named
 from tests.benchmarks.fleet_runs import make_runs
 
 TABLE = Path(__file__).parents[2] / "docs" / "fleet_benchmark.md"
-CASES = ((1, False), (2, False), (4, False), (2, True))
 
 
 @dataclass
@@ -171,6 +170,8 @@ def main():
     parser.add_argument("--out", type=Path, required=True, help="folder of the runs")
     parser.add_argument("--record", type=Path, default=Path("fleet-benchmark"))
     parser.add_argument("--kinds", nargs="+", default=["bins"])
+    parser.add_argument("--workers", type=int, nargs="+", default=[1, 2, 4], help="numbers of processes")
+    parser.add_argument("--threads", type=int, nargs="*", default=[2], help="numbers of threads")
     parser.add_argument("--case", nargs=3, help=argparse.SUPPRESS)
     parser.add_argument("--table", type=Path, default=TABLE)
     options = parser.parse_args()
@@ -182,8 +183,9 @@ def main():
         return
     make_runs(options.out, options.runs, options.units)
     cases = []
+    workers_of = [(each, False) for each in options.workers] + [(each, True) for each in options.threads]
     for kind in options.kinds:
-        for workers, are_threads in CASES:
+        for workers, are_threads in workers_of:
             folder = options.record / f"{kind}-{workers}-{'threads' if are_threads else 'processes'}"
             cases.append(measure_beside_one(kind, options.out, options.runs, workers, are_threads, folder))
             print(format_table([*cases]).splitlines()[-1], flush=True)
