@@ -91,7 +91,7 @@ def with_coefficients(model: LoadableModel, closures: Iterable[Closure], *, effe
         for found in closure.effects if effects else ():
             terms = _terms(closure, found)
             name = f"{found.effect.name} in {quantity.name}"
-            is_gravity = found.effect.of_accelerometers or "gravity_dph_per_g" in terms.coefficients
+            is_gravity = found.effect.as_misalignment is not None or "gravity_dph_per_g" in terms.coefficients
             if is_gravity and any(
                 each.startswith(_SEEN_AS_GRAVITY.get(quantity.name, ())) for each in corrections
             ):

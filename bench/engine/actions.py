@@ -7,7 +7,7 @@ between and enforces the step's time limit.
 from __future__ import annotations
 
 import math
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from functools import cache, singledispatch
 from typing import TypeVar
@@ -168,21 +168,20 @@ def _soaking(step: Soak, context: StepContext) -> Ticks:
         yield from _lasting(bench, step.for_s)
         return
     begin_s = bench.clock.now()
-    limit = step.until_gyro_rate_below_c_per_h or 0.0
-    histories: dict[Unit, deque[tuple[float, ...]]] = {}
+    histories: dict[Unit, deque[tuple[float, ...]]] = defaultdict(deque)
     asked_s, is_new = -np.inf, False
     while (elapsed_s := bench.clock.now() - begin_s) < (step.at_most_s or np.inf):
         if asked_s < bench.readings.asked_s:
             asked_s, is_new = bench.readings.asked_s, True
             for unit in context.units.measuring:
                 try:
-                    _keep_temperatures(unit, histories.setdefault(unit, deque()))
+                    _keep_temperatures(unit, histories[unit])
                 except InstrumentError as error:
                     context.units.fail(unit, error)
         if is_new and elapsed_s >= step.at_least_s:
             is_new = False
-            rates = [_gyro_rate_c_per_h(histories.get(unit)) for unit in context.units.measuring]
-            if max(rates, default=np.inf) < limit:
+            rates = [_gyro_rate_c_per_h(histories[unit]) for unit in context.units.measuring]
+            if max(rates, default=np.inf) < (step.until_gyro_rate_below_c_per_h or 0.0):
                 return
         yield
 
@@ -493,7 +492,7 @@ def _keep_temperatures(unit: Unit, history: deque[tuple[float, ...]]) -> None:
         history.popleft()
 
 
-def _gyro_rate_c_per_h(history: deque[tuple[float, ...]] | None) -> float:
+def _gyro_rate_c_per_h(history: deque[tuple[float, ...]]) -> float:
     """Largest rate of the gyro temperatures over the fit's span; infinite while it is too short."""
     if not history or history[-1][0] - history[0][0] < 0.9 * _SOAK_FIT_S:
         return np.inf

@@ -190,9 +190,7 @@ class VerificationRuns:
     def _coefficients(self, measured: Iterable[str], site: Site) -> Iterator[CoefficientResult]:
         for name in measured if self._has_coefficients else ():
             run = RunFolder(self.folder / name)
-            _turned(run)
-            rows, correlations = read_coefficients(run.coefficients), read_correlations(run.correlations)
-            yield coefficient_result(name, rows, correlations, site)
+            yield coefficient_result(name, _coefficients_of(run), read_correlations(run.correlations), site)
 
     def _read(self, name: str) -> _Measured:
         return replay(RunFolder(self.folder / name), measurement_setup(self.jobs[name].station))
@@ -232,13 +230,13 @@ def _searches(run: RunFolder) -> tuple[Closure, ...]:
     return tuple(read_closure(folder) for folder in folders if (folder / CLOSURE_FILE).exists())
 
 
-def _turned(run: RunFolder) -> list[PlateauCoefficientRow]:
-    """Coefficients of a run, with the uncertainties by which plateaus differ.
+def _coefficients_of(run: RunFolder) -> list[PlateauCoefficientRow]:
+    """Coefficients of a run.
 
     Raises DocumentError if no rotations of it could be evaluated: dwells alone leave coefficients open that
     the others depend on.
     """
-    rows = read_coefficients_apart(run.coefficients, run.budget) if run.coefficients.exists() else []
+    rows = read_coefficients(run.coefficients) if run.coefficients.exists() else []
     if not any(np.isfinite(row.gyro_rate_c_per_h) for row in rows):
         [reason, *_] = [*plateau_findings(rows), "It has none."]
         raise DocumentError(
@@ -256,7 +254,8 @@ def _with_coefficients(
     Where a search in one of them found effects its model replaces the polynomial in the second model; a
     search of one cycle confirms none, and is left out.
     """
-    polynomials = corrections(_turned(run))
+    _coefficients_of(run)  # refuses a run without rotations
+    polynomials = corrections(read_coefficients_apart(run.coefficients, run.budget))
     closures = [each for each in searches if not each.searched.all()]
     return [
         with_coefficients(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -92,6 +91,15 @@ def always(campaign: Campaign) -> bool:  # noqa: ARG001
 
 
 @dataclass(frozen=True)
+class MisalignmentTexts:
+    """Texts of an effect that accelerometers show at rest just as misalignments do; see :class:`Effect`."""
+
+    label: str
+    statement: str
+    experiment: str
+
+
+@dataclass(frozen=True)
 class Effect:
     """A physical effect on gyro bias that the declared model lacks."""
 
@@ -110,13 +118,14 @@ class Effect:
     composed_from: tuple[str, ...] = ()
     composed_from_dwells: tuple[str, ...] = ()
     sensors: tuple[str, ...] = ("gyro", "accelerometer")  #: Whose coefficients may show it.
-    #: Fields with other texts where accelerometers are searched.
-    of_accelerometers: tuple[tuple[str, str], ...] = ()
+    #: Texts where accelerometers are searched, of an effect that these show at rest as misalignments do.
+    as_misalignment: MisalignmentTexts | None = None
 
     def seen_by(self, sensor: str) -> Effect:
         """The effect with its texts for "gyro" or "accelerometer"."""
-        texts: dict[str, Any] = dict(self.of_accelerometers if sensor == "accelerometer" else ())
-        return replace(self, **texts)
+        if sensor != "accelerometer" or self.as_misalignment is None:
+            return self
+        return replace(self, **vars(self.as_misalignment))
 
     @property
     def display_name(self) -> str:

@@ -21,6 +21,7 @@ from gyrobench.bench.closure.effects.effect import (
     FittedForm,
     Form,
     InsTerms,
+    MisalignmentTexts,
     Parameter,
     always,
     constant_at_end,
@@ -323,14 +324,14 @@ def effect_of(
     label: str = "",
     imitated_by: tuple[str, ...] = (),
     may_imitate: Callable[[Campaign], bool] = always,
-    of_accelerometers: tuple[tuple[str, str], ...] = (),
+    as_misalignment: MisalignmentTexts | None = None,
 ) -> Effect:
     """Effect of one law, compensated by the INS's terms where the INS has them."""
     form = form_of(law, terms)
     compensation = partial(ins_terms, {form.name: law})
     return Effect(
         name, statement, experiment, (form,), imitated_by, compensation, label, may_imitate,
-        of_accelerometers=of_accelerometers,
+        as_misalignment=as_misalignment,
     )  # fmt: skip
 
 

@@ -12,6 +12,7 @@ from gyrobench.bench.closure.effects.effect import (
     FittedForm,
     Form,
     InsTerms,
+    MisalignmentTexts,
     Parameter,
     constant_at_end,
     fixed,
@@ -130,13 +131,10 @@ G_SENSITIVITY = effect_of(
     ),
     terms=("Up along x", "Up along y", "Up along z"),
     imitated_by=("magnetic_sensitivity",),
-    of_accelerometers=(
-        ("label", "misalignment or g-sensitivity"),
-        (
-            "statement",
-            f"the bias follows gravity along the body axes, {_OR_MISALIGNMENT}, equally at all temperatures",
-        ),
-        ("experiment", _BY_MATRIX),
+    as_misalignment=MisalignmentTexts(
+        "misalignment or g-sensitivity",
+        f"the bias follows gravity along the body axes, {_OR_MISALIGNMENT}, equally at all temperatures",
+        _BY_MATRIX,
     ),
 )
 
@@ -152,14 +150,10 @@ THERMAL_G_SENSITIVITY = effect_of(
         "linearly over the whole range, and not with the power of the electronics"
     ),
     terms=("temperature by Up along x, K", "temperature by Up along y, K", "temperature by Up along z, K"),
-    of_accelerometers=(
-        ("label", "misalignment or g-sensitivity over temperature"),
-        (
-            "statement",
-            f"the bias follows gravity along the body axes, {_OR_MISALIGNMENT}, in proportion to "
-            "the temperature",
-        ),
-        ("experiment", _BY_MATRIX),
+    as_misalignment=MisalignmentTexts(
+        "misalignment or g-sensitivity over temperature",
+        f"the bias follows gravity along the body axes, {_OR_MISALIGNMENT}, in proportion to the temperature",
+        _BY_MATRIX,
     ),
 )
 
