@@ -1,5 +1,6 @@
 """Order of the tests, which of them one worker runs, what workers compile and share, and where locks are."""
 
+import atexit
 import contextlib
 import gc
 import importlib
@@ -80,6 +81,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     config = session.config
     if not hasattr(config, "workerinput"):
         return
+    atexit.register(os._exit, 0)  # after all others: freeing each object of all tests takes seconds
     gc.disable()  # importing hardly leaves anything to free
     number, others = int(config.workerinput["workerid"][2:]), config.workerinput["workercount"] - 1
     if number == 0:
