@@ -1,4 +1,5 @@
 import json
+import pickle
 import sys
 from dataclasses import replace
 from types import SimpleNamespace
@@ -9,7 +10,7 @@ from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.loop import Evidence
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.investigation import doubt
+from gyrobench.bench.investigation import doubt, investigation
 from gyrobench.bench.investigation.doubt import is_settled, only_unconfirmed, searched
 from gyrobench.bench.investigation.external_bench import AfterLastDwell, ExternalBench
 from gyrobench.bench.investigation.forecast import Forecast
@@ -37,10 +38,31 @@ def investigator(unit, folder, budget_h=60.0, approve=lambda proposal, rivals: T
 
 
 @pytest.fixture(scope="module")
-def settled(tmp_path_factory):
+def search_once():
+    """A search that is made once for each table: most investigations here begin with the same one."""
+    done = {}
+
+    def search(campaign, held_out):
+        key = pickle.dumps((campaign, held_out))
+        if key not in done:
+            done[key] = searched(campaign, held_out)
+        return done[key]
+
+    return search
+
+
+@pytest.fixture
+def searched_once(search_once, monkeypatch):
+    monkeypatch.setattr(investigation, "searched", search_once)
+
+
+@pytest.fixture(scope="module")
+def settled(search_once, tmp_path_factory):
     """A warm-up that the first table can't distinguish from a drift, settled."""
     folder = tmp_path_factory.mktemp("investigation") / "whole"
-    return investigator(unit_with({"warm_up": 0.02}), folder).run(WallClock()), folder
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(investigation, "searched", search_once)
+        return investigator(unit_with({"warm_up": 0.02}), folder).run(WallClock()), folder
 
 
 def test_a_tie_is_settled_in_favour_of_what_is_there_in_a_quarter_of_a_campaign(settled):
@@ -152,7 +174,7 @@ def test_no_block_is_longer_than_what_is_left_of_the_budget(tmp_path):
     assert found.ended in ("budget", "no_block", "settled")
 
 
-def test_a_bench_that_refuses_all_is_asked_once_for_each_kind(tmp_path):
+def test_a_bench_that_refuses_all_is_asked_once_for_each_kind(searched_once, tmp_path):
     unit, asked = unit_with({"warm_up": 0.02}), []
 
     def approve(proposal, rivals):
@@ -168,7 +190,7 @@ def test_a_bench_that_refuses_all_is_asked_once_for_each_kind(tmp_path):
     assert len(asked) == len(set(asked))
 
 
-def test_measured_blocks_are_taken_from_the_folder_with_any_budget(settled):
+def test_measured_blocks_are_taken_from_the_folder_with_any_budget(searched_once, settled):
     whole, folder = settled
 
     def approve(proposal, rivals):
@@ -231,7 +253,9 @@ def test_a_law_composed_for_what_is_on_no_list_is_tested_by_a_new_cycle(tmp_path
     assert events.count("measured") == 1
 
 
-def test_a_block_that_brings_flagged_dwells_alone_is_not_repeated_for_ever_and_may_be_declined(tmp_path):
+def test_a_block_that_brings_flagged_dwells_alone_is_not_repeated_for_ever_and_may_be_declined(
+    searched_once, tmp_path
+):
     proposed, unit = [], unit_with({"warm_up": 0.02})
 
     def approve(proposal, rivals):
