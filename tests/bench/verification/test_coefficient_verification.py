@@ -57,7 +57,7 @@ def test_polynomials_have_the_degree_that_the_data_need():
     assert not any(name.startswith("gyro_bias") for name in found)
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def results():
     """Without compensation, and with one that leaves noise."""
     large = {f"{each.name}_{each.axis}": [20.0] for each in COEFFICIENTS if each.name != "gyro_bias"}
@@ -77,7 +77,7 @@ def test_what_is_left_is_compared_with_the_noise(results):
     assert after.worst.error.stated_nmi[-1] < 0.5 * before.worst.error.stated_nmi[-1]
 
 
-def test_plateaus_of_a_dwell_alone_do_not_count_beside_those_with_rotations(results):
+def test_plateaus_of_a_dwell_alone_do_not_count_beside_those_with_rotations():
     dwell_alone = [replace(row, plateau=99, value=1e3, gyro_rate_c_per_h=np.nan) for row in rows_of({})]
     found = coefficient_result("declared", rows_of({}) + dwell_alone, {}, SITE)
     assert np.array_equal(found.rms, coefficient_result("declared", rows_of({}), {}, SITE).rms)

@@ -1,5 +1,6 @@
 import contextlib
 import json
+import re
 import signal
 import socket
 import subprocess
@@ -90,14 +91,22 @@ def test_all_three_instruments_answer(serve, options, start):
     assert server.poll() is None
 
 
-@pytest.mark.parametrize("adapter", ["slcan", "socketcand"])
-def test_each_unit_has_its_bus_and_its_supply(serve, adapter):
+@pytest.mark.parametrize(
+    ("adapter", "address"),
+    [("slcan", r"/dev/pts/\d+"), ("socketcand", r"socketcand://127\.0\.0\.1:\d+/can0")],
+)
+def test_each_unit_has_its_bus_and_its_supply(serve, adapter, address):
     _, urls = serve("--units", "2", "--power-event", "2", "--power-event", "4", "--can", adapter)
     assert sorted(urls) == ["chamber", "ins", "ins-2", "table"]
+    assert re.fullmatch(address, urls["ins"])
+    assert urls["table"].startswith("/dev/pts/")
     chamber = WatlowF4(SerialLine("chamber", urls["chamber"], WallClock()))
     with can_bus(urls["ins"]) as first, can_bus(urls["ins-2"]) as second:
         chamber.switch_event(4, True)
+        assert {f.data[0] for f in frames_until_status(second) if f.arbitration_id == STATUS} == {1}
+        second.send(can.Message(arbitration_id=0x200, data=b"\x02\x00", is_extended_id=False))
         frames_until_status(second)
+        assert {f.data[0] for f in frames_until_status(second) if f.arbitration_id == STATUS} == {2}
         assert first.recv(0.1) is None
     chamber.close()
 
@@ -120,15 +129,6 @@ def test_options_select_a_model_of_the_chamber_and_wrong_ones_end_it(serve, caps
         ("decimals=x", "valid integer"),
     ):
         assert why in ended_at_once(capsys, "--chamber-option", option)
-
-
-def test_a_client_that_left_makes_room_for_the_next_one(serve):
-    _, urls = serve("--tcp")
-    address = urlsplit(urls["chamber"])
-    for _ in range(3):
-        with socket.create_connection((address.hostname, address.port), timeout=LIMIT_S) as client:
-            client.sendall(READ_PV)
-            assert client.recv(100)[:3] == bytes.fromhex("01 03 02")
 
 
 def test_it_ends_by_itself_after_its_time(serve):
@@ -155,23 +155,6 @@ def test_a_wrong_world_ends_it_with_a_message(capsys):
 def test_a_negative_seed_ends_it_with_a_message(capsys):
     complaints = ended_at_once(capsys, "--world", "ideal", "--seed", "-3")
     assert "the seed must not be negative; found -3" in complaints
-
-
-def test_the_ins_over_socketcand(serve):
-    _, urls = serve("--can", "socketcand")
-    address = urlsplit(urls["ins"])
-    assert (address.scheme, address.path) == ("socketcand", "/can0")
-    assert urls["table"].startswith("/dev/pts/")
-    chamber = WatlowF4(SerialLine("chamber", urls["chamber"], WallClock()))
-    with can.Bus(
-        interface="socketcand", channel="can0", host=address.hostname, port=address.port, ignore_config=True
-    ) as bus:
-        chamber.switch_event(2, True)
-        assert {f.data[0] for f in frames_until_status(bus) if f.arbitration_id == STATUS} == {1}
-        bus.send(can.Message(arbitration_id=0x200, data=b"\x02\x00", is_extended_id=False))
-        frames_until_status(bus)
-        assert {f.data[0] for f in frames_until_status(bus) if f.arbitration_id == STATUS} == {2}
-    chamber.close()
 
 
 @pytest.fixture
@@ -258,14 +241,19 @@ def test_a_wrong_list_of_faults_ends_it_with_a_message(tmp_path, capsys):
     assert f"gyrobench emulate: {path}:2:5: " in complaints
 
 
-def test_ports_are_where_they_are_asked_for(serve, tmp_path):
+def test_ports_are_where_they_are_asked_for_and_a_client_that_left_makes_room_for_the_next_one(
+    serve, tmp_path
+):
     with socket.create_server(("127.0.0.1", 0)) as free:
         number = free.getsockname()[1]
-    link = tmp_path / "chamber"
-    server, urls = serve("--table-port", str(number), "--chamber-port", str(link))
-    assert urls["table"] == f"socket://127.0.0.1:{number}"
-    assert urls["chamber"] == str(link)
-    assert answers(urls["chamber"])
+    link = tmp_path / "table"
+    server, urls = serve("--table-port", str(link), "--chamber-port", str(number))
+    assert urls["table"] == str(link)
+    assert urls["chamber"] == f"socket://127.0.0.1:{number}"
+    for _ in range(3):
+        assert answers(urls["chamber"])
+    with SerialLine("rate table", urls["table"], WallClock()) as line:
+        assert "Acutrol3000" in Acutrol3000(line).identify()
     assert_ends(server, signal.SIGTERM)
     assert not link.is_symlink()
 
