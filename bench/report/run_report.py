@@ -134,7 +134,7 @@ def write_report(
     paths = [each.figure for each in own.figures if isinstance(each.figure, Path)]
     write_whole(into.report, map(str.encode, render(content, paths, sections, hashes, by)))
     if out is None:
-        keep_sealed(folder)
+        keep_sealed(folder, {path: digest for each in hashes for path, digest in each.parts.items()})
     return into.report
 
 

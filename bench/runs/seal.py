@@ -19,6 +19,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from gyrobench.bench import __version__
@@ -161,14 +162,17 @@ def seal_run(folder: RunFolder, key: Path | None = None, *, accept_changes: bool
     return _read_seal(written, None) if written else None
 
 
-def _seal_folder(folder: RunFolder, key: Path | None, accept_changes: bool) -> Path | None:
-    """Path of the seal that is added; None where nothing has changed."""
+def _seal_folder(
+    folder: RunFolder, key: Path | None, accept_changes: bool, known: Mapping[str, str] = MappingProxyType({})
+) -> Path | None:
+    """Path of the seal that is added; None where nothing has changed. ``known``: hashes of some files."""
     seals = _read_seals(folder.path)
     last = seals[-1] if seals else None
     sealed = last.files if last else {}
     files = {}
     for path in _paths(folder.path):
-        at, digest = folder.path / path, file_sha256(folder.path / path)
+        at = folder.path / path
+        digest = known.get(path) or file_sha256(at)
         is_known = path in sealed and sealed[path].sha256 == digest
         files[path] = SealedFile(at.stat().st_size, digest, "" if is_known else fingerprint_of(at))
     changes = _changes(folder.path, sealed, files)
@@ -200,10 +204,11 @@ def _seal_folder(folder: RunFolder, key: Path | None, accept_changes: bool) -> P
     return folder.path / seal.where
 
 
-def keep_sealed(folder: RunFolder) -> None:
+def keep_sealed(folder: RunFolder, known: Mapping[str, str] = MappingProxyType({})) -> None:
     """Seal a run that has ended, with what was added to it; where the key can't be used, without signature.
 
-    Runs of versions without seals are left as they are.
+    Runs of versions without seals are left as they are. ``known``: hashes, by path, that a report states
+    which was just written: the seal holds the same.
     """
     try:
         ended = facts_of(read_journal(folder.journal)).ended
@@ -211,7 +216,7 @@ def keep_sealed(folder: RunFolder) -> None:
         return  # damaged: a seal would confirm it
     is_due = (folder.path / _SEALS).exists() or is_linked(folder.journal)
     if ended and is_due:
-        _seal_folder(folder, None, accept_changes=True)
+        _seal_folder(folder, None, accept_changes=True, known=known)
 
 
 def verify_seals(folder: Path, trusted_key: Path | None = None) -> SealCheck:
