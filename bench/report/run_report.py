@@ -152,9 +152,12 @@ def _figures_key(content: RunContent, before: RunContent | None, marked_c: Seque
         before.bins if before else None,
     )
     programs = __version__, matplotlib.__version__
+    shown = hashlib.sha256()
     with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
-        inputs = repr((tables, content.station, marked_c, code, programs, list(content.telemetry)))
-    shown = hashlib.sha256(inputs.encode())
+        for each in (*tables, [content.station, marked_c, code, programs, list(content.telemetry)]):
+            for part in each if isinstance(each, list) else [each]:  # one by one: all would take megabytes
+                shown.update(repr(part).encode())
+            shown.update(b";")
     for values in content.telemetry.values():
         shown.update(values.tobytes())
     return shown.hexdigest()
@@ -191,7 +194,7 @@ def render(
         dwells_section(content.dwells, no_dwell),
         events_section(content.journal),
         _list_section("Approvals of the investigation", content.approvals),
-        durations_section(content.took_s),
+        durations_section(content.took),
         _list_section("Assumptions of the procedure", content.procedure.get("assumptions")),
         _instruments_section(content),
         _hashes_section(hashes),
@@ -241,7 +244,7 @@ def _analysis_sections(content: RunContent, marked_c: Sequence[float]) -> list[S
         budget_section(content.budget),
         estimators_section(content.dwells, marked_c),
         fit_section(content.dwells),
-        joint_section(content.joint_biases, content.joint_plateaus),
+        joint_section(content.joint_sigmas, content.joint_plateaus),
         noise_section(content.noise, content.station),
         verification_section(content.verification),
     ]
@@ -452,7 +455,7 @@ def write_units_report(folder: RunFolder, prepared_by: str = "", vectors: Sequen
             _units_section(content, units),
             Section("Reports", items=[PurePosixPath("units", unit.name, "report.html") for unit in units]),
             *filter(None, [events_section(content.journal)]),
-            durations_section(content.took_s),
+            durations_section(content.took),
         ],
     )
     watermark = SIMULATED if content.is_simulated else ""

@@ -54,7 +54,7 @@ _MAX_BYTES = 500_000_000
 _MAX_COMMAND_CHARACTERS = 300
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class SealedFile:
     """A file as it was sealed; the fingerprint is empty where an earlier seal has the same content."""
 
@@ -166,11 +166,10 @@ def _seal_folder(folder: RunFolder, key: Path | None, accept_changes: bool) -> P
     seals = _read_seals(folder.path)
     last = seals[-1] if seals else None
     sealed = last.files if last else {}
-    files = {}
-    for path in _paths(folder.path):
-        at, digest = folder.path / path, file_sha256(folder.path / path)
-        is_known = path in sealed and sealed[path].sha256 == digest
-        files[path] = SealedFile(at.stat().st_size, digest, "" if is_known else fingerprint_of(at))
+    files = {
+        path: SealedFile((folder.path / path).stat().st_size, file_sha256(folder.path / path))
+        for path in _paths(folder.path)
+    }
     changes = _changes(folder.path, sealed, files)
     if last and not changes:
         return None
@@ -192,12 +191,24 @@ def _seal_folder(folder: RunFolder, key: Path | None, accept_changes: bool) -> P
         journal_broken_links=broken_links(journal_lines(folder.journal)),
         files=files,
     )
-    record = {name: value for name, value in asdict(seal).items() if name not in _NOT_WRITTEN}
-    text = json.dumps(record).encode()
+    text = b"".join(_text(folder.path, seal, sealed))
     signature = {"sha256": hashlib.sha256(text).hexdigest(), **_signature(text, key)}
     make_folder(folder.path / _SEALS)
     write_whole(folder.path / seal.where, [text, b"\n", json.dumps(signature).encode(), b"\n"])
     return folder.path / seal.where
+
+
+def _text(root: Path, seal: Seal, before: Mapping[str, SealedFile]) -> Iterator[bytes]:
+    """Give a seal as JSON, file by file: fingerprints are the most of it, and made here."""
+    record = {name: value for name, value in vars(seal).items() if name not in _NOT_WRITTEN}
+    yield json.dumps({**record, "changes": asdict(seal.changes), "files": {}}).encode().removesuffix(b"}}")
+    separator = ""
+    for path, each in seal.files.items():
+        is_known = path in before and before[path].sha256 == each.sha256
+        sealed = {**asdict(each), "fingerprint": "" if is_known else fingerprint_of(root / path)}
+        yield f"{separator}{json.dumps(path)}: {json.dumps(sealed)}".encode()
+        separator = ", "
+    yield b"}}"
 
 
 def keep_sealed(folder: RunFolder) -> None:
