@@ -49,7 +49,7 @@ from gyrobench.bench.report.figures.bias import (
     position_difference_figure,
     position_pair_figure,
 )
-from gyrobench.bench.report.figures.temperatures import Readings, temperature_figure
+from gyrobench.bench.report.figures.temperatures import DRAWN, Readings, temperature_figure
 from gyrobench.bench.report.journal_sections import durations_section, events_section
 from gyrobench.bench.report.number_format import BiasScale
 from gyrobench.bench.report.page import (
@@ -114,6 +114,9 @@ def write_report(
     if prepared_by:
         note_preparer(folder, prepared_by)
     content, hashes = _with_hashes(folder)
+    content = replace(
+        content, telemetry={name: content.telemetry[name] for name in DRAWN if content.telemetry}
+    )
     by = prepared_by or str(content.provenance.get("prepared_by", ""))
     make_folder(into.figures)
     marked_c = [*content.marked_temperatures_c, *mark_temperatures_c]
@@ -136,6 +139,15 @@ def write_report(
     if out is None:
         keep_sealed(folder)
     return into.report
+
+
+def _shown(content: RunContent) -> RunContent:
+    """The content without what the report does not show: figures need the memory."""
+    return replace(
+        content,
+        telemetry={name: content.telemetry[name] for name in DRAWN if content.telemetry},
+        coefficients=content.coefficients if has_rotations(content.coefficients) else [],
+    )
 
 
 def _figures_key(content: RunContent, before: RunContent | None, marked_c: Sequence[float]) -> str:

@@ -191,7 +191,9 @@ def _seal_folder(folder: RunFolder, key: Path | None, accept_changes: bool) -> P
         journal_broken_links=broken_links(journal_lines(folder.journal)),
         files=files,
     )
-    text = b"".join(_text(folder.path, seal, sealed))
+    text = bytearray()
+    for part in _text(folder.path, seal, sealed):
+        text += part
     signature = {"sha256": hashlib.sha256(text).hexdigest(), **_signature(text, key)}
     make_folder(folder.path / _SEALS)
     write_whole(folder.path / seal.where, [text, b"\n", json.dumps(signature).encode(), b"\n"])
@@ -205,8 +207,10 @@ def _text(root: Path, seal: Seal, before: Mapping[str, SealedFile]) -> Iterator[
     separator = ""
     for path, each in seal.files.items():
         is_known = path in before and before[path].sha256 == each.sha256
-        sealed = {**asdict(each), "fingerprint": "" if is_known else fingerprint_of(root / path)}
-        yield f"{separator}{json.dumps(path)}: {json.dumps(sealed)}".encode()
+        known = json.dumps({"size_bytes": each.size_bytes, "sha256": each.sha256}).removesuffix("}")
+        yield f'{separator}{json.dumps(path)}: {known}, "fingerprint": "'.encode()
+        yield b"" if is_known else fingerprint_of(root / path).encode()  # no character of it is escaped
+        yield b'"}'
         separator = ", "
     yield b"}}"
 
@@ -381,7 +385,7 @@ def _problem_of(text: bytes, signature: Mapping[str, Any], key: bytes, trusted: 
     return ""
 
 
-def _signature(text: bytes, key: Path | None) -> dict[str, str]:
+def _signature(text: bytearray, key: Path | None) -> dict[str, str]:
     configured = os.environ.get(KEY_VARIABLE, "")
     if key is None and not configured:
         return {"unsigned": f"no key; {KEY_VARIABLE} names one"}
