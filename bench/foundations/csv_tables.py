@@ -131,10 +131,11 @@ class CsvTable:
     def number(self, index: int, column: str, may_be_empty: bool = False) -> float:
         """Read a number of plausible size; NaN for an empty cell or ``nan``, refused unless allowed."""
         text = self.text(index, column)
-        if _NUMBER.fullmatch(text):
-            if abs(float(text)) <= LARGEST_NUMBER:
-                return float(text)
-            self.problem(index, column, f"{float(text):g} is beyond {LARGEST_NUMBER:g}")
+        if text and _NUMBER.fullmatch(text):
+            value = float(text)
+            if abs(value) <= LARGEST_NUMBER:
+                return value
+            self.problem(index, column, f"{value:g} is beyond {LARGEST_NUMBER:g}")
         elif not (may_be_empty and text.lower() in ("", "nan")):
             self.problem(index, column, f"expected a number; found '{text}'")
         return math.nan
@@ -285,9 +286,11 @@ def _read(
     table: CsvTable, kind: type[RowT], readers: Mapping[str, CellReader], names: Mapping[str, str]
 ) -> list[RowT]:
     known = fields(kind)  # type: ignore[arg-type]
-    readers = {each.name: readers.get(each.name, _READERS[str(each.type)]) for each in known}
+    cells = [
+        (each.name, readers.get(each.name) or _READERS[str(each.type)], names[each.name]) for each in known
+    ]
     return table.rows(
-        lambda index: kind(**{name: readers[name](table, index, names[name]) for name in names})
+        lambda index: kind(**{name: read(table, index, column) for name, read, column in cells})
     )
 
 

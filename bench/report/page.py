@@ -11,10 +11,11 @@ import io
 import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from pydantic import ConfigDict, Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
@@ -116,6 +117,17 @@ def render_page(
     name, which may be empty, for a sign-off table; it comes with a table of contents. ``watermark`` is a word
     across every page, with which there is no table to sign.
     """
+    return _template().generate(
+        page=page,
+        source=source,
+        title=title or f"{page.title}: {source}",
+        sign_off=sign_off,
+        watermark=watermark,
+    )
+
+
+@cache
+def _template() -> Template:
     environment = Environment(
         loader=PackageLoader("gyrobench.bench.report"),
         autoescape=True,
@@ -124,13 +136,7 @@ def render_page(
         lstrip_blocks=True,
     )
     environment.filters["data_uri"] = _data_uri
-    return environment.get_template(_PAGE).generate(
-        page=page,
-        source=source,
-        title=title or f"{page.title}: {source}",
-        sign_off=sign_off,
-        watermark=watermark,
-    )
+    return environment.get_template(_PAGE)
 
 
 def with_figure_files(

@@ -114,9 +114,7 @@ def write_report(
     if prepared_by:
         note_preparer(folder, prepared_by)
     content, hashes = _with_hashes(folder)
-    content = replace(
-        content, telemetry={name: content.telemetry[name] for name in DRAWN if content.telemetry}
-    )
+    content = _shown(content)
     by = prepared_by or str(content.provenance.get("prepared_by", ""))
     make_folder(into.figures)
     marked_c = [*content.marked_temperatures_c, *mark_temperatures_c]
@@ -137,7 +135,7 @@ def write_report(
     paths = [each.figure for each in own.figures if isinstance(each.figure, Path)]
     write_whole(into.report, map(str.encode, render(content, paths, sections, hashes, by)))
     if out is None:
-        keep_sealed(folder)
+        keep_sealed(folder, {path: digest for each in hashes for path, digest in each.parts.items()})
     return into.report
 
 

@@ -19,6 +19,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from gyrobench.bench import __version__
@@ -161,13 +162,17 @@ def seal_run(folder: RunFolder, key: Path | None = None, *, accept_changes: bool
     return _read_seal(written, None) if written else None
 
 
-def _seal_folder(folder: RunFolder, key: Path | None, accept_changes: bool) -> Path | None:
-    """Path of the seal that is added; None where nothing has changed."""
+def _seal_folder(
+    folder: RunFolder, key: Path | None, accept_changes: bool, known: Mapping[str, str] = MappingProxyType({})
+) -> Path | None:
+    """Path of the seal that is added; None where nothing has changed. ``known``: hashes of some files."""
     seals = _read_seals(folder.path)
     last = seals[-1] if seals else None
     sealed = last.files if last else {}
     files = {
-        path: SealedFile((folder.path / path).stat().st_size, file_sha256(folder.path / path))
+        path: SealedFile(
+            (folder.path / path).stat().st_size, known.get(path) or file_sha256(folder.path / path)
+        )
         for path in _paths(folder.path)
     }
     changes = _changes(folder.path, sealed, files)
@@ -215,10 +220,11 @@ def _text(root: Path, seal: Seal, before: Mapping[str, SealedFile]) -> Iterator[
     yield b"}}"
 
 
-def keep_sealed(folder: RunFolder) -> None:
+def keep_sealed(folder: RunFolder, known: Mapping[str, str] = MappingProxyType({})) -> None:
     """Seal a run that has ended, with what was added to it; where the key can't be used, without signature.
 
-    Runs of versions without seals are left as they are.
+    Runs of versions without seals are left as they are. ``known``: hashes, by path, that a report states
+    which was just written: the seal holds the same.
     """
     try:
         ended = facts_of(read_journal(folder.journal)).ended
@@ -226,7 +232,7 @@ def keep_sealed(folder: RunFolder) -> None:
         return  # damaged: a seal would confirm it
     is_due = (folder.path / _SEALS).exists() or is_linked(folder.journal)
     if ended and is_due:
-        _seal_folder(folder, None, accept_changes=True)
+        _seal_folder(folder, None, accept_changes=True, known=known)
 
 
 def verify_seals(folder: Path, trusted_key: Path | None = None) -> SealCheck:
