@@ -180,8 +180,8 @@ class BlockReader:
         self.block = block
         self.codec = codec
         self._messages: dict[str, tuple[IntArray, Payloads]] = {}
-        #: By message, the rows last asked for and the newest frame at each: its signals are read together.
-        self._places: dict[str, tuple[IntArray, IntArray]] = {}
+        #: By message, the rows last asked for and :func:`_newest` there: its signals are read together.
+        self._places: dict[str, tuple[IntArray, IntArray | None]] = {}
 
     def rows(self, message: str) -> IntArray:
         """Rows of the block with frames of a message."""
@@ -193,15 +193,22 @@ class BlockReader:
         values = bound.to_si(self.codec.values(payloads, bound.message, bound.signal.name))
         if rows is frames:
             return values
-        # Index -1, before the first value, is the NaN at the end.
-        asked, places = self._places.get(bound.message, (None, frames))
+        asked, places = self._places.get(bound.message, (None, None))
         if asked is not rows:
-            places = np.searchsorted(frames, rows, side="right") - 1
+            places = _newest(frames, rows)
             self._places[bound.message] = rows, places
-        return np.append(values, np.nan)[places]
+        # Index -1, before the first value, is the NaN at the end.
+        return values if places is None else np.append(values, np.nan)[places]
 
     def _message(self, message: str) -> tuple[IntArray, Payloads]:
         if message not in self._messages:
             rows = self.codec.rows(self.block, message)
             self._messages[message] = rows, self.codec.payloads(self.block, rows)
         return self._messages[message]
+
+
+def _newest(frames: IntArray, rows: IntArray) -> IntArray | None:
+    """Index of the newest frame at each row, -1 before the first; None where each row has its own."""
+    if len(frames) == len(rows) and (frames <= rows).all() and (rows[:-1] < frames[1:]).all():
+        return None
+    return np.searchsorted(frames, rows, side="right") - 1
