@@ -38,6 +38,8 @@ FORCE_SCALE = 1e-4
 IS_FORCE_SCALE = [each.name == "accelerometer_scale_factor" for each in COEFFICIENTS]
 #: So closely the scale factors of accelerometers have the mean zero where the vertical force is not measured.
 _COMMON_SCALE = 1e-9
+#: Rows for each column that are compressed at once.
+_ROWS_A_COLUMN = 16
 
 
 @dataclass(frozen=True)
@@ -134,7 +136,10 @@ class Information:
     @cached_property
     def root(self) -> FloatArray:
         """Fewest rows (m, 21 + k + 2) with the same normal equations; latitude and data last."""
-        return compress(np.vstack([compress(each) for each in self.blocks]))
+        # By parts that fit a processor's cache.
+        size = _ROWS_A_COLUMN * self.blocks[0].shape[1]
+        parts = (part for each in self.blocks for part in np.array_split(each, len(each) // size + 1))
+        return compress(np.vstack([compress(part) for part in parts]))
 
     def solve(self, origin: FloatArray | None = None) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Values (21 + k,), their covariance, and which of them the data determine.

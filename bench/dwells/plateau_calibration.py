@@ -376,10 +376,9 @@ def _calibrated_rotations(dwells: Sequence[RotatedDwell], setup: MeasurementSetu
             with_force = _with_force(found, setup.site, options)
     except MeasurementError as error:
         return replace(rotations, finding=f"the rotations give no coefficients: {error}")
+    parts = covariances_by_source(found, setup.site, options)
     # The increments themselves are of no more use.
-    found = replace(
-        found, recordings=(), sections=(), parts=covariances_by_source(found, setup.site, options)
-    )
+    found = replace(found, recordings=(), sections=(), trajectories=(), parts=parts)
     return replace(rotations, calibration=found, with_force=with_force)
 
 

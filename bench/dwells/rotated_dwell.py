@@ -31,6 +31,8 @@ _MAX_STEP_ERROR = 0.5
 #: Sum, rad or m/s, from which increments are compared with attitude and velocity, by how much of it they may
 #: differ, as by gaps, and largest angle between two attitudes, rad.
 _MIN_TURN, _MAX_AWAY, _MAX_STEP = 0.5, 0.5, 2.0
+#: Time between the epochs of that comparison, s, where the INS has no fewer.
+_CHECKED_S = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,11 +64,10 @@ def measure_rotations(marks: DwellMarks, frames: FrameBlock, setup: MeasurementS
     temperatures = dwell_temperatures(navigation, first, end)
     increments = setup.decode_increments(frames)
     is_sent = increments is not None and len(increments.row) > 0
-    navigated = navigated_increments(navigation, setup.site)
     if increments is None or not is_sent:
-        increments = navigated
+        increments = navigated_increments(navigation, setup.site)
     else:
-        _check_axes(increments, navigated, marks)
+        _check_axes(increments, navigated_increments(navigation, setup.site, _CHECKED_S), marks)
     at_rest = [] if is_sent else [rest_output(navigation, mark)[:3] for mark in marks.windows]
     velocity_rounding, angle_rounding = setup.rounding(at_rest)
     begin, stop = np.searchsorted(increments.row, [first, end])
@@ -130,21 +131,22 @@ def _triple_text(values: FloatArray) -> str:
     return "({:.4g}, {:.4g}, {:.4g})".format(*values)
 
 
-def navigated_increments(navigation: NavigationData, site: Site) -> Increments:
+def navigated_increments(navigation: NavigationData, site: Site, least_s: float = 0.0) -> Increments:
     """What the sensors of an INS measured from epoch to epoch, by its attitude and velocity.
 
-    The navigation frame turns with the Earth and with the velocity that the INS computes; to that belong the
-    Coriolis acceleration and, in place of the vertical specific force, gravity.
+    With ``least_s`` epochs up to this time apart, s, count as one. The navigation frame turns with the Earth
+    and with the velocity that the INS computes; to that belong the Coriolis acceleration and, in place of the
+    vertical specific force, gravity.
     """
-    time_s, velocity = navigation.ins_time_s, navigation.velocity_enu_mps[:, :2]
+    some = slice(None, None, max(1, int(least_s / np.median(np.diff(navigation.ins_time_s)) + 1e-6)))
+    time_s, velocity = navigation.ins_time_s[some], navigation.velocity_enu_mps[some, :2]
+    row, attitude = navigation.row[some], navigation.attitude[some]
     interval_s = float(np.median(np.diff(time_s)))
     north = 0.5 * (velocity[1:, 1] + velocity[:-1, 1])
     # Where the INS takes itself to be: in hours its drift changes the Earth's rate that it subtracts.
     latitude = site.latitude + np.cumsum(north) * interval_s / curvature_radii(site.latitude, site.height)[0]
     parts = [
-        _sums(
-            navigation.attitude[begin:end], velocity[begin:end], latitude[begin : end - 1], interval_s, site
-        )
+        _sums(attitude[begin:end], velocity[begin:end], latitude[begin : end - 1], interval_s, site)
         for begin in range(0, max(len(latitude), 1), _BLOCK)
         for end in [begin + _BLOCK + 1]
     ]
@@ -155,11 +157,7 @@ def navigated_increments(navigation: NavigationData, site: Site) -> Increments:
     sculling = (np.cross(angle[last], sums) + np.cross(sums[last], angle)) / 12.0
     steady = np.abs(np.diff(time_s) / interval_s - 1.0) < _MAX_STEP_ERROR
     return Increments(
-        row=navigation.row[1:],
-        angle=angle - coning,
-        velocity=sums - sculling,
-        follows=steady,
-        interval_s=interval_s,
+        row=row[1:], angle=angle - coning, velocity=sums - sculling, follows=steady, interval_s=interval_s
     )
 
 

@@ -118,7 +118,7 @@ class CsvTable:
         text = self.text(index, column)
         if text not in allowed:
             self.problem(index, column, f"expected one of {', '.join(allowed)}; found '{text}'")
-        return text
+        return sys.intern(text)  # kept once, not once for each row
 
     def integer(self, index: int, column: str) -> int:
         """Read a whole number."""
@@ -131,10 +131,11 @@ class CsvTable:
     def number(self, index: int, column: str, may_be_empty: bool = False) -> float:
         """Read a number of plausible size; NaN for an empty cell or ``nan``, refused unless allowed."""
         text = self.text(index, column)
-        if _NUMBER.fullmatch(text):
-            if abs(float(text)) <= LARGEST_NUMBER:
-                return float(text)
-            self.problem(index, column, f"{float(text):g} is beyond {LARGEST_NUMBER:g}")
+        if text and _NUMBER.fullmatch(text):
+            value = float(text)
+            if abs(value) <= LARGEST_NUMBER:
+                return value
+            self.problem(index, column, f"{value:g} is beyond {LARGEST_NUMBER:g}")
         elif not (may_be_empty and text.lower() in ("", "nan")):
             self.problem(index, column, f"expected a number; found '{text}'")
         return math.nan
@@ -261,20 +262,23 @@ def read_rows(
 
 
 def each_row(
-    path: Path, kind: type[RowT], readers: Mapping[str, CellReader] = MappingProxyType({})
+    path: Path,
+    kind: type[RowT],
+    readers: Mapping[str, CellReader] = MappingProxyType({}),
+    columns: Mapping[str, str] = MappingProxyType({}),
 ) -> Iterator[RowT]:
     """The same one after the other, of a table that is larger than what is made of it.
 
     Raises DocumentError at the first part of the file that is wrong.
     """
-    names = {each.name: each.name for each in fields(kind)}  # type: ignore[arg-type]
+    names = {each.name: columns.get(each.name, each.name) for each in fields(kind)}  # type: ignore[arg-type]
     lines = read_lines(path, MAX_TABLE_BYTES, DocumentError)
     header, left_out = next(lines, b""), 0
     while (part := list(islice(lines, _PART_LINES))) or not left_out:
         while sum(line.count(b'"') for line in part) % 2 and (line := next(lines, b"")):
             part.append(line)  # of a cell with line ends
         text = _decoded(path, b"".join([header, *part]))
-        yield from _read(CsvTable(text, str(path), list(names), left_out), kind, readers, names)
+        yield from _read(CsvTable(text, str(path), list(names.values()), left_out), kind, readers, names)
         left_out += max(len(part), 1)
 
 
@@ -282,9 +286,11 @@ def _read(
     table: CsvTable, kind: type[RowT], readers: Mapping[str, CellReader], names: Mapping[str, str]
 ) -> list[RowT]:
     known = fields(kind)  # type: ignore[arg-type]
-    readers = {each.name: readers.get(each.name, _READERS[str(each.type)]) for each in known}
+    cells = [
+        (each.name, readers.get(each.name) or _READERS[str(each.type)], names[each.name]) for each in known
+    ]
     return table.rows(
-        lambda index: kind(**{name: readers[name](table, index, names[name]) for name in names})
+        lambda index: kind(**{name: read(table, index, column) for name, read, column in cells})
     )
 
 

@@ -6,23 +6,23 @@ Pages of findings (search, verification, batch) and the report of a run are all 
 from __future__ import annotations
 
 import base64
-import ctypes
 import gc
 import io
 import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
+from functools import cache
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from pydantic import ConfigDict, Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
 from gyrobench.bench.foundations.csv_tables import read_text
 from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError
 from gyrobench.bench.foundations.files import make_folder, parse_json, write_whole
+from gyrobench.bench.foundations.memory import free_memory
 from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.report.figures.style import is_drawn, save_figure, save_vectors, stamp
 
@@ -117,6 +117,17 @@ def render_page(
     name, which may be empty, for a sign-off table; it comes with a table of contents. ``watermark`` is a word
     across every page, with which there is no table to sign.
     """
+    return _template().generate(
+        page=page,
+        source=source,
+        title=title or f"{page.title}: {source}",
+        sign_off=sign_off,
+        watermark=watermark,
+    )
+
+
+@cache
+def _template() -> Template:
     environment = Environment(
         loader=PackageLoader("gyrobench.bench.report"),
         autoescape=True,
@@ -125,13 +136,7 @@ def render_page(
         lstrip_blocks=True,
     )
     environment.filters["data_uri"] = _data_uri
-    return environment.get_template(_PAGE).generate(
-        page=page,
-        source=source,
-        title=title or f"{page.title}: {source}",
-        sign_off=sign_off,
-        watermark=watermark,
-    )
+    return environment.get_template(_PAGE)
 
 
 def with_figure_files(
@@ -204,13 +209,6 @@ def _as_file(
         save_vectors(figure, path, vectors)
         free_memory()
     return replace(drawn, figure=path)
-
-
-def free_memory() -> None:
-    """Free figures, cycles of some megabytes; and return memory to the system, where its library can."""
-    gc.collect()
-    with suppress(AttributeError, OSError, TypeError):
-        ctypes.CDLL(None).malloc_trim(0)
 
 
 def _data_uri(path: Path) -> str:

@@ -6,7 +6,7 @@ import hashlib
 import json
 import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -161,6 +161,8 @@ class DataHash:
     #: Of a single file. Of a log in parts that of its manifest, the lines that ``sha256sum`` prints for them:
     #: ``sha256sum can/*.blf | sha256sum`` in the run folder gives the same.
     sha256: str
+    #: Hashes of a log's parts, by their paths in the run folder.
+    parts: Mapping[str, str] = field(default_factory=dict)
 
 
 def data_hashes(folder: RunFolder) -> list[DataHash]:
@@ -176,12 +178,8 @@ def data_hashes(folder: RunFolder) -> list[DataHash]:
     for inner, suffix in ((folder.can, ".blf"), (folder.telemetry, ".parquet")):
         parts = sorted(inner.glob(f"*{suffix}"))
         if parts:
-            hashes.append(
-                DataHash(f"{inner.name}/*{suffix}", len(parts), _manifest_sha256(folder.path, parts))
-            )
+            each = {part.relative_to(folder.path).as_posix(): file_sha256(part) for part in parts}
+            manifest = "".join(f"{digest}  {path}\n" for path, digest in each.items())
+            whole = hashlib.sha256(manifest.encode()).hexdigest()
+            hashes.append(DataHash(f"{inner.name}/*{suffix}", len(parts), whole, each))
     return hashes
-
-
-def _manifest_sha256(root: Path, parts: Sequence[Path]) -> str:
-    lines = [f"{file_sha256(part)}  {part.relative_to(root).as_posix()}\n" for part in parts]
-    return hashlib.sha256("".join(lines).encode()).hexdigest()

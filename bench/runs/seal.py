@@ -19,6 +19,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from gyrobench.bench import __version__
@@ -54,7 +55,7 @@ _MAX_BYTES = 500_000_000
 _MAX_COMMAND_CHARACTERS = 300
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class SealedFile:
     """A file as it was sealed; the fingerprint is empty where an earlier seal has the same content."""
 
@@ -161,16 +162,19 @@ def seal_run(folder: RunFolder, key: Path | None = None, *, accept_changes: bool
     return _read_seal(written, None) if written else None
 
 
-def _seal_folder(folder: RunFolder, key: Path | None, accept_changes: bool) -> Path | None:
-    """Path of the seal that is added; None where nothing has changed."""
+def _seal_folder(
+    folder: RunFolder, key: Path | None, accept_changes: bool, known: Mapping[str, str] = MappingProxyType({})
+) -> Path | None:
+    """Path of the seal that is added; None where nothing has changed. ``known``: hashes of some files."""
     seals = _read_seals(folder.path)
     last = seals[-1] if seals else None
     sealed = last.files if last else {}
-    files = {}
-    for path in _paths(folder.path):
-        at, digest = folder.path / path, file_sha256(folder.path / path)
-        is_known = path in sealed and sealed[path].sha256 == digest
-        files[path] = SealedFile(at.stat().st_size, digest, "" if is_known else fingerprint_of(at))
+    files = {
+        path: SealedFile(
+            (folder.path / path).stat().st_size, known.get(path) or file_sha256(folder.path / path)
+        )
+        for path in _paths(folder.path)
+    }
     changes = _changes(folder.path, sealed, files)
     if last and not changes:
         return None
@@ -192,18 +196,35 @@ def _seal_folder(folder: RunFolder, key: Path | None, accept_changes: bool) -> P
         journal_broken_links=broken_links(journal_lines(folder.journal)),
         files=files,
     )
-    record = {name: value for name, value in asdict(seal).items() if name not in _NOT_WRITTEN}
-    text = json.dumps(record).encode()
+    text = bytearray()
+    for part in _text(folder.path, seal, sealed):
+        text += part
     signature = {"sha256": hashlib.sha256(text).hexdigest(), **_signature(text, key)}
     make_folder(folder.path / _SEALS)
     write_whole(folder.path / seal.where, [text, b"\n", json.dumps(signature).encode(), b"\n"])
     return folder.path / seal.where
 
 
-def keep_sealed(folder: RunFolder) -> None:
+def _text(root: Path, seal: Seal, before: Mapping[str, SealedFile]) -> Iterator[bytes]:
+    """Give a seal as JSON, file by file: fingerprints are the most of it, and made here."""
+    record = {name: value for name, value in vars(seal).items() if name not in _NOT_WRITTEN}
+    yield json.dumps({**record, "changes": asdict(seal.changes), "files": {}}).encode().removesuffix(b"}}")
+    separator = ""
+    for path, each in seal.files.items():
+        is_known = path in before and before[path].sha256 == each.sha256
+        known = json.dumps({"size_bytes": each.size_bytes, "sha256": each.sha256}).removesuffix("}")
+        yield f'{separator}{json.dumps(path)}: {known}, "fingerprint": "'.encode()
+        yield b"" if is_known else fingerprint_of(root / path).encode()  # no character of it is escaped
+        yield b'"}'
+        separator = ", "
+    yield b"}}"
+
+
+def keep_sealed(folder: RunFolder, known: Mapping[str, str] = MappingProxyType({})) -> None:
     """Seal a run that has ended, with what was added to it; where the key can't be used, without signature.
 
-    Runs of versions without seals are left as they are.
+    Runs of versions without seals are left as they are. ``known``: hashes, by path, that a report states
+    which was just written: the seal holds the same.
     """
     try:
         ended = facts_of(read_journal(folder.journal)).ended
@@ -211,7 +232,7 @@ def keep_sealed(folder: RunFolder) -> None:
         return  # damaged: a seal would confirm it
     is_due = (folder.path / _SEALS).exists() or is_linked(folder.journal)
     if ended and is_due:
-        _seal_folder(folder, None, accept_changes=True)
+        _seal_folder(folder, None, accept_changes=True, known=known)
 
 
 def verify_seals(folder: Path, trusted_key: Path | None = None) -> SealCheck:
@@ -370,7 +391,7 @@ def _problem_of(text: bytes, signature: Mapping[str, Any], key: bytes, trusted: 
     return ""
 
 
-def _signature(text: bytes, key: Path | None) -> dict[str, str]:
+def _signature(text: bytearray, key: Path | None) -> dict[str, str]:
     configured = os.environ.get(KEY_VARIABLE, "")
     if key is None and not configured:
         return {"unsigned": f"no key; {KEY_VARIABLE} names one"}

@@ -154,9 +154,17 @@ class DbcCodec:
 
         NaN where a multiplexed signal is absent. Integers of more than 53 bits are rounded to float64.
         """
-        layout = self._layout(message_name)
-        words = Payloads(block.take(self.rows(block, message_name)).data)
-        return {name: layout.physical(name, words) for name in layout.fields}
+        payloads = self.payloads(block, self.rows(block, message_name))
+        names = self._layout(message_name).fields
+        return {name: self.values(payloads, message_name, name) for name in names}
+
+    def payloads(self, block: FrameBlock, rows: IntArray) -> Payloads:
+        """Payloads of some frames, for :meth:`values`."""
+        return Payloads(block.data.view(np.uint64)[rows].view(np.uint8))
+
+    def values(self, payloads: Payloads, message_name: str, signal_name: str) -> FloatArray:
+        """Values of one signal, as of :meth:`decode`."""
+        return self._layout(message_name).physical(signal_name, payloads)
 
     def decoder(self, message_name: str, signal_name: str) -> Callable[[bytes], float]:
         """Return what decodes a signal of one payload as :meth:`decode`; NaN also if it is too short."""

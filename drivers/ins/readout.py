@@ -18,7 +18,7 @@ from gyrobench.drivers.ins.attitude import (
     attitude_matrices,
     quaternion_matrices,
 )
-from gyrobench.drivers.ins.dbc_codec import DbcCodec
+from gyrobench.drivers.ins.dbc_codec import DbcCodec, Payloads
 from gyrobench.drivers.ins.signal_map import BoundSignal, EulerMap, SignalMap
 
 
@@ -69,7 +69,10 @@ class Readout:
 
     def values(self, paths: Sequence[str], rows: IntArray) -> FloatArray:
         """Read several quantities side by side, shape (n, number of paths)."""
-        return np.stack([self.value(path, rows) for path in paths], axis=-1)
+        found = np.empty((len(rows), len(paths)))
+        for place, path in enumerate(paths):
+            found[:, place] = self.value(path, rows)
+        return found
 
     def velocity_enu_mps(self, rows: IntArray) -> FloatArray:
         """Read the velocity, shape (n, 3)."""
@@ -171,14 +174,14 @@ def _coded(values: FloatArray, meanings: Mapping[int, Sequence[int]], other: int
 
 
 class BlockReader:
-    """Values of bound signals in one block; each message is decoded once."""
+    """Values of bound signals in one block, each decoded when it is asked for."""
 
     def __init__(self, block: FrameBlock, codec: DbcCodec) -> None:
         self.block = block
         self.codec = codec
-        self._decoded: dict[str, tuple[IntArray, dict[str, FloatArray]]] = {}
-        #: By message, the rows last asked for and the newest frame at each: its signals are read together.
-        self._places: dict[str, tuple[IntArray, IntArray]] = {}
+        self._messages: dict[str, tuple[IntArray, Payloads]] = {}
+        #: By message, the rows last asked for and :func:`_newest` there: its signals are read together.
+        self._places: dict[str, tuple[IntArray, IntArray | None]] = {}
 
     def rows(self, message: str) -> IntArray:
         """Rows of the block with frames of a message."""
@@ -186,19 +189,26 @@ class BlockReader:
 
     def held(self, bound: BoundSignal, rows: IntArray) -> FloatArray:
         """Last value that had arrived at each row of the block; NaN before the first."""
-        frames, decoded = self._message(bound.message)
-        values = bound.to_si(decoded[bound.signal.name])
+        frames, payloads = self._message(bound.message)
+        values = bound.to_si(self.codec.values(payloads, bound.message, bound.signal.name))
         if rows is frames:
             return values
-        # Index -1, before the first value, is the NaN at the end.
-        asked, places = self._places.get(bound.message, (None, frames))
+        asked, places = self._places.get(bound.message, (None, None))
         if asked is not rows:
-            places = np.searchsorted(frames, rows, side="right") - 1
+            places = _newest(frames, rows)
             self._places[bound.message] = rows, places
-        return np.append(values, np.nan)[places]
+        # Index -1, before the first value, is the NaN at the end.
+        return values if places is None else np.append(values, np.nan)[places]
 
-    def _message(self, message: str) -> tuple[IntArray, dict[str, FloatArray]]:
-        if message not in self._decoded:
+    def _message(self, message: str) -> tuple[IntArray, Payloads]:
+        if message not in self._messages:
             rows = self.codec.rows(self.block, message)
-            self._decoded[message] = rows, self.codec.decode(self.block.take(rows), message)
-        return self._decoded[message]
+            self._messages[message] = rows, self.codec.payloads(self.block, rows)
+        return self._messages[message]
+
+
+def _newest(frames: IntArray, rows: IntArray) -> IntArray | None:
+    """Index of the newest frame at each row, -1 before the first; None where each row has its own."""
+    if len(frames) == len(rows) and (frames <= rows).all() and (rows[:-1] < frames[1:]).all():
+        return None
+    return np.searchsorted(frames, rows, side="right") - 1

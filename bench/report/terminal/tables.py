@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from textwrap import wrap
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 from rich import box
 from rich.console import Group, JustifyMethod, RenderableType
@@ -14,9 +15,11 @@ from rich.table import Table
 from rich.text import Text
 
 from gyrobench.bench.foundations.text import hours_minutes
-from gyrobench.bench.procedure.timeline import TimelineRow
 from gyrobench.bench.report.page import Mark, Section, SectionTable
 from gyrobench.bench.station.preflight_check import Check, Verdict
+
+if TYPE_CHECKING:
+    from gyrobench.bench.procedure.timeline import TimelineRow
 
 
 def plain_table(
