@@ -17,37 +17,27 @@ def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
     """
     from gyrobench.bench.bias.bins import read_bins
     from gyrobench.bench.bias.verdicts import read_acceptance
-    from gyrobench.bench.characteristics.results import read_characteristics
     from gyrobench.bench.engine.evaluation import recompute_run
     from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.runs.tables.budget_table import budget_records, read_budget
     from gyrobench.bench.runs.tables.calibration_check_table import read_calibration_check
-    from gyrobench.bench.runs.tables.coefficient_table import read_coefficients
 
     folder = recompute_run(run_folder)
-    check_path = folder.calibration_check
-    check = read_calibration_check(check_path) if check_path.exists() else []
     if as_json:
+        check = folder.calibration_check
         print_json(
             {
                 "folder": folder.path,
                 "report": write_report(folder),
                 "bins": read_bins(folder.bias_bins),
                 "budget": budget_records(read_budget(folder.budget) if folder.budget.exists() else []),
-                "verification": check,
+                "verification": read_calibration_check(check) if check.exists() else [],
                 "acceptance": read_acceptance(folder.acceptance),
             }
         )
         return
     terminal = console()
-    print_tables(
-        terminal,
-        read_bins(folder.bias_bins),
-        check,
-        read_acceptance(folder.acceptance),
-        read_coefficients(folder.coefficients) if folder.coefficients.exists() else [],
-        read_characteristics(folder.characteristics) if folder.characteristics.exists() else [],
-    )
+    print_tables(terminal, folder)
     results = (
         folder.bias_bins,
         folder.budget,

@@ -7,27 +7,25 @@ import math
 import sys
 from datetime import date
 from enum import Enum
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeVar
 
 import typer
 
 from gyrobench.bench.foundations.errors import GyrobenchError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from rich.console import Console, RenderableType
 
-    from gyrobench.bench.bias.bins import BiasBin
-    from gyrobench.bench.bias.verdicts import Acceptance
-    from gyrobench.bench.characteristics.results import TestResult
     from gyrobench.bench.cli.options import FailOn
     from gyrobench.bench.engine.observers import RunOutcome
     from gyrobench.bench.monitor.terminal import RunConsole
+    from gyrobench.bench.report.journal_sections import KindDuration
     from gyrobench.bench.runs.folder import RunFolder
-    from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow
-    from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow
 
+Row = TypeVar("Row")
 
 #: The run did not finish, or a check failed.
 EXIT_NOT_FINISHED = 1
@@ -107,24 +105,33 @@ def plain(value: Any) -> Any:
     return value if isinstance(value, str | int | None) else str(value)
 
 
-def print_tables(
-    console: Console,
-    bins: list[BiasBin],
-    verification: list[CalibrationCheckRow],
-    acceptance: Acceptance,
-    coefficients: list[PlateauCoefficientRow],
-    characteristics: list[TestResult],
-) -> None:
-    """Print the results of a run: biases or calibration check, the verdict, coefficients, characteristics."""
+def print_tables(console: Console, folder: RunFolder) -> None:
+    """Print a run's tables: biases or calibration check, the verdict, coefficients, characteristics."""
+    from gyrobench.bench.bias.bins import read_bins
+    from gyrobench.bench.bias.verdicts import read_acceptance
+    from gyrobench.bench.characteristics.results import read_characteristics
     from gyrobench.bench.report.bias_sections import acceptance_summary, bins_summary
     from gyrobench.bench.report.calibration_check import verification_section
     from gyrobench.bench.report.coefficients import characteristics_sections, coefficients_section
     from gyrobench.bench.report.terminal.tables import section_view
+    from gyrobench.bench.runs.tables.calibration_check_table import read_calibration_check
+    from gyrobench.bench.runs.tables.coefficient_table import read_coefficients
 
+    def read(path: Path, reader: Callable[[Path], list[Row]]) -> list[Row]:
+        return reader(path) if path.exists() else []
+
+    bins, verification = (
+        read(folder.bias_bins, read_bins),
+        read(folder.calibration_check, read_calibration_check),
+    )
+    coefficients, characteristics = (
+        read(folder.coefficients, read_coefficients),
+        read(folder.characteristics, read_characteristics),
+    )
     sections = [
         bins_summary(bins) if bins or not (verification or coefficients or characteristics) else None,
         verification_section(verification),
-        acceptance_summary(acceptance),
+        acceptance_summary(read_acceptance(folder.acceptance)) if folder.acceptance.exists() else None,
         coefficients_section(coefficients),
         *characteristics_sections(characteristics),
     ]
@@ -140,60 +147,60 @@ def print_end(
     as_json: bool = False,
     fail_on: FailOn | None = None,
 ) -> None:
-    """Report the end of a run, with ``as_json`` also as JSON.
+    """Report the end of a run, with ``as_json`` also as JSON; lets go of its dwells and results.
 
     Exits with an error if it did not finish, or is what ``fail_on`` says.
     """
     from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN
-    from gyrobench.bench.report.journal_sections import durations_section
-    from gyrobench.bench.report.page import free_memory
-    from gyrobench.bench.report.run_report import units_section, write_report, write_units_report
+    from gyrobench.bench.foundations.memory import free_memory
     from gyrobench.bench.report.statements import latitude_sentence
-    from gyrobench.bench.report.terminal.tables import section_view
 
-    safe_state = "\n".join(each.text for each in outcome.safe_state)
-    is_finished = outcome.ended == "finished"
+    is_finished, safe_state = outcome.ended == "finished", "\n".join(each.text for each in outcome.safe_state)
     if not is_finished:
         console.print(f"The run {outcome.ended}: {outcome.reason}", soft_wrap=True, style="bold red")
         console.print(safe_state, soft_wrap=True)
+    record, shortcoming = (
+        _end_record(folder, outcome),
+        outcome.shortcoming(fail_on.value if fail_on else None),
+    )
+    rate = outcome.results.up_rate
+    latitude = rate and latitude_sentence(
+        rate.finding, RAD_TO_ARCMIN * rate.latitude_error, RAD_TO_ARCMIN * rate.latitude_sigma
+    )
     outcome.release()
-    free_memory()
+    free_memory()  # which the modules that are imported now use again
+
+    from gyrobench.bench.report.journal_sections import add_step, durations_section
+    from gyrobench.bench.report.run_report import units_section, write_report, write_units_report
+    from gyrobench.bench.report.terminal.tables import section_view
+    from gyrobench.bench.runs.journal import read_journal
+
     report = write_units_report(folder) if outcome.units else write_report(folder)
-    results = outcome.results
     if outcome.units:
         console.print(section_view(units_section(folder)))
     else:
-        print_tables(
-            console,
-            results.bins,
-            results.calibration_check,
-            results.acceptance,
-            [row for plateau in results.coefficients for row in plateau.rows()],
-            results.characteristics,
-        )
-    rate = results.up_rate
-    if rate is not None and (
-        text := latitude_sentence(
-            rate.finding, RAD_TO_ARCMIN * rate.latitude_error, RAD_TO_ARCMIN * rate.latitude_sigma
-        )
-    ):
-        console.print(text, soft_wrap=True, style="bold red")
-    console.print(section_view(durations_section(outcome.took_s)))
+        print_tables(console, folder)
+    if latitude:
+        console.print(latitude, soft_wrap=True, style="bold red")
+    took: dict[str, KindDuration] = {}
+    for entry in read_journal(folder.journal):
+        add_step(took, entry)
+    console.print(section_view(durations_section(took.values())))
     if is_finished:
         console.print(safe_state, soft_wrap=True)
     figures = "" if outcome.units else f"Figures  {folder.figures}\n"
     console.print(f"Report   {report}\n{figures}Folder   {folder.path}", soft_wrap=True)
     if as_json:
-        print_json(_end_record(folder, outcome, report))
+        print_json(record)
     if not is_finished:
         console.print(f"Resume   gyrobench resume {folder.path}", soft_wrap=True)
         raise typer.Exit(EXIT_NOT_FINISHED)
-    if shortcoming := outcome.shortcoming(fail_on.value if fail_on else None):
+    if shortcoming:
         console.print(shortcoming, soft_wrap=True, style="bold red")
         raise typer.Exit(EXIT_NOT_FINISHED)
 
 
-def _end_record(folder: RunFolder, outcome: RunOutcome, report: Path) -> dict[str, object]:
+def _end_record(folder: RunFolder, outcome: RunOutcome) -> dict[str, object]:
     units = {
         number: {
             "ended": unit.ended,
@@ -207,7 +214,7 @@ def _end_record(folder: RunFolder, outcome: RunOutcome, report: Path) -> dict[st
         "ended": outcome.ended,
         "reason": outcome.reason or None,
         "folder": folder.path,
-        "report": report,
+        "report": folder.report,
         "dwells": len(outcome.dwells) + len(outcome.check_dwells),
         "verdict": outcome.results.acceptance.verdict,
         "safe_state": outcome.safe_state,

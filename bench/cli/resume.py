@@ -60,4 +60,5 @@ def resume(
     job = resumption.job
     with observe_in_terminal(terminal, job, view is View.LIVE) as (progress, answers):
         folder, outcome = resume_run(resumption, progress, answers)
+    del resumption, job, progress, answers  # and with them the instruments: the report needs the memory
     print_end(terminal, folder, outcome, as_json, fail_on)

@@ -84,11 +84,7 @@ class Problem:
 
     def chi2_reduction(self, columns: FloatArray, kept: BoolArray | None = None) -> tuple[float, int]:
         """Reduction of chi2 by a fit of terms, and the number of independent ones among them."""
-        terms = np.moveaxis(columns[self.searched] / self.sigma_dph[..., np.newaxis], 1, 0)
-        if kept is not None:
-            terms = np.where(kept[:, np.newaxis], terms, 0.0)
-        lengths = np.sqrt(np.sum(terms**2, axis=1, keepdims=True))
-        terms = _residual(self._stacked_bases, terms / np.where(lengths > 0.0, lengths, 1.0))
+        terms = self.independent_parts(columns, kept)
         squares, directions = np.linalg.eigh(terms.mT @ terms)
         independent = squares > MIN_SHARE**2
         parts = (directions.mT @ (terms.mT @ self.residuals.T[..., np.newaxis]))[..., 0]
@@ -122,6 +118,14 @@ class Problem:
             mine = mine[:, kept[gyro]]
         lengths = np.linalg.norm(mine, axis=0)
         return _residual(self.bases[gyro], mine[:, lengths > 0.0] / lengths[lengths > 0.0])
+
+    def independent_parts(self, columns: FloatArray, kept: BoolArray | None) -> FloatArray:
+        """The same of all three gyros, shape (3, m, k), zero where not kept."""
+        terms = (columns[self.searched] / self.sigma_dph[..., np.newaxis]).transpose(1, 0, 2)
+        if kept is not None:
+            terms = np.where(kept[:, np.newaxis], terms, 0.0)
+        lengths = np.sqrt(np.sum(terms**2, axis=1, keepdims=True))
+        return _residual(self._stacked_bases, terms / np.where(lengths > 0.0, lengths, 1.0))
 
 
 def declared_problem(campaign: Campaign, searched: BoolArray, noise_scale: float = 1.0) -> Problem:

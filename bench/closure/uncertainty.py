@@ -282,14 +282,12 @@ class _Place:
         if np.any(place < self.low) or np.any(place > self.high):
             return -np.inf
         columns, kept = stack(self.candidates_at(place), self._problem.campaign)
-        density = 0.0
-        for gyro in range(3):
-            terms = self._problem.independent_part(columns, gyro, kept)
-            used = kept[gyro] & np.any(columns[self._problem.searched, gyro] != 0.0, axis=0)
-            root = np.linalg.cholesky(terms.T @ terms + np.diag(self._priors[used] ** 2))
-            parts = np.linalg.solve(root, terms.T @ self._problem.residuals[:, gyro])
-            density += float(0.5 * parts @ parts - np.sum(np.log(np.diag(root))))
-        return density
+        terms = self._problem.independent_parts(columns, kept)
+        used = kept & np.any(columns[self._problem.searched] != 0.0, axis=0)
+        squares = np.where(used, self._priors**2, 1.0)  # a term that is not used adds nothing
+        root = np.linalg.cholesky(terms.mT @ terms + squares[..., np.newaxis] * np.eye(len(self._priors)))
+        parts = np.linalg.solve(root, terms.mT @ self._problem.residuals.T[..., np.newaxis])
+        return float(0.5 * np.sum(parts**2) - np.sum(np.log(np.diagonal(root, axis1=1, axis2=2))))
 
     def widths(self) -> FloatArray:
         """Standard deviation of each parameter, the others at their best values."""

@@ -209,8 +209,6 @@ class Engine:
             run.journal.record("powered_on", run=self._state.at.power_ons)
             self._units.identify(again=True)
             self._settle_compensation(after_power_on=True)
-        if not is_approach:
-            run.outcome.took_s.setdefault(kind, []).append((planned.duration_s, took_s))
         run.journal.record(
             "approach_finished" if is_approach else "step_finished",
             step=planned.number,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Literal
 
@@ -37,8 +37,6 @@ class RunOutcome:
     #: Those of each unit by its number, where a run has several; it has no dwells itself then.
     units: dict[str, RunOutcome] = field(default_factory=dict)
     duration_s: float = 0.0  #: on the run's clock
-    #: Planned and actual duration of every finished step, by kind.
-    took_s: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
     #: Actions at the end that brought the bench to its safe state.
     safe_state: list[SafeAction] = field(default_factory=list)
 
@@ -65,16 +63,9 @@ class RunOutcome:
         return ""
 
     def release(self) -> None:
-        """Keep the rows of dwells and the results that are printed; the run folder has everything else."""
-        self.dwells = [replace(each, estimate=None, shared=None, windows=()) for each in self.dwells]
-        self.results = RunResults(
-            bins=self.results.bins,
-            up_rate=self.results.up_rate,
-            calibration_check=self.results.calibration_check,
-            coefficients=self.results.coefficients,
-            acceptance=self.results.acceptance,
-            characteristics=self.results.characteristics,
-        )
+        """Let go of dwells and results: the run folder has them."""
+        self.dwells, self.check_dwells = [], []
+        self.rotations, self.results = RunRotations(), RunResults()
         for unit in self.units.values():
             unit.release()
 

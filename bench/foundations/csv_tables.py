@@ -118,7 +118,7 @@ class CsvTable:
         text = self.text(index, column)
         if text not in allowed:
             self.problem(index, column, f"expected one of {', '.join(allowed)}; found '{text}'")
-        return text
+        return sys.intern(text)  # kept once, not once for each row
 
     def integer(self, index: int, column: str) -> int:
         """Read a whole number."""
@@ -262,20 +262,23 @@ def read_rows(
 
 
 def each_row(
-    path: Path, kind: type[RowT], readers: Mapping[str, CellReader] = MappingProxyType({})
+    path: Path,
+    kind: type[RowT],
+    readers: Mapping[str, CellReader] = MappingProxyType({}),
+    columns: Mapping[str, str] = MappingProxyType({}),
 ) -> Iterator[RowT]:
     """The same one after the other, of a table that is larger than what is made of it.
 
     Raises DocumentError at the first part of the file that is wrong.
     """
-    names = {each.name: each.name for each in fields(kind)}  # type: ignore[arg-type]
+    names = {each.name: columns.get(each.name, each.name) for each in fields(kind)}  # type: ignore[arg-type]
     lines = read_lines(path, MAX_TABLE_BYTES, DocumentError)
     header, left_out = next(lines, b""), 0
     while (part := list(islice(lines, _PART_LINES))) or not left_out:
         while sum(line.count(b'"') for line in part) % 2 and (line := next(lines, b"")):
             part.append(line)  # of a cell with line ends
         text = _decoded(path, b"".join([header, *part]))
-        yield from _read(CsvTable(text, str(path), list(names), left_out), kind, readers, names)
+        yield from _read(CsvTable(text, str(path), list(names.values()), left_out), kind, readers, names)
         left_out += max(len(part), 1)
 
 

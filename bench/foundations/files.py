@@ -74,7 +74,7 @@ def parse_json(text: str | bytes) -> Any:
         raise ValueError("nested too deeply") from None
 
 
-def write_whole(path: Path, data: bytes | Iterable[bytes], *, is_synced: bool = True) -> None:
+def write_whole(path: Path, data: bytes | Iterable[bytes | bytearray], *, is_synced: bool = True) -> None:
     """Write a file, from one or more parts, whole or not at all; when this returns, it is on the disk.
 
     An existing file of that name is replaced atomically.

@@ -161,7 +161,9 @@ class LinesView(RunObserver):
         if isinstance(planned.step, Chamber):
             time = hours_minutes(bench.clock.now())
             now = f"chamber {bench.readings.chamber.temperature_c:.1f} degC now"
-            self._console.print(f"{time:>5s} h  {planned.step.describe()}, {now}", highlight=False)
+            self._console.print(
+                f"{time:>5s} h  {planned.step.describe()}, {now}", highlight=False, soft_wrap=True
+            )
 
     def ticked(self, bench: LiveBench, left_s: float) -> None:
         """Update temperatures and remaining time."""
@@ -200,7 +202,7 @@ class LinesView(RunObserver):
             for bias, sigma in zip(row.bias_dph, row.sigma_dph, strict=True)
         )
         left = "" if self._has_several else f" {hours_minutes(self._left_s):>6s}"
-        self._console.print(f"{head} {values}{left}", highlight=False)
+        self._console.print(f"{head} {values}{left}", highlight=False, soft_wrap=True)
 
 
 #: Rows above the view for scrolling lines.

@@ -19,7 +19,7 @@ from gyrobench.bench.foundations.documents import read_document
 from gyrobench.bench.foundations.errors import GyrobenchError
 from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.text import hours_minutes
-from gyrobench.bench.report.journal_sections import Took, took_in_journal
+from gyrobench.bench.report.journal_sections import KindDuration, add_step
 from gyrobench.bench.report.page import FINDINGS_FILE, Findings, read_findings_file
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import RunFacts, facts_of, read_journal
@@ -28,8 +28,8 @@ from gyrobench.bench.runs.tables.budget_table import BudgetSummary, read_budget
 from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow, read_calibration_check
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, read_coefficients
 from gyrobench.bench.runs.tables.joint_table import (
-    JointBiasRow,
     JointPlateauRow,
+    JointSigmas,
     read_joint_biases,
     read_joint_plateaus,
 )
@@ -58,9 +58,9 @@ class RunContent:
     dwells: list[DwellRow]
     bins: list[BiasBin]
     telemetry: Mapping[str, FloatArray]
-    #: joint_biases, joint_plateaus, noise, verification: Joint solution, noise of the INS, calibration check;
+    #: joint_sigmas, joint_plateaus, noise, verification: Joint solution, noise of the INS, calibration check;
     #: empty without results.
-    joint_biases: list[JointBiasRow] = field(default_factory=list)
+    joint_sigmas: Mapping[tuple[int, bool], JointSigmas] = field(default_factory=dict)
     joint_plateaus: list[JointPlateauRow] = field(default_factory=list)
     noise: NoiseEstimate | None = None
     #: Uncertainty budgets; empty where missing.
@@ -78,8 +78,8 @@ class RunContent:
     dwell_purposes: Counter[str] = field(default_factory=Counter)
     run_name: str = ""  #: Name of the run, also in the folder of one of its units.
     facts: RunFacts = field(default_factory=RunFacts)  #: Summary of the journal.
-    #: took_s, last_step: Durations of the finished steps, and the last entry of a step; empty without any.
-    took_s: Took = field(default_factory=dict)
+    #: took, last_step: Durations of the finished steps, and the last entry of a step; empty without any.
+    took: list[KindDuration] = field(default_factory=list)
     last_step: Entry = field(default_factory=dict)
 
     @property
@@ -145,7 +145,7 @@ def read_run(folder: RunFolder) -> RunContent:
         run_name=folder.run_name,
         journal=journal.entries,
         facts=journal.facts,
-        took_s=journal.took_s,
+        took=list(journal.took.values()),
         last_step=journal.last_step,
         provenance=read(folder.provenance, lambda _: read_provenance(folder), {}),
         procedure=procedure,
@@ -154,7 +154,7 @@ def read_run(folder: RunFolder) -> RunContent:
         dwell_purposes=purposes,
         bins=bins or _bins(dwells, procedure, problems),
         telemetry=read(folder.telemetry, read_telemetry, {}),
-        joint_biases=read(folder.joint_biases, read_joint_biases, [], is_optional=True),
+        joint_sigmas=read(folder.joint_biases, _joint_sigmas, {}, is_optional=True),
         joint_plateaus=read(folder.joint, read_joint_plateaus, [], is_optional=True),
         budget=read(folder.budget, _budget, BudgetSummary(), is_optional=True),
         noise=read(folder.noise, read_noise, None, is_optional=True),
@@ -174,7 +174,7 @@ class _Journal:
     def __init__(self) -> None:
         self.entries: list[Entry] = []
         self.facts = RunFacts()
-        self.took_s: dict[str, list[tuple[float, float]]] = {}
+        self.took: dict[str, KindDuration] = {}
         self.last_step: Entry = {}
         self.purposes: dict[Any, str] = {}  #: Of each finished dwell.
         self._given_up: set[str] = set()
@@ -197,8 +197,7 @@ class _Journal:
         event, marks = entry.get("event"), entry.get("marks")
         if event in ("step_started", "step_finished"):
             self.last_step = entry
-            for kind, durations in took_in_journal([entry]).items():
-                self.took_s.setdefault(kind, []).extend(durations)
+            add_step(self.took, entry)
         elif event == "dwell_finished" and isinstance(marks, Mapping):
             dwell = marks.get("dwell")
             is_for = [text for key, text in _PURPOSES.items() if marks.get(key)]
@@ -256,6 +255,10 @@ def _chapters(folder: RunFolder, problems: list[str]) -> list[Findings]:
 
 def _budget(path: Path) -> BudgetSummary:
     return BudgetSummary.of(read_budget(path))
+
+
+def _joint_sigmas(path: Path) -> dict[tuple[int, bool], JointSigmas]:
+    return JointSigmas.of(read_joint_biases(path))
 
 
 def _mapping(path: Path) -> Entry:

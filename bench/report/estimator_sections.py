@@ -14,7 +14,7 @@ from gyrobench.bench.bias.noise_estimate import NoiseEstimate, compare_noise
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.vertical_pairs import Finding
 from gyrobench.bench.foundations.text import counted
-from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
+from gyrobench.bench.navigation.positions import AXES, gyro_label, position_label
 from gyrobench.bench.report.figures.estimators import (
     differences_dph,
     estimators_figure,
@@ -26,7 +26,7 @@ from gyrobench.bench.report.figures.estimators import (
 from gyrobench.bench.report.number_format import NO_PAPER, BiasScale, p_text
 from gyrobench.bench.report.page import Section, SectionFigure, SectionTable
 from gyrobench.bench.report.statements import SIGNIFICANCE, fit_sentence
-from gyrobench.bench.runs.tables.joint_table import JointBiasRow, JointPlateauRow
+from gyrobench.bench.runs.tables.joint_table import JointPlateauRow, JointSigmas
 
 _STATE_SPACE = (
     "Biases are those of the state-space estimator: it fits the full error model of an INS at rest, "
@@ -132,26 +132,28 @@ _WRONG_FIT_P = 1e-3
 _UNKNOWN_ACCELEROMETER_UG = 100.0
 
 
-def joint_section(biases: Sequence[JointBiasRow], plateaus: Sequence[JointPlateauRow]) -> Section | None:
+#: By plateau, and whether the gyro was vertical.
+_Sigmas = Mapping[tuple[int, bool], JointSigmas]
+
+
+def joint_section(sigmas: _Sigmas, plateaus: Sequence[JointPlateauRow]) -> Section | None:
     """Results of the joint solution; None without its tables."""
-    if not (biases and plateaus):
+    if not (sigmas and plateaus):
         return None
     return Section(
         "Joint solution of each plateau",
         [
-            f"{_TOGETHER} {_gain_sentence(biases)}",
+            f"{_TOGETHER} {_gain_sentence(sigmas)}",
             f"{_UP} {_finding_sentence(plateaus)}",
             *_misfits(plateaus),
         ],
-        tables=[_gain_table(biases), _plateau_table(plateaus)],
+        tables=[_gain_table(sigmas), _plateau_table(plateaus)],
     )
 
 
-def _gain_sentence(rows: Sequence[JointBiasRow]) -> str:
-    level, vertical = (
-        _smaller(float(np.median([row.gain for row in rows if _is_vertical(row) is wanted])))
-        for wanted in (False, True)
-    )
+def _gain_sentence(sigmas: _Sigmas) -> str:
+    by_way = [[own.gains for (_, up), own in sigmas.items() if up is way] for way in (False, True)]
+    level, vertical = (_smaller(float(np.median([gain for each in own for gain in each]))) for own in by_way)
     if not (level or vertical):
         return "The joint solution does not reduce the uncertainties (medians)."
     return (
@@ -164,10 +166,6 @@ def _smaller(gain: float) -> str:
     """Reduction in percent; empty if it rounds to zero."""
     text = f"{100.0 * (1.0 - 1.0 / gain):.1f}"
     return f"{text} %" if float(text) > 0.0 else ""
-
-
-def _is_vertical(row: JointBiasRow) -> bool:
-    return AXES[POSITIONS[row.position].up_axis] == row.gyro
 
 
 def _finding_sentence(plateaus: Sequence[JointPlateauRow]) -> str:
@@ -200,18 +198,16 @@ def _p_in_brackets(p_value: float) -> str:
     return text and f" (p {text if text.startswith('<') else f'= {text}'})"
 
 
-def _gain_table(rows: Sequence[JointBiasRow]) -> SectionTable:
-    plateaus = sorted({row.plateau for row in rows})
+def _gain_table(sigmas: _Sigmas) -> SectionTable:
     cells = []
-    for plateau in plateaus:
-        own = [row for row in rows if row.plateau == plateau]
+    for plateau in sorted({plateau for plateau, _ in sigmas}):
         cells.append([str(plateau)])
-        for vertical in (False, True):
-            chosen = [row for row in own if _is_vertical(row) is vertical]
+        for way in (False, True):
+            own = sigmas.get((plateau, way), JointSigmas())
             cells[-1] += [
-                f"{1e3 * float(np.median([row.single_sigma_dph for row in chosen])):.2f}",
-                f"{1e3 * float(np.median([row.joint_sigma_dph for row in chosen])):.2f}",
-                f"{float(np.median([row.gain for row in chosen])):.3f}",
+                f"{1e3 * float(np.median(own.single_dph)):.2f}",
+                f"{1e3 * float(np.median(own.joint_dph)):.2f}",
+                f"{float(np.median(own.gains)):.3f}",
             ]
     return SectionTable(
         "Median standard uncertainty of a bias, single and joint, 10⁻³ deg/h, and their ratio",

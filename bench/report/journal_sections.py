@@ -13,9 +13,6 @@ from typing import Any
 from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.report.page import Mark, Section, SectionTable
 
-#: Planned and actual duration, s, of every finished step, by kind.
-Took = Mapping[str, Sequence[tuple[float, float]]]
-
 
 @dataclass(frozen=True)
 class KindDuration:
@@ -41,22 +38,24 @@ class KindDuration:
         return [self.kind, str(self.count), *durations, self.difference]
 
 
-def durations_by_kind(took: Took) -> list[KindDuration]:
+def durations_by_kind(took: Iterable[KindDuration]) -> list[KindDuration]:
     """Sums by kind, longest first, and the total last; empty if no step has finished."""
-    kinds = [_summed(kind.replace("_", " "), pairs) for kind, pairs in took.items() if pairs]
-    kinds.sort(key=lambda each: -each.took_s)
-    everything = [pair for pairs in took.values() for pair in pairs]
-    return [*kinds, _summed("all", everything)] if kinds else []
+    kinds = sorted(took, key=lambda each: -each.took_s)
+    counts, planned_s, took_s = ([getattr(each, name) for each in kinds] for name in _SUMS)
+    return [*kinds, KindDuration("all", sum(counts), sum(planned_s), sum(took_s))] if kinds else []
 
 
-def took_in_journal(journal: Iterable[Mapping[str, Any]]) -> dict[str, list[tuple[float, float]]]:
-    """Durations of the finished steps of a journal."""
-    took: dict[str, list[tuple[float, float]]] = {}
-    for entry in journal:
-        if entry.get("event") == "step_finished" and {"kind", "planned_s", "took_s"} <= entry.keys():
-            pair = (float(entry["planned_s"]), float(entry["took_s"]))
-            took.setdefault(str(entry["kind"]), []).append(pair)
-    return took
+def add_step(took: dict[str, KindDuration], entry: Mapping[str, Any]) -> None:
+    """Add an entry of a journal to the sums by kind, if a step has finished with it."""
+    if entry.get("event") == "step_finished" and {"kind", "planned_s", "took_s"} <= entry.keys():
+        kind = str(entry["kind"]).replace("_", " ")
+        sums = took.get(kind, KindDuration(kind, 0, 0.0, 0.0))
+        took[kind] = KindDuration(
+            kind,
+            sums.count + 1,
+            sums.planned_s + float(entry["planned_s"]),
+            sums.took_s + float(entry["took_s"]),
+        )
 
 
 def clock_time(duration_s: float) -> str:
@@ -65,12 +64,9 @@ def clock_time(duration_s: float) -> str:
     return f"{seconds // 3600}:{seconds // 60 % 60:02d}:{seconds % 60:02d}"
 
 
-def _summed(kind: str, pairs: Sequence[tuple[float, float]]) -> KindDuration:
-    return KindDuration(kind, len(pairs), sum(pair[0] for pair in pairs), sum(pair[1] for pair in pairs))
-
-
 Entry = Mapping[str, Any]
 
+_SUMS = ("count", "planned_s", "took_s")
 #: Longest table; beyond it, events are grouped.
 MAX_ROWS = 60
 
@@ -130,7 +126,7 @@ def run_events(journal: Sequence[Entry]) -> list[RunEvent]:
     return sorted(events, key=lambda each: each.first_s)
 
 
-def durations_section(took: Took) -> Section:
+def durations_section(took: Iterable[KindDuration]) -> Section:
     """Planned and actual durations in a table."""
     kinds = durations_by_kind(took)
     title = "Planned and actual duration"

@@ -6,12 +6,10 @@ Pages of findings (search, verification, batch) and the report of a run are all 
 from __future__ import annotations
 
 import base64
-import ctypes
 import gc
 import io
 import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from functools import cache
 from pathlib import Path, PurePosixPath
@@ -24,6 +22,7 @@ from pydantic.dataclasses import dataclass
 from gyrobench.bench.foundations.csv_tables import read_text
 from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError
 from gyrobench.bench.foundations.files import make_folder, parse_json, write_whole
+from gyrobench.bench.foundations.memory import free_memory
 from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.report.figures.style import is_drawn, save_figure, save_vectors, stamp
 
@@ -210,13 +209,6 @@ def _as_file(
         save_vectors(figure, path, vectors)
         free_memory()
     return replace(drawn, figure=path)
-
-
-def free_memory() -> None:
-    """Free figures, cycles of some megabytes; and return memory to the system, where its library can."""
-    gc.collect()
-    with suppress(AttributeError, OSError, TypeError):
-        ctypes.CDLL(None).malloc_trim(0)
 
 
 def _data_uri(path: Path) -> str:

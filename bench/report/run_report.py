@@ -49,7 +49,7 @@ from gyrobench.bench.report.figures.bias import (
     position_difference_figure,
     position_pair_figure,
 )
-from gyrobench.bench.report.figures.temperatures import Readings, temperature_figure
+from gyrobench.bench.report.figures.temperatures import DRAWN, Readings, temperature_figure
 from gyrobench.bench.report.journal_sections import durations_section, events_section
 from gyrobench.bench.report.number_format import BiasScale
 from gyrobench.bench.report.page import (
@@ -114,6 +114,7 @@ def write_report(
     if prepared_by:
         note_preparer(folder, prepared_by)
     content, hashes = _with_hashes(folder)
+    content = _shown(content)
     by = prepared_by or str(content.provenance.get("prepared_by", ""))
     make_folder(into.figures)
     marked_c = [*content.marked_temperatures_c, *mark_temperatures_c]
@@ -138,6 +139,15 @@ def write_report(
     return into.report
 
 
+def _shown(content: RunContent) -> RunContent:
+    """The content without what the report does not show: figures need the memory."""
+    return replace(
+        content,
+        telemetry={name: content.telemetry[name] for name in DRAWN if content.telemetry},
+        coefficients=content.coefficients if has_rotations(content.coefficients) else [],
+    )
+
+
 def _figures_key(content: RunContent, before: RunContent | None, marked_c: Sequence[float]) -> str:
     """Hash of what the figures show and of the code that draws them."""
     code = sorted(file_sha256(each) for each in Path(__file__).parent.rglob("*.py"))
@@ -152,9 +162,12 @@ def _figures_key(content: RunContent, before: RunContent | None, marked_c: Seque
         before.bins if before else None,
     )
     programs = __version__, matplotlib.__version__
+    shown = hashlib.sha256()
     with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
-        inputs = repr((tables, content.station, marked_c, code, programs, list(content.telemetry)))
-    shown = hashlib.sha256(inputs.encode())
+        for each in (*tables, [content.station, marked_c, code, programs, list(content.telemetry)]):
+            for part in each if isinstance(each, list) else [each]:  # one by one: all would take megabytes
+                shown.update(repr(part).encode())
+            shown.update(b";")
     for values in content.telemetry.values():
         shown.update(values.tobytes())
     return shown.hexdigest()
@@ -191,7 +204,7 @@ def render(
         dwells_section(content.dwells, no_dwell),
         events_section(content.journal),
         _list_section("Approvals of the investigation", content.approvals),
-        durations_section(content.took_s),
+        durations_section(content.took),
         _list_section("Assumptions of the procedure", content.procedure.get("assumptions")),
         _instruments_section(content),
         _hashes_section(hashes),
@@ -241,7 +254,7 @@ def _analysis_sections(content: RunContent, marked_c: Sequence[float]) -> list[S
         budget_section(content.budget),
         estimators_section(content.dwells, marked_c),
         fit_section(content.dwells),
-        joint_section(content.joint_biases, content.joint_plateaus),
+        joint_section(content.joint_sigmas, content.joint_plateaus),
         noise_section(content.noise, content.station),
         verification_section(content.verification),
     ]
@@ -452,7 +465,7 @@ def write_units_report(folder: RunFolder, prepared_by: str = "", vectors: Sequen
             _units_section(content, units),
             Section("Reports", items=[PurePosixPath("units", unit.name, "report.html") for unit in units]),
             *filter(None, [events_section(content.journal)]),
-            durations_section(content.took_s),
+            durations_section(content.took),
         ],
     )
     watermark = SIMULATED if content.is_simulated else ""

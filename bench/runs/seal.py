@@ -55,7 +55,7 @@ _MAX_BYTES = 500_000_000
 _MAX_COMMAND_CHARACTERS = 300
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class SealedFile:
     """A file as it was sealed; the fingerprint is empty where an earlier seal has the same content."""
 
@@ -169,12 +169,12 @@ def _seal_folder(
     seals = _read_seals(folder.path)
     last = seals[-1] if seals else None
     sealed = last.files if last else {}
-    files = {}
-    for path in _paths(folder.path):
-        at = folder.path / path
-        digest = known.get(path) or file_sha256(at)
-        is_known = path in sealed and sealed[path].sha256 == digest
-        files[path] = SealedFile(at.stat().st_size, digest, "" if is_known else fingerprint_of(at))
+    files = {
+        path: SealedFile(
+            (folder.path / path).stat().st_size, known.get(path) or file_sha256(folder.path / path)
+        )
+        for path in _paths(folder.path)
+    }
     changes = _changes(folder.path, sealed, files)
     if last and not changes:
         return None
@@ -196,12 +196,28 @@ def _seal_folder(
         journal_broken_links=broken_links(journal_lines(folder.journal)),
         files=files,
     )
-    record = {name: value for name, value in asdict(seal).items() if name not in _NOT_WRITTEN}
-    text = json.dumps(record).encode()
+    text = bytearray()
+    for part in _text(folder.path, seal, sealed):
+        text += part
     signature = {"sha256": hashlib.sha256(text).hexdigest(), **_signature(text, key)}
     make_folder(folder.path / _SEALS)
     write_whole(folder.path / seal.where, [text, b"\n", json.dumps(signature).encode(), b"\n"])
     return folder.path / seal.where
+
+
+def _text(root: Path, seal: Seal, before: Mapping[str, SealedFile]) -> Iterator[bytes]:
+    """Give a seal as JSON, file by file: fingerprints are the most of it, and made here."""
+    record = {name: value for name, value in vars(seal).items() if name not in _NOT_WRITTEN}
+    yield json.dumps({**record, "changes": asdict(seal.changes), "files": {}}).encode().removesuffix(b"}}")
+    separator = ""
+    for path, each in seal.files.items():
+        is_known = path in before and before[path].sha256 == each.sha256
+        known = json.dumps({"size_bytes": each.size_bytes, "sha256": each.sha256}).removesuffix("}")
+        yield f'{separator}{json.dumps(path)}: {known}, "fingerprint": "'.encode()
+        yield b"" if is_known else fingerprint_of(root / path).encode()  # no character of it is escaped
+        yield b'"}'
+        separator = ", "
+    yield b"}}"
 
 
 def keep_sealed(folder: RunFolder, known: Mapping[str, str] = MappingProxyType({})) -> None:
@@ -375,7 +391,7 @@ def _problem_of(text: bytes, signature: Mapping[str, Any], key: bytes, trusted: 
     return ""
 
 
-def _signature(text: bytes, key: Path | None) -> dict[str, str]:
+def _signature(text: bytearray, key: Path | None) -> dict[str, str]:
     configured = os.environ.get(KEY_VARIABLE, "")
     if key is None and not configured:
         return {"unsigned": f"no key; {KEY_VARIABLE} names one"}

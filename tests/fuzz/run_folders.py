@@ -247,12 +247,9 @@ def use_noise(run: Path) -> Callable[[Path, bytes], None]:
     def use(folder: Path, data: bytes) -> None:
         copy = RunFolder(_copied(run, folder))
         copy.noise.write_bytes(data)
-        for path, read in (
-            (copy.bias_bins, read_bins),
-            (copy.joint, read_joint_plateaus),
-            (copy.joint_biases, read_joint_biases),
-        ):
+        for path, read in ((copy.bias_bins, read_bins), (copy.joint, read_joint_plateaus)):
             read(path)
+        list(read_joint_biases(copy.joint_biases))
         noise = read_noise(copy.noise)
         noise_section(noise, {})
 

@@ -22,7 +22,7 @@ from matplotlib.patches import Rectangle
 
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.bench.navigation.positions import POSITIONS, gyro_label, position_label
+from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.report.figures.style import (
     GYRO_STYLES,
     POSITION_STYLES,
@@ -38,6 +38,11 @@ if TYPE_CHECKING:
 
 #: Column name to values, as :func:`gyrobench.bench.runs.telemetry.read_telemetry` gives them.
 Readings = Mapping[str, FloatArray]
+#: The columns that are drawn.
+DRAWN = (
+    *("time_s", "chamber_set_c", "chamber_c"),
+    *(f"{sensor}_{axis}_c" for sensor in ("gyro", "board") for axis in AXES),
+)
 
 _SHORT_RUN_S = 7200.0
 _MIN_AXIS_S = 60.0

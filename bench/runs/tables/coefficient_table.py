@@ -23,7 +23,7 @@ from gyrobench.bench.foundations.csv_tables import (
 from gyrobench.bench.runs.tables.budget_table import read_budget
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class PlateauCoefficientRow:
     """One coefficient at one plateau; NaN where a number is not known."""
 

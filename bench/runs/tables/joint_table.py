@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from array import array
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -12,7 +13,7 @@ import numpy as np
 
 from gyrobench.bench.bias.vertical_pairs import Finding, UpRate
 from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN, RADPS_TO_DPH, UG_TO_MPS2
-from gyrobench.bench.foundations.csv_tables import format_rows, one_of, read_rows, write_text
+from gyrobench.bench.foundations.csv_tables import each_row, format_rows, one_of, read_rows, write_text
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
 if TYPE_CHECKING:
@@ -41,10 +42,29 @@ class JointBiasRow:
     corrected_dph: float
     corrected_sigma_dph: float
 
+
+@dataclass(frozen=True)
+class JointSigmas:
+    """Standard uncertainties of biases, deg/h: of dwells by themselves, and joint."""
+
+    single_dph: array[float] = field(default_factory=lambda: array("d"))
+    joint_dph: array[float] = field(default_factory=lambda: array("d"))
+
+    @classmethod
+    def of(cls, rows: Iterable[JointBiasRow]) -> dict[tuple[int, bool], JointSigmas]:
+        """By plateau, and whether the gyro was vertical."""
+        found: dict[tuple[int, bool], JointSigmas] = {}
+        for row in rows:
+            is_vertical = AXES[POSITIONS[row.position].up_axis] == row.gyro
+            sigmas = found.setdefault((row.plateau, is_vertical), cls())
+            sigmas.single_dph.append(row.single_sigma_dph)
+            sigmas.joint_dph.append(row.joint_sigma_dph)
+        return found
+
     @property
-    def gain(self) -> float:
-        """Uncertainty of the dwell by itself over that of all together."""
-        return self.single_sigma_dph / self.joint_sigma_dph
+    def gains(self) -> list[float]:
+        """Uncertainties of the dwells by themselves over the joint ones."""
+        return [one / joint for one, joint in zip(self.single_dph, self.joint_dph, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -104,9 +124,9 @@ def write_joint(path: Path, rows: Iterable[Row], kind: type[Row]) -> None:
     write_text(path, format_rows(columns(kind), rows))
 
 
-def read_joint_biases(path: Path) -> list[JointBiasRow]:
-    """Read ``joint_biases.csv``; errors as for :func:`gyrobench.bench.foundations.csv_tables.read_rows`."""
-    return read_rows(path, JointBiasRow, {"position": one_of(POSITIONS), "gyro": one_of(AXES)}, _COLUMNS)
+def read_joint_biases(path: Path) -> Iterator[JointBiasRow]:
+    """Give the rows of ``joint_biases.csv``; see :func:`gyrobench.bench.foundations.csv_tables.each_row`."""
+    return each_row(path, JointBiasRow, {"position": one_of(POSITIONS), "gyro": one_of(AXES)}, _COLUMNS)
 
 
 def read_joint_plateaus(path: Path) -> list[JointPlateauRow]:

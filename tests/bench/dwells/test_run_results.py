@@ -140,7 +140,7 @@ def test_a_run_without_results_leaves_tables_without_rows(tmp_path):
     folder = RunFolder(tmp_path)
     write_results(folder, RunResults())
     assert read_bins(folder.bias_bins) == []
-    assert read_joint_biases(folder.joint_biases) == []
+    assert list(read_joint_biases(folder.joint_biases)) == []
     assert read_joint_plateaus(folder.joint) == []
     assert not folder.noise.exists()
     assert not folder.budget.exists()

@@ -9,7 +9,7 @@ import pytest
 
 from gyrobench.bench.report.estimator_sections import joint_section
 from gyrobench.bench.report.page import Section
-from gyrobench.bench.runs.tables.joint_table import JointBiasRow, JointPlateauRow
+from gyrobench.bench.runs.tables.joint_table import JointBiasRow, JointPlateauRow, JointSigmas
 
 
 def plateau_row(plateau: int = 1, finding: str = "different", **changed: float) -> JointPlateauRow:
@@ -50,7 +50,7 @@ def bias_rows(plateau: int = 1, level: float = 0.002, vertical: float = 0.0012) 
 
 
 def section_of(plateaus: list[JointPlateauRow], biases: list[JointBiasRow] | None = None) -> Section:
-    section = joint_section(bias_rows() if biases is None else biases, plateaus)
+    section = joint_section(JointSigmas.of(bias_rows() if biases is None else biases), plateaus)
     assert section is not None
     return section
 
@@ -149,6 +149,6 @@ def test_each_plateau_has_its_gains() -> None:
 
 
 def test_there_is_no_section_without_either_table() -> None:
-    assert joint_section([], []) is None
-    assert joint_section([], [plateau_row()]) is None
-    assert joint_section(bias_rows(), []) is None
+    assert joint_section({}, []) is None
+    assert joint_section({}, [plateau_row()]) is None
+    assert joint_section(JointSigmas.of(bias_rows()), []) is None

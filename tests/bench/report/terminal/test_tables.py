@@ -16,7 +16,7 @@ from gyrobench.bench.procedure.plan import expand
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.procedure.timeline import timeline_rows
 from gyrobench.bench.report.bias_sections import bins_summary
-from gyrobench.bench.report.journal_sections import durations_section
+from gyrobench.bench.report.journal_sections import KindDuration, durations_section
 from gyrobench.bench.report.terminal.tables import section_view, timeline_table
 
 
@@ -125,14 +125,18 @@ def test_timeline_shows_all_rows_and_the_total(name: str) -> None:
 
 def test_durations_by_kind_end_with_all() -> None:
     lines = printed(
-        section_view(durations_section({"go_to": [(23.0, 25.0)] * 60, "soak": [(5400.0, 3700.0)]}))
+        section_view(
+            durations_section(
+                [KindDuration("go to", 60, 1380.0, 1500.0), KindDuration("soak", 1, 5400.0, 3700.0)]
+            )
+        )
     )
     assert lines[-1].split()[:4] == ["all", "61", "1:53:00", "1:26:40"]
     assert ["go", "to", "60", "0:23:00", "0:25:00"] in [line.split()[:5] for line in lines]
 
 
 def test_nothing_done_says_so() -> None:
-    assert printed(section_view(durations_section({}))) == [
+    assert printed(section_view(durations_section([]))) == [
         "Planned and actual duration",
         "No step was finished.",
     ]
