@@ -141,6 +141,8 @@ def _root(function: Callable[[float], float], one: float, other: float) -> float
     at_one, at_other = function(one), function(other)
     while abs(other - one) > 1e-13 + 1e-15 * abs(other) and at_other:
         middle = other - at_other * (other - one) / (at_other - at_one)
+        if middle == other:  # as near as numbers are
+            break
         at_middle = function(middle)
         if at_middle * at_other < 0.0:
             one, at_one = other, at_other
