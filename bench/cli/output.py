@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from gyrobench.bench.cli.options import FailOn
     from gyrobench.bench.engine.observers import RunOutcome
     from gyrobench.bench.monitor.terminal import RunConsole
-    from gyrobench.bench.report.journal_sections import KindDuration
     from gyrobench.bench.runs.folder import RunFolder
 
 Row = TypeVar("Row")
@@ -120,14 +119,10 @@ def print_tables(console: Console, folder: RunFolder) -> None:
     def read(path: Path, reader: Callable[[Path], list[Row]]) -> list[Row]:
         return reader(path) if path.exists() else []
 
-    bins, verification = (
-        read(folder.bias_bins, read_bins),
-        read(folder.calibration_check, read_calibration_check),
-    )
-    coefficients, characteristics = (
-        read(folder.coefficients, read_coefficients),
-        read(folder.characteristics, read_characteristics),
-    )
+    bins = read(folder.bias_bins, read_bins)
+    verification = read(folder.calibration_check, read_calibration_check)
+    coefficients = read(folder.coefficients, read_coefficients)
+    characteristics = read(folder.characteristics, read_characteristics)
     sections = [
         bins_summary(bins) if bins or not (verification or coefficients or characteristics) else None,
         verification_section(verification),
@@ -155,14 +150,13 @@ def print_end(
     from gyrobench.bench.foundations.memory import free_memory
     from gyrobench.bench.report.statements import latitude_sentence
 
-    is_finished, safe_state = outcome.ended == "finished", "\n".join(each.text for each in outcome.safe_state)
+    is_finished = outcome.ended == "finished"
+    safe_state = "\n".join(each.text for each in outcome.safe_state)
     if not is_finished:
         console.print(f"The run {outcome.ended}: {outcome.reason}", soft_wrap=True, style="bold red")
         console.print(safe_state, soft_wrap=True)
-    record, shortcoming = (
-        _end_record(folder, outcome),
-        outcome.shortcoming(fail_on.value if fail_on else None),
-    )
+    record = _end_record(folder, outcome)
+    shortcoming = outcome.shortcoming(fail_on.value if fail_on else None)
     rate = outcome.results.up_rate
     latitude = rate and latitude_sentence(
         rate.finding, RAD_TO_ARCMIN * rate.latitude_error, RAD_TO_ARCMIN * rate.latitude_sigma
@@ -170,7 +164,7 @@ def print_end(
     outcome.release()
     free_memory()  # which the modules that are imported now use again
 
-    from gyrobench.bench.report.journal_sections import add_step, durations_section
+    from gyrobench.bench.report.journal_sections import durations_section, step_durations
     from gyrobench.bench.report.run_report import units_section, write_report, write_units_report
     from gyrobench.bench.report.terminal.tables import section_view
     from gyrobench.bench.runs.journal import read_journal
@@ -182,10 +176,7 @@ def print_end(
         print_tables(console, folder)
     if latitude:
         console.print(latitude, soft_wrap=True, style="bold red")
-    took: dict[str, KindDuration] = {}
-    for entry in read_journal(folder.journal):
-        add_step(took, entry)
-    console.print(section_view(durations_section(took.values())))
+    console.print(section_view(durations_section(step_durations(read_journal(folder.journal)))))
     if is_finished:
         console.print(safe_state, soft_wrap=True)
     figures = "" if outcome.units else f"Figures  {folder.figures}\n"

@@ -58,6 +58,14 @@ def add_step(took: dict[str, KindDuration], entry: Mapping[str, Any]) -> None:
         )
 
 
+def step_durations(journal: Iterable[Mapping[str, Any]]) -> list[KindDuration]:
+    """Durations of the finished steps of a journal, by kind."""
+    took: dict[str, KindDuration] = {}
+    for entry in journal:
+        add_step(took, entry)
+    return list(took.values())
+
+
 def clock_time(duration_s: float) -> str:
     """Write a duration as h:mm:ss, to the nearest second."""
     seconds = round(duration_s)

@@ -121,13 +121,12 @@ def write_report(
     earlier = read_run(before) if before else None
     compared = [before_after_section(earlier, content, marked_c)] if earlier else []
     drawn = run_figures(content.telemetry, content.dwells, content.bins, content.acceptance, marked_c)
-    figures = Section("", figures=[SectionFigure(name, "", figure) for name, figure in drawn])
+    figures = [SectionFigure(name, "", figure) for name, figure in drawn]
     if uncertainties := shares(content.budget):
-        first = SectionFigure("uncertainty_budget", "", partial(budget_figure, uncertainties))
-        figures = replace(figures, figures=[*figures.figures, first])
+        figures.append(SectionFigure("uncertainty_budget", "", partial(budget_figure, uncertainties)))
     [own, *sections] = with_figure_files(
         into.figures,
-        [figures, *compared, *_analysis_sections(content, marked_c)],
+        [Section("", figures=figures), *compared, *_analysis_sections(content, marked_c)],
         _figures_key(content, earlier, marked_c),
         _watermark(content),
         vectors,
@@ -141,30 +140,22 @@ def write_report(
 
 def _shown(content: RunContent) -> RunContent:
     """The content without what the report does not show: figures need the memory."""
-    return replace(
-        content,
-        telemetry={name: content.telemetry[name] for name in DRAWN if content.telemetry},
-        coefficients=content.coefficients if has_rotations(content.coefficients) else [],
-    )
+    drawn = {name: content.telemetry[name] for name in DRAWN if content.telemetry}
+    coefficients = content.coefficients if has_rotations(content.coefficients) else []
+    return replace(content, telemetry=drawn, coefficients=coefficients)
 
 
 def _figures_key(content: RunContent, before: RunContent | None, marked_c: Sequence[float]) -> str:
     """Hash of what the figures show and of the code that draws them."""
     code = sorted(file_sha256(each) for each in Path(__file__).parent.rglob("*.py"))
-    tables = (
-        content.dwells,
-        content.bins,
-        content.acceptance,
-        content.noise,
-        shares(content.budget),
-        content.coefficients,
-        content.characteristics,
-        before.bins if before else None,
+    inputs = (
+        *(content.dwells, content.bins, content.acceptance, content.noise, shares(content.budget)),
+        *(content.coefficients, content.characteristics, before.bins if before else None),
+        [content.station, marked_c, code, __version__, matplotlib.__version__, list(content.telemetry)],
     )
-    programs = __version__, matplotlib.__version__
     shown = hashlib.sha256()
     with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
-        for each in (*tables, [content.station, marked_c, code, programs, list(content.telemetry)]):
+        for each in inputs:
             for part in each if isinstance(each, list) else [each]:  # one by one: all would take megabytes
                 shown.update(repr(part).encode())
             shown.update(b";")

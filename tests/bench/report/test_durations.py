@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gyrobench.bench.report.journal_sections import KindDuration, add_step, durations_by_kind
+from gyrobench.bench.report.journal_sections import KindDuration, durations_by_kind, step_durations
 
 
 def finished(kind: str, planned_s: float, took_s: float) -> dict[str, object]:
@@ -10,10 +10,7 @@ def finished(kind: str, planned_s: float, took_s: float) -> dict[str, object]:
 
 
 def kinds_of(*journal: dict[str, object]) -> list[KindDuration]:
-    took: dict[str, KindDuration] = {}
-    for entry in journal:
-        add_step(took, entry)
-    return durations_by_kind(took.values())
+    return durations_by_kind(step_durations(journal))
 
 
 def test_longest_comes_first_and_all_of_them_last() -> None:
