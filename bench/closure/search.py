@@ -154,8 +154,7 @@ class Search:
         """The most probable set of effects to which there is no objection, and the probabilities of all sets.
 
         The sets are those of the search by BIC and all with one effect more than the most probable or with
-        one exchanged, significant or not. A special case is preferred to a more general law that is tied with
-        it, and the simpler of sets that are about equally probable.
+        one exchanged, significant or not. The simpler of sets that are about equally probable is preferred.
         """
         best, evidences = self.best(), self.evidences
         for _ in range(_MAX_EXCHANGES):
@@ -170,8 +169,8 @@ class Search:
         similar = [fitted[names] for names in weighed.similar(found.names) if names in fitted]
         for each in similar:
             is_as_probable = weighed.odds(found.names, each.names) < _EVEN_ODDS
-            is_simpler = each.parameter_count < found.parameter_count and is_as_probable
-            if (is_simpler or self._is_special_case(each, found)) and not self._objections(each):
+            is_simpler = each.parameter_count < found.parameter_count
+            if is_simpler and is_as_probable and not self._objections(each):
                 found = each
         return found, replace(weighed, more_general=self._more_general(found, fitted, weighed))
 
@@ -184,11 +183,12 @@ class Search:
         there are: a lag of seconds is no different from a rate.
         """
         general: dict[str, frozenset[str]] = {}
-        limit = max(RIVAL, weighed.of_set(found.names, has_remainder=False) / _EVEN_ODDS)
+        of_found = weighed.of_set(found.names, has_remainder=False)
+        limit = max(RIVAL, of_found / _EVEN_ODDS)
         for each in (fitted[names] for names in weighed.similar(found.names) if names in fitted):
-            is_improbable = weighed.of_set(each.names, has_remainder=False) < limit
+            of_each = weighed.of_set(each.names, has_remainder=False)
             if self._is_special_case(found, each) and (
-                is_improbable or self._is_contained(each, [found.candidates])
+                of_each < limit or (of_each < of_found and self._is_contained(each, [found.candidates]))
             ):
                 [one], other = found.names - each.names, each.names - found.names
                 general[one] = general.get(one, frozenset()) | other

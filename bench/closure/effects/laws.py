@@ -16,17 +16,18 @@ from gyrobench.bench.closure.effects.effect import (
     Parameter,
     constant_at_end,
     fixed,
+    no_ins_term,
     same_for_all_gyros,
     searched_length_s,
     time_constant,
 )
-from gyrobench.bench.closure.effects.grammar import Law, effect_of, form_of, ins_terms
+from gyrobench.bench.closure.effects.grammar import Law, effect_of, form_of, ins_terms, mean_decay
 from gyrobench.bench.foundations.arrays import FloatArray, rms
 
 _LAG_TAU = time_constant(1.0, 300.0, 900.0, 2700.0, 7200.0)
 _HALF_WIDTH = Parameter("half_width_c", 0.3, 40.0, fixed(1.0, 2.0, 4.0, 7.0, 12.0, 20.0))
 _WARM_UP_TAU = time_constant(300.0, 900.0, 2700.0, 7200.0, 21_600.0, 64_800.0)
-_S_PER_DAY = 86_400.0
+_S_PER_H, _S_PER_DAY = 3600.0, 86_400.0
 _TWO_DAYS_S = 2.0 * _S_PER_DAY
 
 TEMPERATURE_RATE = effect_of(
@@ -41,16 +42,53 @@ TEMPERATURE_RATE = effect_of(
     imitated_by=("thermal_gradient",),
 )
 
-THERMAL_LAG = effect_of(
-    Law("gyro_c", memory="decay", parameters=(_LAG_TAU,)),
+_LAG = Law("gyro_c", memory="decay", parameters=(_LAG_TAU,))
+_AHEAD = ("sensor ahead of the lagging temperature, K",)
+#: A temperature that changes by no more at the first dwell was settled until then.
+_SETTLED_C_PER_H = 3.0
+#: Lag at the first dwell over that on a ramp which long had the rate of that dwell; 0: settled until then.
+_FIRST_LAG = Parameter("lag_at_first_dwell", 0.0, 1.0, fixed(0.0), is_place=True)
+
+
+def _lag_underway(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
+    """Sensor ahead of a temperature that lags at the first dwell already, K: (n, 3, 1)."""
+    tau_s, share = values
+    first_k = share * campaign.whole.rate_c_per_h[0] * tau_s / _S_PER_H
+    decay = mean_decay(campaign, campaign.whole.start_s[:1], tau_s)
+    return np.asarray(_LAG.columns(campaign, (tau_s,)) + (decay[:, np.newaxis] * first_k)[:, :, np.newaxis])
+
+
+def _begins_settled(campaign: Campaign) -> bool:
+    rate_c_per_h = np.nan_to_num(campaign.whole.rate_c_per_h[0])  # not measured: taken as settled
+    return bool(np.abs(rate_c_per_h).max() <= _SETTLED_C_PER_H)
+
+
+#: What warmed or cooled an INS before the first dwell is not recorded, and takes hours to be forgotten.
+THERMAL_LAG = Effect(
     name="thermal_lag",
     statement="the bias follows a temperature that lags behind the measured one",
     experiment=(
         "step the temperature once and soak: the bias settles a time constant later than the sensor; a "
         "second sensor closer to the cavity shows the lag directly"
     ),
-    terms=("sensor ahead of the lagging temperature, K",),
     imitated_by=("thermal_gradient",),
+    compensation=no_ins_term("the INS has no term for what follows a lagging temperature"),
+    forms=(
+        Form(
+            _AHEAD,
+            _LAG.columns,
+            (_LAG_TAU,),
+            lambda of: None if _begins_settled(of) else "a settled temperature at the first dwell",
+            "settled at first",
+        ),
+        Form(
+            _AHEAD,
+            _lag_underway,
+            (_LAG_TAU, _FIRST_LAG),
+            lambda of: "a changing temperature at the first dwell" if _begins_settled(of) else None,
+            "changing at first",
+        ),
+    ),
 )
 
 _PLAY = Law("gyro_c", memory="play", parameters=(_HALF_WIDTH,))

@@ -109,7 +109,7 @@ def test_effects_with_a_memory_are_those_of_each_table_alone(halves):
     weeks_s = 3e6
     later = source("b", moved(halves[1], weeks_s))
     campaign = joined([first, later])
-    [lag], [decay] = THERMAL_LAG.forms, WARM_UP.forms
+    lag, decay = THERMAL_LAG.forms[0], WARM_UP.forms[0]
     for form, tolerance in ((lag, 0.02), (decay, 1e-9)):
         columns = form.columns(campaign, (3600.0,))
         np.testing.assert_allclose(

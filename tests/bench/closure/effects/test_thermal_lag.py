@@ -8,7 +8,7 @@ from gyrobench.bench.closure.effects.laws import THERMAL_LAG as EFFECT
 from gyrobench.bench.closure.temperatures import TemperatureRecord
 from tests.bench.closure.thermal_bench import measure
 
-[FORM] = EFFECT.forms
+FORM, UNDERWAY = EFFECT.forms
 TAU_S = 1800.0
 
 
@@ -43,3 +43,23 @@ def test_it_dies_away_in_a_soak():
 def test_without_lag_there_is_nothing_left(clean):
     slow, quick = (np.abs(FORM.columns(clean, (tau_s,))).max() for tau_s in (3600.0, 60.0))
     assert quick < 0.05 * slow
+
+
+def test_at_the_first_dwell_it_is_settled_or_follows_a_temperature_that_changes(clean):
+    """Begun on a ramp, a dwell's rate shows what a settled temperature can't lag by."""
+    ramp = replace(clean, rate_c_per_h=clean.rate_c_per_h + 10.0)
+    soak = replace(clean, rate_c_per_h=clean.rate_c_per_h - clean.rate_c_per_h[0])
+    for campaign, form, other in ((ramp, UNDERWAY, FORM), (soak, FORM, UNDERWAY)):
+        assert form.missing_input(campaign) is None
+        assert other.missing_input(campaign)
+
+
+def test_on_a_ramp_that_began_long_before_the_first_dwell_the_lag_is_the_same_throughout(clean):
+    rate_c_per_s = 10.0 / 3600.0
+    time_s = np.arange(clean.start_s[0], clean.end_s[-1] + 60.0, 60.0)
+    ramp_c = np.repeat(20.0 + rate_c_per_s * time_s[:, None], 3, axis=1)
+    rates_c_per_h = np.full_like(clean.rate_c_per_h, 10.0)
+    ramp = replace(clean, record=TemperatureRecord(time_s, ramp_c), rate_c_per_h=rates_c_per_h)
+    settled, long_before = (UNDERWAY.columns(ramp, (TAU_S, share)) for share in (0.0, 1.0))
+    np.testing.assert_allclose(settled, FORM.columns(ramp, (TAU_S,)), rtol=1e-9)
+    np.testing.assert_allclose(long_before, rate_c_per_s * TAU_S, rtol=1e-4)
