@@ -272,11 +272,11 @@ def test_a_block_that_brings_flagged_dwells_alone_is_not_repeated_for_ever_and_m
 
 @pytest.mark.long
 def test_a_cause_that_held_out_dwells_leave_open_is_tested_by_a_block_and_searched_again(tmp_path):
-    """An ageing in a campaign of a day is found as a drift, and the held-out dwells do not confirm that."""
-    found = Investigator(unit_of(62), tmp_path / "short", 26.0, lambda *_: True).run(WallClock())
+    """An ageing from the power-on is found as a warm-up, and the held-out dwells do not confirm that."""
+    found = Investigator(unit_of(642), tmp_path / "ageing", 75.0, lambda *_: True).run(WallClock())
     first = found.stages[0]
     assert (first.closure.verdict, first.purpose) == ("ambiguous", "confirm")
-    assert first.rivals[0].names == ("time_drift",)
+    assert first.rivals[0].names == ("warm_up",)
     assert found.ended == "settled"
     assert [each.effect.name for each in found.closure.effects] == ["ageing"]
 
