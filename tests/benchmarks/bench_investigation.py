@@ -24,6 +24,7 @@ from gyrobench.bench.investigation.doubt import (
     SLOW,
     confirming_rivals,
     is_settled,
+    lacking_rivals,
     only_unconfirmed,
     rivals_of,
     searched,
@@ -102,9 +103,9 @@ class Tie:
             is_stated = is_settled(state.closure) or (
                 is_confirmed and only_unconfirmed(state.closure, with_weak=True)
             )
-            chosen, is_test = None, False
+            chosen, tested = None, ()
             if not (is_stated and is_cause) and len(blocks) < _MAX_BLOCKS:
-                chosen, is_test = self._next(state, value, self.campaign_h - hours)
+                chosen, tested = self._next(state, value, self.campaign_h - hours)
                 choice_s = max(choice_s, state.choice_s)
             if chosen is None:
                 is_stated |= is_confirmed and only_unconfirmed(state.closure, with_weak=False)
@@ -112,43 +113,47 @@ class Tie:
                 hours = hours if is_stated else self.campaign_h
                 return Settled(hours, is_stated, is_stated and names == self.truth, blocks, choice_s)
             hours += chosen.block.plan.duration_h
-            blocks = (*blocks, f"{TO_CONFIRM}{chosen.block.name}" if is_test else chosen.block.name)
+            blocks = (*blocks, f"{TO_CONFIRM}{chosen.block.name}" if tested else chosen.block.name)
             if blocks not in self._known:
                 unit = copy.deepcopy(state.unit)
                 new = unit.measure(chosen.block.plan)
-                tested = [*state.tested]
-                confirmed = set(state.confirmed)
-                if names:
-                    rivals = confirming_rivals(state.closure)
-                    outcome = outcome_of(state.forecast, chosen, new, rivals, state.closure.noise_scale)
-                    confirmed |= {names} if outcome and outcome.agrees else set()
-                    tested += [names] * (MAX_TESTS if outcome.is_clear else 1) if is_test and outcome else []
+                rivals = tested or confirming_rivals(state.closure)
+                cause = frozenset(rivals[0].names)
+                outcome = cause and outcome_of(state.forecast, chosen, new, rivals, state.closure.noise_scale)
+                confirmed = state.confirmed | ({cause} if outcome and outcome.agrees else set())
+                tests = MAX_TESTS if outcome and outcome.is_clear else 1 if outcome else 0
+                tests = [*state.tested, *[cause] * (tests if tested else 0)]
                 rows = [*state.rows, *new]
-                self._known[blocks] = State(unit, rows, self._held_out, blocks, tested, confirmed)
+                self._known[blocks] = State(unit, rows, self._held_out, blocks, tests, confirmed)
 
     def _next(self, state, value, left_h):
-        """The next block, and whether it confirms a cause, as `gyrobench investigate` chooses its purpose."""
+        """The next block, and the rivals that it tests, as `gyrobench investigate` chooses its purpose."""
 
         def short(found):
             return [each for each in found if each.block.plan.duration_h <= left_h]
 
-        names = frozenset(each.effect.name for each in state.closure.effects)
+        def tested(rivals, found, times):
+            usable = [] if state.tested.count(frozenset(rivals[0].names)) >= times else short(found)
+            return usable and (max(usable, key=lambda each: test_value(each, state)), rivals)
+
+        closure = state.closure
         test_value = by_test if value in (by_entropy, by_hours_left) else value
         for with_weak in (True, False):
-            is_open = only_unconfirmed(state.closure, with_weak=with_weak)
-            is_tested = state.tested.count(names) >= MAX_TESTS
-            if is_open and not is_tested and (usable := short(state.confirming)):
-                return max(usable, key=lambda each: test_value(each, state)), True
+            is_open = only_unconfirmed(closure, with_weak=with_weak)
+            if is_open and (test := tested(confirming_rivals(closure), state.confirming, MAX_TESTS)):
+                return test
             useful = [each for each in short(state.proposals) if each.can_help]
             if useful:
-                return max(useful, key=lambda each: value(each, state)), False
-        return None, False
+                return max(useful, key=lambda each: value(each, state)), ()
+        rivals = lacking_rivals(closure)
+        useful = rivals and [each for each in state.proposed(rivals) if each.can_help]
+        return (useful and tested(rivals, useful, 1)) or (None, ())
 
 
 class State:
     """A unit and its dwells after some blocks, with their search."""
 
-    def __init__(self, unit, rows, held_out, blocks, tested=(), confirmed=()):
+    def __init__(self, unit, rows, held_out, blocks, tested=(), confirmed=frozenset()):
         self.unit, self.rows = unit, rows
         #: Causes that a block tested, and those that it confirmed.
         self.tested, self.confirmed = tested, confirmed
@@ -159,18 +164,18 @@ class State:
     @functools.cached_property
     def proposals(self):
         """All blocks with what the causes predict."""
-        return self._proposed(rivals_of(self.closure))
+        return self.proposed(rivals_of(self.closure))
 
     @functools.cached_property
     def confirming(self):
         """All blocks with what the cause found predicts, and what is predicted without it."""
-        return self._proposed(confirming_rivals(self.closure))
+        return self.proposed(confirming_rivals(self.closure))
 
     @functools.cached_property
     def forecast(self):
         return Forecast(self.closure.noise.weighted(self.rows))
 
-    def _proposed(self, rivals):
+    def proposed(self, rivals):
         begin_s = time.process_time()
         found = propose(self.forecast, rivals, self.closure.noise_scale, measured=self._measured)
         self.choice_s = time.process_time() - begin_s
