@@ -132,11 +132,14 @@ def confirming_rivals(closure: Closure) -> tuple[Rival, ...]:
 def lacking_rivals(closure: Closure) -> tuple[Rival, ...]:
     """The most probable cause, and what was found of it with laws that are not exact.
 
-    None if they differ by more than effects that may be what the laws of those found lack. A block tells them
-    apart where the laws at other scales do something else, as after a power cycle.
+    None if they differ by more than effects that may be what the laws of those found lack, or if a law that
+    contains one of these was not searched, as an ageing in a short campaign. A block tells them apart where
+    the laws at other scales do something else, as after a power cycle.
     """
     best, names = closure.posterior.hypotheses[0], set(closure.names)
     lacks = {each.effect.name for each in closure.evidence if each.rejected.startswith(MAY_BE_LACK)}
+    for each in closure.evidence:
+        lacks -= set(each.effect.contains) if each.missing_input else set()
     is_lack = names < best.names <= names | lacks and not best.names >= SLOW
     if not is_lack or closure.posterior.of_all(best.names, has_remainder=None) < SETTLED:
         return ()

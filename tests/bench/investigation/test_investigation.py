@@ -281,6 +281,19 @@ def test_a_cause_that_held_out_dwells_leave_open_is_tested_by_a_block_and_search
     assert [each.effect.name for each in found.closure.effects] == ["ageing"]
 
 
+@pytest.mark.long
+def test_an_effect_that_the_law_of_another_may_lack_is_tested_by_a_power_cycle(tmp_path):
+    """In one power cycle an ageing at several time constants does what an ageing and a warm-up do."""
+    found = Investigator(unit_of(757), tmp_path / "lack", 75.0, lambda *_: True).run(WallClock())
+    first = found.stages[0]
+    assert [each.effect.name for each in first.closure.effects] == ["ageing"]
+    assert first.purpose == "confirm"
+    assert [each.names for each in first.rivals] == [("ageing", "warm_up"), ("ageing",)]
+    assert first.proposal.block.kinds == ("power cycle",)
+    assert found.ended == "settled"
+    assert {each.effect.name for each in found.closure.effects} == {"ageing", "warm_up"}
+
+
 @pytest.fixture(scope="module")
 def shown_by_one_dwell(tmp_path_factory):
     """An investigation of a hysteresis; a single dwell shows a jump of the bias as well."""
