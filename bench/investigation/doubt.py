@@ -133,7 +133,7 @@ def lacking_rivals(closure: Closure) -> tuple[Rival, ...]:
     """The most probable cause, and what was found of it with laws that are not exact.
 
     None if they differ by more than effects that may be what the laws of those found lack, or if a law that
-    contains one of these was not searched, as an ageing in a short campaign. A block tells them apart where
+    contains one of these was not searched, as an ageing in a short campaign. A block shows which it is where
     the laws at other scales do something else, as after a power cycle.
     """
     best, names = closure.posterior.hypotheses[0], set(closure.names)

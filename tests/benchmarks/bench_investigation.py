@@ -31,7 +31,7 @@ from gyrobench.bench.investigation.doubt import (
 )
 from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.investigation.investigation import MAX_TESTS
-from gyrobench.bench.investigation.proposal import hours_left, outcome_of, propose
+from gyrobench.bench.investigation.proposal import hours_left, is_confirmed_by, outcome_of, propose
 from tests.benchmarks.closure_laws import ON_THE_LIST
 from tests.benchmarks.investigation_units import SimulatedUnit
 
@@ -94,24 +94,18 @@ class Tie:
         return self.first.closure
 
     def settle(self, value):
-        """Measure blocks of largest ``value`` until a cause is settled, for at most one campaign."""
+        """Measure blocks of largest ``value`` until a settled cause is tested, for at most one campaign."""
         blocks, hours, choice_s = (), 0.0, 0.0
         while True:
             state = self._known[blocks]
-            names = frozenset(each.effect.name for each in state.closure.effects)
-            is_cause, is_confirmed = not names >= SLOW, names in state.confirmed
-            is_stated = is_settled(state.closure) or (
-                is_confirmed and only_unconfirmed(state.closure, with_weak=True)
-            )
-            chosen, tested = None, ()
-            if not (is_stated and is_cause) and len(blocks) < _MAX_BLOCKS:
-                chosen, tested = self._next(state, value, self.campaign_h - hours)
-                choice_s = max(choice_s, state.choice_s)
-            if chosen is None:
-                is_stated |= is_confirmed and only_unconfirmed(state.closure, with_weak=False)
-                is_stated &= is_cause
+            is_stated, chosen, tested = self._next(state, value, self.campaign_h - hours)
+            choice_s = max(choice_s, state.choice_s)
+            if chosen is None or len(blocks) == _MAX_BLOCKS:
+                is_stated &= not state.names >= SLOW and not any(
+                    each.contradicts for each in state.tests()[-1:]
+                )
                 hours = hours if is_stated else self.campaign_h
-                return Settled(hours, is_stated, is_stated and names == self.truth, blocks, choice_s)
+                return Settled(hours, is_stated, is_stated and state.names == self.truth, blocks, choice_s)
             hours += chosen.block.plan.duration_h
             blocks = (*blocks, f"{TO_CONFIRM}{chosen.block.name}" if tested else chosen.block.name)
             if blocks not in self._known:
@@ -120,46 +114,58 @@ class Tie:
                 rivals = tested or confirming_rivals(state.closure)
                 cause = frozenset(rivals[0].names)
                 outcome = cause and outcome_of(state.forecast, chosen, new, rivals, state.closure.noise_scale)
-                confirmed = state.confirmed | ({cause} if outcome and outcome.agrees else set())
-                tests = MAX_TESTS if outcome and outcome.is_clear else 1 if outcome else 0
-                tests = [*state.tested, *[cause] * (tests if tested else 0)]
-                rows = [*state.rows, *new]
-                self._known[blocks] = State(unit, rows, self._held_out, blocks, tests, confirmed)
+                outcomes = [*state.outcomes, *([(cause, outcome, bool(tested))] if outcome else [])]
+                self._known[blocks] = State(unit, [*state.rows, *new], self._held_out, blocks, outcomes)
 
     def _next(self, state, value, left_h):
-        """The next block, and the rivals that it tests, as `gyrobench investigate` chooses its purpose."""
-
-        def short(found):
-            return [each for each in found if each.block.plan.duration_h <= left_h]
-
-        def tested(rivals, found, times):
-            usable = [] if state.tested.count(frozenset(rivals[0].names)) >= times else short(found)
-            return usable and (max(usable, key=lambda each: test_value(each, state)), rivals)
-
-        closure = state.closure
+        """Whether a cause is stated, the next block, and the rivals that it tests, as the command decides."""
+        closure, rivals = state.closure, confirming_rivals(state.closure)
         test_value = by_test if value in (by_entropy, by_hours_left) else value
+
+        def best(found, by):
+            useful = [each for each in found if each.can_help and each.block.plan.duration_h <= left_h]
+            return max(useful, key=lambda each: by(each, state), default=None)
+
+        def is_stated(*, with_weak):
+            is_confirmed = is_confirmed_by(each for names, each, _ in state.outcomes if names == state.names)
+            return is_settled(closure) or (is_confirmed and only_unconfirmed(closure, with_weak=with_weak))
+
+        def test():
+            needs_test = state.names and not state.tests()
+            return best(state.confirming, test_value) if needs_test else None
+
         for with_weak in (True, False):
-            is_open = only_unconfirmed(closure, with_weak=with_weak)
-            if is_open and (test := tested(confirming_rivals(closure), state.confirming, MAX_TESTS)):
-                return test
-            useful = [each for each in short(state.proposals) if each.can_help]
-            if useful:
-                return max(useful, key=lambda each: value(each, state)), ()
+            if is_stated(with_weak=with_weak):
+                return True, test(), rivals
+            tests = state.tests()
+            is_enough = tests and (tests[-1].is_clear or len(tests) == MAX_TESTS)
+            if only_unconfirmed(closure, with_weak=with_weak) and not is_enough:
+                if chosen := best(state.confirming, test_value):
+                    return False, chosen, rivals
+            elif chosen := best(state.proposals, value):
+                return False, chosen, ()
         rivals = lacking_rivals(closure)
-        useful = rivals and [each for each in state.proposed(rivals) if each.can_help]
-        return (useful and tested(rivals, useful, 1)) or (None, ())
+        if rivals and not state.tests(rivals[0].names):
+            return False, best(state.proposed(rivals), test_value), rivals
+        return False, None, ()
 
 
 class State:
     """A unit and its dwells after some blocks, with their search."""
 
-    def __init__(self, unit, rows, held_out, blocks, tested=(), confirmed=frozenset()):
+    def __init__(self, unit, rows, held_out, blocks, outcomes=()):
         self.unit, self.rows = unit, rows
-        #: Causes that a block tested, and those that it confirmed.
-        self.tested, self.confirmed = tested, confirmed
+        #: Cause that a block was compared with, the outcome, and whether it was measured for that.
+        self.outcomes = outcomes
         self._measured = [each.removeprefix(TO_CONFIRM).split(", then ") for each in blocks]
         self.closure = searched(campaign_of(rows), held_out)
+        self.names = frozenset(self.closure.names)
         self.choice_s = 0.0
+
+    def tests(self, names=None):
+        """Outcomes of the blocks that tested a cause; by default that found."""
+        cause = frozenset(names or self.names)
+        return [each for of, each, is_test in self.outcomes if is_test and of == cause]
 
     @functools.cached_property
     def proposals(self):

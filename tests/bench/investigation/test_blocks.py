@@ -57,4 +57,4 @@ def test_headings_in_two_positions_turn_a_horizontal_field_through_all_body_axes
         for block in catalogue(rows)
         if sorted({step.azimuth_deg for step in block.plan.dwells}) == [0.0, 90.0, 180.0, 270.0]
     }
-    assert vertical == {"four headings": {"z"}, "four headings on the side": {"x"}}
+    assert vertical == {"four headings": {"z"}, "four headings on the side": {"y"}}
