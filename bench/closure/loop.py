@@ -118,7 +118,7 @@ class Evidence:
     p_value: float = 1.0  #: Corrected for all candidate fits.
     #: Twice the logarithm of the odds of the effects found to this one alone.
     log_odds_against: float = np.nan
-    rejected: str = ""  #: Why it is not found though significant alone; empty otherwise.
+    rejected: str = ""  #: Why it is not found though significant alone or not improbable; empty otherwise.
 
 
 @dataclass(frozen=True)
@@ -444,7 +444,8 @@ def _evidence(selected: Selected) -> tuple[Evidence, ...]:
         if missing:
             result.append(Evidence(effect, missing))
         elif alone is None:
-            result.append(Evidence(effect, log_odds_against=odds(search.declared)))
+            rejected = selected.rejection(effect)
+            result.append(Evidence(effect, log_odds_against=odds(search.declared), rejected=rejected))
         else:
             share = (problem.chi2 - alone.chi2) / excess if excess > 0.0 else np.nan
             p_value, rejected = search.p_value(alone, 0), selected.rejection(effect)

@@ -179,7 +179,8 @@ class Search:
     ) -> dict[str, frozenset[str]]:
         """By effect found: those that contain it and are less probable, or fitted no different from it.
 
-        A parameter that changes nothing below some value takes a part of the probability however many dwells
+        What reproduces it in this campaign alone, as a step of the supply a jump, is another cause. A
+        parameter that changes nothing below some value takes a part of the probability however many dwells
         there are: a lag of seconds is no different from a rate.
         """
         general: dict[str, frozenset[str]] = {}
@@ -187,11 +188,14 @@ class Search:
         limit = max(RIVAL, of_found / _EVEN_ODDS)
         for each in (fitted[names] for names in weighed.similar(found.names) if names in fitted):
             of_each = weighed.of_set(each.names, has_remainder=False)
+            [one], [other] = found.names - each.names, each.names - found.names
+            law = next((one.effect for one in each.candidates if one.effect.name == other), None)
+            if law is None or one not in law.contains:
+                continue
             if self._is_special_case(found, each) and (
                 of_each < limit or (of_each < of_found and self._is_contained(each, [found.candidates]))
             ):
-                [one], other = found.names - each.names, each.names - found.names
-                general[one] = general.get(one, frozenset()) | other
+                general[one] = general.get(one, frozenset()) | {other}
         return general
 
     def _fit_similar(self, to: Hypothesis) -> None:

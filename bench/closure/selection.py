@@ -73,10 +73,11 @@ class Selected:
         return NotAccepted(tuple(sorted(names)), probability, reason)
 
     def rejection(self, effect: Effect) -> str:
-        """Why an effect that is significant alone is not found; empty for all others."""
+        """Why an effect that is significant alone, or not improbable, is not found; empty for all others."""
         search, found = self.search, self.found
         alone = search.alone.get(effect.name)
-        if alone is None or effect.name in found.names or search.p_value(alone, 0) >= SIGNIFICANCE:
+        is_shown = alone is not None and search.p_value(alone, 0) < SIGNIFICANCE
+        if effect.name in found.names or not (is_shown or effect.name in self.posterior.rivals(found.names)):
             return ""
         for names in itertools.takewhile(lambda each: each != found.names, self.posterior.sets):
             objections = self._objections(names)

@@ -280,9 +280,12 @@ def _kinds(rows: Sequence[DwellRow], times: BlockTimes) -> list[Kind]:
         timeline.dwells(every)
         timeline.dissipation(1.0)
 
-    def headings(timeline: Timeline) -> None:
-        for azimuth_deg in (0.0, 90.0, 180.0, 270.0):
-            timeline.dwells([pair[0]], azimuth_deg)
+    def headings(position: str) -> Callable[[Timeline], None]:
+        def add(timeline: Timeline) -> None:
+            for azimuth_deg in (0.0, 90.0, 180.0, 270.0):
+                timeline.dwells([position], azimuth_deg)
+
+        return add
 
     def inverted(at_c: float) -> Callable[[Timeline], None]:
         def add(timeline: Timeline) -> None:
@@ -329,7 +332,11 @@ def _kinds(rows: Sequence[DwellRow], times: BlockTimes) -> list[Kind]:
             power_cycle_then_long,
         ),
         Kind("power step", "reduce the unit's dissipation and measure after a soak", less_power),
-        Kind("four headings", "measure one position at four headings", headings),
+        Kind("four headings", "measure one position at four headings", headings(pair[0])),
+        *(
+            Kind("four headings on the side", "measure another position at four headings", headings(position))
+            for position in [name for name in measured if name[0] != pair[0][0]][:1]
+        ),
         Kind("cold, six positions", "measure all positions at the lowest temperature", inverted(low_c)),
         Kind("hot, six positions", "measure all positions at the highest temperature", inverted(high_c)),
         Kind(

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
+from gyrobench.bench.closure.candidates import Candidate
 from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.effect import Effect, searched_length_s
 from gyrobench.bench.closure.loop import Closure, close_loop
@@ -125,7 +126,30 @@ def confirming_rivals(closure: Closure) -> tuple[Rival, ...]:
     """The cause that a search found, and it without each of its effects: what a block confirms."""
     found = tuple(each.candidate for each in closure.effects)
     sets = [found, *(tuple(each for each in found if each is not one) for one in found)]
-    return tuple(Rival(tuple(sorted(each.effect.name for each in one)), one, 1.0 / len(sets)) for one in sets)
+    return tuple(Rival(_names(one), one, 1.0 / len(sets)) for one in sets)
+
+
+def lacking_rivals(closure: Closure) -> tuple[Rival, ...]:
+    """The most probable cause, and what was found of it with laws that are not exact.
+
+    None if they differ by more than effects that may be what the laws of those found lack, or if a law that
+    contains one of these was not searched, as an ageing in a short campaign. A block shows which it is where
+    the laws at other scales do something else, as after a power cycle.
+    """
+    best, names = closure.posterior.hypotheses[0], set(closure.names)
+    lacks = {each.effect.name for each in closure.evidence if each.rejected.startswith(MAY_BE_LACK)}
+    for each in closure.evidence:
+        lacks -= set(each.effect.contains) if each.missing_input else set()
+    is_lack = names < best.names <= names | lacks and not best.names >= SLOW
+    if not is_lack or closure.posterior.of_all(best.names, has_remainder=None) < SETTLED:
+        return ()
+    found = [each.candidate for each in closure.effects]
+    inexact = (*found, *(wider for each in found for wider in each.at_other_scales))
+    return Rival(tuple(sorted(best.names)), best.candidates, 0.5), Rival(_names(found), inexact, 0.5)
+
+
+def _names(candidates: Sequence[Candidate]) -> tuple[str, ...]:
+    return tuple(sorted(each.effect.name for each in candidates))
 
 
 def remainder_dph(closure: Closure) -> float:

@@ -28,6 +28,7 @@ from gyrobench.bench.investigation.doubt import (
     cause_probability,
     confirming_rivals,
     is_settled,
+    lacking_rivals,
     only_unconfirmed,
     remainder_dph,
     remainder_share,
@@ -81,14 +82,18 @@ class Stage:
     proposal: Proposal | None = None  #: The block measured next; None at the end.
     #: What the block says about the rivals; None at the end, and if all its dwells have flags.
     outcome: Outcome | None = None
-    #: The same about the cause found and it without each of its effects; None without a cause.
-    confirmation: Outcome | None = None
+    confirmation: Outcome | None = None  #: The same about those of :attr:`confirmed`; None without a cause.
     calibration: Calibration | None = None  #: Of the biases of a profile; None without one.
 
     @property
     def is_uncertain(self) -> bool:
         """Whether the biases are less certain than by the whole profile."""
         return self.calibration is not None and self.calibration.ratio > 1.0
+
+    @property
+    def confirmed(self) -> tuple[Rival, ...]:
+        """A cause that any block confirms or contradicts, and less than it."""
+        return self.rivals if self.purpose == CONFIRM else confirming_rivals(self.closure)
 
     @property
     def is_test(self) -> bool:
@@ -335,15 +340,16 @@ class Investigator:
         ``is_last``: no block distinguishes; effects that a single dwell shows, or that are not significant,
         are not counted.
         """
-        is_probable = only_unconfirmed(stage.closure, with_weak=not is_last)
-        return self._cause_test(stage, again=True) if is_probable else None
+        if only_unconfirmed(stage.closure, with_weak=not is_last):
+            return self._cause_test(stage, confirming_rivals(stage.closure), again=True)
+        rivals = lacking_rivals(stage.closure) if is_last else ()
+        return self._cause_test(stage, rivals) if rivals else None
 
-    def _cause_test(self, last: Stage, *, again: bool = False) -> Stage | None:
-        """A stage whose block tests the cause that a search found, unless one did.
+    def _cause_test(self, last: Stage, rivals: tuple[Rival, ...], *, again: bool = False) -> Stage | None:
+        """A stage whose block tests a cause, the first of the rivals, unless one did.
 
         ``again``: also where that left it open, or fits neither with the cause nor without it.
         """
-        rivals = confirming_rivals(last.closure)
         tested = self._tests(CONFIRM, rivals[0].names)
         is_enough = tested and (not again or tested[-1].is_clear or len(tested) == MAX_TESTS)
         if not rivals[0].names or is_enough:
@@ -358,7 +364,7 @@ class Investigator:
         if self._profile is not None and not last.is_uncertain:
             return None
         if ended == "settled":
-            return self._cause_test(last)
+            return self._cause_test(last, confirming_rivals(last.closure))
         is_tested = any(each.purpose == TEST_LAW and each.outcome for each in self._stages)
         if ended == "not_on_list" and not is_tested:
             law = composed(last.closure).composed
@@ -393,7 +399,7 @@ class Investigator:
         is_confirmed = is_confirmed_by(
             each.confirmation
             for each in self._stages
-            if each.confirmation and set(each.closure.names) == set(names)
+            if each.confirmation and each.confirmed[0].names == names
         )
         is_listed = posterior.not_on_list <= 1.0 - SETTLED
         if is_settled(stage.closure) or (
@@ -462,7 +468,7 @@ class Investigator:
         self, stage: Stage, forecast: Forecast, proposal: Proposal, rows: Sequence[DwellRow], journal: Journal
     ) -> Stage:
         """The stage with its block; the dwells are added to the table."""
-        scale, both = stage.closure.noise_scale, confirming_rivals(stage.closure)
+        scale, both = stage.closure.noise_scale, stage.confirmed
         outcome = outcome_of(forecast, proposal, rows, stage.rivals, scale)
         confirmation = outcome_of(forecast, proposal, rows, both, scale) if both[0].names else None
         hours = (max(row.end_s for row in rows) - proposal.block.plan.start_s) / _S_PER_H

@@ -24,13 +24,14 @@ from gyrobench.bench.investigation.doubt import (
     SLOW,
     confirming_rivals,
     is_settled,
+    lacking_rivals,
     only_unconfirmed,
     rivals_of,
     searched,
 )
 from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.investigation.investigation import MAX_TESTS
-from gyrobench.bench.investigation.proposal import hours_left, outcome_of, propose
+from gyrobench.bench.investigation.proposal import hours_left, is_confirmed_by, outcome_of, propose
 from tests.benchmarks.closure_laws import ON_THE_LIST
 from tests.benchmarks.investigation_units import SimulatedUnit
 
@@ -93,84 +94,94 @@ class Tie:
         return self.first.closure
 
     def settle(self, value):
-        """Measure blocks of largest ``value`` until a cause is settled, for at most one campaign."""
+        """Measure blocks of largest ``value`` until a settled cause is tested, for at most one campaign."""
         blocks, hours, choice_s = (), 0.0, 0.0
         while True:
             state = self._known[blocks]
-            names = frozenset(each.effect.name for each in state.closure.effects)
-            is_cause, is_confirmed = not names >= SLOW, names in state.confirmed
-            is_stated = is_settled(state.closure) or (
-                is_confirmed and only_unconfirmed(state.closure, with_weak=True)
-            )
-            chosen, is_test = None, False
-            if not (is_stated and is_cause) and len(blocks) < _MAX_BLOCKS:
-                chosen, is_test = self._next(state, value, self.campaign_h - hours)
-                choice_s = max(choice_s, state.choice_s)
-            if chosen is None:
-                is_stated |= is_confirmed and only_unconfirmed(state.closure, with_weak=False)
-                is_stated &= is_cause
+            is_stated, chosen, tested = self._next(state, value, self.campaign_h - hours)
+            choice_s = max(choice_s, state.choice_s)
+            if chosen is None or len(blocks) == _MAX_BLOCKS:
+                is_stated &= not state.names >= SLOW and not any(
+                    each.contradicts for each in state.tests()[-1:]
+                )
                 hours = hours if is_stated else self.campaign_h
-                return Settled(hours, is_stated, is_stated and names == self.truth, blocks, choice_s)
+                return Settled(hours, is_stated, is_stated and state.names == self.truth, blocks, choice_s)
             hours += chosen.block.plan.duration_h
-            blocks = (*blocks, f"{TO_CONFIRM}{chosen.block.name}" if is_test else chosen.block.name)
+            blocks = (*blocks, f"{TO_CONFIRM}{chosen.block.name}" if tested else chosen.block.name)
             if blocks not in self._known:
                 unit = copy.deepcopy(state.unit)
                 new = unit.measure(chosen.block.plan)
-                tested = [*state.tested]
-                confirmed = set(state.confirmed)
-                if names:
-                    rivals = confirming_rivals(state.closure)
-                    outcome = outcome_of(state.forecast, chosen, new, rivals, state.closure.noise_scale)
-                    confirmed |= {names} if outcome and outcome.agrees else set()
-                    tested += [names] * (MAX_TESTS if outcome.is_clear else 1) if is_test and outcome else []
-                rows = [*state.rows, *new]
-                self._known[blocks] = State(unit, rows, self._held_out, blocks, tested, confirmed)
+                rivals = tested or confirming_rivals(state.closure)
+                cause = frozenset(rivals[0].names)
+                outcome = cause and outcome_of(state.forecast, chosen, new, rivals, state.closure.noise_scale)
+                outcomes = [*state.outcomes, *([(cause, outcome, bool(tested))] if outcome else [])]
+                self._known[blocks] = State(unit, [*state.rows, *new], self._held_out, blocks, outcomes)
 
     def _next(self, state, value, left_h):
-        """The next block, and whether it confirms a cause, as `gyrobench investigate` chooses its purpose."""
-
-        def short(found):
-            return [each for each in found if each.block.plan.duration_h <= left_h]
-
-        names = frozenset(each.effect.name for each in state.closure.effects)
+        """Whether a cause is stated, the next block, and the rivals that it tests, as the command decides."""
+        closure, rivals = state.closure, confirming_rivals(state.closure)
         test_value = by_test if value in (by_entropy, by_hours_left) else value
+
+        def best(found, by):
+            useful = [each for each in found if each.can_help and each.block.plan.duration_h <= left_h]
+            return max(useful, key=lambda each: by(each, state), default=None)
+
+        def is_stated(*, with_weak):
+            is_confirmed = is_confirmed_by(each for names, each, _ in state.outcomes if names == state.names)
+            return is_settled(closure) or (is_confirmed and only_unconfirmed(closure, with_weak=with_weak))
+
+        def test():
+            needs_test = state.names and not state.tests()
+            return best(state.confirming, test_value) if needs_test else None
+
         for with_weak in (True, False):
-            is_open = only_unconfirmed(state.closure, with_weak=with_weak)
-            is_tested = state.tested.count(names) >= MAX_TESTS
-            if is_open and not is_tested and (usable := short(state.confirming)):
-                return max(usable, key=lambda each: test_value(each, state)), True
-            useful = [each for each in short(state.proposals) if each.can_help]
-            if useful:
-                return max(useful, key=lambda each: value(each, state)), False
-        return None, False
+            if is_stated(with_weak=with_weak):
+                return True, test(), rivals
+            tests = state.tests()
+            is_enough = tests and (tests[-1].is_clear or len(tests) == MAX_TESTS)
+            if only_unconfirmed(closure, with_weak=with_weak) and not is_enough:
+                if chosen := best(state.confirming, test_value):
+                    return False, chosen, rivals
+            elif chosen := best(state.proposals, value):
+                return False, chosen, ()
+        rivals = lacking_rivals(closure)
+        if rivals and not state.tests(rivals[0].names):
+            return False, best(state.proposed(rivals), test_value), rivals
+        return False, None, ()
 
 
 class State:
     """A unit and its dwells after some blocks, with their search."""
 
-    def __init__(self, unit, rows, held_out, blocks, tested=(), confirmed=()):
+    def __init__(self, unit, rows, held_out, blocks, outcomes=()):
         self.unit, self.rows = unit, rows
-        #: Causes that a block tested, and those that it confirmed.
-        self.tested, self.confirmed = tested, confirmed
+        #: Cause that a block was compared with, the outcome, and whether it was measured for that.
+        self.outcomes = outcomes
         self._measured = [each.removeprefix(TO_CONFIRM).split(", then ") for each in blocks]
         self.closure = searched(campaign_of(rows), held_out)
+        self.names = frozenset(self.closure.names)
         self.choice_s = 0.0
+
+    def tests(self, names=None):
+        """Outcomes of the blocks that tested a cause; by default that found."""
+        cause = frozenset(names or self.names)
+        return [each for of, each, is_test in self.outcomes if is_test and of == cause]
 
     @functools.cached_property
     def proposals(self):
         """All blocks with what the causes predict."""
-        return self._proposed(rivals_of(self.closure))
+        return self.proposed(rivals_of(self.closure))
 
     @functools.cached_property
     def confirming(self):
         """All blocks with what the cause found predicts, and what is predicted without it."""
-        return self._proposed(confirming_rivals(self.closure))
+        return self.proposed(confirming_rivals(self.closure))
 
     @functools.cached_property
     def forecast(self):
         return Forecast(self.closure.noise.weighted(self.rows))
 
-    def _proposed(self, rivals):
+    def proposed(self, rivals):
         begin_s = time.process_time()
         found = propose(self.forecast, rivals, self.closure.noise_scale, measured=self._measured)
         self.choice_s = time.process_time() - begin_s

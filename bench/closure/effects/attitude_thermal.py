@@ -123,6 +123,7 @@ EFFECT = Effect(
         "with the power of the electronics"
     ),
     compensation=_compensation,
+    contains=("thermal_gradient", "g_sensitivity"),
     forms=(
         _form("saturating", _saturating),
         _form("growing", _growing),

@@ -113,6 +113,9 @@ class Effect:
     imitated_by: tuple[str, ...] = ()
     compensation: Callable[[FittedForm], InsTerms] = NO_INS_TERM  #: How the INS compensates it.
     label: str = ""  #: Displayed in place of the name; by default the name with spaces.
+    #: Names of the effects that are special cases of its laws in any campaign: of less probability, it is no
+    #: other cause beside them.
+    contains: tuple[str, ...] = ()
     may_imitate: Callable[[Campaign], bool] = always  #: In which campaigns it may imitate another effect.
     #: Runs that an empirical law was composed from, and the fingerprints of their dwells; empty if not known.
     composed_from: tuple[str, ...] = ()
@@ -182,14 +185,16 @@ def searched_length_s(campaign: Campaign) -> float:
     return max(float(campaign.end_s[seen].max() - campaign.start_s[seen].min()), _S_PER_H)
 
 
-def time_constant(low_s: float, *starts_s: float) -> Parameter:
-    """Time constant ``tau_s`` of at most the campaign's length, where the effect becomes another one."""
+def time_constant(low_s: float, *starts_s: float, lengths: float = 1.0) -> Parameter:
+    """Time constant ``tau_s``, at most so many campaigns long: beyond that the effect becomes another one."""
+
+    def limit(campaign: Campaign) -> float:
+        return lengths * searched_length_s(campaign)
 
     def starts(campaign: Campaign) -> FloatArray:
-        longest_s = searched_length_s(campaign)
-        return np.unique(np.minimum(starts_s, longest_s))
+        return np.unique(np.minimum(starts_s, limit(campaign)))
 
-    return Parameter("tau_s", low_s, _MAX_TIME_S, starts, is_open_end=True, limit=searched_length_s)
+    return Parameter("tau_s", low_s, _MAX_TIME_S, starts, is_open_end=True, limit=limit)
 
 
 def same_for_all_gyros(terms: FloatArray) -> FloatArray:

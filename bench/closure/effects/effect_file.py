@@ -57,6 +57,10 @@ class EffectFile(StrictModel):
     imitated_by: list[str] = Field(
         [], description="effects that may be present in its place where they can't be fitted"
     )
+    contains: list[str] = Field(
+        [],
+        description="effects that are special cases of it in any campaign: it is no other cause beside them",
+    )
     composed_from: list[str] = Field([], description="runs that the law was composed from")
     composed_from_dwells: list[str] = Field(
         [],
@@ -118,6 +122,7 @@ class EffectFile(StrictModel):
             tuple(self.imitated_by),
             partial(ins_terms, laws),
             self.label,
+            tuple(self.contains),
             composed_from=tuple(self.composed_from),
             composed_from_dwells=tuple(self.composed_from_dwells),
         )

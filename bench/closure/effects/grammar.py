@@ -323,6 +323,7 @@ def effect_of(
     terms: tuple[str, ...] = (),
     label: str = "",
     imitated_by: tuple[str, ...] = (),
+    contains: tuple[str, ...] = (),
     may_imitate: Callable[[Campaign], bool] = always,
     as_misalignment: MisalignmentTexts | None = None,
 ) -> Effect:
@@ -330,7 +331,7 @@ def effect_of(
     form = form_of(law, terms)
     compensation = partial(ins_terms, {form.name: law})
     return Effect(
-        name, statement, experiment, (form,), imitated_by, compensation, label, may_imitate,
+        name, statement, experiment, (form,), imitated_by, compensation, label, contains, may_imitate,
         as_misalignment=as_misalignment,
     )  # fmt: skip
 

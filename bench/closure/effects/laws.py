@@ -8,6 +8,7 @@ import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.effects.effect import (
+    NO_INS_TERM,
     Effect,
     FittedForm,
     Form,
@@ -72,6 +73,7 @@ THERMAL_LAG = Effect(
         "second sensor closer to the cavity shows the lag directly"
     ),
     imitated_by=("thermal_gradient",),
+    contains=("temperature_rate",),
     compensation=no_ins_term("the INS has no term for what follows a lagging temperature"),
     forms=(
         Form(
@@ -202,6 +204,7 @@ WARM_UP = effect_of(
     statement="the bias decays exponentially after power-on",
     experiment="reach the same temperature soon after power-on and again hours later, in two power cycles",
     terms=("decay since power-on",),
+    contains=("time_drift",),
 )
 
 TIME_DRIFT = effect_of(
@@ -242,6 +245,8 @@ def _log_time(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
 _EXPONENTIAL = _Ageing(
     "start", memory="decay", parameters=(time_constant(_S_PER_DAY, _S_PER_DAY, 3.0 * _S_PER_DAY),)
 )
+#: That of a logarithm is how long the INS had aged before the first dwell, which no campaign limits.
+_LOG_TAU = time_constant(0.5 * _S_PER_DAY, _S_PER_DAY, 3.0 * _S_PER_DAY, lengths=3.0)
 #: Stress that relaxes by many processes at once follows the logarithm of time, as crystals age.
 AGEING = Effect(
     name="ageing",
@@ -253,20 +258,24 @@ AGEING = Effect(
         "between: ageing continues where it was, a warm-up begins again"
     ),
     compensation=constant_at_end,
+    contains=("time_drift",),
     forms=(
         form_of(_EXPONENTIAL, ("decay since the first dwell",), "exponential"),
         Form(
             ("logarithm of the time since the first dwell",),
             _log_time,
-            (time_constant(0.5 * _S_PER_DAY, _S_PER_DAY, 3.0 * _S_PER_DAY),),
+            (_LOG_TAU,),
             _EXPONENTIAL.missing_input,
             "logarithmic",
         ),
     ),
 )
 
-DAILY_COURSE = effect_of(
-    Law("room_c"),
+_ROOM = Law("room_c")
+_ROOM_TAU = Parameter("tau_s", 300.0, 14_400.0, fixed(900.0, 3600.0))
+_ROOM_LAG = Law("room_c", memory="lag", parameters=(_ROOM_TAU,))
+#: What the room warms and cools, as a rack of electronics or the wall of the chamber, follows it later.
+DAILY_COURSE = Effect(
     name="daily_course",
     label="daily course of the room",
     statement="the bias follows the temperature of the room",
@@ -274,7 +283,11 @@ DAILY_COURSE = effect_of(
         "log the temperature of the room beside one position and temperature held for two days: a daily "
         "course returns"
     ),
-    terms=("room temperature, K",),
+    compensation=NO_INS_TERM,
+    forms=(
+        form_of(_ROOM, ("room temperature, K",), "at once"),
+        form_of(_ROOM_LAG, ("lagging room temperature, K",), "lagging"),
+    ),
     imitated_by=("supply_power",),
     # Over two days and more a daily course returns: no drift looks like it.
     may_imitate=lambda campaign: float(campaign.end_s.max() - campaign.start_s.min()) < _TWO_DAYS_S,

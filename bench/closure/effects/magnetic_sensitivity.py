@@ -58,5 +58,6 @@ EFFECT = Effect(
         ),
     ),
     compensation=no_ins_term("the INS has no magnetometer"),
+    contains=("g_sensitivity",),
     sensors=("gyro",),  # accelerometers sense gravity far more than any magnetic field
 )

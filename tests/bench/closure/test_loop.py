@@ -353,10 +353,10 @@ def test_a_cause_more_probable_than_the_one_found_has_the_objection_to_itself(cl
     """A decay longer than the campaign: what is said against it is not that it adds nothing to a drift."""
 
     def decay(course):
-        return np.exp(-course.time_h / (1.5 * course.time_h[-1]))[:, None]
+        return np.exp(-course.time_h / (4.0 * course.time_h[-1]))[:, None]
 
     options = {"cycles": 4, "headings_deg": (0.0,), "power_on_each_cycle": True, "sensors": ()}
-    closure = closed({decay: 4.0}, **options)
+    closure = closed({decay: 6.0}, **options)
     assert [each.effect.name for each in closure.effects] == ["time_drift"]
     assert closure.posterior.sets[0] == {"ageing"}
     [rejected] = [each.rejected for each in closure.evidence if each.effect.name == "ageing"]

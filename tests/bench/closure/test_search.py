@@ -6,7 +6,7 @@ import pytest
 from gyrobench.bench.closure.candidates import evaluate
 from gyrobench.bench.closure.effects import all_effects, bias_jump
 from gyrobench.bench.closure.effects.effect import Effect, Form
-from gyrobench.bench.closure.effects.laws import THERMAL_HYSTERESIS, THERMAL_LAG, TIME_DRIFT
+from gyrobench.bench.closure.effects.laws import TEMPERATURE_RATE, THERMAL_HYSTERESIS, THERMAL_LAG, TIME_DRIFT
 from gyrobench.bench.closure.posterior import TIE_ODDS
 from gyrobench.bench.closure.problem import declared_problem
 from gyrobench.bench.closure.search import MAY_BE_LACK, SIGNIFICANCE, Search
@@ -189,6 +189,16 @@ def test_a_special_case_at_the_lower_bound_of_a_parameter_is_no_tie(search):
     assert ties(one, best) == ()
 
 
+def test_what_reproduces_an_effect_in_one_campaign_alone_is_a_tie(problem):
+    """As a step of the supply a jump: only what contains the effect in any campaign is no other cause."""
+    one = problem({"temperature_rate": 4.0}, seed=1)
+    for contains, tied in (THERMAL_LAG.contains, ()), ((), ("thermal_lag",)):
+        searching = Search(one, [TEMPERATURE_RATE, replace(THERMAL_LAG, contains=contains)])
+        best, _ = searching.most_probable()
+        assert best.names == {"temperature_rate"}
+        assert ties(searching, best) == tied
+
+
 def test_the_probability_of_an_effect_does_not_go_by_its_place_in_the_set(search):
     one, best = search({"g_sensitivity": 4.0, "bias_jump": 4.0}, cycles=2, seed=7)
     backward = replace(best, candidates=best.candidates[::-1])
@@ -228,12 +238,15 @@ def after_start(law):
 
 
 @pytest.mark.parametrize(
-    ("law", "found"),
-    [(lambda share: np.exp(-share / 1.5), {"ageing"}), (lambda share: np.exp(-share / 20.0), {"time_drift"})],
+    ("law", "size", "found"),
+    [
+        (lambda share: np.exp(-share / 4.0), 20.0, {"ageing"}),
+        (lambda share: np.exp(-share / 20.0), 10.0, {"time_drift"}),
+    ],
 )
-def test_a_time_constant_at_its_upper_bound_counts_where_a_line_is_excluded(problem, law, found):
-    """Both time constants are above the campaign's length, the bound; the longer one looks like a line."""
-    one = problem({after_start(law): 10.0}, cycles=4, power_on_each_cycle=True, sensors=())
+def test_a_time_constant_at_its_upper_bound_counts_where_a_line_is_excluded(problem, law, size, found):
+    """Both time constants are above three lengths of the campaign; the longer one looks like a line."""
+    one = problem({after_start(law): size}, cycles=4, power_on_each_cycle=True, sensors=())
     searching = Search(one, all_effects())
     [alone] = searching.alone["ageing"].candidates
     assert alone.values[0] >= 0.999 * alone.form.parameters[0].high

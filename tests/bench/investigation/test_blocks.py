@@ -48,3 +48,13 @@ def test_the_state_before_a_block_is_that_after_the_last_dwell(rows):
 def test_long_dwells_are_longer_than_those_of_the_table(rows):
     plan = next(each.plan for each in catalogue(rows) if each.name == "longer dwells")
     assert all(step.end_s - step.start_s == pytest.approx(3600.0) for step in plan.dwells)
+
+
+def test_headings_in_two_positions_turn_a_horizontal_field_through_all_body_axes(rows):
+    """Each block of headings turns the field about the axis that is vertical in it."""
+    vertical = {
+        block.name: {step.position[0] for step in block.plan.dwells}
+        for block in catalogue(rows)
+        if sorted({step.azimuth_deg for step in block.plan.dwells}) == [0.0, 90.0, 180.0, 270.0]
+    }
+    assert vertical == {"four headings": {"z"}, "four headings on the side": {"y"}}

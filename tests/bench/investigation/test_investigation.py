@@ -260,7 +260,7 @@ def test_a_block_that_brings_flagged_dwells_alone_is_not_repeated_for_ever_and_m
 
     def approve(proposal, rivals):
         proposed.append(proposal.block.kinds)
-        return len(proposed) < 4
+        return len(proposed) < 8
 
     found = Investigator(UnitBench(dict(unit), "moved"), tmp_path / "flags", 60.0, approve)
     found = found.run(WallClock())
@@ -272,13 +272,26 @@ def test_a_block_that_brings_flagged_dwells_alone_is_not_repeated_for_ever_and_m
 
 @pytest.mark.long
 def test_a_cause_that_held_out_dwells_leave_open_is_tested_by_a_block_and_searched_again(tmp_path):
-    """An ageing in a campaign of a day is found as a drift, and the held-out dwells do not confirm that."""
-    found = Investigator(unit_of(62), tmp_path / "short", 26.0, lambda *_: True).run(WallClock())
+    """An ageing from the power-on is found as a warm-up, and the held-out dwells do not confirm that."""
+    found = Investigator(unit_of(642), tmp_path / "ageing", 75.0, lambda *_: True).run(WallClock())
     first = found.stages[0]
     assert (first.closure.verdict, first.purpose) == ("ambiguous", "confirm")
-    assert first.rivals[0].names == ("time_drift",)
+    assert first.rivals[0].names == ("warm_up",)
     assert found.ended == "settled"
     assert [each.effect.name for each in found.closure.effects] == ["ageing"]
+
+
+@pytest.mark.long
+def test_an_effect_that_the_law_of_another_may_lack_is_tested_by_a_power_cycle(tmp_path):
+    """In one power cycle an ageing at several time constants does what an ageing and a warm-up do."""
+    found = Investigator(unit_of(757), tmp_path / "lack", 75.0, lambda *_: True).run(WallClock())
+    first = found.stages[0]
+    assert [each.effect.name for each in first.closure.effects] == ["ageing"]
+    assert first.purpose == "confirm"
+    assert [each.names for each in first.rivals] == [("ageing", "warm_up"), ("ageing",)]
+    assert first.proposal.block.kinds == ("power cycle",)
+    assert found.ended == "settled"
+    assert {each.effect.name for each in found.closure.effects} == {"ageing", "warm_up"}
 
 
 @pytest.fixture(scope="module")

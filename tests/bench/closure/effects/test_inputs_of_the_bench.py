@@ -1,6 +1,7 @@
 """Effects that a bench finds only where it varies or measures what they follow."""
 
 from dataclasses import replace
+from itertools import accumulate
 
 import numpy as np
 import pytest
@@ -65,6 +66,18 @@ def test_a_drift_in_less_than_two_days_may_be_the_room():
     assert "daily_course" in short.effects[0].tied_with
     longer = closed("time_drift", "daily_course", cycles=3, size=8.0)
     assert "daily_course" not in longer.effects[0].tied_with
+
+
+def test_what_the_room_warms_may_follow_it_later():
+    def behind_the_room(course):
+        step_h = course.time_h[1] - course.time_h[0]
+        share = 1.0 - np.exp(-step_h / 1.5)
+        return np.array([*accumulate(course.room_c, lambda was, now: was + share * (now - was))])[:, None]
+
+    rows = measure({behind_the_room: 8.0}, cycles=3, sensors=("set", "air", "board", "room")).rows
+    [found] = close_loop(campaign_of(rows)).effects
+    assert (found.effect.name, found.candidate.form.name) == ("daily_course", "lagging")
+    assert found.candidate.values[0] == pytest.approx(1.5 * 3600.0, rel=0.3)
 
 
 @pytest.mark.parametrize(
