@@ -32,7 +32,7 @@ _MIN_FACTOR, _MAX_FACTOR = 0.6, 1.0 / 0.6
 #: Power-on times that are one: they differ by at most this, and this share of the time since the first dwell.
 _POWER_ON_S, _CLOCK_DRIFT = 60.0, 1e-3
 #: A dwell with a turn in it lasts longer than this, s; and probably less long than that.
-_SHORTEST_S, _LONGEST_S = 2.0, 1e5
+_MIN_DWELL_S, _MAX_DWELL_S = 2.0, 1e5
 #: Change of another temperature that each gyro shows at least a little of, degC.
 _MIN_MOVED_C = 5.0
 
@@ -82,8 +82,8 @@ def _wrong_scales(pairs: _Pairs, where: str) -> Iterator[str]:
     rates = {axis: factor for index, axis in enumerate(AXES) if (factor := _rate_factor(pairs, index)) != 1.0}
     factors = list(rates.values())
     common = factors[0] if len(factors) == 3 and all(_is_near(each, factors[0]) for each in factors) else 1.0
-    lasts_s = float(np.median([row.end_s - row.start_s for pair in pairs for row in pair] or [_LONGEST_S]))
-    is_odd = lasts_s < _SHORTEST_S or (lasts_s > _LONGEST_S and common != 1.0)
+    dwell_s = float(np.median([row.end_s - row.start_s for pair in pairs for row in pair] or [_MAX_DWELL_S]))
+    is_odd = dwell_s < _MIN_DWELL_S or (dwell_s > _MAX_DWELL_S and common != 1.0)
     if clock != 1.0 and (_is_near(clock, common) or (is_odd and not rates)):
         others = " and the gyro temperatures" if rates else ""
         advice = _repair(clock, _TIMES, "start_s and end_s")
@@ -91,7 +91,7 @@ def _wrong_scales(pairs: _Pairs, where: str) -> Iterator[str]:
         return
     if is_odd:
         advice = _repair(common, _TIMES, "start_s, end_s and since_power_on_s")
-        yield f"the dwells{where} last {lasts_s:.3g} s (median): {advice}"
+        yield f"the dwells{where} last {dwell_s:.3g} s (median): {advice}"
         return
     if clock != 1.0:
         advice = _repair(1.0 / clock if clock else math.inf, _TIMES, "since_power_on_s")
@@ -120,10 +120,10 @@ def _rate_factor(pairs: _Pairs, gyro: int) -> float:
     for a, b in pairs:
         rates = a.gyro_rate_c_per_h[gyro], b.gyro_rate_c_per_h[gyro]
         largest = max(map(abs, rates))
-        gap_s, lasts_s = b.start_s - a.end_s, 0.5 * (a.end_s - a.start_s + b.end_s - b.start_s)
+        gap_s, dwell_s = b.start_s - a.end_s, 0.5 * (a.end_s - a.start_s + b.end_s - b.start_s)
         passed_h = (b.start_s + b.end_s - a.start_s - a.end_s) / 7200.0
         expected_c, change_c = 0.5 * sum(rates) * passed_h, b.gyro_c[gyro] - a.gyro_c[gyro]
-        is_ramp = gap_s <= _MAX_GAP * lasts_s and abs(rates[1] - rates[0]) <= _MAX_RATE_CHANGE * largest
+        is_ramp = gap_s <= _MAX_GAP * dwell_s and abs(rates[1] - rates[0]) <= _MAX_RATE_CHANGE * largest
         is_clear = math.isfinite(change_c) and max(abs(change_c), abs(expected_c)) >= _MIN_CHANGE_C
         if is_ramp and is_clear:
             factors.append(change_c / expected_c if expected_c else math.inf)
