@@ -148,9 +148,9 @@ def _scale_fault(several: Sequence[SetupEvidence]) -> str:
     names = [name for name, of in zip(_VELOCITIES, chosen, strict=True) if of]
     has = "have" if len(names) > 1 else "has"
     return (
-        f"{' and '.join(names)} {has} a wrong scale: {value:.3g} ± {sigma:.1g} times what the tilt of the INS "
-        f"leads to{_named(value, sigma)}. The biases of the level gyros are wrong by the same factor. Correct "
-        "the scale or unit in the DBC or the station file, and measure again"
+        f"{' and '.join(names)} {has} a wrong scale: {value:.3g} ± {sigma:.1g} times what the tilt of the "
+        f"INS leads to{_named(value, sigma)}. The biases of the level gyros are wrong by the same factor. "
+        "Correct the scale or unit in the DBC or the station file, and measure again"
     )
 
 
