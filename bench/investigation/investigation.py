@@ -60,7 +60,7 @@ _PLAN, _DONE = "plan.json", "dwells.csv"
 #: Times that a kind of block is measured while the blocks bring only dwells with flags.
 _MAX_FLAGGED = 2
 #: Blocks that are measured to confirm one cause while none is clear.
-MAX_TESTS = 2
+MAX_TESTS = 4
 #: Purposes of a block.
 DISTINGUISH, CONFIRM, TEST_LAW, CALIBRATE = "distinguish", "confirm", "test_law", "calibrate"
 #: Ends after which an adaptive campaign still determines biases.
