@@ -8,8 +8,8 @@ from gyrobench.bench.closure.loop import Closure
 from gyrobench.bench.foundations.text import counted, listed, probability_number
 from gyrobench.bench.investigation.choice import Rival
 from gyrobench.bench.investigation.doubt import rivals_of
-from gyrobench.bench.investigation.investigation import CONFIRM, Investigation, Stage
 from gyrobench.bench.investigation.proposal import Proposal
+from gyrobench.bench.investigation.stages import CONFIRM, Investigation, Stage
 from gyrobench.bench.navigation.positions import AXES
 
 #: Gist of each end.
