@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.closure.contradictions import contradictions
 from gyrobench.bench.closure.quantity import GYRO_BIAS, Quantity
 from gyrobench.bench.foundations.arrays import FloatArray
 
@@ -31,7 +32,8 @@ _TEMPERATURES = {
 def implausible(rows: Sequence[DwellRow], quantity: Quantity = GYRO_BIAS) -> list[str]:
     """Everything about the dwells without flags that can't be measured data, each as one sentence."""
     good = [row for row in rows if not row.flags]
-    return [*_times(good), *_temperatures(good), *_sigmas(good, quantity)] if good else []
+    problems = [*_times(good), *_temperatures(good), *_sigmas(good, quantity)] if good else []
+    return problems or contradictions(good)
 
 
 def _times(rows: Sequence[DwellRow]) -> Iterator[str]:

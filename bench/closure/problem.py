@@ -18,6 +18,8 @@ SCALE_C = 50.0
 MIN_VISIBLE = 0.05
 #: A direction that keeps less than this share of a term's length beside the others is not independent.
 MIN_SHARE = 1e-5
+#: Less than this share of a column is rounding; the least rms, the square of which is not zero.
+_ROUNDING, _MIN_RMS = 1e-9, 1e-150
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,8 @@ class Problem:
         whole = np.moveaxis(columns / self.sigma_dph[..., np.newaxis], 1, 0)
         rest = np.stack([_residual(basis, each) for basis, each in zip(self.bases, whole, strict=True)])
         rms = np.sqrt(np.mean(rest**2, axis=1))
-        return rest, np.maximum(np.maximum(rms, MIN_VISIBLE * np.std(whole, axis=1)), 1e-300)
+        least = MIN_VISIBLE * np.std(whole, axis=1), _ROUNDING * np.max(np.abs(whole), axis=1)
+        return rest, np.maximum.reduce([rms, *least, np.full_like(rms, _MIN_RMS)])
 
     def chi2_reduction(self, columns: FloatArray, kept: BoolArray | None = None) -> tuple[float, int]:
         """Reduction of chi2 by a fit of terms, and the number of independent ones among them."""

@@ -39,22 +39,27 @@ def remainder_of(problem: Problem) -> Remainder:
     """The processes that the dwells searched can show."""
     seen = problem.campaign.part(problem.searched)
     processes = {name: found for name, make in _PROCESSES.items() if (found := make(seen)) is not None}
+    names: list[str] = []
     directions = np.zeros((3, len(processes) + 1, len(seen), RANK))
     powers = np.zeros((3, len(processes) + 1, RANK))
-    for index, columns in enumerate(processes.values()):
+    for name, columns in processes.items():
         visible, rms = problem.beside(columns)
         visible /= np.sqrt(np.sum(rms**2, axis=1))[:, np.newaxis, np.newaxis]
+        index = len(names)
         for gyro in range(3):
             left, lengths, _ = np.linalg.svd(visible[gyro], full_matrices=False)
             rank = int(np.sum(lengths[:RANK] ** 2 > _MIN_POWER))
             directions[gyro, index, :, :rank] = left[:, :rank]
             powers[gyro, index, :rank] = lengths[:rank] ** 2
+        if powers[:, index].any():  # not without any visible column, as of a constant temperature
+            names.append(name)
+    directions, powers = directions[:, : len(names) + 1], powers[:, : len(names) + 1]
     scaled = np.concatenate(np.moveaxis(directions * np.sqrt(powers[:, :, np.newaxis]), 1, 0), axis=2)
-    lengths, left = np.linalg.eigh(scaled @ np.swapaxes(scaled, 1, 2) / len(processes))
+    lengths, left = np.linalg.eigh(scaled @ np.swapaxes(scaled, 1, 2) / len(names))
     rank = min(RANK, len(seen))
     directions[:, -1, :, :rank] = left[:, :, : -rank - 1 : -1]
     powers[:, -1, :rank] = np.maximum(lengths[:, : -rank - 1 : -1], 0.0)
-    return Remainder((*processes, TOGETHER), directions, powers)
+    return Remainder((*names, TOGETHER), directions, powers)
 
 
 def _waves(values: FloatArray, count: int, length: float) -> FloatArray:

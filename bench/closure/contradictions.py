@@ -1,0 +1,170 @@
+"""Contradictions between columns of a dwell table: times, times since power-on, temperatures and their rates.
+
+A wrong unit or sign in one of these makes a search name another cause, with certainty. Within a power
+cycle, start_s minus since_power_on_s is constant; between neighbouring dwells on a ramp, a temperature
+changes by its mean rate times the time between their middles. Each gives a factor, and both together the
+column that is wrong.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import groupby, pairwise
+
+import numpy as np
+
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.navigation.positions import AXES
+
+#: Unit that a column seems to be in, by the factor that brings it to s, or to degC/h.
+_TIMES = {1e-3: "ms", 60.0: "min", 3600.0: "h"}
+_DEGF_PER_DEGC = 1.8
+_RATES = {60.0: "degC/min", 3600.0: "degC/s", 1.0 / _DEGF_PER_DEGC: "degF/h"}
+#: Largest relative deviation of a factor from that of a unit, and between factors that are one.
+_SAME_FACTOR = 0.2
+#: Pairs of dwells that show a factor; the smallest change of temperature that counts, degC.
+_MIN_PAIRS, _MIN_CHANGE_C = 3, 1.0
+#: On a ramp, the rates of two dwells differ by at most this share, and the time between the dwells is at most
+#: this many times their length. The temperature then changes by 0.8 to 1.3 times what correct rates give.
+_MAX_RATE_CHANGE, _MAX_GAP = 0.5, 1.0
+_MIN_FACTOR, _MAX_FACTOR = 0.6, 1.0 / 0.6
+#: Power-on times that are one: they differ by at most this, and this share of the time since the first dwell.
+_POWER_ON_S, _CLOCK_DRIFT = 60.0, 1e-3
+#: A dwell with a turn in it lasts longer than this, s; and probably less long than that.
+_MIN_DWELL_S, _MAX_DWELL_S = 2.0, 1e5
+#: Change of another temperature that each gyro shows at least a little of, degC.
+_MIN_MOVED_C = 5.0
+
+_Pairs = Sequence[tuple[DwellRow, DwellRow]]
+
+
+def contradictions(rows: Sequence[DwellRow]) -> list[str]:
+    """What can't be right about the columns together, each as one sentence with the factor that repairs it.
+
+    ``rows``: dwells without flags. What only one run has wrong is found as well.
+    """
+
+    def power_cycle(row: DwellRow) -> tuple[str, str]:
+        return row.unit, row.run
+
+    if problems := [*_stuck_sensors(rows)]:
+        return problems
+    ordered = sorted(rows, key=lambda row: (*power_cycle(row), row.start_s))
+    cycles = [list(pairwise(group)) for _, group in groupby(ordered, key=power_cycle)]
+    of_cycles = [[*_wrong_scales(pairs, f" of run {pairs[0][0].run}")] for pairs in cycles if pairs]
+    wrong = [problems for problems in of_cycles if problems]
+    if not wrong or len(wrong) > 1 or len(cycles) == 1:
+        whole = [*_wrong_scales([pair for pairs in cycles for pair in pairs], "")]
+        wrong = [whole] if whole else wrong
+    return wrong[0] if wrong else [problem for pairs in cycles for problem in _two_power_ons(pairs)][:1]
+
+
+def _stuck_sensors(rows: Sequence[DwellRow]) -> Iterator[str]:
+    """Gyro temperatures that are one number, although others change."""
+    others = {name: [getattr(row, name) for row in rows] for name in ("case_c", "chamber_c")}
+    for index, axis in enumerate(AXES):
+        others[f"board_{axis}_c"] = [row.board_c[index] for row in rows]
+        if len({row.gyro_c[index] for row in rows}) > 1:
+            continue
+        for name, values in others.items():
+            change_c = np.ptp([value for value in values if math.isfinite(value)] or [0.0])
+            if change_c > _MIN_MOVED_C:
+                yield (
+                    f"gyro_{axis}_c is {rows[0].gyro_c[index]:g} degC in all dwells, but {name} changes by "
+                    f"{change_c:.0f} degC: correct its values, or check its sensor"
+                )
+                break
+
+
+def _wrong_scales(pairs: _Pairs, where: str) -> Iterator[str]:
+    clock = _clock_factor(pairs)
+    rates = {axis: factor for index, axis in enumerate(AXES) if (factor := _rate_factor(pairs, index)) != 1.0}
+    factors = list(rates.values())
+    common = factors[0] if len(factors) == 3 and all(_is_near(each, factors[0]) for each in factors) else 1.0
+    dwell_s = float(np.median([row.end_s - row.start_s for pair in pairs for row in pair] or [_MAX_DWELL_S]))
+    is_odd = dwell_s < _MIN_DWELL_S or (dwell_s > _MAX_DWELL_S and common != 1.0)
+    if clock != 1.0 and (_is_near(clock, common) or (is_odd and not rates)):
+        others = " and the gyro temperatures" if rates else ""
+        advice = _repair(clock, _TIMES, "start_s and end_s")
+        yield f"start_s and end_s{where} contradict since_power_on_s{others}: {advice}"
+        return
+    if is_odd:
+        advice = _repair(common, _TIMES, "start_s, end_s and since_power_on_s")
+        yield f"the dwells{where} last {dwell_s:.3g} s (median): {advice}"
+        return
+    if clock != 1.0:
+        advice = _repair(1.0 / clock if clock else math.inf, _TIMES, "since_power_on_s")
+        yield f"since_power_on_s{where} grows by {clock:.3g} s in each second of start_s: {advice}"
+    for axis, factor in {"{x,y,z}": common}.items() if common != 1.0 else rates.items():
+        column, rate = f"gyro_{axis}_c", f"gyro_{axis}_rate_c_per_h"
+        change = (
+            f"changes by {factor:.3g} times that rate" if math.isfinite(factor) else "changes at a rate of 0"
+        )
+        advice = _repair(factor, _RATES, rate)
+        if _is_near(factor, _DEGF_PER_DEGC):
+            advice = f"{column} seems to be in degF: correct its values"
+        yield f"{rate} contradicts {column}, which between neighbouring dwells{where} {change}: {advice}"
+
+
+def _clock_factor(pairs: _Pairs) -> float:
+    """Median growth of since_power_on_s over that of start_s; 1 where that agrees."""
+    grown = [(b.since_power_on_s - a.since_power_on_s) / (b.start_s - a.start_s) for a, b in pairs]
+    factor = float(np.median(grown)) if len(grown) >= _MIN_PAIRS else 1.0
+    return 1.0 if _is_near(factor, 1.0) else factor
+
+
+def _rate_factor(pairs: _Pairs, gyro: int) -> float:
+    """Median change of a temperature over what its rates give, on ramps; 1 where most pairs agree on it."""
+    factors = []
+    for a, b in pairs:
+        rates = a.gyro_rate_c_per_h[gyro], b.gyro_rate_c_per_h[gyro]
+        largest = max(map(abs, rates))
+        gap_s, dwell_s = b.start_s - a.end_s, 0.5 * (a.end_s - a.start_s + b.end_s - b.start_s)
+        passed_h = (b.start_s + b.end_s - a.start_s - a.end_s) / 7200.0
+        expected_c, change_c = 0.5 * sum(rates) * passed_h, b.gyro_c[gyro] - a.gyro_c[gyro]
+        is_ramp = gap_s <= _MAX_GAP * dwell_s and abs(rates[1] - rates[0]) <= _MAX_RATE_CHANGE * largest
+        is_clear = math.isfinite(change_c) and max(abs(change_c), abs(expected_c)) >= _MIN_CHANGE_C
+        if is_ramp and is_clear:
+            factors.append(change_c / expected_c if expected_c else math.inf)
+    is_right = [_MIN_FACTOR <= each <= _MAX_FACTOR for each in factors]
+    return 1.0 if len(factors) < _MIN_PAIRS or np.mean(is_right) >= 0.5 else float(np.median(factors))
+
+
+def _two_power_ons(pairs: _Pairs) -> Iterator[str]:
+    """A dwell with another power-on time than that before it, in one run, unless it was in that dwell."""
+    first: DwellRow | None = None
+    for before, row in pairs:
+        first = first or before
+        first_on_s, on_s = (each.start_s - each.since_power_on_s for each in (first, row))
+        if abs(on_s - first_on_s) <= _POWER_ON_S + _CLOCK_DRIFT * (row.start_s - first.start_s):
+            continue
+        # Of a dwell that is missing here, neither start nor end is known.
+        latest_s = before.end_s if row.dwell == before.dwell + 1 else row.start_s
+        if not before.start_s - _POWER_ON_S <= on_s <= latest_s:
+            yield (
+                f"start_s minus since_power_on_s is {first_on_s:.7g} s for dwell {first.dwell}, but "
+                f"{on_s:.7g} s for dwell {row.dwell} of the same run {row.run}: use one clock for both, and "
+                "a new run after each power-on"
+            )
+            return
+        first = row
+
+
+def _is_near(factor: float, other: float) -> bool:
+    return factor == other or abs(factor - other) <= _SAME_FACTOR * abs(other)
+
+
+def _repair(factor: float, units: Mapping[float, str], columns: str) -> str:
+    """What to do about columns with a wrong scale."""
+    if not math.isfinite(factor) or factor in (0.0, 1.0):
+        return f"correct {columns}"
+    if _is_near(factor, -1.0):
+        return f"change the sign of {columns}"
+    for known, unit in units.items():
+        if _is_near(abs(factor), known):
+            sign = " with the wrong sign" if factor < 0.0 else ""
+            return (
+                f"the unit seems to be {unit}{sign}: multiply {columns} by {math.copysign(known, factor):.4g}"
+            )
+    return f"correct the unit of {columns}: a factor of {factor:.3g} is missing"

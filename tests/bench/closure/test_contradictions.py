@@ -1,0 +1,124 @@
+"""Columns with a wrong unit or sign, which a search would explain, are refused with a repair."""
+
+import re
+from dataclasses import replace
+
+import pytest
+
+from gyrobench.bench.bias.dwell_table import write_dwells
+from gyrobench.bench.closure.plausibility import implausible
+from tests.bench.closure.thermal_bench import measure
+from tests.bench.command_line import gyrobench
+
+
+@pytest.fixture(scope="module")
+def rows():
+    return measure(cycles=2, power_on_each_cycle=True).rows
+
+
+def scaled(factor, *names):
+    def change(row):
+        values = {name: getattr(row, name) for name in names}
+        return {
+            name: tuple(factor * each for each in value) if isinstance(value, tuple) else factor * value
+            for name, value in values.items()
+        }
+
+    return change
+
+
+RATES = ("gyro_rate_c_per_h",)
+TIMES = ("start_s", "end_s")
+SINCE = ("since_power_on_s",)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (scaled(-1.0, *RATES), "change the sign of gyro_{x,y,z}_rate_c_per_h"),
+        (scaled(1.0 / 60.0, *RATES), "degC/min: multiply gyro_{x,y,z}_rate_c_per_h by 60"),
+        (scaled(-1.0 / 3600.0, *RATES), "wrong sign: multiply gyro_{x,y,z}_rate_c_per_h by -3600"),
+        (scaled(0.0, *RATES), "changes at a rate of 0: correct gyro_{x,y,z}_rate_c_per_h"),
+        (lambda row: {"gyro_rate_c_per_h": (5.0, 5.0, 5.0)}, "correct the unit of gyro_"),
+        (
+            lambda row: {"gyro_rate_c_per_h": (*row.gyro_rate_c_per_h[:2], -row.gyro_rate_c_per_h[2])},
+            "change the sign of gyro_z_rate_c_per_h",
+        ),
+        (lambda row: {"gyro_c": tuple(1.8 * each + 32.0 for each in row.gyro_c)}, "_c seems to be in degF"),
+        (scaled(1.0 / 60.0, *SINCE), "seems to be min: multiply since_power_on_s by 60"),
+        (scaled(0.0, *SINCE), "grows by 0 s in each second of start_s: correct since_power_on_s"),
+        (lambda row: {"since_power_on_s": 5000.0}, "correct since_power_on_s"),
+        (scaled(1.0 / 3600.0, *TIMES), "seems to be h: multiply start_s and end_s by 3600"),
+        (scaled(1000.0, *TIMES), "seems to be ms: multiply start_s and end_s by 0.001"),
+        (
+            scaled(1.0 / 3600.0, *TIMES, *SINCE),
+            "seems to be h: multiply start_s, end_s and since_power_on_s by 3600",
+        ),
+        (
+            scaled(1000.0, *TIMES, *SINCE),
+            "seems to be ms: multiply start_s, end_s and since_power_on_s by 0.001",
+        ),
+        (lambda row: {"gyro_c": (25.0, *row.gyro_c[1:])}, "gyro_x_c is 25 degC in all dwells"),
+    ],
+)
+def test_a_wrong_unit_or_sign_is_named_with_what_repairs_it(rows, change, message):
+    problems = implausible([replace(row, **change(row)) for row in rows])
+    assert any(message in problem for problem in problems), problems
+
+
+def test_close_refuses_contradictory_columns_and_searches_nothing(rows, tmp_path):
+    negated = [replace(row, **scaled(-1.0, *RATES)(row)) for row in rows]
+    write_dwells(tmp_path / "dwells.csv", negated)
+    answer = gyrobench("close", "dwells.csv", cwd=tmp_path)
+    assert answer.returncode == 2
+    assert "change the sign of gyro_{x,y,z}_rate_c_per_h" in " ".join(answer.stderr.split())
+    assert not (tmp_path / "closure").exists()
+
+
+@pytest.mark.parametrize(("change", "message"), [(RATES, "of run R2"), (SINCE, "of run R2 grows")])
+def test_a_wrong_unit_in_one_run_is_found(rows, change, message):
+    changed = [replace(row, **scaled(1.0 / 60.0, *change)(row)) if row.run == "R2" else row for row in rows]
+    (problem,) = implausible(changed)
+    assert message in problem
+    assert "by 60" in problem
+
+
+def test_dwells_on_another_clock_are_named(rows):
+    later = [replace(row, start_s=row.start_s + 1.7e9, end_s=row.end_s + 1.7e9) for row in rows[60:]]
+    (problem,) = implausible([*rows[:60], *later])
+    assert re.search(rf"for dwell {later[0].dwell} of the same run R2: use one clock", problem)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"cycles": 2, "dwell_s": 1200.0, "pause_s": 600.0},
+        {"cycles": 2, "profile": ((60.0, 1.0, 9.0), (-20.0, 1.0, 9.0), (20.0, 1.0, 3.0))},
+        {"cycles": 2, "power_steps_h": 7.3},
+    ],
+)
+def test_correct_tables_of_other_campaigns_have_no_problem(changed):
+    assert implausible(measure(**changed).rows) == []
+
+
+def test_few_or_noisy_rows_are_not_refused(rows):
+    assert implausible(rows[:1]) == implausible(rows[:3]) == implausible(rows[::7]) == []
+    noisy = [
+        replace(
+            row, gyro_rate_c_per_h=tuple(each + 3.0 * (-1.0) ** row.dwell for each in row.gyro_rate_c_per_h)
+        )
+        for row in rows
+    ]
+    assert implausible(noisy) == []
+
+
+def test_a_restart_within_a_dwell_and_missing_dwells_are_no_contradiction(rows):
+    """A unit that restarts in a dwell may keep the name of its run, as may the dwells after a missing one."""
+    restarted_s = rows[30].start_s + 600.0
+
+    def after_restart(row):
+        return replace(row, since_power_on_s=row.start_s - restarted_s) if row.start_s > restarted_s else row
+
+    kept = [after_restart(row) for row in rows if row.run == "R1"]
+    assert implausible(kept) == []
+    assert implausible([row for row in kept if row.dwell != rows[30].dwell]) == []
