@@ -25,7 +25,7 @@ from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, Tu
 from gyrobench.bench.bias.error_split import ErrorPart, noise_parts, prior_parts
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.parameters import PriorKnowledge
-from gyrobench.bench.bias.statistics import GoodnessOfFit, chi2_p_value, goodness_of_fit, solve
+from gyrobench.bench.bias.statistics import GoodnessOfFit, chi2_p_value, goodness_of_fit, least_chi2, solve
 from gyrobench.bench.bias.window_filter import WindowFilter
 from gyrobench.bench.foundations.arrays import FloatArray, IntArray, block_diagonal
 from gyrobench.bench.foundations.errors import MeasurementError
@@ -275,6 +275,12 @@ class BiasFilter:
         unknowns, covariance = self._solved(information)
         return self._goodness_of_fit(expansions, _with_north_rate(unknowns, information), covariance)
 
+    def chi2(self) -> float:
+        """Sum of squares that model and prior knowledge leave of what has been added."""
+        information = self.information()
+        prior_root = parameters.prior_root(self._prior, len(self._windows), self._earth_rate)
+        return least_chi2(information.rows, information.data, prior_root)
+
     def _solved(self, information: DwellInformation) -> tuple[FloatArray, FloatArray]:
         prior_root = parameters.prior_root(self._prior, len(self._windows), self._earth_rate)
         return solve(information.rows, information.data, prior_root)
@@ -417,12 +423,21 @@ def estimate_state_space(
 
     Raises MeasurementError if the dwell has no turn.
     """
+    return _filtered(dwell, site, noise, prior).estimate(complete=True)
+
+
+def chi2_at(dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnowledge) -> float:
+    """Sum of squares that error model and prior knowledge leave of a dwell at this site."""
+    return _filtered(dwell, site, noise, prior).chi2()
+
+
+def _filtered(dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnowledge) -> BiasFilter:
     bias_filter = BiasFilter(site, noise, prior)
     for number, window in enumerate(dwell.windows):
         turn = dwell.turns[number - 1] if number else None
         bias_filter.begin_window(window.time_s[0], window.C_nb[0], turn)
         bias_filter.add(window.time_s, window.velocity_enu_mps[:, :2], window.C_nb, window.gyro_c)
-    return bias_filter.estimate(complete=True)
+    return bias_filter
 
 
 def navigation_fit(

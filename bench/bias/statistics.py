@@ -44,11 +44,22 @@ def solve(rows: FloatArray, data: FloatArray, prior_root: FloatArray) -> tuple[F
         Root ``L`` of the prior covariance ``L @ L.T``; its k independent parts are solved for, so
         parameters may be tied to one another or known exactly.
     """
-    count = prior_root.shape[1]
-    stacked = np.block([[rows @ prior_root, data[:, np.newaxis]], [np.eye(count), np.zeros((count, 1))]])
-    root = compress(stacked)
+    count, root = prior_root.shape[1], _solved_root(rows, data, prior_root)
     spread = prior_root @ np.linalg.inv(root[:count, :count])
     return spread @ root[:count, count], spread @ spread.T
+
+
+def least_chi2(rows: FloatArray, data: FloatArray, prior_root: FloatArray) -> float:
+    """Sum of squares that :func:`solve` leaves, of residuals and of parameters about their prior."""
+    count = prior_root.shape[1]
+    return float((_solved_root(rows, data, prior_root)[count:, count] ** 2).sum())
+
+
+def _solved_root(rows: FloatArray, data: FloatArray, prior_root: FloatArray) -> FloatArray:
+    count = prior_root.shape[1]
+    return compress(
+        np.block([[rows @ prior_root, data[:, np.newaxis]], [np.eye(count), np.zeros((count, 1))]])
+    )
 
 
 def compress(rows: FloatArray) -> FloatArray:

@@ -246,18 +246,23 @@ class Campaign:
 
 
 def campaign_of(
-    rows: Sequence[DwellRow], record: TemperatureRecord | None = None, quantity: Quantity = GYRO_BIAS
+    rows: Sequence[DwellRow],
+    record: TemperatureRecord | None = None,
+    quantity: Quantity = GYRO_BIAS,
+    *,
+    is_forecast: bool = False,
 ) -> Campaign:
     """Collect the dwells that have a result and no flags; of the others only temperatures are used.
 
     ``rows``: in any order. ``record``: temperatures of the gyros over the whole time; by default
     interpolated between the dwells. ``quantity``: what the rows have in the place of the biases; of others
-    than the gyros' biases one measured value is a result. Raises MeasurementError if no dwell has a result,
-    the dwells are of several units, or the table is implausible.
+    than the gyros' biases one measured value is a result. ``is_forecast``: some are not measured. Raises
+    MeasurementError if no dwell has a result, the dwells are of several units, or the table of measured ones
+    is implausible.
     """
     if not rows:
         raise MeasurementError("has no dwells. Search a run with finished dwells")
-    if problems := implausible(rows, quantity):
+    if not is_forecast and (problems := implausible(rows, quantity)):
         raise MeasurementError("\n".join(["implausible:", *problems]))
     ordered = sorted(rows, key=lambda row: (row.start_s, row.dwell))
     is_warm = [bool(np.isfinite([*row.gyro_c, *row.gyro_rate_c_per_h]).all()) for row in ordered]

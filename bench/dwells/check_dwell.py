@@ -18,6 +18,7 @@ from gyrobench.bench.dwells.dwell import (
     lack_of_fit_text,
 )
 from gyrobench.bench.dwells.marks import DwellMarks
+from gyrobench.bench.dwells.setup_check import raise_setup_fault
 from gyrobench.bench.dwells.temperatures import DwellTemperatures, dwell_temperatures
 from gyrobench.bench.foundations.errors import MeasurementError, SignalMapError
 from gyrobench.drivers.frames import FrameBlock
@@ -42,7 +43,7 @@ class CheckDwell:
     aligning_c: Triple  #: Mean temperatures of the gyros over the alignment.
     counts: EpochCounts  #: How the frames came.
     flags: str  #: What was wrong; empty where nothing was.
-    signal_fault: str = ""  #: Which sign or axis of the signal map is wrong.
+    setup_fault: str = ""  #: What of signal map or latitude is wrong.
 
     @property
     def dwell(self) -> int:
@@ -82,7 +83,7 @@ def measure_check_dwell(marks: DwellMarks, frames: FrameBlock, setup: Measuremen
     """
     flags = list(marks.disturbances)
     navigation, counts = None, EpochCounts()
-    temperatures, aligning_c, signal_fault = DwellTemperatures(), NOT_MEASURED, ""
+    temperatures, aligning_c, setup_fault = DwellTemperatures(), NOT_MEASURED, ""
     try:
         data = checked_navigation(marks, frames, setup, flags)
         counts = data.counts
@@ -91,15 +92,18 @@ def measure_check_dwell(marks: DwellMarks, frames: FrameBlock, setup: Measuremen
         aligning_c = _aligning_c(data, first_frame, temperatures)
         dwell = dwell_at_rest(marks, data, setup)
         navigation = _navigation(dwell, setup)
-        flags += [fault.text for fault in setup.output_faults(dwell.windows, navigation.noise)]
+        faults = setup.output_faults(dwell.windows, navigation.noise)
+        if not flags:
+            raise_setup_fault(setup.evidence(dwell, navigation.noise, faults))
+        flags += [fault.text for fault in faults]
         (window,) = navigation.dwell.windows
         fit = navigation_fit(window, setup.site, navigation.noise, setup.prior)
         if fit.p_value < MIN_FIT_P_VALUE:
             flags.append(lack_of_fit_text(fit))
     except MeasurementError as error:
         flags.append(str(error))
-        signal_fault = str(error) if isinstance(error, SignalMapError) else ""
-    return CheckDwell(marks, navigation, temperatures, aligning_c, counts, "; ".join(flags), signal_fault)
+        setup_fault = str(error) if isinstance(error, SignalMapError) else ""
+    return CheckDwell(marks, navigation, temperatures, aligning_c, counts, "; ".join(flags), setup_fault)
 
 
 def _navigation(dwell: Dwell, setup: MeasurementSetup) -> AlignedNavigation:

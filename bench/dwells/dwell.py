@@ -25,6 +25,7 @@ from gyrobench.bench.bias.vertical_pairs import exceeds_declared
 from gyrobench.bench.bias.window_filter import EPOCH_S
 from gyrobench.bench.dwells.marks import DwellMarks, WindowMark
 from gyrobench.bench.dwells.output_checks import OutputFault, exceeds_noise, output_faults, rounding
+from gyrobench.bench.dwells.setup_check import SetupEvidence, raise_setup_fault, setup_evidence
 from gyrobench.bench.dwells.sign_check import SignCheck
 from gyrobench.bench.dwells.temperatures import (
     DwellTemperatures,
@@ -98,6 +99,14 @@ class MeasurementSetup:
         """Find output that is impossible at rest."""
         return output_faults(windows, noise, self.site.gravity, *self._steps)
 
+    def evidence(
+        self, dwell: Dwell, noise: NoiseModel, faults: Sequence[OutputFault]
+    ) -> SetupEvidence | None:
+        """Evidence of the set-up in a dwell; None where faults of the output hide it."""
+        if any(not fault.may_be_noise for fault in faults):
+            return None
+        return setup_evidence(dwell, self.site, noise, self.prior, self.heading_lsb_rad)
+
     @property
     def budget_inputs(self) -> BudgetInputs:
         """Inputs of the uncertainty budgets."""
@@ -140,8 +149,10 @@ class MeasuredDwell:
     windows: tuple[RestMotion, ...]
     counts: EpochCounts  #: How the frames came.
     doubts: tuple[str, ...]  #: Those flags that noise larger than declared would explain.
-    #: Which sign or axis of the signal map is wrong; every further dwell would be invalid too.
-    signal_fault: str = ""
+    #: What of signal map or latitude is wrong; every further dwell would be invalid too.
+    setup_fault: str = ""
+    #: What it shows of scale and latitude; None where the output jumps.
+    evidence: SetupEvidence | None = None
 
     @property
     def flags(self) -> str:
@@ -163,7 +174,8 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
     estimate, paper, shared = None, None, None
     doubts: tuple[str, ...] = ()
     windows: tuple[RestMotion, ...] = ()
-    counts, temperatures, signal_fault = EpochCounts(), DwellTemperatures(), ""
+    counts, temperatures, fault = EpochCounts(), DwellTemperatures(), ""
+    evidence: SetupEvidence | None = None
     try:
         navigation = checked_navigation(marks, frames, setup, flags)
         counts = navigation.counts
@@ -172,8 +184,11 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
         )
         dwell = dwell_at_rest(marks, navigation, setup)
         noise = setup.noise_in(dwell.windows)
+        faults = setup.output_faults(dwell.windows, noise)
+        evidence = None if flags else setup.evidence(dwell, noise, faults)
+        raise_setup_fault(evidence)
         paper = _paper(dwell, setup.site, noise)
-        estimate, found, doubts = estimate_dwell(dwell, setup, noise)
+        estimate, found, doubts = estimate_dwell(dwell, setup, noise, faults)
         if estimate.information:
             shared = DwellRows.of(estimate.information, dwell.position, setup.prior)
             estimate = replace(estimate, information=None)
@@ -183,15 +198,15 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
         flags += doubts
     except MeasurementError as error:
         flags.append(str(error))
-        signal_fault = str(error) if isinstance(error, SignalMapError) else ""
+        fault = str(error) if isinstance(error, SignalMapError) else ""
     row = _row(marks, temperatures, estimate, paper, flags)
-    return MeasuredDwell(row, estimate, paper, shared, windows, counts, doubts, signal_fault)
+    return MeasuredDwell(row, estimate, paper, shared, windows, counts, doubts, fault, evidence)
 
 
 def estimate_dwell(
-    dwell: Dwell, setup: MeasurementSetup, noise: NoiseModel
+    dwell: Dwell, setup: MeasurementSetup, noise: NoiseModel, faults: Sequence[OutputFault] | None = None
 ) -> tuple[StateSpaceEstimate, list[str], tuple[str, ...]]:
-    """Estimate the biases of a dwell.
+    """Estimate the biases of a dwell; ``faults``: of its output, where they are known.
 
     Returns
     -------
@@ -203,7 +218,7 @@ def estimate_dwell(
         What another dwell would show as well: larger noise would explain it, or the INS is at fault.
     """
     estimate = _estimate(dwell, setup, noise)
-    faults = setup.output_faults(dwell.windows, noise)
+    faults = setup.output_faults(dwell.windows, noise) if faults is None else faults
     flags, doubts = [fault.text for fault in faults if not fault.may_be_noise], _doubts(estimate)
     pulse_rad = math.sqrt(12.0) * noise.heading_white
     if (flags or doubts) and setup.noise and noise.heading_white > _COARSER * setup.noise.heading_white:

@@ -37,6 +37,7 @@ from gyrobench.bench.dwells.dwell import MeasuredDwell, MeasurementSetup, measur
 from gyrobench.bench.dwells.marks import DwellMarks
 from gyrobench.bench.dwells.plateau_calibration import PlateauCalibration
 from gyrobench.bench.dwells.rotated_dwell import navigated_increments
+from gyrobench.bench.dwells.setup_check import setup_fault
 from gyrobench.bench.dwells.temperatures import stuck_sensors
 from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN, RADPS_TO_DPH
 from gyrobench.bench.foundations.errors import MeasurementError, RunFolderError
@@ -199,6 +200,7 @@ def add_dwell(dwells: list[MeasuredDwell], measured: MeasuredDwell) -> None:
             flags = "; ".join(text for text in (row.flags, flag) if text)
             dwells[index] = replace(dwells[index], row=replace(row, flags=flags))
     _flag_damping(dwells)
+    _flag_setup(dwells)
     _keep_navigation_of_some(dwells)
 
 
@@ -218,6 +220,17 @@ def _flag_damping(dwells: list[MeasuredDwell]) -> None:
             dwells[index] = replace(
                 dwell, row=replace(dwell.row, flags=flags), doubts=(*dwell.doubts, damping.text)
             )
+
+
+def _flag_setup(dwells: list[MeasuredDwell]) -> None:
+    """Flag all dwells of a set-up that they contradict together."""
+    fault = setup_fault([each.evidence for each in dwells if each.evidence])
+    if not fault:
+        return
+    for index, dwell in enumerate(dwells):
+        if not dwell.setup_fault:
+            flags = "; ".join(text for text in (dwell.row.flags, fault) if text)
+            dwells[index] = replace(dwell, row=replace(dwell.row, flags=flags), setup_fault=fault)
 
 
 def _keep_navigation_of_some(dwells: list[MeasuredDwell]) -> None:

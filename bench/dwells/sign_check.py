@@ -116,6 +116,8 @@ class SignCheck:
         if declared is None or self._holds(declared):
             return
         tried: list[tuple[tuple[str, ...], _Evidence]] = [((), declared)]
+        if other := self._evidence(marks, navigation, -1.0):
+            tried.append(((_wrong_sign("location.latitude_deg"),), other))
         for faults, signal_map in _attitude_changes(self.signals):
             evidence = self._evidence(marks, self.decode(frames, signal_map=signal_map))
             if evidence is not None:
@@ -141,8 +143,10 @@ class SignCheck:
         limit = np.maximum(_CONTRADICTS * best, _MIN_STEPS * self.velocity_step_mps)
         return evidence.is_on_path and bool((declared <= limit).all())
 
-    def _evidence(self, marks: DwellMarks, navigation: NavigationData) -> _Evidence | None:
-        """How the data fit table and gravity; None without data for it."""
+    def _evidence(
+        self, marks: DwellMarks, navigation: NavigationData, hemisphere: float = 1.0
+    ) -> _Evidence | None:
+        """How the data fit table and gravity; None without data for it. ``hemisphere``: -1 for the other."""
         off_table, unexplained = 0.0, []
         for mark in marks.windows:
             rows = _between(navigation, mark.first_frame, mark.end_frame)
@@ -157,7 +161,7 @@ class SignCheck:
             off = _angles_to(C_nb[:1], self.table.attitude(mark.outer_deg, mark.inner_deg)[np.newaxis])
             off_table = max(off_table, float(off[0]))
             unexplained.append(
-                self._unexplained(time_s[::every], velocity, rotation_vector_enu(C_nb, C_nb[0]))
+                self._unexplained(time_s[::every], velocity, rotation_vector_enu(C_nb, C_nb[0]), hemisphere)
             )
         off_path = max(
             (self._off_path(navigation, *pair) for pair in itertools.pairwise(marks.windows)), default=0.0
@@ -176,7 +180,9 @@ class SignCheck:
         inner = before.inner_deg + share * (after.inner_deg - before.inner_deg)
         return float(_angles_to(C_nb, self.table.attitude(outer, inner)).max())
 
-    def _unexplained(self, time_s: FloatArray, velocity: FloatArray, rotation: FloatArray) -> FloatArray:
+    def _unexplained(
+        self, time_s: FloatArray, velocity: FloatArray, rotation: FloatArray, hemisphere: float
+    ) -> FloatArray:
         """What tilt does not explain of the velocities (n, 2) of a window, shape (9, n, 2).
 
         One for each change of the velocities, and last their integral.
@@ -190,7 +196,7 @@ class SignCheck:
         velocity_left, tilt, displacement = (
             each - line @ np.linalg.lstsq(line, each, rcond=None)[0] for each in (velocity, *integrals)
         )
-        _, _, rate_up = earth_rate_enu(self.site.latitude)
+        _, _, rate_up = earth_rate_enu(hemisphere * self.site.latitude)
         coriolis = 2.0 * rate_up * np.array([[0.0, -1.0], [1.0, 0.0]])
         changes = [each.matrix for each in _VELOCITY_CHANGES]
         return np.stack(

@@ -160,8 +160,9 @@ class DwellLedger:
     def finish(self) -> bool:
         """Measure the dwell that is over; returns False where it has to be repeated.
 
-        Raises SignalMapError if it contradicts the signal map, and the dwell before did too or none of the
-        run agreed: each further dwell would be invalid too. One alone after that is a disturbance.
+        Raises SignalMapError if it contradicts the station file, and the dwell before did too or none of the
+        run agreed, or if all dwells together do: each further dwell would be invalid too. One alone after
+        dwells that agreed is a disturbance.
         """
         unit, record = self._unit, self._record
         marks = self._recorder.marks()
@@ -170,8 +171,8 @@ class DwellLedger:
             return self._finish_recorded(marks, frames)
         measure = measure_check_dwell if marks.is_calibration_check else measure_dwell
         measured = measure(marks, frames, record.setup)
-        is_map_wrong = bool(measured.signal_fault) and (self._contradicted or not self._has_agreed())
-        self._contradicted = bool(measured.signal_fault)
+        is_map_wrong = bool(measured.setup_fault) and (self._contradicted or not self._has_agreed())
+        self._contradicted = bool(measured.setup_fault)
         if measured.is_disturbed and not is_map_wrong and self.may_repeat(marks.dwell):
             self.repeat(marks.dwell, measured.flags)
             return False
@@ -184,12 +185,14 @@ class DwellLedger:
             add_dwell(dwells, measured)
             write_dwells(record.folder.dwells, [each.row for each in dwells])
             self._run.observers.dwell_measured(dwells[-1].row)
+            if dwells[-1].setup_fault and not measured.setup_fault:  # by all dwells together
+                raise SignalMapError(dwells[-1].setup_fault)
         else:
             record.outcome.check_dwells.append(measured)
             text = measured.flags or "measured for the calibration check"
             self._noted(f"{marks.position} at {marks.azimuth_deg:g} deg: {text}")
         if is_map_wrong:
-            raise SignalMapError(measured.signal_fault)
+            raise SignalMapError(measured.setup_fault)
         return True
 
     def _finish_recorded(self, marks: DwellMarks, frames: FrameBlock) -> bool:

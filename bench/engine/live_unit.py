@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Protocol, TypeVar
 from gyrobench.bench.engine.bench_state import Readings, UnitState
 from gyrobench.bench.engine.interlocks.watch import InterlockWatch, Trip
 from gyrobench.bench.foundations.clock import Clock
-from gyrobench.bench.foundations.errors import InstrumentError, NoReplyError
+from gyrobench.bench.foundations.errors import InstrumentError, NoReplyError, SignalMapError
 from gyrobench.bench.navigation.table_axes import Angles
 from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE
 from gyrobench.bench.station.station import Station
@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 
 #: An INS whose count of epochs is off by more than this has restarted, or lost its count.
 _EPOCH_COUNT_TOLERANCE_S = 3.0
+#: Two counts are at the same other rate if they differ by less than this share, and if it is at most so many
+#: times the declared one. A count over so many times the tolerance that matches shows the declared rate.
+_SAME_PERIOD, _MAX_PERIOD_RATIO, _CLEAR = 0.03, 20.0, 4.0
 #: A CAN bus that is silent for this long may have been disconnected without an error.
 BUS_SILENCE_S = 4.0
 
@@ -105,6 +108,7 @@ class LiveUnit:
         self._watch = InterlockWatch(station, bench.clock, {RATE_TABLE, CHAMBER, *absent})
         self._mode = InsMode.UNKNOWN
         self._epochs: tuple[float, int] | None = None
+        self._other_period_s = math.nan  #: by the last count that did not match
         ins.on_frames = self._received
 
     @property
@@ -172,15 +176,30 @@ class LiveUnit:
             self._epochs = (readings.asked_s, epochs)
 
     def _has_count_jumped(self, readings: Readings) -> bool:
-        """Whether the count of epochs does not match the time since the last reading."""
+        """Whether the count of epochs does not match the time since the last reading.
+
+        Raises SignalMapError if it ran twice at the same other rate, as after no restart.
+        """
         ins, before = readings.ins, self._epochs
         if ins.epochs is None or before is None:
             return False
         passed_s = readings.asked_s - before[0]
-        counted_s = ((ins.epochs - before[1]) % ins.epoch_modulus) * ins.epoch_period_s
+        epochs = (ins.epochs - before[1]) % ins.epoch_modulus
         wrap_s = ins.epoch_modulus * ins.epoch_period_s
-        off_s = (counted_s - passed_s + wrap_s / 2.0) % wrap_s - wrap_s / 2.0
-        return abs(off_s) > _EPOCH_COUNT_TOLERANCE_S + ins.age_s
+        off_s = (epochs * ins.epoch_period_s - passed_s + wrap_s / 2.0) % wrap_s - wrap_s / 2.0
+        tolerance_s = _EPOCH_COUNT_TOLERANCE_S + ins.age_s
+        if abs(off_s) <= tolerance_s:
+            self._other_period_s = self._other_period_s if passed_s < _CLEAR * tolerance_s else math.nan
+            return False
+        period_s = passed_s / max(epochs, 1)
+        if abs(period_s / self._other_period_s - 1.0) < _SAME_PERIOD:
+            raise SignalMapError(
+                f"{self.name}: counts an epoch in {period_s:.3g} s, not in {ins.epoch_period_s:g} s. Correct "
+                "epoch_period_s of the signal map in the station file, or the output rate of the INS"
+            )
+        is_rate = 1.0 / _MAX_PERIOD_RATIO < period_s / ins.epoch_period_s < _MAX_PERIOD_RATIO
+        self._other_period_s = period_s if is_rate else math.nan
+        return True
 
     def _notice_silent_bus(self, readings: Readings) -> None:
         """Treat a bus on which the INS has fallen silent as one that may have to be reopened."""

@@ -17,7 +17,7 @@
     ├── UnitsLostError                    every unit of a run was dropped
     ├── RunStoppedError                   a command or an answer stops the run
     ├── MeasurementError (ValueError)     measured data that can't give a result
-    │   └── SignalMapError                they contradict the signs or axes of the signal map
+    │   └── SignalMapError                they contradict the signal map or the latitude
     ├── RunFolderError (OSError)          a run folder that can't be written or read
     │   └── MissingRunError               there is no run where one was named
     └── MissingPackageError (ImportError) an optional package is not installed
@@ -100,7 +100,7 @@ class MeasurementError(GyrobenchError, ValueError):
 
 
 class SignalMapError(MeasurementError):
-    """Measured data contradict the signs or axes in the signal map of the station file."""
+    """Measured data contradict the station file: signs, axes or scale of the signal map, or the latitude."""
 
 
 class RunFolderError(GyrobenchError, OSError):

@@ -347,7 +347,7 @@ def _linearized(
 ) -> list[tuple[Linearized, float]]:
     """Each rival linearized about its fit to the dwells, and the variance of what it can't predict."""
     rows, known = forecast.measured, forecast.campaign
-    campaign = campaign_of([*rows, *new])
+    campaign = campaign_of([*rows, *new], is_forecast=True)
     measured = ~np.isin(campaign.dwell, [row.dwell for row in new])
     if known.above_optics_c is not None:
         # A network fitted again to the new dwells would take a second.

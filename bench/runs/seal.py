@@ -31,14 +31,7 @@ from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.foundations.text import counted, listed
 from gyrobench.bench.runs.fingerprint import find_change, fingerprint_of
 from gyrobench.bench.runs.folder import JOURNAL, UNITS, RunFolder
-from gyrobench.bench.runs.journal import (
-    MAX_JOURNAL_BYTES,
-    broken_links,
-    facts_of,
-    is_linked,
-    journal_lines,
-    read_journal,
-)
+from gyrobench.bench.runs.journal import broken_links, facts_of, is_linked, journal_lines, read_journal
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
@@ -52,6 +45,7 @@ _TRANSIENT = ("live.json",)
 _EVIDENCE_FOLDERS = ("can", "telemetry")
 _EVIDENCE = (JOURNAL, "procedure.yaml", "station.yaml", "calibration.csv", "compensation.yaml")
 _MAX_BYTES = 500_000_000
+_PIECE_BYTES = 1 << 20
 _MAX_COMMAND_CHARACTERS = 300
 
 
@@ -224,7 +218,8 @@ def keep_sealed(folder: RunFolder, known: Mapping[str, str] = MappingProxyType({
     """Seal a run that has ended, with what was added to it; where the key can't be used, without signature.
 
     Runs of versions without seals are left as they are. ``known``: hashes, by path, that a report states
-    which was just written: the seal holds the same.
+    which was just written: the seal holds the same. Raises RunFolderError if measured data or inputs have
+    changed since the last seal.
     """
     try:
         ended = facts_of(read_journal(folder.journal)).ended
@@ -232,7 +227,7 @@ def keep_sealed(folder: RunFolder, known: Mapping[str, str] = MappingProxyType({
         return  # damaged: a seal would confirm it
     is_due = (folder.path / _SEALS).exists() or is_linked(folder.journal)
     if ended and is_due:
-        _seal_folder(folder, None, accept_changes=True, known=known)
+        _seal_folder(folder, None, accept_changes=False, known=known)
 
 
 def verify_seals(folder: Path, trusted_key: Path | None = None) -> SealCheck:
@@ -326,7 +321,7 @@ def _paths(root: Path, below: str = "") -> Iterator[str]:
 
 def _changes(root: Path, before: Mapping[str, SealedFile], files: Mapping[str, SealedFile]) -> Changes:
     changed = [path for path in files if path in before and files[path].sha256 != before[path].sha256]
-    extended = [path for path in changed if path == JOURNAL and _starts_with(root / path, before[path])]
+    extended = [path for path in changed if _is_evidence(path) and _starts_with(root / path, before[path])]
     return Changes(
         added=[path for path in files if path not in before],
         extended=extended,
@@ -336,8 +331,12 @@ def _changes(root: Path, before: Mapping[str, SealedFile], files: Mapping[str, S
 
 
 def _starts_with(path: Path, sealed: SealedFile) -> bool:
-    content = read_limited(path, MAX_JOURNAL_BYTES, RunFolderError)[: sealed.size_bytes]
-    return hashlib.sha256(content).hexdigest() == sealed.sha256
+    digest, left = hashlib.sha256(), sealed.size_bytes
+    with path.open("rb") as file:
+        while content := file.read(min(left, _PIECE_BYTES)):
+            digest.update(content)
+            left -= len(content)
+    return digest.hexdigest() == sealed.sha256
 
 
 def _finding(root: Path, path: str, sealed: SealedFile, seals: Sequence[Seal]) -> SealFinding | None:

@@ -43,6 +43,10 @@ def _reversed(angle: str) -> dict[str, Any]:
     return {"signal": f"ROLL_PITCH.{angle}", "sign": -1}
 
 
+def _opposite_latitude(case: Case) -> Case:
+    return _station({"location.latitude_deg": -case.place.latitude_deg})(case)
+
+
 _EXCHANGED_ANGLES = {f"{EULER}.roll": "ROLL_PITCH.PITCH", f"{EULER}.pitch": "ROLL_PITCH.ROLL"}
 _EXCHANGED = {
     "ins.signals.velocity_east": f"{VELOCITY}NORTH",
@@ -61,6 +65,9 @@ ROWS = (
     Row("roll with the wrong sign", _station({f"{EULER}.roll": _reversed("ROLL")}), "roll"),
     Row("pitch with the wrong sign", _station({f"{EULER}.pitch": _reversed("PITCH")}), "pitch"),
     Row("roll and pitch exchanged", _station(_EXCHANGED_ANGLES), "exchange"),
+    Row("velocities with half their scale", _unit(velocity_scale=(0.5,) * 3), "half the scale"),
+    Row("velocities in knots taken for m/s", _unit(velocity_scale=(1.0 / 0.514444,) * 3), "knots"),
+    Row("latitude with the wrong sign", _opposite_latitude, "latitude_deg has the wrong sign"),
     Row("latitude 1 arcmin off", _latitude(1.0), "latitude"),
     Row("latitude -1 arcmin off", _latitude(-1.0), "latitude"),
     Row("latitude -3 arcmin off", _latitude(-3.0), "latitude"),

@@ -10,6 +10,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+from gyrobench.bench.dwells.setup_check import measured_scale
 from gyrobench.bench.engine.observers import RunOutcome
 from gyrobench.bench.engine.preflight.ins import CanTraffic, ins_checks
 from gyrobench.bench.engine.preflight.instruments import ANSWERS, chamber_checks, table_checks
@@ -115,8 +116,11 @@ def signal_map_checks(outcome: RunOutcome, folder: RunFolder) -> Iterator[Check]
     for number, unit in outcome.units.items() or [("", outcome)]:
         dwell = next(iter(unit.dwells), None)
         is_good = dwell is not None and dwell.estimate is not None
-        if is_good:
+        if dwell is not None and is_good:
             found = "velocities and attitude agree with the tilt of the INS and the path of the table"
+            if dwell.evidence is not None:
+                scale, sigma = measured_scale([dwell.evidence])
+                found += f"; scale of the velocities {scale:.2f} ± {sigma:.2f}"
         else:
             found = (dwell.flags if dwell else "") or unit.reason or outcome.reason
         yield Check.of(f"INS {number}".strip(), "signs and axes", is_good, f"{found} ({folder.path})", "")

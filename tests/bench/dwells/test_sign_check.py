@@ -33,30 +33,30 @@ def measured(station, position="z_up", seed=1, **unit):
 )
 def test_a_velocity_with_the_wrong_sign_is_named_and_gives_no_bias(name, position):
     dwell = measured(MIRRORED[name], position)
-    assert dwell.signal_fault.startswith(f"{SIGNALS}.velocity_{name} has the wrong sign: at rest")
-    assert dwell.row.flags == dwell.signal_fault
+    assert dwell.setup_fault.startswith(f"{SIGNALS}.velocity_{name} has the wrong sign: at rest")
+    assert dwell.row.flags == dwell.setup_fault
     assert np.isnan(dwell.row.bias_dph).all()
 
 
 def test_both_velocities_with_the_wrong_sign_are_named_beside_what_would_look_the_same():
     """With z up, angles with the wrong sign tilt the other way, and nothing else shows."""
-    fault = measured(MIRRORED["east"] | MIRRORED["north"]).signal_fault
+    fault = measured(MIRRORED["east"] | MIRRORED["north"]).setup_fault
     assert "velocity_east has the wrong sign and ins.signals.velocity_north has the wrong sign; or" in fault
     assert "euler.roll has the wrong sign and ins.signals.attitude.euler.pitch has the wrong sign" in fault
-    assert "euler" not in measured(MIRRORED["east"] | MIRRORED["north"], "x_up").signal_fault
+    assert "euler" not in measured(MIRRORED["east"] | MIRRORED["north"], "x_up").setup_fault
 
 
 def test_east_and_north_exchanged_are_named():
     exchanged = {
         f"{SIGNALS}.velocity_{a}": f"{VELOCITY}{b}" for a, b in (("east", "NORTH"), ("north", "EAST"))
     }
-    fault = measured(exchanged).signal_fault
+    fault = measured(exchanged).setup_fault
     assert fault.startswith(f"{SIGNALS}.velocity_east and {SIGNALS}.velocity_north are exchanged")
 
 
 @pytest.mark.parametrize("position", ["z_up", "z_down", "y_up", "x_down"])
 def test_a_heading_with_the_wrong_sense_is_named(position):
-    fault = measured({f"{EULER}.yaw_positive": "up"}, position).signal_fault
+    fault = measured({f"{EULER}.yaw_positive": "up"}, position).setup_fault
     assert fault.startswith(f"{EULER}.yaw_positive is 'up' in place of 'down'")
     off_deg, otherwise_deg = map(float, re.search(r"lies (\S+) deg .* and (\S+) deg", fault).groups())
     assert off_deg > 80.0
@@ -66,13 +66,13 @@ def test_a_heading_with_the_wrong_sense_is_named(position):
 @pytest.mark.parametrize(("angle", "position"), [("ROLL", "z_up"), ("PITCH", "z_up"), ("ROLL", "x_up")])
 def test_roll_or_pitch_with_the_wrong_sign_is_named(angle, position):
     name = f"{EULER}.{angle.lower()}"
-    fault = measured({name: {"signal": f"ROLL_PITCH.{angle}", "sign": -1}}, position).signal_fault
+    fault = measured({name: {"signal": f"ROLL_PITCH.{angle}", "sign": -1}}, position).setup_fault
     assert f"{name} has the wrong sign" in fault
 
 
 def test_roll_and_pitch_exchanged_are_named():
     exchanged = {f"{EULER}.roll": "ROLL_PITCH.PITCH", f"{EULER}.pitch": "ROLL_PITCH.ROLL"}
-    assert "euler.roll and ins.signals.attitude.euler.pitch are exchanged" in measured(exchanged).signal_fault
+    assert "euler.roll and ins.signals.attitude.euler.pitch are exchanged" in measured(exchanged).setup_fault
 
 
 @pytest.mark.parametrize(
@@ -92,4 +92,4 @@ def test_roll_and_pitch_exchanged_are_named():
     ],
 )
 def test_no_error_of_the_unit_passes_for_a_wrong_sign(position, unit):
-    assert measured({}, position, **unit).signal_fault == ""
+    assert measured({}, position, **unit).setup_fault == ""

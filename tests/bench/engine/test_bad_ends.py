@@ -170,6 +170,21 @@ def test_a_velocity_mapped_with_the_wrong_sign_ends_the_run_after_its_first_dwel
     assert "dwell_given_up" not in [entry["event"] for entry in read_journal(folder.journal)]
 
 
+@pytest.mark.parametrize("period_s", [0.05, 0.2])
+def test_a_wrong_period_of_the_epochs_ends_the_run_before_its_first_dwell(tmp_path, period_s):
+    text = find_document("stations", "emulated").read_text()
+    right = "epoch_period_s: 0.1"
+    assert right in text
+    station = tmp_path / "station.yaml"
+    station.write_text(text.replace(right, f"epoch_period_s: {period_s}"))
+    job = prepare_job("calibration_check", str(station), Emulation("gyro_a", 1))
+    _, outcome = run_job(job, tmp_path / "run", RunObserver(), ConsentingOperator())
+    assert outcome.ended == "failed"
+    assert f"counts an epoch in 0.1 s, not in {period_s:g} s. Correct epoch_period_s" in outcome.reason
+    assert not outcome.check_dwells
+    assert [action.problem for action in outcome.safe_state] == [""] * len(outcome.safe_state)
+
+
 @pytest.mark.parametrize(("contradicting", "ended"), [({2}, "finished"), ({2, 3}, "failed")])
 def test_only_two_dwells_in_a_row_contradict_a_signal_map_that_agreed_before(
     tmp_path, monkeypatch, contradicting, ended

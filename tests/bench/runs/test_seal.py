@@ -197,6 +197,27 @@ def test_a_run_is_kept_sealed_once_it_has_ended_and_old_runs_stay_as_they_are(fo
     assert verify_seals(folder.path).is_intact
 
 
+@pytest.mark.parametrize("changed", ["journal", "can"])
+def test_a_run_whose_measured_data_changed_is_not_sealed_again(folder, changed):
+    keep_sealed(folder)
+    path = folder.journal if changed == "journal" else next(folder.can.iterdir())
+    change_byte(path, 40)
+    with pytest.raises(RunFolderError, match=f"{path.name} changed since seal 1"):
+        keep_sealed(folder)
+    assert not verify_seals(folder.path).is_intact
+
+
+def test_a_resumed_run_is_sealed_again_with_what_was_added(folder):
+    keep_sealed(folder)
+    log = CanLog(folder.can)
+    log.write(FrameBlock.from_columns(9e8 + np.zeros(1), np.ones(1), 8, np.zeros((1, 8), np.uint8)))
+    log.cut()
+    with folder.journal.open("ab") as journal:
+        journal.write(folder.journal.read_bytes().splitlines(keepends=True)[-1])
+    keep_sealed(folder)
+    assert verify_seals(folder.path).is_intact
+
+
 def test_the_command_seals_verifies_and_names_the_change(folder, tmp_path):
     made = gyrobench("seal", folder.path, "--operator", "D. White", cwd=tmp_path)
     assert made.returncode == 0, made.stderr
