@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from gyrobench.bench.engine.observers import RunObserver
     from gyrobench.bench.engine.operator import Operator
     from gyrobench.bench.investigation.choice import Rival
-    from gyrobench.bench.investigation.investigation import Investigation
     from gyrobench.bench.investigation.proposal import Proposal
+    from gyrobench.bench.investigation.stages import Investigation
     from gyrobench.bench.monitor.terminal import RunConsole
     from gyrobench.bench.verification.compensation_verification import VerificationResult
 

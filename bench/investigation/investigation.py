@@ -6,8 +6,8 @@ an investigation that was killed decides the same again and continues.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -37,7 +37,7 @@ from gyrobench.bench.investigation.doubt import (
 )
 from gyrobench.bench.investigation.external_bench import BlockPlan, BlockRefusedError
 from gyrobench.bench.investigation.forecast import Forecast
-from gyrobench.bench.investigation.profile import Calibration, Profile
+from gyrobench.bench.investigation.profile import Profile
 from gyrobench.bench.investigation.proposal import (
     MIN_GAIN,
     SETTLED,
@@ -51,6 +51,14 @@ from gyrobench.bench.investigation.proposal import (
     propose,
     proposed,
 )
+from gyrobench.bench.investigation.stages import (
+    CALIBRATE,
+    CONFIRM,
+    DISTINGUISH,
+    TEST_LAW,
+    Investigation,
+    Stage,
+)
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal, read_journal
 from gyrobench.bench.station.locks import RunLock
@@ -60,84 +68,13 @@ _PLAN, _DONE = "plan.json", "dwells.csv"
 #: Times that a kind of block is measured while the blocks bring only dwells with flags.
 _MAX_FLAGGED = 2
 #: Blocks that are measured to confirm one cause while none is clear.
-MAX_TESTS = 2
-#: Purposes of a block.
-DISTINGUISH, CONFIRM, TEST_LAW, CALIBRATE = "distinguish", "confirm", "test_law", "calibrate"
+MAX_TESTS = 4
+#: After so many blocks that distinguished, what is not shown beside a cause does not keep it open.
+PATIENCE = 3
 #: Ends after which an adaptive campaign still determines biases.
 _CONCLUSIVE = ("settled", "nothing_found", "not_on_list", "refuted")
 _ONE_SLOW_LAW = "Not on the list of effects: ageing and a drift together imitate one slow law of time."
 _S_PER_H = 3600.0
-
-
-@dataclass(frozen=True)
-class Stage:
-    """One search, and the block that was measured after it."""
-
-    spent_h: float  #: Hours on the bench since the first table, before the block; with a profile, in all.
-    closure: Closure  #: The search.
-    #: The hypotheses that a block has to distinguish. Where a cause is confirmed or a law tested, it is the
-    #: first, and the others do without it or one of its effects.
-    rivals: tuple[Rival, ...]
-    purpose: str = DISTINGUISH  #: DISTINGUISH, CONFIRM, TEST_LAW, or CALIBRATE: the cause is settled.
-    proposal: Proposal | None = None  #: The block measured next; None at the end.
-    #: What the block says about the rivals; None at the end, and if all its dwells have flags.
-    outcome: Outcome | None = None
-    confirmation: Outcome | None = None  #: The same about those of :attr:`confirmed`; None without a cause.
-    calibration: Calibration | None = None  #: Of the biases of a profile; None without one.
-
-    @property
-    def is_uncertain(self) -> bool:
-        """Whether the biases are less certain than by the whole profile."""
-        return self.calibration is not None and self.calibration.ratio > 1.0
-
-    @property
-    def confirmed(self) -> tuple[Rival, ...]:
-        """A cause that any block confirms or contradicts, and less than it."""
-        return self.rivals if self.purpose == CONFIRM else confirming_rivals(self.closure)
-
-    @property
-    def is_test(self) -> bool:
-        """Whether its block tests a prediction."""
-        return self.purpose in (CONFIRM, TEST_LAW)
-
-
-@dataclass(frozen=True)
-class Investigation:
-    """Outcome of an investigation."""
-
-    stages: tuple[Stage, ...]  #: In the order of time; the last one has no block.
-    #: "settled", "nothing_found", "not_on_list", "budget", "no_block", "declined", "refuted" or
-    #: "bench_failed".
-    ended: str
-    reason: str  #: Why it ended.
-    rows: tuple[DwellRow, ...]  #: All dwells.
-    refused: Mapping[tuple[str, ...], str]  #: Reasons of the bench by the kinds of a block.
-    repeated_campaign_h: float  #: Hours of repeating the first campaign; of the profile, where there is one.
-
-    @property
-    def is_conclusive(self) -> bool:
-        """Whether the cause is settled, or nothing was found."""
-        return self.ended in ("settled", "nothing_found")
-
-    @property
-    def test(self) -> Stage | None:
-        """The last block that confirmed a settled cause or tested a composed law, if it gave an outcome."""
-        return next((each for each in reversed(self.stages) if each.is_test and each.outcome), None)
-
-    @property
-    def closure(self) -> Closure:
-        """The last search."""
-        return self.stages[-1].closure
-
-    @property
-    def calibration(self) -> Calibration | None:
-        """What is known of the biases of the profile of an adaptive campaign."""
-        return self.stages[-1].calibration
-
-    @property
-    def spent_h(self) -> float:
-        """Hours on the bench since the first table; of an adaptive campaign, in all."""
-        return self.stages[-1].spent_h
 
 
 class Bench(BlockPlanner, Protocol):
@@ -235,7 +172,9 @@ class Investigator:
                 if ended and (test := self._test(stage, ended[0])):
                     test, failed = self._with_block(test, journal)
                     stage = test if failed is None else stage
-                    ended = failed and (failed if failed[0] == "bench_failed" else ended)
+                    if failed and failed[0] != "bench_failed":
+                        failed = (ended[0], f"{ended[1]} No further block tested it: {failed[1]}")
+                    ended = failed
                 elif ended and ended[0] in _CONCLUSIVE and stage.is_uncertain and stage.calibration:
                     stage = replace(stage, purpose=CALIBRATE, rivals=stage.calibration.rivals)
                     stage, failed = self._with_block(stage, journal)
@@ -337,10 +276,10 @@ class Investigator:
     def _confirmation(self, stage: Stage, *, is_last: bool = False) -> Stage | None:
         """A stage whose block confirms a cause that only new dwells can confirm, if that is all.
 
-        ``is_last``: no block distinguishes; effects that a single dwell shows, or that are not significant,
-        are not counted.
+        ``is_last``: no block distinguishes. Then, or if :data:`PATIENCE` blocks did, effects that a single
+        dwell shows, or that are not significant, are not counted.
         """
-        if only_unconfirmed(stage.closure, with_weak=not is_last):
+        if only_unconfirmed(stage.closure, with_weak=not (is_last or self._is_late)):
             return self._cause_test(stage, confirming_rivals(stage.closure), again=True)
         rivals = lacking_rivals(stage.closure) if is_last else ()
         return self._cause_test(stage, rivals) if rivals else None
@@ -377,6 +316,12 @@ class Investigator:
                 return replace(last, rivals=(with_law, without), purpose=TEST_LAW)
         return None
 
+    @property
+    def _is_late(self) -> bool:
+        """Whether enough blocks have distinguished."""
+        blocks = (each for each in self._stages if each.purpose == DISTINGUISH and each.outcome)
+        return sum(1 for _ in blocks) >= PATIENCE
+
     def _tests(self, purpose: str, names: tuple[str, ...]) -> list[Outcome]:
         """Outcomes of the blocks that tested something."""
         tests = [each for each in self._stages if each.purpose == purpose and each.rivals[0].names == names]
@@ -403,7 +348,7 @@ class Investigator:
         )
         is_listed = posterior.not_on_list <= 1.0 - SETTLED
         if is_settled(stage.closure) or (
-            is_confirmed and only_unconfirmed(stage.closure, with_weak=not is_last)
+            is_confirmed and only_unconfirmed(stage.closure, with_weak=not (is_last or self._is_late))
         ):
             if tested is not None and tested.contradicts:
                 return ("refuted", f"A block contradicts what {' + '.join(names)} predicted for it.")

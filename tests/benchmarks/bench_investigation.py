@@ -30,7 +30,7 @@ from gyrobench.bench.investigation.doubt import (
     searched,
 )
 from gyrobench.bench.investigation.forecast import Forecast
-from gyrobench.bench.investigation.investigation import MAX_TESTS
+from gyrobench.bench.investigation.investigation import MAX_TESTS, PATIENCE
 from gyrobench.bench.investigation.proposal import hours_left, is_confirmed_by, outcome_of, propose
 from tests.benchmarks.closure_laws import ON_THE_LIST
 from tests.benchmarks.investigation_units import SimulatedUnit
@@ -134,7 +134,8 @@ class Tie:
             needs_test = state.names and not state.tests()
             return best(state.confirming, test_value) if needs_test else None
 
-        for with_weak in (True, False):
+        is_late = len(state.blocks) - sum(is_test for *_, is_test in state.outcomes) >= PATIENCE
+        for with_weak in (False,) if is_late else (True, False):
             if is_stated(with_weak=with_weak):
                 return True, test(), rivals
             tests = state.tests()
@@ -154,7 +155,7 @@ class State:
     """A unit and its dwells after some blocks, with their search."""
 
     def __init__(self, unit, rows, held_out, blocks, outcomes=()):
-        self.unit, self.rows = unit, rows
+        self.unit, self.rows, self.blocks = unit, rows, blocks
         #: Cause that a block was compared with, the outcome, and whether it was measured for that.
         self.outcomes = outcomes
         self._measured = [each.removeprefix(TO_CONFIRM).split(", then ") for each in blocks]

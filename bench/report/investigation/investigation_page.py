@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from gyrobench.bench.foundations.files import make_folder
 from gyrobench.bench.foundations.text import probability_number
-from gyrobench.bench.investigation.investigation import CALIBRATE, CONFIRM, TEST_LAW, Investigation
+from gyrobench.bench.investigation.stages import CALIBRATE, CONFIRM, TEST_LAW, Investigation
 from gyrobench.bench.report.closure.closure_page import closure_sections
 from gyrobench.bench.report.closure.closure_text import verdict_sentence
 from gyrobench.bench.report.content import approvals_in

@@ -8,8 +8,8 @@ from gyrobench.bench.closure.loop import Closure
 from gyrobench.bench.foundations.text import counted, listed, probability_number
 from gyrobench.bench.investigation.choice import Rival
 from gyrobench.bench.investigation.doubt import rivals_of
-from gyrobench.bench.investigation.investigation import CONFIRM, Investigation, Stage
 from gyrobench.bench.investigation.proposal import Proposal
+from gyrobench.bench.investigation.stages import CONFIRM, Investigation, Stage
 from gyrobench.bench.navigation.positions import AXES
 
 #: Gist of each end.
@@ -43,13 +43,15 @@ def proposal_sentences(proposal: Proposal, rivals: Sequence[Rival], limit: int =
         f"entropy of the probabilities is expected to fall from {proposal.entropy:z.2f} to "
         f"{proposal.expected.entropy:z.2f} nats.{biases if proposal.replaced_h else ''}"
     )
+    is_test = len(rivals) > 1 and len({each.probability for each in rivals}) == 1
     for rival, prediction in list(zip(rivals, proposal.predictions, strict=True))[:limit]:
+        weight = f"probability {probability_number(rival.probability)}"
         mean_dph = prediction.mean_dph.reshape(3, -1)
         gyros = ", ".join(
             f"{axis} {1e3 * each.mean():+z.1f}" for axis, each in zip(AXES, mean_dph, strict=True)
         )
         yield (
-            f"If it is {title_of(rival)} (probability {probability_number(rival.probability)}), the mean "
+            f"If it is {title_of(rival)} ({'equal weights for the test' if is_test else weight}), the mean "
             f"biases are {gyros} x 0.001 deg/h."
         )
 

@@ -190,6 +190,15 @@ def test_a_bench_that_refuses_all_is_asked_once_for_each_kind(searched_once, tmp
     assert len(asked) == len(set(asked))
 
 
+def test_a_settled_cause_whose_test_is_declined_says_that_no_block_tested_it(searched_once, tmp_path):
+    def approve(proposal, rivals):
+        return len({each.probability for each in rivals}) > 1
+
+    found = investigator(unit_with({"warm_up": 0.02}), tmp_path / "test", approve=approve).run(WallClock())
+    assert found.ended == "settled"
+    assert found.reason.endswith("No further block tested it: The proposed block was declined.")
+
+
 def test_measured_blocks_are_taken_from_the_folder_with_any_budget(searched_once, settled):
     whole, folder = settled
 

@@ -1,0 +1,87 @@
+"""The record of an investigation: its searches, each with the block that was measured after it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.closure.loop import Closure
+from gyrobench.bench.investigation.choice import Rival
+from gyrobench.bench.investigation.doubt import confirming_rivals
+from gyrobench.bench.investigation.profile import Calibration
+from gyrobench.bench.investigation.proposal import Outcome, Proposal
+
+#: Purposes of a block.
+DISTINGUISH, CONFIRM, TEST_LAW, CALIBRATE = "distinguish", "confirm", "test_law", "calibrate"
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One search, and the block that was measured after it."""
+
+    spent_h: float  #: Hours on the bench since the first table, before the block; with a profile, in all.
+    closure: Closure  #: The search.
+    #: The hypotheses that a block has to distinguish. Where a cause is confirmed or a law tested, it is the
+    #: first, and the others do without it or one of its effects.
+    rivals: tuple[Rival, ...]
+    purpose: str = DISTINGUISH  #: DISTINGUISH, CONFIRM, TEST_LAW, or CALIBRATE: the cause is settled.
+    proposal: Proposal | None = None  #: The block measured next; None at the end.
+    #: What the block says about the rivals; None at the end, and if all its dwells have flags.
+    outcome: Outcome | None = None
+    confirmation: Outcome | None = None  #: The same about those of :attr:`confirmed`; None without a cause.
+    calibration: Calibration | None = None  #: Of the biases of a profile; None without one.
+
+    @property
+    def is_uncertain(self) -> bool:
+        """Whether the biases are less certain than by the whole profile."""
+        return self.calibration is not None and self.calibration.ratio > 1.0
+
+    @property
+    def confirmed(self) -> tuple[Rival, ...]:
+        """A cause that any block confirms or contradicts, and less than it."""
+        return self.rivals if self.purpose == CONFIRM else confirming_rivals(self.closure)
+
+    @property
+    def is_test(self) -> bool:
+        """Whether its block tests a prediction."""
+        return self.purpose in (CONFIRM, TEST_LAW)
+
+
+@dataclass(frozen=True)
+class Investigation:
+    """Outcome of an investigation."""
+
+    stages: tuple[Stage, ...]  #: In the order of time; the last one has no block.
+    #: "settled", "nothing_found", "not_on_list", "budget", "no_block", "declined", "refuted" or
+    #: "bench_failed".
+    ended: str
+    reason: str  #: Why it ended.
+    rows: tuple[DwellRow, ...]  #: All dwells.
+    refused: Mapping[tuple[str, ...], str]  #: Reasons of the bench by the kinds of a block.
+    repeated_campaign_h: float  #: Hours of repeating the first campaign; of the profile, where there is one.
+
+    @property
+    def is_conclusive(self) -> bool:
+        """Whether the cause is settled, or nothing was found."""
+        return self.ended in ("settled", "nothing_found")
+
+    @property
+    def test(self) -> Stage | None:
+        """The last block that confirmed a settled cause or tested a composed law, if it gave an outcome."""
+        return next((each for each in reversed(self.stages) if each.is_test and each.outcome), None)
+
+    @property
+    def closure(self) -> Closure:
+        """The last search."""
+        return self.stages[-1].closure
+
+    @property
+    def calibration(self) -> Calibration | None:
+        """What is known of the biases of the profile of an adaptive campaign."""
+        return self.stages[-1].calibration
+
+    @property
+    def spent_h(self) -> float:
+        """Hours on the bench since the first table; of an adaptive campaign, in all."""
+        return self.stages[-1].spent_h
