@@ -4,7 +4,7 @@ Units whose first campaign ends with several causes, of other physics than the s
 (:mod:`tests.benchmarks.investigation_units`). As a script it prints the tables of
 docs/decisions/14-next-measurement.md; ``--criteria`` compares the first block that other criteria choose::
 
-    python -m tests.benchmarks.bench_investigation --units 500 570
+    python -m tests.benchmarks.bench_investigation --units 843 913
     python -m tests.benchmarks.bench_investigation --criteria
 """
 
@@ -36,7 +36,7 @@ from tests.benchmarks.closure_laws import ON_THE_LIST
 from tests.benchmarks.investigation_units import SimulatedUnit
 
 #: Units that no rule was found on. About half of their first campaigns end tied.
-UNITS = range(500, 571)
+UNITS = range(843, 914)
 _MAX_BLOCKS = 8
 TO_CONFIRM = "to confirm: "
 
