@@ -8,6 +8,7 @@ from __future__ import annotations
 import atexit
 import gc
 import inspect
+import math
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -71,6 +72,21 @@ def _callback(name: str) -> Callable[..., None] | typer.Typer:
     return found
 
 
+class _Command(TyperCommand):
+    """A command without infinite numbers: ranges let inf and nan through."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Read the arguments. Raises BadParameter for one that is inf or nan."""
+        rest = super().parse_args(ctx, args)
+        for option in self.params:
+            given = ctx.params.get(option.name)
+            for value in given if isinstance(given, list) else [given]:
+                if isinstance(value, float) and not math.isfinite(value):
+                    hint = f"'{option.opts[0]}'"
+                    raise typer.BadParameter(f"{value} is no finite number.", ctx, param_hint=hint)
+        return rest
+
+
 @cache
 def _command(name: str) -> Any:
     callback = _callback(name)
@@ -78,7 +94,7 @@ def _command(name: str) -> Any:
         command: Any = typer.main.get_group(callback)
     else:
         alone = typer.Typer(add_completion=False, rich_markup_mode=None)
-        alone.command(hidden=name in _HIDDEN)(callback)
+        alone.command(cls=_Command, hidden=name in _HIDDEN)(callback)
         command = typer.main.get_command(alone)
     command.name = name
     return command
