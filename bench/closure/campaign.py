@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -194,6 +194,11 @@ class Campaign:
     def computed_terms(self) -> dict[object, FloatArray]:
         """Terms of effects (n, 3, k) that have been computed for these dwells, by form and parameters."""
         return {}
+
+    @cached_property
+    def means_over_dwells(self) -> Callable[[FloatArray], FloatArray]:
+        """Function of values at the record's times (m, k): their means over the dwells (n, k)."""
+        return self.record.means_over(self.start_s, self.end_s)
 
     @cached_property
     def power_on_s(self) -> FloatArray:

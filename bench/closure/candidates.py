@@ -38,10 +38,7 @@ class Candidate:
 
     def columns(self, campaign: Campaign) -> FloatArray:
         """Terms (n, 3, k) in all dwells."""
-        key = self.form, self.values
-        if key not in campaign.computed_terms:
-            campaign.computed_terms[key] = self.form.columns(campaign, self.values)
-        return campaign.computed_terms[key]
+        return _terms(self.form, campaign, self.values)
 
     @property
     def beyond_open_end(self) -> Candidate | None:
@@ -162,21 +159,26 @@ def refine(problem: Problem, candidates: Sequence[Candidate]) -> list[Candidate]
         [_width(value, each.low, each.high, problem) for value, each in zip(start, parameters, strict=True)]
     )
 
-    def split(offsets: FloatArray) -> list[Candidate]:
+    kept = np.concatenate([each.kept for each in candidates], axis=1)
+
+    def split(offsets: FloatArray) -> list[tuple[float, ...]]:
+        moved = (start + widths * offsets).tolist()
         values = iter(
-            float(np.clip(value, each.low, each.high))
-            for value, each in zip(start + widths * offsets, parameters, strict=True)
+            min(max(value, each.low), each.high) for value, each in zip(moved, parameters, strict=True)
         )
-        return [
-            replace(each, values=tuple(itertools.islice(values, len(each.values)))) for each in candidates
-        ]
+        return [tuple(itertools.islice(values, len(each.values))) for each in candidates]
 
     def negative_reduction(offsets: FloatArray) -> float:
-        return -problem.chi2_reduction(*stack(split(offsets), problem.campaign))[0]
+        columns = [
+            _terms(each.form, problem.campaign, values)
+            for each, values in zip(candidates, split(offsets), strict=True)
+        ]
+        return -problem.chi2_reduction(np.concatenate(columns, axis=2), kept)[0]
 
     simplex = np.vstack([np.zeros(len(start)), np.eye(len(start))])
     most = _MAX_EVALUATIONS * len(start)
-    return split(lowest(negative_reduction, simplex, most, _PARAMETER_PRECISION, _CHI2_PRECISION))
+    best = split(lowest(negative_reduction, simplex, most, _PARAMETER_PRECISION, _CHI2_PRECISION))
+    return [replace(each, values=values) for each, values in zip(candidates, best, strict=True)]
 
 
 def lowest(
@@ -231,6 +233,14 @@ def stack(candidates: Sequence[Candidate], campaign: Campaign) -> tuple[FloatArr
 def solve_with(problem: Problem, candidates: Sequence[Candidate]) -> Solution:
     """Fit the declared model with the terms that candidates keep."""
     return solve(problem, [(each.columns(problem.campaign), each.kept) for each in candidates])
+
+
+def _terms(form: Form, campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
+    """Terms (n, 3, k) of a form, computed once for each of its values."""
+    key = form, values
+    if key not in campaign.computed_terms:
+        campaign.computed_terms[key] = form.columns(campaign, values)
+    return campaign.computed_terms[key]
 
 
 def _width(value: float, low: float, high: float, problem: Problem) -> float:

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 
 #: The declared model: a cubic in each gyro's temperature divided by this, and one constant per run.
 DEGREE = 3
@@ -37,6 +37,16 @@ class Problem:
     def sigma_dph(self) -> FloatArray:
         """Standard deviation of the noise in the dwells searched, shape (m, 3)."""
         return self.campaign.sigma_dph[self.searched] * self.noise_scale
+
+    @cached_property
+    def _rows(self) -> IntArray:
+        """Indices of the dwells searched, shape (m,)."""
+        return np.flatnonzero(self.searched)
+
+    @cached_property
+    def _per_sigma(self) -> FloatArray:
+        """Reciprocal of the noise in the dwells searched, gyro by gyro, shape (3, m, 1)."""
+        return np.ascontiguousarray(1.0 / self.sigma_dph.T)[..., np.newaxis]
 
     @cached_property
     def _stacked_bases(self) -> FloatArray:
@@ -89,8 +99,8 @@ class Problem:
         """Reduction of chi2 by a fit of terms, and the number of independent ones among them."""
         terms = self.independent_parts(columns, kept)
         squares, directions = np.linalg.eigh(terms.mT @ terms)
-        independent = squares > MIN_SHARE**2
         parts = (directions.mT @ (terms.mT @ self.residuals.T[..., np.newaxis]))[..., 0]
+        independent = squares > MIN_SHARE**2
         return float(np.sum(parts[independent] ** 2 / squares[independent])), int(independent.sum())
 
     def independent_lengths(self, columns: FloatArray, kept: BoolArray) -> FloatArray:
@@ -124,11 +134,14 @@ class Problem:
 
     def independent_parts(self, columns: FloatArray, kept: BoolArray | None) -> FloatArray:
         """The same of all three gyros, shape (3, m, k), zero where not kept."""
-        terms = (columns[self.searched] / self.sigma_dph[..., np.newaxis]).transpose(1, 0, 2)
+        terms = columns.take(self._rows, axis=0).transpose(1, 0, 2) * self._per_sigma
         if kept is not None:
-            terms = np.where(kept[:, np.newaxis], terms, 0.0)
-        lengths = np.sqrt(np.sum(terms**2, axis=1, keepdims=True))
-        return _residual(self._stacked_bases, terms / np.where(lengths > 0.0, lengths, 1.0))
+            terms *= kept[:, np.newaxis]
+        lengths = np.sqrt(np.einsum("gmk,gmk->gk", terms, terms))[:, np.newaxis]
+        terms /= np.where(lengths > 0.0, lengths, 1.0)
+        # Once: of a part above MIN_SHARE rounding leaves less than that to the columns so far.
+        terms -= self._stacked_bases @ (self._stacked_bases.mT @ terms)
+        return np.asarray(terms)
 
 
 def declared_problem(campaign: Campaign, searched: BoolArray, noise_scale: float = 1.0) -> Problem:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
-from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 
 _STEPS_A_DWELL = 6
 _MAX_STEPS = 20_000
@@ -17,6 +18,10 @@ _S_PER_H = 3600.0
 _ITERATIONS = 3
 #: Of a lag, a share of the past below this is neglected.
 _FORGOTTEN = 1e-12
+#: Steps of a record differ by less than this share of them where they differ by rounding alone.
+_SAME_STEP = 1e-9
+#: Instants in one of the blocks in which decaying sums are computed, and the most in a single one.
+_BLOCK, _MAX_BLOCK = 32, 128
 
 
 @dataclass(frozen=True)
@@ -45,18 +50,23 @@ class TemperatureRecord:
         air_c = np.concatenate(air) if len(air) == len(parts) else None
         return cls(time_s, gyro_c, any(part.is_of_dwells for part in parts), air_c, tuple(parts))
 
-    def mean_over(self, values: FloatArray, start_s: FloatArray, end_s: FloatArray) -> FloatArray:
-        """Mean of values at the record's times (m, 3) from each start to each end, shape (n, 3)."""
-        area = np.zeros_like(values)
-        area[1:] = np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(self.time_s)[:, np.newaxis], axis=0)
-        spans = np.maximum(end_s - start_s, 1e-9)
-        return np.stack(
-            [
-                (np.interp(end_s, self.time_s, each) - np.interp(start_s, self.time_s, each)) / spans
-                for each in area.T
-            ],
-            axis=1,
-        )
+    def means_over(self, start_s: FloatArray, end_s: FloatArray) -> Callable[[FloatArray], FloatArray]:
+        """Function of values at the record's times (m, k): their means (n, k) from each start to each end."""
+        instants_s = np.stack([start_s, end_s])
+        before = np.clip(np.searchsorted(self.time_s, instants_s, "right") - 1, 0, len(self.time_s) - 2)
+        steps_s = np.diff(self.time_s)
+        share = np.clip((instants_s - self.time_s[before]) / steps_s[before], 0.0, 1.0)[..., np.newaxis]
+        half_steps_s = 0.5 * steps_s[:, np.newaxis]
+        per_s = 1.0 / np.maximum(end_s - start_s, 1e-9)[:, np.newaxis]
+
+        def means(values: FloatArray) -> FloatArray:
+            area = np.zeros_like(values)
+            np.cumsum((values[1:] + values[:-1]) * half_steps_s, axis=0, out=area[1:])
+            lower = area[before]
+            until_start, until_end = lower + share * (area[before + 1] - lower)
+            return np.asarray((until_end - until_start) * per_s)
+
+        return means
 
     def through_dwells(
         self, start_s: FloatArray, end_s: FloatArray, means: FloatArray, seen: BoolArray
@@ -86,9 +96,14 @@ def lag(values: FloatArray, time_s: FloatArray, tau_s: float) -> FloatArray:
 
     Exact for values that are a straight line from each instant to the next.
     """
-    steps_s = np.diff(time_s, prepend=time_s[0] - 1.0)[:, np.newaxis]
-    keep = np.exp(-steps_s / tau_s)
-    behind = -(1.0 - keep) * tau_s * np.diff(values, axis=0, prepend=values[:1]) / steps_s
+    steps_s = time_s[1:] - time_s[:-1]
+    behind, changes, step_s = np.zeros_like(values), values[:-1] - values[1:], steps_s[0]
+    if np.abs(steps_s - step_s).max() < _SAME_STEP * step_s:
+        keep_each = math.exp(-step_s / tau_s)
+        behind[1:] = changes * ((1.0 - keep_each) * tau_s / step_s)
+        return _decaying_sum(behind, keep_each)
+    keep = np.exp(-np.append(0.0, steps_s) / tau_s)[:, np.newaxis]
+    behind[1:] = (1.0 - keep[1:]) * tau_s * changes / steps_s[:, np.newaxis]
     # Sums over the last 1, 2, 4, ... steps, as far back as something is kept of them.
     reach = 1
     while reach < len(behind) and np.any(keep[reach:] > _FORGOTTEN):
@@ -96,6 +111,32 @@ def lag(values: FloatArray, time_s: FloatArray, tau_s: float) -> FloatArray:
         keep[reach:] *= keep[:-reach]
         reach *= 2
     return behind
+
+
+def _decaying_sum(added: FloatArray, keep: float) -> FloatArray:
+    """Sums (m, k) of which each is what was added (m, k) and the share ``keep`` of the one before.
+
+    Those within blocks are products with one matrix; those at the ends of blocks are such sums again.
+    """
+    count, width = added.shape
+    size = _BLOCK if count > _MAX_BLOCK else count
+    number = -(-count // size)
+    powers = keep ** np.arange(size + 1.0)
+    matrix = np.concatenate([np.zeros(size - 1), powers[:-1]])[_ages(size)]
+    blocks = np.zeros((number, size, width))
+    blocks.reshape(-1, width)[:count] = added
+    side_by_side = blocks.transpose(1, 0, 2).reshape(size, -1)
+    sums = (matrix @ side_by_side).reshape(size, number, width).transpose(1, 0, 2)
+    if number > 1:
+        sums[1:] += powers[1:, np.newaxis] * _decaying_sum(sums[:-1, -1], powers[-1])[:, np.newaxis]
+    return sums.reshape(-1, width)[:count]
+
+
+@cache
+def _ages(size: int) -> IntArray:
+    """How many steps before each of ``size`` instants (rows) each other one is, plus size - 1."""
+    instants = np.arange(size)
+    return np.asarray(instants[:, np.newaxis] - instants + size - 1)
 
 
 def record_of_dwells(
@@ -130,8 +171,9 @@ def record_of_dwells(
     rates = rate_c_per_h[index] / _S_PER_H
     nodes_c, means_c = gyro_c[index].copy(), gyro_c[index]
     record = _through(time_s, middle_s, nodes_c, rates)
+    means = record.means_over(start_s[index], end_s[index])
     for _ in range(_ITERATIONS):
-        nodes_c += means_c - record.mean_over(record.gyro_c, start_s[index], end_s[index])
+        nodes_c += means_c - means(record.gyro_c)
         record = _through(time_s, middle_s, nodes_c, rates)
     return record
 

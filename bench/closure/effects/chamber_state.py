@@ -45,7 +45,7 @@ def _heat_to_remove(campaign: Campaign, values: tuple[float, ...]) -> FloatArray
     low_c = np.minimum(np.minimum(before_c, after_c), limited_c) - _SWITCH_C
     high_c = np.maximum(np.maximum(before_c, after_c), limited_c) + _SWITCH_C
     runs = np.clip((cold_below_c - low_c) / (high_c - low_c), 0.0, 1.0)
-    return same_for_all_gyros(record.mean_over(runs, campaign.start_s, campaign.end_s))
+    return same_for_all_gyros(campaign.means_over_dwells(runs))
 
 
 def _missing_input(campaign: Campaign) -> str | None:

@@ -38,7 +38,7 @@ class Parameter:
         return self.low > 0.0 and not self.is_place
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Form:
     """One mathematical form of an effect."""
 

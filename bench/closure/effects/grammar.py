@@ -63,7 +63,7 @@ class Law:
         else:
             record = campaign.record
             state = MEMORIES[self.memory](course_of(self.driver, campaign), record.time_s, *values[count:])
-            terms = [record.mean_over(each, campaign.start_s, campaign.end_s) for each in shaped(state)]
+            terms = [campaign.means_over_dwells(each) for each in shaped(state)]
         stacked = np.stack(terms, axis=2)
         axes = FACTORS[self.factor]
         if not axes:
@@ -97,7 +97,7 @@ class Law:
     ) -> list[FloatArray]:
         """Means of the shape over the dwells: that of their means, and what the course within them adds."""
         course = course_of(self.driver, campaign)
-        mean = partial(campaign.record.mean_over, start_s=campaign.start_s, end_s=campaign.end_s)
+        mean = campaign.means_over_dwells
         terms = zip(
             shaped(driver_values(self.driver, campaign)), shaped(course), shaped(mean(course)), strict=True
         )
@@ -172,14 +172,16 @@ def _play(state: FloatArray, _: FloatArray, half_width: float) -> FloatArray:
     Each instant limits the follower of the one before; limits of limits are limits, so that those of 2, 4,
     8, ... instants follow from each other.
     """
-    low, high = state - half_width, state + half_width
+    limits = np.stack([state - half_width, state + half_width])
     reach = 1
     while reach < len(state):
-        later = low[reach:], high[reach:]
-        limited = [np.clip(each[:-reach], *later) for each in (low, high)]
-        low[reach:], high[reach:] = limited
+        earlier = np.maximum(limits[:, :-reach], limits[0, reach:])
+        np.minimum(earlier, limits[1, reach:], out=earlier)
+        limits[:, reach:] = earlier
+        if np.array_equal(*earlier):  # where both limits are one, instants before do not matter
+            break
         reach *= 2
-    return np.asarray(np.clip(state[0], low, high) - state)
+    return np.asarray(np.clip(state[0], *limits) - state)
 
 
 #: State (m, 3) of a quantity over time, from that, the times (m,) and the parameter.

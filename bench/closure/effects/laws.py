@@ -22,7 +22,7 @@ from gyrobench.bench.closure.effects.effect import (
     searched_length_s,
     time_constant,
 )
-from gyrobench.bench.closure.effects.grammar import Law, effect_of, form_of, ins_terms, mean_decay
+from gyrobench.bench.closure.effects.grammar import MEMORIES, Law, effect_of, form_of, ins_terms, mean_decay
 from gyrobench.bench.foundations.arrays import FloatArray, rms
 
 _LAG_TAU = time_constant(1.0, 300.0, 900.0, 2700.0, 7200.0)
@@ -100,7 +100,9 @@ _JOINTS = (0.25, 0.75, 1.25, 1.75)
 
 def _many_widths(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
     """Mean of play with half widths from zero to twice the mean, (n, 3, 1)."""
-    return np.asarray(np.mean([_PLAY.columns(campaign, (values[0] * each,)) for each in _JOINTS], axis=0))
+    record, play = campaign.record, MEMORIES[_PLAY.memory]
+    states = [play(record.gyro_c, record.time_s, values[0] * each) for each in _JOINTS]
+    return campaign.means_over_dwells(np.mean(states, axis=0))[:, :, np.newaxis]
 
 
 def _as_one_width(fitted: FittedForm) -> InsTerms:

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.temperatures import TemperatureRecord, record_of_dwells
+from gyrobench.bench.closure.effects.grammar import MEMORIES
+from gyrobench.bench.closure.temperatures import TemperatureRecord, lag, record_of_dwells
 from tests.bench.closure.thermal_bench import measure
 
 DWELL_S = 1800.0
@@ -35,13 +36,13 @@ def test_a_smooth_course_is_recovered_between_the_dwells_middles():
 def test_means_over_the_dwells_are_those_measured():
     starts_s = DWELL_S * np.arange(16)
     record, courses = of_course(settling_c, starts_s)
-    means = record.mean_over(record.gyro_c, starts_s, starts_s + DWELL_S)
+    means = record.means_over(starts_s, starts_s + DWELL_S)(record.gyro_c)
     np.testing.assert_allclose(means[1:-1, 0], courses.mean(axis=1)[1:-1], atol=0.01)
     np.testing.assert_allclose(means[[0, -1], 0], courses.mean(axis=1)[[0, -1]], atol=0.2)
 
 
 def test_means_of_a_simulated_campaign_are_reproduced(clean):
-    means = clean.record.mean_over(clean.record.gyro_c, clean.start_s, clean.end_s)
+    means = clean.means_over_dwells(clean.record.gyro_c)
     np.testing.assert_allclose(means, clean.gyro_c, atol=0.1)
 
 
@@ -87,5 +88,34 @@ def test_means_of_a_straight_course_are_exact_also_off_the_grid():
     )
     squares = record.gyro_c * 0.0 + 5.0
     starts, ends = np.array([0.0, 20.0, 30.0]), np.array([100.0, 40.0, 30.0 + 20.0])
-    np.testing.assert_allclose(record.mean_over(record.gyro_c, starts, ends)[:, 0], [50.0, 30.0, 40.0])
-    np.testing.assert_allclose(record.mean_over(squares, starts + 3.0, ends - 4.0), 5.0)
+    np.testing.assert_allclose(record.means_over(starts, ends)(record.gyro_c)[:, 0], [50.0, 30.0, 40.0])
+    np.testing.assert_allclose(record.means_over(starts + 3.0, ends - 4.0)(squares), 5.0)
+
+
+def random_walk(count, seed=3):
+    return np.random.default_rng(seed).standard_normal((count, 3)).cumsum(axis=0)
+
+
+@pytest.mark.parametrize("count", [2, 31, 32, 128, 129, 160, 4321])
+@pytest.mark.parametrize("tau_s", [1.0, 3000.0, 1e6])
+@pytest.mark.parametrize("jitter", [0.0, 1e-12, 0.2])
+def test_a_lag_follows_step_by_step(count, tau_s, jitter):
+    steps_s = 300.0 * (1.0 + jitter * np.random.default_rng(4).uniform(-1.0, 1.0, count - 1))
+    values, behind = random_walk(count), np.zeros((count, 3))
+    for index, step_s in enumerate(steps_s, start=1):
+        keep = np.exp(-step_s / tau_s)
+        change = values[index] - values[index - 1]
+        behind[index] = keep * behind[index - 1] - (1.0 - keep) * tau_s / step_s * change
+    time_s = np.concatenate([[0.0], np.cumsum(steps_s)])
+    np.testing.assert_allclose(lag(values, time_s, tau_s), behind, atol=1e-8)
+
+
+@pytest.mark.parametrize("half_width", [0.1, 3.0, 1000.0])
+@pytest.mark.parametrize("count", [1, 2, 33, 1000])
+def test_a_follower_with_play_is_pushed_step_by_step(count, half_width):
+    state = random_walk(count)
+    follower = [state[0]]
+    for each in state[1:]:
+        follower.append(np.clip(follower[-1], each - half_width, each + half_width))
+    found = MEMORIES["play"](state, np.arange(count), half_width)
+    np.testing.assert_array_equal(found, np.array(follower) - state)
