@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -54,27 +55,33 @@ class Rival:
         return f"{names} + not on the list" if self.remainder_dph else names
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Prediction:
     """A Gaussian for the biases of q / 3 new dwells, gyro by gyro."""
 
     mean_dph: FloatArray  #: Shape (q,).
     covariance: FloatArray  #: Shape (q, q), (deg/h)^2, with the noise of the dwells.
 
+    @cached_property
+    def factor(self) -> FloatArray:
+        """Lower triangular factor of the covariance (Cholesky), shape (q, q)."""
+        return np.asarray(np.linalg.cholesky(self.covariance))
+
+    @cached_property
+    def _whitening(self) -> FloatArray:
+        return np.asarray(np.linalg.inv(self.factor))
+
     def log_likelihood(self, outcomes_dph: FloatArray) -> FloatArray:
         """Logarithm of the density of outcomes (s, q), shape (s,)."""
-        factor = np.linalg.cholesky(self.covariance)
-        return np.asarray(-0.5 * self.chi2(outcomes_dph) - np.sum(np.log(np.diag(factor))))
+        return np.asarray(-0.5 * self.chi2(outcomes_dph) - np.sum(np.log(np.diag(self.factor))))
 
     def chi2(self, outcomes_dph: FloatArray) -> FloatArray:
         """Sum of squares of outcomes (s, q) in units of their uncertainty, shape (s,)."""
-        factor = np.linalg.cholesky(self.covariance)
-        white = np.linalg.solve(factor, (outcomes_dph - self.mean_dph).T)
-        return np.asarray(np.sum(white**2, axis=0))
+        return np.asarray(np.sum((self._whitening @ (outcomes_dph - self.mean_dph).T) ** 2, axis=0))
 
     def draw(self, normals: FloatArray) -> FloatArray:
         """Outcomes (s, q) from standard normal values (s, q)."""
-        return np.asarray(self.mean_dph + normals @ np.linalg.cholesky(self.covariance).T)
+        return np.asarray(self.mean_dph + normals @ self.factor.T)
 
 
 @dataclass(frozen=True)
@@ -171,15 +178,15 @@ def expected_after(
         )
         posterior = np.exp(logs - logs.max(axis=1, keepdims=True))
         posterior /= posterior.sum(axis=1, keepdims=True)
-        entropies, is_open = np.array([entropy(each) for each in posterior]), posterior.max(axis=1) < settled
+        entropies, is_open = entropy(posterior), posterior.max(axis=1) < settled
         expected += probability * np.mean([entropies, is_open, entropies * is_open], axis=1)
     return Expected(*expected.tolist())
 
 
-def entropy(probabilities: FloatArray) -> float:
-    """Entropy of probabilities, nats."""
-    present = probabilities[probabilities > 0.0]
-    return float(-np.sum(present * np.log(present)))
+def entropy(probabilities: FloatArray) -> FloatArray:
+    """Entropy of probabilities (..., k), nats, shape (...)."""
+    logarithms = np.log(np.where(probabilities > 0.0, probabilities, 1.0))
+    return np.asarray(-np.sum(probabilities * logarithms, axis=-1))
 
 
 def _linear_columns(campaign: Campaign, candidates: Sequence[Candidate], gyro: int) -> FloatArray:

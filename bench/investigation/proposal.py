@@ -227,7 +227,7 @@ def _weighed(
 ) -> Proposal:
     probabilities = np.array([each.probability for each in rivals])
     expected = expected_after(predictions, probabilities, SETTLED)
-    return Proposal(block, tuple(new), tuple(predictions), entropy(probabilities), expected)
+    return Proposal(block, tuple(new), tuple(predictions), float(entropy(probabilities)), expected)
 
 
 def proposed(proposal: Proposal, rivals: Sequence[Rival]) -> dict[str, Any]:
