@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-    from gyrobench.bench.closure.loop import Closure
+    from gyrobench.bench.closure.outcome import Closure
     from gyrobench.bench.engine.observers import FailOn, RunObserver
     from gyrobench.bench.engine.operator import Operator
     from gyrobench.drivers.frames import FrameBlock
@@ -139,7 +139,7 @@ class Run:
         DocumentError
             The station or DBC file of the run is wrong.
         """
-        from gyrobench.bench.dwells.dwell import measurement_setup
+        from gyrobench.bench.dwells.measure_dwell import measurement_setup
         from gyrobench.bench.station.station import Station
 
         return measurement_setup(Station(self.folder.station)).decode(self._block(dwell))
@@ -152,7 +152,7 @@ class Run:
         RunFolderError, DocumentError
             As :meth:`navigation`.
         """
-        from gyrobench.bench.dwells.run_dwells import finished_marks
+        from gyrobench.bench.dwells.recorded_dwells import finished_marks
 
         navigation = self.navigation(dwell)
         [marks] = [each for each in finished_marks(self.folder) if each.dwell == dwell][-1:]
@@ -169,7 +169,7 @@ class Run:
         return {name: draw() for name, draw in drawn}
 
     def _block(self, dwell: int) -> FrameBlock:
-        from gyrobench.bench.dwells.run_dwells import read_dwell_frames
+        from gyrobench.bench.dwells.recorded_dwells import read_dwell_frames
 
         return read_dwell_frames(self.folder, dwell)
 
@@ -351,7 +351,7 @@ def close_loop(
         Cycles that the search does not see; by default the last one, of several tables that of the first
         table with several cycles. Numbers of several tables are those in ``Closure.campaign.tables``.
     rotate : bool
-        Whether each cycle is held out in turn as well: ``Closure.rotation``.
+        Whether each cycle is held out in turn as well: ``Closure.held_out_in_turn``.
 
     Raises
     ------
@@ -360,9 +360,9 @@ def close_loop(
     """
     from gyrobench.bench.bias.dwell_table import parse_dwells
     from gyrobench.bench.closure.campaign import campaign_of
+    from gyrobench.bench.closure.inputs import read_campaign
     from gyrobench.bench.closure.loop import close_loop as search
-    from gyrobench.bench.closure.loop import rotated
-    from gyrobench.bench.dwells.closure_inputs import read_campaign
+    from gyrobench.bench.closure.loop import hold_out_each
 
     if isinstance(table, (str, Path)):
         campaign = read_campaign(Path(table))
@@ -371,7 +371,7 @@ def close_loop(
     else:
         campaign = campaign_of(parse_dwells(table.to_csv(index=False), "the DataFrame"))
     closure = search(campaign, hold_out_cycles)
-    return rotated(closure) if rotate else closure
+    return hold_out_each(closure) if rotate else closure
 
 
 def _numbers(values: ArrayLike, what: str) -> FloatArray:

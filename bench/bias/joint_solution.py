@@ -56,7 +56,7 @@ _MIN_P_VALUE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class DwellRows:
+class JointInformation:
     """Information of one dwell on the joint problem."""
 
     #: rows, data: Shape (n, 17), (n,). White rows for biases at mean temperatures, accelerometer biases as
@@ -67,7 +67,7 @@ class DwellRows:
     earth_rate: FloatArray  #: Shape (3,). ENU, rad/s.
 
     @classmethod
-    def of(cls, information: DwellInformation, position: Position, prior: PriorKnowledge) -> DwellRows:
+    def of(cls, information: DwellInformation, position: Position, prior: PriorKnowledge) -> JointInformation:
         """Eliminate what no other dwell shares: slopes, initial errors, headings, steps in the turns."""
         rows, slope = information.rows.copy(), parameters.GYRO_SLOPE
         # Biases at the mean temperatures become unknowns; the slopes turn about those temperatures.
@@ -143,13 +143,13 @@ def free_root(root: FloatArray, gyro_scale_factors: bool = True) -> FloatArray:
     return free
 
 
-def solve_alone(dwell: DwellRows, shared_root: FloatArray) -> tuple[FloatArray, FloatArray]:
+def solve_alone(dwell: JointInformation, shared_root: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Solve one dwell by itself; its biases (3,) and their covariance (3, 3)."""
     unknowns, covariance = solve(*_system([dwell], shared_root))
     return unknowns[SHARED:], covariance[SHARED:, SHARED:]
 
 
-def solve_together(dwells: Sequence[DwellRows], shared_root: FloatArray) -> JointFit:
+def solve_together(dwells: Sequence[JointInformation], shared_root: FloatArray) -> JointFit:
     """Solve for what the dwells share and for the biases of each."""
     rows, data, prior_root = _system(dwells, shared_root)
     unknowns, covariance = solve(rows, data, prior_root)
@@ -159,7 +159,7 @@ def solve_together(dwells: Sequence[DwellRows], shared_root: FloatArray) -> Join
 
 
 def _system(
-    dwells: Sequence[DwellRows], shared_root: FloatArray
+    dwells: Sequence[JointInformation], shared_root: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Rows, data and prior root of the joint problem."""
     rows = np.vstack([each.for_joint_unknowns(number, len(dwells)) for number, each in enumerate(dwells)])
@@ -180,7 +180,7 @@ class JointDwell:
 
     number: int  #: Of the dwell; no two dwells of a run have the same.
     position_name: str  #: Key of :data:`gyrobench.bench.navigation.positions.POSITIONS`.
-    rows: DwellRows  #: Of the same prior knowledge as the solution.
+    rows: JointInformation  #: Of the same prior knowledge as the solution.
     cycle: int = 1  #: Cycle of the temperature profile.
     chamber_set_c: float = math.nan  #: Set point of the chamber; NaN where there is none.
     #: Mean temperature of each gyro; NaN where not measured.

@@ -26,8 +26,8 @@ MAX_FROM_MEAN_K = 5.0
 MAX_PLANNED_FROM_MEAN_K = 3.0
 
 
-class PlateauMember(Protocol):
-    """What decides on which plateau a dwell is; NaN or None where not known."""
+class AtSetPoint(Protocol):
+    """A dwell and what the bench commanded; NaN or None where not known."""
 
     @property
     def run(self) -> str:
@@ -40,6 +40,10 @@ class PlateauMember(Protocol):
     @property
     def chamber_set_c(self) -> float | None:
         """Set point of the chamber, degC."""
+
+
+class PlateauMember(AtSetPoint, Protocol):
+    """What decides on which plateau a dwell is; NaN where not known."""
 
     @property
     def gyro_c(self) -> tuple[float, float, float]:
@@ -67,7 +71,7 @@ def group_plateaus(
 ) -> list[list[_Member]]:
     """Group dwells, in the order of time, by plateau. Temperatures that are not known divide nothing."""
     plateaus: list[list[_Member]] = []
-    for _, group in itertools.groupby(dwells, lambda dwell: (dwell.run, dwell.cycle, set_point_c(dwell))):
+    for _, group in itertools.groupby(dwells, plateau_key):
         means_c: list[float] = []
         for number, dwell in enumerate(group):
             known = [each for each in means_c if math.isfinite(each)]
@@ -100,7 +104,12 @@ def mean_c(plateau: Sequence[DwellRow], axis: int) -> float:
     return math.fsum(row.gyro_c[axis] for row in plateau) / len(plateau)
 
 
-def set_point_c(dwell: PlateauMember) -> float | None:
+def plateau_key(dwell: AtSetPoint) -> tuple[str, int, float | None]:
+    """What all dwells of a plateau share: power cycle, cycle and set point."""
+    return dwell.run, dwell.cycle, set_point_c(dwell)
+
+
+def set_point_c(dwell: AtSetPoint) -> float | None:
     """Commanded set point to 1 mK, degC: means of one may differ by their rounding. None where not known."""
     set_c = dwell.chamber_set_c
     return None if set_c is None or math.isnan(set_c) else round(set_c, 3) + 0.0

@@ -12,8 +12,8 @@ from gyrobench.bench.bias.joint_solution import (
     GYRO_MATRIX,
     NAVIGATION_RATE,
     SHARED,
-    DwellRows,
     JointFit,
+    JointInformation,
     JointSolution,
     declared_root,
     free_root,
@@ -54,7 +54,7 @@ def joint_coefficients(solution: JointSolution, prior: PriorKnowledge) -> Coeffi
 
 
 def _parts(
-    rows: Sequence[DwellRows], root: FloatArray, fit: JointFit, to_coefficients: FloatArray
+    rows: Sequence[JointInformation], root: FloatArray, fit: JointFit, to_coefficients: FloatArray
 ) -> dict[str, FloatArray]:
     """Covariances (21, 21) by the data of the dwells, by the latitude, and by the assumed sizes."""
     placed = np.vstack([each.for_joint_unknowns(number, len(rows)) for number, each in enumerate(rows)])

@@ -21,8 +21,8 @@ import numpy as np
 from gyrobench.bench.bias.bins import BiasBin
 from gyrobench.bench.bias.budget import NORMAL_K, coverage_factor
 from gyrobench.bench.bias.statistics import weighted_fit
+from gyrobench.bench.closure.inputs import read_closure
 from gyrobench.bench.closure.loadable_model import model_with_effects
-from gyrobench.bench.dwells.closure_inputs import read_closure
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.clock import WallClock, parsed_utc
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError, RunFolderError

@@ -17,7 +17,7 @@ def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
     """
     from gyrobench.bench.bias.bins import read_bins
     from gyrobench.bench.bias.verdicts import read_acceptance
-    from gyrobench.bench.engine.evaluation import recompute_run
+    from gyrobench.bench.dwells.run_results import recompute_run
     from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.runs.tables.budget_table import budget_records, read_budget
     from gyrobench.bench.runs.tables.calibration_check_table import read_calibration_check

@@ -13,7 +13,7 @@ from gyrobench.bench.cli.output import JsonOption, console, print_json
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError, RunFolderError
 
 if TYPE_CHECKING:
-    from gyrobench.bench.closure.loop import Closure
+    from gyrobench.bench.closure.outcome import Closure
 
 
 def search(
@@ -30,9 +30,9 @@ def search(
     turn as well. ``coefficient``: what to search, or one of its coefficients. Raises DocumentError if they
     can't be used for a search.
     """
-    from gyrobench.bench.closure.loop import close_loop, rotated
+    from gyrobench.bench.closure.inputs import read_campaign
+    from gyrobench.bench.closure.loop import close_loop, hold_out_each
     from gyrobench.bench.closure.quantity import quantity
-    from gyrobench.bench.dwells.closure_inputs import read_campaign
 
     try:
         campaign = read_campaign(*tables, quantity=quantity(coefficient))
@@ -40,7 +40,7 @@ def search(
         closure = close_loop(campaign, [*hold_out_cycles, *cycles])
     except (MeasurementError, RunFolderError) as error:
         raise DocumentError(str(error)) from error
-    return rotated(closure) if rotate else closure
+    return hold_out_each(closure) if rotate else closure
 
 
 def close(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,7 +13,9 @@ from gyrobench.bench.cli.output import JsonOption, console, print_json, print_re
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError, RunFolderError
 
 if TYPE_CHECKING:
+    from gyrobench.bench.closure.planned_campaign import PlannedUnit
     from gyrobench.bench.engine.job import Job
+    from gyrobench.bench.station.station import Station
 
 
 def plan(
@@ -116,7 +119,7 @@ def _show_observability(
         load_rotation_list,
         rotation_list_text,
     )
-    from gyrobench.bench.dwells.dwell import measurement_setup
+    from gyrobench.bench.dwells.measure_dwell import measurement_setup
     from gyrobench.bench.foundations.csv_tables import write_text
     from gyrobench.bench.foundations.shipped import find_document
     from gyrobench.bench.report.terminal.calibration import forecast_summary
@@ -173,14 +176,12 @@ def _record(job: Job, figure: Path) -> dict[str, Any]:
 
 
 def _print_separability(job: Job, target_dph: float, folder: Path | None) -> None:
-    from functools import partial
-
     from gyrobench.bench.closure.effects import all_effects
+    from gyrobench.bench.closure.inputs import read_closure
     from gyrobench.bench.closure.outlook import measured_unit, tie_outlooks
     from gyrobench.bench.closure.planned_campaign import planned_campaign
     from gyrobench.bench.closure.procedure_changes import advise, advise_ties
     from gyrobench.bench.closure.separability import searched_dwells, separability
-    from gyrobench.bench.dwells.closure_inputs import plan_on, planned_unit, read_closure
     from gyrobench.bench.report.figures.campaigns import separability_figure
     from gyrobench.bench.report.figures.style import save_figure
     from gyrobench.bench.report.terminal.separability import closure_outlook, separability_summary
@@ -199,7 +200,7 @@ def _print_separability(job: Job, target_dph: float, folder: Path | None) -> Non
         return
     effects = [each.effect for each in closure.evidence] if closure else all_effects(job.document.path)
     now = separability(searched_dwells(campaign), effects, closure.effects if closure else ())
-    planner = partial(plan_on, job.station)
+    planner = job.station.plan_document
     if closure:
         advice = advise_ties(job.document, job.plan, planner, unit, closure)
     else:
@@ -212,3 +213,18 @@ def _print_separability(job: Job, target_dph: float, folder: Path | None) -> Non
     path = Path(f"separability_{name}.png")
     save_figure(separability_figure(now, target_dph, name), path)
     typer.echo(f"Figure   {path}")
+
+
+def planned_unit(station: Station) -> PlannedUnit:
+    """The unit on a station: its sensors, and its noise where that is declared."""
+    from gyrobench.bench.closure.planned_campaign import PlannedUnit
+
+    signals, noise = station.file.ins.signals, station.file.ins.noise
+    unit = PlannedUnit(
+        has_boards=signals.gyro_electronics_temperature is not None,
+        has_case=signals.case_temperature is not None,
+    )
+    if noise == "estimated":
+        return unit
+    walk = noise.angle_random_walk_deg_per_sqrt_h
+    return replace(unit, angle_random_walk_deg_per_sqrt_h=walk, noise_source="declared by the station")

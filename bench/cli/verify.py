@@ -22,7 +22,7 @@ from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, JsonOption, console, p
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
 
 if TYPE_CHECKING:
-    from gyrobench.bench.closure.loop import Closure
+    from gyrobench.bench.closure.outcome import Closure
     from gyrobench.bench.engine.verification_runs import VerificationRuns
     from gyrobench.bench.monitor.terminal import RunConsole
     from gyrobench.bench.runs.folder import RunFolder
@@ -122,8 +122,8 @@ def _search(run: RunFolder) -> Closure:
     A run of one cycle is not searched.
     """
     from gyrobench.bench.closure.files import has_composed_laws, is_written, read_held_out_cycles
+    from gyrobench.bench.closure.inputs import read_campaign
     from gyrobench.bench.closure.loop import composed, without_search
-    from gyrobench.bench.dwells.closure_inputs import read_campaign
     from gyrobench.bench.report.closure.closure_page import write_search
 
     try:

@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 
 from gyrobench.bench.closure.compose import Composed, law_text
-from gyrobench.bench.closure.loop import Closure, FoundEffect
+from gyrobench.bench.closure.outcome import Closure, FoundEffect
 from gyrobench.bench.closure.problem import DEGREE, SCALE_C, predict
 from gyrobench.bench.closure.quantity import Quantity, quantity
 from gyrobench.bench.foundations.arrays import FloatArray
@@ -190,7 +190,7 @@ def _document(closure: Closure) -> dict[str, Any]:
                 "effects": list(turn.effects),
                 **{name: _known(getattr(turn, name)) for name in ("error_before_dph", "error_after_dph")},
             }
-            for turn in closure.rotation
+            for turn in closure.held_out_in_turn
         ],
         "tried": [
             {

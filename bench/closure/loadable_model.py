@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from gyrobench.bench.closure.effects.effect import FittedForm, InsTerms
-from gyrobench.bench.closure.loop import Closure, FoundEffect
+from gyrobench.bench.closure.outcome import Closure, FoundEffect
 from gyrobench.bench.closure.problem import DEGREE, SCALE_C
 from gyrobench.bench.closure.uncertainty import DRAWS, Draws
 from gyrobench.bench.foundations.arrays import FloatArray

@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.candidates import Candidate, Hypothesis, solve_with
-from gyrobench.bench.closure.compose import Composed, compose
+from gyrobench.bench.closure.candidates import Hypothesis, solve_with
+from gyrobench.bench.closure.compose import compose
 from gyrobench.bench.closure.confounding import confounding
 from gyrobench.bench.closure.effects import all_effects
-from gyrobench.bench.closure.effects.effect import Effect, Parameter
-from gyrobench.bench.closure.noise import Noise
+from gyrobench.bench.closure.effects.effect import Effect
+from gyrobench.bench.closure.outcome import CandidateResult, Closure, FoundEffect, HeldOutCycle
 from gyrobench.bench.closure.posterior import CLEAN, EXPLAINED, Posterior, detectable_dph
 from gyrobench.bench.closure.problem import DEGREE, Solution, declared_problem
-from gyrobench.bench.closure.quantity import GYRO_BIAS, Quantity
 from gyrobench.bench.closure.search import Search
-from gyrobench.bench.closure.selection import NotAccepted, Selected, select
-from gyrobench.bench.closure.uncertainty import Draws, bound_of, draw, interval
+from gyrobench.bench.closure.selection import Selected, select
+from gyrobench.bench.closure.uncertainty import Draws, draw, interval
 from gyrobench.bench.closure.validation import (
     LackOfFit,
     is_confirmed,
@@ -31,212 +29,12 @@ from gyrobench.bench.closure.validation import (
 )
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms, rms_of_known
 from gyrobench.bench.foundations.errors import MeasurementError
-from gyrobench.bench.foundations.text import counted, decimals_of, listed, plain_name, with_sigma
+from gyrobench.bench.foundations.text import counted, listed
 
 #: Verdict without a search.
 NOT_SEARCHED = "not searched"
 #: Fewest degrees of freedom of the three gyros together beside the declared model.
 _MIN_DOF = 18
-_S_PER_H = 3600.0
-_UNITS = {"c": "degC"}
-#: An interval is stated in place of a standard uncertainty if its middle is off by this share of its length.
-_ASYMMETRY = 0.125
-
-
-@dataclass(frozen=True)
-class FoundEffect:
-    """An effect found in the data."""
-
-    candidate: Candidate  #: The effect, its form and parameters.
-    sizes_dph: FloatArray  #: Shape (3, k). Size of each term for each gyro; zero for terms not used.
-    axes: tuple[str, ...]  #: Which of :attr:`Quantity.axes` show it.
-    p_value: float  #: Corrected for all candidate fits.
-    candidate_fits: int  #: Their number.
-    rms_dph: float  #: Its size in the dwells searched, without its mean.
-    #: Share of the chi2 of each cycle that it explains, its size fitted to the other cycles; see
-    #: :func:`gyrobench.bench.closure.validation.leave_out_cycles`.
-    gains: dict[int, float]
-    tied_with: tuple[str, ...]  #: Names of effects that fit equally well.
-    probability: float  #: Of this effect in any set of effects.
-    #: Standard uncertainties: shape (3, k) of the sizes, (p,) of the nonlinear parameters, and of the rms. A
-    #: term that is not used has none.
-    sizes_sigma_dph: FloatArray
-    values_sigma: FloatArray
-    rms_sigma_dph: float
-    #: Interval that holds each nonlinear parameter with 95 %.
-    values_range: tuple[tuple[float, float], ...]
-    #: :attr:`Form.weights` (k,), and the standard uncertainties of sizes times these, shape (3, k).
-    weights: FloatArray
-    weighted_sigma_dph: FloatArray
-    quantity: Quantity = GYRO_BIAS  #: What shows it.
-
-    @property
-    def effect(self) -> Effect:
-        """The effect."""
-        return self.candidate.effect
-
-    @property
-    def at_bound(self) -> tuple[str, ...]:
-        """Names of the nonlinear parameters at a bound of the fit."""
-        form, values = self.candidate.form, self.candidate.values
-        return tuple(
-            each.name for each, value in zip(form.parameters, values, strict=True) if bound_of(each, value)
-        )
-
-    @property
-    def parameter_texts(self) -> tuple[str, ...]:
-        """Each nonlinear parameter with its uncertainty: "tau 1.50 ± 0.08 h"."""
-        form, values = self.candidate.form, self.candidate.values
-        return tuple(
-            _parameter_text(each, value, sigma, (low, high))
-            for each, value, sigma, (low, high) in zip(
-                form.parameters, values, self.values_sigma.tolist(), self.values_range, strict=True
-            )
-        )
-
-    @property
-    def statement(self) -> str:
-        """One sentence: what the bias does, its size, the gyros and the parameters, with uncertainties."""
-        parameters = "; ".join(self.parameter_texts)
-        place, unit = self.quantity.place(self.axes), self.quantity.unit
-        size = f"{with_sigma(self.rms_dph, self.rms_sigma_dph)} {unit} rms on the {place}"
-        sentence = self.quantity.said(self.effect.statement)
-        return f"{sentence[0].upper()}{sentence[1:]}: {size}{f' ({parameters})' if parameters else ''}."
-
-
-@dataclass(frozen=True)
-class Evidence:
-    """How well one effect, alone, explains the residuals of the declared model."""
-
-    effect: Effect  #: The effect.
-    #: The input without which it was not fitted; then nothing else is known.
-    missing_input: str | None = None
-    candidate: Candidate | None = None  #: As fitted alone; None if not significant.
-    #: Share of excess variance explained: 1 is all of the sum of squares beyond the noise. NaN if there is no
-    #: excess.
-    share: float = 0.0
-    p_value: float = 1.0  #: Corrected for all candidate fits.
-    #: Twice the logarithm of the odds of the effects found to this one alone.
-    log_odds_against: float = np.nan
-    rejected: str = ""  #: Why it is not found though significant alone or not improbable; empty otherwise.
-
-
-@dataclass(frozen=True)
-class Turn:
-    """Outcome of a search with one cycle held out."""
-
-    cycle: int  #: The cycle.
-    verdict: str = ""  #: As in :class:`Closure`; empty if the cycle can't be held out.
-    effects: tuple[str, ...] = ()  #: Names of the effects found.
-    #: error_before_dph, error_after_dph, noise_dph: In the cycle, rms; see :class:`Closure`.
-    error_before_dph: float = np.nan
-    error_after_dph: float = np.nan
-    noise_dph: float = np.nan
-    reason: str = ""  #: Why it can't be held out.
-
-
-@dataclass(frozen=True)
-class Closure:
-    """Outcome of a search."""
-
-    campaign: Campaign  #: All dwells.
-    searched: BoolArray  #: Shape (n,). Dwells used by the search; the others are held out.
-    #: "clean", "explained", "ambiguous" or "unexplained"; "not searched" by :func:`without_search`.
-    verdict: str
-    effects: tuple[FoundEffect, ...]  #: Strongest first.
-    evidence: tuple[Evidence, ...]  #: Of each effect alone.
-    posterior: Posterior  #: Probabilities of all hypotheses.
-    not_accepted: NotAccepted | None  #: The most probable set of effects, where none is found.
-    detectable_dph: dict[str, float]  #: See :func:`gyrobench.bench.closure.posterior.detectable_dph`.
-    #: before, after: Tests of the declared model, and with the effects.
-    before: LackOfFit
-    after: LackOfFit
-    #: declared, model: The declared model, and with the effects.
-    declared: Solution
-    model: Solution
-    noise_dph: float  #: Noise of a measured bias, rms.
-    confounding: tuple[str, ...]  #: What the dwells searched can't distinguish, one sentence each.
-    noise: Noise  #: Its ratio to the stated uncertainties, and the outliers.
-    #: error_before_dph, error_after_dph: Rms of measured minus predicted bias in the held-out dwells; NaN
-    #: where none are, as in a campaign of one cycle.
-    error_before_dph: float
-    error_after_dph: float
-    #: error_before_sigma_dph, error_after_sigma_dph: Their standard uncertainties by the noise of the dwells.
-    error_before_sigma_dph: float
-    error_after_sigma_dph: float
-    #: declared_draws, model_draws: Draws of the parameters of both models.
-    declared_draws: Draws
-    model_draws: Draws
-    composed: Composed | None = None  #: Laws composed from the grammar; None if that was not asked for.
-    rotation: tuple[Turn, ...] = ()  #: Each cycle held out in turn; empty if that was not asked for.
-    #: Names of the laws found that were composed from held-out dwells, which can't confirm them.
-    circular: tuple[str, ...] = ()
-
-    @property
-    def quantity(self) -> Quantity:
-        """What was searched; its unit is that of all numbers in deg/h otherwise."""
-        return self.campaign.quantity
-
-    @property
-    def noise_scale(self) -> float:
-        """Ratio of the noise to the stated uncertainties."""
-        return self.noise.scale
-
-    @cached_property
-    def prediction_sigma_dph(self) -> FloatArray:
-        """Standard uncertainty of the bias by the model in all dwells (n, 3), deg/h.
-
-        Without the scatter of the constants in a run that was not searched.
-        """
-        return self.model_draws.sigma(self.model_draws.bias_dph(self.campaign), self.model.bias_dph)
-
-    def label(self, name: str) -> str:
-        """Label of a candidate effect."""
-        return next(
-            (each.effect.display_name for each in self.evidence if each.effect.name == name), plain_name(name)
-        )
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the effects found."""
-        return tuple(each.effect.name for each in self.effects)
-
-    @property
-    def probability(self) -> float:
-        """Probability that all effects found are there; of nothing undeclared if there are none."""
-        return self.posterior.of_all(self.names) if self.effects else self.posterior.nothing
-
-    @property
-    def separating_measurement(self) -> str | None:
-        """The next measurement, which resolves the first tie; None without ties."""
-        experiments = {each.effect.name: each.effect.experiment for each in self.evidence}
-        for found in self.effects:
-            if found.tied_with:
-                other = found.tied_with[0]
-                return (
-                    f"To distinguish {found.effect.display_name} from {self.label(other)}: "
-                    f"{found.effect.experiment}; for {self.label(other)}: {experiments[other]}."
-                )
-        return None
-
-    @property
-    def unexplained_part(self) -> str | None:
-        """Size, position, temperatures and times of an unexplained residual; None without one."""
-        if self.verdict != "unexplained":
-            return None
-        campaign, searched = self.campaign, self.searched
-        residual = measured_minus(campaign, searched, self.model)[searched]
-        squares = np.nansum(residual**2, axis=1)
-        names = np.array(campaign.position)[searched]
-        position = max(sorted(set(names)), key=lambda name: float(squares[names == name].mean()))
-        low_c, high_c = _worst_span(campaign.gyro_c[searched].mean(axis=1), squares)
-        low_h, high_h = _worst_span(campaign.middle_s[searched] / _S_PER_H, squares)
-        return (
-            f"The residual is {rms_of_known(residual):.2g} {self.quantity.unit} rms, "
-            f"{self.after.noise_ratio:.1f} times the noise, and follows {self.after.follows}. It is largest "
-            f"in position {plain_name(position)}, at {low_c:.0f} to {high_c:.0f} degC, and "
-            f"at {low_h:.0f} to {high_h:.0f} h."
-        )
 
 
 def close_loop(
@@ -327,18 +125,21 @@ def composed(closure: Closure) -> Closure:
     return replace(closure, composed=compose(problem, [each.candidate for each in closure.effects]))
 
 
-def rotated(closure: Closure) -> Closure:
+def hold_out_each(closure: Closure) -> Closure:
     """Same closure with the outcome of a search for each cycle, held out alone."""
     campaign, effects = closure.campaign, [each.effect for each in closure.evidence]
-    return replace(closure, rotation=tuple(_turn(campaign, cycle, effects) for cycle in campaign.cycles))
+    return replace(
+        closure,
+        held_out_in_turn=tuple(_with_cycle_held_out(campaign, cycle, effects) for cycle in campaign.cycles),
+    )
 
 
-def _turn(campaign: Campaign, cycle: int, effects: Sequence[Effect]) -> Turn:
+def _with_cycle_held_out(campaign: Campaign, cycle: int, effects: Sequence[Effect]) -> HeldOutCycle:
     try:
         closure = close_loop(campaign, [cycle], effects)
     except MeasurementError as error:
-        return Turn(cycle, reason=str(error))
-    return Turn(
+        return HeldOutCycle(cycle, reason=str(error))
+    return HeldOutCycle(
         cycle,
         closure.verdict,
         closure.names,
@@ -429,7 +230,7 @@ def _found_effects(
     return tuple(sorted(result, key=lambda each: -each.rms_dph))
 
 
-def _evidence(selected: Selected) -> tuple[Evidence, ...]:
+def _evidence(selected: Selected) -> tuple[CandidateResult, ...]:
     search, found = selected.search, selected.found
     problem = search.problem
     excess = problem.chi2 - problem.dof
@@ -442,44 +243,17 @@ def _evidence(selected: Selected) -> tuple[Evidence, ...]:
         alone = search.alone.get(effect.name)
         missing = effect.missing_input(problem.campaign)
         if missing:
-            result.append(Evidence(effect, missing))
+            result.append(CandidateResult(effect, missing))
         elif alone is None:
             rejected = selected.rejection(effect)
-            result.append(Evidence(effect, log_odds_against=odds(search.declared), rejected=rejected))
+            result.append(CandidateResult(effect, log_odds_against=odds(search.declared), rejected=rejected))
         else:
             share = (problem.chi2 - alone.chi2) / excess if excess > 0.0 else np.nan
             p_value, rejected = search.p_value(alone, 0), selected.rejection(effect)
-            result.append(Evidence(effect, None, alone.candidates[0], share, p_value, odds(alone), rejected))
+            result.append(
+                CandidateResult(effect, None, alone.candidates[0], share, p_value, odds(alone), rejected)
+            )
     return tuple(sorted(result, key=lambda each: (each.missing_input is not None, each.log_odds_against)))
-
-
-def _parameter_text(parameter: Parameter, value: float, sigma: float, interval: tuple[float, float]) -> str:
-    """Name, value and uncertainty with their unit; the interval where it is not symmetric, or at a bound."""
-    words, _, unit = parameter.name.replace("_", " ").rpartition(" ")
-    factor = 1.0
-    if unit == "s" and abs(value) >= _S_PER_H:
-        factor, unit = _S_PER_H, "h"
-    unit = _UNITS.get(unit, unit)
-    low, high = interval
-    end = bound_of(parameter, value)
-    if not end and abs(0.5 * (low + high) - value) <= _ASYMMETRY * (high - low):
-        return f"{words} {with_sigma(value / factor, sigma / factor)} {unit}"
-    decimals = decimals_of(max(sigma / factor, 1e-9))
-    best, low_text, high_text = (f"{each / factor:.{decimals}f}" for each in (value, low, high))
-    reach = {"upper": f"above {low_text}", "lower": f"below {high_text}"}.get(
-        end, f"{low_text} to {high_text}"
-    )
-    bound = f", its {end} bound" if end else ""
-    return f"{words} {best} {unit}{bound}, {reach} {unit} with 95 %"
-
-
-def _worst_span(values: FloatArray, squares: FloatArray) -> tuple[float, float]:
-    """Eighth of the range of values with the largest mean square."""
-    edges = np.linspace(values.min(), values.max(), 9)
-    place = np.clip(np.digitize(values, edges) - 1, 0, 7)
-    means = [float(squares[place == each].mean()) if np.any(place == each) else -1.0 for each in range(8)]
-    worst = int(np.argmax(means))
-    return float(edges[worst]), float(edges[worst + 1])
 
 
 def _numbers(cycles: Sequence[int]) -> str:

@@ -18,7 +18,7 @@ from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate, Hypothesis, evaluate, refine, solve_with
 from gyrobench.bench.closure.effects.effect import Effect
 from gyrobench.bench.closure.joined_tables import Source, joined
-from gyrobench.bench.closure.loop import Closure
+from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.closure.planned_campaign import PlannedUnit
 from gyrobench.bench.closure.posterior import TIE_ODDS, Evidences
 from gyrobench.bench.closure.problem import DEGREE, Problem, declared_problem, predict

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
-from gyrobench.bench.closure.loop import Closure
+from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.closure.outlook import tie_outlooks
 from gyrobench.bench.closure.planned_campaign import PlannedUnit, planned_campaign
 from gyrobench.bench.closure.separability import Separability, searched_dwells, separability

@@ -26,7 +26,7 @@ from scipy.special import chdtri, chndtr
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import bic_penalty, start_count
 from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter
-from gyrobench.bench.closure.loop import FoundEffect
+from gyrobench.bench.closure.outcome import FoundEffect
 from gyrobench.bench.closure.posterior import TIE_ODDS
 from gyrobench.bench.closure.problem import Problem, declared_problem
 from gyrobench.bench.closure.search import SAME_SHARE, SIGNIFICANCE

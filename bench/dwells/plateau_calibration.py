@@ -17,52 +17,23 @@ import numpy as np
 from gyrobench.bench.bias.budget import Budget, coefficient_budget
 from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow, Triple
 from gyrobench.bench.bias.joint_solution import JointDwell, JointSolution
-from gyrobench.bench.bias.plateaus import MAX_FROM_MEAN_K
+from gyrobench.bench.bias.plateaus import MAX_FROM_MEAN_K, plateau_key
 from gyrobench.bench.bias.statistics import chi2_p_value, lowest_polynomial
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, Coefficient, CoefficientEstimate
-from gyrobench.bench.calibration.estimator import Calibration, calibrate, covariances_by_source
-from gyrobench.bench.calibration.information import BIAS_DRIFT, CalibrationOptions, Information
 from gyrobench.bench.calibration.joint_coefficients import joint_coefficients
-from gyrobench.bench.calibration.recording import IncrementRecording, Rest
 from gyrobench.bench.calibration.results import coefficient_rows
-from gyrobench.bench.calibration.spins import spin_scale_factors
-from gyrobench.bench.characteristics.scale_factor import SpinRecord
-from gyrobench.bench.dwells.dwell import MeasurementSetup
-from gyrobench.bench.dwells.marks import DwellMarks
-from gyrobench.bench.dwells.rotated_dwell import RotatedDwell, measure_rotations
+from gyrobench.bench.dwells.measure_dwell import MeasurementSetup
+from gyrobench.bench.dwells.rotations import PlateauRotations, enclosing
 from gyrobench.bench.dwells.temperatures import triple
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.bench.foundations.errors import MeasurementError
-from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.runs.tables.coefficient_table import COMMON_SOURCES, PlateauCoefficientRow
-from gyrobench.drivers.frames import FrameBlock
 
 #: Temperatures of plateaus, K, between which coefficients show their slopes, and degree of the curve.
 _MIN_APART_C, _SLOPE_DEGREE = 2.0, 2
-#: Slopes of a gyro's temperature by which dwells with rotations of one plateau may differ: after the soaks of
-#: the shipped procedures they are up to 4 K/h.
-_MAX_RATE_APART_C_PER_H = 5.0
 _OF_GYROS = ("gyro_c", "gyro_rate_c_per_h")
 #: Dwells and rotations contradict each other where chance gives the difference less often than this.
 _MIN_P_VALUE = 1e-3
-
-
-@dataclass(frozen=True, eq=False)
-class PlateauRotations:
-    """What the rotations of one plateau show."""
-
-    marks: DwellMarks  #: Of the first dwell with rotations.
-    #: gyro_c, case_c: Mean temperatures of the gyros and of the case, degC; NaN where not measured.
-    gyro_c: Triple = NOT_MEASURED
-    case_c: float = math.nan
-    gyro_rate_c_per_h: Triple = NOT_MEASURED  #: Their slopes.
-    #: Lowest and highest temperatures (2, 4) of gyros and case.
-    range_c: FloatArray = field(default_factory=lambda: np.full((2, 4), np.nan))
-    calibration: Calibration | None = None  #: None where there is a ``finding``, which says why.
-    finding: str = ""
-    #: As uncertain as if the INS sent specific forces; None where it does.
-    with_force: CoefficientEstimate | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,12 +196,6 @@ def with_temperature_change(plateaus: Sequence[PlateauCalibration]) -> list[Plat
     ]
 
 
-def _key(member: DwellMarks | JointDwell) -> tuple[str, int, float | None]:
-    """What all dwells of a plateau share: power cycle, cycle and set point."""
-    set_c = member.chamber_set_c
-    return member.run, member.cycle, None if set_c is None or math.isnan(set_c) else round(set_c, 3)
-
-
 def _of_plateau(
     rotations: Sequence[PlateauRotations], first: JointDwell, rows: Sequence[DwellRow]
 ) -> PlateauRotations | None:
@@ -239,7 +204,8 @@ def _of_plateau(
     near = [
         (float(np.nan_to_num(np.abs(rates - each.gyro_rate_c_per_h)).max()), number)
         for number, each in enumerate(rotations)
-        if _key(each.marks) == _key(first) and not (np.abs(gyro_c - each.gyro_c) > MAX_FROM_MEAN_K).any()
+        if plateau_key(each.marks) == plateau_key(first)
+        and not (np.abs(gyro_c - each.gyro_c) > MAX_FROM_MEAN_K).any()
     ]
     return rotations[min(near)[1]] if near else None
 
@@ -279,14 +245,8 @@ def _plateau(
     }
     return PlateauCalibration(
         number, cycle, chamber_set_c, gyro_c, case_c, estimate, finding, with_force, rotations,
-        _enclosing(ranges), inputs,
+        enclosing(ranges), inputs,
     )  # fmt: skip
-
-
-def _enclosing(ranges_c: Sequence[FloatArray]) -> FloatArray:
-    """Lowest and highest temperatures (2, 4) of several such ranges, those not measured left out."""
-    low_c, high_c = np.moveaxis(np.array(ranges_c), 1, 0)
-    return np.array([np.fmin.reduce(low_c), np.fmax.reduce(high_c)])
 
 
 def _combined(estimates: Sequence[CoefficientEstimate]) -> CoefficientEstimate:
@@ -317,113 +277,3 @@ def _agreement(one: CoefficientEstimate, other: CoefficientEstimate) -> float:
     scaled = difference / roots
     chi2 = float(scaled @ np.linalg.solve(covariance / np.outer(roots, roots), scaled))
     return chi2_p_value(int(both.sum()), chi2)
-
-
-class RunRotations:
-    """Dwells with rotations, measured one by one in the order of time; increments of one plateau are held."""
-
-    def __init__(self) -> None:
-        self.dwells: list[int] = []  #: Numbers of those added.
-        self._before: list[PlateauRotations] = []
-        self._last: list[DwellMarks] = []  # of the last set point
-        self._groups: list[list[RotatedDwell]] = []
-        self._finding = ""
-
-    def add(self, marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) -> None:
-        """Add the next dwell; with the first one of another set point those before are calibrated."""
-        if self._last and _key(self._last[0]) != _key(marks):
-            self._before, self._last, self._groups, self._finding = self.calibrated(setup), [], [], ""
-        self._last.append(marks)
-        self.dwells.append(marks.dwell)
-        if self._finding:
-            return
-        try:
-            dwell = measure_rotations(marks, frames, setup)
-        except MeasurementError as error:
-            self._groups, self._finding = [], f"the rotations give no coefficients: {error}"
-            return
-        if not (self._groups and _is_alike(self._groups[-1], dwell)):
-            self._groups.append([])
-        self._groups[-1].append(dwell)
-
-    def calibrated(self, setup: MeasurementSetup) -> list[PlateauRotations]:
-        """Coefficients of all set points; of one those on a ramp to it are kept apart."""
-        found = [_calibrated_rotations(group, setup) for group in self._groups]
-        if self._finding:
-            found = [PlateauRotations(self._last[0], finding=self._finding)]
-        return [*self._before, *found]
-
-
-def _is_alike(group: Sequence[RotatedDwell], dwell: RotatedDwell) -> bool:
-    """Whether a dwell has the temperatures of a group and their slopes; those not measured count as alike."""
-    gyro_c, rates = (np.mean([getattr(each, name) for each in group], axis=0) for name in _OF_GYROS)
-    is_apart = np.abs(gyro_c - dwell.gyro_c) > MAX_FROM_MEAN_K
-    return not (is_apart | (np.abs(rates - dwell.gyro_rate_c_per_h) > _MAX_RATE_APART_C_PER_H)).any()
-
-
-def _calibrated_rotations(dwells: Sequence[RotatedDwell], setup: MeasurementSetup) -> PlateauRotations:
-    options = _options(setup)
-    gyro_c, gyro_rate_c_per_h = (
-        triple(np.mean([getattr(each, name) for each in dwells], axis=0)) for name in _OF_GYROS
-    )
-    case_c = float(np.mean([each.case_c for each in dwells]))
-    range_c = _enclosing([each.range_c for each in dwells])
-    rotations = PlateauRotations(dwells[0].marks, gyro_c, case_c, gyro_rate_c_per_h, range_c)
-    try:
-        found = _calibrated([piece for each in dwells for piece in each.pieces], setup.site, options)
-        with_force = None
-        if not all(each.has_vertical for each in found.recordings):
-            with_force = _with_force(found, setup.site, options)
-    except MeasurementError as error:
-        return replace(rotations, finding=f"the rotations give no coefficients: {error}")
-    parts = covariances_by_source(found, setup.site, options)
-    # The increments themselves are of no more use.
-    found = replace(found, recordings=(), sections=(), trajectories=(), parts=parts)
-    return replace(rotations, calibration=found, with_force=with_force)
-
-
-def spin_record(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) -> SpinRecord:
-    """Scale factors of the gyros by the whole turns of one dwell alone.
-
-    Their biases are those of the rests: a bias that followed whole turns would take in an asymmetry.
-    """
-    at_s = 0.5 * (marks.start_s + marks.end_s)
-    try:
-        dwell = measure_rotations(marks, frames, setup)
-        found = _calibrated(dwell.pieces, setup.site, replace(_options(setup), whole_turns=None))
-        spun = spin_scale_factors(found, setup.site, setup.table_repeatability)
-    except MeasurementError as error:
-        return SpinRecord(marks.run, at_s, NOT_MEASURED, (), str(error).rstrip("."))
-    return SpinRecord(marks.run, at_s, dwell.gyro_c, tuple(spun))
-
-
-def _options(setup: MeasurementSetup) -> CalibrationOptions:
-    noise = setup.noise
-    walks = None if noise is None else (noise.angle_random_walk, noise.velocity_random_walk)
-    gravity, gravity_sigma = setup.gravity
-    return CalibrationOptions(
-        whole_turns=setup.table_repeatability,
-        gravity=gravity,
-        walks=walks,
-        gravity_sigma=gravity_sigma,
-        latitude_sigma=setup.prior.latitude,
-        bias_drift=BIAS_DRIFT,
-    )
-
-
-def _calibrated(
-    pieces: Sequence[tuple[IncrementRecording, list[Rest]]], site: Site, options: CalibrationOptions
-) -> Calibration:
-    if not pieces:
-        raise MeasurementError("too many increments are missing in the rotations. Check the CAN bus")
-    recordings, rests = zip(*pieces, strict=True)
-    return calibrate(recordings, site, options, rests)
-
-
-def _with_force(found: Calibration, site: Site, options: CalibrationOptions) -> CoefficientEstimate:
-    """The same estimate as uncertain as it would be if the vertical specific force were measured."""
-    sections = [replace(each, epochs=replace(each.epochs, has_vertical=True)) for each in found.sections]
-    information = Information.of(sections, found.trajectories, found.unknowns, found.noise, site, options)
-    _, covariance, is_observed = information.solve()
-    by_site = sum(part[:COUNT, :COUNT] for part in found.by_site.values())
-    return CoefficientEstimate(found.values, covariance[:COUNT, :COUNT] + by_site, is_observed[:COUNT])

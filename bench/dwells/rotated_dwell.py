@@ -13,8 +13,8 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell_table import Triple
 from gyrobench.bench.calibration.recording import MIN_REST_TOTAL_S, IncrementRecording, Rest
-from gyrobench.bench.dwells.dwell import MeasurementSetup, checked_navigation, rest_output
 from gyrobench.bench.dwells.marks import DwellMarks
+from gyrobench.bench.dwells.measure_dwell import MeasurementSetup, checked_navigation, rest_output
 from gyrobench.bench.dwells.temperatures import dwell_temperatures
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError

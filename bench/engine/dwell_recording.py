@@ -9,9 +9,9 @@ import numpy as np
 from gyrobench.bench.bias.bias_filter import StateSpaceEstimate
 from gyrobench.bench.bias.dwell_table import write_dwells
 from gyrobench.bench.dwells.check_dwell import measure_check_dwell
-from gyrobench.bench.dwells.dwell import MeasuredDwell, MeasurementSetup, measure_dwell
-from gyrobench.bench.dwells.live import LiveEstimate
+from gyrobench.bench.dwells.live_estimate import LiveEstimate
 from gyrobench.bench.dwells.marks import DwellMarks, WindowMark
+from gyrobench.bench.dwells.measure_dwell import MeasuredDwell, MeasurementSetup, measure_dwell
 from gyrobench.bench.dwells.run_dwells import add_dwell
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.live_unit import LiveUnit

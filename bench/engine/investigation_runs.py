@@ -18,11 +18,11 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
 from gyrobench.bench.closure.campaign import Campaign, campaign_of
+from gyrobench.bench.closure.inputs import joined_rows, read_campaign, temperature_record
 from gyrobench.bench.closure.loadable_model import model_with_effects
-from gyrobench.bench.closure.loop import Closure
+from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.closure.plausibility import implausible
 from gyrobench.bench.closure.temperatures import TemperatureRecord
-from gyrobench.bench.dwells.closure_inputs import joined_rows, read_campaign, temperature_record
 from gyrobench.bench.engine.job import Job, emulation_of, job_in, prepare_job
 from gyrobench.bench.engine.observers import RunObserver, RunOutcome
 from gyrobench.bench.engine.operator import Operator

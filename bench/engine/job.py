@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.dwells.earlier_calibration import read_calibration
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.foundations.errors import DocumentError
@@ -19,7 +20,6 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.provenance import read_provenance
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.bench.station.station import Station
-from gyrobench.bench.verification.calibration import read_calibration
 from gyrobench.drivers.ins.command_map import Compensation
 
 

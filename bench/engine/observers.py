@@ -10,9 +10,9 @@ from typing import Literal
 from gyrobench.bench.bias.bias_filter import StateSpaceEstimate
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.dwells.check_dwell import CheckDwell
-from gyrobench.bench.dwells.dwell import MeasuredDwell
-from gyrobench.bench.dwells.plateau_calibration import RunRotations
-from gyrobench.bench.dwells.run_dwells import RunResults
+from gyrobench.bench.dwells.measure_dwell import MeasuredDwell
+from gyrobench.bench.dwells.rotations import RunRotations
+from gyrobench.bench.dwells.run_results import RunResults
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.operator import Operator, RunCommand
 from gyrobench.bench.procedure.plan import PlannedStep

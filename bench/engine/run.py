@@ -2,34 +2,31 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from gyrobench.bench.bias.dwell_table import write_dwells
-from gyrobench.bench.dwells.dwell import MeasurementSetup, measurement_setup
-from gyrobench.bench.dwells.live import warm_up
-from gyrobench.bench.dwells.run_dwells import replay
+from gyrobench.bench.dwells.live_estimate import warm_up
+from gyrobench.bench.dwells.measure_dwell import MeasurementSetup, measurement_setup
+from gyrobench.bench.dwells.recorded_dwells import replay
+from gyrobench.bench.dwells.run_results import evaluate_run
 from gyrobench.bench.engine.engine import Engine
-from gyrobench.bench.engine.evaluation import evaluate_run
 from gyrobench.bench.engine.job import Job
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.observers import ObservedOperator, ObserverGroup, RunObserver, RunOutcome
-from gyrobench.bench.engine.operator import CommandQueue, Operator, RunCommand
+from gyrobench.bench.engine.operator import CommandQueue, Operator
 from gyrobench.bench.engine.resume import ResumeState, Resumption, prepare_resumption
 from gyrobench.bench.engine.run_context import MeasuredUnit, RunContext, UnitRecord
+from gyrobench.bench.engine.run_notifier import RunNotifier
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import GyrobenchError, InstrumentError, RunFolderError
 from gyrobench.bench.foundations.files import make_folder, write_whole
 from gyrobench.bench.foundations.operator_name import operator_name
 from gyrobench.bench.guard.process import guard_for
-from gyrobench.bench.messages.delivery import Event, Message, Remaining
 from gyrobench.bench.messages.messenger import PATIENCE_S, Messenger
-from gyrobench.bench.procedure.plan import Plan, PlannedStep
 from gyrobench.bench.runs.can_log import CanLog
 from gyrobench.bench.runs.compensation_file import write_compensation
 from gyrobench.bench.runs.folder import RUNS, RunFolder, create_run_folder
@@ -38,107 +35,6 @@ from gyrobench.bench.runs.provenance import write_provenance
 from gyrobench.bench.runs.telemetry import Telemetry
 from gyrobench.bench.station.instruments import Instruments
 from gyrobench.bench.station.locks import BenchLock, RunLock
-
-#: A question that is answered within this time needs no message: the operator is at the bench.
-UNANSWERED_S = 30.0
-
-
-class RunNotifier(RunObserver):
-    """Sends messages about a run."""
-
-    def __init__(self, messenger: Messenger, plan: Plan, state: ResumeState) -> None:
-        self._messenger = messenger
-        self._plan = plan
-        self._state = state
-        self._unit = state.unit
-        self._left_s = (
-            plan.duration_s - plan.steps[state.resume_index(plan)].start_s if not state.is_over(plan) else 0.0
-        )
-        self._why = ""
-        self._is_hold_sent = False
-        self._question: tuple[str, tuple[str, ...]] = ("", ())
-        self._send_after_s = math.inf
-        self._continued_after = ""
-        self._bench: LiveBench
-        self._folder: RunFolder
-
-    def begun(self, folder: RunFolder, bench: LiveBench, outcome: RunOutcome) -> None:  # noqa: ARG002
-        """Keep where the run is."""
-        self._folder, self._bench = folder, bench
-
-    def identified(self, unit: str) -> None:
-        """Keep the serial number."""
-        self._unit = unit
-
-    def step_started(self, planned: PlannedStep, bench: LiveBench) -> None:  # noqa: ARG002
-        """Send that a hold is over, once a step begins."""
-        self._left_s = self._plan.duration_s - planned.start_s
-        if why := self._continued_after:
-            self._send("resumes", f"The hold is over: {why}", about=why)
-            self._continued_after, self._is_hold_sent = "", False
-
-    def ticked(self, bench: LiveBench, left_s: float) -> None:  # noqa: ARG002
-        """Keep what is left."""
-        self._left_s = max(0.0, left_s)
-
-    def beat(self, bench: LiveBench) -> None:
-        """Send a question that stays unanswered."""
-        if bench.clock.now() < self._send_after_s:
-            return
-        self._send_after_s = math.inf
-        question, answers = self._question
-        self._is_hold_sent = self._is_hold_sent or bool(self._why)
-        self._send("needs_person", self._why, about=question, question=question, answers=answers)
-
-    def dropped(self, unit: str, why: str) -> None:
-        """Send that a unit is left out."""
-        self._send("unit_dropped", f"Unit {unit}: {why}", about=unit)
-
-    def held(self, why: str, needs_person: bool, command: RunCommand | None) -> None:  # noqa: ARG002
-        """Send a hold that ends without the operator; for others the operator is asked."""
-        self._why, self._continued_after = why, ""
-        if not needs_person:
-            self._is_hold_sent = True
-            self._send("holds", f"It continues without an operator once nothing is tripped: {why}", about=why)
-
-    def continued(self) -> None:
-        """Wait for the next step: another hold may come before it."""
-        if self._is_hold_sent:
-            self._continued_after = self._why
-        self._why = ""
-
-    def asked(self, question: str, answers: Sequence[str]) -> None:
-        """Wait for an answer."""
-        self._question = question, tuple(answers)
-        self._send_after_s = self._bench.clock.now() + UNANSWERED_S
-
-    def answered(self) -> None:
-        """Forget the question."""
-        self._send_after_s = math.inf
-
-    def ended(self, outcome: RunOutcome) -> None:
-        """Send how the run ended, and whether the bench is safe."""
-        unsafe = [f"{each.what}: {each.problem}" for each in outcome.safe_state if each.problem]
-        why = [outcome.reason] if outcome.reason else []
-        why += [f"The bench is NOT in its safe state: {text}" for text in unsafe]
-        why.append(f"{len(self._state.finished)} of {self._plan.dwell_count} dwells measured.")
-        self._send("ends", "\n".join(why), about=outcome.ended, ended=outcome.ended)
-
-    def _send(self, event: Event, why: str, about: str, **details: Any) -> None:
-        dwells = self._plan.dwell_count - len(self._state.finished) - len(self._state.skipped)
-        message = Message(
-            event=event,
-            why=why,
-            station=self._bench.station.file.station,
-            time=self._bench.clock.utc(),
-            folder=self._folder.path.absolute(),
-            procedure=self._plan.procedure.procedure,
-            unit=self._unit,
-            remaining=Remaining(self._left_s / 3600.0, dwells),
-            **details,
-        )
-        self._messenger.send(message, about)
-
 
 #: A guard that has just made the bench safe releases its lock within this time.
 _GUARD_TIME_S = 60.0

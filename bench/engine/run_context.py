@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from gyrobench.bench.dwells.dwell import MeasurementSetup
+from gyrobench.bench.dwells.measure_dwell import MeasurementSetup
 from gyrobench.bench.engine.job import Job
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.live_unit import LiveUnit

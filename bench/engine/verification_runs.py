@@ -11,18 +11,18 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
 from gyrobench.bench.closure.files import CLOSURE_FILE
+from gyrobench.bench.closure.inputs import read_closure
 from gyrobench.bench.closure.loadable_model import (
     LoadableModel,
     declared_model,
     model_with_effects,
     with_coefficients,
 )
-from gyrobench.bench.closure.loop import Closure
+from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.closure.quantity import QUANTITIES
 from gyrobench.bench.dwells.check_dwell import CheckDwell
-from gyrobench.bench.dwells.closure_inputs import read_closure
-from gyrobench.bench.dwells.dwell import MeasuredDwell, measurement_setup
-from gyrobench.bench.dwells.run_dwells import replay
+from gyrobench.bench.dwells.measure_dwell import MeasuredDwell, measurement_setup
+from gyrobench.bench.dwells.recorded_dwells import replay
 from gyrobench.bench.engine.job import Job, emulation_of, prepare_job
 from gyrobench.bench.engine.observers import RunObserver, RunOutcome
 from gyrobench.bench.engine.operator import Operator

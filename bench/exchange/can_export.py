@@ -16,9 +16,9 @@ import numpy as np
 import pyarrow as pa
 from scipy.spatial.transform import Rotation
 
-from gyrobench.bench.dwells.dwell import MeasurementSetup
 from gyrobench.bench.dwells.marks import DwellMarks
-from gyrobench.bench.dwells.run_dwells import finished_marks
+from gyrobench.bench.dwells.measure_dwell import MeasurementSetup
+from gyrobench.bench.dwells.recorded_dwells import finished_marks
 from gyrobench.bench.exchange.export_folder import ExportFolder, field_of
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import RunFolderError

@@ -22,10 +22,11 @@ import pyarrow as pa
 import pyarrow.csv
 
 from gyrobench.bench.closure.files import read_held_out_cycles
+from gyrobench.bench.closure.inputs import read_campaign
 from gyrobench.bench.closure.loadable_model import declared_model, model_with_effects
-from gyrobench.bench.closure.loop import Closure, close_loop
-from gyrobench.bench.dwells.closure_inputs import read_campaign
-from gyrobench.bench.dwells.dwell import measurement_setup
+from gyrobench.bench.closure.loop import close_loop
+from gyrobench.bench.closure.outcome import Closure
+from gyrobench.bench.dwells.measure_dwell import measurement_setup
 from gyrobench.bench.exchange.can_export import (
     UTC_FIELD,
     TimedLog,

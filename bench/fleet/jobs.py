@@ -99,7 +99,7 @@ def inputs_of(kind: JobKind, path: Path) -> str:
 
 def _measured(folder: RunFolder) -> str:
     from gyrobench.bench.bias.dwell_table import read_dwells
-    from gyrobench.bench.engine.evaluation import recompute_run
+    from gyrobench.bench.dwells.run_results import recompute_run
 
     recompute_run(folder.path)
     rows = read_dwells(folder.dwells)
@@ -108,8 +108,8 @@ def _measured(folder: RunFolder) -> str:
 
 
 def _closed(folder: RunFolder) -> str:
+    from gyrobench.bench.closure.inputs import read_campaign
     from gyrobench.bench.closure.loop import close_loop
-    from gyrobench.bench.dwells.closure_inputs import read_campaign
     from gyrobench.bench.report.closure.closure_page import write_search
 
     try:

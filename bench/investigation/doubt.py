@@ -12,7 +12,8 @@ from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate
 from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.effect import Effect, searched_length_s
-from gyrobench.bench.closure.loop import Closure, close_loop
+from gyrobench.bench.closure.loop import close_loop
+from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.closure.posterior import RIVAL, Weighed
 from gyrobench.bench.closure.search import MAY_BE_LACK, NOT_SIGNIFICANT, RESTS_ON_DWELL
 from gyrobench.bench.investigation.choice import Rival

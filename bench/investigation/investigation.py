@@ -13,7 +13,8 @@ from typing import Any, Protocol
 
 from gyrobench.bench.bias.dwell_table import DwellRow, format_dwells, read_dwells, write_dwells
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.loop import Closure, composed
+from gyrobench.bench.closure.loop import composed
+from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.closure.posterior import CLEAN, RIVAL
 from gyrobench.bench.closure.search import MAX_EFFECTS
 from gyrobench.bench.foundations.clock import Clock

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.closure.loop import Closure
+from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.investigation.choice import Rival
 from gyrobench.bench.investigation.doubt import confirming_rivals
 from gyrobench.bench.investigation.profile import Calibration

@@ -24,7 +24,7 @@ from gyrobench.bench.navigation.table_axes import Angles, SingleAxisTable, TurnO
 from gyrobench.bench.procedure.checks import StationLimits, check
 from gyrobench.bench.procedure.estimate import BenchEstimate, ThermalEstimate
 from gyrobench.bench.procedure.plan import Plan, expand
-from gyrobench.bench.procedure.procedure_file import Procedure
+from gyrobench.bench.procedure.procedure_file import Procedure, checked_procedure
 from gyrobench.bench.procedure.steps import GoTo, Step
 from gyrobench.bench.station.instrument_sections import Direction, Mounting
 from gyrobench.bench.station.station_file import UNIT_KEYS, StationFile, load_station_file
@@ -208,6 +208,10 @@ class Station:
         plan = expand(document, procedure, bench or self.bench_at_rest(), adapt)
         check(document, plan, self.limits())
         return plan
+
+    def plan_document(self, document: Document) -> Plan:
+        """Check and plan a procedure; a DocumentError lists all that is wrong with it or can't be run."""
+        return self.plan(document, checked_procedure(document))
 
     def _in_unit_position(self, step: Step) -> Step:
         if not isinstance(step, GoTo):

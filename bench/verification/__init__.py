@@ -1,1 +1,1 @@
-"""Checks by new measurements: of a calibration, and of a compensation loaded into the INS."""
+"""Proof, by new measurements, of a compensation that was loaded into the INS."""

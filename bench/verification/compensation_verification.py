@@ -20,7 +20,7 @@ from gyrobench.bench.bias.plateaus import group_plateaus, set_point_c
 from gyrobench.bench.bias.statistics import weighted_mean
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.loadable_model import LoadableModel
-from gyrobench.bench.closure.loop import Closure
+from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.closure.uncertainty import Draws
 from gyrobench.bench.dwells.check_dwell import CheckDwell
 from gyrobench.bench.foundations.arrays import FloatArray, rms

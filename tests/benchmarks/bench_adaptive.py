@@ -17,7 +17,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrobench.bench.dwells.closure_inputs import plan_on
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.documents import parse_document
 from gyrobench.bench.investigation.block_procedure import DwellPattern, opening_procedure
@@ -81,7 +80,7 @@ def block_plan(plan):
 DOCUMENT, PLAN = shipped("six_position_fig7")
 PROFILE = Profile.of(PLAN)
 _PATTERN = DwellPattern.of(PLAN)
-OPENING = plan_on(station(), parse_document(opening_procedure(PROFILE, _PATTERN), Path("opening.yaml")))
+OPENING = station().plan_document(parse_document(opening_procedure(PROFILE, _PATTERN), Path("opening.yaml")))
 
 
 def _between_dwells_s():

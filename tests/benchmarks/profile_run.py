@@ -18,7 +18,7 @@ from pathlib import Path
 INTERVAL_S = 0.001
 #: Parts by the path of their modules, the first that matches counts; all else is the engine.
 PARTS = {
-    "results and figures": ("bench/engine/evaluation", "bench/report/", "bench/closure/"),
+    "results and figures": ("bench/dwells/run_results", "bench/report/", "bench/closure/"),
     "live estimate": ("bench/dwells/", "bench/bias/", "bench/navigation/"),
     "log": ("bench/runs/can_log", "bench/runs/blf"),
     "journal and telemetry": ("bench/runs/", "bench/monitor/"),

@@ -14,7 +14,7 @@ from gyrobench.bench.bias.noise_estimate import ChannelNoise, NoiseEstimate
 from gyrobench.bench.bias.vertical_pairs import Finding
 from gyrobench.bench.closure.campaign import Table
 from gyrobench.bench.closure.files import closure_document, model_document, prediction_columns
-from gyrobench.bench.closure.loop import rotated
+from gyrobench.bench.closure.loop import hold_out_each
 from gyrobench.bench.closure.quantity import GYRO_BIAS
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.tables import calibration_check_table
@@ -68,7 +68,7 @@ def test_the_page_names_the_keys_of_what_a_search_for_effects_leaves():
     effect, tried = document["effects"][0], document["tried"][0]
     assert named_in_tables(section("closure.json")) == {*document, *effect, *tried}
     campaign = replace(explained().campaign, tables=(Table("dwells.csv", (1, 2, 3)),))
-    several = closure_document(rotated(replace(explained(), campaign=campaign)))
+    several = closure_document(hold_out_each(replace(explained(), campaign=campaign)))
     text = set(re.findall(r"`([a-z_]+)`", section("closure.json")))
     assert {*several["tables"][0], *several["rotation"][0]} <= text
     assert named_in_tables(section("model.yaml")) == set(model)

@@ -15,8 +15,8 @@ import numpy as np
 from gyrobench.bench.bias.bins import read_bins
 from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.closure.files import read_held_out_cycles
-from gyrobench.bench.dwells.closure_inputs import read_campaign
-from gyrobench.bench.engine.evaluation import recompute_run
+from gyrobench.bench.closure.inputs import read_campaign
+from gyrobench.bench.dwells.run_results import recompute_run
 from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.resume import prepare_resumption

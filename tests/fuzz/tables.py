@@ -9,9 +9,9 @@ from typing import Any
 
 from gyrobench.bench.bias.bins import bin_biases
 from gyrobench.bench.bias.dwell_table import DwellRow, format_dwells, read_dwells
-from gyrobench.bench.dwells.closure_inputs import read_campaign
+from gyrobench.bench.closure.inputs import read_campaign
+from gyrobench.bench.dwells.earlier_calibration import read_calibration
 from gyrobench.bench.navigation.positions import AXES
-from gyrobench.bench.verification.calibration import read_calibration
 from tests.fuzz.checks import WrongResultError, cells_of, check_cell, check_finite, written
 
 

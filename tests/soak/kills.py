@@ -23,8 +23,8 @@ import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
-from gyrobench.bench.dwells.dwell import measurement_setup
-from gyrobench.bench.dwells.run_dwells import replay
+from gyrobench.bench.dwells.measure_dwell import measurement_setup
+from gyrobench.bench.dwells.recorded_dwells import replay
 from gyrobench.bench.engine.job import Job, prepare_job
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.resume import prepare_resumption, resume_state_of

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gyrobench.bench.closure.loop import Closure, FoundEffect
+from gyrobench.bench.closure.outcome import Closure, FoundEffect
 from gyrobench.bench.closure.search import SIGNIFICANCE
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms_of_known
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, position_label

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from gyrobench.bench.closure.files import write_closure
-from gyrobench.bench.closure.loop import Closure
+from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.foundations.arrays import rms_of_known
 from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.text import counted, listed, probability_number, with_sigma
@@ -283,7 +283,7 @@ def _error(closure: Closure) -> Section:
 
 
 def _rotation(closure: Closure) -> Section | None:
-    if not closure.rotation:
+    if not closure.held_out_in_turn:
         return None
     scale = scale_of_errors(closure)
     rows = [
@@ -296,7 +296,7 @@ def _rotation(closure: Closure) -> Section | None:
                 for value in (turn.error_before_dph, turn.error_after_dph, turn.noise_dph)
             ),
         ]
-        for turn in closure.rotation
+        for turn in closure.held_out_in_turn
     ]
     table = SectionTable(
         f"Outcome with each cycle held out in turn; rms in that cycle in {scale.unit}",

@@ -9,7 +9,7 @@ from statistics import NormalDist
 import numpy as np
 
 from gyrobench.bench.closure.candidates import start_count
-from gyrobench.bench.closure.loop import Closure, Evidence, FoundEffect
+from gyrobench.bench.closure.outcome import CandidateResult, Closure, FoundEffect
 from gyrobench.bench.closure.posterior import CLEAN, EXPLAINED, POWER, RIVAL
 from gyrobench.bench.closure.problem import Solution
 from gyrobench.bench.closure.search import SIGNIFICANCE
@@ -379,7 +379,7 @@ def alternative_sentence(closure: Closure) -> str:
     return f"{alternative} prefer {found_labels(closure)} by odds of {odds}."
 
 
-def _share_of(each: Evidence) -> str:
+def _share_of(each: CandidateResult) -> str:
     return f"{share_text(each.share)} of the excess variance"
 
 
@@ -438,12 +438,12 @@ def error_sentence(closure: Closure) -> str:
 
 def rotation_sentence(closure: Closure) -> str:
     """Whether verdict and effects depend on which cycle is held out; empty without a rotation."""
-    possible = [turn for turn in closure.rotation if turn.verdict]
+    possible = [turn for turn in closure.held_out_in_turn if turn.verdict]
     outcomes: dict[tuple[str, tuple[str, ...]], list[int]] = {}
     for turn in possible:
         outcomes.setdefault((turn.verdict, tuple(sorted(turn.effects))), []).append(turn.cycle)
     if not outcomes:
-        return "No cycle can be held out alone." if closure.rotation else ""
+        return "No cycle can be held out alone." if closure.held_out_in_turn else ""
     texts = [
         f"{verdict}{f' ({labels(closure, names)})' if names else ''} with {cycles_text(closure, cycles)}"
         for (verdict, names), cycles in outcomes.items()

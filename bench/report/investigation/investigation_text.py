@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from gyrobench.bench.closure.loop import Closure
+from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.foundations.text import counted, listed, probability_number
 from gyrobench.bench.investigation.choice import Rival
 from gyrobench.bench.investigation.doubt import rivals_of

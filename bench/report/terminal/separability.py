@@ -11,7 +11,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from gyrobench.bench.closure.loop import Closure
+from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.closure.outlook import TieOutlook
 from gyrobench.bench.closure.planned_campaign import PlannedUnit
 from gyrobench.bench.closure.posterior import TIE_ODDS

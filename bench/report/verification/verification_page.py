@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS
 from gyrobench.bench.calibration.mission import HOURS
 from gyrobench.bench.closure.loadable_model import LoadableModel
-from gyrobench.bench.closure.loop import Closure
+from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.text import counted, hours_minutes, listed, plain_name
 from gyrobench.bench.report.closure.closure_text import searched_name, verdict_sentence

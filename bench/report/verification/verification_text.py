@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from gyrobench.bench.closure.loadable_model import LoadableModel
-from gyrobench.bench.closure.loop import NOT_SEARCHED, Closure
+from gyrobench.bench.closure.loop import NOT_SEARCHED
+from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.closure.validation import LACK_OF_FIT_P
 from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.navigation.positions import AXES

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from gyrobench.bench.bias.bias_filter import estimate_state_space
-from gyrobench.bench.bias.joint_solution import DwellRows, JointDwell, JointSolution, solve_jointly
+from gyrobench.bench.bias.joint_solution import JointDwell, JointInformation, JointSolution, solve_jointly
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.navigation.positions import POSITIONS
@@ -107,5 +107,5 @@ def is_vertical(positions: tuple[str, ...] = ALL) -> BoolArray:
 
 def joint_solution_of(dwells: Sequence[JointDwell], prior: PriorKnowledge) -> JointSolution:
     """The joint solution of dwells that have their information in the place of rows."""
-    rows = [DwellRows.of(each.rows, each.position, prior) for each in dwells]
+    rows = [JointInformation.of(each.rows, each.position, prior) for each in dwells]
     return solve_jointly([replace(each, rows=own) for each, own in zip(dwells, rows, strict=True)], prior)

@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-from gyrobench.bench.dwells.closure_inputs import plan_on
 from gyrobench.bench.foundations.documents import Document, parse_document
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.procedure.plan import Plan
@@ -17,13 +16,13 @@ def station(name: str = "emulated") -> Station:
 def shipped(procedure: str, on: str = "emulated") -> tuple[Document, Plan]:
     """A shipped procedure and its plan."""
     document, _ = load_procedure(find_document("procedures", procedure))
-    return document, plan_on(station(on), document)
+    return document, station(on).plan_document(document)
 
 
 def planned(steps: str, on: str = "emulated") -> tuple[Document, Plan]:
     """Steps in YAML and their plan."""
     document = parse_document(f"procedure: test\nsteps:\n{steps}", Path("test.yaml"))
-    return document, plan_on(station(on), document)
+    return document, station(on).plan_document(document)
 
 
 #: A dwell of 20 min of navigation in a position.

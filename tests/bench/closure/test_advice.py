@@ -1,15 +1,14 @@
 """Changes that are advised, and whether they help."""
 
 from dataclasses import replace
-from functools import partial
 
 import pytest
 
+from gyrobench.bench.cli.plan import planned_unit
 from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.planned_campaign import planned_campaign
 from gyrobench.bench.closure.procedure_changes import advise
 from gyrobench.bench.closure.separability import searched_dwells, separability
-from gyrobench.bench.dwells.closure_inputs import plan_on, planned_unit
 from gyrobench.bench.foundations.documents import Problem
 from tests.bench.closure.plans import shipped, station
 
@@ -36,7 +35,7 @@ def fig7():
 @pytest.fixture(scope="module")
 def advice(fig7):
     document, plan, unit, now = fig7
-    return advise(document, plan, partial(plan_on, station()), unit, now, TARGET_DPH)
+    return advise(document, plan, station().plan_document, unit, now, TARGET_DPH)
 
 
 def test_every_unresolved_effect_and_pair_gets_one_advice(fig7, advice):
@@ -65,7 +64,7 @@ def test_no_advice_if_all_effects_are_distinguished(fig7):
     # The others take a second power cycle, another heading, or something that is logged.
     possible = [each for each in EFFECTS if each.missing_input(campaign) is None]
     now = separability(campaign, possible)
-    assert advise(document, plan, partial(plan_on, station()), unit, now, target_dph=0.1) == []
+    assert advise(document, plan, station().plan_document, unit, now, target_dph=0.1) == []
 
 
 def test_a_station_that_can_not_run_any_change_leaves_all_open(fig7):
@@ -82,7 +81,7 @@ def test_a_station_that_can_not_run_any_change_leaves_all_open(fig7):
 def test_sensors_cost_no_time(fig7):
     document, plan, unit, _ = fig7
     blind = replace(unit, has_boards=False, has_case=False)
-    first = advise(document, plan, partial(plan_on, station()), blind, now_of(plan, blind), TARGET_DPH)[0]
+    first = advise(document, plan, station().plan_document, blind, now_of(plan, blind), TARGET_DPH)[0]
     assert first.what == ("measure the temperature of each gyro's electronics",)
     assert first.added_h == 0.0
     assert "attitude_thermal" in first.found or "thermal_gradient" in first.found

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.bias.dwell_table import read_dwells
+from gyrobench.bench.cli.plan import planned_unit
 from gyrobench.bench.closure.planned_campaign import planned_campaign
-from gyrobench.bench.dwells.closure_inputs import planned_unit
 from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.foundations.documents import read_document
 from gyrobench.bench.foundations.shipped import find_document

@@ -19,7 +19,7 @@ from gyrobench.bench.closure.files import (
     read_held_out_cycles,
     write_closure,
 )
-from gyrobench.bench.closure.loop import close_loop, rotated
+from gyrobench.bench.closure.loop import close_loop, hold_out_each
 from gyrobench.bench.foundations.errors import RunFolderError
 from tests.bench.closure.thermal_bench import SIGMA_DPH, measure
 
@@ -163,7 +163,7 @@ def test_a_search_that_is_written_is_known_again_with_its_cycles_held_out(closed
     assert read_held_out_cycles(tmp_path) == closure_document(explained)["held_out_cycles"]
     assert is_written(tmp_path, explained)
     assert not is_written(tmp_path, closed({"sinusoid": 1.5}))
-    write_closure(tmp_path, rotated(explained))
+    write_closure(tmp_path, hold_out_each(explained))
     assert is_written(tmp_path, explained)
     (tmp_path / "closure.json").write_text("{")
     assert not is_written(tmp_path, explained)

@@ -9,7 +9,7 @@ from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.effects import bias_jump
 from gyrobench.bench.closure.effects.laws import THERMAL_LAG, TIME_DRIFT, WARM_UP
 from gyrobench.bench.closure.joined_tables import ASSUMED_PAUSE_S, Source, joined
-from gyrobench.bench.closure.loop import close_loop, rotated
+from gyrobench.bench.closure.loop import close_loop, hold_out_each
 from gyrobench.bench.closure.temperatures import TemperatureRecord
 from gyrobench.bench.foundations.errors import MeasurementError
 from tests.bench.closure.thermal_bench import measure
@@ -167,17 +167,17 @@ def test_what_one_power_cycle_leaves_tied_a_second_table_settles():
 
 
 def test_each_cycle_is_held_out_in_turn(rows):
-    closure = rotated(close_loop(campaign_of(rows), effects=[TIME_DRIFT, WARM_UP]))
-    assert [turn.cycle for turn in closure.rotation] == [1, 2, 3]
-    last = closure.rotation[-1]
+    closure = hold_out_each(close_loop(campaign_of(rows), effects=[TIME_DRIFT, WARM_UP]))
+    assert [turn.cycle for turn in closure.held_out_in_turn] == [1, 2, 3]
+    last = closure.held_out_in_turn[-1]
     assert (last.verdict, last.error_before_dph) == (closure.verdict, closure.error_before_dph)
     alone = close_loop(campaign_of(rows), [1], [TIME_DRIFT, WARM_UP])
-    assert closure.rotation[0].error_after_dph == alone.error_after_dph
-    assert closure.rotation[0].error_before_dph != last.error_before_dph
+    assert closure.held_out_in_turn[0].error_after_dph == alone.error_after_dph
+    assert closure.held_out_in_turn[0].error_before_dph != last.error_before_dph
 
 
 def test_a_cycle_without_which_too_little_is_left_is_listed_with_the_reason(rows):
     short = [row for row in rows if row.cycle == 1] + [row for row in rows if row.cycle == 2][:6]
-    closure = rotated(close_loop(campaign_of(short), [2], [TIME_DRIFT]))
-    assert [bool(turn.verdict) for turn in closure.rotation] == [False, True]
-    assert "degrees of freedom" in closure.rotation[0].reason
+    closure = hold_out_each(close_loop(campaign_of(short), [2], [TIME_DRIFT]))
+    assert [bool(turn.verdict) for turn in closure.held_out_in_turn] == [False, True]
+    assert "degrees of freedom" in closure.held_out_in_turn[0].reason

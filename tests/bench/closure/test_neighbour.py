@@ -6,8 +6,8 @@ import pytest
 import yaml
 from rich.console import Console
 
+from gyrobench.bench.closure.inputs import read_campaign
 from gyrobench.bench.closure.loop import close_loop
-from gyrobench.bench.dwells.closure_inputs import read_campaign
 from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.run import run_job

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.bias.dwell_table import read_dwells
+from gyrobench.bench.cli.plan import planned_unit
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.planned_campaign import PlannedUnit, planned_campaign
-from gyrobench.bench.dwells.closure_inputs import planned_unit
 from gyrobench.bench.foundations.errors import MeasurementError
 from tests.bench.closure.plans import dwell, planned, shipped, station
 

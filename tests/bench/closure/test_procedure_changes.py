@@ -7,7 +7,6 @@ import pytest
 
 from gyrobench.bench.closure.planned_campaign import PlannedUnit, planned_campaign
 from gyrobench.bench.closure.procedure_changes import CHANGES
-from gyrobench.bench.dwells.closure_inputs import plan_on
 from gyrobench.bench.navigation.positions import POSITIONS
 from tests.bench.closure.plans import dwell, planned, shipped, station
 
@@ -29,7 +28,7 @@ def changed(what, document):
     assert document.data["steps"] == before
     if steps is None:
         return None
-    plan = plan_on(station(), replace(document, data=document.data | {"steps": steps}))
+    plan = station().plan_document(replace(document, data=document.data | {"steps": steps}))
     return plan, planned_campaign(plan, PlannedUnit())
 
 

@@ -8,10 +8,10 @@ from gyrobench.bench.bias.dwell_table import read_dwells, write_dwells
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.files import closure_document, format_predictions, model_document
+from gyrobench.bench.closure.inputs import coefficient_columns, read_campaign
 from gyrobench.bench.closure.loadable_model import declared_model, model_with_effects, with_coefficients
 from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.closure.quantity import QUANTITIES, quantity
-from gyrobench.bench.dwells.closure_inputs import coefficient_columns, read_campaign
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.report.closure.closure_page import closure_sections, write_closure_page

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gyrobench.bench.cli.plan import planned_unit
 from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter, fixed
 from gyrobench.bench.closure.planned_campaign import planned_campaign
 from gyrobench.bench.closure.problem import declared_problem
 from gyrobench.bench.closure.search import SIGNIFICANCE, Search
 from gyrobench.bench.closure.separability import searched_dwells, separability, unit_parts
-from gyrobench.bench.dwells.closure_inputs import planned_unit
 from tests.bench.closure.plans import shipped, station
 
 EFFECTS = {effect.name: effect for effect in all_effects()}

@@ -4,7 +4,8 @@ import pytest
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.effects import attitude_thermal
 from gyrobench.bench.closure.effects.laws import G_SENSITIVITY, THERMAL_HYSTERESIS, WARM_UP
-from gyrobench.bench.closure.loop import FoundEffect, close_loop
+from gyrobench.bench.closure.loop import close_loop
+from gyrobench.bench.closure.outcome import FoundEffect
 from tests.bench.closure.test_candidates import whole
 from tests.bench.closure.thermal_bench import SIGMA_DPH, measure
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from gyrobench.bench.closure.inputs import read_campaign
 from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.closure.posterior import EXPLAINED
-from gyrobench.bench.dwells.closure_inputs import read_campaign
 from tests.bench.closure.campaigns import EFFECTS, run_campaign
 
 pytestmark = pytest.mark.long

@@ -8,7 +8,7 @@ import pytest
 from gyrobench.bench.bias.bias_filter import Damping
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.parameters import PriorKnowledge
-from gyrobench.bench.dwells.dwell import MeasurementSetup, estimate_dwell
+from gyrobench.bench.dwells.measure_dwell import MeasurementSetup, estimate_dwell
 from gyrobench.bench.navigation.positions import POSITIONS
 from tests.bench.bias.disturbances import bias_step
 from tests.bench.bias.emulated_dwells import UG, emulate, sensors, site

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from gyrobench.bench.dwells.dwell import measure_dwell
+from gyrobench.bench.dwells.measure_dwell import measure_dwell
 from tests.bench.dwells.fault_kinds import FAULTS
 from tests.bench.dwells.frame_faults import Recording
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.bias.vertical_pairs import Finding
-from gyrobench.bench.dwells.run_dwells import evaluate
+from gyrobench.bench.dwells.run_results import evaluate
 from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN
 from gyrobench.bench.navigation.positions import POSITIONS
 from tests.adversarial.harness import ALL, Case, any_unit, measured_dwells, setup_of

@@ -10,14 +10,11 @@ import yaml
 from scipy.stats import chi2
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, CoefficientEstimate, SensorErrors
-from gyrobench.bench.dwells.dwell import measurement_setup
-from gyrobench.bench.dwells.plateau_calibration import (
-    PlateauCalibration,
-    RunRotations,
-    with_temperature_change,
-)
-from gyrobench.bench.dwells.run_dwells import rotated
-from gyrobench.bench.engine.evaluation import recompute_run
+from gyrobench.bench.dwells.measure_dwell import measurement_setup
+from gyrobench.bench.dwells.plateau_calibration import PlateauCalibration, with_temperature_change
+from gyrobench.bench.dwells.recorded_dwells import rotated
+from gyrobench.bench.dwells.rotations import RunRotations
+from gyrobench.bench.dwells.run_results import recompute_run
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.report.coefficients import coefficients_section

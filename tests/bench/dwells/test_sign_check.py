@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrobench.bench.dwells.dwell import measure_dwell
+from gyrobench.bench.dwells.measure_dwell import measure_dwell
 from tests.adversarial.frames import dwell_frames
 from tests.adversarial.harness import Case, any_unit, dwell_angles, setup_of
 from tests.adversarial.rows import EULER, VELOCITY

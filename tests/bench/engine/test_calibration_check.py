@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from gyrobench.bench.bias.dwell_table import read_dwells
-from gyrobench.bench.engine.evaluation import recompute_run
+from gyrobench.bench.dwells.run_results import recompute_run
 from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.run import run_job

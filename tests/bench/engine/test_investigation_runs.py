@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrobench.bench.dwells.closure_inputs import joined_rows, read_campaign
+from gyrobench.bench.closure.inputs import joined_rows, read_campaign
 from gyrobench.bench.engine.investigation_runs import StationBench, measure_campaign
 from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.observers import RunObserver

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gyrobench.bench.dwells.dwell import measurement_setup
 from gyrobench.bench.dwells.marks import DwellMarks
+from gyrobench.bench.dwells.measure_dwell import measurement_setup
 from gyrobench.bench.exchange.can_export import TimedLog, write_blf
 from gyrobench.bench.exchange.run_export import DataKind, ExportSelection, Format, export_run
 from gyrobench.bench.foundations.errors import RunFolderError

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.loop import Evidence
+from gyrobench.bench.closure.outcome import CandidateResult
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.investigation import doubt, investigation
@@ -354,7 +354,7 @@ def test_a_cause_is_open_for_lack_of_confirmation_alone_if_nothing_else_remains(
 ):
     monkeypatch.setattr(doubt, "remainder_share", lambda closure: share)
     effects = [SimpleNamespace(effect=SimpleNamespace(name="warm_up"))]
-    other = Evidence(SimpleNamespace(name="bias_jump"), rejected=rejected)
+    other = CandidateResult(SimpleNamespace(name="bias_jump"), rejected=rejected)
     posterior = SimpleNamespace(
         rivals=lambda names: {"bias_jump": rival},
         of_all=lambda names, has_remainder: probability,

@@ -6,9 +6,9 @@ import sys
 
 import pytest
 
-from gyrobench.bench.dwells.dwell import measurement_setup
-from gyrobench.bench.dwells.run_dwells import replay
-from gyrobench.bench.engine.evaluation import recompute_run
+from gyrobench.bench.dwells.measure_dwell import measurement_setup
+from gyrobench.bench.dwells.recorded_dwells import replay
+from gyrobench.bench.dwells.run_results import recompute_run
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder

@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
+from gyrobench.bench.closure.inputs import read_campaign
 from gyrobench.bench.closure.loadable_model import declared_model, model_with_effects
 from gyrobench.bench.closure.loop import close_loop
-from gyrobench.bench.dwells.closure_inputs import read_campaign
 from gyrobench.bench.runs.compensation_file import read_compensation
 from tests.bench.closure.campaigns import EFFECTS, run_campaign
 from tests.bench.command_line import gyrobench

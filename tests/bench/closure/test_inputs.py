@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.bias.dwell_table import write_dwells
-from gyrobench.bench.dwells.closure_inputs import read_campaign, temperature_record
+from gyrobench.bench.closure.inputs import read_campaign, temperature_record
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError, RunFolderError
 from gyrobench.bench.runs.telemetry import COLUMNS, Telemetry
 from tests.bench.report.made_up_closure import made_up_rows

@@ -1,4 +1,4 @@
-"""What the closure takes from a run folder or table, and from a station."""
+"""What a search reads: dwells of run folders and tables, their temperatures, and earlier searches."""
 
 from __future__ import annotations
 
@@ -25,11 +25,7 @@ from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow,
 from gyrobench.bench.runs.telemetry import read_telemetry
 
 if TYPE_CHECKING:
-    from gyrobench.bench.closure.loop import Closure
-    from gyrobench.bench.closure.planned_campaign import PlannedUnit
-    from gyrobench.bench.foundations.documents import Document
-    from gyrobench.bench.procedure.plan import Plan
-    from gyrobench.bench.station.station import Station
+    from gyrobench.bench.closure.outcome import Closure
 
 _MIN_SAMPLES = 2
 _STEP_S = 30.0
@@ -247,28 +243,3 @@ def temperature_record(telemetry: Mapping[str, FloatArray]) -> TemperatureRecord
     )
     air_c = even_c[:, 3] if len(readings) > len(AXES) else None
     return TemperatureRecord(even_s, even_c[:, :3], air_c=air_c)
-
-
-def planned_unit(station: Station) -> PlannedUnit:
-    """The unit on a station: its sensors, and its noise where that is declared."""
-    from gyrobench.bench.closure.planned_campaign import PlannedUnit
-
-    signals, noise = station.file.ins.signals, station.file.ins.noise
-    unit = PlannedUnit(
-        has_boards=signals.gyro_electronics_temperature is not None,
-        has_case=signals.case_temperature is not None,
-    )
-    if noise == "estimated":
-        return unit
-    walk = noise.angle_random_walk_deg_per_sqrt_h
-    return replace(unit, angle_random_walk_deg_per_sqrt_h=walk, noise_source="declared by the station")
-
-
-def plan_on(station: Station, document: Document) -> Plan:
-    """Plan a procedure that was changed.
-
-    Raises DocumentError if it is not a valid procedure, or the station can't run it.
-    """
-    from gyrobench.bench.procedure.procedure_file import checked_procedure
-
-    return station.plan(document, checked_procedure(document))

@@ -11,17 +11,17 @@ import numpy as np
 from gyrobench.bench.bias.dwell_table import DwellRow, Triple, read_dwells
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.bias.statistics import weighted_mean
+from gyrobench.bench.dwells.calibration_check_bias import KnownAccelerometers
 from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, STANDARD_GRAVITY, UG_TO_MPS2, FloatArray
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.bench.verification.calibration_check_bias import KnownAccelerometers
 
 #: How far the bias of an accelerometer may change with temperature beyond where it was measured, ug/K.
 _ACCELEROMETER_SLOPE_UG = 10.0
 
 
-class Calibration:
+class EarlierCalibration:
     """Biases of gyros and accelerometers by position and temperature of the gyros.
 
     ``rows``: of one unit, in any order; those with flags are left out. ``prior``: what is known where

@@ -8,14 +8,14 @@ from gyrobench.bench.bias.bias_filter import navigation_fit
 from gyrobench.bench.bias.dwell import NavigationWindow
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.bias.statistics import uniformity_p_value
-from gyrobench.bench.foundations.errors import MeasurementError
-from gyrobench.bench.navigation.positions import POSITIONS
-from gyrobench.bench.verification.calibration_check_bias import (
+from gyrobench.bench.dwells.calibration_check_bias import (
     KnownAccelerometers,
     bias_from_alignments,
     bias_from_velocity,
     bias_from_velocity_slope,
 )
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.navigation.positions import POSITIONS
 from tests.bench.bias.emulated_dwells import DPH, UG, emulate, noise_model, sensors, site
 
 NOISE = noise_model(0.0006)

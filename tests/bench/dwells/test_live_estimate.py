@@ -11,8 +11,13 @@ import pytest
 
 from gyrobench.bench.bias import parameters
 from gyrobench.bench.bias.window_filter import whiten
-from gyrobench.bench.dwells.dwell import checked_navigation, dwell_at_rest, estimate_dwell, measure_dwell
-from gyrobench.bench.dwells.live import LiveEstimate, warm_up
+from gyrobench.bench.dwells.live_estimate import LiveEstimate, warm_up
+from gyrobench.bench.dwells.measure_dwell import (
+    checked_navigation,
+    dwell_at_rest,
+    estimate_dwell,
+    measure_dwell,
+)
 
 INS_STATUS = 0x010
 
@@ -167,8 +172,8 @@ def test_after_warming_up_no_estimate_compiles_anything(recorded, has_noise):
 @pytest.mark.long
 def test_warming_up_says_how_long_it_compiled_but_only_once(tmp_path):
     code = (
-        "from gyrobench.bench.dwells.dwell import measurement_setup\n"
-        "from gyrobench.bench.dwells.live import warm_up\n"
+        "from gyrobench.bench.dwells.measure_dwell import measurement_setup\n"
+        "from gyrobench.bench.dwells.live_estimate import warm_up\n"
         "from gyrobench.bench.foundations.shipped import find_document\n"
         "from gyrobench.bench.station.station import Station\n"
         "setup = measurement_setup(Station(find_document('stations', 'emulated')))\n"

@@ -15,7 +15,7 @@ from gyrobench.bench.bias.bias_steps import BiasStep
 from gyrobench.bench.bias.budget import BudgetInputs
 from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, TurnPath
 from gyrobench.bench.bias.dwell_table import NEIGHBOURS_ON, NOT_MEASURED, DwellRow
-from gyrobench.bench.bias.joint_solution import DwellRows
+from gyrobench.bench.bias.joint_solution import JointInformation
 from gyrobench.bench.bias.noise_estimate import RestMotion, estimate_noise
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.paper import estimate_paper
@@ -143,7 +143,7 @@ class MeasuredDwell:
     #: estimate, paper: By the full error model, without its information, and by the paper's method.
     estimate: StateSpaceEstimate | None
     paper: BiasEstimate | None
-    shared: DwellRows | None  #: What it shows of the unknowns that the dwells of a plateau share.
+    shared: JointInformation | None  #: What it shows of the unknowns that the dwells of a plateau share.
     #: Navigation at rest, an epoch a second, for the noise estimate; empty where it is disturbed, and where
     #: :mod:`gyrobench.bench.dwells.run_dwells` does not keep it.
     windows: tuple[RestMotion, ...]
@@ -190,7 +190,7 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
         paper = _paper(dwell, setup.site, noise)
         estimate, found, doubts = estimate_dwell(dwell, setup, noise, faults)
         if estimate.information:
-            shared = DwellRows.of(estimate.information, dwell.position, setup.prior)
+            shared = JointInformation.of(estimate.information, dwell.position, setup.prior)
             estimate = replace(estimate, information=None)
         flags += found
         if not flags:

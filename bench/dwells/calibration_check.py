@@ -10,20 +10,20 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow, Triple
 from gyrobench.bench.bias.plateaus import MAX_FROM_MEAN_K, group_plateaus
-from gyrobench.bench.dwells.check_dwell import CheckDwell
-from gyrobench.bench.dwells.dwell import MeasurementSetup
-from gyrobench.bench.dwells.marks import DwellMarks
-from gyrobench.bench.foundations.arrays import UG_TO_MPS2, FloatArray
-from gyrobench.bench.navigation.positions import AXES, POSITIONS
-from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow
-from gyrobench.bench.verification.calibration import Calibration
-from gyrobench.bench.verification.calibration_check_bias import (
+from gyrobench.bench.dwells.calibration_check_bias import (
     AxisBias,
     KnownAccelerometers,
     bias_from_alignments,
     bias_from_velocity,
     bias_from_velocity_slope,
 )
+from gyrobench.bench.dwells.check_dwell import CheckDwell
+from gyrobench.bench.dwells.earlier_calibration import EarlierCalibration
+from gyrobench.bench.dwells.marks import DwellMarks
+from gyrobench.bench.dwells.measure_dwell import MeasurementSetup
+from gyrobench.bench.foundations.arrays import UG_TO_MPS2, FloatArray
+from gyrobench.bench.navigation.positions import AXES, POSITIONS
+from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow
 
 _EAST, _NORTH = np.eye(3)[:2]
 _TURN_TOLERANCE_DEG = 0.5
@@ -50,7 +50,7 @@ def calibration_check_rows(
         As for the dwells.
     """
     calibrations = {
-        unit: Calibration((row for row in calibration if row.unit == unit), setup.prior)
+        unit: EarlierCalibration((row for row in calibration if row.unit == unit), setup.prior)
         for unit in {each.marks.unit for each in dwells}
     }
     rows = [_velocity_row(each, calibrations[each.marks.unit], setup) for each in dwells]
@@ -59,7 +59,9 @@ def calibration_check_rows(
     return sorted(rows, key=lambda row: (row.dwell, row.method))
 
 
-def _velocity_row(each: CheckDwell, calibration: Calibration, setup: MeasurementSetup) -> CalibrationCheckRow:
+def _velocity_row(
+    each: CheckDwell, calibration: EarlierCalibration, setup: MeasurementSetup
+) -> CalibrationCheckRow:
     row = _empty_row(each.marks, "velocity", _NORTH, [each.flags])
     if each.navigation is None:
         return row
@@ -72,7 +74,7 @@ def _velocity_row(each: CheckDwell, calibration: Calibration, setup: Measurement
 
 
 def _alignment_row(
-    first: CheckDwell, second: CheckDwell | None, calibration: Calibration, setup: MeasurementSetup
+    first: CheckDwell, second: CheckDwell | None, calibration: EarlierCalibration, setup: MeasurementSetup
 ) -> CalibrationCheckRow:
     if second is None:
         opposite_deg = (first.marks.azimuth_deg + 180.0) % 360.0
@@ -143,7 +145,7 @@ def _compared(
     bias: AxisBias,
     slope: AxisBias | None,
     known: KnownAccelerometers,
-    calibration: Calibration,
+    calibration: EarlierCalibration,
 ) -> CalibrationCheckRow:
     """Fill in the bias of the gyro and hold it against the calibrated one."""
     axis = AXES.index(row.gyro)

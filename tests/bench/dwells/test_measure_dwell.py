@@ -8,7 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrobench.bench.dwells.dwell import checked_navigation, dwell_at_rest, measure_dwell, measurement_setup
+from gyrobench.bench.dwells.measure_dwell import (
+    checked_navigation,
+    dwell_at_rest,
+    measure_dwell,
+    measurement_setup,
+)
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.station import Station

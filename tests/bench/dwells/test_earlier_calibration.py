@@ -12,9 +12,14 @@ from hypothesis import strategies as st
 
 from gyrobench.bench.bias.dwell_table import DwellRow, write_dwells
 from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.dwells.earlier_calibration import (
+    REACH_K,
+    EarlierCalibration,
+    InterpolatedCurve,
+    read_calibration,
+)
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.navigation.positions import POSITIONS
-from gyrobench.bench.verification.calibration import REACH_K, Calibration, InterpolatedCurve, read_calibration
 from tests.bench.verification.test_calibration_check import calibrated
 
 UG = 9.80665e-6
@@ -53,7 +58,7 @@ def row(position="z_up", gyro_c=20.0, bias_dph=0.0, accelerometer_ug=0.0, **fiel
 
 
 def known_ug(rows, position="z_up", gyro_c=20.0):
-    known = Calibration(rows, PRIOR).accelerometers(position, (gyro_c,) * 3)
+    known = EarlierCalibration(rows, PRIOR).accelerometers(position, (gyro_c,) * 3)
     return known.bias / UG, known.sigma / UG
 
 
@@ -63,21 +68,21 @@ def test_a_gyro_has_its_own_bias_in_each_position_and_temperature():
         row("z_up", 40.0, bias_dph=(0.005, 0.006, 0.007)),
         row("z_down", 20.0, bias_dph=(-0.001, -0.002, -0.003)),
     ]
-    calibration = Calibration(rows, PRIOR)
+    calibration = EarlierCalibration(rows, PRIOR)
     assert calibration.gyro_dph("z_up", 0, 20.0) == pytest.approx((0.001, SIGMA_DPH))
     assert calibration.gyro_dph("z_up", 2, 30.0)[0] == pytest.approx(0.005)
     assert calibration.gyro_dph("z_down", 1, 20.0)[0] == pytest.approx(-0.002)
 
 
 def test_a_gyro_that_was_not_measured_near_has_no_calibrated_bias():
-    calibration = Calibration([row("z_up", 20.0)], PRIOR)
+    calibration = EarlierCalibration([row("z_up", 20.0)], PRIOR)
     assert calibration.gyro_dph("z_up", 0, 25.0) is None
     assert calibration.gyro_dph("y_up", 0, 20.0) is None
-    assert Calibration([], PRIOR).gyro_dph("z_up", 0, 20.0) is None
+    assert EarlierCalibration([], PRIOR).gyro_dph("z_up", 0, 20.0) is None
 
 
 def test_each_gyro_is_read_at_its_own_temperature():
-    calibration = Calibration([row(gyro_c=(10.0, 20.0, 30.0))], PRIOR)
+    calibration = EarlierCalibration([row(gyro_c=(10.0, 20.0, 30.0))], PRIOR)
     found = [
         [calibration.gyro_dph("z_up", axis, c) is not None for c in (10.0, 20.0, 30.0)] for axis in range(3)
     ]
@@ -86,9 +91,11 @@ def test_each_gyro_is_read_at_its_own_temperature():
 
 def test_dwells_with_flags_are_left_out():
     good, bad = row(bias_dph=0.001), row(bias_dph=0.05, accelerometer_ug=9e3, flags="door opened")
-    assert Calibration([good, bad], PRIOR).gyro_dph("z_up", 0, 20.0) == pytest.approx((0.001, SIGMA_DPH))
+    assert EarlierCalibration([good, bad], PRIOR).gyro_dph("z_up", 0, 20.0) == pytest.approx(
+        (0.001, SIGMA_DPH)
+    )
     np.testing.assert_allclose(known_ug([good, bad])[0], 0.0)
-    assert Calibration([bad], PRIOR).gyro_dph("z_up", 0, 20.0) is None
+    assert EarlierCalibration([bad], PRIOR).gyro_dph("z_up", 0, 20.0) is None
 
 
 def test_accelerometers_are_known_where_they_were_level():

@@ -1,0 +1,144 @@
+"""Dwells as a run recorded them: marks from its journal, frames from its raw CAN log."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from gyrobench.bench.characteristics.allan_test import RateRecord
+from gyrobench.bench.dwells.check_dwell import CheckDwell, measure_check_dwell
+from gyrobench.bench.dwells.marks import DwellMarks
+from gyrobench.bench.dwells.measure_dwell import MeasuredDwell, MeasurementSetup, measure_dwell
+from gyrobench.bench.dwells.rotated_dwell import navigated_increments
+from gyrobench.bench.dwells.run_dwells import add_dwell
+from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.runs.can_log import read_can_log
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.journal import read_journal
+from gyrobench.drivers.frames import FrameBlock, concatenate
+
+#: Longest segments of a noise record are thinned to so many samples: the integral of the rate loses nothing
+#: between them.
+_MAX_NOISE_SAMPLES = 50_000
+
+
+def replay(folder: RunFolder, setup: MeasurementSetup) -> tuple[list[MeasuredDwell], list[CheckDwell]]:
+    """Measure every finished dwell of a run again; check dwells are returned separately.
+
+    The journal lists the frames of each dwell; the frames themselves come from the raw log, one part of it at
+    a time. Of a dwell that was finished twice, the last time counts; parts of the log that belong to no
+    finished dwell, as a kill leaves them, are passed over. Raises RunFolderError if the journal or the log
+    can't be read, or the log lacks the frames of a dwell.
+    """
+    dwells: list[MeasuredDwell] = []
+    check_dwells: list[CheckDwell] = []
+    for marks, frames in _recorded(folder):
+        if marks.is_calibration_check:
+            check_dwells.append(measure_check_dwell(marks, frames, setup))
+        else:
+            add_dwell(dwells, measure_dwell(marks, frames, setup))
+    return dwells, check_dwells
+
+
+def _recorded(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:
+    finished = [marks for marks in finished_marks(folder) if marks.gives_bias]
+    parts = [marks.log_part for marks in finished if marks.windows]
+    if len(set(parts)) < len(parts):
+        raise RunFolderError(f"{folder.journal}: damaged: it places two dwells in one part of the log")
+    for marks in finished:
+        yield marks, read_frames(folder, marks)
+
+
+def rotated(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:
+    """Finished dwells with rotations that nothing disturbed, in order; raises as :func:`replay`."""
+    for marks in rotated_marks(folder):
+        yield marks, read_frames(folder, marks)
+
+
+def rotated_marks(folder: RunFolder) -> list[DwellMarks]:
+    """Marks of :func:`rotated`."""
+    return [marks for marks in finished_marks(folder) if marks.is_rotated and not marks.disturbances]
+
+
+def noise_records(folder: RunFolder, setup: MeasurementSetup) -> list[RateRecord]:
+    """Gyro rates of the finished noise records that nothing disturbed; raises as :func:`replay`."""
+    return [
+        _rate_record(marks, read_frames(folder, marks), setup)
+        for marks in finished_marks(folder)
+        if marks.is_noise_record and not marks.disturbances
+    ]
+
+
+def _rate_record(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) -> RateRecord:
+    """Integrated rates of the gyros over the window of a noise record, in pieces where epochs are missing."""
+    increments = navigated_increments(setup.decode(frames), setup.site)
+    first, end = marks.windows[0].first_frame, marks.windows[-1].end_frame
+    inside = (increments.row > first) & (increments.row < end)
+    angle, follows = increments.angle[inside], increments.follows[inside]
+    every = int(np.ceil(max(len(angle), 1) / _MAX_NOISE_SAMPLES))
+    pieces = np.split(angle, np.flatnonzero(~follows[1:]) + 1)
+    segments = [np.vstack([np.zeros(3), np.cumsum(piece, axis=0)])[::every] for piece in pieces]
+    return RateRecord(increments.interval_s * every, segments)
+
+
+def finished_marks(folder: RunFolder) -> list[DwellMarks]:
+    """Marks of the finished dwells in the journal, each number once, in the order of time.
+
+    Raises RunFolderError if the journal is damaged.
+    """
+    return marks_in(read_journal(folder.journal), folder)
+
+
+def marks_in(entries: Iterable[Mapping[str, Any]], folder: RunFolder) -> list[DwellMarks]:
+    """:func:`finished_marks` of entries that were read already."""
+    found: dict[int, DwellMarks] = {}
+    for entry in entries:
+        if entry.get("event") == "data_given_up":
+            given_up = entry.get("dwells")
+            if not isinstance(given_up, list):
+                raise RunFolderError(f"{folder.journal}: damaged: data_given_up lacks its list of dwells")
+            found = {dwell: marks for dwell, marks in found.items() if dwell not in given_up}
+        elif entry.get("event") == "dwell_finished":
+            try:
+                marks = DwellMarks.from_json(entry.get("marks", {}))
+            except RunFolderError as error:
+                raise RunFolderError(f"{folder.journal}: {error}") from error
+            found[marks.dwell] = marks
+    return sorted(found.values(), key=lambda marks: marks.start_s)
+
+
+def read_dwell_frames(folder: RunFolder, dwell: int) -> FrameBlock:
+    """Frames of one finished dwell.
+
+    Raises RunFolderError if the run has no finished dwell of that number, or the log lacks its frames.
+    """
+    marks = {each.dwell: each for each in finished_marks(folder)}.get(dwell)
+    if marks is None:
+        raise RunFolderError(f"{folder.path}: has no finished dwell {dwell}")
+    return read_frames(folder, marks)
+
+
+def read_frames(folder: RunFolder, marks: DwellMarks) -> FrameBlock:
+    """Frames of a dwell by its marks, none if the INS never navigated in it.
+
+    Raises RunFolderError if the log lacks them.
+    """
+    if not marks.windows:
+        return concatenate([])
+    for _, frames in read_can_log(folder.can, {marks.log_part}):
+        return _frames(folder, marks, frames)
+    raise RunFolderError(
+        f"{folder.can}: lacks part {marks.log_part}, which dwell {marks.dwell} needs. Restore it"
+    )
+
+
+def _frames(folder: RunFolder, marks: DwellMarks, logged: FrameBlock) -> FrameBlock:
+    frames, needed = logged.data_frames(), marks.frame_count
+    if len(frames) < needed:
+        raise RunFolderError(
+            f"{folder.can}: part {marks.log_part} holds {len(frames)} frames, where dwell {marks.dwell} "
+            f"needs {needed}: it is cut off or damaged. Restore the part"
+        )
+    return frames.take(slice(0, needed))

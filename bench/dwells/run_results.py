@@ -1,0 +1,337 @@
+"""The results of a run: computed at its end, or recomputed from its raw CAN log.
+
+An INS takes the Earth's rotation for the latitude that was entered. An error of it, or a deflection of the
+vertical to the north, is a rate Up that adds to the bias of the vertical gyro, and a rate North that the
+level gyros measure independently of their biases, since it does not turn with the unit. It is corrected where
+confirmed, and flagged otherwise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import chain, islice
+from pathlib import Path
+
+import numpy as np
+
+from gyrobench.bench.bias.acceptance import judge
+from gyrobench.bench.bias.bins import BiasBin, bin_biases, write_bins
+from gyrobench.bench.bias.budget import BiasBudget, BudgetedDwell, bin_budgets, dwell_budgets, with_budgets
+from gyrobench.bench.bias.dwell_table import DwellRow, Triple, read_dwells, write_dwells
+from gyrobench.bench.bias.joint_solution import JointDwell, JointSolution, pooled_up_rate, solve_jointly
+from gyrobench.bench.bias.noise_estimate import NoiseEstimate, estimate_noise
+from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.bias.plateaus import PlannedDwell, group_plateaus
+from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits, write_acceptance
+from gyrobench.bench.bias.vertical_pairs import Finding, UpRate, exceeds_declared
+from gyrobench.bench.characteristics.results import TestResult, write_characteristics
+from gyrobench.bench.dwells.calibration_check import calibration_check_rows
+from gyrobench.bench.dwells.check_dwell import CheckDwell
+from gyrobench.bench.dwells.measure_dwell import MeasuredDwell, MeasurementSetup, measurement_setup
+from gyrobench.bench.dwells.plateau_calibration import PlateauCalibration, calibrate_plateaus
+from gyrobench.bench.dwells.recorded_dwells import noise_records, replay, rotated, rotated_marks
+from gyrobench.bench.dwells.rotations import RunRotations, spin_record
+from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN, RADPS_TO_DPH
+from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.foundations.files import remove
+from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.procedure.plan import Plan, PlannedStep
+from gyrobench.bench.procedure.procedure_file import load_procedure
+from gyrobench.bench.runs.folder import RunFolder, open_run_folder
+from gyrobench.bench.runs.tables.budget_table import budget_rows, coefficient_budget_rows, write_budget
+from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow, write_calibration_check
+from gyrobench.bench.runs.tables.coefficient_table import write_coefficients, write_correlations
+from gyrobench.bench.runs.tables.joint_table import (
+    JointBiasRow,
+    JointPlateauRow,
+    joint_bias_rows,
+    joint_plateau_rows,
+    write_joint,
+)
+from gyrobench.bench.runs.tables.noise_file import write_noise
+from gyrobench.bench.station.station import Station
+
+
+@dataclass(frozen=True, eq=False)
+class RunResults:
+    """Results of a run."""
+
+    #: As given; biases of vertical gyros without the effect of a wrong latitude, or flagged with it.
+    dwells: list[MeasuredDwell] = field(default_factory=list)
+    bins: list[BiasBin] = field(default_factory=list)  #: Bias per gyro, position and temperature.
+    #: Gives the uncertainty budgets of dwells and bins; they are many, and made one by one.
+    budgets: Callable[[], Iterator[BiasBudget]] = lambda: iter(())
+    joint: list[JointSolution] = field(default_factory=list)  #: One for each plateau.
+    #: Rate Up fixed in the navigation frame, from all plateaus whose dwells agree; None without any.
+    up_rate: UpRate | None = None
+    noise: NoiseEstimate | None = None  #: Of the INS, from its output; None where it is not observable.
+    #: Biases that a calibration check measured, beside the calibrated ones.
+    calibration_check: list[CalibrationCheckRow] = field(default_factory=list)
+    #: Coefficients of the sensors at each plateau.
+    coefficients: list[PlateauCalibration] = field(default_factory=list)
+    #: Verdict on the unit by the limits of the procedure.
+    acceptance: Acceptance = field(default_factory=Acceptance)
+    #: Results of the tests in the procedure.
+    characteristics: list[TestResult] = field(default_factory=list)
+
+
+def evaluate(
+    dwells: Sequence[MeasuredDwell],
+    setup: MeasurementSetup,
+    bin_width_c: float,
+    limits: AcceptanceLimits | None = None,
+    planned: Sequence[PlannedDwell] = (),
+    calibration_check: Sequence[CalibrationCheckRow] = (),
+) -> RunResults:
+    """Evaluate the dwells of one run; those with flags are left out.
+
+    The noise is an exception: dwells whose flags larger noise would explain count for it.
+
+    Parameters
+    ----------
+    dwells : sequence of MeasuredDwell
+        In the order of time.
+    bin_width_c : float
+        Width of the temperature bins, K.
+    limits : AcceptanceLimits, optional
+        Limits of acceptance; without them the unit is not judged.
+    planned : sequence of PlannedDwell
+        What was to be measured; see :func:`planned_dwells`.
+    calibration_check : sequence of CalibrationCheckRow
+        Of the run's check dwells.
+    """
+    good = [dwell for dwell in dwells if dwell.estimate and not dwell.row.flags]
+    joint = [solve_jointly(plateau, setup.prior) for plateau in group_plateaus(_joint_dwells(good))]
+    rate = pooled_up_rate(joint, setup.prior)
+    evaluated = with_latitude(dwells, joint, rate, setup.prior)
+    rows = [dwell.row for dwell in evaluated if dwell.estimate and not dwell.row.flags]
+    bins = bin_biases(rows, bin_width_c)
+    parts = [BudgetedDwell(each.row, each.estimate.parts) for each in evaluated if each.estimate]
+    of_bins = bin_budgets(parts, bins, setup.budget_inputs)
+    return RunResults(
+        dwells=evaluated,
+        bins=with_budgets(bins, of_bins),
+        budgets=lambda: chain(dwell_budgets(parts, setup.budget_inputs), of_bins),
+        joint=joint,
+        up_rate=rate,
+        noise=_noise([dwell for dwell in dwells if not dwell.is_disturbed], setup),
+        calibration_check=list(calibration_check),
+        acceptance=judge([dwell.row for dwell in evaluated], limits, planned, bin_width_c),
+    )
+
+
+def planned_dwells(plan: Plan) -> list[PlannedDwell]:
+    """Dwells of a plan that measure biases, in order, at the temperatures estimated for their beginning."""
+    first: dict[int, PlannedStep] = {}
+    for step in plan.steps:
+        if step.dwell is not None and step.gives_bias and not step.is_calibration_check:
+            first.setdefault(step.dwell, step)
+    return [
+        PlannedDwell(
+            dwell=dwell,
+            cycle=step.cycle,
+            position=step.before.position,
+            chamber_set_c=math.nan if step.before.set_point_c is None else step.before.set_point_c,
+            gyro_c=(step.before.gyro_c, step.before.gyro_c, step.before.gyro_c),
+        )
+        for dwell, step in first.items()
+        if step.before.position is not None
+    ]
+
+
+def write_results(folder: RunFolder, results: RunResults) -> None:
+    """Write the tables of a run beyond that of its dwells.
+
+    Raises RunFolderError if a file can't be written.
+    """
+    write_bins(folder.bias_bins, results.bins)
+    write_joint(folder.joint_biases, joint_bias_rows(results.joint, results.up_rate), JointBiasRow)
+    write_joint(folder.joint, joint_plateau_rows(results.joint, results.up_rate), JointPlateauRow)
+    write_acceptance(folder.acceptance, results.acceptance)
+    optional = (folder.noise, folder.calibration_check, folder.coefficients, folder.correlations)
+    for stale in (*optional, folder.budget, folder.characteristics):
+        remove(stale)
+    biases = (budget_rows([each]) for each in results.budgets())
+    coefficients = (coefficient_budget_rows(each.number, each.budgets) for each in results.coefficients)
+    rows = chain.from_iterable(chain(biases, coefficients))
+    for first in islice(rows, 1):
+        write_budget(folder.budget, chain([first], rows))
+    if results.coefficients:
+        write_coefficients(folder.coefficients, [row for each in results.coefficients for row in each.rows()])
+        write_correlations(
+            folder.correlations, [(each.number, each.correlations) for each in results.coefficients]
+        )
+    if results.noise is not None:
+        write_noise(folder.noise, results.noise)
+    if results.calibration_check:
+        write_calibration_check(folder.calibration_check, results.calibration_check)
+    if results.characteristics:
+        write_characteristics(folder.characteristics, results.characteristics)
+
+
+def _joint_dwells(dwells: Sequence[MeasuredDwell]) -> list[JointDwell]:
+    return [
+        JointDwell(
+            number=dwell.row.dwell,
+            position_name=dwell.row.position,
+            rows=dwell.shared,
+            cycle=dwell.row.cycle,
+            chamber_set_c=dwell.row.chamber_set_c,
+            gyro_c=dwell.row.gyro_c,
+            run=dwell.row.run,
+        )
+        for dwell in dwells
+        if dwell.shared
+    ]
+
+
+def _noise(dwells: Sequence[MeasuredDwell], setup: MeasurementSetup) -> NoiseEstimate | None:
+    try:
+        return estimate_noise([window for dwell in dwells for window in dwell.windows], setup.site.gravity)
+    except MeasurementError:
+        return None
+
+
+def with_latitude(
+    dwells: Sequence[MeasuredDwell],
+    solutions: Sequence[JointSolution],
+    rate: UpRate | None,
+    prior: PriorKnowledge,
+) -> list[MeasuredDwell]:
+    """The dwells of a run, the biases of vertical gyros without the effect of a wrong latitude.
+
+    Where rates North and Up together confirm that the latitude is off by more than declared, biases and
+    uncertainties of the vertical gyros are those of the joint solution without that rate. Where the rate
+    North leads to that, and no rate Up that agrees with it contradicts, the dwells are flagged.
+
+    Parameters
+    ----------
+    dwells : sequence of MeasuredDwell
+        Of the run, in order.
+    solutions : sequence of JointSolution
+        Of its plateaus.
+    rate : UpRate or None
+        Rate Up of all plateaus.
+    prior : PriorKnowledge
+        With the declared uncertainty of the latitude.
+    """
+    if rate is not None and rate.finding is Finding.LATITUDE_OFF:
+        corrected = {
+            dwell.number: biases
+            for solution in solutions
+            for right in [solution.corrected(rate)]
+            for dwell, *biases in zip(
+                solution.dwells,
+                RADPS_TO_DPH * right.bias_radps,
+                RADPS_TO_DPH * right.sigma_radps,
+                strict=True,
+            )
+        }
+        return [_corrected(dwell, *corrected.get(dwell.row.dwell, ())) for dwell in dwells]
+    if rate is not None and rate.applies and not rate.exceeds(prior.latitude):
+        return list(dwells)
+    flag = _north_flag(solutions, prior)
+    numbers = {dwell.number for solution in solutions for dwell in solution.dwells}
+    if not flag:
+        return list(dwells)
+    return [
+        replace(each, row=replace(each.row, flags=flag)) if each.row.dwell in numbers else each
+        for each in dwells
+    ]
+
+
+def _corrected(dwell: MeasuredDwell, *biases: np.ndarray) -> MeasuredDwell:
+    if not biases:
+        return dwell
+    row, axis = dwell.row, POSITIONS[dwell.row.position].up_axis
+    bias_dph, sigma_dph = (
+        _with(values, axis, float(joint[axis]))
+        for values, joint in zip((row.bias_dph, row.sigma_dph), biases, strict=True)
+    )
+    return replace(dwell, row=replace(row, bias_dph=bias_dph, sigma_dph=sigma_dph))
+
+
+def _with(values: Triple, axis: int, value: float) -> Triple:
+    x, y, z = (value if index == axis else each for index, each in enumerate(values))
+    return x, y, z
+
+
+def _north_flag(solutions: Sequence[JointSolution], prior: PriorKnowledge) -> str:
+    """Flag for a rate North that leads to a wrong latitude; empty without one."""
+    agreeing = [each for each in solutions if each.agrees]
+    if not agreeing:
+        return ""
+    rates, sigmas = np.array([each.north_rate for each in agreeing]).T
+    _, _, earth_up = agreeing[0].dwells[0].rows.earth_rate
+    error = float((rates / sigmas**2).sum() / (1.0 / sigmas**2).sum() / earth_up)
+    # What the misalignments of the gyros do is common to all plateaus.
+    sigma = float(np.hypot((1.0 / sigmas**2).sum() ** -0.5, sigmas.min() / 2.0) / abs(earth_up))
+    if not exceeds_declared(error, sigma, prior.latitude):
+        return ""
+    return (
+        f"a rate North fixed in the navigation frame, as of a latitude {RAD_TO_ARCMIN * error:+.2f} ± "
+        f"{RAD_TO_ARCMIN * sigma:.2f} arcmin off ({RAD_TO_ARCMIN * prior.latitude:.2g} arcmin declared): the "
+        "bias of the vertical gyro is off too. Check the latitude in station file and INS"
+    )
+
+
+def evaluate_run(
+    folder: RunFolder,
+    plan: Plan,
+    setup: MeasurementSetup,
+    dwells: Sequence[MeasuredDwell],
+    check_dwells: Sequence[CheckDwell],
+    calibration: Sequence[DwellRow],
+    rotations: RunRotations | None = None,
+) -> RunResults:
+    """Compute the results of all dwells of a run, and write them into its folder.
+
+    ``check_dwells`` are compared with ``calibration``, or where that is empty with the run's own dwells.
+    ``rotations``: as measured during the run; where they are not those of the journal, the log is read.
+    Raises RunFolderError if the tables can't be written.
+    """
+    check = calibration_check_rows(check_dwells, calibration or [dwell.row for dwell in dwells], setup)
+    procedure = plan.procedure
+    results = evaluate(
+        dwells, setup, procedure.bin_width_c, procedure.acceptance, planned_dwells(plan), check
+    )
+    rows = [dwell.row for dwell in results.dwells]
+    turned = _rotations(folder, setup, rotations or RunRotations()).calibrated(setup)
+    coefficients = calibrate_plateaus(results.joint, rows, turned, setup)
+    with_spins = procedure.tests.scale_factor_stability is not None
+    records = noise_records(folder, setup) if procedure.tests.allan_variance else []
+    spins = [spin_record(*each, setup) for each in rotated(folder)] if with_spins else []
+    characteristics = procedure.tests.evaluate(rows, records, spins)
+    results = replace(results, coefficients=coefficients, characteristics=characteristics)
+    if results.dwells:
+        write_dwells(folder.dwells, rows)
+    write_results(folder, results)
+    return results
+
+
+def _rotations(folder: RunFolder, setup: MeasurementSetup, known: RunRotations) -> RunRotations:
+    """Those of all dwells with rotations, read from the log where others are known."""
+    if known.dwells == [marks.dwell for marks in rotated_marks(folder)]:
+        return known
+    found = RunRotations()
+    for marks, frames in rotated(folder):
+        found.add(marks, frames, setup)
+    return found
+
+
+def recompute_run(path: Path) -> RunFolder:
+    """Measure a run again from its raw log, and write its tables.
+
+    Raises RunFolderError if the folder is not a run folder, or its log can't be read. Raises DocumentError if
+    the procedure, station or DBC file in it is wrong.
+    """
+    folder = open_run_folder(path)
+    document, procedure = load_procedure(folder.procedure)
+    station = Station(folder.station)
+    setup = measurement_setup(station)
+    dwells, check_dwells = replay(folder, setup)
+    calibration = read_dwells(folder.calibration) if folder.calibration.exists() else []
+    evaluate_run(folder, station.plan(document, procedure), setup, dwells, check_dwells, calibration)
+    return folder
