@@ -20,7 +20,7 @@ from gyrobench.bench.dwells.earlier_calibration import (
 )
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.navigation.positions import POSITIONS
-from tests.bench.verification.test_calibration_check import calibrated
+from tests.bench.dwells.test_calibration_check import calibrated
 
 UG = 9.80665e-6
 PRIOR = PriorKnowledge.from_datasheet(accelerometer_bias_ug=1000.0, accelerometer_misalignment_arcsec=5.0)
