@@ -19,10 +19,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from gyrobench.bench.bias.statistics import Chi2Test, chi2_test
+from gyrobench.bench.bias.statistics import Chi2Test, chi2_p_value, chi2_test
 from gyrobench.bench.calibration.coefficients import (
     BESIDE,
     COEFFICIENTS,
@@ -31,7 +32,9 @@ from gyrobench.bench.calibration.coefficients import (
     SensorErrors,
 )
 from gyrobench.bench.calibration.information import (
+    BIAS_DRIFT,
     IS_FORCE_SCALE,
+    IS_GYRO_SCALE,
     CalibrationOptions,
     Information,
     integrated_sections,
@@ -52,6 +55,7 @@ from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import rotation_matrices
 from gyrobench.bench.navigation.earth import EARTH_RATE
 from gyrobench.bench.navigation.error_model import Site
+from gyrobench.bench.navigation.positions import AXES
 
 #: Rounds of linearisation; the last one changes the weighted sum of squares by less than this, and each
 #: observed unknown by less than this part of its standard uncertainty.
@@ -66,6 +70,16 @@ _OPPOSITE, _MAX_WIDENING = 0.1, 10.0
 MIN_P_VALUE = 1e-3
 #: Smallest relative error of the time that is looked for.
 _MIN_TIME_ERROR = 3e-4
+#: Least eigenvalue of a correlation matrix, above rounding.
+_MIN_EIGENVALUE = 1e-9
+#: Options that may explain a misfit, with the option of ``gyrobench calibrate``.
+_BESIDE_COEFFICIENTS: tuple[tuple[dict[str, Any], str], ...] = (
+    ({"quadratic": True}, "quadratic terms of the accelerometers (--quadratic)"),
+    ({"lever_arms": True}, "places of the accelerometers (--lever-arms)"),
+    ({"delay": True}, "a delay of the accelerometers (--delay)"),
+    ({"bias_drift": BIAS_DRIFT}, "a drift of the gyro biases (--drift)"),
+)
+_GYRO_SCALES = np.flatnonzero(IS_GYRO_SCALE)
 #: Relative step of the variances whose contributions are derived, and those of the noise.
 _VARIANCE_STEP = 1e-3
 _NOISE = ("angle_random_walk", "velocity_random_walk", "white_angle", "white_velocity")
@@ -89,8 +103,10 @@ class Calibration(CoefficientEstimate):
     starts: tuple[FloatArray, ...]  #: Attitude ``C_nb`` (3, 3) at the start of each.
     unknowns: FloatArray  #: Shape (34,). Values that the increments are freed of, observed or not.
     trajectories: tuple[Trajectory, ...]  #: Of the sections, at values close to these.
-    #: Shapes (n, n). Parts of the covariance by the uncertainty of gravity and latitude.
+    #: Shapes (n, n). Parts of the covariance by the uncertainty of gravity, latitude and time.
     by_site: Mapping[str, FloatArray]
+    #: What the data contradict: the noise, or whole turns and rotations each other; empty for nothing.
+    findings: tuple[str, ...] = ()
 
 
 def calibrate(
@@ -122,17 +138,34 @@ def calibrate(
             noise, angle_random_walk=np.full(3, walk), velocity_random_walk=np.full(3, velocity_walk)
         )
     _check_force(recordings, rests, gravity)
-    sections = [Section.between_rests(*each) for each in zip(recordings, rests, rotations, strict=True)]
-    problem = _Problem(sections, _first_bias(recordings, rests), noise, site, options)
-    found = problem.solve()
+    bias = _first_bias(recordings, rests)
+
+    def problem_with(rotations: Sequence[Sequence[Rotation]], options: CalibrationOptions) -> _Problem:
+        sections = [Section.between_rests(*each) for each in zip(recordings, rests, rotations, strict=True)]
+        return _Problem(sections, bias, noise, site, options)
+
+    if options.whole_turns is not None and any(
+        turn.is_long and not turn.is_spin for turns in rotations for turn in turns
+    ):
+        # Scale factors may be so wrong that whole turns seem to end elsewhere.
+        first = problem_with(rotations, replace(options, whole_turns=None)).solve()
+        errors = SensorErrors.from_vector(first.common[:COUNT])
+        rotations = [
+            find_rotations(each, its, errors.removed(each.angle, each.velocity, each.interval_s)[0])
+            for each, its in zip(recordings, rests, strict=True)
+        ]
+    problem = problem_with(rotations, options)
+    sections = problem.sections
+    found, findings, offset = problem.solve(), [], np.zeros(3)
     is_observed = found.is_observed
     if all(turn.kind == "disturbance" for turns in rotations for turn in turns):
         is_observed[:COUNT] &= [each.sensor != "gyro" or each.kind == "bias" for each in COEFFICIENTS]
     if not any(recording.has_vertical for recording in recordings):
         is_observed[:COUNT] &= ~np.array(IS_FORCE_SCALE)
     _check_size(found.values, is_observed)
-    if found.fit.p_value < MIN_P_VALUE and options.whole_turns is not None:
-        found = problem.with_uneven_turns(found)
+    if options.whole_turns is not None and any(each.epochs.spins for each in sections):
+        found, offset, contradiction = problem.with_turns_checked(found)
+        findings += [contradiction] * bool(contradiction)
     covariance, test = found.covariance, found.fit
     if test.p_value < MIN_P_VALUE:
         problem.check_alternatives(found)
@@ -140,10 +173,15 @@ def calibrate(
         if widening > _MAX_WIDENING and is_observed[:COUNT].any():
             raise MeasurementError(
                 f"the residuals are {widening:.3g} times the noise, at most {_MAX_WIDENING:g} times is "
-                "accepted. Check latitude, signs and times, and whether the unit drifts, moves at rest or "
-                "has biases that follow attitude; gyrobench calibrate has --lever-arms, --delay, --quadratic"
+                f"accepted. {problem.explanation(found)}"
             )
         covariance = covariance * widening**2
+        findings.append(
+            f"noise does not explain the velocity at rest (p = {test.p_value:.1g}); uncertainties are "
+            f"multiplied by {widening:.2f}. {problem.explanation(found)}"
+        )
+    covariance = covariance.copy()
+    covariance[_GYRO_SCALES, _GYRO_SCALES] += offset**2
     coefficients = tuple((*COEFFICIENTS, *BESIDE)[each] for each in options.columns)
     count = len(coefficients)
     by_site = found.information.site_parts(site, options)
@@ -163,6 +201,7 @@ def calibrate(
         unknowns=found.common,
         trajectories=tuple(found.trajectories),
         by_site=by_site,
+        findings=tuple(findings),
     )
 
 
@@ -218,10 +257,13 @@ class _Problem:
             "rotations between rests at one place. Check signs, axes and units in the import map"
         )
 
-    def with_uneven_turns(self, found: _Solution) -> _Solution:
-        """The same with whole turns as uncertain as gyros of constant scale factors leave them.
+    def with_turns_checked(self, found: _Solution) -> tuple[_Solution, FloatArray, str]:
+        """The same with whole turns as uncertain as rotations and noise show them to be.
 
-        A scale factor that depends on the rate is no fault of the rests.
+        Also by how much the scale factors of whole turns contradict the others (3,), zero where they do not,
+        and that as text. A scale factor that depends on the rate is no fault of the rests. It makes turns at
+        several rates scatter, and those at one rate contradict the rotations, as a table does that returns
+        elsewhere.
         """
         alone = replace(self, options=replace(self.options, whole_turns=None)).solve()
         spins = [
@@ -229,14 +271,60 @@ class _Problem:
             for section, start in zip(self.sections, alone.starts, strict=True)
             for spin in section.spin_errors(start, alone.common, self.site)
         ]
-        if alone.fit.p_value < MIN_P_VALUE or not spins:
-            return found
+        axes = sorted({spin.axis for spin in spins if alone.is_observed[_GYRO_SCALES[spin.axis]]})
+        offset, text = self._contradiction(found, alone, axes)
+        is_uneven = found.fit.p_value < MIN_P_VALUE <= alone.fit.p_value
+        if not spins or not (text or is_uneven):
+            return found, offset, ""
         left = []
         for axis in {spin.axis for spin in spins}:
             error, path = np.array([(each.error, each.path) for each in spins if each.axis == axis]).T
-            left += list(error - path * (path @ error) / (path @ path))
+            left += list(error - path * (path @ error) / (path @ path) + path * offset[axis])
         turns = float(np.hypot(self.options.whole_turns or 0.0, np.sqrt(np.mean(np.square(left)))))
-        return replace(self, options=replace(self.options, whole_turns=turns)).solve()
+        return replace(self, options=replace(self.options, whole_turns=turns)).solve(), offset, text
+
+    @staticmethod
+    def _contradiction(found: _Solution, alone: _Solution, axes: Sequence[int]) -> tuple[FloatArray, str]:
+        """Scale factors (3,) of whole turns less the others, and that as text; zero where noise explains it.
+
+        The covariance of the difference is that of a part of the data less that of all (Hausman 1978).
+        """
+        offset, places = np.zeros(3), [_GYRO_SCALES[axis] for axis in axes]
+        if not places:
+            return offset, ""
+        difference = found.values[places] - alone.values[places]
+        covariance = (alone.covariance - found.covariance)[np.ix_(places, places)]
+        scales = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+        squares, directions = np.linalg.eigh(covariance / np.outer(scales, scales))
+        parts = (directions.T @ (difference / scales)) ** 2 / np.maximum(squares, _MIN_EIGENVALUE)
+        p_value = chi2_p_value(len(places), float(parts.sum()))
+        if p_value >= MIN_P_VALUE:
+            return offset, ""
+        # All data are a weighted mean of both.
+        share = 1.0 - np.diag(found.covariance)[places] / np.diag(alone.covariance)[places]
+        offset[axes] = difference / np.maximum(share, _MIN_EIGENVALUE)
+        apart = ", ".join(f"{AXES[axis]} {1e6 * offset[axis]:+.2g} ppm" for axis in axes)
+        return offset, (
+            f"whole turns contradict the rotations (p = {p_value:.1g}): scale factors of whole turns less "
+            f"those of rotations are {apart}. Their uncertainties include it. Check that the table returns "
+            "to where it was, and whether the scale factors depend on the rate"
+        )
+
+    def explanation(self, found: _Solution) -> str:
+        """What would explain a misfit, as advice."""
+        for chosen, what in _BESIDE_COEFFICIENTS:
+            if all(getattr(self.options, name) for name in chosen):
+                continue
+            try:
+                other = replace(self, options=replace(self.options, **chosen)).solve()
+            except MeasurementError:
+                continue
+            if other.fit.p_value >= MIN_P_VALUE or other.fit.chi2 < _OPPOSITE * found.fit.chi2:
+                return f"With {what} it does (chi2 {found.fit.chi2:.3g}, then {other.fit.chi2:.3g})"
+        return (
+            "Check latitude, gravity, signs and times, and whether the unit drifts, moves at rest or has "
+            "biases that follow attitude; gyrobench calibrate has --lever-arms, --delay, --quadratic"
+        )
 
     def check_alternatives(self, found: _Solution) -> None:
         """Raise MeasurementError if a mistake in the map explains what the noise does not."""
@@ -306,8 +394,8 @@ def covariances_by_source(
     parts = {name: part * np.outer(factors, factors) for name, part in parts.items()}
     by_site = {name: part[:COUNT, :COUNT] for name, part in calibration.by_site.items()}
     beyond = calibration.covariance[:COUNT, :COUNT] - base - sum(by_site.values())
-    # Without a misfit what is left is rounding.
-    return parts | by_site | {"misfit": beyond * (calibration.fit.p_value < MIN_P_VALUE)}
+    # Where nothing is contradicted what is left is rounding.
+    return parts | by_site | {"misfit": beyond if calibration.findings else np.zeros_like(base)}
 
 
 def _check_force(

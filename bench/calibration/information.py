@@ -34,8 +34,9 @@ _MAX_GROWTH = 1.1
 #: Size of the accelerometers' scale factor errors where gravity stands in place of the vertical specific
 #: force: their mean is not observed, and affects the other coefficients in second order.
 FORCE_SCALE = 1e-4
-#: Which coefficients are scale factors of accelerometers.
+#: Which coefficients are scale factors of accelerometers, and of gyros.
 IS_FORCE_SCALE = [each.name == "accelerometer_scale_factor" for each in COEFFICIENTS]
+IS_GYRO_SCALE = [each.name == "gyro_scale_factor" for each in COEFFICIENTS]
 #: So closely the scale factors of accelerometers have the mean zero where the vertical force is not measured.
 _COMMON_SCALE = 1e-9
 #: Rows for each column that are compressed at once.
@@ -63,6 +64,10 @@ class CalibrationOptions:
     #: Standard uncertainty, rad/s^2, of a steady drift of each gyro's bias in each recording, about the bias
     #: at half time; 0: none is estimated.
     bias_drift: float = 0.0
+    #: By how much the standard uncertainty of the time between samples changes the scale factors of all gyros
+    #: and of all accelerometers: rates times a longer time are larger angles, velocity increments over it
+    #: smaller forces.
+    scales_by_time: tuple[float, float] = (0.0, 0.0)
 
     @property
     def columns(self) -> list[int]:
@@ -156,7 +161,7 @@ class Information:
         return centre + values, covariance, np.asarray(growth < _MAX_GROWTH)
 
     def site_parts(self, site: Site, options: CalibrationOptions) -> Mapping[str, FloatArray]:
-        """Covariances (21 + k, 21 + k) by what is assumed of the place, which the residuals hardly show.
+        """Covariances (21 + k, 21 + k) by what is assumed of place and time, which the residuals hardly show.
 
         Of the coefficients and what is estimated beside them.
         """
@@ -167,4 +172,8 @@ class Information:
         if options.latitude_sigma:
             shift, _ = solve(self.root[:, :-2], self.root[:, -2], np.diag(self.sizes))
             shifts["latitude"] = options.latitude_sigma * shift[:count]
+        if any(options.scales_by_time):
+            is_gyro_scale = np.isin(options.columns, np.flatnonzero(IS_GYRO_SCALE))
+            by_gyro, by_force = options.scales_by_time
+            shifts["time"] = by_gyro * is_gyro_scale + by_force * is_scale
         return {name: np.outer(shift, shift) for name, shift in shifts.items()}

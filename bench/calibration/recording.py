@@ -110,7 +110,12 @@ class Rotation:
     @property
     def is_spin(self) -> bool:
         """Whether these are whole turns."""
-        return bool(abs(self.path) > MIN_SPIN and np.linalg.norm(self.vector) < MIN_ROTATION)
+        return self.is_long and bool(np.linalg.norm(self.vector) < MIN_ROTATION)
+
+    @property
+    def is_long(self) -> bool:
+        """Whether it turned far enough for a whole turn."""
+        return bool(abs(self.path) > MIN_SPIN)
 
     @property
     def kind(self) -> str:
@@ -160,12 +165,18 @@ def find_rests(recording: IncrementRecording) -> list[Rest]:
     return rests
 
 
-def find_rotations(recording: IncrementRecording, rests: Sequence[Rest]) -> list[Rotation]:
-    """What happened between each rest and the next."""
-    level = np.mean([recording.angle[rest.begin : rest.end].mean(axis=0) for rest in rests], axis=0)
+def find_rotations(
+    recording: IncrementRecording, rests: Sequence[Rest], angle: FloatArray | None = None
+) -> list[Rotation]:
+    """What happened between each rest and the next.
+
+    ``angle`` (n, 3): increments freed of known errors, which show more whole turns; by default as recorded.
+    """
+    angle = recording.angle if angle is None else angle
+    level = np.mean([angle[rest.begin : rest.end].mean(axis=0) for rest in rests], axis=0)
     rotations = []
     for before, after in itertools.pairwise(rests):
-        steps = recording.angle[before.end : after.begin] - level
+        steps = angle[before.end : after.begin] - level
         travelled = steps.sum(axis=0)
         axis = int(np.argmax(np.abs(travelled)))
         rotations.append(

@@ -21,7 +21,7 @@ from gyrobench.bench.foundations.arrays import (
     FloatArray,
 )
 from gyrobench.bench.foundations.csv_tables import format_rows, write_text
-from gyrobench.bench.foundations.files import make_folder
+from gyrobench.bench.foundations.files import make_folder, remove
 from gyrobench.bench.foundations.text import format_number
 from gyrobench.bench.navigation.earth import earth_rate_enu
 from gyrobench.bench.navigation.error_model import Site
@@ -169,13 +169,14 @@ def calibration_record(
         ],
         "spins": [asdict(each) for each in spins],
         "fit": vars(calibration.fit),
+        "findings": list(calibration.findings),
     }
 
 
 def write_calibration(folder: Path, calibration: Calibration, record: Mapping[str, Any]) -> list[Path]:
     """Write ``coefficients.csv``, ``correlations.csv`` and ``calibration.json``; returns the paths.
 
-    Raises RunFolderError if a file can't be written.
+    The last one is written when the others are there. Raises RunFolderError if a file can't be written.
     """
     texts = {
         "coefficients.csv": format_rows(list(CoefficientRow.__annotations__), coefficient_rows(calibration)),
@@ -183,6 +184,8 @@ def write_calibration(folder: Path, calibration: Calibration, record: Mapping[st
         "calibration.json": json.dumps(record, indent=1, ensure_ascii=False) + "\n",
     }
     make_folder(folder)
+    for name in reversed(texts):
+        remove(folder / name)  # never parts of two calibrations together
     for name, text in texts.items():
         write_text(folder / name, text)
     return [folder / name for name in texts]

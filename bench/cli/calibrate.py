@@ -9,6 +9,7 @@ import typer
 
 from gyrobench.bench.cli.options import complete_import_map
 from gyrobench.bench.cli.output import JsonOption, plain, print_result
+from gyrobench.bench.foundations.errors import DocumentError
 
 
 def calibrate(
@@ -66,11 +67,19 @@ def calibrate(
 
     map_path = find_document("imports", mapping)
     log_map = load_log_map(map_path, for_calibration=True)
-    recordings = [recording for path in logs for recording in read_increments(path, log_map)]
-    site, options = calibration_settings(log_map, lever_arms, delay, quadratic, drift)
-    found = estimate(recordings, site, options)
+    digests = {path: file_sha256(path) for path in logs}
+    if len(set(digests.values())) < len(logs):
+        raise DocumentError("two logs have the same content, which would count twice. Name each log once")
+    read = [read_increments(path, log_map) for path in logs]
+    interval_error = max(each.interval_error for each in read)
+    site, options = calibration_settings(log_map, lever_arms, delay, quadratic, drift, interval_error)
+    found = estimate([recording for each in read for recording in each.recordings], site, options)
+    counts = sum(each.left_out for each in read), sum(each.samples for each in read)
     origin = {
-        "logs": [{"file": str(path), "sha256": file_sha256(path)} for path in logs],
+        "logs": [
+            {"file": str(path), "sha256": digests[path], "samples": log.samples, "left_out": log.left_out}
+            for path, log in zip(logs, read, strict=True)
+        ],
         "map": {"file": str(map_path), "sha256": file_sha256(map_path)},
     }
     turns = options.whole_turns
@@ -79,6 +88,5 @@ def calibrate(
         found = found.in_gyro_frame()
     record = plain(calibration_record(found, site, spins, origin))
     paths = write_calibration(out, found, record) if out else []
-    print_result(
-        record, as_json, calibration_summary(found, site, spins), *(f"Written  {path}" for path in paths)
-    )
+    summary = calibration_summary(found, site, spins, turns is not None, counts)
+    print_result(record, as_json, summary, *(f"Written  {path}" for path in paths))

@@ -217,7 +217,8 @@ def _plateau(
     rows: Mapping[int, DwellRow],
     setup: MeasurementSetup,
 ) -> PlateauCalibration:
-    estimates, finding, with_force = [], "", None
+    estimates, with_force = [], None
+    findings: list[str] = []
     ranges = [np.full((2, 4), np.nan)]
     gyro_c, case_c = NOT_MEASURED, math.nan
     cycle, set_c = 0, None
@@ -229,7 +230,7 @@ def _plateau(
         ranges += [np.array([(*each.gyro_c, rows[each.number].case_c)] * 2) for each in solution.dwells]
     if rotations is not None:
         cycle, set_c = rotations.marks.cycle, rotations.marks.chamber_set_c
-        finding = rotations.finding
+        findings += rotations.findings
         ranges.append(rotations.range_c)
         if rotations.calibration is not None:
             estimates.append(rotations.calibration)
@@ -237,14 +238,14 @@ def _plateau(
             if rotations.with_force is not None:
                 with_force = _combined([*estimates[:-1], rotations.with_force])
     if len(estimates) > 1 and (p_value := _agreement(*estimates)) < _MIN_P_VALUE:
-        finding = f"dwells and rotations contradict each other (p = {p_value:.1g})"
+        findings.append(f"dwells and rotations contradict each other (p = {p_value:.1g})")
     estimate = _combined(estimates) if estimates else None
     chamber_set_c = math.nan if set_c is None else set_c
     inputs = {"latitude": setup.prior.latitude, "table_return": setup.table_repeatability} | {
         "gravity": setup.gravity[1]
     }
     return PlateauCalibration(
-        number, cycle, chamber_set_c, gyro_c, case_c, estimate, finding, with_force, rotations,
+        number, cycle, chamber_set_c, gyro_c, case_c, estimate, "; ".join(findings), with_force, rotations,
         enclosing(ranges), inputs,
     )  # fmt: skip
 

@@ -47,6 +47,13 @@ class PlateauRotations:
     #: As uncertain as if the INS sent specific forces; None where it does.
     with_force: CoefficientEstimate | None = None
 
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """Why they give nothing, or what they contradict; empty where nothing is wrong."""
+        if self.calibration is None:
+            return (self.finding,) if self.finding else ()
+        return tuple(f"rotations: {each}" for each in self.calibration.findings)
+
 
 class RunRotations:
     """Dwells with rotations, measured one by one in the order of time; increments of one plateau are held."""
@@ -58,22 +65,30 @@ class RunRotations:
         self._groups: list[list[RotatedDwell]] = []
         self._finding = ""
 
-    def add(self, marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) -> None:
-        """Add the next dwell; with the first one of another set point those before are calibrated."""
+    def add(self, marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) -> tuple[str, ...]:
+        """Add the next dwell; with the first one of another set point those before are calibrated.
+
+        Returns what turned out to be wrong with it, or with those before.
+        """
+        found: tuple[str, ...] = ()
         if self._last and plateau_key(self._last[0]) != plateau_key(marks):
+            is_known, known = bool(self._finding), len(self._before)
             self._before, self._last, self._groups, self._finding = self.calibrated(setup), [], [], ""
+            if not is_known:
+                found = tuple(text for each in self._before[known:] for text in each.findings)
         self._last.append(marks)
         self.dwells.append(marks.dwell)
         if self._finding:
-            return
+            return found
         try:
             dwell = measure_rotations(marks, frames, setup)
         except MeasurementError as error:
             self._groups, self._finding = [], f"the rotations give no coefficients: {error}"
-            return
+            return (*found, self._finding)
         if not (self._groups and _is_alike(self._groups[-1], dwell)):
             self._groups.append([])
         self._groups[-1].append(dwell)
+        return found
 
     def calibrated(self, setup: MeasurementSetup) -> list[PlateauRotations]:
         """Coefficients of all set points; of one those on a ramp to it are kept apart."""

@@ -203,7 +203,8 @@ class DwellLedger:
         self._unit.journal.record("dwell_finished", marks=marks.to_json(), flags=flags)
         self._record.state.finished.add(marks.dwell)
         if marks.is_rotated and not marks.disturbances:
-            self._record.outcome.rotations.add(marks, frames, self._record.setup)
+            for finding in self._record.outcome.rotations.add(marks, frames, self._record.setup):
+                self._noted(finding)
         what = f"{len(marks.windows) - 1} rotations from" if marks.is_rotated else "noise in"
         self._noted(f"{what} {marks.position}: {flags or 'recorded'}")
         return True

@@ -326,7 +326,13 @@ class CalibrationLog(StrictModel):
         default=None,
         ge=0.0,
         le=0.1,
-        description="standard uncertainty of gravity; default: 0 with 'gravity_mps2', else 3e-4",
+        description="standard uncertainty of gravity; default: by the digits of 'gravity_mps2', else 3e-4",
+    )
+    clock_sigma_ppm: float = Field(
+        default=29.0,
+        ge=0.0,
+        le=1e4,
+        description="standard uncertainty of the clock of the samples; default: a crystal within 50 ppm",
     )
     noise: CalibrationNoise | None = Field(
         default=None, description="random walks, where rests are too short to show them; default: measured"
@@ -383,7 +389,8 @@ class LogMap(StrictModel):
     skip_s: NotNegative = Field(default=0.0, description="left out at the beginning of each log")
     max_gap_s: Positive | None = Field(
         default=None,
-        description="longest time between samples; by default 5 sample intervals or 1 % of a window",
+        description="longest time between samples; by default 5 sample intervals or 1 % of a window; "
+        "gyrobench calibrate divides a log at each missing sample",
     )
     calibration: CalibrationLog | None = Field(
         default=None, description="for gyrobench calibrate: accelerometers and place"

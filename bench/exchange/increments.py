@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +21,7 @@ from gyrobench.bench.foundations.arrays import (
     IntArray,
 )
 from gyrobench.bench.foundations.errors import MeasurementError
-from gyrobench.bench.navigation.earth import NORMAL_GRAVITY_SIGMA
+from gyrobench.bench.navigation.earth import gravity_uncertainty
 from gyrobench.bench.navigation.error_model import Site
 
 #: SI units of angle and velocity, and of their rates, by the names in maps.
@@ -30,9 +32,26 @@ _INCREMENTS = ("m/s", "mm/s")
 #: Samples over which the usual interval is measured, and on each side of a gap; a gap's step differs from the
 #: usual interval by at least this part.
 _LAG, _NEAR, _MIN_STEP_ERROR = 100, 16, 0.3
+#: Share of samples with the time stamp of the one before, above which stamps are coarser than samples.
+_COARSE = 0.3
 
 
-def read_increments(path: Path, log_map: LogMap) -> list[IncrementRecording]:
+@dataclass(frozen=True, eq=False)
+class LogIncrements:
+    """Increments of one log."""
+
+    recordings: list[IncrementRecording]  #: Its parts without a missing sample.
+    samples: int  #: How many it holds.
+    #: Relative standard uncertainty of the time between samples by the scatter of their time stamps.
+    interval_error: float
+
+    @property
+    def left_out(self) -> int:
+        """Samples that are missing, not numbers, repeated, or in a part that is too short."""
+        return self.samples - sum(len(each.angle) for each in self.recordings)
+
+
+def read_increments(path: Path, log_map: LogMap) -> LogIncrements:
     """Read a log, cut where samples are missing; pieces shorter than a minute are left out.
 
     Rates and specific forces count as means since the sample before. Raises DocumentError if the log can't be
@@ -50,27 +69,55 @@ def read_increments(path: Path, log_map: LogMap) -> list[IncrementRecording]:
     reader = SampleReader(path, log_map, quantities)
     batches = list(reader.batches())
     samples = {name: np.concatenate([each[name] for each in batches]) for name in batches[0]}
+    kept = samples["time_s"] >= samples["time_s"][:1] + log_map.skip_s
+    samples = {name: values[kept] for name, values in samples.items()}
     time_s = samples["time_s"]
     angle, velocity = (np.column_stack([samples[name] for name in names]) for names in (RATES, FORCES))
-    recordings, found = [], _pieces(time_s, np.hstack([angle, velocity]))
+    recordings, errors, found = [], [0.0], _pieces(time_s, np.hstack([angle, velocity]))
     for part in found:
-        if (duration_s := float(time_s[part[-1]] - time_s[part[0]])) < MIN_REST_TOTAL_S:
+        if time_s[part[-1]] - time_s[part[0]] < MIN_REST_TOTAL_S:
             continue
-        interval_s = duration_s / (len(part) - 1)
+        first_s, interval_s, error = _even_times(time_s[part])
+        errors.append(error / interval_s)
         recordings.append(
             IncrementRecording(
                 interval_s,
                 angle[part] * (1.0 if angles_are_increments else interval_s),
                 velocity[part] * (1.0 if section.accelerometers.unit in _INCREMENTS else interval_s),
-                reader.first_s + float(time_s[part[0]]) - interval_s,
+                reader.first_s + first_s - interval_s,
             )
         )
     if not recordings:
-        raise MeasurementError(
-            f"{path}: no {MIN_REST_TOTAL_S:g} s without a missing sample; gaps cut the log into "
-            f"{len(found)} parts. Check the log and 'time' in its map"
+        raise MeasurementError(f"{path}: {_without_pieces(time_s, found)}")
+    return LogIncrements(recordings, len(time_s), max(errors))
+
+
+def _even_times(time_s: FloatArray) -> tuple[float, float, float]:
+    """First time and interval of equal steps through time stamps, and the interval's standard uncertainty, s.
+
+    Each time stamp counts: the first and the last one alone may be late.
+    """
+    number = np.arange(len(time_s)) - 0.5 * (len(time_s) - 1)
+    squares = float(number @ number)
+    interval_s, middle_s = float(number @ time_s) / squares, float(time_s.mean())
+    left_s = time_s - middle_s - interval_s * number
+    scatter_s = np.sqrt(float(left_s @ left_s) / max(len(time_s) - 2, 1))
+    return middle_s + interval_s * float(number[0]), interval_s, float(scatter_s / np.sqrt(squares))
+
+
+def _without_pieces(time_s: FloatArray, found: Sequence[IntArray]) -> str:
+    """Why a log has no part that is long enough."""
+    if len(time_s) > 1 and np.mean(np.diff(time_s) == 0.0) > _COARSE:
+        return (
+            "its time stamps are coarser than its samples. State the rate of the samples in the map in place "
+            "of the column of times: time: {sample_rate_hz: ...}"
         )
-    return recordings
+    length_s = float(time_s[-1] - time_s[0]) if len(time_s) else 0.0
+    gaps = f"; missing samples cut it into {len(found)} parts" if len(found) > 1 else ""
+    return (
+        f"{length_s:.4g} s of samples{gaps}; at least {MIN_REST_TOTAL_S:g} s without a missing sample are "
+        "needed. Check the log and 'time' in its map"
+    )
 
 
 def _angle_unit(unit: str) -> tuple[float, bool]:
@@ -103,9 +150,17 @@ def _pieces(time_s: FloatArray, values: FloatArray) -> list[IntArray]:
 
 
 def calibration_settings(
-    log_map: LogMap, lever_arms: bool, delay: bool, quadratic: bool, drift: bool = False
+    log_map: LogMap,
+    lever_arms: bool,
+    delay: bool,
+    quadratic: bool,
+    drift: bool = False,
+    interval_error: float = 0.0,
 ) -> tuple[Site, CalibrationOptions]:
-    """Place and options of a calibration that estimates what the flags name beside the coefficients."""
+    """Place and options of a calibration that estimates what the flags name beside the coefficients.
+
+    ``interval_error``: relative standard uncertainty of the time between samples by their time stamps.
+    """
     section = log_map.calibrated
     turns, noise = section.whole_turns_arcsec, section.noise
     walks = None
@@ -118,8 +173,14 @@ def calibration_settings(
     whole_turns = None if turns is None else turns * _ANGLES["arcsec"]
     gravity_sigma = section.gravity_sigma_mps2
     if gravity_sigma is None:
-        gravity_sigma = NORMAL_GRAVITY_SIGMA if section.gravity_mps2 is None else 0.0
+        gravity_sigma = gravity_uncertainty(section.gravity_mps2)
+    time_error = float(np.hypot(1e-6 * section.clock_sigma_ppm, interval_error))
+    _, angles_are_increments = _angle_unit(log_map.gyro.unit)
+    velocities_are_increments = section.accelerometers.unit in _INCREMENTS
     return site, CalibrationOptions(
         lever_arms, delay, quadratic, whole_turns, section.gravity_mps2, walks, gravity_sigma,
         bias_drift=BIAS_DRIFT if drift else 0.0,
+        scales_by_time=(
+            0.0 if angles_are_increments else time_error, -time_error if velocities_are_increments else 0.0
+        ),
     )  # fmt: skip

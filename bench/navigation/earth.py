@@ -34,6 +34,17 @@ def earth_rate_enu(latitude: float) -> FloatArray:
 NORMAL_GRAVITY_SIGMA = 3e-4
 
 
+def gravity_uncertainty(known: float | None) -> float:
+    """Standard uncertainty of gravity, m/s^2: of normal gravity, or of a number by the digits it is given to.
+
+    ``known``: local gravity, m/s^2; None where normal gravity stands for it.
+    """
+    if known is None:
+        return NORMAL_GRAVITY_SIGMA
+    digits = len(repr(float(known)).partition(".")[2])
+    return float(0.5 * 10.0**-digits / np.sqrt(3.0))
+
+
 def gravity(latitude: float, height: float = 0.0) -> float:
     """Compute normal gravity, m/s^2, by Somigliana's formula with the second-order term of height.
 

@@ -37,6 +37,7 @@ _TEXT = (
     "Biases, scale factor errors and misalignments at each plateau, from its dwells and its rotations "
     f"together, with standard uncertainties. {FRAME_TEXT} {TEMPERATURE_TEXT}"
 )
+_NONE = "The rotations of this run give no coefficients."
 _WITHOUT_FORCE = (
     "The INS sends no specific forces: rotations are evaluated from its velocity and attitude, which do not "
     "show the vertical specific force. The last table has the standard uncertainties expected with specific "
@@ -77,9 +78,13 @@ def has_rotations(rows: Sequence[PlateauCoefficientRow]) -> bool:
 def coefficients_section(
     rows: Sequence[PlateauCoefficientRow], budget: BudgetSummary | None = None
 ) -> Section | None:
-    """Tables and figure with the expanded uncertainties of the budget; None without rotations."""
+    """Tables and figure with the expanded uncertainties of the budget; None without rotations.
+
+    Of rotations that give nothing at any plateau it states why.
+    """
     if not has_rotations(rows):
-        return None
+        why = plateau_findings(rows)
+        return Section(_TITLE, [_NONE, *why]) if why else None
     tables = list(_tables(rows))
     notes = [*_not_observable(rows), *plateau_findings(rows)]
     if any(not math.isnan(row.sigma_with_force) for row in rows):

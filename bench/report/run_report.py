@@ -65,6 +65,7 @@ from gyrobench.bench.report.statements import latitude_sentence
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.provenance import SIMULATED, DataHash, data_hashes, note_preparer
 from gyrobench.bench.runs.seal import keep_sealed
+from gyrobench.bench.runs.tables.coefficient_table import plateau_findings
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -141,7 +142,8 @@ def write_report(
 def _shown(content: RunContent) -> RunContent:
     """The content without what the report does not show: figures need the memory."""
     drawn = {name: content.telemetry[name] for name in DRAWN if content.telemetry}
-    coefficients = content.coefficients if has_rotations(content.coefficients) else []
+    is_shown = has_rotations(content.coefficients) or plateau_findings(content.coefficients)
+    coefficients = content.coefficients if is_shown else []
     return replace(content, telemetry=drawn, coefficients=coefficients)
 
 

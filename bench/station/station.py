@@ -17,7 +17,7 @@ from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.clock import Clock, VirtualClock, WallClock
 from gyrobench.bench.foundations.documents import Document, Problem, parse_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.navigation.earth import NORMAL_GRAVITY_SIGMA
+from gyrobench.bench.navigation.earth import gravity_uncertainty
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import POSITIONS, PositionName
 from gyrobench.bench.navigation.table_axes import Angles, SingleAxisTable, TurnOrMove, TwoAxisTable
@@ -124,7 +124,7 @@ class Station:
         place = self.file.location
         sigma = place.gravity_uncertainty_mps2
         if sigma is None:
-            sigma = NORMAL_GRAVITY_SIGMA if place.gravity_mps2 is None else 0.0
+            sigma = gravity_uncertainty(place.gravity_mps2)
         return place.gravity_mps2, sigma
 
     @cached_property

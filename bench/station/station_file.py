@@ -87,7 +87,7 @@ class Location(StrictModel):
         ge=0.0,
         le=0.1,
         description="standard uncertainty of gravity, which all scale factors of accelerometers share; "
-        "default: 0 with 'gravity_mps2', else 3e-4",
+        "default: by the digits of 'gravity_mps2', without it 3e-4",
     )
 
     @field_validator("latitude_deg")

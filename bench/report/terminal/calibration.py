@@ -9,6 +9,7 @@ import numpy as np
 from rich.console import Group, RenderableType
 from rich.text import Text
 
+from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT
 from gyrobench.bench.calibration.estimator import MIN_P_VALUE, Calibration
 from gyrobench.bench.calibration.recording import SensorNoise
 from gyrobench.bench.calibration.results import (
@@ -39,17 +40,33 @@ _MAX_RESTS = 6
 
 
 def calibration_summary(
-    calibration: Calibration, site: Site, spins: Sequence[SpinScaleFactor] = ()
+    calibration: Calibration,
+    site: Site,
+    spins: Sequence[SpinScaleFactor] = (),
+    has_whole_turns: bool = False,
+    left_out: tuple[int, int] = (0, 0),
 ) -> RenderableType:
-    """Table of coefficients, and what they rest on."""
+    """Table of coefficients, and what they rest on.
+
+    ``has_whole_turns``: whether the map states how the table returns after whole turns. ``left_out``: number
+    of samples that do not count, and of all.
+    """
     headers = ("Coefficient", "Axis", "Unit", "Value", "Standard uncertainty")
+    spin_topics = [_spin_topic(each) for each in spins]
+    if has_whole_turns and not spins:
+        spin_topics = [("Spins", "none found: 'whole_turns_arcsec' of the import map is not used")]
     table = plain_table(headers, 3, map(_cells, coefficient_rows(calibration)), fold=False)
     return Group(
         Text(f"Coefficients in the body frame of the {calibration.frame}", style="bold"),
         table,
         Text(),
-        topics([*_topics(calibration, site), *map(_spin_topic, spins)]),
+        topics([*_findings(calibration), *_topics(calibration, site, left_out), *spin_topics]),
     )
+
+
+def _findings(calibration: Calibration) -> Iterator[tuple[str, str]]:
+    for each in calibration.findings:
+        yield "Check", f"{each}."
 
 
 def forecast_summary(
@@ -91,12 +108,19 @@ def _cells(row: CoefficientRow) -> tuple[str, ...]:
     return *words, f"{row.value:z.{decimals}f}", f"{row.sigma:.{decimals}f}"
 
 
-def _topics(calibration: Calibration, site: Site) -> Iterator[tuple[str, str]]:
+def _topics(calibration: Calibration, site: Site, left_out: tuple[int, int]) -> Iterator[tuple[str, str]]:
     kinds = Counter(turn.kind for turns in calibration.rotations for turn in turns)
     rests = rest_rates(calibration)
     at_rest_s = sum(rest.duration_s for rest in rests)
     found = [counted(len(rests), "rest"), *(counted(count, kind) for kind, count in kinds.items())]
     yield "Found", f"{listed(found)}; {at_rest_s:.0f} s at rest"
+    if left_out[0]:
+        share = 100.0 * left_out[0] / left_out[1]
+        yield (
+            "Left out",
+            f"{left_out[0]} of {left_out[1]} samples ({share:.2g} %): missing, not a number, repeated, or in "
+            "a part of less than a minute",
+        )
     noise = calibration.noise
     yield (
         "Noise",
@@ -110,6 +134,15 @@ def _topics(calibration: Calibration, site: Site) -> Iterator[tuple[str, str]]:
         f"{gravity:.5f} ± {sigma:.1g} m/s^2: {1e6 * sigma / gravity:.2g} ppm of the accelerometer scale "
         "factors, included",
     )
+    if "time" in calibration.by_site:
+        sigmas = 1e6 * np.sqrt(np.diag(calibration.by_site["time"])[:COUNT])
+        by_sensor = {
+            each.sensor: sigma
+            for each, sigma in zip(COEFFICIENTS, sigmas, strict=True)
+            if each.kind == "scale_factor" and sigma > 0.0
+        }
+        parts = [f"{sigma:.2g} ppm of the {sensor} scale factors" for sensor, sigma in by_sensor.items()]
+        yield "Time", f"clock and time stamps: {listed(parts)}, included"
     up_dph = earth_rate_enu(site.latitude)[2] * RADPS_TO_DPH
     if len(rests) <= _MAX_RESTS:
         for rest in rests:

@@ -246,6 +246,63 @@ def test_whole_turns_against_the_table_give_the_scale_factor_to_a_tenth_of_a_ppm
     assert abs(with_turns.values[z] - TRUTH[z]) < 4.0 * with_turns.sigmas[z]
 
 
+SPINS = (("inner", 3600.0, 60.0), ("inner", -3600.0, 60.0))
+ONE_ARCSEC = CalibrationOptions(whole_turns=1.0 * np.pi / 648000.0)
+
+
+def spun(gyro_matrix=ERRORS["gyro_matrix"], at_high_rates_ppm=0.0):
+    """Nine rotations at 10 deg/s and ten whole turns each way at 60 deg/s about z."""
+    unit = rotated_unit(rotations=(*EIGHTEEN[:9], *SPINS), sample_hz=50.0, gyro_matrix=gyro_matrix)
+    angle, velocity = unit.increments()
+    is_fast = np.abs(angle[:, 2:]) > np.deg2rad(30.0) / 50.0
+    angle = angle * (1.0 + 1e-6 * at_high_rates_ppm * is_fast)
+    return recorded((angle, velocity), 5, 50.0)
+
+
+def test_whole_turns_that_contradict_the_rotations_are_named_and_make_scale_factors_uncertain():
+    z = INDEX["gyro_scale_factor_z"]
+    agreeing = calibrate([spun()], SITE, ONE_ARCSEC)
+    assert agreeing.findings == ()
+    found = calibrate([spun(at_high_rates_ppm=6.0)], SITE, ONE_ARCSEC)
+    (finding,) = found.findings
+    assert finding.startswith("whole turns contradict the rotations (p = ")
+    assert "z +" in finding
+    assert found.sigmas[z] > 1e-6 > 10.0 * agreeing.sigmas[z]
+    assert abs(found.values[z] - TRUTH[z]) < 3.0 * found.sigmas[z]
+    parts = covariances_by_source(found, SITE, ONE_ARCSEC)
+    np.testing.assert_allclose(np.diag(sum(parts.values())), np.diag(found.covariance), rtol=1e-6)
+    assert np.sqrt(parts["misfit"][z, z]) > 0.9 * found.sigmas[z]
+
+
+def test_whole_turns_are_found_where_the_scale_factor_is_wrong_by_more_than_they_miss():
+    matrix = ERRORS["gyro_matrix"] + np.diag([0.0, 0.0, 2e-3])  # 7 deg of ten turns
+    found = calibrate([spun(matrix)], SITE, ONE_ARCSEC)
+    assert [turn.kind for turn in found.rotations[0]].count("spin") == 2
+    z = INDEX["gyro_scale_factor_z"]
+    assert abs(found.values[z] - matrix[2, 2]) < 4.0 * found.sigmas[z] < 4e-7
+
+
+def test_a_misfit_is_stated_with_what_would_explain_it():
+    angle, velocity = eighteen()
+    bent = velocity + 2e-5 / 9.8 * velocity * np.abs(velocity) / 0.05
+    (finding,) = calibrate([recorded((angle, velocity + 2e-6 * velocity**2 / 0.05), 4)], SITE).findings
+    assert "noise does not explain the velocity at rest" in finding
+    assert "With quadratic terms of the accelerometers (--quadratic) it does" in finding
+    with pytest.raises(MeasurementError, match="at most 10 times is accepted"):
+        calibrate([recorded((angle, bent * 1.0 + 4e-5 * velocity**2 / 0.05), 4)], SITE)
+
+
+def test_an_error_of_the_time_is_one_of_scale_factors():
+    options = CalibrationOptions(scales_by_time=(3e-5, -3e-5))
+    found, exact = (calibrate([recorded(eighteen(), 2)], SITE, each) for each in (options, None))
+    np.testing.assert_array_equal(found.values, exact.values)
+    is_scale = ["scale_factor" in name for name in INDEX]
+    np.testing.assert_allclose(found.sigmas[is_scale], 3e-5, rtol=1e-3)
+    np.testing.assert_allclose(found.sigmas[~np.array(is_scale)], exact.sigmas[~np.array(is_scale)])
+    x = INDEX["gyro_scale_factor_x"], INDEX["accelerometer_scale_factor_x"]
+    assert found.correlations[x] < -0.99
+
+
 def test_rotations_about_one_level_axis_leave_open_what_they_do_not_show():
     unit = rotated_unit(rotations=(("outer", 90.0),) * 8)
     found = calibrate([recorded(unit.increments(), 6)], SITE)

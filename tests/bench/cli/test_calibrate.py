@@ -22,6 +22,7 @@ gyro: {unit: GYRO, x: gx, y: {column: gy, sign: -1}, z: gz}
 calibration:
   accelerometers: {unit: FORCE, x: ax, y: ay, z: {column: az, sign: -1}}
   latitude_deg: 45
+  clock_sigma_ppm: CLOCK
 """
 
 
@@ -39,7 +40,7 @@ def unit(**changes):
     )
 
 
-def write_log(folder, unit, gyro="urad", force="m/s"):
+def write_log(folder, unit, gyro="urad", force="m/s", clock_ppm="0"):
     """A log with y gyro and z accelerometer upside down, and its map."""
     dt = 1.0 / unit.sample_hz
     angle, velocity = Noise().added(*unit.increments(), dt, np.random.default_rng(2))
@@ -48,7 +49,8 @@ def write_log(folder, unit, gyro="urad", force="m/s"):
     time_ms = 1000.0 * dt * np.arange(1, len(angle) + 1)
     columns = np.column_stack([time_ms, angle * [1, -1, 1], velocity * [1, 1, -1]])
     np.savetxt(folder / "log.csv", columns, "%.12g", ",", header="t,gx,gy,gz,ax,ay,az", comments="")
-    (folder / "map.yaml").write_text(MAP.replace("GYRO", gyro).replace("FORCE", force))
+    text = MAP.replace("GYRO", gyro).replace("FORCE", force).replace("CLOCK", clock_ppm)
+    (folder / "map.yaml").write_text(text)
 
 
 @pytest.mark.parametrize("units", [("urad", "m/s"), ("deg/s", "mg")])
@@ -204,3 +206,39 @@ def test_plan_shows_what_a_list_of_rotations_will_show(tmp_path):
     refused = gyrobench("plan", "outer_axi", "--observability", cwd=tmp_path)
     assert refused.returncode == 2
     assert "Shipped rotations: eighteen_rotations" in " ".join(refused.stderr.split())
+
+
+@pytest.mark.parametrize(
+    ("gyro", "force", "sensors"),
+    [
+        ("urad", "m/s", ["accelerometer"]),
+        ("deg/s", "mg", ["gyro"]),
+        ("deg/s", "m/s", ["gyro", "accelerometer"]),
+    ],
+)
+def test_the_clock_of_the_log_is_part_of_the_scale_factors_uncertainty(tmp_path, gyro, force, sensors):
+    write_log(tmp_path, unit(), gyro, force, "29")
+    command = ("calibrate", "log.csv", "--map", "map.yaml")
+    rows = json.loads(gyrobench(*command, "--json", cwd=tmp_path).stdout)["coefficients"]
+    wide = {row["coefficient"] for row in rows if row["unit"] == "ppm" and 29.0 < row["sigma"] < 50.0}
+    narrow = {row["coefficient"] for row in rows if row["unit"] == "ppm" and row["sigma"] < 29.0}
+    assert {f"{sensor}_scale_factor" for sensor in sensors} <= wide
+    assert not wide & narrow
+    text = " ".join(gyrobench(*command, cwd=tmp_path).stdout.split())
+    assert f"29 ppm of the {sensors[0]} scale factors" in text
+
+
+def test_a_log_counts_once(tmp_path):
+    write_log(tmp_path, unit())
+    (tmp_path / "copy.csv").write_bytes((tmp_path / "log.csv").read_bytes())
+    result = gyrobench("calibrate", "log.csv", "copy.csv", "--map", "map.yaml", cwd=tmp_path)
+    assert result.returncode == 2
+    assert "two logs have the same content" in " ".join(result.stderr.split())
+
+
+def test_whole_turns_that_are_not_there_are_named(tmp_path):
+    write_log(tmp_path, unit())
+    with (tmp_path / "map.yaml").open("a") as file:
+        file.write("  whole_turns_arcsec: 1\n")
+    text = gyrobench("calibrate", "log.csv", "--map", "map.yaml", cwd=tmp_path).stdout
+    assert "Spins none found" in " ".join(text.split())

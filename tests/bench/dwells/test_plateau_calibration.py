@@ -11,9 +11,13 @@ from scipy.stats import chi2
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, CoefficientEstimate, SensorErrors
 from gyrobench.bench.dwells.measure_dwell import measurement_setup
-from gyrobench.bench.dwells.plateau_calibration import PlateauCalibration, with_temperature_change
+from gyrobench.bench.dwells.plateau_calibration import (
+    PlateauCalibration,
+    calibrate_plateaus,
+    with_temperature_change,
+)
 from gyrobench.bench.dwells.recorded_dwells import rotated
-from gyrobench.bench.dwells.rotations import RunRotations
+from gyrobench.bench.dwells.rotations import PlateauRotations, RunRotations
 from gyrobench.bench.dwells.run_results import recompute_run
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.procedure.procedure_file import load_procedure
@@ -194,6 +198,37 @@ def test_rotations_on_the_ramp_and_after_the_soak_of_one_set_point_are_two_plate
     assert list(rates) == [1, 2]
     assert rates[1] > 5.0
     assert abs(rates[2]) < 2.0
+
+
+def test_a_latitude_that_contradicts_the_rotations_is_named_while_the_run_goes_and_in_its_report(
+    with_increments,
+):
+    folder, _, _ = with_increments
+    setup = measurement_setup(Station(folder.station))
+    wrong = replace(setup, site=replace(setup.site, latitude=setup.site.latitude + np.deg2rad(0.1)))
+    rotations = RunRotations()
+    measured = list(rotated(folder))
+    said = [text for each in measured for text in rotations.add(*each, wrong)]
+    plateaus = calibrate_plateaus([], [], rotations.calibrated(wrong), wrong)
+    for plateau in plateaus:
+        assert "rotations: noise does not explain the velocity at rest" in plateau.finding
+    (first, *_), rows = said or [plateaus[0].finding], plateaus[0].rows()
+    assert "noise does not explain the velocity at rest" in first
+    assert any("noise does not explain" in text for text in coefficients_section(rows).paragraphs)
+
+
+def test_rotations_that_give_nothing_are_a_section_that_states_why(with_increments):
+    folder, _, _ = with_increments
+    setup = measurement_setup(Station(folder.station))
+    marks, _ = next(iter(rotated(folder)))
+    nothing = PlateauRotations(marks, finding="the rotations give no coefficients: check axes")
+    [plateau] = calibrate_plateaus([], [], [nothing], setup)
+    section = coefficients_section(plateau.rows())
+    assert section.paragraphs == [
+        "The rotations of this run give no coefficients.",
+        "Plateau 1: the rotations give no coefficients: check axes.",
+    ]
+    assert not section.tables
 
 
 def test_report_has_table_and_figure_of_the_coefficients(with_increments):

@@ -18,10 +18,14 @@ calibration:
 """
 
 
-def read(folder, time_s, rows):
-    (folder / "map.yaml").write_text(MAP)
-    np.savetxt(folder / "log.csv", np.column_stack([time_s, rows]), "%.6g", ",")
+def read_log(folder, time_s, rows, more=""):
+    (folder / "map.yaml").write_text(MAP + more)
+    np.savetxt(folder / "log.csv", np.column_stack([time_s, rows]), "%.9g", ",")
     return read_increments(folder / "log.csv", load_log_map(folder / "map.yaml", for_calibration=True))
+
+
+def read(folder, time_s, rows):
+    return read_log(folder, time_s, rows).recordings
 
 
 def samples(rate_hz, duration_s=130.0):
@@ -54,3 +58,42 @@ def test_a_log_with_too_many_gaps_states_its_parts(tmp_path):
     kept = np.delete(np.arange(len(rows)), [2000, 4000])
     with pytest.raises(MeasurementError, match="into 3 parts"):
         read(tmp_path, time_s[kept], rows[kept])
+
+
+def test_one_late_time_stamp_does_not_change_the_interval(tmp_path):
+    time_s, rows = samples(50.0)
+    late = time_s.copy()
+    late[0] += 0.008
+    log = read_log(tmp_path, late, rows)
+    (recording,) = log.recordings
+    assert recording.interval_s == pytest.approx(0.02, rel=1e-6)
+    assert recording.start_s == pytest.approx(0.0, abs=1e-4)
+    assert abs(recording.interval_s / 0.02 - 1.0) < 3.0 * log.interval_error < 1e-5
+
+
+def test_the_interval_is_as_uncertain_as_the_scatter_of_the_time_stamps_makes_it(tmp_path):
+    time_s, rows = samples(50.0)
+    random = np.random.default_rng(5)
+    deviations = []
+    for number in range(40):
+        (tmp_path / f"{number}").mkdir()
+        log = read_log(tmp_path / f"{number}", time_s + 0.003 * random.standard_normal(len(time_s)), rows)
+        deviations.append((log.recordings[0].interval_s / 0.02 - 1.0) / log.interval_error)
+    assert np.sqrt(np.mean(np.square(deviations))) == pytest.approx(1.0, abs=0.35)
+
+
+def test_samples_that_do_not_count_are_counted(tmp_path):
+    time_s, rows = samples(50.0, 200.0)
+    rows[4000:4100] = np.nan
+    log = read_log(tmp_path, time_s, rows)
+    assert (log.samples, log.left_out) == (10_000, 100)
+    log = read_log(tmp_path, time_s, rows, "skip_s: 90\n")
+    assert [each.start_s for each in log.recordings] == [pytest.approx(90.0, abs=0.03)]
+
+
+def test_time_stamps_coarser_than_samples_name_the_rate_as_the_way_out(tmp_path):
+    time_s, rows = samples(50.0)
+    with pytest.raises(MeasurementError, match=r"coarser than its samples.*sample_rate_hz"):
+        read(tmp_path, np.floor(time_s), rows)
+    with pytest.raises(MeasurementError, match=r"39\.98 s of samples; at least 60 s"):
+        read(tmp_path, *(each[:2000] for each in samples(50.0)))
