@@ -48,6 +48,18 @@ def test_a_tie_beside_an_unexplained_residual_names_both_causes_and_what_is_left
     )
 
 
+def test_an_effect_that_may_be_there_too_is_named_beside_the_one_found():
+    closure = ambiguous()
+    [found] = [replace(each, tied_with=()) for each in closure.effects]
+    alone, twin = closure.posterior.hypotheses[:2]
+    both = replace(twin, names=alone.names | twin.names, probability=0.25)
+    weighed = replace(closure.posterior, hypotheses=(replace(alone, probability=0.75), both))
+    assert closure_text.verdict_sentence(replace(closure, effects=(found,), posterior=weighed)) == (
+        "An effect is present, but temperature rate (P > 0.999) alone, temperature rate with twin "
+        "(P = 0.25), and twin instead of temperature rate can't be distinguished."
+    )
+
+
 def test_one_cycle_that_was_not_searched_is_compensated_by_the_declared_model():
     closure = without_search(campaign_of(made_up_rows(cycles=1)))
     assert (closure.verdict, closure.effects, closure.searched.all()) == ("not searched", (), True)
