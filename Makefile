@@ -1,5 +1,5 @@
 # make run    install into .venv and run the paper's procedure on the emulated bench
-# make investigate  settle a hidden cause on the emulated bench, and verify its compensation
+# make investigate  identify a hidden effect on the emulated bench, and verify its compensation
 # make test   install into .venv and run the test suite, but for what takes long
 # make test-long  whole campaigns, kills, fuzzing
 # make soak   kill, disturb and keep runs running for an hour; writes docs/reliability.md

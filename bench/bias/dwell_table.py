@@ -55,7 +55,7 @@ _REQUIRED = _columns(name for name in _NAMES if name not in _OPTIONAL)
 COLUMNS = (*_columns(_NAMES), "flags")
 #: Other column: number of other units in the chamber that were on, mean over the dwell.
 NEIGHBOURS_ON = "neighbours_on"
-#: Values of three gyros that nothing was measured of.
+#: Values of three gyros without a measurement.
 NOT_MEASURED: Triple = (math.nan, math.nan, math.nan)
 
 
@@ -134,13 +134,12 @@ def write_dwells(path: Path, rows: Iterable[DwellRow]) -> None:
 def parse_dwells(text: str, name: str) -> list[DwellRow]:
     """Read CSV text.
 
-    Columns may come in any order; the numbers of others are kept. ``flags``, what the paper's
-    method gave, accelerometers, the test of fit and the temperatures that may be empty may also
-    be missing.
-    Values of the gyros may be empty in a row with flags, which say why.
+    Columns may come in any order; the numbers of others are kept. ``flags``, what the paper's method gave,
+    accelerometers, the test of fit and the temperatures that may be empty may also be missing. Values of the
+    gyros may be empty in a row with flags, which say why.
 
-    ``name``: what to call the file in messages. Raises DocumentError, which
-    lists everything that is wrong with the table, each with file, line and column.
+    ``name``: what to call the file in messages. Raises DocumentError, which lists everything that is wrong
+    with the table, each with file, line and column.
     """
     table = CsvTable(text, name, required=_REQUIRED)
     other = [name for name in table.header if name not in COLUMNS and table.is_numeric(name)]

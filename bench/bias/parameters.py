@@ -35,7 +35,7 @@ COMMON = 24
 #: North until that has decayed.
 HEADING, VELOCITY, ATTITUDE, TRANSIENT = 0, slice(1, 3), slice(3, 6), slice(6, 8)
 PER_WINDOW = 8
-#: Attitude error about Up at the begin of the first window.
+#: Attitude error about Up at the start of the first window.
 FIRST_HEADING_ERROR = COMMON + ATTITUDE.stop - 1
 
 #: So wide a prior of a gyro's bias, rad/s, that it only keeps the problem regular.

@@ -83,7 +83,7 @@ class _Command(TyperCommand):
             for value in given if isinstance(given, list) else [given]:
                 if isinstance(value, float) and not math.isfinite(value):
                     hint = f"'{option.opts[0]}'"
-                    raise typer.BadParameter(f"{value} is no finite number.", ctx, param_hint=hint)
+                    raise typer.BadParameter(f"{value} is not a finite number.", ctx, param_hint=hint)
         return rest
 
 

@@ -33,12 +33,15 @@ def certificate(
         float | None,
         typer.Option(
             min=0.0,
-            help="Limit of the biases, agreed with the customer: the certificate states until when they stay "
-            "within it, by the runs of the unit and of others beside this run (see runs --trend).",
+            help="Limit of the biases, agreed with the customer: the certificate states the date until which "
+            "they stay within it, by the runs of the unit and of others beside this run (see runs --trend).",
         ),
     ] = None,
     simulated: Annotated[
-        bool, typer.Option("--simulated", help="Of a run with emulated instruments; it says so everywhere.")
+        bool,
+        typer.Option(
+            "--simulated", help="Allow a run with emulated instruments; every page is marked SIMULATED."
+        ),
     ] = False,
     key: Annotated[
         str,
@@ -76,7 +79,8 @@ def certificate(
     With --json: {"number", "files", "validated", "signed"}, or with --verify {"file", "valid", "signer",
     "fingerprint", "problem"}.
 
-    Exit codes: 0 written, or unchanged since it was signed; 1 changed, or not signed by whom is trusted.
+    Exit codes: 0 written, or unchanged since it was signed; 1 changed, or not signed by a trusted
+    certificate.
 
     Example: gyrobench certificate runs/six_position_fig7-001 --authorised-by "A. Smith" --key lab.p12
     """

@@ -21,14 +21,14 @@ def search(
     hold_out_cycles: Sequence[int] = (),
     hold_out: Sequence[Path] = (),
     *,
-    rotate: bool = False,
+    each_in_turn: bool = False,
     coefficient: str = "gyro_bias",
 ) -> Closure:
     """Search in dwell tables or run folders.
 
-    ``hold_out``: the ones of which all cycles are held out. ``rotate``: whether each cycle is held out in
-    turn as well. ``coefficient``: what to search, or one of its coefficients. Raises DocumentError if they
-    can't be used for a search.
+    ``hold_out``: the ones of which all cycles are held out. ``each_in_turn``: whether each cycle is held
+    out in turn as well. ``coefficient``: what to search, or one of its coefficients. Raises DocumentError if
+    they can't be used for a search.
     """
     from gyrobench.bench.closure.inputs import read_campaign
     from gyrobench.bench.closure.loop import close_loop, hold_out_each
@@ -40,7 +40,7 @@ def search(
         closure = close_loop(campaign, [*hold_out_cycles, *cycles])
     except (MeasurementError, RunFolderError) as error:
         raise DocumentError(str(error)) from error
-    return hold_out_each(closure) if rotate else closure
+    return hold_out_each(closure) if each_in_turn else closure
 
 
 def close(
@@ -73,8 +73,12 @@ def close(
             help="One of several tables or runs, all cycles of which are excluded; may be repeated.",
         ),
     ] = None,
+    hold_out_each: Annotated[
+        bool,
+        typer.Option("--hold-out-each", help="Also hold out each cycle in turn and compare the outcomes."),
+    ] = False,
     rotate: Annotated[
-        bool, typer.Option("--rotate", help="Hold out each cycle in turn too, and compare the outcomes.")
+        bool, typer.Option("--rotate", hidden=True, help="Old name of --hold-out-each.")
     ] = False,
     coefficient: Annotated[
         str,
@@ -112,7 +116,10 @@ def close(
     from gyrobench.bench.report.closure.closure_page import closure_findings, write_search
     from gyrobench.bench.report.terminal.tables import section_view
 
-    closure = search(tables, hold_out_cycle or (), hold_out or (), rotate=rotate, coefficient=coefficient)
+    each_in_turn = hold_out_each or rotate
+    closure = search(
+        tables, hold_out_cycle or (), hold_out or (), each_in_turn=each_in_turn, coefficient=coefficient
+    )
     if compose:
         closure = composed(closure)
     page, report = write_search(closure, tables, out)

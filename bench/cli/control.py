@@ -20,7 +20,8 @@ def control(
 ) -> None:
     """Control a run in progress: pause, continue, hold at this temperature, skip the dwell, or abort.
 
-    The same commands can be typed in the terminal of the run. The journal keeps who gave each.
+    The same commands can be typed in the terminal of the run. The journal records who gave each
+    command.
 
     Example: gyrobench control runs/six_position_fig7-001 hold
     """

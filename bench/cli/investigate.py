@@ -52,7 +52,10 @@ def investigate(
     ],
     bench: Annotated[
         str | None,
-        typer.Option(metavar="COMMAND", help="Measures a block in place of the station: COMMAND PLAN NEW."),
+        typer.Option(
+            metavar="COMMAND",
+            help="Command that measures a block instead of the station; called as COMMAND PLAN NEW.",
+        ),
     ] = None,
     station: Annotated[
         str | None,
@@ -77,7 +80,8 @@ def investigate(
         bool,
         typer.Option(
             "--adaptive",
-            help="Measure in place of the procedure what makes its biases as certain, and settles the cause.",
+            help="Instead of the whole procedure, measure only until its bias uncertainty is reached and the "
+            "effect is identified.",
         ),
     ] = False,
     approve: Annotated[Approval, typer.Option(help="Whether a person approves each block.")] = Approval.ASK,
@@ -105,11 +109,12 @@ def investigate(
     view: ViewOption = View.LIVE,
     as_json: JsonOption = False,
 ) -> None:
-    """Choose and run measurements until the cause of a residual is settled, then verify its compensation.
+    """Choose and run measurements until the effect behind a residual is identified; verify its compensation.
 
     Each block is the one that is expected to distinguish most, per hour, what the search left open. What each
     hypothesis predicts is written to the journal before the block is measured. The same command continues an
-    investigation that was interrupted. Exit code 0: the cause is settled, or nothing was found; 1: neither.
+    investigation that was interrupted. Exit code 0: the effect is identified, or nothing was found; 1:
+    neither.
 
     With --json: {"ended", "reason", "folder", "report", "hours", "blocks", "verdict", "effects",
     "uncertainty_ratio", "verification"}; ended is settled, nothing_found, not_on_list, budget, no_block,
@@ -197,7 +202,7 @@ def _start(
         start = start_with_runs(runs, station, world, seed, out)
     elif len(sources) > 1 or sources[0].endswith(".csv"):
         raise DocumentError(
-            f"{sources[0]}: is no run folder. Name a procedure, run folders, or a table with --bench"
+            f"{sources[0]}: is not a run folder. Name a procedure, run folders, or a table with --bench"
         )
     else:
         emulation = Emulation(world or Emulation.world, seed or 0)
@@ -209,7 +214,7 @@ def _start(
 def _with_station(
     start: InvestigationStart, budget_h: float, verification: str, view: View, consent: _Consent
 ) -> tuple[Investigation, VerificationResult | None]:
-    """Investigate on a station, and verify the compensation of a cause that was found."""
+    """Investigate on a station, and verify the compensation of an effect that was found."""
     from gyrobench.bench.engine.investigation_runs import StationBench, measure_campaign
     from gyrobench.bench.foundations.clock import WallClock
     from gyrobench.bench.investigation.investigation import Investigator
@@ -236,7 +241,7 @@ def _with_station(
 def _verified(
     start: InvestigationStart, found: Investigation, procedure: str, observe: Observe, consent: _Consent
 ) -> VerificationResult | None:
-    """Verify the compensation for the cause that was found; None where that is not confirmed."""
+    """Verify the compensation for the effect that was found; None where that is not confirmed."""
     from gyrobench.bench.engine.investigation_runs import measure_verification, verification_runs
     from gyrobench.bench.report.verification.verification_text import LABELS
     from gyrobench.bench.runs.folder import RunFolder

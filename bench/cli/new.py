@@ -87,7 +87,9 @@ def world(
 
 @new.command()
 def effect(name: _Name, out: _Out = None) -> None:
-    """Write an effect file: a law that `gyrobench close` searches for. Its place is a folder `effects`.
+    """Write an effect file: a law that `gyrobench close` searches for.
+
+    Save it in a folder named `effects`.
 
     Example: gyrobench new effect cold_side --out effects/cold_side.yaml
     """

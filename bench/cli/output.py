@@ -110,7 +110,7 @@ def print_tables(console: Console, folder: RunFolder) -> None:
     from gyrobench.bench.bias.verdicts import read_acceptance
     from gyrobench.bench.characteristics.results import read_characteristics
     from gyrobench.bench.report.bias_sections import acceptance_summary, bins_summary
-    from gyrobench.bench.report.calibration_check import verification_section
+    from gyrobench.bench.report.calibration_check import calibration_check_section
     from gyrobench.bench.report.coefficients import characteristics_sections, coefficients_section
     from gyrobench.bench.report.terminal.tables import section_view
     from gyrobench.bench.runs.tables.calibration_check_table import read_calibration_check
@@ -120,12 +120,12 @@ def print_tables(console: Console, folder: RunFolder) -> None:
         return reader(path) if path.exists() else []
 
     bins = read(folder.bias_bins, read_bins)
-    verification = read(folder.calibration_check, read_calibration_check)
+    check = read(folder.calibration_check, read_calibration_check)
     coefficients = read(folder.coefficients, read_coefficients)
     characteristics = read(folder.characteristics, read_characteristics)
     sections = [
-        bins_summary(bins) if bins or not (verification or coefficients or characteristics) else None,
-        verification_section(verification),
+        bins_summary(bins) if bins or not (check or coefficients or characteristics) else None,
+        calibration_check_section(check),
         acceptance_summary(read_acceptance(folder.acceptance)) if folder.acceptance.exists() else None,
         coefficients_section(coefficients),
         *characteristics_sections(characteristics),

@@ -47,7 +47,7 @@ def plan(
         bool,
         typer.Option(
             "--observability",
-            help="Show what a calibration over a list of rotations will know of each coefficient.",
+            help="Show the expected uncertainty of each coefficient for a list of rotations.",
         ),
     ] = False,
     whole_turns_arcsec: Annotated[

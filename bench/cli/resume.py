@@ -13,7 +13,7 @@ from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, JsonOption, console, p
 def resume(
     run_folder: RunArgument,
     anyway: Annotated[
-        bool, typer.Option("--anyway", help="Also after repeated resumptions without progress.")
+        bool, typer.Option("--anyway", help="Resume even after repeated attempts without progress.")
     ] = False,
     look: Annotated[
         bool, typer.Option("--look", help="Only show the state of the run and the next steps.")
@@ -21,7 +21,7 @@ def resume(
     give_up_damaged: Annotated[
         bool,
         typer.Option(
-            "--give-up-damaged", help="Put damaged files aside, and measure the dwells again that they held."
+            "--give-up-damaged", help="Set damaged files aside and repeat the dwells that they held."
         ),
     ] = False,
     fail_on: FailOnOption = None,
@@ -32,7 +32,7 @@ def resume(
     """Resume an interrupted run.
 
     Completed dwells are kept. The interrupted dwell is repeated, after its temperature and soak are
-    re-established. Of a run that ended before its report was written, results and report are written.
+    re-established. If the run ended before its report was written, results and report are written.
 
     Exit codes: 0 the run finished, or with --look can be resumed; 1 not finished, or files are damaged.
 

@@ -32,7 +32,8 @@ def runs(
     limit_dph: Annotated[
         float | None,
         typer.Option(
-            min=0.0, help="With --trend: until when each bias stays within this limit, deg/h, with 95 %."
+            min=0.0,
+            help="With --trend: date until which each bias stays within this limit, deg/h (95 % confidence).",
         ),
     ] = None,
     figure: Annotated[Path | None, typer.Option(help="PNG file for the figure of the trend.")] = None,

@@ -53,7 +53,10 @@ def write_closure(folder: Path, closure: Closure) -> None:
 
 
 def is_written(folder: Path, closure: Closure) -> bool:
-    """Whether a folder holds this search already, by any path of its tables, rotated or composed or not."""
+    """Whether a folder holds this search already.
+
+    By any path of its tables, with each cycle held out in turn or not, with composed laws or not.
+    """
     try:
         written = _read(folder)
     except RunFolderError:

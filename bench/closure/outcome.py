@@ -189,7 +189,7 @@ class Closure:
 
     @property
     def probability(self) -> float:
-        """Probability that all effects found are there; of nothing undeclared if there are none."""
+        """Probability that all effects found are there; of no undeclared effect if there are none."""
         return self.posterior.of_all(self.names) if self.effects else self.posterior.nothing
 
     @property

@@ -58,7 +58,7 @@ class Weighed:
     """A hypothesis and its probability."""
 
     names: frozenset[str]  #: Effects.
-    has_remainder: bool  #: Whether something that is not on the list is added.
+    has_remainder: bool  #: Whether an unlisted effect is added.
     probability: float  #: Posterior.
     #: The effects as fitted; of one that can't be fitted, the one that imitates it.
     candidates: tuple[Candidate, ...]
@@ -96,7 +96,7 @@ class Posterior:
 
     @property
     def not_on_list(self) -> float:
-        """Probability of something that is not on the list, beside any effects."""
+        """Probability of an unlisted effect, beside any effects."""
         return sum(each.probability for each in self.hypotheses if each.has_remainder)
 
     def of_set(self, names: Collection[str], *, has_remainder: bool) -> float:
@@ -107,7 +107,7 @@ class Posterior:
     def of_all(self, names: Collection[str], *, has_remainder: bool | None = False) -> float:
         """Probability that all these effects are there, in any set, each as such or as a special case.
 
-        ``has_remainder``: whether something is there that is not on the list; None for either.
+        ``has_remainder``: whether an unlisted effect is there; None for either.
         """
         return sum(
             each.probability

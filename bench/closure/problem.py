@@ -11,7 +11,7 @@ import numpy as np
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 
-#: The declared model: a cubic in each gyro's temperature divided by this, and one constant per run.
+#: The declared model: a cubic in each gyro's temperature divided by this, and one constant per power cycle.
 DEGREE = 3
 SCALE_C = 50.0
 #: Least share of a column that counts as visible beside the declared model.
@@ -201,7 +201,7 @@ def predict(
     Parameters
     ----------
     campaign : Campaign
-        A run that was not fitted gets the mean constant of the fitted ones.
+        A power cycle that was not fitted gets the mean constant of the fitted ones.
     declared, sizes : ndarray, shape (3, DEGREE + runs), and sequence of ndarray, shape (3, k)
         As in :class:`Solution`.
     columns : sequence of ndarray, shape (n, 3, k)

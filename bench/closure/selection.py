@@ -94,7 +94,7 @@ class Selected:
         beside = f"{labels} alone" if labels else "the declared model alone"
         reason = f"{beside} is about as probable and simpler"
         if self.posterior.not_on_list > 0.5:
-            reason = "something that is not on the list is more probable"
+            reason = "an unlisted effect is more probable"
         return search.objection(with_it, place) or search.lack(with_it, place) or reason
 
     def _objections(self, names: frozenset[str]) -> dict[str, str]:

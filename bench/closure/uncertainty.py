@@ -66,8 +66,8 @@ class Draws:
     def bias_dph(self, campaign: Campaign, effects: Collection[str] | None = None) -> FloatArray:
         """Bias by each draw in the dwells of a campaign (N, n, 3).
 
-        ``effects``: names of the effects included, by default all. A run that was not fitted gets the
-        mean constant of the fitted ones, without its scatter.
+        ``effects``: names of the effects included, by default all. A power cycle that was not
+        fitted gets the mean constant of the fitted ones, without its scatter.
         """
         base = np.stack([declared_columns(campaign, gyro) for gyro in range(3)], axis=1)
         unknown = np.full((*self.declared.shape[:2], 1), np.nan)

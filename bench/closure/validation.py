@@ -1,8 +1,8 @@
 """Is a model adequate? Lack-of-fit tests of its residuals, and cross-validation by cycles.
 
 The sum of squares is tested against the stated uncertainties; F-tests for structure compare what the
-residuals follow with what is left after that (the repeat error). All tests are made within runs: the
-constant of each run is in the model.
+residuals follow with what is left after that (the repeat error). All tests are made within power
+cycles: the constant of each is in the model.
 """
 
 from __future__ import annotations
@@ -230,14 +230,14 @@ def leave_out_cycles(
 def measured_minus(campaign: Campaign, searched: BoolArray, model: Solution) -> FloatArray:
     """Measured bias minus a model in all dwells (n, 3), deg/h.
 
-    NaN where nothing was measured. The mean of each run that was not searched is removed.
+    NaN where nothing was measured. The mean of each power cycle that was not searched is removed.
     """
     errors_dph = np.where(campaign.is_measured, campaign.bias_dph - model.bias_dph, np.nan)
     return without_unseen_constants(campaign, searched, errors_dph)
 
 
 def without_unseen_constants(campaign: Campaign, searched: BoolArray, errors_dph: FloatArray) -> FloatArray:
-    """Remove the mean of each run that was not searched from errors (n, 3)."""
+    """Remove the mean of each power cycle that was not searched from errors (n, 3)."""
     centred = errors_dph.copy()
     for run in np.unique(campaign.run[~searched]):
         if not np.any(campaign.run[searched] == run):
@@ -262,7 +262,7 @@ def _is_determined(rest: Problem, candidate: Candidate, left_out: BoolArray) -> 
 def _known_constants(
     campaign: Campaign, columns: FloatArray, rest: BoolArray, left_out: BoolArray
 ) -> FloatArray:
-    """Part of the terms absorbed by the constant of each run: their mean in the rest, or in the cycle."""
+    """Part of the terms in the constant of each power cycle: their mean in the rest, or in the cycle."""
     constants = np.zeros_like(columns)
     for run in np.unique(campaign.run):
         mine = campaign.run == run

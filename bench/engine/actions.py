@@ -337,7 +337,7 @@ def _turned(context: StepContext, target: Angles, rate_dps: float) -> Ticks:
 
 @perform.register
 def _rotating(step: RotatingStep, context: StepContext) -> Ticks:
-    """Rest, and rest again after each rotation; the encoders are read at the begin of each rest.
+    """Rest, and rest again after each rotation; the encoders are read at the start of each rest.
 
     An INS that sends its increments on command sends them meanwhile.
     """

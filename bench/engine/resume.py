@@ -393,7 +393,7 @@ def _join(run: RunPart, units: Sequence[ResumeState]) -> None:
 
 
 def give_up_damage(resumption: Resumption) -> None:
-    """Put damaged files aside, and record in the journal what is measured again.
+    """Set damaged files aside, and record in the journal what is measured again.
 
     Raises BenchInUseError if another process holds the run. Raises RunFolderError if a file can't be
     written.

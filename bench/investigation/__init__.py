@@ -1,1 +1,1 @@
-"""Choosing and running the next measurement until the cause of a residual is settled."""
+"""Choosing and running the next measurement until the effect behind a residual is identified."""

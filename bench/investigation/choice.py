@@ -36,7 +36,7 @@ class Rival:
     names: tuple[str, ...]  #: Its effects; empty for none.
     candidates: tuple[Candidate, ...]  #: As fitted.
     probability: float  #: Of all rivals together 1.
-    #: Rms of something that is not on the list beside the effects, deg/h; zero for none.
+    #: Rms of an unlisted effect beside the effects, deg/h; zero for none.
     remainder_dph: float = 0.0
     #: Effects among them that were not fitted, since the dwells lack an input; what imitates them was.
     unfitted: tuple[Effect, ...] = ()

@@ -360,7 +360,7 @@ class Investigator:
             if not is_listed:
                 share = remainder_share(stage.closure)
                 reason += (
-                    f" Not excluded beside it: something not on the list, probability "
+                    f" Not excluded beside it: an unlisted effect, probability "
                     f"{posterior.not_on_list:.4f}, {100.0 * share:.0f} % of its size."
                 )
             general = {other for name in names for other in posterior.more_general.get(name, ())}

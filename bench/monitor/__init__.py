@@ -1,5 +1,5 @@
 """One snapshot of a run, shown in the terminal and on a page in the browser.
 
-``snapshot`` is all that a view needs at one moment. ``recorder`` makes it during a run and leaves it in the
-run folder; ``run_list`` makes it from what a run left.
+``snapshot`` is all that a view needs at one moment. ``snapshot_recorder`` makes it during a run and leaves it
+in the run folder; ``run_list`` makes it from what a run left.
 """

@@ -118,9 +118,9 @@ def _history(plan: Plan, index: int, chamber_c: float) -> list[PlannedStep]:
 
 
 def _ride(plan: Plan, index: int, chamber: PlannedStep) -> list[PlannedStep]:
-    """Wait on a ramp until the point at which the stay in a position begins in the plan."""
-    stay = [each for each in _latest(plan, index + 1, GoTo) if each.number > chamber.number]
-    wait_s = (stay[0] if stay else plan.steps[index]).start_s - chamber.end_s
+    """Wait on a ramp until the point at which the dwell begins in the plan."""
+    arrivals = [each for each in _latest(plan, index + 1, GoTo) if each.number > chamber.number]
+    wait_s = (arrivals[0] if arrivals else plan.steps[index]).start_s - chamber.end_s
     return [replace(chamber, step=Wait(duration_s=wait_s))] if wait_s > 0.0 else []
 
 

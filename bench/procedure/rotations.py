@@ -81,7 +81,7 @@ class Rotate(RotatingStep):
 
 
 class Spin(RotatingStep):
-    """Turn one axis by whole turns at each rate, forth and back, while the INS navigates."""
+    """Turn one axis by whole turns at each rate, back and forth, while the INS navigates."""
 
     name = "spin"
     axis: Literal["outer", "inner"] = Field(description="axis of the table")

@@ -34,20 +34,20 @@ _HEADER = ("position", "gyro", "method", "gyro / °C", "bias", "by slope", "cali
 _NOTHING = "No bias could be compared with a calibrated one."
 
 
-def verification_section(rows: Sequence[CalibrationCheckRow]) -> Section | None:
+def calibration_check_section(rows: Sequence[CalibrationCheckRow]) -> Section | None:
     """Measured and calibrated biases; None without any."""
     if not rows:
         return None
     flags = flag_lines(rows)
     caption = (
-        f"Biases ± standard uncertainty in {verification_scale(rows).unit}. Difference: measured minus "
+        f"Biases ± standard uncertainty in {calibration_check_scale(rows).unit}. Difference: measured minus "
         "calibrated in combined standard uncertainties; * significant"
     )
-    tables = [SectionTable(caption, _HEADER, verification_rows(rows), words=3)]
+    tables = [SectionTable(caption, _HEADER, calibration_check_rows(rows), words=3)]
     tables += [SectionTable("Flagged", ["dwell", "flag"], flags, words=2)] if flags else []
     has_calibrated = any(not math.isnan(row.calibrated_dph) for row in rows)
     paragraphs = [
-        verification_sentence(rows),
+        calibration_check_sentence(rows),
         _METHODS,
         _CALIBRATED if has_calibrated else "",
         accelerometer_sentence(rows),
@@ -55,7 +55,7 @@ def verification_section(rows: Sequence[CalibrationCheckRow]) -> Section | None:
     return Section("Calibration check", [text for text in paragraphs if text], tables=tables)
 
 
-def verification_sentence(rows: Sequence[CalibrationCheckRow]) -> str:
+def calibration_check_sentence(rows: Sequence[CalibrationCheckRow]) -> str:
     """Number of biases that agree with the calibration, and the largest difference."""
     compared = [row for row in rows if row.is_compared]
     flagged = sum(bool(row.flags) for row in rows)
@@ -75,17 +75,17 @@ def accelerometer_sentence(rows: Sequence[CalibrationCheckRow]) -> str:
     return _UNKNOWN_ACCELEROMETERS.format(len(large), len(sigmas_ug), max(large)) if large else ""
 
 
-def verification_scale(rows: Sequence[CalibrationCheckRow]) -> BiasScale:
-    """Choose unit and decimals for the biases of a verification."""
+def calibration_check_scale(rows: Sequence[CalibrationCheckRow]) -> BiasScale:
+    """Choose unit and decimals for the biases of a calibration check."""
     return BiasScale.of(
         [bias for row in rows for bias in (row.bias_dph, row.paper_bias_dph, row.calibrated_dph)],
         [sigma for row in rows for sigma in (row.sigma_dph, row.calibrated_sigma_dph)],
     )
 
 
-def verification_rows(rows: Sequence[CalibrationCheckRow]) -> list[list[str]]:
+def calibration_check_rows(rows: Sequence[CalibrationCheckRow]) -> list[list[str]]:
     """Cells of :data:`_HEADER`; a star marks a significant difference."""
-    scale = verification_scale(rows)
+    scale = calibration_check_scale(rows)
     differing = _differing(rows)
     return [
         [

@@ -58,14 +58,14 @@ class RunContent:
     dwells: list[DwellRow]
     bins: list[BiasBin]
     telemetry: Mapping[str, FloatArray]
-    #: joint_sigmas, joint_plateaus, noise, verification: Joint solution, noise of the INS, calibration check;
-    #: empty without results.
+    #: joint_sigmas, joint_plateaus, noise, calibration_check: Joint solution, noise of the INS, biases of the
+    #: calibration check; empty without results.
     joint_sigmas: Mapping[tuple[int, bool], JointSigmas] = field(default_factory=dict)
     joint_plateaus: list[JointPlateauRow] = field(default_factory=list)
     noise: NoiseEstimate | None = None
     #: Uncertainty budgets; empty where missing.
     budget: BudgetSummary = field(default_factory=BudgetSummary)
-    verification: list[CalibrationCheckRow] = field(default_factory=list)
+    calibration_check: list[CalibrationCheckRow] = field(default_factory=list)
     coefficients: list[PlateauCoefficientRow] = field(default_factory=list)  #: Of the sensors.
     characteristics: list[TestResult] = field(default_factory=list)  #: Results of the procedure's tests.
     acceptance: Acceptance | None = None  #: Verdict on the unit, or None.
@@ -132,12 +132,12 @@ def read_run(folder: RunFolder) -> RunContent:
 
     read(folder.journal, journal.read, None)
     procedure: Entry = read(folder.procedure, _mapping, {})
-    verification: list[CalibrationCheckRow] = read(
+    calibration_check: list[CalibrationCheckRow] = read(
         folder.calibration_check, read_calibration_check, [], is_optional=True
     )
     # Dwells with rotations, for noise or for calibration checks have no rows in this table.
     purposes = Counter(journal.purposes.values())
-    is_optional = bool(verification or purposes) and not purposes["biases"]
+    is_optional = bool(calibration_check or purposes) and not purposes["biases"]
     dwells: list[DwellRow] = read(folder.dwells, read_dwells, [], is_optional=is_optional)
     bins: list[BiasBin] = read(folder.bias_bins, read_bins, [])
     return RunContent(
@@ -158,7 +158,7 @@ def read_run(folder: RunFolder) -> RunContent:
         joint_plateaus=read(folder.joint, read_joint_plateaus, [], is_optional=True),
         budget=read(folder.budget, _budget, BudgetSummary(), is_optional=True),
         noise=read(folder.noise, read_noise, None, is_optional=True),
-        verification=verification,
+        calibration_check=calibration_check,
         coefficients=read(folder.coefficients, read_coefficients, [], is_optional=True),
         characteristics=read(folder.characteristics, read_characteristics, [], is_optional=True),
         acceptance=read(folder.acceptance, read_acceptance, None, is_optional=True),

@@ -33,7 +33,11 @@ from gyrobench.bench.report.bias_sections import (
     verdict_box,
 )
 from gyrobench.bench.report.budget_section import CAPTION, budget_box, budget_figure, budget_section, shares
-from gyrobench.bench.report.calibration_check import dwells_text, verification_section, verification_sentence
+from gyrobench.bench.report.calibration_check import (
+    calibration_check_section,
+    calibration_check_sentence,
+    dwells_text,
+)
 from gyrobench.bench.report.coefficients import characteristics_sections, coefficients_section, has_rotations
 from gyrobench.bench.report.content import Entry, RunContent, read_run
 from gyrobench.bench.report.estimator_sections import (
@@ -180,15 +184,15 @@ def render(
     """
     drawn = {path.stem: path for path in figures}
     unit, facts = serial_number_of(content), head_lines(content)
-    verification = verification_sentence(content.verification) if content.verification else ""
-    no_bias = "" if content.bins or verification else _NO_BIAS
-    no_dwell = f"{facts['dwells']}, without a turn." if verification else "No dwell was measured."
-    if content.dwell_purposes and not (content.dwell_purposes["biases"] or verification):
+    check = calibration_check_sentence(content.calibration_check) if content.calibration_check else ""
+    no_bias = "" if content.bins or check else _NO_BIAS
+    no_dwell = f"{facts['dwells']}, without a turn." if check else "No dwell was measured."
+    if content.dwell_purposes and not (content.dwell_purposes["biases"] or check):
         no_bias = no_dwell = f"{facts['dwells']}, which give no biases by themselves."
     parts = [
         acceptance_section(content.acceptance),
         comparison_section(
-            content.bins, content.acceptance, drawn, no_bias, verification, estimators_note(content.dwells)
+            content.bins, content.acceptance, drawn, no_bias, check, estimators_note(content.dwells)
         ),
         _temperature_section(content, drawn),
         *(gyro_section(gyro, content.bins, drawn) for gyro in AXES),
@@ -249,7 +253,7 @@ def _analysis_sections(content: RunContent, marked_c: Sequence[float]) -> list[S
         fit_section(content.dwells),
         joint_section(content.joint_sigmas, content.joint_plateaus),
         noise_section(content.noise, content.station),
-        verification_section(content.verification),
+        calibration_check_section(content.calibration_check),
     ]
     return [section for section in sections if section]
 
@@ -332,14 +336,14 @@ def _texts(facts: Mapping[str, object]) -> dict[str, str]:
 
 def serial_number_of(content: RunContent) -> str:
     """Serial number of the unit, or of several; empty where none is known."""
-    units = {row.unit for row in content.dwells} | {row.unit for row in content.verification}
+    units = {row.unit for row in content.dwells} | {row.unit for row in content.calibration_check}
     return ", ".join(sorted(units - {""})) or content.facts.unit
 
 
 def _dwells_text(content: RunContent) -> str:
     flagged = sum(bool(row.flags) for row in content.dwells)
     texts = [f"{len(content.dwells)} measured, {flagged} of them flagged"] if content.dwells else []
-    texts += [dwells_text(content.verification)] if content.verification else []
+    texts += [dwells_text(content.calibration_check)] if content.calibration_check else []
     for what, text in (("rotations", "with rotations"), ("noise", "for noise")):
         if count := content.dwell_purposes[what]:
             texts.append(f"{counted(count, 'dwell')} {text}")

@@ -82,7 +82,7 @@ class RunFolder:
     acceptance = PathInside(ACCEPTANCE)  #: Verdict on the unit.
     calibration = PathInside("calibration.csv")  #: The dwell table of the calibration that was checked.
     compensation = PathInside(COMPENSATION)  #: The compensation that was loaded into the INS.
-    calibration_check = PathInside("verification.csv")  #: Verification of a calibration.
+    calibration_check = PathInside("verification.csv")  #: Table of the calibration check.
     closure = PathInside(CLOSURE)  #: Folder of the search for effects in this run.
     verify = PathInside("verify")  #: Folder of the verification of a compensation.
     figures = PathInside("figures")  #: Folder of the figures.

@@ -25,7 +25,7 @@ from gyrobench.bench.engine.verification_runs import new_emulation
 from gyrobench.bench.monitor.terminal import RunConsole
 from gyrobench.bench.monitor.terminal_view import LinesView
 from gyrobench.bench.procedure.plan import Plan
-from gyrobench.bench.report.calibration_check import verification_section
+from gyrobench.bench.report.calibration_check import calibration_check_section
 from gyrobench.bench.report.content import read_run
 from gyrobench.bench.report.estimator_sections import noise_section
 from gyrobench.bench.runs.can_log import read_can_log
@@ -211,7 +211,7 @@ def use_verification_table(run: Path) -> Callable[[Path, bytes], None]:
             for name, cell in line.items():
                 if name in VERIFICATION_COLUMNS:
                     check_cell(getattr(row, name), cell)
-        verification_section(rows)
+        calibration_check_section(rows)
 
     return use
 

@@ -22,18 +22,6 @@ from gyrobench.bench.report.closure.closure_figures import (
     closure_evidence_figure,
     closure_residual_figure,
 )
-from gyrobench.bench.report.closure.closure_text import (
-    cycles_text,
-    held_out_cycles,
-    is_noise_only,
-    labels,
-    models_of,
-    noise_dph,
-    residuals_dph,
-    scale_of_errors,
-    share_text,
-    verdict_sentence,
-)
 from gyrobench.bench.report.number_format import odds_text, p_text
 from gyrobench.bench.report.page import Findings, Section, SectionFigure, SectionTable, write_findings
 from gyrobench.bench.report.run_report import write_report
@@ -56,8 +44,8 @@ _EVIDENCE = (
 _P_VALUES = "Significance of each effect alone. The declared model leaves no excess variance to explain."
 _ERRORS = "Rms of measured minus predicted {} in the held-out cycles; the black lines are the noise."
 _UNEXPLAINED = (
-    "Do not rely on the model below that size: the cause is none of the candidate effects, or follows an "
-    "input that was not measured."
+    "Do not rely on the model below that size: the effect is not among the candidates, or follows an input "
+    "that was not measured."
 )
 _COMPOSED = (
     "Laws composed from the grammar of effects, fitted beside the effects found. They are empirical: "
@@ -70,8 +58,8 @@ _COLOURS = {"clean": "finished", "explained": "finished", "ambiguous": "stopped"
 
 
 def closure_sections(closure: Closure) -> list[Section]:
-    """All parts: residual, effects, alternatives, held-out error, rotation, lack of fit."""
-    parts = (_residual, _effects, _composed, _alternatives, _error, _rotation, _lack_of_fit)
+    """All parts: residual, effects, alternatives, held-out error, each cycle held out, lack of fit."""
+    parts = (_residual, _effects, _composed, _alternatives, _error, _each_held_out, _lack_of_fit)
     in_rows = closure.quantity.in_rows
     return [
         replace(
@@ -127,13 +115,13 @@ def _effects(closure: Closure) -> Section | None:
 
 def effect_table(closure: Closure) -> SectionTable:
     """The effects found."""
-    scale = scale_of_errors(closure)
+    scale = text.scale_of_errors(closure)
     rows = [
         [
             each.effect.display_name,
             listed(each.axes),
-            labels(closure, each.tied_with) or "none",
-            ", ".join(f"{cycle}: {share_text(gain)}" for cycle, gain in each.gains.items()) or "no",
+            text.labels(closure, each.tied_with) or "none",
+            ", ".join(f"{cycle}: {text.share_text(gain)}" for cycle, gain in each.gains.items()) or "no",
             scale.with_sigma(each.rms_dph, each.rms_sigma_dph),
             probability_number(each.probability),
         ]
@@ -154,7 +142,7 @@ def evidence_table(closure: Closure) -> SectionTable:
     found = set(closure.names)
     tied = {name for each in closure.effects for name in each.tied_with}
     explanations = {
-        "share": "" if is_noise_only(closure) else "share of excess variance explained",
+        "share": "" if text.is_noise_only(closure) else "share of excess variance explained",
         "p": "corrected for all candidate fits",
         "odds": "of the effects found to this one" if closure.effects else "",
     }
@@ -164,18 +152,18 @@ def evidence_table(closure: Closure) -> SectionTable:
         if each.missing_input is None:
             name = each.effect.name
             cells = {
-                "share": share_text(each.share),
+                "share": text.share_text(each.share),
                 "p": p_text(each.p_value),
                 "odds": odds_text(each.log_odds_against) if each.log_odds_against > 0.0 else "",
             }
             state = "found" if name in found else "tied" if name in tied else ""
             rows.append([each.effect.display_name, state, *(cells[column] for column in shown)])
     caption = f"Each effect alone. {'; '.join(f'{column}: {what}' for column, what in shown.items())}"
-    return SectionTable(caption, ["effect", "", *shown], rows, words=2)
+    return SectionTable(caption, ["effect", "status", *shown], rows, words=2)
 
 
 def _composed(closure: Closure) -> Section | None:
-    scale, composed = scale_of_errors(closure), closure.composed
+    scale, composed = text.scale_of_errors(closure), closure.composed
     if composed is None:
         return None
     rows = [
@@ -188,8 +176,10 @@ def _composed(closure: Closure) -> Section | None:
         ]
         for law in composed.laws
     ]
-    rows.append(["no law of the grammar, or one and something else", "", "", f"{composed.other:.2f}", ""])
-    rows.append(["of this: a law and something else", "", "", f"{composed.law_and_remainder:.2f}", ""])
+    rows.append(
+        ["no law of the grammar, or one with a remaining residual", "", "", f"{composed.other:.2f}", ""]
+    )
+    rows.append(["of this: a law with a remaining residual", "", "", f"{composed.law_and_remainder:.2f}", ""])
     table = SectionTable(
         f"Composed laws, of {composed.tried} tried; the best one is composed_law.yaml",
         [f"{closure.quantity.label} follows", "shape", "memory", "P", f"held-out error, {scale.unit}"],
@@ -200,7 +190,7 @@ def _composed(closure: Closure) -> Section | None:
 
 
 def _sizes(closure: Closure) -> SectionTable:
-    scale = scale_of_errors(closure)
+    scale = text.scale_of_errors(closure)
     rows = [
         [
             each.effect.display_name,
@@ -228,7 +218,11 @@ def _sizes(closure: Closure) -> SectionTable:
 
 
 def _parameters(closure: Closure) -> list[SectionTable]:
-    rows = [[each.effect.display_name, text] for each in closure.effects for text in each.parameter_texts]
+    rows = [
+        [each.effect.display_name, parameter]
+        for each in closure.effects
+        for parameter in each.parameter_texts
+    ]
     caption = (
         "Nonlinear parameters with their standard uncertainties, or the interval that holds them with 95 % "
         "where it is not symmetric or ends at a bound of the fit"
@@ -237,8 +231,8 @@ def _parameters(closure: Closure) -> list[SectionTable]:
 
 
 def _alternatives(closure: Closure) -> Section:
-    drawn = not is_noise_only(closure) or bool(closure.effects)
-    caption = _P_VALUES if is_noise_only(closure) else _EVIDENCE
+    drawn = not text.is_noise_only(closure) or bool(closure.effects)
+    caption = _P_VALUES if text.is_noise_only(closure) else _EVIDENCE
     figures = [SectionFigure("evidence", caption, partial(closure_evidence_figure, closure))] if drawn else []
     paragraphs = [
         text.probability_sentence(closure),
@@ -253,12 +247,12 @@ def _alternatives(closure: Closure) -> Section:
 
 
 def _error(closure: Closure) -> Section:
-    held_out, scale = ~closure.searched, scale_of_errors(closure)
+    held_out, scale = ~closure.searched, text.scale_of_errors(closure)
     if not held_out.any():
         return Section("Held-out error", [text.error_sentence(closure)])
     sigma_dph = closure.prediction_sigma_dph[held_out]
-    errors = {name: residuals_dph(closure, model) for name, model in models_of(closure).items()}
-    errors["noise"] = noise_dph(closure)
+    errors = {name: text.residuals_dph(closure, model) for name, model in text.models_of(closure).items()}
+    errors["noise"] = text.noise_dph(closure)
     rows = [
         [name, *(scale.text(rms_of_known(each)) for each in (*values_dph[held_out].T, values_dph[held_out]))]
         for name, values_dph in errors.items()
@@ -282,15 +276,15 @@ def _error(closure: Closure) -> Section:
     )
 
 
-def _rotation(closure: Closure) -> Section | None:
+def _each_held_out(closure: Closure) -> Section | None:
     if not closure.held_out_in_turn:
         return None
-    scale = scale_of_errors(closure)
+    scale = text.scale_of_errors(closure)
     rows = [
         [
-            cycles_text(closure, [turn.cycle]),
+            text.cycles_text(closure, [turn.cycle]),
             turn.verdict or f"not possible: {turn.reason}",
-            labels(closure, turn.effects) or ("none" if turn.verdict else ""),
+            text.labels(closure, turn.effects) or ("none" if turn.verdict else ""),
             *(
                 scale.text(value) if turn.verdict else ""
                 for value in (turn.error_before_dph, turn.error_after_dph, turn.noise_dph)
@@ -304,12 +298,12 @@ def _rotation(closure: Closure) -> Section | None:
         rows,
         words=3,
     )
-    return Section("Rotation", [text.rotation_sentence(closure)], tables=[table])
+    return Section("Each cycle held out", [text.each_held_out_sentence(closure)], tables=[table])
 
 
 def _lack_of_fit(closure: Closure) -> Section:
     before, after = closure.before, closure.after
-    names = models_of(closure)
+    names = text.models_of(closure)
     rows = [["chi2", p_text(before.p_noise), p_text(after.p_noise)]]
     rows += [
         [f"follows {name}", p_text(p_value), p_text(after.p_structure.get(name, np.nan))]
@@ -339,7 +333,7 @@ def closure_findings(closure: Closure, source: str = "") -> Findings:
         source=source,
         judgement=closure.verdict,
         colour=_COLOURS[closure.verdict],
-        sentence=verdict_sentence(closure),
+        sentence=text.verdict_sentence(closure),
         facts=_facts(closure),
         sections=closure_sections(closure),
     )
@@ -369,7 +363,7 @@ def _facts(closure: Closure) -> dict[str, str]:
     row = campaign.quantity.row
     return several | {
         f"{row}s": f"{len(campaign)} of {measured} with a result and without flags, over {hours:.0f} h",
-        "cycles": f"{len(cycles)}; {held_out_cycles(closure)} held out",
+        "cycles": f"{len(cycles)}; {text.held_out_cycles(closure)} held out",
         "searched": f"{counted(int(searched.sum()), row)}; {int((~searched).sum())} held out",
         "power cycles": str(len(campaign.run_names)),
         "gyro temperatures": f"{gyro_c.min():.0f} to {gyro_c.max():.0f} °C",

@@ -30,7 +30,7 @@ _LIKELY = 0.5
 
 
 def residuals_dph(closure: Closure, model: Solution) -> FloatArray:
-    """Measured bias minus a model in all dwells (n, 3), deg/h, without the mean of runs not searched."""
+    """Measured bias minus a model (n, 3), deg/h, without the mean of power cycles that were not searched."""
     return measured_minus(closure.campaign, closure.searched, model)
 
 
@@ -160,8 +160,8 @@ def verdict_sentence(closure: Closure) -> str:
             unknown = probability_text(closure.posterior.not_on_list)
             noise = "; more noise than stated is likelier" if closure.posterior.not_on_list < 0.5 else ""
             return (
-                "The residual exceeds the noise, and no candidate effect explains it (something that is not "
-                f"on the list: {unknown}{noise}).{part}"
+                "The residual exceeds the noise, and no candidate effect explains it (an unlisted effect: "
+                f"{unknown}{noise}).{part}"
             )
 
 
@@ -182,11 +182,11 @@ def _part(closure: Closure) -> str:
         names, verb = listed(likely), "explains" if len(likely) == 1 else "explain"
         sentences.append(f"{names[0].upper()}{names[1:]} {verb} only a part.")
     sentences += [
-        f"A part is explained by {fits}, which the data do not distinguish; something else is left."
+        f"A part is explained by {fits}, which the data do not distinguish; a residual remains."
         for fits in tied
     ]
     if other:
-        sentences.append(f"Fitted, but not probable beside what is left: {listed(other)}.")
+        sentences.append(f"Fitted, but improbable given the remaining residual: {listed(other)}.")
     return "".join(f" {each}" for each in sentences)
 
 
@@ -212,11 +212,16 @@ def _unsettled(closure: Closure) -> str:
         return f"the data do not distinguish the candidates: {fits}."
     found = f"{found_labels(closure)} ({probability_text(closure.probability)}"
     if closure.probability < EXPLAINED:
-        return f"it is not settled whether it is {found}, required {EXPLAINED:g})."
+        return f"{found}, required {EXPLAINED:g}) is not probable enough."
     rivals = closure.posterior.rivals(closure.names)
     if rivals:
-        others = listed([_with_probability(closure, name) for name in rivals])
-        return f"it is not settled whether it is {found}) alone, or with or in place of it {others}."
+        with_them = " or ".join(_with_probability(closure, name) for name in rivals)
+        instead = " or ".join(closure.label(name) for name in rivals)
+        names, one = found_labels(closure), "one of them" if closure.effects[1:] else found_labels(closure)
+        return (
+            f"{found}) alone, {names} with {with_them}, and {instead} instead of {one} can't be "
+            "distinguished."
+        )
     if closure.circular:
         verb = "was" if len(closure.circular) == 1 else "were"
         return (
@@ -224,7 +229,8 @@ def _unsettled(closure: Closure) -> str:
         )
     if closure.searched.all():
         return f"no cycle is held out to confirm {found}). Measure the profile a second time."
-    return f"{found}) does not predict the held-out cycle better by more than chance, and within the noise."
+    does = "do" if closure.effects[1:] else "does"
+    return f"{found}) {does} not predict the held-out cycle significantly better and to within the noise."
 
 
 def _undecided(closure: Closure) -> str:
@@ -233,9 +239,10 @@ def _undecided(closure: Closure) -> str:
     sentence = f"It is not settled whether the residual is noise ({nothing}, required {CLEAN:g})"
     likely = closure.not_accepted
     if likely is None:
-        return f"{sentence}: it may hold something that is not on the list."
+        return f"{sentence}: it may hold an unlisted effect."
     what = f"{labels(closure, likely.names)} ({probability_text(likely.probability)})"
-    return f"{sentence}. The most probable cause, {what}, is not accepted: {likely.reason}."
+    kind = "set of effects" if likely.names[1:] else "effect"
+    return f"{sentence}. The most probable {kind}, {what}, is not accepted: {likely.reason}."
 
 
 def _with_probability(closure: Closure, name: str) -> str:
@@ -264,7 +271,7 @@ def title(closure: Closure) -> str:
 
 
 def probability_sentence(closure: Closure) -> str:
-    """Probabilities of the effects, of something that is not on the list, and of nothing."""
+    """Probabilities of the effects, of an unlisted effect, and of no undeclared effect."""
     weighed = closure.posterior
     likely = {name: p for name, p in weighed.of_effect.items() if p >= _WORTH_STATING}
     parts = []
@@ -275,9 +282,9 @@ def probability_sentence(closure: Closure) -> str:
         parts.append(f"{each.effect.display_name} {probability_text(each.probability)}{law}")
     parts += [f"{closure.label(name)} {probability_text(p)}" for name, p in likely.items()]
     follows = max(weighed.follows, key=lambda name: weighed.follows[name])
-    unknown = f"something that is not on the list {probability_text(weighed.not_on_list)}"
+    unknown = f"an unlisted effect {probability_text(weighed.not_on_list)}"
     parts.append(f"{unknown} (it follows {follows})" if weighed.not_on_list >= 0.5 else unknown)
-    parts.append(f"nothing undeclared {probability_text(weighed.nothing)}")
+    parts.append(f"no undeclared effect {probability_text(weighed.nothing)}")
     return f"Probabilities: {'; '.join(parts)}."
 
 
@@ -289,10 +296,11 @@ def power_sentence(closure: Closure) -> str:
     low, high = min(sizes, key=lambda name: sizes[name]), max(sizes, key=lambda name: sizes[name])
     unit = closure.quantity.unit
     least, most = size_text(sizes[low]), size_text(sizes[high])
-    on = "" if least == most else f" if it follows {low}, to {most} {unit} if it follows {high}"
+    on = "" if least == most else f" if it follows {low}, one of {most} {unit} or more if it follows {high}"
+    effect = "A further effect" if closure.effects else "An effect"
     return (
-        f"Something else would have been shown with {100.0 * POWER:.0f} % probability from {least} {unit} "
-        f"rms{on}; less is not excluded."
+        f"{effect} of {least} {unit} rms or more would have been detected with {100.0 * POWER:.0f} % "
+        f"probability{on}; smaller ones are not excluded."
     )
 
 
@@ -436,8 +444,8 @@ def error_sentence(closure: Closure) -> str:
     )
 
 
-def rotation_sentence(closure: Closure) -> str:
-    """Whether verdict and effects depend on which cycle is held out; empty without a rotation."""
+def each_held_out_sentence(closure: Closure) -> str:
+    """Whether verdict and effects depend on which cycle is held out; empty if one choice was searched."""
     possible = [turn for turn in closure.held_out_in_turn if turn.verdict]
     outcomes: dict[tuple[str, tuple[str, ...]], list[int]] = {}
     for turn in possible:
@@ -454,14 +462,14 @@ def rotation_sentence(closure: Closure) -> str:
 
 
 def constants_sentence(closure: Closure) -> str:
-    """Runs whose own mean is removed; empty if there is none."""
+    """Power cycles whose own mean is removed; empty if there is none."""
     campaign, searched = closure.campaign, closure.searched
     unseen = set(campaign.run[~searched].tolist()) - set(campaign.run[searched].tolist())
     if not unseen:
         return ""
     return (
-        f"The mean error of {counted(len(unseen), 'run')} that the search did not use is removed before and "
-        "after: the constant of a run is known only from its own dwells."
+        f"The mean error of {counted(len(unseen), 'power cycle')} that the search did not use is removed "
+        "before and after: the constant of a power cycle is known only from its own dwells."
     )
 
 

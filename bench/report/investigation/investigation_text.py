@@ -30,7 +30,7 @@ _RULED_OUT = 0.01
 def title_of(rival: Rival) -> str:
     """A hypothesis in words."""
     names = listed(rival.labels) or "nothing beside the declared model"
-    return f"{names}, and something not on the list" if rival.remainder_dph else names
+    return f"{names}, and an unlisted effect" if rival.remainder_dph else names
 
 
 def proposal_sentences(proposal: Proposal, rivals: Sequence[Rival], limit: int = 3) -> Iterator[str]:
@@ -88,7 +88,7 @@ def calibration_sentence(found: Investigation) -> str:
 
 
 def test_sentence(found: Investigation) -> str:
-    """What the block that tested the cause or a composed law says about it; empty without one."""
+    """What the block that tested the effects found or a composed law says about them; empty without one."""
     stage = found.test
     if stage is None or stage.outcome is None:
         return ""
@@ -98,15 +98,16 @@ def test_sentence(found: Investigation) -> str:
     words = ("agrees with", "contradicts")
     if stage.purpose == CONFIRM:
         is_stated = set(tested.names) == set(found.closure.names)
-        subject = "the cause" if is_stated else f"{title_of(tested)}, which is not stated by the last search"
+        own = "the effects found" if len(tested.names) > 1 else "the effect found"
+        subject = own if is_stated else f"{title_of(tested)}, which is not stated by the last search"
     else:
         subject, words = (
             f"the composed law ({tested.candidates[-1].effect.statement})",
             ("confirms", "refutes"),
         )
-    held, part = "leaves open", "one of its effects" if len(others) > 1 else "it"
+    held, part = "leaves open", "one of them" if len(others) > 1 else "it"
     if not stage.outcome.fits:
-        without = "the declared model" if len(others) == 1 else f"the cause without {part}"
+        without = "the declared model" if len(others) == 1 else f"the effects found without {part}"
         held = f"fits neither {without} nor"
     elif probability >= 1.0 - _RULED_OUT or probability <= _RULED_OUT:
         held = words[0] if probability > 0.5 else words[1]

@@ -72,7 +72,7 @@ def _findings(calibration: Calibration) -> Iterator[tuple[str, str]]:
 def forecast_summary(
     rotations: RotationList, expected: Forecast, noise: SensorNoise, site_sigmas: tuple[float, float]
 ) -> RenderableType:
-    """What a calibration over a list of rotations will know of each coefficient.
+    """The expected uncertainty of each coefficient for a list of rotations.
 
     ``site_sigmas``: included uncertainties of gravity, m/s^2, and latitude, rad.
     """

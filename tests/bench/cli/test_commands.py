@@ -77,7 +77,8 @@ def test_close_searches_several_tables_and_says_what_is_held_out(table, tmp_path
     rows = read_dwells(table)
     for name, cycles in (("early", {1, 2}), ("late", {3})):
         write_dwells(tmp_path / f"{name}.csv", [row for row in rows if row.cycle in cycles])
-    result = gyrobench("close", "late.csv", "early.csv", "--hold-out", "late.csv", "--rotate", cwd=tmp_path)
+    arguments = ("late.csv", "early.csv", "--hold-out", "late.csv", "--hold-out-each")
+    result = gyrobench("close", *arguments, cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     assert "In cycle 3 of late.csv (held out" in " ".join(result.stdout.split())
     assert "on the clock of early.csv" in " ".join(result.stdout.split())
@@ -86,7 +87,7 @@ def test_close_searches_several_tables_and_says_what_is_held_out(table, tmp_path
     found = json.loads((folder / "closure.json").read_text())
     assert [each["held_out_cycle"] for each in found["rotation"]] == [1, 2, 3]
     assert [each["path"] for each in found["tables"]] == ["early.csv", "late.csv"]
-    assert "Rotation" in (folder / "closure.html").read_text()
+    assert "Each cycle held out" in (folder / "closure.html").read_text()
     assert len((folder / "predictions.csv").read_text().splitlines()) == 1 + len(rows)
 
 

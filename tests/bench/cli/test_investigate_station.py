@@ -121,7 +121,7 @@ def test_a_hidden_warm_up_is_found_confirmed_compensated_and_verified(whole):
     assert after < 0.9 * before
     page = (folder / "investigation.html").read_text()
     assert "Compensation, before and after" in page
-    assert "agrees with the cause" in page
+    assert "agrees with the effect found" in page
 
 
 def entries_in(folder):

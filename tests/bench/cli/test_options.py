@@ -4,6 +4,8 @@ import pytest
 import typer
 
 from gyrobench.bench.cli import app
+from gyrobench.bench.cli import close as close_module
+from gyrobench.bench.foundations.errors import DocumentError
 from tests.bench.command_line import gyrobench
 
 OPTIONS = [
@@ -29,5 +31,23 @@ def test_no_option_that_is_a_number_takes_one_without_an_end(name, command, opti
 def test_an_infinite_budget_is_refused_before_anything_is_measured(tmp_path):
     answer = gyrobench("investigate", "quick_campaign", "--budget-h", "inf", cwd=tmp_path)
     assert answer.returncode == 2
-    assert "inf is no finite number" in answer.stderr
+    assert "inf is not a finite number" in answer.stderr
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"), [((), False), (("--hold-out-each",), True), (("--rotate",), True)]
+)
+def test_each_cycle_is_held_out_by_the_option_and_by_its_old_name(options, expected, monkeypatch):
+    asked = []
+
+    def search(*_, each_in_turn, **__):
+        asked.append(each_in_turn)
+        raise DocumentError("not searched")
+
+    monkeypatch.setattr(close_module, "search", search)
+    command = typer.main.get_command(app).commands["close"]
+    with pytest.raises(DocumentError, match="not searched"):
+        command(["dwells.csv", *options], standalone_mode=False)
+    assert asked == [expected]
+    assert [each.hidden for each in command.params if "--rotate" in each.opts] == [True]

@@ -32,7 +32,7 @@ def closed():
 
 @pytest.fixture(scope="session")
 def clean():
-    """A campaign with nothing undeclared in it."""
+    """A campaign with no undeclared effect in it."""
     return campaign_of(measure().rows)
 
 

@@ -98,16 +98,16 @@ def test_predictions_stand_in_the_journal_before_the_block_is_measured(settled):
 
 def test_a_block_is_said_to_agree_only_where_it_does_and_with_the_cause_that_is_stated(settled):
     found, _ = settled
-    assert "agrees with the cause" in investigation_text.test_sentence(found)
+    assert "agrees with the effect found" in investigation_text.test_sentence(found)
 
     def sentence(closure=found.closure, **changes):
         tested = replace(found.test, outcome=replace(found.test.outcome, **changes))
         last = replace(found.stages[-1], closure=closure)
         return investigation_text.test_sentence(replace(found, stages=(*found.stages[:-2], tested, last)))
 
-    assert "leaves open the cause" in sentence(probabilities=(0.7, 0.3))
-    assert "contradicts the cause" in sentence(probabilities=(0.001, 0.999))
-    assert "fits neither the declared model nor the cause" in sentence(p_value=(1e-9, 1e-12))
+    assert "leaves open the effect found" in sentence(probabilities=(0.7, 0.3))
+    assert "contradicts the effect found" in sentence(probabilities=(0.001, 0.999))
+    assert "fits neither the declared model nor the effect found" in sentence(p_value=(1e-9, 1e-12))
     given_up = replace(found.closure, effects=())
     assert "agrees with warm-up, which is not stated by the last search" in sentence(given_up)
 

@@ -4,10 +4,10 @@ from dataclasses import replace
 import pytest
 
 from gyrobench.bench.report.calibration_check import (
+    calibration_check_rows,
+    calibration_check_section,
+    calibration_check_sentence,
     dwells_text,
-    verification_rows,
-    verification_section,
-    verification_sentence,
 )
 from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow
 
@@ -55,41 +55,45 @@ FLAGGED = CalibrationCheckRow(
 
 
 def paragraphs(rows):
-    return " ".join(verification_section(rows).paragraphs)
+    return " ".join(calibration_check_section(rows).paragraphs)
 
 
 def test_agreement_is_stated_with_the_largest_difference():
-    assert verification_sentence([ROW, ALIGNMENT]) == (
+    assert calibration_check_sentence([ROW, ALIGNMENT]) == (
         "All 2 biases agree with the calibration (no p < 0.01, corrected for 2 comparisons). The largest "
         "difference, measured minus calibrated, is 0.0005 ± 0.0015 deg/h (+0.3 standard uncertainties): "
         "Z gyro in Y-Up 0° at -10 °C, by velocity."
     )
-    assert verification_sentence([ROW]).startswith("The bias agrees with the calibration (no p < 0.01, one")
+    assert calibration_check_sentence([ROW]).startswith(
+        "The bias agrees with the calibration (no p < 0.01, one"
+    )
 
 
 def test_differences_are_stated():
-    sentence = verification_sentence([ROW, CHANGED, ALIGNMENT])
+    sentence = calibration_check_sentence([ROW, CHANGED, ALIGNMENT])
     assert sentence.startswith("1 of 3 biases differs from the calibration (p < 0.01, corrected for 3")
     assert "is 0.0100 ± 0.0015 deg/h (+6.5 standard uncertainties): Y gyro in Z-Up 0°" in sentence
 
 
 def test_every_comparison_is_one_more_chance_to_differ_by_chance():
     rare = replace(ROW, p_value=0.004)
-    assert verification_sentence([rare]).startswith("The bias differs from the calibration (p < 0.01, one")
-    assert "All 3 biases agree" in verification_sentence([rare, ROW, ROW])
+    assert calibration_check_sentence([rare]).startswith(
+        "The bias differs from the calibration (p < 0.01, one"
+    )
+    assert "All 3 biases agree" in calibration_check_sentence([rare, ROW, ROW])
 
 
 def test_what_could_not_be_compared_is_counted():
-    assert verification_sentence([ROW, UNCALIBRATED, FLAGGED, FLAGGED]).endswith(
+    assert calibration_check_sentence([ROW, UNCALIBRATED, FLAGGED, FLAGGED]).endswith(
         "Not compared: 1 without a calibrated bias near in position and temperature, 2 with flags."
     )
-    assert verification_sentence([FLAGGED]) == (
+    assert calibration_check_sentence([FLAGGED]) == (
         "No bias could be compared with a calibrated one. Not compared: 1 with flags."
     )
 
 
 def test_the_table_holds_every_bias_beside_the_calibrated_one():
-    (table,) = verification_section([ROW, ALIGNMENT, CHANGED, UNCALIBRATED]).tables
+    (table,) = calibration_check_section([ROW, ALIGNMENT, CHANGED, UNCALIBRATED]).tables
     assert "in 0.001 deg/h" in table.caption
     assert [tuple(row) for row in table.rows] == [
         ("Y-Up 0°", "Z", "velocity", "-9.6", "14.2 ± 1.5", "12.7 ± 1.7", "13.7 ± 0.4", "+0.3"),
@@ -103,7 +107,7 @@ def test_the_table_holds_every_bias_beside_the_calibrated_one():
 def test_azimuths_distinguish_dwells_of_one_position():
     opposite = replace(ROW, dwell=2, azimuth_deg=180.0)
     pair = replace(ALIGNMENT, azimuth_deg=270.0)
-    assert [line[0] for line in verification_rows([ROW, opposite, pair])] == [
+    assert [line[0] for line in calibration_check_rows([ROW, opposite, pair])] == [
         "Y-Up 0°",
         "Y-Up 180°",
         "Y-Up 270/90°",
@@ -112,10 +116,10 @@ def test_azimuths_distinguish_dwells_of_one_position():
 
 def test_zero_has_no_minus():
     tiny = replace(ROW, bias_dph=-1e-8, paper_bias_dph=-1e-8, calibrated_dph=-1e-8, difference_dph=-1e-8)
-    (line,) = verification_rows([tiny])
+    (line,) = calibration_check_rows([tiny])
     assert line[4:7] == ["0.0 ± 1.5", "0.0 ± 1.7", "0.0 ± 0.4"]
     assert line[7] == "+0.0"
-    assert "-0.0" not in verification_sentence([tiny])
+    assert "-0.0" not in calibration_check_sentence([tiny])
 
 
 def test_dwells_are_counted_regardless_of_the_number_of_their_biases():
@@ -124,7 +128,7 @@ def test_dwells_are_counted_regardless_of_the_number_of_their_biases():
 
 
 def test_flags_are_stated_with_their_place():
-    biases, flags = verification_section([ROW, FLAGGED]).tables
+    biases, flags = calibration_check_section([ROW, FLAGGED]).tables
     assert biases.rows[1][-1] == "flagged"
     assert list(flags.rows) == [("dwell 5, Z-Up at 180 deg, Y gyro by velocity", "the INS left navigation")]
 
@@ -143,5 +147,5 @@ def test_large_uncertainties_from_accelerometers_are_explained(sigma_ug, is_expl
     assert ("100 µg appear as 0.0009 deg/h. The large uncertainties include 1000 µg" in text) is is_explained
 
 
-def test_without_a_verification_there_is_no_section():
-    assert verification_section([]) is None
+def test_without_a_calibration_check_there_is_no_section():
+    assert calibration_check_section([]) is None

@@ -4,14 +4,14 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from gyrobench.bench.report.calibration_check import verification_section
+from gyrobench.bench.report.calibration_check import calibration_check_section
 from gyrobench.bench.report.terminal.tables import section_view
 from tests.bench.report.test_calibration_check import ALIGNMENT, CHANGED, FLAGGED, ROW, UNCALIBRATED
 
 
 def printed(rows):
     stream = io.StringIO()
-    Console(file=stream, width=80).print(section_view(verification_section(rows)))
+    Console(file=stream, width=80).print(section_view(calibration_check_section(rows)))
     return stream.getvalue()
 
 

@@ -44,7 +44,19 @@ def test_a_tie_beside_an_unexplained_residual_names_both_causes_and_what_is_left
     sentence = closure_text.verdict_sentence(replace(ambiguous(), verdict="unexplained"))
     assert sentence.endswith(
         "A part is explained by temperature rate (P = 0.50) or twin (P = 0.50), which the data do not "
-        "distinguish; something else is left."
+        "distinguish; a residual remains."
+    )
+
+
+def test_an_effect_that_may_be_there_too_is_named_beside_the_one_found():
+    closure = ambiguous()
+    [found] = [replace(each, tied_with=()) for each in closure.effects]
+    alone, twin = closure.posterior.hypotheses[:2]
+    both = replace(twin, names=alone.names | twin.names, probability=0.25)
+    weighed = replace(closure.posterior, hypotheses=(replace(alone, probability=0.75), both))
+    assert closure_text.verdict_sentence(replace(closure, effects=(found,), posterior=weighed)) == (
+        "An effect is present, but temperature rate (P > 0.999) alone, temperature rate with twin "
+        "(P = 0.25), and twin instead of temperature rate can't be distinguished."
     )
 
 
@@ -62,7 +74,10 @@ def test_without_an_accepted_effect_the_most_probable_cause_is_stated_with_the_o
     assert faint().posterior.nothing < 0.5
     sentence = closure_text.verdict_sentence(faint())
     assert sentence.startswith("It is not settled whether the residual is noise (P = 0.32, required 0.5).")
-    assert "temperature rate (P = 0.68), is not accepted: not significant (p = 0.002" in sentence
+    assert (
+        "The most probable effect, temperature rate (P = 0.68), is not accepted: not significant (p = 0.002"
+        in sentence
+    )
 
 
 def test_the_residual_is_compared_with_the_noise():
@@ -173,7 +188,7 @@ def test_the_held_out_error_is_stated_before_and_after_with_the_noise():
 def test_a_removed_mean_is_stated():
     assert closure_text.constants_sentence(explained()) == ""
     closure = close_loop(campaign_of(made_up_rows(runs=3)), effects=EFFECTS)
-    assert "1 run that the search did not use" in closure_text.constants_sentence(closure)
+    assert "1 power cycle that the search did not use" in closure_text.constants_sentence(closure)
 
 
 def test_the_remaining_residual_is_located_or_noise():

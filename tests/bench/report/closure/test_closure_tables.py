@@ -24,7 +24,7 @@ def test_an_effect_without_alternatives_is_not_tied():
 def test_every_fitted_effect_has_a_row():
     table = evidence_table(ambiguous())
     marks = {row[0]: row[1] for row in table.rows}
-    assert table.header == ["effect", "", "share", "p", "odds"]
+    assert table.header == ["effect", "status", "share", "p", "odds"]
     assert len(table.rows) == len(ambiguous().evidence)
     assert (marks["temperature rate"], marks["twin"], marks["bias jump"]) == ("found", "tied", "")
 
@@ -37,7 +37,7 @@ def test_effects_with_a_missing_input_have_no_row():
 
 def test_columns_that_would_be_empty_are_left_out():
     table = evidence_table(clean())
-    assert table.header == ["effect", "", "p"]
+    assert table.header == ["effect", "status", "p"]
     assert all(len(row) == len(table.header) for row in table.rows)
     assert "share" not in table.caption
     assert "odds" not in table.caption
