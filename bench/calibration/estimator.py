@@ -320,7 +320,8 @@ class _Problem:
             except MeasurementError:
                 continue
             if other.fit.p_value >= MIN_P_VALUE or other.fit.chi2 < _OPPOSITE * found.fit.chi2:
-                return f"With {what} it does (chi2 {found.fit.chi2:.3g}, then {other.fit.chi2:.3g})"
+                falls = f"chi2 falls from {found.fit.chi2:.3g} to {other.fit.chi2:.3g}"
+                return f"{what[0].upper()}{what[1:]} would explain it: {falls}"
         return (
             "Check latitude, gravity, signs and times, and whether the unit drifts, moves at rest or has "
             "biases that follow attitude; gyrobench calibrate has --lever-arms, --delay, --quadratic"

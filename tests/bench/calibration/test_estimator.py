@@ -287,7 +287,7 @@ def test_a_misfit_is_stated_with_what_would_explain_it():
     bent = velocity + 2e-5 / 9.8 * velocity * np.abs(velocity) / 0.05
     (finding,) = calibrate([recorded((angle, velocity + 2e-6 * velocity**2 / 0.05), 4)], SITE).findings
     assert "noise does not explain the velocity at rest" in finding
-    assert "With quadratic terms of the accelerometers (--quadratic) it does" in finding
+    assert "Quadratic terms of the accelerometers (--quadratic) would explain it: chi2 falls from" in finding
     with pytest.raises(MeasurementError, match="at most 10 times is accepted"):
         calibrate([recorded((angle, bent * 1.0 + 4e-5 * velocity**2 / 0.05), 4)], SITE)
 
