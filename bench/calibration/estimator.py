@@ -312,11 +312,18 @@ class _Problem:
 
     def explanation(self, found: _Solution) -> str:
         """What would explain a misfit, as advice."""
-        for chosen, what in _BESIDE_COEFFICIENTS:
-            if all(getattr(self.options, name) for name in chosen):
-                continue
+        alternatives = [
+            (replace(self, options=replace(self.options, **chosen)), what)
+            for chosen, what in _BESIDE_COEFFICIENTS
+            if not all(getattr(self.options, name) for name in chosen)
+        ]
+        latitude = self.site.latitude + found.information.latitude_correction()
+        if abs(latitude) < 0.5 * np.pi:
+            what = f"a latitude of {np.rad2deg(latitude):.3f} deg"
+            alternatives.insert(0, (replace(self, site=replace(self.site, latitude=latitude)), what))
+        for problem, what in alternatives:
             try:
-                other = replace(self, options=replace(self.options, **chosen)).solve()
+                other = problem.solve()
             except MeasurementError:
                 continue
             if other.fit.p_value >= MIN_P_VALUE or other.fit.chi2 < _OPPOSITE * found.fit.chi2:

@@ -29,6 +29,8 @@ from gyrobench.bench.navigation.error_model import Site
 BIAS_DRIFT = 0.1 * DPH_TO_RADPS / 3600.0
 #: Large attitude error at the start, rad.
 ATTITUDE_ERROR = 0.5
+#: Large error of the latitude, rad.
+_LATITUDE_ERROR = 0.1
 #: An unknown is observed if sizes ten times as large let its uncertainty grow by less than this.
 _MAX_GROWTH = 1.1
 #: Size of the accelerometers' scale factor errors where gravity stands in place of the vertical specific
@@ -159,6 +161,12 @@ class Information:
         _, wide = solve(rows, left, np.diag(np.where(is_size, 10.0, 1.0) * self.sizes))
         growth = np.sqrt(np.diag(wide) / np.diag(covariance))
         return centre + values, covariance, np.asarray(growth < _MAX_GROWTH)
+
+    def latitude_correction(self) -> float:
+        """What the data would add to the latitude if it were an unknown, rad."""
+        sizes = np.append(self.sizes, _LATITUDE_ERROR)
+        values, _ = solve(self.root[:, :-1], self.root[:, -1], np.diag(sizes))
+        return float(values[-1])
 
     def site_parts(self, site: Site, options: CalibrationOptions) -> Mapping[str, FloatArray]:
         """Covariances (21 + k, 21 + k) by what is assumed of place and time, which the residuals hardly show.

@@ -292,6 +292,14 @@ def test_a_misfit_is_stated_with_what_would_explain_it():
         calibrate([recorded((angle, bent * 1.0 + 4e-5 * velocity**2 / 0.05), 4)], SITE)
 
 
+@pytest.mark.parametrize("off_deg", [0.1, -0.1])
+def test_a_wrong_latitude_is_named_with_the_right_one(off_deg):
+    site, options = Site(SITE.latitude + np.deg2rad(off_deg)), CalibrationOptions(gravity=SITE.gravity)
+    (finding,) = calibrate([recorded(eighteen(), 2)], site, options).findings
+    latitude_deg = float(finding.partition("A latitude of ")[2].split()[0])
+    assert latitude_deg == pytest.approx(45.0, abs=0.02)
+
+
 def test_an_error_of_the_time_is_one_of_scale_factors():
     options = CalibrationOptions(scales_by_time=(3e-5, -3e-5))
     found, exact = (calibrate([recorded(eighteen(), 2)], SITE, each) for each in (options, None))
