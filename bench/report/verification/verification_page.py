@@ -101,15 +101,16 @@ def day_figure(result: VerificationResult) -> Figure:
     panels = figure.subplots(len(plateaus), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     for axes, plateau in zip(panels, plateaus, strict=True):
         for each, check in zip(result.results, plateau.checks, strict=True):
-            if check is not None and check.day is not None:
-                colour, line = STYLES[each.compensation]
-                axes.plot(
-                    check.day.error.time_s / 3600.0,
-                    check.day.error.distance_nmi,
-                    color=colour,
-                    linestyle=line,
-                    label=LABELS[each.compensation],
-                )
+            colour, line = STYLES[each.compensation]
+            error = check.day.error if check is not None and check.day is not None else None
+            # A run that lacks the day has an empty line, which keeps the order of the legend.
+            axes.plot(
+                [] if error is None else error.time_s / 3600.0,
+                [] if error is None else error.distance_nmi,
+                color=colour,
+                linestyle=line,
+                label=LABELS[each.compensation],
+            )
         noise_nmi = plateau.noise_row("position_nmi").position_noise_nmi
         axes.axhline(noise_nmi, color=_NOISE_COLOUR, linewidth=0.8, label="noise")
         axes.set_title(f"{plateau.known[0].gyro_c:.0f} °C", fontsize=9)

@@ -183,12 +183,13 @@ def degradation_sentences(result: VerificationResult) -> list[str]:
 
 
 def change_sentences(result: VerificationResult) -> list[str]:
-    """New conditions, uncertainty, the change of bias, spread, velocity and position, and notes."""
+    """New conditions, what runs lack, notes, uncertainty, and the change of each size."""
     totals = [each.total for each in result.results]
     last = totals[-1]
+    dwells = "all dwells" if len(totals) < 2 or result.is_complete else "the dwells compared"
     changes = [
         (
-            "Bias in deg/h, rms over all dwells, including the constant of the power cycle",
+            f"Bias in deg/h, rms over {dwells}, including the constant of the power cycle",
             [size_text(each.bias_rms_dph) for each in totals if each.bias_rms_dph >= 0.0],
             size_text(last.bias_noise_dph),
         ),
@@ -208,14 +209,19 @@ def change_sentences(result: VerificationResult) -> list[str]:
             f"{last.position_noise_nmi:.2f}",
         ),
     ]
-    sentences = [new_conditions_sentence(result), *fit_sentences(result)]
+    sentences = [
+        new_conditions_sentence(result),
+        *comparability_sentences(result),
+        *result.notes,
+        *fit_sentences(result),
+    ]
     for what, values, noise in changes:
         if len(values) == len(totals):
             steps = listed(
                 [f"{value} {with_text(each)}" for value, each in zip(values, result.results, strict=True)]
             )
             sentences.append(f"{what}: {steps}; noise {noise}.")
-    return [*sentences, *comparability_sentences(result), *result.notes]
+    return sentences
 
 
 def comparability_sentences(result: VerificationResult) -> list[str]:

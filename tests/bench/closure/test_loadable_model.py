@@ -155,7 +155,7 @@ def test_a_tied_effect_is_loaded_with_a_note():
     loadable = model_with_effects(replace(closure, effects=(tied,)))
     assert loadable.effects == ("g_sensitivity",)
     assert (
-        "g-sensitivity is loaded, but warm-up or time drift fits the data equally well" in loadable.notes[1]
+        "g-sensitivity is loaded, but warm up or time drift fits the data equally well" in loadable.notes[1]
     )
 
 
