@@ -243,14 +243,14 @@ def _verified(
 ) -> VerificationResult | None:
     """Verify the compensation for the effect that was found; None where that is not confirmed."""
     from gyrobench.bench.engine.investigation_runs import measure_verification, verification_runs
-    from gyrobench.bench.report.verification.verification_text import LABELS
     from gyrobench.bench.runs.folder import RunFolder
+    from gyrobench.bench.verification.compensation_verification import IN_WORDS
 
     campaign, folder = RunFolder(start.runs[0]), start.folder / "verification"
     runs = verification_runs(campaign, found.closure, procedure, start.job, folder)
-    what = " and ".join(LABELS[name] for name in runs.selected)
+    what = " and ".join(IN_WORDS[name] for name in runs.selected)
     hours = sum(runs.jobs[name].plan.duration_s for name in runs.selected) / 3600.0
-    consent.terminal.print(f"Verification in {hours:.1f} h, with {what}.")
+    consent.terminal.print(f"Verification in {hours:.1f} h, {what}.")
     missing = [name for name in runs.selected if not runs.is_finished(name)]
     return measure_verification(runs, observe) if not missing or consent.is_given() else None
 

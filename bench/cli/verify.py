@@ -142,8 +142,9 @@ def _measure(terminal: RunConsole, verification: VerificationRuns, name: str, vi
     """Run the procedure with one compensation; exits if the run does not finish."""
     from gyrobench.bench.monitor.terminal_view import observe_in_terminal
     from gyrobench.bench.report.run_report import write_report
+    from gyrobench.bench.verification.compensation_verification import IN_WORDS
 
-    terminal.print(f"Compensation: {name}", style="bold")
+    terminal.print(f"Run {IN_WORDS[name]}", style="bold")
     with observe_in_terminal(terminal, verification.jobs[name], view is View.LIVE) as (progress, operator):
         measured, outcome = verification.measure(name, progress, operator)
     write_report(measured)

@@ -14,6 +14,7 @@ from gyrobench.bench.closure.problem import DEGREE, SCALE_C
 from gyrobench.bench.closure.uncertainty import DRAWS, Draws
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.foundations.text import plain_name
 from gyrobench.drivers.ins.command_map import CORRECTION_DEGREE, NUMBERS, Compensation, Correction
 
 #: Terms that an INS has for other coefficients than the gyros' biases, as they are called for these.
@@ -51,7 +52,7 @@ def model_with_effects(closure: Closure) -> LoadableModel:
     """
     loaded, notes = [], [_constant_note(closure)]
     for found in closure.effects:
-        name = found.effect.name
+        name = found.effect.display_name
         terms = _terms(closure, found)
         if terms.left_out:
             notes.append(f"{name} is left out: {terms.left_out}")
@@ -59,14 +60,15 @@ def model_with_effects(closure: Closure) -> LoadableModel:
         unknown = sorted(terms.coefficients.keys() - set(NUMBERS))
         if unknown:
             raise MeasurementError(
-                f"the effect {name!r} is compensated by {', '.join(unknown)}, which no INS has. Report this "
-                "to the author of the effect"
+                f"the effect {found.effect.name!r} is compensated by {', '.join(unknown)}, which no INS has. "
+                "Report this to the author of the effect"
             )
         loaded.append(found)
         if terms.note:
             notes.append(f"{name} is {terms.note}")
         if found.tied_with:
-            notes.append(f"{name} is loaded, but {' or '.join(found.tied_with)} fits the data equally well")
+            rivals = " or ".join(map(closure.label, found.tied_with))
+            notes.append(f"{name} is loaded, but {rivals} fits the data equally well")
     coefficients = _with_terms(closure, closure.model.declared, [_terms(closure, each) for each in loaded])
     draws = closure.model_draws
 
@@ -90,22 +92,22 @@ def with_coefficients(model: LoadableModel, closures: Iterable[Closure], *, effe
         quantity, loaded = closure.quantity, []
         for found in closure.effects if effects else ():
             terms = _terms(closure, found)
-            name = f"{found.effect.name} in {quantity.name}"
+            label = f"{found.effect.display_name} in the {plain_name(quantity.name)}"
             is_gravity = found.effect.as_misalignment is not None or "gravity_dph_per_g" in terms.coefficients
             if is_gravity and any(
                 each.startswith(_SEEN_AS_GRAVITY.get(quantity.name, ())) for each in corrections
             ):
                 notes.append(
-                    f"the effect {name} is left out: scale factors and misalignments compensate it already"
+                    f"the effect {label} is left out: scale factors and misalignments compensate it already"
                 )
                 continue
             degree = terms.coefficients.get("polynomial_dph", np.zeros((3, 1))).shape[1] - 1
             if terms.left_out or terms.coefficients.keys() - _OF_OTHERS or degree > CORRECTION_DEGREE:
                 reason = terms.left_out or "the INS has no term for it there"
-                notes.append(f"the effect {name} is left out: {reason}")
+                notes.append(f"the effect {label} is left out: {reason}")
                 continue
             loaded.append(terms)
-            names.append(name)
+            names.append(f"{found.effect.name} in {quantity.name}")
         solution = (closure.model if effects else closure.declared).declared
         numbers = _with_terms(closure, solution, loaded)
         np.maximum.at(limit, list(quantity.sensors), numbers.get("rate_limit_c_per_h", np.zeros(3)))

@@ -28,6 +28,7 @@ from gyrobench.bench.engine.observers import RunObserver, RunOutcome
 from gyrobench.bench.engine.operator import Operator
 from gyrobench.bench.engine.run import run_or_resume
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
+from gyrobench.bench.foundations.text import agreeing, counted
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.runs.compensation_file import read_compensation
 from gyrobench.bench.runs.folder import RunFolder
@@ -43,15 +44,18 @@ from gyrobench.bench.runs.tables.coefficient_table import (
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.bench.verification.coefficient_verification import (
     CoefficientResult,
-    coefficient_result,
+    CoefficientRun,
+    compare_coefficients,
     corrections,
 )
 from gyrobench.bench.verification.compensation_verification import (
     DECLARED,
     EFFECT,
+    IN_WORDS,
     NONE,
+    MeasuredRun,
     VerificationResult,
-    compensation_result,
+    compare_runs,
 )
 from gyrobench.drivers.ins.command_map import Compensation
 
@@ -169,50 +173,68 @@ class VerificationRuns:
         draws = {DECLARED: self._closure.declared_draws, EFFECT: self._closure.model_draws}
         own = set(self._closure.names)
         fitted = {name: (draws[name], own.intersection(model.effects)) for name, model in self.models.items()}
-        first = next(iter(rows.values()))
+        most = max(rows.values(), key=len)  # a run may lack dwells
         site = self._job.station.site
+        coefficients = self._coefficients(measured, site)
         return VerificationResult(
             source=str(self._run.path),
             closure=self._closure,
             models=self.models,
-            results=tuple(
-                compensation_result(name, rows[name], check_dwells, site, fitted_c, fitted.get(name))
-                for name, (_, check_dwells) in measured.items()
+            results=compare_runs(
+                [
+                    MeasuredRun(name, rows[name], check_dwells, fitted.get(name))
+                    for name, (_, check_dwells) in measured.items()
+                ],
+                site,
+                fitted_c,
             ),
-            new_attitudes=_new_attitudes(read_dwells(self._run.dwells), first),
-            dwells=len(first),
+            new_attitudes=_new_attitudes(read_dwells(self._run.dwells), most),
+            dwells=len(most),
             is_same_seed=bool(self._job.emulated_world()),
-            notes=tuple(self._notes(rows)),
+            notes=tuple(self._notes(rows, has_coefficients=bool(coefficients))),
             searches=self.searches,
-            coefficients=tuple(self._coefficients(measured, site)),
+            coefficients=coefficients,
         )
 
-    def _coefficients(self, measured: Iterable[str], site: Site) -> Iterator[CoefficientResult]:
-        for name in measured if self._has_coefficients else ():
-            run = RunFolder(self.folder / name)
-            yield coefficient_result(name, _coefficients_of(run), read_correlations(run.correlations), site)
+    def _coefficients(self, measured: Iterable[str], site: Site) -> tuple[CoefficientResult, ...]:
+        if not self._has_coefficients:
+            return ()
+        folders = {name: RunFolder(self.folder / name) for name in measured}
+        runs = [
+            CoefficientRun(name, _coefficients_of(run), read_correlations(run.correlations))
+            for name, run in folders.items()
+        ]
+        return compare_coefficients(runs, site)
 
     def _read(self, name: str) -> _Measured:
         return replay(RunFolder(self.folder / name), measurement_setup(self.jobs[name].station))
 
-    def _notes(self, rows: Mapping[str, Sequence[DwellRow]]) -> Iterator[str]:
+    def _notes(self, rows: Mapping[str, Sequence[DwellRow]], *, has_coefficients: bool) -> Iterator[str]:
         units = {row.unit for row in read_dwells(self._run.dwells)}
         for name, measured in rows.items():
             others = {row.unit for row in measured} - units
             if others:
                 yield (
-                    f"The run {name} measured the unit {', '.join(sorted(others))}, but the model belongs to "
-                    f"{', '.join(sorted(units))}."
+                    f"The run {IN_WORDS[name]} measured the unit {', '.join(sorted(others))}, but the model "
+                    f"belongs to {', '.join(sorted(units))}."
                 )
             flagged = sum(bool(row.flags) for row in measured)
             if self._has_coefficients:
                 found = plateau_findings(read_coefficients(RunFolder(self.folder / name).coefficients))
-                yield from (f"In the run {name}: {each}" for each in found)
+                yield from (f"In the run {IN_WORDS[name]}: {each}" for each in found)
             if flagged:
-                yield f"In the run {name} {flagged} of {len(measured)} dwells have flags and are not used."
+                yield flags_note(name, flagged, len(measured))
+        if self._has_coefficients and not has_coefficients:
+            yield "No plateau has coefficients in all runs, so they are not compared."
         kept = _compensations_in_use(RunFolder(self.folder / NONE)) if NONE in rows else []
         if kept:
-            yield f"In the run {NONE} the INS applied a stored compensation ({', '.join(kept)})."
+            yield f"In the run {IN_WORDS[NONE]} the INS applied a stored compensation ({', '.join(kept)})."
+
+
+def flags_note(name: str, flagged: int, dwells: int) -> str:
+    """How many dwells of the run with a compensation have flags, at least one."""
+    verbs = agreeing(flagged, "has flags and is", "have flags and are")
+    return f"In the run {IN_WORDS[name]} {flagged} of {counted(dwells, 'dwell')} {verbs} not used."
 
 
 def new_emulation(run: RunFolder, world: str | None = None, seed: int | None = None) -> Emulation:

@@ -6,6 +6,9 @@ import difflib
 import math
 from collections.abc import Iterable, Sequence
 
+#: Smallest uncertainty that is written without a power of ten: with one or two digits in five decimals.
+_PLAIN_SIGMA = 1e-5
+
 
 def listed(texts: Sequence[str]) -> str:
     """Write some things as one: "a, b and c"."""
@@ -20,6 +23,11 @@ def plain_name(name: str) -> str:
 def counted(number: int, noun: str) -> str:
     """Write how many: "1 dwell", "2 dwells"."""
     return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+def agreeing(number: int, one: str, several: str) -> str:
+    """Write the form of a verb or noun that agrees with a number: "is" of one, "are" of several."""
+    return one if number == 1 else several
 
 
 def hours_minutes(time_s: float) -> str:
@@ -44,10 +52,16 @@ def decimals_of(sigma: float, most: int = 7) -> int:
 
 
 def with_sigma(value: float, sigma: float) -> str:
-    """Write a value with its standard uncertainty: "1.52 ± 0.08"; the value alone if that is not known."""
+    """Write a value with its standard uncertainty: "1.52 ± 0.08"; the value alone if that is not known.
+
+    Of small ones with a power of ten for both: "(-2.6 ± 3.0)e-8".
+    """
     if not 0.0 < sigma < math.inf:
         return f"{value:.3g}"
     decimals = decimals_of(sigma)
+    if sigma < _PLAIN_SIGMA:
+        exponent = math.floor(math.log10(max(abs(value), sigma)))
+        return f"({with_sigma(value / 10.0**exponent, sigma / 10.0**exponent)})e{exponent}"
     return f"{value:z.{decimals}f} ± {sigma:.{decimals}f}"
 
 

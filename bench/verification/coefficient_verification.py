@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ from gyrobench.bench.foundations.csv_tables import format_csv, write_text
 from gyrobench.bench.foundations.text import format_cell
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow
+from gyrobench.bench.verification.paired_plateaus import PlateauPlace, pair_places
 from gyrobench.drivers.ins.command_map import CORRECTION_DEGREE, Correction
 
 _NAMES = tuple(f"{each.name}_{each.axis}" for each in COEFFICIENTS)
@@ -29,9 +30,10 @@ MISSION_COLUMNS = (
 class PlateauMission:
     """Mission with the coefficients of one plateau."""
 
-    plateau: int  #: Its number.
+    plateau: int  #: Its number, the same in all runs.
     gyro_c: float  #: Mean temperature of the gyros.
     error: MissionError
+    is_in_all: bool = True  #: Whether all runs have the plateau.
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +42,7 @@ class CoefficientResult:
 
     compensation: str  #: As in a verification.
     #: rms, noise: Shape (21,), in the units of tables: of the values over the plateaus, and of their standard
-    #: uncertainties; NaN where not observable.
+    #: uncertainties, at the plateaus at which all runs have the coefficient; NaN where not observable.
     rms: FloatArray
     noise: FloatArray
     plateaus: FloatArray  #: Shape (21,). Number of plateaus with a value.
@@ -55,8 +57,9 @@ class CoefficientResult:
 
     @property
     def worst(self) -> PlateauMission:
-        """The plateau with the largest position error after a day."""
-        return max(self.missions, key=lambda each: float(each.error.stated_nmi[-1]))
+        """The plateau with the largest position error after a day, of those that all runs have."""
+        compared = [each for each in self.missions if each.is_in_all]
+        return max(compared, key=lambda each: float(each.error.stated_nmi[-1]))
 
 
 def corrections(rows: Iterable[PlateauCoefficientRow]) -> dict[str, Correction]:
@@ -79,28 +82,64 @@ def corrections(rows: Iterable[PlateauCoefficientRow]) -> dict[str, Correction]:
     return found
 
 
-def coefficient_result(
-    compensation: str,
-    rows: Sequence[PlateauCoefficientRow],
-    correlations: Mapping[int, FloatArray],
-    site: Site,
-) -> CoefficientResult:
-    """What is left of the coefficients with one compensation.
+@dataclass(frozen=True, eq=False)
+class CoefficientRun:
+    """Coefficients that one run measured."""
+
+    compensation: str  #: As in a verification.
+    rows: Sequence[PlateauCoefficientRow]
+    #: Shape (21, 21) by plateau, NaN where not observable: such a coefficient counts as zero and known in the
+    #: missions.
+    correlations: Mapping[int, FloatArray]
+
+
+def compare_coefficients(runs: Sequence[CoefficientRun], site: Site) -> tuple[CoefficientResult, ...]:
+    """What is left of the coefficients in each run, at the plateaus that all runs have; empty without any.
 
     Where plateaus have rotations, those without do not count: on a ramp a dwell may be one by itself, which
     hardly shows some of the coefficients.
-    ``correlations``: shape (21, 21) by plateau, NaN where not observable: such a coefficient counts as zero
-    and known in the missions.
     """
-    turned = {row.plateau for row in rows if np.isfinite(row.gyro_rate_c_per_h)}
-    rows = [row for row in rows if row.plateau in turned] or rows
-    by_name = _by_name(rows)
-    pairs = [
-        np.array([(row.value, row.sigma) for row in by_name[name] if np.isfinite(row.value)]).reshape(-1, 2)
-        for name in _NAMES
+    numbers = _joint_numbers(runs)
+    tables = [
+        [replace(row, plateau=of[row.plateau]) for row in _with_rotations(run.rows)]
+        for run, of in zip(runs, numbers, strict=True)
     ]
+    in_all = set.intersection(*({row.plateau for row in rows} for rows in tables))
+    if not in_all:
+        return ()
+    values = [
+        {(f"{row.coefficient}_{row.axis}", row.plateau): row for row in rows if np.isfinite(row.value)}
+        for rows in tables
+    ]
+    shared = set.intersection(*(set(each) for each in values))
+    results = []
+    for run, of, rows, mine in zip(runs, numbers, tables, values, strict=True):
+        pairs = [
+            np.array(
+                [(row.value, row.sigma) for key, row in mine.items() if key[0] == name and key in shared]
+            ).reshape(-1, 2)
+            for name in _NAMES
+        ]
+        correlations = {of[plateau]: each for plateau, each in run.correlations.items() if plateau in of}
+        results.append(
+            CoefficientResult(
+                run.compensation,
+                np.array([rms(each[:, 0]) for each in pairs]),
+                np.array([rms(each[:, 1]) for each in pairs]),
+                np.array([len(each) for each in pairs]),
+                tuple(_missions(rows, correlations, in_all, site)),
+            )
+        )
+    return tuple(results)
+
+
+def _missions(
+    rows: Sequence[PlateauCoefficientRow],
+    correlations: Mapping[int, FloatArray],
+    in_all: Collection[int],
+    site: Site,
+) -> Iterator[PlateauMission]:
     per_si = np.array([each.per_si for each in COEFFICIENTS])
-    missions = []
     for plateau in dict.fromkeys(row.plateau for row in rows):
         mine = {f"{row.coefficient}_{row.axis}": row for row in rows if row.plateau == plateau}
         values, sigmas = (
@@ -110,16 +149,47 @@ def coefficient_result(
         shared = np.where(
             np.eye(COUNT, dtype=bool), 1.0, np.nan_to_num(correlations.get(plateau, np.eye(COUNT)))
         )
-        gyro_c = np.mean([row.temperature_c for row in mine.values() if row.coefficient == "gyro_bias"])
         error = mission_error(values, shared * np.outer(sigmas, sigmas), site)
-        missions.append(PlateauMission(plateau, float(gyro_c), error))
-    return CoefficientResult(
-        compensation,
-        np.array([rms(each[:, 0]) for each in pairs]),
-        np.array([rms(each[:, 1]) for each in pairs]),
-        np.array([len(each) for each in pairs]),
-        tuple(missions),
-    )
+        yield PlateauMission(plateau, _gyro_c(mine.values()), error, plateau in in_all)
+
+
+def _with_rotations(rows: Sequence[PlateauCoefficientRow]) -> Sequence[PlateauCoefficientRow]:
+    """Rows of the plateaus with rotations; all rows if no plateau has any."""
+    turned = {row.plateau for row in rows if np.isfinite(row.gyro_rate_c_per_h)}
+    return [row for row in rows if row.plateau in turned] or rows
+
+
+def _joint_numbers(runs: Iterable[CoefficientRun]) -> list[dict[int, int]]:
+    """Number of each plateau that is the same in all runs, by its number in the run."""
+    by_plateau: list[dict[int, list[PlateauCoefficientRow]]] = []
+    for run in runs:
+        mine: dict[int, list[PlateauCoefficientRow]] = {}
+        for row in run.rows:
+            mine.setdefault(row.plateau, []).append(row)
+        by_plateau.append(mine)
+    places = [
+        [PlateauPlace(rows[0].cycle, rows[0].chamber_set_c, _gyro_c(rows)) for rows in mine.values()]
+        for mine in by_plateau
+    ]
+    return [
+        dict(zip(mine, numbers, strict=True))
+        for mine, numbers in zip(by_plateau, pair_places(places), strict=True)
+    ]
+
+
+def _gyro_c(rows: Iterable[PlateauCoefficientRow]) -> float:
+    return float(np.mean([row.temperature_c for row in rows if row.coefficient == "gyro_bias"]))
+
+
+def coefficient_result(
+    compensation: str,
+    rows: Sequence[PlateauCoefficientRow],
+    correlations: Mapping[int, FloatArray],
+    site: Site,
+) -> CoefficientResult:
+    """What is left of the coefficients in one run alone."""
+    [result] = compare_coefficients([CoefficientRun(compensation, rows, correlations)], site)
+    return result
 
 
 def _by_name(rows: Iterable[PlateauCoefficientRow]) -> dict[str, list[PlateauCoefficientRow]]:

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import astuple, dataclass, fields
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import astuple, dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -16,14 +16,15 @@ import numpy as np
 from scipy.stats import chi2, norm, studentized_range
 
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.bias.plateaus import group_plateaus, set_point_c
+from gyrobench.bench.bias.plateaus import set_point_c
 from gyrobench.bench.bias.statistics import weighted_mean
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.loadable_model import LoadableModel
 from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.closure.uncertainty import Draws
+from gyrobench.bench.closure.validation import LACK_OF_FIT_P
 from gyrobench.bench.dwells.check_dwell import CheckDwell
-from gyrobench.bench.foundations.arrays import FloatArray, rms
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms
 from gyrobench.bench.foundations.csv_tables import format_csv, write_text
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.text import format_cell
@@ -39,6 +40,7 @@ from gyrobench.bench.navigation.rotational_ins import (
     rotate_for,
 )
 from gyrobench.bench.verification.coefficient_verification import CoefficientResult
+from gyrobench.bench.verification.paired_plateaus import in_all, pair_dwells
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,18 +75,21 @@ def check_residuals(
     ``rows``: biases with the compensation that the INS applies. ``check_dwells``: navigations straight from
     an alignment.
     """
-    measured: list[DwellRow | CheckDwell] = [each for each in rows if not each.flags]
-    measured += [each for each in check_dwells if not each.flags]
-    plateaus = group_plateaus(sorted(measured, key=lambda each: each.dwell))
-    return [_check(plateau, site) for plateau in plateaus]
+    measured: list[_Dwell] = [*rows, *check_dwells]
+    return [_check(plateau, {each.dwell for each in plateau}, site) for [plateau] in pair_dwells([measured])]
 
 
-def _check(plateau: Sequence[DwellRow | CheckDwell], site: Site) -> ResidualCheck:
-    rows = [each for each in plateau if isinstance(each, DwellRow)]
-    check_dwells = [each for each in plateau if isinstance(each, CheckDwell)]
-    measured_c = [each.gyro_c for each in rows or check_dwells]
+_Dwell = DwellRow | CheckDwell
+
+
+def _check(plateau: Sequence[_Dwell], compared: Collection[int], site: Site) -> ResidualCheck:
+    """Check one plateau by the dwells that other runs have too; a day takes all, to have six positions."""
+    measured = _biases(plateau)
+    measured_c = [each.gyro_c for each in measured or plateau]
+    all_six = {row.position for row in measured} == POSITIONS.keys()
+    rows = [each for each in measured if each.dwell in compared]
+    check_dwells = [each for each in plateau if isinstance(each, CheckDwell) and each.dwell in compared]
     biases, sigmas = ([getattr(row, name) for row in rows] for name in ("bias_dph", "sigma_dph"))
-    all_six = {row.position for row in rows} == POSITIONS.keys()
     return ResidualCheck(
         cycle=plateau[0].cycle,
         chamber_set_c=set_point_c(plateau[0]),
@@ -96,8 +101,12 @@ def _check(plateau: Sequence[DwellRow | CheckDwell], site: Site) -> ResidualChec
         spread_noise_dph=_spread_noise(rows),
         velocity_east_mps=max(map(_largest_velocity_east, check_dwells), default=math.nan),
         velocity_noise_mps=_velocity_noise(check_dwells, site),
-        day=day_of_navigation(rows, site) if all_six else None,
+        day=day_of_navigation(measured, site) if all_six else None,
     )
+
+
+def _biases(plateau: Iterable[_Dwell]) -> list[DwellRow]:
+    return [each for each in plateau if isinstance(each, DwellRow)]
 
 
 def _velocity_noise(check_dwells: Sequence[CheckDwell], site: Site) -> float:
@@ -205,6 +214,8 @@ def _responses(site: Site, scheme: RotationScheme) -> FloatArray:
 
 #: The compensations, in this order.
 NONE, DECLARED, EFFECT = "none", "declared", "effect"
+#: A run with each of them, in a sentence.
+IN_WORDS = {NONE: "without compensation", DECLARED: "with the declared model", EFFECT: "with the effects"}
 #: Largest difference from a fitted dwell at which a gyro temperature counts as fitted, K.
 FITTED_WITHIN_K = 2.5
 #: Number of the row for all plateaus.
@@ -219,7 +230,9 @@ class VerificationRow:
     """
 
     compensation: str  #: :data:`NONE`, :data:`DECLARED` or :data:`EFFECT`.
-    #: Number of the plateau, from 1 (column ``stop``); 0 for all: rms over all dwells, otherwise maximum.
+    #: Number of the plateau, from 1 (column ``stop``), the same in all runs: one that a run lacks has no row.
+    #: 0 for all: rms over all dwells that each run has, otherwise the maximum over the plateaus at which each
+    #: run has a value.
     plateau: int
     #: cycle, chamber_set_c, gyro_c: Of the plateau, with the mean gyro temperature; None for all.
     cycle: int | None
@@ -227,11 +240,13 @@ class VerificationRow:
     gyro_c: float | None
     #: Position of the temperature relative to the fit: "fitted", "between" or "outside"; empty for all.
     fit: str
-    dwells: int  #: Number of biases per gyro.
+    dwells: int  #: Number of biases per gyro; only those of dwells that the other runs have too.
     #: bias_rms_dph, bias_noise_dph: Rms of all gyros, including the constant of the power cycle.
     bias_rms_dph: float
     bias_noise_dph: float
-    varying_rms_dph: float  #: The same without each gyro's mean over the run, which includes the constant.
+    #: The same without each gyro's mean over the run, which includes the constant: over the dwells that each
+    #: run has.
+    varying_rms_dph: float
     varying_p_value: float  #: p-value of the varying bias, for all plateaus; NaN for one.
     #: spread_dph, spread_noise_dph, velocity_east_mps, velocity_noise_mps: See
     #: :class:`gyrobench.bench.verification.compensation_verification.ResidualCheck`.
@@ -260,6 +275,27 @@ class CompensationResult:
 
 
 @dataclass(frozen=True, eq=False)
+class PairedPlateau:
+    """One plateau in all runs."""
+
+    number: int  #: From 1, as in the rows.
+    #: rows, checks: Of each run, in the order of the runs; None where a run lacks the plateau.
+    rows: tuple[VerificationRow | None, ...]
+    checks: tuple[ResidualCheck | None, ...]
+
+    @property
+    def known(self) -> tuple[VerificationRow, ...]:
+        """Rows of the runs that have the plateau, at least one."""
+        return tuple(row for row in self.rows if row is not None)
+
+    def noise_row(self, size: str) -> VerificationRow:
+        """Row with the noise of a size: of the last run that has the size, else of the last one."""
+        return next(
+            (row for row in reversed(self.known) if not math.isnan(getattr(row, size))), self.known[-1]
+        )
+
+
+@dataclass(frozen=True, eq=False)
 class VerificationResult:
     """Residual bias in new measurements with each compensation derived from a campaign."""
 
@@ -278,6 +314,96 @@ class VerificationResult:
     #: Coefficients with each compensation; empty if they were not asked for.
     coefficients: tuple[CoefficientResult, ...] = ()
 
+    @property
+    def plateaus(self) -> tuple[PairedPlateau, ...]:
+        """Plateaus that any run has, in the order of the plan."""
+        rows = [{row.plateau: row for row in each.rows} for each in self.results]
+        checks = [
+            {row.plateau: check for row, check in zip(each.rows, each.plateaus, strict=True)}
+            for each in self.results
+        ]
+        return tuple(
+            PairedPlateau(
+                number, tuple(each.get(number) for each in rows), tuple(each.get(number) for each in checks)
+            )
+            for number in sorted({number for each in rows for number in each})
+        )
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether all dwells are valid in all runs, and each has the same sizes at each plateau."""
+        return all(each.total.dwells == self.dwells for each in self.results) and all(
+            len({row is not None and math.isfinite(getattr(row, size)) for row in plateau.rows}) == 1
+            for plateau in self.plateaus
+            for size in ("bias_rms_dph", "spread_dph", "velocity_east_mps", "position_nmi")
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredRun:
+    """What one run of a verification measured."""
+
+    compensation: str  #: :data:`NONE`, :data:`DECLARED` or :data:`EFFECT`.
+    dwells: Sequence[DwellRow]
+    check_dwells: Sequence[CheckDwell]
+    #: Draws of the model that was loaded, and the effects that the INS subtracts; None without one.
+    model: tuple[Draws, Collection[str]] | None = None
+
+
+def compare_runs(
+    runs: Sequence[MeasuredRun], site: Site, fitted_c: FloatArray
+) -> tuple[CompensationResult, ...]:
+    """Residual bias in each run of a verification, by what is comparable.
+
+    A dwell with flags in one run counts in none, unless that run has no dwell at its plateau: the others keep
+    their values there, and all plateaus together are those at which each run has a value. A day needs all
+    six positions, so it takes all dwells of its run. ``fitted_c``: shape (n, 3), temperatures of the gyros in
+    the dwells that the model was fitted to.
+    """
+    dwells: list[list[_Dwell]] = [[*run.dwells, *run.check_dwells] for run in runs]
+    plateaus = pair_dwells(dwells)
+    numbers = [[{row.dwell for row in _biases(each)} for each in plateau] for plateau in plateaus]
+    compared = [
+        in_all(biases)
+        | in_all([[each.dwell for each in one if isinstance(each, CheckDwell)] for one in plateau])
+        for biases, plateau in zip(numbers, plateaus, strict=True)
+    ]
+    everywhere = {
+        dwell for biases, some in zip(numbers, compared, strict=True) if all(biases) for dwell in some
+    }
+    measured = [
+        _measured_rows(index, run, plateaus, compared, everywhere, site, fitted_c)
+        for index, run in enumerate(runs)
+    ]
+    rows = [each.rows for each in measured]
+    return tuple(replace(each, total=_with_largest(each.total, each.rows, rows)) for each in measured)
+
+
+def _measured_rows(
+    index: int,
+    run: MeasuredRun,
+    plateaus: Sequence[Sequence[Sequence[_Dwell]]],
+    compared: Sequence[Collection[int]],
+    everywhere: Collection[int],
+    site: Site,
+    fitted_c: FloatArray,
+) -> CompensationResult:
+    """Rows of one run; that of all plateaus without its maxima."""
+    good = [row for row in run.dwells if not row.flags]
+    counts = np.array([row.dwell in everywhere for row in good], dtype=bool)
+    varying = _varying(good, np.array([row.bias_dph for row in good]).reshape(-1, 3), counts)
+    roots = _uncertainty(good, run.model, counts)
+    checks, rows = [], []
+    for number, (plateau, some) in enumerate(zip(plateaus, compared, strict=True), start=1):
+        if plateau[index]:
+            check = _check(plateau[index], some, site)
+            mine = [row.dwell in check.dwells for row in good]
+            checks.append(check)
+            rows.append(_row(run.compensation, number, check, varying[mine], roots[:, mine], fitted_c))
+    chosen = [row for row, counted in zip(good, counts, strict=True) if counted]
+    total = _total(run.compensation, chosen, varying[counts], roots[:, counts])
+    return CompensationResult(run.compensation, tuple(checks), tuple(rows), total)
+
 
 def compensation_result(
     compensation: str,
@@ -287,7 +413,7 @@ def compensation_result(
     fitted_c: FloatArray,
     model: tuple[Draws, Collection[str]] | None = None,
 ) -> CompensationResult:
-    """Residual bias with one compensation, without flagged dwells.
+    """Residual bias of one run alone, without flagged dwells.
 
     Parameters
     ----------
@@ -298,16 +424,20 @@ def compensation_result(
     model : tuple of Draws and names, optional
         Draws of the model that was loaded, and the effects that the INS subtracts.
     """
-    good = [row for row in dwells if not row.flags]
-    plateaus = check_residuals(good, verifications, site)
-    varying = _varying(good, np.array([row.bias_dph for row in good]).reshape(-1, 3))
-    roots = _uncertainty(good, model)
-    rows = []
-    for number, plateau in enumerate(plateaus, start=1):
-        mine = [row.dwell in plateau.dwells for row in good]
-        rows.append(_row(compensation, number, plateau, varying[mine], roots[:, mine], fitted_c))
-    total = _total(compensation, rows, good, varying, roots)
-    return CompensationResult(compensation, tuple(plateaus), tuple(rows), total)
+    run = MeasuredRun(compensation, tuple(dwells), tuple(verifications), model)
+    [result] = compare_runs([run], site, fitted_c)
+    return result
+
+
+def is_worse(after: VerificationRow, before: VerificationRow) -> bool:
+    """Whether the varying bias over all plateaus is larger than in another run, by more than the noise.
+
+    Over the noise, each sum of squares has a noncentral chi2 distribution.
+    """
+    numbers = 3 * after.dwells
+    sums = np.array([numbers * (each.varying_rms_dph / each.bias_noise_dph) ** 2 for each in (after, before)])
+    sigma = math.sqrt(np.sum(2.0 * numbers + 4.0 * np.maximum(sums - numbers, 0.0)))
+    return bool(sigma > 0.0 and norm.sf((sums[0] - sums[1]) / sigma) < LACK_OF_FIT_P)
 
 
 #: Columns of the table; the number of the plateau is in ``stop``.
@@ -326,18 +456,24 @@ def write_verification_table(path: Path, results: Iterable[CompensationResult]) 
     write_text(path, format_csv(COLUMNS, map(list, rows)))
 
 
-def _varying(rows: Sequence[DwellRow], bias_dph: FloatArray) -> FloatArray:
-    """Biases (..., n, 3) minus each gyro's weighted mean in its power cycle."""
+def _varying(rows: Sequence[DwellRow], bias_dph: FloatArray, counts: BoolArray) -> FloatArray:
+    """Biases (..., n, 3) minus each gyro's weighted mean in its power cycle.
+
+    ``counts``: shape (n,), which dwells are in the mean; all of a power cycle if none of it are.
+    """
     varying = bias_dph.copy()
     weights = np.array([row.sigma_dph for row in rows]).reshape(-1, 3) ** -2.0
     for run in {row.run for row in rows}:
-        mine = [row.run == run for row in rows]
-        means = (weights[mine] * varying[..., mine, :]).sum(axis=-2) / weights[mine].sum(axis=0)
+        mine = np.array([row.run == run for row in rows], dtype=bool)
+        averaged = mine & counts if (mine & counts).any() else mine
+        means = (weights[averaged] * varying[..., averaged, :]).sum(axis=-2) / weights[averaged].sum(axis=0)
         varying[..., mine, :] -= means[..., np.newaxis, :]
     return varying
 
 
-def _uncertainty(rows: Sequence[DwellRow], model: tuple[Draws, Collection[str]] | None) -> FloatArray:
+def _uncertainty(
+    rows: Sequence[DwellRow], model: tuple[Draws, Collection[str]] | None, counts: BoolArray
+) -> FloatArray:
     """Varying bias (N, n, 3) of draws of a compensation; the sum of their squares is its variance.
 
     None (N = 0) without a compensation, or where temperatures are missing that the model needs.
@@ -352,7 +488,7 @@ def _uncertainty(rows: Sequence[DwellRow], model: tuple[Draws, Collection[str]] 
     if len(campaign) < len(rows):
         return np.zeros((0, len(rows), 3))
     order = np.argsort(np.argsort([row.start_s for row in rows], kind="stable"))
-    varying = _varying(rows, draws.bias_dph(campaign, effects)[:, order])
+    varying = _varying(rows, draws.bias_dph(campaign, effects)[:, order], counts)
     return np.asarray((varying - varying.mean(axis=0)) / math.sqrt(len(varying)))
 
 
@@ -392,17 +528,11 @@ def _row(
 
 
 def _total(
-    compensation: str,
-    rows: Sequence[VerificationRow],
-    good: Sequence[DwellRow],
-    varying: FloatArray,
-    roots: FloatArray,
+    compensation: str, compared: Sequence[DwellRow], varying: FloatArray, roots: FloatArray
 ) -> VerificationRow:
-    sigma = np.array([row.sigma_dph for row in good]).reshape(-1, 3)
-    dof = varying.size - varying.shape[1] * len({row.run for row in good})
-    spread, spread_noise = _largest(rows, lambda row: (row.spread_dph, row.spread_noise_dph))
-    velocity, velocity_noise = _largest(rows, lambda row: (row.velocity_east_mps, row.velocity_noise_mps))
-    position, position_noise = _largest(rows, lambda row: (row.position_nmi, row.position_noise_nmi))
+    """All plateaus together, without the maxima over them."""
+    sigma = np.array([row.sigma_dph for row in compared]).reshape(-1, 3)
+    dof = varying.size - varying.shape[1] * len({row.run for row in compared})
     return VerificationRow(
         compensation=compensation,
         plateau=ALL_PLATEAUS,
@@ -410,17 +540,17 @@ def _total(
         chamber_set_c=None,
         gyro_c=None,
         fit="",
-        dwells=len(good),
-        bias_rms_dph=rms(np.array([row.bias_dph for row in good])),
+        dwells=len(compared),
+        bias_rms_dph=rms(np.array([row.bias_dph for row in compared])),
         bias_noise_dph=rms(sigma),
         varying_rms_dph=rms(varying),
         varying_p_value=float(chi2.sf(np.sum((varying / sigma) ** 2), dof)) if dof > 0 else math.nan,
-        spread_dph=spread,
-        spread_noise_dph=spread_noise,
-        velocity_east_mps=velocity,
-        velocity_noise_mps=velocity_noise,
-        position_nmi=position,
-        position_noise_nmi=position_noise,
+        spread_dph=math.nan,
+        spread_noise_dph=math.nan,
+        velocity_east_mps=math.nan,
+        velocity_noise_mps=math.nan,
+        position_nmi=math.nan,
+        position_noise_nmi=math.nan,
         compensation_sigma_dph=_sigma_dph(roots),
         agreement_p_value=_agreement(varying / sigma, roots / sigma, dof) if len(roots) else math.nan,
     )
@@ -435,12 +565,35 @@ def _agreement(varying: FloatArray, roots: FloatArray, dof: int) -> float:
     return float(chi2.sf(varying.ravel() @ np.linalg.solve(covariance, varying.ravel()), dof))
 
 
-def _largest(
-    rows: Sequence[VerificationRow], of: Callable[[VerificationRow], tuple[float, float]]
-) -> tuple[float, float]:
-    """Largest value with its noise; both NaN without any."""
-    known = [of(row) for row in rows if not math.isnan(of(row)[0])]
-    return max(known, default=(math.nan, math.nan))
+def _with_largest(
+    total: VerificationRow, rows: Sequence[VerificationRow], runs: Sequence[Sequence[VerificationRow]]
+) -> VerificationRow:
+    """Total with the largest sizes of a run, over the plateaus at which all runs have a value.
+
+    Each comes with the noise of its plateau; both stay NaN without any.
+    """
+
+    def largest(size: str, noise: str) -> tuple[float, float]:
+        known = [{row.plateau for row in run if not math.isnan(getattr(row, size))} for run in runs]
+        pairs = [
+            (float(getattr(row, size)), float(getattr(row, noise)))
+            for row in rows
+            if row.plateau in set.intersection(*known)
+        ]
+        return max(pairs, default=(math.nan, math.nan))
+
+    spread, spread_noise = largest("spread_dph", "spread_noise_dph")
+    velocity, velocity_noise = largest("velocity_east_mps", "velocity_noise_mps")
+    position, position_noise = largest("position_nmi", "position_noise_nmi")
+    return replace(
+        total,
+        spread_dph=spread,
+        spread_noise_dph=spread_noise,
+        velocity_east_mps=velocity,
+        velocity_noise_mps=velocity_noise,
+        position_nmi=position,
+        position_noise_nmi=position_noise,
+    )
 
 
 def _fit(gyro_c: float, fitted_c: FloatArray) -> str:

@@ -375,6 +375,6 @@ def _as_polynomial(fitted: FittedForm) -> InsTerms:
     coefficients = np.array([np.pad(each.coef, (0, degree + 1 - len(each.coef))) for each in fits])
     left = part_dph - np.stack([fit(each) for fit, each in zip(fits, gyro_c.T, strict=True)], axis=1)
     note = (
-        f"compensated by a polynomial of degree {degree}, which misses {np.sqrt(np.mean(left**2)):.2g} deg/h"
+        f"compensated by a polynomial of degree {degree}, which leaves {np.sqrt(np.mean(left**2)):.2g} deg/h"
     )
     return InsTerms({"polynomial_dph": coefficients}, note=f"{note} rms of it")

@@ -119,7 +119,7 @@ def _as_one_width(fitted: FittedForm) -> InsTerms:
     sizes_dph = fitted.sizes_dph * shares[:, np.newaxis]
     missed_dph = rms(many * fitted.sizes_dph[:, 0] - one * sizes_dph[:, 0])
     terms = ins_terms(one_width, replace(fitted, form=THERMAL_HYSTERESIS.forms[0], sizes_dph=sizes_dph))
-    note = f"compensated by play of one width, which misses {missed_dph:.2g} deg/h rms of it"
+    note = f"compensated as play of a single width, which leaves {missed_dph:.2g} deg/h rms of it"
     return replace(terms, note=note)
 
 

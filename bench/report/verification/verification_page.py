@@ -17,7 +17,7 @@ from gyrobench.bench.calibration.mission import HOURS
 from gyrobench.bench.closure.loadable_model import LoadableModel
 from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.foundations.files import file_sha256
-from gyrobench.bench.foundations.text import counted, hours_minutes, listed, plain_name
+from gyrobench.bench.foundations.text import agreeing, counted, hours_minutes, listed, plain_name
 from gyrobench.bench.report.closure.closure_text import searched_name, verdict_sentence
 from gyrobench.bench.report.figures.style import common_legend, house_style, new_figure, say_empty
 from gyrobench.bench.report.page import Box, Findings, Section, SectionFigure, SectionTable, write_findings
@@ -43,6 +43,7 @@ from gyrobench.bench.runs.provenance import watermark_of
 from gyrobench.bench.verification.compensation_verification import (
     DECLARED,
     EFFECT,
+    IN_WORDS,
     NONE,
     VerificationResult,
     VerificationRow,
@@ -82,7 +83,7 @@ def residual_bars_figure(result: VerificationResult) -> Figure:
 
 def _measured_panels(result: VerificationResult) -> list[_Panel]:
     """The sizes that were measured; the first one if none was."""
-    rows = result.results[0].rows
+    rows = [row for each in result.results for row in each.rows]
     return [each for each in _PANELS if any(math.isfinite(getattr(row, each[2])) for row in rows)] or [
         _PANELS[0]
     ]
@@ -95,58 +96,56 @@ def _has_day(result: VerificationResult) -> bool:
 @house_style
 def day_figure(result: VerificationResult) -> Figure:
     """Draw the position error over a day for each plateau with all six positions, of which there is one."""
-    plateaus = [
-        (rows, days)
-        for rows, days in zip(
-            zip(*(each.rows for each in result.results), strict=False),
-            zip(*((plateau.day for plateau in each.plateaus) for each in result.results), strict=False),
-            strict=True,
-        )
-        if any(days)
-    ]
+    plateaus = [each for each in result.plateaus if any(check and check.day for check in each.checks)]
     figure = new_figure(1.0 + 1.7 * len(plateaus), hspace=0.2)
     panels = figure.subplots(len(plateaus), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
-    for axes, (rows, days) in zip(panels, plateaus, strict=True):
-        for row, day in zip(rows, days, strict=True):
-            if day is not None:
-                colour, line = STYLES[row.compensation]
-                axes.plot(
-                    day.error.time_s / 3600.0,
-                    day.error.distance_nmi,
-                    color=colour,
-                    linestyle=line,
-                    label=LABELS[row.compensation],
-                )
-        axes.axhline(rows[-1].position_noise_nmi, color=_NOISE_COLOUR, linewidth=0.8, label="noise")
-        axes.set_title(f"{rows[0].gyro_c:.0f} °C", fontsize=9)
+    for axes, plateau in zip(panels, plateaus, strict=True):
+        for each, check in zip(result.results, plateau.checks, strict=True):
+            colour, line = STYLES[each.compensation]
+            error = check.day.error if check is not None and check.day is not None else None
+            # A run that lacks the day has an empty line, which keeps the order of the legend.
+            axes.plot(
+                [] if error is None else error.time_s / 3600.0,
+                [] if error is None else error.distance_nmi,
+                color=colour,
+                linestyle=line,
+                label=LABELS[each.compensation],
+            )
+        noise_nmi = plateau.noise_row("position_nmi").position_noise_nmi
+        axes.axhline(noise_nmi, color=_NOISE_COLOUR, linewidth=0.8, label="noise")
+        axes.set_title(f"{plateau.known[0].gyro_c:.0f} °C", fontsize=9)
         axes.set_ylabel("distance / nmi")
     panels[-1].set_xlabel("time / h")
     panels[-1].set_xlim(0.0, 24.0)
     panels[-1].set_xticks(np.arange(0, 25, 4))
     panels[-1].set_ylim(bottom=0.0)
-    common_legend(figure, panels[:1])
+    common_legend(figure, panels)
     return figure
 
 
 def _bars(axes: Axes, result: VerificationResult, size: str, noise: str, factor: float) -> None:
-    rows = [row for row in result.results[0].rows if not math.isnan(getattr(row, size))]
-    shown = [row.plateau for row in rows]
-    if not rows:
+    plateaus = [
+        each for each in result.plateaus if any(math.isfinite(getattr(row, size)) for row in each.known)
+    ]
+    if not plateaus:
         say_empty(axes, "not measured")
         return
-    places = np.arange(len(rows))
+    places = np.arange(len(plateaus))
     width = _GROUP_WIDTH / len(result.results)
     for number, each in enumerate(result.results):
-        values = [factor * getattr(row, size) for row in each.rows if row.plateau in shown]
+        mine = [plateau.rows[number] for plateau in plateaus]
+        # Without a value there is no bar: one of height NaN is not drawn.
+        values = [math.nan if row is None else factor * getattr(row, size) for row in mine]
         offset = (number - 0.5 * (len(result.results) - 1)) * width
         axes.bar(
-            places[: len(values)] + offset,
+            places + offset,
             values,
             0.92 * width,
             color=STYLES[each.compensation][0],
             label=LABELS[each.compensation],
         )
-    noises = [factor * getattr(row, noise) for row in rows]
+    noises = [factor * getattr(plateau.noise_row(size), noise) for plateau in plateaus]
+    rows = [plateau.known[0] for plateau in plateaus]
     axes.hlines(
         noises,
         places - 0.5 * _GROUP_WIDTH,
@@ -178,6 +177,10 @@ _DAY = (
     "black line is the largest error expected from the measurement noise alone."
 )
 _TOTAL = "All plateaus: rms of bias and varying bias, otherwise the maximum; {}"
+_TOTAL_OF_SOME = (
+    "All plateaus: rms of bias and varying bias over the dwells that are valid in all runs, otherwise the "
+    "maximum over the plateaus with a value in all runs; {}"
+)
 _NUMBERS = (
     "Numbers of the compensation and their standard uncertainties, by gyro, as in compensation.yaml. Those "
     "of one gyro are correlated: the uncertainty of what is subtracted is stated under Residual."
@@ -331,7 +334,8 @@ def _coefficient_parts(result: VerificationResult) -> list[Section]:
 def verification_sections(result: VerificationResult) -> list[Section]:
     """Compensations, residual, a day of a rotational INS, definitions."""
     units, heads = size_units(result), size_heads(result)
-    totals = SectionTable(_TOTAL.format(units), ["compensation", *heads], total_rows(result))
+    total = _TOTAL if result.is_complete or len(result.results) < 2 else _TOTAL_OF_SOME
+    totals = SectionTable(total.format(units), ["compensation", *heads], total_rows(result))
     plateaus = SectionTable(
         _PLATEAUS.format(units), ["°C", "cycle", "fit", "compensation", *heads], plateau_rows(result), words=4
     )
@@ -383,13 +387,13 @@ def write_verification_page(folder: Path, result: VerificationResult, dwells: Pa
 
 def _facts(result: VerificationResult) -> dict[str, str]:
     closure = result.closure
-    measured = [LABELS[each.compensation] for each in result.results]
+    measured = [with_text(each) for each in result.results]
     others = {f"search, {searched_name(each)}": _verdict(each) for each in result.searches}
     return {
         f"search, {searched_name(closure)}" if others else "search": _verdict(closure),
         **others,
         "compensations": f"{counted(len(measured), 'run')}: {listed(measured)}",
-        "dwells": f"{result.dwells} per run, at {counted(len(result.results[0].rows), 'plateau')}",
+        "dwells": f"{result.dwells} per run, at {counted(len(result.plateaus), 'plateau')}",
     }
 
 
@@ -410,10 +414,11 @@ def verification_plan(
     """
     sentences = model_sentences(closure, models, searches)
     if missing:
-        runs = (
-            f"{hours_minutes(len(missing) * run_s)} h in total: {listed([LABELS[name] for name in missing])}"
+        total = f", {hours_minutes(len(missing) * run_s)} h in total" if missing[1:] else ""
+        verb, names = agreeing(len(missing), "remains", "remain"), [IN_WORDS[name] for name in missing]
+        sentences.append(
+            f"{counted(len(missing), 'run')} of {hours_minutes(run_s)} h {verb}{total}: {listed(names)}."
         )
-        sentences.append(f"{counted(len(missing), 'run')} of {hours_minutes(run_s)} h remaining, {runs}.")
     else:
         sentences.append("All runs are complete.")
     boxes = [

@@ -10,22 +10,26 @@ from gyrobench.bench.closure.loadable_model import LoadableModel
 from gyrobench.bench.closure.loop import NOT_SEARCHED
 from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.closure.validation import LACK_OF_FIT_P
-from gyrobench.bench.foundations.text import listed
+from gyrobench.bench.foundations.text import agreeing, counted, listed, with_sigma
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.report.closure.closure_text import found_labels, p_phrase, size_text
 from gyrobench.bench.verification.coefficient_verification import CoefficientResult
 from gyrobench.bench.verification.compensation_verification import (
     DECLARED,
     EFFECT,
+    IN_WORDS,
     NONE,
     CompensationResult,
+    PairedPlateau,
     VerificationResult,
     VerificationRow,
+    is_worse,
 )
 from gyrobench.drivers.ins.command_map import NUMBERS
 
 #: The compensations as displayed.
 LABELS = {NONE: "none", DECLARED: "declared", EFFECT: "with effect"}
+_MODELS = {DECLARED: "The declared model", EFFECT: "The model with the effects"}
 #: Judgements of a verification.
 CONFIRMED, IMPROVED, NOT_CONFIRMED, INCONCLUSIVE = "confirmed", "improved", "not confirmed", "inconclusive"
 
@@ -46,6 +50,10 @@ _DAY = (
     "24 h is the largest position error within a day at rest of a dual-axis rotational INS with these "
     "biases. It turns through all six positions, each at two azimuths half a turn apart, with rests of 3 min."
 )
+_DO_NOT_LOAD = {
+    DECLARED: "do not load this model alone, it makes this unit worse",
+    EFFECT: "do not load this model, it makes this unit worse",
+}
 _SAME_SEED = (
     "All runs had the same emulated world and seed, different from the campaign: they have the same "
     "constants of the power cycle, and the same noise as long as their times agree."
@@ -90,7 +98,7 @@ def number_rows(models: Mapping[str, LoadableModel]) -> list[list[str]]:
         for index, (values, sigmas) in enumerate(lines):
             which = f", T^{index}" if name == "polynomial_dph" else f", {AXES[index]}" if lines[1:] else ""
             pairs = zip(values, sigmas, strict=True)
-            rows.append([name + which, *(f"{value:.3g} ± {sigma:.2g}" for value, sigma in pairs)])
+            rows.append([name + which, *(with_sigma(float(value), float(sigma)) for value, sigma in pairs)])
     return rows
 
 
@@ -103,7 +111,9 @@ def outcome(result: VerificationResult) -> str:
         if not last.ratio < first.ratio:
             return NOT_CONFIRMED
         return CONFIRMED if last.ratio < _NOISE_OF_BOTH else IMPROVED
-    before, after = result.results[-2:]
+    before, after = _best_before(result), result.results[-1]
+    if not after.total.dwells:
+        return INCONCLUSIVE
     is_noise = after.total.varying_p_value >= LACK_OF_FIT_P
     if is_noise and before.total.varying_p_value >= LACK_OF_FIT_P:
         return INCONCLUSIVE
@@ -112,45 +122,74 @@ def outcome(result: VerificationResult) -> str:
     return CONFIRMED if is_noise else IMPROVED
 
 
+def _best_before(result: VerificationResult) -> CompensationResult:
+    """The run with the smallest varying bias before the last one: without compensation, or with less."""
+    return min(result.results[:-1], key=lambda each: each.total.varying_rms_dph)
+
+
 def outcome_sentence(result: VerificationResult) -> str:
     """The values behind the judgement."""
     if len(result.results) < 2:
-        label = LABELS[result.results[0].compensation]
-        return f"Only one compensation was measured ({label}). Measure another one to compare."
+        return f"Only the run {with_text(result.results[0])} was measured. Measure another one to compare."
     if result.coefficients:
         ratios = [
             f"{each.ratio:.{0 if each.ratio >= 10.0 else 1}f} {with_text(each)}"
             for each in result.coefficients
         ]
-        return (
+        ratio = (
             f"Coefficients but the gyros' biases, rms in times the noise of the measurement: "
             f"{listed(ratios)}; up to {_NOISE_OF_BOTH:.1f} is noise of measurement and compensation."
         )
-    before, after = result.results[-2:]
+        return " ".join([ratio, *degradation_sentences(result)])
+    after = result.results[-1]
+    if not after.total.dwells:
+        return "No dwell is valid in all runs, so the compensations can't be compared."
+    first, *others = [
+        f"{size_text(each.total.varying_rms_dph)} deg/h{{}} {with_text(each)}" for each in result.results
+    ]
     sizes = (
-        f"Varying bias: {size_text(before.total.varying_rms_dph)} deg/h rms {with_text(before)}, "
-        f"{size_text(after.total.varying_rms_dph)} deg/h {with_text(after)}; noise "
+        f"Varying bias: {', '.join([first.format(' rms'), *(each.format('') for each in others)])}; noise "
         f"{size_text(after.total.bias_noise_dph)} deg/h."
     )
+    return " ".join([sizes, *degradation_sentences(result), _judgement_sentence(result)])
+
+
+def _judgement_sentence(result: VerificationResult) -> str:
+    before, after = _best_before(result), result.results[-1]
     p = p_phrase(after.total.varying_p_value)
     match outcome(result):
         case "confirmed":
-            return f"{sizes} The residual is consistent with noise ({p})."
+            return f"The residual {with_text(after)} is consistent with noise ({p})."
         case "improved":
-            return f"{sizes} The residual exceeds the noise ({p})."
+            return f"The residual {with_text(after)} exceeds the noise ({p})."
         case "not confirmed":
-            return f"{sizes} The new measurements show no improvement."
+            return f"The new measurements show no improvement {with_text(after)}."
+        case _ if len(result.results) == 2:
+            return "Both residuals are consistent with noise."
         case _:
-            return f"{sizes} Both residuals are consistent with noise."
+            return f"The residuals {with_text(before)} and {with_text(after)} are consistent with noise."
+
+
+def degradation_sentences(result: VerificationResult) -> list[str]:
+    """Each compensation with which the varying bias is larger than without one, by more than the noise."""
+    none = next((each for each in result.results if each.compensation == NONE), None)
+    return [
+        f"The varying bias is larger {with_text(each)} than {with_text(none)} "
+        f"({size_text(each.total.varying_rms_dph)} against {size_text(none.total.varying_rms_dph)} deg/h): "
+        f"{_DO_NOT_LOAD[each.compensation]}."
+        for each in result.results
+        if none is not None and is_worse(each.total, none.total)
+    ]
 
 
 def change_sentences(result: VerificationResult) -> list[str]:
-    """New conditions, uncertainty, the change of bias, spread, velocity and position, and notes."""
+    """New conditions, what runs lack, notes, uncertainty, and the change of each size."""
     totals = [each.total for each in result.results]
     last = totals[-1]
+    dwells = "all dwells" if len(totals) < 2 or result.is_complete else "the dwells compared"
     changes = [
         (
-            "Bias in deg/h, rms over all dwells, including the constant of the power cycle",
+            f"Bias in deg/h, rms over {dwells}, including the constant of the power cycle",
             [size_text(each.bias_rms_dph) for each in totals if each.bias_rms_dph >= 0.0],
             size_text(last.bias_noise_dph),
         ),
@@ -170,14 +209,52 @@ def change_sentences(result: VerificationResult) -> list[str]:
             f"{last.position_noise_nmi:.2f}",
         ),
     ]
-    sentences = [new_conditions_sentence(result), *fit_sentences(result)]
+    sentences = [
+        new_conditions_sentence(result),
+        *comparability_sentences(result),
+        *result.notes,
+        *fit_sentences(result),
+    ]
     for what, values, noise in changes:
         if len(values) == len(totals):
             steps = listed(
                 [f"{value} {with_text(each)}" for value, each in zip(values, result.results, strict=True)]
             )
             sentences.append(f"{what}: {steps}; noise {noise}.")
-    return [*sentences, *result.notes]
+    return sentences
+
+
+def comparability_sentences(result: VerificationResult) -> list[str]:
+    """The plateaus and dwells that some runs lack, and so do not count; none where all runs have all."""
+    sentences = []
+    for plateau in result.plateaus:
+        lacking = [
+            with_text(each) for each, row in zip(result.results, plateau.rows, strict=True) if row is None
+        ]
+        if lacking:
+            sentences.append(
+                f"The plateau at {plateau_text(plateau)} has no valid dwell {listed(lacking)}: it is not "
+                "part of the numbers for all plateaus."
+            )
+    valid = min(each.total.dwells for each in result.results)
+    if len(result.results) > 1 and valid < result.dwells:
+        sentences.append(
+            f"{valid} of {counted(result.dwells, 'dwell')} {agreeing(valid, 'is', 'are')} valid in all runs; "
+            f"only {agreeing(valid, 'this one is', 'these are')} compared."
+        )
+    missions = [mission for each in result.coefficients for mission in each.missions]
+    compared = {mission.plateau for mission in missions if mission.is_in_all}
+    if any(not mission.is_in_all for mission in missions):
+        sentences.append(
+            f"Coefficients are compared at the {counted(len(compared), 'plateau')} that all runs measured."
+        )
+    return sentences
+
+
+def plateau_text(plateau: PairedPlateau) -> str:
+    """A plateau in a sentence: "-6 °C (cycle 1)"."""
+    first = plateau.known[0]
+    return f"{first.gyro_c:z.0f} °C (cycle {first.cycle})"
 
 
 def fit_sentences(result: VerificationResult) -> list[str]:
@@ -186,7 +263,7 @@ def fit_sentences(result: VerificationResult) -> list[str]:
     for total in (each.total for each in result.results if each.total.compensation_sigma_dph >= 0.0):
         verb = "agrees with" if total.agreement_p_value >= LACK_OF_FIT_P else "exceeds"
         sentences.append(
-            f"The compensation {LABELS[total.compensation]} has a standard uncertainty of "
+            f"{_MODELS[total.compensation]} has a standard uncertainty of "
             f"{size_text(total.compensation_sigma_dph)} deg/h in the varying bias. What remains "
             f"{verb} that and the noise ({p_phrase(total.agreement_p_value)})."
         )
@@ -201,21 +278,21 @@ def reading_sentences(result: VerificationResult) -> list[str]:
 
 def new_conditions_sentence(result: VerificationResult) -> str:
     """Temperatures and attitudes of the new measurements that were not in the fit."""
-    rows = result.results[0].rows
+    rows = [plateau.known[0] for plateau in result.plateaus]
     new = [row for row in rows if row.fit != "fitted"]
     temperatures = listed([f"{row.gyro_c:z.0f} °C" for row in new])
+    where = agreeing(len(new), "is at a gyro temperature that was", "are at gyro temperatures that were")
     return (
-        f"All measurements are new. {len(new)} of {len(rows)} plateaus are at gyro temperatures that were "
-        f"not fitted{f' ({temperatures})' if new else ''}. {result.new_attitudes} of {result.dwells} dwells "
-        "begin in a position and azimuth that are not in the campaign."
+        f"All measurements are new. {len(new)} of {counted(len(rows), 'plateau')} {where} not fitted"
+        f"{f' ({temperatures})' if new else ''}. {result.new_attitudes} of {counted(result.dwells, 'dwell')} "
+        f"{agreeing(result.new_attitudes, 'begins', 'begin')} in a position and azimuth that are not in the "
+        "campaign."
     )
 
 
 def with_text(each: CompensationResult | CoefficientResult) -> str:
     """A compensation in a sentence: "with the declared model"."""
-    return {NONE: "without compensation", DECLARED: "with the declared model", EFFECT: "with the effects"}[
-        each.compensation
-    ]
+    return IN_WORDS[each.compensation]
 
 
 class _Size(NamedTuple):
@@ -256,24 +333,29 @@ def size_units(result: VerificationResult) -> str:
 
 def total_rows(result: VerificationResult) -> list[list[str]]:
     """Compensation and sizes over all plateaus, followed by the noise."""
-    return _block([each.total for each in result.results], _measured(result))
+    sizes, totals = _measured(result), [each.total for each in result.results]
+    lines = [[LABELS[row.compensation], *_cells(row, sizes)] for row in totals]
+    return [*lines, ["noise", *_cells(totals[-1], sizes, is_noise=True)]]
 
 
 def plateau_rows(result: VerificationResult) -> list[list[str]]:
-    """Temperature, cycle, fit, compensation and sizes for each plateau, followed by its noise."""
-    rows = []
-    for plateau in zip(*(each.rows for each in result.results), strict=False):
-        first = plateau[0]
+    """Temperature, cycle, fit, compensation and sizes for each plateau, followed by its noise.
+
+    A run that lacks the plateau has empty cells.
+    """
+    sizes, rows = _measured(result), []
+    for plateau in result.plateaus:
+        first = plateau.known[0]
+        lines = [
+            [LABELS[each.compensation], *([""] * len(sizes) if row is None else _cells(row, sizes))]
+            for each, row in zip(result.results, plateau.rows, strict=True)
+        ]
+        noise = [_cells(plateau.noise_row(size.fields[0]), [size], is_noise=True)[0] for size in sizes]
         where = [f"{first.gyro_c:z.0f}", f"{first.cycle}", first.fit]
-        for line in _block(plateau, _measured(result)):
+        for line in [*lines, ["noise", *noise]]:
             rows.append([*where, *line])
             where = [""] * len(where)
     return rows
-
-
-def _block(rows: Sequence[VerificationRow], sizes: Sequence[_Size]) -> list[list[str]]:
-    lines = [[LABELS[row.compensation], *_cells(row, sizes)] for row in rows]
-    return [*lines, ["noise", *_cells(rows[-1], sizes, is_noise=True)]]
 
 
 def _cells(row: VerificationRow, sizes: Sequence[_Size], is_noise: bool = False) -> list[str]:

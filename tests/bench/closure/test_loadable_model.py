@@ -120,7 +120,7 @@ def test_an_effect_without_a_term_of_the_ins_is_left_out_with_a_note(effect):
     loadable = model_with_effects(closure)
     assert loadable.effects == ()
     assert loadable.compensation.terms() == ()
-    assert any(note.startswith(f"{effect} is left out") for note in loadable.notes)
+    assert any(note.startswith(f"{closure.label(effect)} is left out") for note in loadable.notes)
 
 
 def test_a_drift_is_taken_as_it_was_at_the_end():
@@ -155,7 +155,7 @@ def test_a_tied_effect_is_loaded_with_a_note():
     loadable = model_with_effects(replace(closure, effects=(tied,)))
     assert loadable.effects == ("g_sensitivity",)
     assert (
-        "g_sensitivity is loaded, but warm_up or time_drift fits the data equally well" in loadable.notes[1]
+        "g-sensitivity is loaded, but warm up or time drift fits the data equally well" in loadable.notes[1]
     )
 
 

@@ -163,7 +163,7 @@ def test_a_bias_that_follows_attitude_is_loaded_unless_the_matrix_has_it_already
     assert both.effects == ()
     assert not both.compensation.coefficients["accelerometer_bias_x"].gravity_per_g.any()
     assert both.compensation.coefficients["accelerometer_bias_x"].polynomial.tolist() == [50.0]
-    assert "accelerometer_bias is left out: scale factors and misalignments" in both.notes[-1]
+    assert "accelerometer bias is left out: scale factors and misalignments" in both.notes[-1]
 
 
 def test_the_third_misalignments_of_accelerometers_follow_the_sensors_temperatures(tmp_path):

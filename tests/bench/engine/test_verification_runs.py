@@ -173,7 +173,7 @@ def test_a_run_without_compensation_in_which_the_ins_kept_a_stored_one_is_noted(
     with (tmp_path / "none" / "journal.jsonl").open("a") as journal:
         journal.write(json.dumps(entry) + "\n")
     [note] = verification_of(campaign, tmp_path, only=["none"]).result().notes
-    assert note == "In the run none the INS applied a stored compensation (0badcafe)."
+    assert note == "In the run without compensation the INS applied a stored compensation (0badcafe)."
 
 
 def test_an_ins_that_takes_no_such_term_can_still_be_verified_with_the_declared_model(campaign, tmp_path):

@@ -1,14 +1,20 @@
 """Verifications with made-up measurements, one for each judgement; each is made once."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.closure.loadable_model import declared_model, model_with_effects
+from gyrobench.bench.engine.verification_runs import flags_note
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import POSITIONS
-from gyrobench.bench.verification.compensation_verification import VerificationResult, compensation_result
+from gyrobench.bench.verification.compensation_verification import (
+    MeasuredRun,
+    VerificationResult,
+    compare_runs,
+)
 from tests.bench.report.made_up_closure import clean, explained
 
 SITE = Site(np.radians(36.4), 60.0)
@@ -48,23 +54,35 @@ def rows_of(bias_along_up_dph, constant_dph=0.003, seed=1, positions=POSITIONS):
     return rows
 
 
-def compare(closure, residual_dph, notes=()):
-    """VerificationResult of compensations that leave a bias along Up, by their names."""
+def compare(closure, residual_dph, notes=(), lost=()):
+    """VerificationResult of compensations that leave a bias along Up, by their names.
+
+    ``lost``: pairs of a compensation and the number of a dwell with flags.
+    """
     fitted_c = closure.campaign.gyro_c[closure.searched]
     whole = model_with_effects(closure)
     return VerificationResult(
         source="runs/made-up-001",
         closure=closure,
         models={"declared": declared_model(closure), **({"effect": whole} if whole.effects else {})},
-        results=tuple(
-            compensation_result(name, rows_of(size, seed=seed), [], SITE, fitted_c)
-            for seed, (name, size) in enumerate(residual_dph.items())
+        results=compare_runs(
+            [
+                MeasuredRun(name, _with_flags(rows_of(size, seed=seed), name, lost), [])
+                for seed, (name, size) in enumerate(residual_dph.items())
+            ],
+            SITE,
+            fitted_c,
         ),
         new_attitudes=14,
         dwells=14,
         is_same_seed=True,
         notes=tuple(notes),
     )
+
+
+def _with_flags(rows, name, lost):
+    flags = {True: "the table moved", False: ""}
+    return [replace(row, flags=flags[(name, row.dwell) in lost]) for row in rows]
 
 
 @cache
@@ -84,9 +102,21 @@ def not_confirmed():
 
 @cache
 def inconclusive():
-    return compare(clean(), {"none": 0.0, "declared": 0.0}, ["In the run none 1 of 15 dwells have flags."])
+    return compare(clean(), {"none": 0.0, "declared": 0.0}, [flags_note("none", 1, 15)])
 
 
 @cache
 def alone():
     return compare(explained(), {"none": 0.02})
+
+
+@cache
+def degraded():
+    """The declared model leaves more than no compensation, the model with the effects noise."""
+    return compare(explained(), RESIDUAL_DPH | {"none": 0.008})
+
+
+@cache
+def without_a_plateau():
+    """One run has no valid dwell at the second plateau, dwells 7 and 8, and the last one lacks dwell 3."""
+    return compare(explained(), RESIDUAL_DPH, lost=[("declared", 7), ("declared", 8), ("effect", 3)])

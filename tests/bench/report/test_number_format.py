@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gyrobench.bench.bias.bins import BiasBin
-from gyrobench.bench.foundations.text import counted
+from gyrobench.bench.foundations.text import counted, with_sigma
 from gyrobench.bench.navigation.positions import gyro_label, position_label
 from gyrobench.bench.report.number_format import (
     BiasScale,
@@ -93,3 +93,17 @@ def test_empty_neighbours_become_one_range() -> None:
         (5.0, 15.0, 0),
         (15.0, 20.0, 2),
     ]
+
+
+@pytest.mark.parametrize(
+    ("value", "sigma", "text"),
+    [
+        (0.000294, 0.00065, "0.0003 ± 0.0006"),
+        (0.0, 0.00024, "0.00000 ± 0.00024"),
+        (1.46e-5, 9.7e-6, "(1.5 ± 1.0)e-5"),
+        (-2.64e-8, 3.3e-8, "(-3 ± 3)e-8"),
+        (1.234e-4, 2.1e-6, "(1.234 ± 0.021)e-4"),
+    ],
+)
+def test_a_value_has_the_decimals_of_its_uncertainty(value: float, sigma: float, text: str) -> None:
+    assert with_sigma(value, sigma) == text

@@ -8,7 +8,9 @@ from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow
 from gyrobench.bench.verification.coefficient_verification import (
+    CoefficientRun,
     coefficient_result,
+    compare_coefficients,
     corrections,
     write_coefficient_tables,
 )
@@ -83,6 +85,22 @@ def test_plateaus_of_a_dwell_alone_do_not_count_beside_those_with_rotations():
     assert np.array_equal(found.rms, coefficient_result("declared", rows_of({}), {}, SITE).rms)
     assert {each.plateau for each in found.missions} == set(range(1, len(TEMPERATURES_C) + 1))
     assert coefficient_result("declared", dwell_alone, {}, SITE).rms.max() == pytest.approx(1e3)
+
+
+def test_coefficients_are_compared_at_the_plateaus_that_all_runs_have():
+    """One run has large values at a plateau that the other lacks, and its plateaus are numbered on."""
+    hot = [replace(row, value=1e3) if row.plateau == 5 else row for row in rows_of({})]
+    some = [replace(row, plateau=row.plateau - 1) for row in rows_of({}) if row.plateau != 1]
+    some = [row for row in some if row.plateau != 4]
+    runs = [CoefficientRun(name, rows, {}) for name, rows in (("none", hot), ("declared", some))]
+    none, declared = compare_coefficients(runs, SITE)
+    np.testing.assert_allclose(none.rms, declared.rms)
+    assert none.plateaus.tolist() == declared.plateaus.tolist() == [3] * COUNT
+    assert [each.plateau for each in declared.missions] == [2, 3, 4]
+    assert [each.is_in_all for each in none.missions] == [False, True, True, True, False]
+    assert none.worst.gyro_c == declared.worst.gyro_c
+    elsewhere = [replace(row, cycle=2) for row in rows_of({})]
+    assert compare_coefficients([runs[0], CoefficientRun("declared", elsewhere, {})], SITE) == ()
 
 
 def test_correlations_change_the_distribution_of_missions():

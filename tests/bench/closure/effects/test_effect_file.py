@@ -66,7 +66,7 @@ def test_a_function_of_temperature_is_compensated_by_a_polynomial():
     loadable = model_with_effects(close_loop(campaign, effects=[mine]))
     assert loadable.effects == ("mine",)
     assert any(
-        "mine is compensated by a polynomial of degree 5, which misses" in each for each in loadable.notes
+        "mine is compensated by a polynomial of degree 5, which leaves" in each for each in loadable.notes
     )
     coefficients = loadable.compensation.polynomial_dph
     polynomial = np.stack(

@@ -80,7 +80,7 @@ def test_the_effect_of_another_package_states_why_it_is_not_compensated():
     campaign = campaign_of(measure({rate_times_temperature: 8.0}, cycles=2).rows)
     loadable = model_with_effects(close_loop(campaign, effects=[effect]))
     assert loadable.effects == ()
-    assert "rate_times_temperature is left out: the INS has no term for a product" in loadable.notes[1]
+    assert "rate times temperature is left out: the INS has no term for a product" in loadable.notes[1]
 
 
 @pytest.mark.parametrize(

@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.foundations.text import with_sigma
 from gyrobench.bench.report.verification.verification_page import (
     day_figure,
     residual_bars_figure,
     verification_sections,
     write_verification_page,
 )
+from gyrobench.bench.report.verification.verification_text import number_rows, plateau_rows, total_rows
 from gyrobench.bench.verification.compensation_verification import compensation_result
 from tests.bench.report.made_up_verification import (
     SITE,
@@ -22,6 +24,7 @@ from tests.bench.report.made_up_verification import (
     inconclusive,
     not_confirmed,
     rows_of,
+    without_a_plateau,
 )
 
 COLOURS = {
@@ -50,7 +53,10 @@ def test_the_numbers_loaded_have_their_uncertainties(tmp_path):
     for name in compensation.sigma:
         assert name in page
     value, sigma = compensation.polynomial_dph[0, 1], compensation.sigma["polynomial_dph"][0, 1]
-    assert f"{value:.3g} ± {sigma:.2g}" in page
+    assert with_sigma(value, sigma) in page
+    pairs = [each.split(" ± ") for row in number_rows(result.models) for each in row[1:]]
+    decimals = [[len(re.sub(r"\)e.*", "", each).partition(".")[2]) for each in pair] for pair in pairs]
+    assert all(one == other for one, other in decimals)
 
 
 def test_the_bars_of_each_compensation_are_at_its_plateaus():
@@ -59,6 +65,42 @@ def test_the_bars_of_each_compensation_are_at_its_plateaus():
     expected = [[1000.0 * row.spread_dph for row in left.rows] for left in confirmed().results]
     np.testing.assert_allclose(heights, expected)
     assert [text.get_text() for text in spread.get_xticklabels()] == ["62 °C (1)", "32 °C (2)", "2 °C (1)"]
+
+
+def test_a_plateau_that_one_run_lacks_shifts_no_other():
+    """Rows, bars and days stand at their plateau; what the run lacks is empty."""
+    whole, result = confirmed(), without_a_plateau()
+    rows = plateau_rows(result)
+    assert [row[:2] for row in rows if row[0]] == [["62", "1"], ["32", "2"], ["2", "1"]]
+    none, declared, effect = (row for row in rows[4:7])
+    assert declared[3:] == ["declared", "", "", "", ""]
+    whole_none = plateau_rows(whole)[4]
+    assert (none[4], none[6]) == (whole_none[4], whole_none[6]) != ("", "")
+    assert effect[4] == plateau_rows(whole)[6][4]
+    expected = [plateau_rows(whole)[place][-1] for place in (1, 9)]
+    assert [rows[place][-1] for place in (1, 9)] == expected
+    for figure in (residual_bars_figure(result), residual_bars_figure(whole)):
+        # Three runs, at three plateaus each.
+        assert [len(each) for each in figure.axes[0].containers] == [3, 3, 3]
+    heights = [bar.get_height() for bar in residual_bars_figure(result).axes[0].containers[1]]
+    assert np.isnan(heights).tolist() == [False, True, False]
+    largest = [axes.get_lines()[1].get_ydata().max() for axes in day_figure(result).axes]
+    assert largest == pytest.approx([row.position_nmi for row in result.results[1].rows])
+
+
+def test_each_maximum_of_all_plateaus_is_in_a_row():
+    for result in (confirmed(), without_a_plateau()):
+        blocks = [row for row in plateau_rows(result) if row[3] != "noise"]
+        for total in total_rows(result)[:-1]:
+            mine = [row[4:] for row in blocks if row[3] == total[0]]
+            for place in (2, 3):  # spread and 24 h
+                assert total[1 + place] in [row[place] for row in mine]
+
+
+def test_the_caption_states_when_runs_lack_dwells():
+    for result, stated in ((confirmed(), False), (without_a_plateau(), True)):
+        [section] = [each for each in verification_sections(result) if each.title == "Residual"]
+        assert ("dwells that are valid in all runs" in section.tables[0].caption) is stated
 
 
 def test_what_was_not_measured_has_no_panel_and_no_column(tmp_path):

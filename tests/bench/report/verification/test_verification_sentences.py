@@ -1,9 +1,14 @@
 """A verification in sentences."""
 
+from dataclasses import replace
+
 import pytest
 
+from gyrobench.bench.engine.verification_runs import flags_note
 from gyrobench.bench.report.verification.verification_text import (
     change_sentences,
+    comparability_sentences,
+    degradation_sentences,
     model_sentences,
     new_conditions_sentence,
     outcome,
@@ -11,17 +16,29 @@ from gyrobench.bench.report.verification.verification_text import (
     reading_sentences,
 )
 from gyrobench.bench.verification.compensation_verification import VerificationResult
-from tests.bench.report.made_up_verification import alone, confirmed, improved, inconclusive, not_confirmed
+from tests.bench.report.made_up_closure import explained
+from tests.bench.report.made_up_verification import (
+    alone,
+    compare,
+    confirmed,
+    degraded,
+    improved,
+    inconclusive,
+    not_confirmed,
+    without_a_plateau,
+)
+
+PHRASES = ("without compensation", "with the declared model", "with the effects")
 
 
 @pytest.mark.parametrize(
     ("comparison", "judgement", "reason"),
     [
-        (confirmed, "confirmed", "The residual is consistent with noise"),
-        (improved, "improved", "The residual exceeds the noise"),
+        (confirmed, "confirmed", "The residual with the effects is consistent with noise"),
+        (improved, "improved", "The residual with the effects exceeds the noise"),
         (not_confirmed, "not confirmed", "no improvement"),
         (inconclusive, "inconclusive", "Both residuals are consistent with noise"),
-        (alone, "inconclusive", "Only one compensation was measured"),
+        (alone, "inconclusive", "Only the run without compensation was measured"),
     ],
 )
 def test_the_judgement_compares_the_varying_bias_with_the_noise(comparison, judgement, reason):
@@ -54,7 +71,66 @@ def test_loaded_and_omitted_parts_are_stated():
 
 
 def test_notes_are_listed():
-    assert "In the run none 1 of 15 dwells have flags." in change_sentences(inconclusive())
+    note = "In the run without compensation 1 of 15 dwells has flags and is not used."
+    assert note in change_sentences(inconclusive())
+    assert (
+        flags_note("effect", 2, 15)
+        == "In the run with the effects 2 of 15 dwells have flags and are not used."
+    )
+
+
+def test_the_varying_bias_of_each_run_is_in_the_headline():
+    sentence = outcome_sentence(confirmed())
+    assert [phrase in sentence for phrase in PHRASES] == [True] * 3
+    assert sentence.index(PHRASES[0]) < sentence.index(PHRASES[1]) < sentence.index(PHRASES[2])
+
+
+@pytest.mark.parametrize("comparison", [confirmed, improved, inconclusive, alone])
+def test_a_compensation_that_helps_or_changes_nothing_does_not_degrade(comparison):
+    assert degradation_sentences(comparison()) == []
+
+
+def test_a_model_that_is_worse_than_none_is_named_in_the_headline():
+    result = degraded()
+    [sentence] = degradation_sentences(result)
+    none, declared, _ = (f"{each.total.varying_rms_dph:.4f}" for each in result.results)
+    assert sentence == (
+        "The varying bias is larger with the declared model than without compensation "
+        f"({declared} against {none} deg/h): do not load this model alone, it makes this unit worse."
+    )
+    assert sentence in outcome_sentence(result)
+    assert outcome(result) == "confirmed"
+    [sentence] = degradation_sentences(not_confirmed())
+    assert "do not load this model, it makes this unit worse" in sentence
+
+
+def test_a_model_with_effects_that_is_better_than_the_declared_one_alone_is_not_confirmed():
+    result = compare(explained(), {"none": 0.008, "declared": 0.03, "effect": 0.015})
+    assert outcome(result) == "not confirmed"
+    assert len(degradation_sentences(result)) == 2
+
+
+def test_what_a_run_lacks_is_stated():
+    missing, dwells = comparability_sentences(without_a_plateau())
+    assert missing == (
+        "The plateau at 32 °C (cycle 2) has no valid dwell with the declared model: it is not part of the "
+        "numbers for all plateaus."
+    )
+    assert dwells == "11 of 14 dwells are valid in all runs; only these are compared."
+    assert comparability_sentences(confirmed()) == []
+
+
+def test_runs_without_a_dwell_in_common_are_not_judged():
+    lost = [("none", number) for number in range(1, 15)]
+    result = compare(explained(), {"none": 0.02, "effect": 0.0}, lost=lost)
+    assert outcome(result) == "inconclusive"
+    assert "No dwell is valid in all runs" in outcome_sentence(result)
+
+
+def test_one_plateau_and_one_dwell_are_in_the_singular():
+    one = replace(confirmed(), new_attitudes=1)
+    assert "1 of 3 plateaus is at a gyro temperature that was not fitted (" in new_conditions_sentence(one)
+    assert "1 of 14 dwells begins in a position" in new_conditions_sentence(one)
 
 
 def test_every_definition_is_a_sentence():

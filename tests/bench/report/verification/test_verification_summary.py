@@ -7,7 +7,17 @@ from rich.console import Console
 
 from gyrobench.bench.report.terminal.tables import section_view
 from gyrobench.bench.report.verification.verification_page import verification_findings, verification_plan
-from tests.bench.report.made_up_verification import alone, confirmed, improved, inconclusive, not_confirmed
+from tests.bench.report.made_up_verification import (
+    alone,
+    confirmed,
+    degraded,
+    improved,
+    inconclusive,
+    not_confirmed,
+    without_a_plateau,
+)
+
+ALL = [confirmed, improved, not_confirmed, inconclusive, alone, degraded, without_a_plateau]
 
 
 def printed(content):
@@ -16,7 +26,7 @@ def printed(content):
     return stream.getvalue()
 
 
-@pytest.mark.parametrize("comparison", [confirmed, improved, not_confirmed, inconclusive, alone])
+@pytest.mark.parametrize("comparison", ALL)
 def test_it_fits_a_terminal_without_colour_and_nothing_is_cut_off(comparison):
     text = printed(verification_findings(comparison()).chapter)
     assert max(map(len, text.splitlines())) <= 80
@@ -42,7 +52,12 @@ def test_each_plateau_is_named_once():
 def test_the_duration_of_the_runs_is_stated_before_they_begin():
     comparison = confirmed()
     text = printed(verification_plan(comparison.closure, comparison.models, ["none", "effect"], 68_400.0))
-    assert "2 runs of 19:00 h remaining, 38:00 h in total: none and with effect." in text
+    assert (
+        "2 runs of 19:00 h remain, 38:00 h in total: without compensation and with the effects."
+        in " ".join(text.split())
+    )
+    one = printed(verification_plan(comparison.closure, comparison.models, ["declared"], 68_400.0))
+    assert "1 run of 19:00 h remains: with the declared model." in one
     assert "All runs are complete" in printed(
         verification_plan(comparison.closure, comparison.models, [], 68_400.0)
     )
