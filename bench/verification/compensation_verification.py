@@ -6,18 +6,14 @@ It is given in the units that matter to a rotational INS: bias, velocity, positi
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass, fields, replace
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import chi2, norm, studentized_range
+from scipy.stats import chi2, norm
 
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.bias.plateaus import set_point_c
-from gyrobench.bench.bias.statistics import weighted_mean
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.loadable_model import LoadableModel
 from gyrobench.bench.closure.outcome import Closure
@@ -29,188 +25,9 @@ from gyrobench.bench.foundations.csv_tables import format_csv, write_text
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.text import format_cell
 from gyrobench.bench.navigation.error_model import Site
-from gyrobench.bench.navigation.positions import AXES, POSITIONS
-from gyrobench.bench.navigation.rotational_ins import (
-    DAY_S,
-    NAUTICAL_MILE_M,
-    SIX_POSITIONS,
-    PositionError,
-    RotationScheme,
-    bias_by_position,
-    rotate_for,
-)
 from gyrobench.bench.verification.coefficient_verification import CoefficientResult
 from gyrobench.bench.verification.paired_plateaus import in_all, pair_dwells
-
-
-@dataclass(frozen=True, eq=False)
-class ResidualCheck:
-    """What is left on one plateau, all positions together."""
-
-    #: cycle, chamber_set_c: Which plateau; None where the chamber had no set point.
-    cycle: int
-    chamber_set_c: float | None
-    dwells: tuple[int, ...]  #: Numbers of the dwells whose biases are in it.
-    gyro_c: float  #: Mean temperature of the gyros.
-    #: bias_rms_dph, sigma_rms_dph: Of all biases, and of their standard uncertainties; NaN without dwells.
-    bias_rms_dph: float
-    sigma_rms_dph: float
-    #: spread_dph, spread_noise_dph: Largest difference between two positions in the bias of one gyro, and
-    #: what the uncertainties alone give in its place; NaN without two.
-    spread_dph: float
-    spread_noise_dph: float
-    #: velocity_east_mps, velocity_noise_mps: Largest error of the velocity East in the navigations straight
-    #: from an alignment, of either sign, and what the noise of the sensors alone gives in its place; NaN
-    #: without any.
-    velocity_east_mps: float
-    velocity_noise_mps: float
-    day: DayOfNavigation | None  #: Position error of a day; None unless all six positions were measured.
-
-
-def check_residuals(
-    rows: Iterable[DwellRow], check_dwells: Iterable[CheckDwell], site: Site
-) -> list[ResidualCheck]:
-    """Check each plateau of a run, in the order of time; what has flags is left out.
-
-    ``rows``: biases with the compensation that the INS applies. ``check_dwells``: navigations straight from
-    an alignment.
-    """
-    measured: list[_Dwell] = [*rows, *check_dwells]
-    return [_check(plateau, {each.dwell for each in plateau}, site) for [plateau] in pair_dwells([measured])]
-
-
-_Dwell = DwellRow | CheckDwell
-
-
-def _check(plateau: Sequence[_Dwell], compared: Collection[int], site: Site) -> ResidualCheck:
-    """Check one plateau by the dwells that other runs have too; a day takes all, to have six positions."""
-    measured = _biases(plateau)
-    measured_c = [each.gyro_c for each in measured or plateau]
-    all_six = {row.position for row in measured} == POSITIONS.keys()
-    rows = [each for each in measured if each.dwell in compared]
-    check_dwells = [each for each in plateau if isinstance(each, CheckDwell) and each.dwell in compared]
-    biases, sigmas = ([getattr(row, name) for row in rows] for name in ("bias_dph", "sigma_dph"))
-    return ResidualCheck(
-        cycle=plateau[0].cycle,
-        chamber_set_c=set_point_c(plateau[0]),
-        dwells=tuple(row.dwell for row in rows),
-        gyro_c=float(np.mean(measured_c)),
-        bias_rms_dph=rms(biases),
-        sigma_rms_dph=rms(sigmas),
-        spread_dph=_spread(rows),
-        spread_noise_dph=_spread_noise(rows),
-        velocity_east_mps=max(map(_largest_velocity_east, check_dwells), default=math.nan),
-        velocity_noise_mps=_velocity_noise(check_dwells, site),
-        day=day_of_navigation(measured, site) if all_six else None,
-    )
-
-
-def _biases(plateau: Iterable[_Dwell]) -> list[DwellRow]:
-    return [each for each in plateau if isinstance(each, DwellRow)]
-
-
-def _velocity_noise(check_dwells: Sequence[CheckDwell], site: Site) -> float:
-    """Median of the largest of some velocities, if there is nothing but noise in them."""
-    sigmas = [_velocity_sigma(each, site) for each in check_dwells]
-    if not sigmas:
-        return math.nan
-    return float(np.sqrt(np.mean(np.square(sigmas))) * norm.ppf(0.5 + 0.5 ** (1.0 + 1.0 / len(sigmas))))
-
-
-def _velocity_sigma(each: CheckDwell, site: Site) -> float:
-    """Standard deviation of the velocity at the end, by the noise of alignment and navigation."""
-    if each.navigation is None:
-        return math.nan
-    noise, time_s = each.navigation.noise, each.navigation.dwell.windows[-1].time_s
-    at_the_end = np.zeros(len(time_s))
-    at_the_end[-1] = 1.0
-    levelled = noise.velocity_random_walk / math.sqrt(each.marks.align_s) * float(np.ptp(time_s))
-    walked = float(noise.velocity_variance(time_s, at_the_end, site.gravity))
-    return math.hypot(levelled, math.sqrt(walked))
-
-
-def _spread(rows: Sequence[DwellRow]) -> float:
-    if len({row.position for row in rows}) < 2:
-        return math.nan
-    means = [
-        np.mean([row.bias_dph for row in rows if row.position == name], axis=0)
-        for name in {row.position for row in rows}
-    ]
-    return float(np.ptp(np.reshape(means, (-1, len(AXES))), axis=0).max())
-
-
-def _spread_noise(rows: Sequence[DwellRow]) -> float:
-    """Median of the largest of three ranges, if nothing but noise differs between the positions."""
-    counts = Counter(row.position for row in rows)
-    if len(counts) < 2:
-        return math.nan
-    sigma_dph = rms([[sigma / math.sqrt(counts[row.position]) for sigma in row.sigma_dph] for row in rows])
-    return sigma_dph * float(studentized_range.ppf(0.5 ** (1.0 / len(AXES)), len(counts), math.inf))
-
-
-def _largest_velocity_east(each: CheckDwell) -> float:
-    if each.navigation is None:
-        return math.nan
-    return max(float(np.abs(window.velocity_enu_mps[:, 0]).max()) for window in each.navigation.dwell.windows)
-
-
-_UNIT_DPH = 0.001
-
-
-@dataclass(frozen=True, eq=False)
-class DayOfNavigation:
-    """Errors of a day, and how much of them the uncertainty of the biases explains."""
-
-    #: With the biases as measured; those that are the same in all positions average out.
-    error: PositionError
-    #: What biases that are the same in all positions would show in its place: the largest rms distance that
-    #: the uncertainties of the measured ones alone give.
-    noise_nmi: float
-
-
-def day_of_navigation(
-    rows: Iterable[DwellRow], site: Site, scheme: RotationScheme = SIX_POSITIONS
-) -> DayOfNavigation:
-    """Turn the biases of one temperature by a scheme for a day.
-
-    ``rows``: in all six positions; several in one position are averaged, those with flags are left
-    out. Raises MeasurementError if a position was not measured.
-    """
-    good = [row for row in rows if not row.flags]
-    missing = POSITIONS.keys() - {row.position for row in good}
-    if missing:
-        raise MeasurementError(
-            f"a day of navigation needs all six positions; no bias in {', '.join(sorted(missing))}"
-        )
-    means = {name: _mean([row for row in good if row.position == name]) for name in POSITIONS}
-    error = rotate_for(
-        DAY_S, scheme, bias_by_position({name: mean for name, (mean, _) in means.items()}), site
-    )
-    sigmas = np.array([means[name][1] for name in POSITIONS]).ravel()
-    distances_m = np.hypot(*np.einsum("k,kct->ct", sigmas**2, _responses(site, scheme) ** 2) ** 0.5)
-    return DayOfNavigation(error, float(distances_m.max()) / NAUTICAL_MILE_M)
-
-
-def _mean(rows: list[DwellRow]) -> tuple[FloatArray, FloatArray]:
-    """Bias of each gyro in one position and its standard uncertainty, deg/h."""
-    means = [
-        weighted_mean([row.bias_dph[axis] for row in rows], [row.sigma_dph[axis] for row in rows])
-        for axis in range(len(AXES))
-    ]
-    return np.array([mean.value for mean in means]), np.array([mean.sigma for mean in means])
-
-
-@lru_cache(maxsize=4)
-def _responses(site: Site, scheme: RotationScheme) -> FloatArray:
-    """Way East and North, m per deg/h, for each gyro in each position: shape (18, 2, n)."""
-    responses = []
-    for name in POSITIONS:
-        for unit in _UNIT_DPH * np.eye(3):
-            alone = dict.fromkeys(POSITIONS, np.zeros(3)) | {name: unit}
-            error = rotate_for(DAY_S, scheme, bias_by_position(alone), site)
-            responses.append([error.east_m / _UNIT_DPH, error.north_m / _UNIT_DPH])
-    return np.array(responses)
-
+from gyrobench.bench.verification.run_residuals import AnyDwell, ResidualCheck, bias_rows, check_plateau
 
 #: The compensations, in this order.
 NONE, DECLARED, EFFECT = "none", "declared", "effect"
@@ -249,7 +66,7 @@ class VerificationRow:
     varying_rms_dph: float
     varying_p_value: float  #: p-value of the varying bias, for all plateaus; NaN for one.
     #: spread_dph, spread_noise_dph, velocity_east_mps, velocity_noise_mps: See
-    #: :class:`gyrobench.bench.verification.compensation_verification.ResidualCheck`.
+    #: :class:`gyrobench.bench.verification.run_residuals.ResidualCheck`.
     spread_dph: float
     spread_noise_dph: float
     velocity_east_mps: float
@@ -360,9 +177,9 @@ def compare_runs(
     six positions, so it takes all dwells of its run. ``fitted_c``: shape (n, 3), temperatures of the gyros in
     the dwells that the model was fitted to.
     """
-    dwells: list[list[_Dwell]] = [[*run.dwells, *run.check_dwells] for run in runs]
+    dwells: list[list[AnyDwell]] = [[*run.dwells, *run.check_dwells] for run in runs]
     plateaus = pair_dwells(dwells)
-    numbers = [[{row.dwell for row in _biases(each)} for each in plateau] for plateau in plateaus]
+    numbers = [[{row.dwell for row in bias_rows(each)} for each in plateau] for plateau in plateaus]
     compared = [
         in_all(biases)
         | in_all([[each.dwell for each in one if isinstance(each, CheckDwell)] for one in plateau])
@@ -382,7 +199,7 @@ def compare_runs(
 def _measured_rows(
     index: int,
     run: MeasuredRun,
-    plateaus: Sequence[Sequence[Sequence[_Dwell]]],
+    plateaus: Sequence[Sequence[Sequence[AnyDwell]]],
     compared: Sequence[Collection[int]],
     everywhere: Collection[int],
     site: Site,
@@ -396,7 +213,7 @@ def _measured_rows(
     checks, rows = [], []
     for number, (plateau, some) in enumerate(zip(plateaus, compared, strict=True), start=1):
         if plateau[index]:
-            check = _check(plateau[index], some, site)
+            check = check_plateau(plateau[index], some, site)
             mine = [row.dwell in check.dwells for row in good]
             checks.append(check)
             rows.append(_row(run.compensation, number, check, varying[mine], roots[:, mine], fitted_c))

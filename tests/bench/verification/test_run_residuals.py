@@ -24,7 +24,7 @@ from gyrobench.bench.navigation.rotational_ins import (
     rotate_for,
 )
 from gyrobench.bench.station.instruments import Emulation
-from gyrobench.bench.verification.compensation_verification import check_residuals, day_of_navigation
+from gyrobench.bench.verification.run_residuals import check_residuals, day_of_navigation
 from gyrobench.drivers.ins.command_map import Compensation
 
 #: Of the world "ideal".
