@@ -31,15 +31,16 @@ from gyrobench.bench.foundations.documents import (
 )
 from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError
 from gyrobench.bench.foundations.shipped import shipped_folders
-from gyrobench.bench.foundations.text import hours_minutes
+from gyrobench.bench.foundations.text import counted, hours_minutes
 from gyrobench.bench.investigation.external_bench import BlockPlan
+from gyrobench.bench.procedure.checks import check
+from gyrobench.bench.procedure.plan import expand
 from gyrobench.bench.procedure.procedure_file import (
     STEP_KINDS,
     VARIABLE_PATTERN,
     Procedure,
     Repeat,
     checked_procedure,
-    resolve,
 )
 from gyrobench.bench.procedure.steps import Step
 from gyrobench.bench.runs.compensation_file import CompensationFile, read_compensation
@@ -326,7 +327,10 @@ def _summary(document: Document, kind: FileKind, station: Station | None) -> str
 def _procedure(document: Document, station: Station | None) -> str:
     procedure = checked_procedure(document)
     if station is None:
-        return f"{len(resolve(document, procedure))} steps"
+        plan = expand(document, procedure)
+        check(document, plan)
+        steps = counted(len(plan.steps), "step")
+        return f"{steps}. Limits of a station are not checked: add --station STATION"
     plan = station.plan(document, procedure)
     return (
         f"{len(plan.steps)} steps, {plan.dwell_count} dwells, {hours_minutes(plan.duration_s)} h on "

@@ -32,7 +32,9 @@ from gyrobench.bench.foundations.errors import (
     DocumentError,
     GyrobenchError,
     InstrumentError,
+    MissingPackageError,
     MissingRunError,
+    UnusablePathError,
 )
 
 #: Commands by task; a command without a group is listed last.
@@ -201,7 +203,7 @@ def main() -> None:
         fail(GyrobenchError("the current folder was deleted. Change to another one"), EXIT_WRONG_INPUT)
     try:
         app()
-    except (DocumentError, MissingRunError) as error:
+    except (DocumentError, MissingRunError, UnusablePathError, MissingPackageError) as error:
         fail(error, EXIT_WRONG_INPUT)
     except (InstrumentError, BenchInUseError) as error:
         fail(error, EXIT_INSTRUMENT)

@@ -17,6 +17,7 @@ from gyrobench.bench.cli.options import (
     StationArgument,
     WorldOption,
     complete_procedure,
+    world_for,
 )
 from gyrobench.bench.cli.output import EXIT_INSTRUMENT, EXIT_NOT_FINISHED, JsonOption, console, print_json
 
@@ -27,7 +28,7 @@ def check(
         str | None,
         typer.Option(help="Procedure to be run: file or shipped name.", autocompletion=complete_procedure),
     ] = None,
-    world: WorldOption = "gyro_a",
+    world: WorldOption = None,
     seed: SeedOption = 0,
     faults: FaultsOption = None,
     out: Annotated[Path, typer.Option(help="Folder for the run folder.")] = Path("runs"),
@@ -65,7 +66,7 @@ def check(
     from gyrobench.bench.station.instruments import Emulation
     from gyrobench.bench.station.preflight_check import Verdict
 
-    terminal, emulation = console(as_json), Emulation(world, seed, faults or "")
+    terminal, emulation = console(as_json), Emulation(world_for(station, world), seed, faults or "")
 
     def is_fit() -> bool:
         return all(each.verdict is not Verdict.FAIL for each in checks)

@@ -10,7 +10,14 @@ from typing import Annotated
 
 import typer
 
-from gyrobench.bench.cli.options import EMULATED, FaultsOption, SeedOption, StationOption, WorldOption
+from gyrobench.bench.cli.options import (
+    EMULATED,
+    FaultsOption,
+    SeedOption,
+    StationOption,
+    WorldOption,
+    world_for,
+)
 
 _PORT_HELP = "TCP port of the {}, or the path of a link to its pseudo-terminal."
 
@@ -24,7 +31,7 @@ class CanServer(StrEnum):
 
 def emulate(
     station: StationOption = EMULATED,
-    world: WorldOption = "gyro_a",
+    world: WorldOption = None,
     seed: SeedOption = 0,
     faults: FaultsOption = None,
     faults_log: Annotated[
@@ -75,7 +82,7 @@ def emulate(
 
     bench = Station(find_document("stations", station))
     ports = {"table": table_port, "chamber": chamber_port, "ins": ins_port}
-    settings = EmulationSettings(world, seed, speed, faults or None, faults_log, for_s)
+    settings = EmulationSettings(world_for(station, world), seed, speed, faults or None, faults_log, for_s)
     options = serve_options(bench, ports, tcp=tcp, can=can, settings=settings)
     options += [f"--chamber-option={each}" for each in chamber_option or []]
     end_at_sigterm()

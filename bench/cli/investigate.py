@@ -19,6 +19,7 @@ from gyrobench.bench.cli.options import (
     complete_procedure,
     complete_station,
     complete_world,
+    world_for,
 )
 from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, JsonOption, console, print_json
 
@@ -205,7 +206,7 @@ def _start(
             f"{sources[0]}: is not a run folder. Name a procedure, run folders, or a table with --bench"
         )
     else:
-        emulation = Emulation(world or Emulation.world, seed or 0)
+        emulation = Emulation(world_for(station or EMULATED, world), seed or 0, must_fit=True)
         start = start_with_procedure(sources[0], station or EMULATED, emulation, out, adaptive=adaptive)
     require_one_unit(start.job)
     return start

@@ -6,7 +6,14 @@ from typing import Annotated
 
 import typer
 
-from gyrobench.bench.cli.options import EMULATED, FaultsOption, SeedOption, StationArgument, WorldOption
+from gyrobench.bench.cli.options import (
+    EMULATED,
+    FaultsOption,
+    SeedOption,
+    StationArgument,
+    WorldOption,
+    world_for,
+)
 from gyrobench.bench.cli.output import EXIT_NOT_FINISHED
 
 
@@ -22,7 +29,7 @@ def jog(
             "--leave", help="At the end leave chamber, unit and servos as they are; the table stops."
         ),
     ] = False,
-    world: WorldOption = "gyro_a",
+    world: WorldOption = None,
     seed: SeedOption = 0,
     faults: FaultsOption = None,
 ) -> None:
@@ -40,6 +47,8 @@ def jog(
     from gyrobench.bench.jog.jog_session import jog_bench
     from gyrobench.bench.station.instruments import Emulation
 
-    all_done = jog_bench(station, commands or [], Emulation(world, seed, faults or ""), leave)
+    all_done = jog_bench(
+        station, commands or [], Emulation(world_for(station, world), seed, faults or ""), leave
+    )
     if not all_done:
         raise typer.Exit(EXIT_NOT_FINISHED)

@@ -83,7 +83,11 @@ def _beginning_with(incomplete: str, names: Iterable[str]) -> list[str]:
 EMULATED = "emulated"
 
 STATION_HELP = "Station file, or the name of a shipped one."
-WORLD_HELP = "World behind emulated instruments: file or shipped name."
+DEFAULT_WORLD = "gyro_a"
+WORLD_HELP = (
+    "World behind emulated instruments: file or shipped name; default: the one with the name of the station, "
+    f"else {DEFAULT_WORLD}."
+)
 SEED_HELP = "Seed of everything random in the emulated world."
 
 
@@ -117,12 +121,19 @@ def _restore_operator(before: str | None) -> None:
         os.environ[OPERATOR_VARIABLE] = before
 
 
+def world_for(station: str, world: str | None) -> str:
+    """Name the world to emulate: the selected one, else the shipped one of the station's name."""
+    from gyrobench.bench.foundations.shipped import shipped_names
+
+    return world or (station if station in shipped_names("worlds") else DEFAULT_WORLD)
+
+
 PROCEDURE_HELP = "Procedure file, or the name of a shipped one."
 
 ProcedureArgument = Annotated[str, typer.Argument(help=PROCEDURE_HELP, autocompletion=complete_procedure)]
 StationArgument = Annotated[str, typer.Argument(help=STATION_HELP, autocompletion=complete_station)]
 StationOption = Annotated[str, typer.Option(help=STATION_HELP, autocompletion=complete_station)]
-WorldOption = Annotated[str, typer.Option(help=WORLD_HELP, autocompletion=complete_world)]
+WorldOption = Annotated[str | None, typer.Option(help=WORLD_HELP, autocompletion=complete_world)]
 SeedOption = Annotated[int, typer.Option(min=0, help=SEED_HELP)]
 FaultsOption = Annotated[
     str | None,

@@ -28,7 +28,7 @@ Row = TypeVar("Row")
 
 #: The run did not finish, or a check failed.
 EXIT_NOT_FINISHED = 1
-#: A file, table or option is wrong, or the run that was named does not exist.
+#: A file, table or option is wrong, the run that was named does not exist, or a package is missing.
 EXIT_WRONG_INPUT = 2
 #: An instrument can't be reached.
 EXIT_INSTRUMENT = 3
@@ -38,7 +38,7 @@ EXIT_CODES_HELP = """\b
 Exit codes of all commands:
   0  success; run and resume: the run finished
   1  not finished, or a check failed
-  2  a file, table or option is wrong, or there is no such run; the message states where
+  2  a file, table, path or option is wrong, there is no such run, or an extra is not installed
   3  an instrument can't be reached, or another run uses the bench
 
 Codes of a single command: gyrobench COMMAND --help
@@ -150,10 +150,11 @@ def print_end(
     from gyrobench.bench.foundations.memory import free_memory
     from gyrobench.bench.report.statements import latitude_sentence
 
-    is_finished = outcome.ended == "finished"
+    is_finished, resume = outcome.ended == "finished", f"Resume   gyrobench resume {folder.path}"
     safe_state = "\n".join(each.text for each in outcome.safe_state)
     if not is_finished:
-        console.print(f"The run {outcome.ended}: {outcome.reason}", soft_wrap=True, style="bold red")
+        console.print(_interruption(outcome), soft_wrap=True, style="bold red")
+        console.print(resume, soft_wrap=True)
         console.print(safe_state, soft_wrap=True)
     record = _end_record(folder, outcome)
     shortcoming = outcome.shortcoming(fail_on.value if fail_on else None)
@@ -184,11 +185,18 @@ def print_end(
     if as_json:
         print_json(record)
     if not is_finished:
-        console.print(f"Resume   gyrobench resume {folder.path}", soft_wrap=True)
+        console.print(resume, soft_wrap=True)
         raise typer.Exit(EXIT_NOT_FINISHED)
     if shortcoming:
         console.print(shortcoming, soft_wrap=True, style="bold red")
         raise typer.Exit(EXIT_NOT_FINISHED)
+
+
+def _interruption(outcome: RunOutcome) -> str:
+    """How and why a run ended that did not finish, as a sentence."""
+    if outcome.reason.startswith("stopped by "):
+        return f"The run was {outcome.reason.replace('SIGINT', 'Ctrl-C')}."
+    return f"The run {outcome.ended}: {outcome.reason}"
 
 
 def _end_record(folder: RunFolder, outcome: RunOutcome) -> dict[str, object]:

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from gyrobench.bench.engine.job import Job
     from gyrobench.bench.station.station import Station
 
+_DEFAULT_TARGET_DPH = 0.002
+
 
 def plan(
     procedure: Annotated[
@@ -33,8 +35,13 @@ def plan(
         bool, typer.Option("--separability", help="Show which effects on the bias its dwells distinguish.")
     ] = False,
     target_dph: Annotated[
-        float, typer.Option(min=1e-6, help="With --separability: size of effect that matters, deg/h rms.")
-    ] = 0.002,
+        float | None,
+        typer.Option(
+            min=1e-6,
+            help="With --separability: size of effect that matters, deg/h rms; default: "
+            f"{_DEFAULT_TARGET_DPH:g}.",
+        ),
+    ] = None,
     closure: Annotated[
         Path | None,
         typer.Option(
@@ -79,6 +86,8 @@ def plan(
 
     Example: gyrobench plan six_position_fig7 --figure plan.png
     """
+    if target_dph is not None and not separability:
+        raise DocumentError("--target-dph has a meaning with --separability only. Add --separability")
     if observability:
         _show_observability(procedure, station, whole_turns_arcsec, reach, as_json)
         return
@@ -103,7 +112,7 @@ def plan(
     console().print(timeline_table(timeline_rows(job.plan), job.plan.duration_s))
     typer.echo(f"Figure   {path}")
     if separability:
-        _print_separability(job, target_dph, closure)
+        _print_separability(job, target_dph or _DEFAULT_TARGET_DPH, closure)
 
 
 def _show_observability(

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from gyrobench.bench.cli.options import FaultsOption, SeedOption, StationArgument, WorldOption
+from gyrobench.bench.cli.options import FaultsOption, SeedOption, StationArgument, WorldOption, world_for
 from gyrobench.bench.foundations.errors import DocumentError
 
 
@@ -41,7 +41,7 @@ def record(
         typer.Option(min=0.1, help="Duration of proxy or CAN log; default: until Ctrl-C, and 10 s."),
     ] = None,
     note: Annotated[str, typer.Option(help="Comment kept in the recording.")] = "",
-    world: WorldOption = "gyro_a",
+    world: WorldOption = None,
     seed: SeedOption = 0,
     faults: FaultsOption = None,
 ) -> None:
@@ -58,7 +58,7 @@ def record(
     from gyrobench.bench.recording.recorder import Recorder
     from gyrobench.bench.station.instruments import Emulation
 
-    recorder = Recorder(station, Emulation(world, seed, faults or ""), note, typer.echo)
+    recorder = Recorder(station, Emulation(world_for(station, world), seed, faults or ""), note, typer.echo)
     if command:
         if instrument or proxy:
             raise DocumentError("record: a COMMAND records table and chamber; omit --instrument and --proxy")

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from gyrobench.bench.cli.options import RunArgument, complete_run
-from gyrobench.bench.cli.output import console
+from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, console
 
 
 class VectorFormat(StrEnum):
@@ -49,12 +49,16 @@ def report(
     """Write the report of a run from its folder.
 
     Includes the results of `close` and `verify`. Figures mark the temperatures that the procedure lists
-    (marked_temperatures_c) and those given with --mark-temperature.
+    (marked_temperatures_c) and those given with --mark-temperature. A run whose journal or dwell table is
+    damaged is reported, but not judged.
+
+    Exit codes: 0 the report is written; 1 it is written, but journal or dwell table are damaged.
 
     Example: gyrobench report runs/six_position_fig7-001 --by "A. Smith" --pdf
     """
     from gyrobench.bench.bias.verdicts import read_acceptance
     from gyrobench.bench.report.bias_sections import acceptance_summary
+    from gyrobench.bench.report.content import damage_of
     from gyrobench.bench.report.run_report import units_section, write_report, write_units_report
     from gyrobench.bench.report.terminal.tables import section_view
     from gyrobench.bench.runs.folder import open_run_folder
@@ -63,15 +67,22 @@ def report(
     earlier = open_run_folder(before) if before else None
     formats = [each.value for each in vectors or ()]
     terminal = console()
+    damage = [text for each in (folder, *folder.unit_folders) for text in damage_of(each).values()]
+    for text in damage:
+        terminal.print(text, soft_wrap=True, style="bold red")
     if folder.unit_folders:
         terminal.print(section_view(units_section(folder)))
         terminal.print(f"Report   {write_units_report(folder, by, formats)}", soft_wrap=True)
-        return
+        raise typer.Exit(EXIT_NOT_FINISHED if damage else 0)
     page = write_report(folder, by, out, earlier, mark_temperature or (), formats)
-    if folder.acceptance.exists():
+    if damage:
+        terminal.print("Unit not judged.", style="bold")
+    elif folder.acceptance.exists():
         terminal.print(section_view(acceptance_summary(read_acceptance(folder.acceptance))))
     terminal.print(f"Report   {page}", soft_wrap=True)
     if pdf:
         from gyrobench.bench.report.page import write_pdf
 
         terminal.print(f"PDF      {write_pdf(page, page.with_suffix('.pdf'))}", soft_wrap=True)
+    if damage:
+        raise typer.Exit(EXIT_NOT_FINISHED)

@@ -20,6 +20,7 @@ from gyrobench.bench.cli.options import (
     ViewOption,
     WorldOption,
     complete_run,
+    world_for,
 )
 from gyrobench.bench.cli.output import JsonOption, console, print_end
 
@@ -27,7 +28,7 @@ from gyrobench.bench.cli.output import JsonOption, console, print_end
 def run(
     procedure: ProcedureArgument,
     station: StationOption = EMULATED,
-    world: WorldOption = "gyro_a",
+    world: WorldOption = None,
     out: Annotated[Path | None, typer.Option(help="Run folder; default: a new one under runs/.")] = None,
     seed: SeedOption = 0,
     calibration: Annotated[
@@ -65,7 +66,7 @@ def run(
     job = prepare_job(
         procedure,
         station,
-        Emulation(world, seed, faults or ""),
+        Emulation(world_for(station, world), seed, faults or "", must_fit=True),
         calibration,
         loaded,
         {"customer": customer, "order": order, "item": item},

@@ -46,7 +46,7 @@ def runs(
     index: IndexOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """List, select and compare the runs of a folder or object store.
+    """List, select and compare the runs of a folder or object store (extra `index`).
 
     Uses an index of the run folders, which is updated each time and may be removed. The batch of a unit
     comes from a table ROOT/units.csv with the columns unit,batch,hardware,note.

@@ -44,6 +44,8 @@ def validate(
 ) -> None:
     """Check YAML files and list every mistake with its place.
 
+    Ranges of temperature, ramps and rates are limits of a station: they are checked with --station only.
+
     With --json: {"files": [{"file", "kind", "ok", "found", "problems": [{"line", "column", "message"}]}]}.
 
     Exit codes: 0 all files are valid, 2 a file is invalid or of unknown kind.

@@ -20,6 +20,7 @@ from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError, RunFolderError
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
+from gyrobench.bench.runs.journal import facts_of, read_journal
 from gyrobench.bench.runs.provenance import read_provenance, started_utc
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, read_coefficients_apart
 from gyrobench.bench.runs.telemetry import read_telemetry
@@ -59,10 +60,8 @@ def _source(path: Path, quantity: Quantity) -> Source:
         folder = open_run_folder(path)
         table = folder.dwells
         if not table.exists():
-            raise MeasurementError(
-                f"{path}: no dwell was finished in this run: nothing to search. Rotations need a dwell "
-                "(align, navigate, turn, navigate) before them at the same set point"
-            )
+            advice = _advice_without_dwells(folder)
+            raise MeasurementError(f"{path}: no dwell was finished in this run: nothing to search. {advice}")
         record = temperature_record(read_telemetry(folder.telemetry))
         provenance = read_provenance(folder)
         if "started_utc" in provenance and provenance.get("options", {}).get("clock") != "virtual":
@@ -74,6 +73,16 @@ def _source(path: Path, quantity: Quantity) -> Source:
         return Source(str(path), campaign_of(rows, record, quantity), is_run, began_s)
     except MeasurementError as error:
         raise MeasurementError(f"{table}: {error}") from error
+
+
+def _advice_without_dwells(folder: RunFolder) -> str:
+    entries = list(read_journal(folder.journal))
+    marks = [entry.get("marks") for entry in entries]
+    if any(isinstance(each, Mapping) and each.get("is_rotated") for each in marks):
+        return "Rotations need a dwell (align, navigate, turn, navigate) before them at the same set point"
+    if facts_of(entries).ended != "finished":
+        return f"Continue it with `gyrobench resume {folder.path}`"
+    return "Search a run with dwells (align, navigate, turn, navigate)"
 
 
 def coefficient_columns(quantity: Quantity) -> list[tuple[str, str]]:

@@ -12,6 +12,7 @@ from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.closure.contradictions import contradictions
 from gyrobench.bench.closure.quantity import GYRO_BIAS, Quantity
 from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.text import counted
 
 #: Temperatures at which no INS is calibrated, degC.
 _COLDEST_C, _HOTTEST_C = -150.0, 200.0
@@ -60,19 +61,22 @@ def _temperatures(rows: Sequence[DwellRow]) -> Iterator[str]:
     for pattern, name in _TEMPERATURES.items():
         values = np.array([getattr(row, name) for row in rows], dtype=np.float64).reshape(len(rows), -1)
         for axis, column in zip("xyz", values.T, strict=False):
-            problem = _temperature(column)
+            problem = _temperature(column, [row.dwell for row in rows])
             if problem:
                 yield f"{pattern.format(axis)} {problem}"
 
 
-def _temperature(column: FloatArray) -> str:
-    wrong = column[(column < _COLDEST_C) | (column > _HOTTEST_C)]
+def _temperature(column: FloatArray, dwells: Sequence[int]) -> str:
+    """What is wrong with the temperatures of these dwells, degC; empty where nothing is."""
+    wrong = np.flatnonzero((column < _COLDEST_C) | (column > _HOTTEST_C))
     if not len(wrong):
         return ""
-    worst = wrong[np.argmax(np.abs(wrong))]
+    index = wrong[np.argmax(np.abs(column[wrong]))]
+    worst, others = column[index], f" and {counted(len(wrong) - 1, 'other')}" if len(wrong) > 1 else ""
     kelvin = bool(np.nanmin(column) > _KELVIN_FROM) and worst < _HOTTEST_C + 273.15
     advice = "the column seems to be in kelvin" if kelvin else "correct the value or its unit"
-    return f"is {worst:g} degC, outside {_COLDEST_C:g} to {_HOTTEST_C:g} degC: {advice}"
+    where = f"in dwell {dwells[index]}{others}"
+    return f"is {worst:g} degC {where}, outside {_COLDEST_C:g} to {_HOTTEST_C:g} degC: {advice}"
 
 
 def _sigmas(rows: Sequence[DwellRow], quantity: Quantity) -> Iterator[str]:

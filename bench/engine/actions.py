@@ -42,6 +42,7 @@ from gyrobench.bench.procedure.steps import (
     Step,
     Turn,
     Wait,
+    span,
 )
 from gyrobench.drivers.ins.attitude import EulerSequence
 from gyrobench.drivers.ins.can_ins import POLL_PERIOD_S
@@ -184,6 +185,21 @@ def _soaking(step: Soak, context: StepContext) -> Ticks:
             if max(rates, default=np.inf) < (step.until_gyro_rate_below_c_per_h or 0.0):
                 return
         yield
+    _record_unsettled(step, context, max(map(_gyro_rate_c_per_h, histories.values()), default=np.inf))
+
+
+def _record_unsettled(step: Soak, context: StepContext, rate_c_per_h: float) -> None:
+    """Record that a soak ended by its time: what follows is measured all the same."""
+    is_known = math.isfinite(rate_c_per_h)
+    rate = f"a gyro still changes by {rate_c_per_h:.3g} degC/h" if is_known else "the rate is not known yet"
+    limit_c_per_h = step.until_gyro_rate_below_c_per_h
+    text = (
+        f"soak not settled after at_most_s ({span(step.at_most_s)}): {rate}, limit {limit_c_per_h:g} degC/h"
+    )
+    context.run.journal.record(
+        "soak_not_settled", text=text, rate_c_per_h=rate_c_per_h, limit_c_per_h=limit_c_per_h
+    )
+    context.run.observers.noted(text)
 
 
 @perform.register

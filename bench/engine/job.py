@@ -13,8 +13,9 @@ from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document
-from gyrobench.bench.procedure.plan import Plan
-from gyrobench.bench.procedure.procedure_file import load_procedure
+from gyrobench.bench.procedure.checks import find_problems
+from gyrobench.bench.procedure.plan import Plan, expand
+from gyrobench.bench.procedure.procedure_file import Procedure, load_procedure
 from gyrobench.bench.runs.compensation_file import read_compensation
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.provenance import read_provenance
@@ -105,7 +106,7 @@ def prepare_job(
     bench = Station(find_document("stations", station))
     bench.check_dbc()
     document, model = load_procedure(find_document("procedures", procedure))
-    plan = bench.plan(document, model)
+    plan = _planned(bench, document, model)
     if calibration and not any(planned.is_calibration_check for planned in plan.steps):
         raise DocumentError(
             f"{document.path}: checks no calibration, so {calibration} is not used. Leave --calibration out, "
@@ -125,6 +126,19 @@ def prepare_job(
     if compensation is not None:
         require_one_unit(job)
     return job
+
+
+def _planned(bench: Station, document: Document, procedure: Procedure) -> Plan:
+    """The plan on this bench; an error for the limits of its station alone names that station."""
+    try:
+        return bench.plan(document, procedure)
+    except DocumentError as error:
+        if find_problems(expand(document, procedure, bench.bench_at_rest())):
+            raise
+        raise DocumentError(
+            f"{error}\nThese are limits of the station {bench.file.station}. Choose another one with "
+            "--station, or change the procedure"
+        ) from error
 
 
 def job_in(folder: RunFolder, options: Mapping[str, Any] | None = None) -> Job:

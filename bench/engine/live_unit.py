@@ -193,9 +193,11 @@ class LiveUnit:
             return False
         period_s = passed_s / max(epochs, 1)
         if abs(period_s / self._other_period_s - 1.0) < _SAME_PERIOD:
+            is_emulated = self.station.file.ins.interface == "emulator"
+            other = "choose the --world that belongs to it" if is_emulated else "the output rate of the INS"
             raise SignalMapError(
                 f"{self.name}: counts an epoch in {period_s:.3g} s, not in {ins.epoch_period_s:g} s. Correct "
-                "epoch_period_s of the signal map in the station file, or the output rate of the INS"
+                f"epoch_period_s of the signal map in the station file, or {other}"
             )
         is_rate = 1.0 / _MAX_PERIOD_RATIO < period_s / ins.epoch_period_s < _MAX_PERIOD_RATIO
         self._other_period_s = period_s if is_rate else math.nan

@@ -15,7 +15,7 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 
 from gyrobench.bench import __version__
-from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.foundations.errors import RunFolderError, UnusablePathError
 from gyrobench.bench.foundations.files import (
     cant_be_written,
     file_sha256,
@@ -135,11 +135,11 @@ class ExportFolder:
     def refuse_existing(self, names: list[str]) -> None:
         """Check for existing files before the first one is written.
 
-        Raises RunFolderError if a file exists and ``force`` is off.
+        Raises UnusablePathError if a file exists and ``force`` is off.
         """
         there = [name for name in names if (self.folder / name).exists()]
         if there and not self.force:
-            raise RunFolderError(
+            raise UnusablePathError(
                 f"{self.folder}: already contains {', '.join(there)}. Use --force or another --out"
             )
 

@@ -28,6 +28,8 @@ LARGEST_NUMBER, SMALLEST_UNCERTAINTY = 1e30, 1e-30
 #: Beyond any gyro; much larger temperatures would fill the memory with empty bins.
 COLDEST_C, HOTTEST_C = -273.15, 1000.0
 _SHOWN_PROBLEMS = 20
+#: What stands between cells in place of a comma, and how to call it.
+_OTHER_SEPARATORS = {";": "';'", "\t": "a tab"}
 _PART_LINES = 500
 _INTEGER = re.compile(r"[-+]?[0-9]{1,18}")
 _LINE = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+")
@@ -180,9 +182,17 @@ class CsvTable:
         header = self.header
         missing = [column for column in required if column not in self._columns]
         if missing:
+            columns = f"the column{'s' if len(missing) > 1 else ''} {', '.join(missing)}"
+            if not header and not counts:
+                raise DocumentError(f"{self._name}:1: the file is empty. It needs a header with {columns}")
+            for mark, name in _OTHER_SEPARATORS.items():
+                if len(header) == 1 and mark in header[0]:
+                    raise DocumentError(
+                        f"{self._name}:1: the separator seems to be {name}. Write the table with commas and "
+                        "decimal points"
+                    )
             raise DocumentError(
-                f"{self._name}:1: the header lacks the columns {', '.join(missing)}; "
-                f"it has {', '.join(header) or 'none'}"
+                f"{self._name}:1: the header lacks {columns}; it has {', '.join(header) or 'none'}"
             )
         twice = sorted({column for column in header if header.count(column) > 1})
         if twice:

@@ -320,6 +320,11 @@ class _NodeReader:
                     return int(text)
                 case "float" if re.fullmatch(r"[-+.0-9Ee]+", text):
                     return float(text)
+                case "float":  # .inf or .nan
+                    self.problems.append(
+                        Problem(location, f"the value must be a finite number; found {_shown(text)}")
+                    )
+                    return None
         self.problems.append(
             Problem(location, f"expected text, a number or true/false; found {_shown(text)}")
         )

@@ -19,7 +19,8 @@
     ├── MeasurementError (ValueError)     measured data that can't give a result
     │   └── SignalMapError                they contradict the signal map or the latitude
     ├── RunFolderError (OSError)          a run folder that can't be written or read
-    │   └── MissingRunError               there is no run where one was named
+    │   ├── MissingRunError               there is no run where one was named
+    │   └── UnusablePathError             a path that was named can't be written, or is in use
     └── MissingPackageError (ImportError) an optional package is not installed
 
 A message says what happened, where, and what to do about it. Kinds that only the engine
@@ -109,6 +110,10 @@ class RunFolderError(GyrobenchError, OSError):
 
 class MissingRunError(RunFolderError):
     """No run is in the folder that was named, or there is no such folder."""
+
+
+class UnusablePathError(RunFolderError):
+    """A path to write to is taken, in a folder that does not exist, or may not be written."""
 
 
 class MissingPackageError(GyrobenchError, ImportError):

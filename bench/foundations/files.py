@@ -17,7 +17,7 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
+from gyrobench.bench.foundations.errors import DocumentError, RunFolderError, UnusablePathError
 
 _HALF_CHARACTER = re.compile(r"\\u[dD]")
 
@@ -152,7 +152,7 @@ def make_folder(path: Path) -> None:
     Raises RunFolderError if it can't be made.
     """
     if not make_new_folder(path) and not path.is_dir():
-        raise RunFolderError(f"{path}: is a file where a folder should be")
+        raise UnusablePathError(f"{path}: is a file where a folder should be")
 
 
 def make_new_folder(path: Path) -> bool:
@@ -171,7 +171,7 @@ def make_new_folder(path: Path) -> bool:
     except OSError as error:
         if isinstance(error, FileExistsError) and path.exists():  # made by another process meanwhile
             return False
-        raise RunFolderError(f"{path}: can't be made: {_reason(error)}") from error
+        raise _type_of(error)(f"{path}: can't be made: {_reason(error)}") from error
     return True
 
 
@@ -186,7 +186,11 @@ def sync_folder(folder: Path) -> None:
 
 def cant_be_written(path: Path, error: OSError) -> RunFolderError:
     """Make the error of a file that can't be written."""
-    return RunFolderError(f"{path}: can't be written: {_reason(error)}")
+    return _type_of(error)(f"{path}: can't be written: {_reason(error)}")
+
+
+def _type_of(error: OSError) -> type[RunFolderError]:
+    return UnusablePathError if error.errno in _WRONG_PATH else RunFolderError
 
 
 def _reason(error: OSError) -> str:
@@ -195,7 +199,13 @@ def _reason(error: OSError) -> str:
     return f"{error.strerror or error}.{advice}"
 
 
+#: Errors of the path itself, not of its disk.
+_WRONG_PATH = {
+    *(errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.EACCES, errno.EPERM, errno.EROFS),
+    *(errno.ENAMETOOLONG, errno.ELOOP, errno.EINVAL),
+}
 _ADVICE = {
+    **dict.fromkeys((errno.ENOENT, errno.ENOTDIR), " Choose a path in an existing folder."),
     **dict.fromkeys((errno.ENOSPC, errno.EDQUOT), " Free some space on its disk."),
     **dict.fromkeys((errno.EACCES, errno.EPERM), " Check the permissions of its folder."),
     errno.EROFS: " Choose a folder on a writable disk.",

@@ -225,7 +225,7 @@ def _messages(journal: Sequence[Entry]) -> Iterator[Note]:
 
 def _message_of(entry: Mapping[str, Any]) -> str:
     match entry.get("event"):
-        case "note":
+        case "note" | "soak_not_settled":
             return str(entry.get("text", ""))
         case "held":
             return f"Holding, waiting for {entry.get('waits_for')}: {entry.get('why')}"

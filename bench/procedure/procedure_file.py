@@ -259,6 +259,13 @@ def _loop_problems(loop: Repeat, at: Location, scope: tuple[str, ...]) -> Iterat
                 yield Problem(
                     (*at, name, index), f"a cycle is a whole number from 1; found {json.dumps(value)}"
                 )
+            if name == "cycle" and value in values[:index]:
+                numbers = ", ".join(map(str, range(1, len(values) + 1)))
+                yield Problem(
+                    (*at, name, index),
+                    f"the cycle {json.dumps(value)} is given twice, and both passes would count as one. Give "
+                    f"each pass its own number: cycle: [{numbers}]",
+                )
             if name == "position" and index and value == values[index - 1]:
                 yield Problem((*at, name, index), f"the position {value} is given twice in succession")
 

@@ -21,7 +21,7 @@ from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.text import hours_minutes
 from gyrobench.bench.report.journal_sections import KindDuration, add_step
 from gyrobench.bench.report.page import FINDINGS_FILE, Findings, read_findings_file
-from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.folder import DWELLS, JOURNAL, RunFolder
 from gyrobench.bench.runs.journal import RunFacts, facts_of, read_journal
 from gyrobench.bench.runs.provenance import is_emulated, read_provenance
 from gyrobench.bench.runs.tables.budget_table import BudgetSummary, read_budget
@@ -74,6 +74,8 @@ class RunContent:
     #: Who approved or declined the blocks of an investigation that this run belongs to.
     approvals: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)  #: Missing or unreadable files.
+    #: What makes the run impossible to judge, see :func:`damage_of`; then ``acceptance`` is None.
+    damage: Mapping[str, str] = field(default_factory=dict)
     #: Number of finished dwells by what they are for: biases, rotations, noise, calibration check.
     dwell_purposes: Counter[str] = field(default_factory=Counter)
     run_name: str = ""  #: Name of the run, also in the folder of one of its units.
@@ -85,6 +87,8 @@ class RunContent:
     @property
     def ending(self) -> str:
         """How the run ended, as a sentence; of a unit that was dropped from it, when."""
+        if JOURNAL in self.damage:
+            return "How the run ended is not known."
         dropped, ended = self.last("unit_dropped"), self.facts.ended
         if ended == "failed" and dropped.get("why") == self.facts.reason:
             after = hours_minutes(self.facts.last_s)
@@ -118,7 +122,7 @@ class RunContent:
 def read_run(folder: RunFolder) -> RunContent:
     """Read a run folder; missing or damaged files become problems, not errors."""
     problems: list[str] = []
-    journal = _Journal()
+    journal, damage = _Journal(), damage_of(folder)
 
     def read(path: Path, reader: Callable[[Path], T], missing: T, *, is_optional: bool = False) -> T:
         if not path.exists():
@@ -161,11 +165,34 @@ def read_run(folder: RunFolder) -> RunContent:
         calibration_check=calibration_check,
         coefficients=read(folder.coefficients, read_coefficients, [], is_optional=True),
         characteristics=read(folder.characteristics, read_characteristics, [], is_optional=True),
-        acceptance=read(folder.acceptance, read_acceptance, None, is_optional=True),
+        acceptance=None if damage else read(folder.acceptance, read_acceptance, None, is_optional=True),
         chapters=_chapters(folder, problems),
         approvals=_approvals(folder),
         problems=problems,
+        damage=damage,
     )
+
+
+def damage_of(folder: RunFolder) -> dict[str, str]:
+    """Why its journal or its dwell table can't be used and what to do, by the name of the file.
+
+    Empty for an intact run. An interrupted run need not have a dwell table yet; a finished one that measured
+    biases does.
+    """
+    journal, damage = _Journal(), {}
+    try:
+        journal.read(folder.journal) if folder.journal.exists() else None
+    except GyrobenchError as error:
+        damage[JOURNAL] = f"{error}. Restore the file from a copy."
+    again = f"Write it again with `gyrobench bins {folder.path}`."
+    try:
+        if folder.dwells.exists():
+            read_dwells(folder.dwells)
+        elif journal.facts.ended == "finished" and "biases" in journal.purposes.values():
+            damage[DWELLS] = f"{folder.dwells}: is missing. {again}"
+    except GyrobenchError as error:
+        damage[DWELLS] = f"{error}. {again}"
+    return damage
 
 
 class _Journal:

@@ -10,7 +10,7 @@ from functools import partial
 from types import MappingProxyType
 from typing import Any
 
-from gyrobench.bench.foundations.text import listed
+from gyrobench.bench.foundations.text import counted, listed
 from gyrobench.bench.report.page import Mark, Section, SectionTable
 
 
@@ -87,6 +87,7 @@ _KINDS = (
     "dwell flagged",
     "dwell repeated",
     "dwell skipped",
+    "soak not settled",
     "command",
     "resumed",
     "ended",
@@ -94,7 +95,13 @@ _KINDS = (
     "exchange repeated",
 )
 _MARKS: Mapping[str, Mark] = MappingProxyType(
-    {"interlock": "bad", "ended": "bad", "held": "doubtful", "dwell flagged": "doubtful"}
+    {
+        "interlock": "bad",
+        "ended": "bad",
+        "held": "doubtful",
+        "dwell flagged": "doubtful",
+        "soak not settled": "doubtful",
+    }
 )
 _QUIET = "The journal has no fault, hold, repeat, command or note."
 _ALL = "Times from the start. Repeated events are counted in one row; journal.jsonl has all of them"
@@ -170,7 +177,17 @@ def events_section(journal: Sequence[Entry]) -> Section:
         words=4,
         marks=[_MARKS.get(each.kind, "") for each in events],
     )
-    return Section("Flags, holds and retries", [f"{summary}."], tables=[table])
+    texts = [f"{summary}.", *_unsettled_sentence(journal)]
+    return Section("Flags, holds and retries", texts, tables=[table])
+
+
+def _unsettled_sentence(journal: Iterable[Entry]) -> list[str]:
+    """How many soaks ended by their time, and the largest rate at their end; empty without any."""
+    found = [entry for entry in journal if entry.get("event") == "soak_not_settled"]
+    rates = [rate for entry in found if isinstance(rate := entry.get("rate_c_per_h"), int | float)]
+    worst = f"; the largest rate of a gyro was {max(rates):.3g} °C/h" if rates else ""
+    number = f"{counted(len(found), 'soak')} ended by at_most_s before the gyros had settled"
+    return [f"{number}{worst}."] if found else []
 
 
 def _events(journal: Iterable[Entry]) -> list[RunEvent]:
@@ -208,6 +225,9 @@ class _Gathered:
             ),
             "unit_dropped": self._unit_dropped,
             "run_ended": self._ended,
+            "soak_not_settled": lambda entry: self._add(
+                entry, "soak not settled", str(entry.get("text")), "continued"
+            ),
             "note": lambda entry: self._add(entry, "note", str(entry.get("text"))),
             "journal_repaired": lambda entry: self._add(
                 entry, "note", "The last line of the journal was incomplete and has been removed."

@@ -65,8 +65,8 @@ from gyrobench.bench.report.page import (
     render_page,
     with_figure_files,
 )
-from gyrobench.bench.report.statements import latitude_sentence
-from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.report.statements import VERDICT_COLOURS, latitude_sentence
+from gyrobench.bench.runs.folder import JOURNAL, RunFolder
 from gyrobench.bench.runs.provenance import SIMULATED, DataHash, data_hashes, note_preparer
 from gyrobench.bench.runs.seal import keep_sealed
 from gyrobench.bench.runs.tables.coefficient_table import plateau_findings
@@ -80,6 +80,7 @@ _TIME = "%Y-%m-%d %H:%M:%S"
 _MAX_OFFSET_S = 86_000.0
 _INTERRUPTED = "It was killed or is still running: the journal has no end."
 _NO_BIAS = "No dwell gave a bias."
+_NOT_JUDGED = "A run with a damaged file is not judged."
 _DWELL_BANDS = " Bands and bars are dwells by position; a hollow bar is a flagged dwell."
 _HASHES = (
     "SHA-256 of the files in the run folder. The hash of a log in parts is that of the list of its parts' "
@@ -205,7 +206,7 @@ def render(
         _list_section("Assumptions of the procedure", content.procedure.get("assumptions")),
         _instruments_section(content),
         _hashes_section(hashes),
-        _safe_state_section(content.facts.safe_state),
+        _safe_state_section(content),
         _list_section("Missing in the run folder", content.problems),
     ]
     subject = _subject(content)
@@ -259,8 +260,11 @@ def _analysis_sections(content: RunContent, marked_c: Sequence[float]) -> list[S
 
 
 def verdict_boxes(content: RunContent) -> list[Box]:
-    """How the run ended, and the verdict on the unit."""
+    """Damaged files, how the run ended, and the verdict on the unit."""
     facts, acceptance = content.facts, content.acceptance
+    boxes = damage_boxes(content.damage)
+    if JOURNAL in content.damage:  # the entries before the damage do not give the end
+        return [*boxes, Box("failed", content.ending, ""), *_not_judged(content)]
     is_safe = not any(action.get("problem") for action in facts.safe_state)
     notes = [f"Unfinished step: {open_step_of(content)}."] if open_step_of(content) else []
     notes += [
@@ -269,9 +273,8 @@ def verdict_boxes(content: RunContent) -> list[Box]:
     ]
     notes += [] if is_safe else ["The safe state was not fully reached; see the section Safe state."]
     colour = facts.ended if is_safe and facts.ended in ("finished", "stopped") else "failed"
-    boxes = [Box(colour, content.ending, facts.reason or ("" if facts.ended else _INTERRUPTED), notes)]
-    if acceptance:
-        boxes.append(verdict_box(acceptance))
+    boxes.append(Box(colour, content.ending, facts.reason or ("" if facts.ended else _INTERRUPTED), notes))
+    boxes += [verdict_box(acceptance)] if acceptance else _not_judged(content)
     if found := budget_box(content.budget):
         boxes.append(found)
     for last in content.joint_plateaus[-1:]:
@@ -279,6 +282,15 @@ def verdict_boxes(content: RunContent) -> list[Box]:
         if text := latitude_sentence(finding, error, last.latitude_error_sigma_arcmin):
             boxes.append(Box("failed", "Wrong latitude.", text))
     return boxes
+
+
+def damage_boxes(damage: Mapping[str, str]) -> list[Box]:
+    """A statement for each damaged file, see :func:`gyrobench.bench.report.content.damage_of`."""
+    return [Box("failed", f"{name} can't be used.", text) for name, text in damage.items()]
+
+
+def _not_judged(content: RunContent) -> list[Box]:
+    return [Box(VERDICT_COLOURS["not judged"], "Unit not judged.", _NOT_JUDGED)] if content.damage else []
 
 
 def _temperature_section(content: RunContent, figures: Mapping[str, Path]) -> Section | None:
@@ -319,7 +331,10 @@ def _hashes_section(hashes: Sequence[DataHash]) -> Section | None:
     return Section("Data of this report", paragraphs=[_HASHES], facts=names) if hashes else None
 
 
-def _safe_state_section(actions: Sequence[Entry]) -> Section:
+def _safe_state_section(content: RunContent) -> Section:
+    actions = content.facts.safe_state
+    if JOURNAL in content.damage:
+        return Section("Safe state", [f"{JOURNAL} can't be used."])
     if not actions:
         return Section("Safe state", ["The journal has no safe state."])
     texts = [
@@ -355,6 +370,7 @@ def head_lines(content: RunContent) -> dict[str, str]:
     facts, own = content.facts, content.provenance
     options = {**own.get("options", {}), **facts.options}
     resumed = f", resumed {counted(facts.resumes, 'time')}" if facts.resumes else ""
+    is_end_known = JOURNAL not in content.damage
     begun = parsed_utc(own.get("started_utc") or facts.started_utc)
     lines = {
         "unit": serial_number_of(content) or "serial number unknown",
@@ -363,8 +379,8 @@ def head_lines(content: RunContent) -> dict[str, str]:
         "bench": facts.station or content.station.get("station"),
         "started by": " on ".join(str(own[name]) for name in ("operator", "host") if own.get(name)),
         "started": _both_times(begun, 0.0, own),
-        "ended": _both_times(begun, facts.last_s, own) if facts.ended else "",
-        "duration": f"{hours_minutes(facts.last_s)} h{resumed}" if facts.last_s else "",
+        "ended": _both_times(begun, facts.last_s, own) if facts.ended and is_end_known else "",
+        "duration": f"{hours_minutes(facts.last_s)} h{resumed}" if facts.last_s and is_end_known else "",
         "dwells": _dwells_text(content),
         "options": ", ".join(f"{name} {value}" for name, value in options.items()),
     }
@@ -457,6 +473,7 @@ def write_units_report(folder: RunFolder, prepared_by: str = "", vectors: Sequen
     procedure = str(content.procedure.get("procedure", ""))
     page = Section(
         f"Gyro bias of {counted(len(units), 'unit')}",
+        boxes=[box for each in (content, *units) for box in damage_boxes(each.damage)],
         facts=facts,
         sections=[
             _units_section(content, units),

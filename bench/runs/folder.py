@@ -7,8 +7,9 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from gyrobench.bench.foundations.errors import MissingRunError, RunFolderError
+from gyrobench.bench.foundations.errors import MissingRunError, RunFolderError, UnusablePathError
 from gyrobench.bench.foundations.files import make_folder, make_new_folder
+from gyrobench.bench.runs.journal import facts_of, read_journal
 
 
 def part_path(folder: Path, number: int, suffix: str) -> Path:
@@ -112,7 +113,7 @@ def create_run_folder(out: Path | None, name: str, parent: Path = RUNS) -> RunFo
 
     ``out``: the folder, which must be absent or empty, or contain no more than a run interrupted before its
     journal began; None for a new folder under ``parent``. ``name``: name of the procedure, for a new folder.
-    Raises RunFolderError if the folder can't be made, or is not empty.
+    Raises UnusablePathError if the folder can't be made, or is not empty.
     """
     if out is not None:
         make_folder(out)
@@ -122,11 +123,21 @@ def create_run_folder(out: Path | None, name: str, parent: Path = RUNS) -> RunFo
             raise RunFolderError(f"{out}: can't be read: {error.strerror}") from error
         was_begun = LOCK in held and all(_BEFORE_THE_JOURNAL.fullmatch(name) for name in held)
         if held and not was_begun:
-            raise RunFolderError(f"{out}: is not empty. Choose another --out, or omit it for a new folder.")
+            resume = f"continue the run with `gyrobench resume {out}`"
+            other = resume if _is_interrupted(out) else "omit it for a new folder"
+            raise UnusablePathError(f"{out}: is not empty. Choose another --out, or {other}.")
         return RunFolder(out)
     safe_name = re.sub(r"[^A-Za-z0-9_-]+", "_", name)[:80]
     candidates = (parent / f"{safe_name}-{number:03d}" for number in itertools.count(1))
     return RunFolder(next(candidate for candidate in candidates if make_new_folder(candidate)))
+
+
+def _is_interrupted(path: Path) -> bool:
+    """Whether a folder holds a run that has not finished."""
+    try:
+        return facts_of(read_journal(RunFolder(path).journal)).ended != "finished"
+    except RunFolderError:  # no journal, or a damaged one
+        return False
 
 
 def open_run_folder(path: Path, may_have_units: bool = False) -> RunFolder:

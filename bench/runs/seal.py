@@ -24,8 +24,21 @@ from typing import TYPE_CHECKING, Any
 
 from gyrobench.bench import __version__
 from gyrobench.bench.foundations.clock import WallClock
-from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError, MissingRunError, RunFolderError
-from gyrobench.bench.foundations.files import file_sha256, make_folder, parse_json, read_limited, write_whole
+from gyrobench.bench.foundations.errors import (
+    DocumentError,
+    GyrobenchError,
+    MissingRunError,
+    RunFolderError,
+    UnusablePathError,
+)
+from gyrobench.bench.foundations.files import (
+    cant_be_written,
+    file_sha256,
+    make_folder,
+    parse_json,
+    read_limited,
+    write_whole,
+)
 from gyrobench.bench.foundations.operator_name import login_name, operator_name
 from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.foundations.text import counted, listed
@@ -273,13 +286,13 @@ def new_key(path: Path) -> Path:
     serialization = require("cryptography.hazmat.primitives.serialization")
     public = path.with_name(path.name + ".pub")
     if path.exists() or public.exists():
-        raise RunFolderError(f"{path}: a key of this name exists. Choose another name")
+        raise UnusablePathError(f"{path}: a key of this name exists. Choose another name")
     secret = ed25519.Ed25519PrivateKey.generate()
     pem = serialization.Encoding.PEM
     try:
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     except OSError as error:
-        raise RunFolderError(f"{path}: can't be written: {error.strerror}") from error
+        raise cant_be_written(path, error) from error
     with open(descriptor, "wb") as stream:  # noqa: PTH123 - a descriptor
         stream.write(
             secret.private_bytes(pem, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())

@@ -100,6 +100,8 @@ class Emulation:
     world: str = "gyro_a"
     seed: int = 0  #: Seed of everything random in the world.
     faults: str = ""
+    #: Whether a world whose INS does not send as the signal map says is refused when the INS is opened.
+    must_fit: bool = False
 
     def options(self) -> dict[str, str | int]:
         """Parameters of the world in an emulator's address."""
@@ -391,6 +393,8 @@ def open_ins_bus(
     options: dict[str, str | int | float | bool] = dict(section.options)
     if section.interface == _EMULATOR:
         options.update(_emulated_bench(bench or station, emulation))
+        if emulation.must_fit:
+            options["epoch_period_s"] = section.signals.epoch_period_s
         if section.identifier_offset:
             options["identifier_offset"] = section.identifier_offset
         if bench is not None and bench.power_events and len(bench.units) > 1:

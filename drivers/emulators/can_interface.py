@@ -9,7 +9,7 @@ from typing import Any
 
 import can
 
-from gyrobench.bench.foundations.errors import GyrobenchError
+from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError
 from gyrobench.drivers.emulators.bench import ADDRESS_KEYS, BenchAddress, emulated_bench
 from gyrobench.drivers.emulators.can_ins import CanChannel
 from gyrobench.drivers.frames import FrameBlock, concatenate
@@ -26,9 +26,11 @@ class EmulatorBus(can.BusABC):
     * ``frames``: a name in :data:`gyrobench.drivers.emulators.can_ins.CAN_FORMATS`;
     * ``power_event``: the chamber's event output that powers the unit, in place of that in the world;
     * ``unit`` and ``identifier_offset``: connect the unit of that number to this channel, with the offset
-      added to its identifiers. All clients of a channel receive the frames of all units on it.
+      added to its identifiers. All clients of a channel receive the frames of all units on it;
+    * ``epoch_period_s``: the period of the epochs that the client expects, in s.
 
-    Raises can.CanInitializationError if there is no such channel, clock, world or list of faults.
+    Raises can.CanInitializationError if there is no such channel, clock, world or list of faults, or the
+    world has another period of the epochs.
     """
 
     def __init__(
@@ -38,6 +40,7 @@ class EmulatorBus(can.BusABC):
         power_event: int | None = None,
         unit: int | None = None,
         identifier_offset: int = 0,
+        epoch_period_s: float | None = None,
         **options: Any,
     ) -> None:
         address = BenchAddress(**{key: options.pop(key) for key in ADDRESS_KEYS if key in options})
@@ -52,6 +55,7 @@ class EmulatorBus(can.BusABC):
             self._bench.advance()
             self._bench.has_units(number)
             self._unit = self._bench.units[number - 1]
+            _check_period(address.world, self._unit.world.file.ins.epoch_period_s, epoch_period_s)
             if frames:
                 self._unit.ins.use_format(frames)
             if power_event is not None:
@@ -120,3 +124,13 @@ class EmulatorBus(can.BusABC):
         if self._blocks.append in listeners:
             listeners.remove(self._blocks.append)
         super().shutdown()
+
+
+def _check_period(world: str, period_s: float, expected_s: float | None) -> None:
+    """Refuse a world whose INS has another period of the epochs, in s, than its client expects."""
+    if expected_s is not None and not math.isclose(period_s, expected_s, rel_tol=1e-6):
+        raise DocumentError(
+            f"{world}: the INS of this world sends an epoch in {period_s:g} s, the station expects one in "
+            f"{expected_s:g} s. Choose a --world and a --station that belong together, as "
+            "`--station quick --world quick`, or correct epoch_period_s in one of them"
+        )

@@ -203,7 +203,13 @@ def test_refuses_a_dwell_number_given_twice():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "x:1: the header lacks the columns unit, run"),
+        ("", "x:1: the file is empty. It needs a header with the columns unit, run"),
+        ("unit;run;dwell\n1;1;1\n", "x:1: the separator seems to be ';'. Write the table with commas"),
+        ("unit\trun\n1\t1\n", "x:1: the separator seems to be a tab. Write the table with commas"),
+        (
+            ",".join(each for each in COLUMNS if each != "bias_x_dph") + "\n",
+            "x:1: the header lacks the column bias_x_dph; it has unit",
+        ),
         ("unit,run\n", "x:1: the header lacks the columns dwell, cycle"),
         (",".join((*COLUMNS, "unit")) + "\n", "x:1: the header gives unit more than once"),
         (",".join(COLUMNS) + "\n1,2\n", "x:2: 2 cells where the header has 42"),

@@ -180,6 +180,13 @@ def test_plan_starts_from_a_search(table, searched, tmp_path):
     assert "--separability only" in result.stderr
 
 
+def test_a_size_of_effect_without_separability_is_refused(tmp_path):
+    result = gyrobench("plan", "ten_minute_check", "--target-dph", "0.001", cwd=tmp_path)
+    assert result.returncode == EXIT_WRONG_INPUT
+    assert "--target-dph has a meaning with --separability only. Add --separability" in result.stderr
+    assert not list(tmp_path.iterdir())
+
+
 def test_plan_of_a_calibration_check_has_no_effects_to_distinguish(tmp_path):
     result = gyrobench("plan", "calibration_check", "--separability", cwd=tmp_path)
     assert result.returncode == 0, result.stderr

@@ -6,8 +6,9 @@ import subprocess
 
 import pytest
 
-from gyrobench.bench.foundations.clock import WallClock
+from gyrobench.bench.foundations.clock import VirtualClock, WallClock
 from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.runs.journal import Journal
 from gyrobench.bench.station.locks import LOCK_DIR_VARIABLE, BenchLock
 from gyrobench.bench.station.station import Station
 from tests.bench.command_line import PROCESS, gyrobench
@@ -139,3 +140,45 @@ def test_jog_works_with_the_instruments_that_answer(tmp_path):
     checked = gyrobench("check", "mine.yaml", cwd=tmp_path)
     assert checked.returncode == 1
     assert "Acutrol3000" in checked.stdout
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("run", "ten_minute_check", "--out", "taken"),
+        ("run", "ten_minute_check", "--out", "/proc/x"),
+        ("plan", "ten_minute_check", "--figure", "nowhere/x.png"),
+        ("plan", "ten_minute_check", "--figure", "taken"),
+    ],
+)
+def test_a_path_that_can_not_be_written_is_wrong_input(command, tmp_path):
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken" / "notes.txt").write_text("mine")
+    answer = gyrobench(*command, cwd=tmp_path)
+    assert answer.returncode == 2
+    assert command[-1] in answer.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["taken"]
+
+
+@pytest.mark.parametrize("ended", ["", "stopped", "finished"])
+def test_a_new_run_in_the_folder_of_an_interrupted_one_names_the_command_to_continue_it(ended, tmp_path):
+    (tmp_path / "first").mkdir()
+    with Journal(tmp_path / "first" / "journal.jsonl", VirtualClock()) as journal:
+        journal.record("run_started", procedure="ten_minute_check", station="emulated")
+        if ended:
+            journal.record("run_ended", ended=ended, reason="", safe_state=[])
+    answer = gyrobench("run", "ten_minute_check", "--out", "first", cwd=tmp_path)
+    assert answer.returncode == 2
+    assert ("gyrobench resume first" in answer.stderr) == (ended != "finished")
+
+
+def test_close_on_an_interrupted_run_without_dwells_does_not_speak_of_rotations(tmp_path):
+    (tmp_path / "run").mkdir()
+    with Journal(tmp_path / "run" / "journal.jsonl", VirtualClock()) as journal:
+        journal.record("run_started", procedure="ten_minute_check", station="emulated")
+    answer = gyrobench("close", "run", cwd=tmp_path)
+    assert answer.returncode == 2
+    assert answer.stderr.endswith("nothing to search. Continue it with `gyrobench resume run`\n")
+    with Journal(tmp_path / "run" / "journal.jsonl", VirtualClock()) as journal:
+        journal.record("dwell_finished", marks={"dwell": 1, "is_rotated": True}, flags="")
+    assert "Rotations need a dwell" in gyrobench("close", "run", cwd=tmp_path).stderr

@@ -25,7 +25,7 @@ def test_files_that_are_there_are_kept_and_that_is_reported(run_folder, tmp_path
     arguments = ("export", run_folder, "--what", "dwells", "--out", "x")
     assert gyrobench(*arguments, cwd=tmp_path).returncode == 0
     refused = gyrobench(*arguments, cwd=tmp_path)
-    assert refused.returncode == 1
+    assert refused.returncode == 2
     assert "--force" in refused.stderr
     assert gyrobench(*arguments, "--force", cwd=tmp_path).returncode == 0
 

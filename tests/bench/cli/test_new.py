@@ -50,6 +50,27 @@ def test_right_files_are_named_for_what_they_are(tmp_path):
     )
 
 
+def test_without_a_station_a_procedure_states_that_limits_are_not_checked(tmp_path):
+    (tmp_path / "p.yaml").write_text(
+        "procedure: p\nsteps:\n  - chamber: {temperature_c: -80, ramp_c_per_min: 50}\n"
+    )
+    answer = gyrobench("validate", "p.yaml", cwd=tmp_path)
+    assert answer.returncode == 0
+    assert answer.stdout == (
+        "p.yaml: valid procedure file, 1 step. Limits of a station are not checked: add --station STATION\n"
+    )
+    answer = gyrobench("validate", "p.yaml", "--station", "emulated", cwd=tmp_path)
+    assert answer.returncode == 2
+    assert "-80 degC is outside the chamber's range" in answer.stdout
+
+
+def test_the_order_of_steps_is_checked_without_a_station(tmp_path):
+    (tmp_path / "p.yaml").write_text("procedure: p\nsteps:\n  - align: {duration_s: 60}\n")
+    answer = gyrobench("validate", "p.yaml", cwd=tmp_path)
+    assert answer.returncode == 2
+    assert "align needs the INS on" in answer.stdout
+
+
 def test_wrong_files_are_shown_with_places_and_exit_code_2(tmp_path):
     (tmp_path / "p.yaml").write_text("procedure: p\nsteps:\n  - wait: {duration_s: -1}\n  - sok\n")
     answer = gyrobench("validate", "p.yaml", cwd=tmp_path)

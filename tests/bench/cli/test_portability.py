@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from gyrobench.bench.bias.dwell_table import write_dwells
-from gyrobench.bench.cli.output import EXIT_NOT_FINISHED
+from gyrobench.bench.cli.output import EXIT_WRONG_INPUT
 from tests.bench.report.made_up_closure import made_up_rows
 
 POSIX_MODULES = ["fcntl", "termios", "tty", "pty", "pwd", "grp", "resource"]
@@ -110,6 +110,6 @@ def test_commands_of_a_run_need_no_posix_module(finished, log):
 )
 def test_a_command_names_the_extra_of_a_missing_package(finished, command, extra):
     ((code, text),) = results_of([command], finished)
-    assert code == EXIT_NOT_FINISHED
+    assert code == EXIT_WRONG_INPUT
     assert f"pip install 'gyrobench[{extra}]'" in text
     assert "Traceback" not in text

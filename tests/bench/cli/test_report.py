@@ -3,7 +3,7 @@
 import pytest
 
 from gyrobench.bench.bias.verdicts import Acceptance, write_acceptance
-from gyrobench.bench.cli.output import EXIT_WRONG_INPUT
+from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal
@@ -55,3 +55,15 @@ def test_what_is_no_run_is_refused(tmp_path):
     done = gyrobench("report", tmp_path, cwd=tmp_path)
     assert done.returncode == EXIT_WRONG_INPUT
     assert "is not a run folder" in done.stderr
+
+
+def test_a_run_with_a_damaged_file_is_reported_with_exit_code_1_and_not_judged(run, tmp_path):
+    write_acceptance(run.acceptance, Acceptance(verdict="accepted"))
+    run.journal.write_text(f"xx\n{run.journal.read_text()}")
+    done = gyrobench("report", run.path, cwd=tmp_path)
+    assert done.returncode == EXIT_NOT_FINISHED
+    assert done.stdout.splitlines() == [
+        f"{run.journal}:1: damaged entry: 'xx'. Restore the file from a copy.",
+        "Unit not judged.",
+        f"Report   {run.report}",
+    ]

@@ -45,7 +45,9 @@ def test_close_names_what_can_not_be_and_searches_nothing(rows, tmp_path, change
 def test_one_wrong_temperature_is_named_and_a_sound_table_has_no_problems(rows):
     assert implausible(rows) == []
     (problem,) = implausible([replace(rows[0], gyro_c=(25.0, 999.0, 25.0)), *rows[1:]])
-    assert problem.startswith("gyro_y_c is 999 degC")
+    assert problem.startswith(f"gyro_y_c is 999 degC in dwell {rows[0].dwell}, outside ")
+    (problem,) = implausible([replace(row, gyro_c=(25.0, 999.0, 25.0)) for row in rows[:3]] + rows[3:])
+    assert problem.startswith(f"gyro_y_c is 999 degC in dwell {rows[0].dwell} and 2 others, outside ")
 
 
 def test_sigmas_too_cautious_by_a_factor_of_five_are_no_problem(rows):

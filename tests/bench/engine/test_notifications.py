@@ -7,7 +7,8 @@ import pytest
 from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.observers import RunObserver
 from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.run_notifier import UNANSWERED_S, run_job
+from gyrobench.bench.engine.run import run_job
+from gyrobench.bench.engine.run_notifier import UNANSWERED_S
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation

@@ -131,6 +131,11 @@ WRONG_FILES = {
         "3:30",
         ["whole number from 1", "found 0"],
     ),
+    "cycle twice": (
+        "- repeat: {over: {cycle: [1, 2, 1]}, steps: [power_off]}",
+        "3:33",
+        ["the cycle 1 is given twice", "both passes would count as one", "cycle: [1, 2, 3]"],
+    ),
     "cycle 1.5": (
         "- repeat: {over: {cycle: [1.5]}, steps: [power_off]}",
         "3:27",

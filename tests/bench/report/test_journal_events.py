@@ -88,3 +88,20 @@ def test_entries_of_any_shape_are_read():
         {"event": ["tripped"]},
     ]
     assert len(run_events(journal)) == 3
+
+
+def test_soaks_that_did_not_settle_are_counted_with_the_largest_rate():
+    text = "soak not settled after at_most_s (90 min): a gyro still changes by {} degC/h, limit 2 degC/h"
+    journal = [
+        entry(60.0 * number, "soak_not_settled", text=text.format(rate), rate_c_per_h=rate, limit_c_per_h=2.0)
+        for number, rate in enumerate((5.83, 7.21, None))
+    ]
+    section = events_section(journal)
+    assert section.paragraphs == [
+        "soak not settled: 3.",
+        "3 soaks ended by at_most_s before the gyros had settled; the largest rate of a gyro was 7.21 °C/h.",
+    ]
+    assert [(each.kind, each.what) for each in run_events(journal)][1] == (
+        "soak not settled",
+        text.format(7.21),
+    )

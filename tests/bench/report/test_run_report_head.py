@@ -2,6 +2,8 @@ import json
 
 import pytest
 
+from gyrobench.bench.bias.dwell_table import write_dwells
+from gyrobench.bench.bias.verdicts import Acceptance, write_acceptance
 from gyrobench.bench.report.content import read_run
 from gyrobench.bench.report.run_report import head_lines, serial_number_of, verdict_boxes
 from gyrobench.bench.runs.folder import RunFolder
@@ -57,3 +59,51 @@ def test_the_serial_number_of_a_run_without_dwells_is_what_the_ins_said(stopped:
     assert serial_number_of(read_run(stopped)) == ""
     add(stopped, time_s=9000.0, event="ins_identified", unit="1007")
     assert serial_number_of(read_run(stopped)) == "1007"
+
+
+@pytest.fixture
+def accepted(empty_folder, journal_writer, dwells):
+    """A run that finished, and whose unit was accepted."""
+    journal_writer(empty_folder)
+    add(empty_folder, time_s=9060.0, event="dwell_finished", marks={"dwell": 1}, flags="")
+    write_dwells(empty_folder.dwells, dwells)
+    write_acceptance(empty_folder.acceptance, Acceptance(verdict="accepted"))
+    return empty_folder
+
+
+def statements(folder):
+    return [f"{box.gist} {box.text}".strip() for box in verdict_boxes(read_run(folder))]
+
+
+def test_a_run_with_a_damaged_journal_states_that_first_and_is_not_judged(accepted):
+    lines = accepted.journal.read_text(encoding="utf-8").splitlines(keepends=True)
+    accepted.journal.write_text("".join([*lines[:2], "xx\n", *lines[3:]]), encoding="utf-8")
+    assert statements(accepted) == [
+        f"journal.jsonl can't be used. {accepted.journal}:3: damaged entry: 'xx'. "
+        "Restore the file from a copy.",
+        "How the run ended is not known.",
+        "Unit not judged. A run with a damaged file is not judged.",
+    ]
+    assert not {"ended", "duration"} & set(head_lines(read_run(accepted)))
+
+
+def test_a_run_with_a_damaged_dwell_table_states_that_first_and_is_not_judged(accepted):
+    lines = accepted.dwells.read_text(encoding="utf-8").splitlines(keepends=True)
+    accepted.dwells.write_text("".join([*lines[:9], lines[9][:40] + "\n", *lines[10:]]), encoding="utf-8")
+    first, *others = statements(accepted)
+    assert first.startswith(f"dwells.csv can't be used. {accepted.dwells}:10: ")
+    assert first.endswith(f"Write it again with `gyrobench bins {accepted.path}`.")
+    assert others == ["The run finished.", "Unit not judged. A run with a damaged file is not judged."]
+
+
+def test_a_finished_run_without_its_dwell_table_is_not_judged(accepted):
+    accepted.dwells.unlink()
+    first, *_, last = statements(accepted)
+    assert first.startswith(f"dwells.csv can't be used. {accepted.dwells}: is missing. ")
+    assert last.startswith("Unit not judged.")
+
+
+def test_an_interrupted_run_without_a_dwell_table_is_not_damaged(empty_folder, journal_writer):
+    journal_writer(empty_folder, ended="")
+    add(empty_folder, time_s=9060.0, event="dwell_finished", marks={"dwell": 1}, flags="")
+    assert read_run(empty_folder).damage == {}

@@ -1,0 +1,39 @@
+"""The end of a run that was stopped, as the terminal states it."""
+
+import io
+
+import pytest
+import typer
+from rich.console import Console
+
+from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, print_end
+from gyrobench.bench.engine.observers import RunOutcome
+from gyrobench.bench.foundations.clock import VirtualClock
+from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.journal import Journal
+
+
+@pytest.mark.parametrize(
+    ("reason", "sentence"),
+    [
+        ("stopped by SIGINT", "The run was stopped by Ctrl-C."),
+        ("stopped by SIGTERM", "The run was stopped by SIGTERM."),
+        (
+            "the operator answered 'stop' to: ready?",
+            "The run stopped: the operator answered 'stop' to: ready?",
+        ),
+    ],
+)
+def test_a_stopped_run_begins_with_who_stopped_it_and_how_to_continue(tmp_path, reason, sentence):
+    folder = RunFolder(tmp_path)
+    with Journal(folder.journal, VirtualClock()) as journal:
+        journal.record("run_started", procedure="ten_minute_check", station="emulated")
+        journal.record("run_ended", ended="stopped", reason=reason, safe_state=[])
+    printed = io.StringIO()
+    with pytest.raises(typer.Exit) as ended:
+        print_end(Console(file=printed, width=80), folder, RunOutcome(ended="stopped", reason=reason))
+    assert ended.value.exit_code == EXIT_NOT_FINISHED
+    resume = f"Resume   gyrobench resume {tmp_path}"
+    lines = printed.getvalue().splitlines()
+    assert lines[:2] == [sentence, resume]
+    assert lines[-1] == resume

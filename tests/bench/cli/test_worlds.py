@@ -1,0 +1,41 @@
+"""Stations and the emulated worlds that belong to them."""
+
+import pytest
+
+from gyrobench.bench.cli.options import DEFAULT_WORLD, world_for
+from tests.bench.command_line import gyrobench
+
+
+@pytest.mark.parametrize(
+    ("station", "world", "right"),
+    [
+        ("quick", None, "quick"),
+        ("four_units", None, "four_units"),
+        ("emulated", None, DEFAULT_WORLD),
+        ("my_bench.yaml", None, DEFAULT_WORLD),
+        ("quick", "quick_warm_up", "quick_warm_up"),
+    ],
+)
+def test_a_station_has_the_shipped_world_of_its_name_by_default(station, world, right):
+    assert world_for(station, world) == right
+
+
+@pytest.mark.parametrize(("station", "world"), [("emulated", "quick"), ("quick", "gyro_a")])
+@pytest.mark.parametrize("command", ["run", "investigate"])
+def test_a_world_that_does_not_fit_the_station_is_refused_before_anything_is_made(
+    tmp_path, command, station, world
+):
+    given = ["ten_minute_check", "--station", station, "--world", world]
+    answer = gyrobench(command, *given, cwd=tmp_path)
+    assert answer.returncode == 2
+    assert f"{world}.yaml: the INS of this world sends an epoch in" in answer.stderr
+    assert "Choose a --world and a --station that belong together" in answer.stderr
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+
+
+def test_a_procedure_beyond_the_limits_of_the_station_alone_names_the_station(tmp_path):
+    answer = gyrobench("run", "quick_campaign", cwd=tmp_path)
+    assert answer.returncode == 2
+    assert "These are limits of the station emulated. Choose another one with --station" in answer.stderr
+    (tmp_path / "wrong.yaml").write_text("procedure: wrong\nsteps:\n  - align: {duration_s: 60}\n")
+    assert "limits of the station" not in gyrobench("run", "wrong.yaml", cwd=tmp_path).stderr
