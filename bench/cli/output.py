@@ -166,8 +166,9 @@ def print_end(
     free_memory()  # which the modules that are imported now use again
 
     from gyrobench.bench.report.journal_sections import durations_section, step_durations
-    from gyrobench.bench.report.run_report import units_section, write_report, write_units_report
+    from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.report.terminal.tables import section_view
+    from gyrobench.bench.report.units_report import units_section, write_units_report
     from gyrobench.bench.runs.journal import read_journal
 
     report = write_units_report(folder) if outcome.units else write_report(folder)

@@ -59,8 +59,9 @@ def report(
     from gyrobench.bench.bias.verdicts import read_acceptance
     from gyrobench.bench.report.bias_sections import acceptance_summary
     from gyrobench.bench.report.content import damage_of
-    from gyrobench.bench.report.run_report import units_section, write_report, write_units_report
+    from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.report.terminal.tables import section_view
+    from gyrobench.bench.report.units_report import units_section, write_units_report
     from gyrobench.bench.runs.folder import open_run_folder
 
     folder = open_run_folder(run_folder, may_have_units=True)

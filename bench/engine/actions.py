@@ -7,17 +7,17 @@ between and enforces the step's time limit.
 from __future__ import annotations
 
 import math
-from collections import defaultdict, deque
+from collections import defaultdict
 from collections.abc import Callable, Generator, Iterator, Sequence
 from functools import cache, singledispatch
 from typing import TypeVar
 
 import numpy as np
 
-from gyrobench.bench.dwells.temperatures import slopes_c_per_h
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.operator import ask_operator
 from gyrobench.bench.engine.run_context import RunContext
+from gyrobench.bench.engine.soak import TemperatureHistory
 from gyrobench.bench.engine.units import Unit, Units
 from gyrobench.bench.foundations.errors import (
     ConnectionFailedError,
@@ -51,8 +51,6 @@ from gyrobench.drivers.ins.readout import Alignment, InsMode
 Ticks = Iterator[None]
 T = TypeVar("T")
 
-#: Span over which the rate of the gyro temperatures is fitted in a soak.
-_SOAK_FIT_S = 600.0
 _POSITION_TOLERANCE_DEG = 0.002
 #: A servo may overshoot this long after its profile is complete.
 _OVERSHOOT_S = 10.0
@@ -169,23 +167,23 @@ def _soaking(step: Soak, context: StepContext) -> Ticks:
         yield from _lasting(bench, step.for_s)
         return
     begin_s = bench.clock.now()
-    histories: dict[Unit, deque[tuple[float, ...]]] = defaultdict(deque)
+    histories: dict[Unit, TemperatureHistory] = defaultdict(TemperatureHistory)
     asked_s, is_new = -np.inf, False
     while (elapsed_s := bench.clock.now() - begin_s) < (step.at_most_s or np.inf):
         if asked_s < bench.readings.asked_s:
             asked_s, is_new = bench.readings.asked_s, True
             for unit in context.units.measuring:
                 try:
-                    _keep_temperatures(unit, histories[unit])
+                    histories[unit].add(unit.live.name, unit.live.readings)
                 except InstrumentError as error:
                     context.units.fail(unit, error)
         if is_new and elapsed_s >= step.at_least_s:
             is_new = False
-            rates = [_gyro_rate_c_per_h(histories[unit]) for unit in context.units.measuring]
+            rates = [histories[unit].rate_c_per_h for unit in context.units.measuring]
             if max(rates, default=np.inf) < (step.until_gyro_rate_below_c_per_h or 0.0):
                 return
         yield
-    _record_unsettled(step, context, max(map(_gyro_rate_c_per_h, histories.values()), default=np.inf))
+    _record_unsettled(step, context, max((each.rate_c_per_h for each in histories.values()), default=np.inf))
 
 
 def _record_unsettled(step: Soak, context: StepContext, rate_c_per_h: float) -> None:
@@ -494,23 +492,3 @@ def _choosing_euler_sequence(step: Align, unit: Unit) -> Ticks | None:
     chosen = automatic if step.euler_sequence == "automatic" else EulerSequence(step.euler_sequence)
     is_chosen = unit.live.status().euler_sequence is chosen
     return None if is_chosen else unit.live.ins.setting_euler_sequence(chosen)
-
-
-def _keep_temperatures(unit: Unit, history: deque[tuple[float, ...]]) -> None:
-    """Add the gyro temperatures to those of the fit's span."""
-    readings = unit.live.readings
-    if any(map(math.isnan, readings.ins.optics_c)):
-        raise InstrumentError(
-            unit.live.name, "sends no gyro temperatures for the soak to wait for. Use for_s."
-        )
-    history.append((readings.asked_s, *readings.ins.optics_c))
-    while history[-1][0] - history[0][0] > _SOAK_FIT_S:
-        history.popleft()
-
-
-def _gyro_rate_c_per_h(history: deque[tuple[float, ...]]) -> float:
-    """Largest rate of the gyro temperatures over the fit's span; infinite while it is too short."""
-    if not history or history[-1][0] - history[0][0] < 0.9 * _SOAK_FIT_S:
-        return np.inf
-    values = np.array(history)
-    return float(np.abs(slopes_c_per_h(values[:, 0], values[:, 1:])).max())

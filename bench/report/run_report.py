@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta, timezone
 from functools import partial
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import matplotlib
@@ -23,7 +23,7 @@ from gyrobench.bench.foundations.clock import parsed_utc
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import file_sha256, make_folder, write_whole
 from gyrobench.bench.foundations.text import counted, hours_minutes
-from gyrobench.bench.navigation.positions import AXES, gyro_label
+from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.report.bias_sections import (
     acceptance_section,
     before_after_section,
@@ -55,16 +55,7 @@ from gyrobench.bench.report.figures.bias import (
 )
 from gyrobench.bench.report.figures.temperatures import DRAWN, Readings, temperature_figure
 from gyrobench.bench.report.journal_sections import durations_section, events_section
-from gyrobench.bench.report.number_format import BiasScale
-from gyrobench.bench.report.page import (
-    Box,
-    Mark,
-    Section,
-    SectionFigure,
-    SectionTable,
-    render_page,
-    with_figure_files,
-)
+from gyrobench.bench.report.page import Box, Section, SectionFigure, render_page, with_figure_files
 from gyrobench.bench.report.statements import VERDICT_COLOURS, latitude_sentence
 from gyrobench.bench.runs.folder import JOURNAL, RunFolder
 from gyrobench.bench.runs.provenance import SIMULATED, DataHash, data_hashes, note_preparer
@@ -450,74 +441,3 @@ def run_figures(
     limit_dph = limits.position_difference_dph if limits else None
     if comparisons:
         yield "position_differences", partial(position_difference_figure, comparisons, limit_dph, marked_c)
-
-
-def units_section(folder: RunFolder) -> Section:
-    """The units of a run side by side: verdict, mean bias of each gyro, dwells, and why one was dropped."""
-    units = [read_run(unit) for unit in folder.unit_folders]
-    return _units_section(read_run(folder), units)
-
-
-def write_units_report(folder: RunFolder, prepared_by: str = "", vectors: Sequence[str] = ()) -> Path:
-    """Write the report of each unit, and ``report.html`` of the run with all of them; returns the latter.
-
-    A run that has ended is sealed with it. Raises RunFolderError if a file can't be written.
-    """
-    for unit in folder.unit_folders:
-        write_report(unit, prepared_by, vectors=vectors)
-    content = read_run(folder)
-    units = [read_run(unit) for unit in folder.unit_folders]
-    facts = head_lines(content)
-    facts["unit"] = ", ".join(unit.name for unit in units)
-    facts.pop("dwells", None)
-    procedure = str(content.procedure.get("procedure", ""))
-    page = Section(
-        f"Gyro bias of {counted(len(units), 'unit')}",
-        boxes=[box for each in (content, *units) for box in damage_boxes(each.damage)],
-        facts=facts,
-        sections=[
-            _units_section(content, units),
-            Section("Reports", items=[PurePosixPath("units", unit.name, "report.html") for unit in units]),
-            *filter(None, [events_section(content.journal)]),
-            durations_section(content.took),
-        ],
-    )
-    watermark = SIMULATED if content.is_simulated else ""
-    text = render_page(page, f"Run {content.name}, {procedure}", sign_off=prepared_by, watermark=watermark)
-    write_whole(folder.report, map(str.encode, text))
-    keep_sealed(folder)
-    return folder.report
-
-
-def _units_section(run: RunContent, units: Sequence[RunContent]) -> Section:
-    dropped = {str(entry.get("unit")): str(entry.get("why")) for entry in run.entries("unit_dropped")}
-    means = {unit.name: _means(unit) for unit in units}
-    pairs = [pair for each in means.values() for pair in each]
-    scale = BiasScale.of([mean for mean, _ in pairs], [sigma for _, sigma in pairs])
-    rows = []
-    for unit in units:
-        cells = [scale.with_sigma(*pair) for pair in means[unit.name]] or ["–"] * len(AXES)
-        flagged = sum(bool(row.flags) for row in unit.dwells)
-        dwells = f"{len(unit.dwells)}" + (f", {flagged} flagged" if flagged else "")
-        verdict = unit.acceptance.verdict if unit.acceptance else "not judged"
-        rows.append([unit.name, "dropped" if unit.name in dropped else verdict, dwells, *cells])
-    header = ["unit", "verdict", "dwells", *map(gyro_label, AXES)]
-    caption = (
-        f"Mean bias over the dwells without flags with its standard error, {scale.unit}; it includes the "
-        "change with temperature. The bins are in the report of each unit."
-    )
-    marks: list[Mark] = ["bad" if unit.name in dropped else "" for unit in units]
-    reasons = [f"Unit {number} was dropped: {why}" for number, why in dropped.items()]
-    table = SectionTable(caption, header, rows, words=2, marks=marks)
-    return Section("Units", paragraphs=reasons, tables=[table])
-
-
-def _means(unit: RunContent) -> list[tuple[float, float]]:
-    """Mean bias of each gyro over the dwells without flags, and its standard error, deg/h; none without."""
-    biases = np.array([row.bias_dph for row in unit.dwells if not row.flags])
-    if not len(biases):
-        return []
-    own = np.array([row.sigma_dph for row in unit.dwells if not row.flags])
-    scatter = biases.std(axis=0, ddof=1) if len(biases) > 1 else own[0]
-    sigma = np.maximum(scatter, np.sqrt((own**2).mean(axis=0))) / np.sqrt(len(biases))
-    return list(zip(biases.mean(axis=0).tolist(), sigma.tolist(), strict=True))

@@ -19,7 +19,7 @@ from gyrobench.bench.monitor.site import Site
 from gyrobench.bench.monitor.snapshot import RunSnapshot
 from gyrobench.bench.monitor.snapshot_recorder import SnapshotRecorder
 from gyrobench.bench.monitor.terminal_screen import screen
-from gyrobench.bench.report.run_report import units_section, write_units_report
+from gyrobench.bench.report.units_report import units_section, write_units_report
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.index.store import runs_named
 from gyrobench.bench.runs.journal import facts_of, read_journal
