@@ -22,7 +22,7 @@ from gyrobench.bench.bias.vertical_pairs import Finding
 from gyrobench.bench.foundations.clock import parsed_utc
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import file_sha256, make_folder, write_whole
-from gyrobench.bench.foundations.text import counted, hours_minutes
+from gyrobench.bench.foundations.text import counted, hours_minutes, listed
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.report.bias_sections import (
     acceptance_section,
@@ -266,6 +266,10 @@ def verdict_boxes(content: RunContent) -> list[Box]:
     colour = facts.ended if is_safe and facts.ended in ("finished", "stopped") else "failed"
     boxes.append(Box(colour, content.ending, facts.reason or ("" if facts.ended else _INTERRUPTED), notes))
     boxes += [verdict_box(acceptance)] if acceptance else _not_judged(content)
+    if doubts := plateau_findings(content.coefficients):
+        where = listed(sorted({each.partition(":")[0] for each in doubts}))
+        text = f"{where}: see the section on coefficients."
+        boxes.append(Box(VERDICT_COLOURS["marginal"], "Coefficients in doubt.", text))
     if found := budget_box(content.budget):
         boxes.append(found)
     for last in content.joint_plateaus[-1:]:

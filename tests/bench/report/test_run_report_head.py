@@ -1,4 +1,5 @@
 import json
+import math
 
 import pytest
 
@@ -7,6 +8,7 @@ from gyrobench.bench.bias.verdicts import Acceptance, write_acceptance
 from gyrobench.bench.report.content import read_run
 from gyrobench.bench.report.run_report import head_lines, serial_number_of, verdict_boxes
 from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, write_coefficients
 
 
 @pytest.fixture
@@ -107,3 +109,14 @@ def test_an_interrupted_run_without_a_dwell_table_is_not_damaged(empty_folder, j
     journal_writer(empty_folder, ended="")
     add(empty_folder, time_s=9060.0, event="dwell_finished", marks={"dwell": 1}, flags="")
     assert read_run(empty_folder).damage == {}
+
+
+def test_plateaus_whose_rotations_are_contradicted_are_named_first(accepted):
+    def row(plateau, finding):
+        return PlateauCoefficientRow(
+            *(plateau, 1, 60.0, 65.0, "gyro_bias", "x", 0.01, 0.001, "deg/h", finding, math.nan, 0.0)
+        )
+
+    write_coefficients(accepted.coefficients, [row(1, ""), row(2, "noise does not explain"), row(3, "p = 0")])
+    expected = "Coefficients in doubt. Plateau 2 and Plateau 3: see the section on coefficients."
+    assert expected in statements(accepted)
