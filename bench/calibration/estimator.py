@@ -163,8 +163,9 @@ def calibrate(
     if not any(recording.has_vertical for recording in recordings):
         is_observed[:COUNT] &= ~np.array(IS_FORCE_SCALE)
     _check_size(found.values, is_observed)
-    if options.whole_turns is not None and any(each.epochs.spins for each in sections):
-        found, offset, contradiction = problem.with_turns_checked(found)
+    spun = sorted({turn.axis for turns in rotations for turn in turns if turn.is_spin})
+    if options.whole_turns is not None and spun:
+        found, offset, contradiction = problem.with_turns_checked(found, spun)
         findings += [contradiction] * bool(contradiction)
     covariance, test = found.covariance, found.fit
     if test.p_value < MIN_P_VALUE:
@@ -257,24 +258,24 @@ class _Problem:
             "rotations between rests at one place. Check signs, axes and units in the import map"
         )
 
-    def with_turns_checked(self, found: _Solution) -> tuple[_Solution, FloatArray, str]:
+    def with_turns_checked(self, found: _Solution, spun: Sequence[int]) -> tuple[_Solution, FloatArray, str]:
         """The same with whole turns as uncertain as rotations and noise show them to be.
 
         Also by how much the scale factors of whole turns contradict the others (3,), zero where they do not,
         and that as text. A scale factor that depends on the rate is no fault of the rests. It makes turns at
         several rates scatter, and those at one rate contradict the rotations, as a table does that returns
-        elsewhere.
+        elsewhere. ``spun``: the gyros that were spun.
         """
+        offset, text = self._contradiction(found, spun)
+        if not text and found.fit.p_value >= MIN_P_VALUE:
+            return found, offset, ""
         alone = replace(self, options=replace(self.options, whole_turns=None)).solve()
         spins = [
             spin
             for section, start in zip(self.sections, alone.starts, strict=True)
             for spin in section.spin_errors(start, alone.common, self.site)
         ]
-        axes = sorted({spin.axis for spin in spins if alone.is_observed[_GYRO_SCALES[spin.axis]]})
-        offset, text = self._contradiction(found, alone, axes)
-        is_uneven = found.fit.p_value < MIN_P_VALUE <= alone.fit.p_value
-        if not spins or not (text or is_uneven):
+        if not spins or not (text or alone.fit.p_value >= MIN_P_VALUE):
             return found, offset, ""
         left = []
         for axis in {spin.axis for spin in spins}:
@@ -283,17 +284,23 @@ class _Problem:
         turns = float(np.hypot(self.options.whole_turns or 0.0, np.sqrt(np.mean(np.square(left)))))
         return replace(self, options=replace(self.options, whole_turns=turns)).solve(), offset, text
 
-    @staticmethod
-    def _contradiction(found: _Solution, alone: _Solution, axes: Sequence[int]) -> tuple[FloatArray, str]:
+    def _contradiction(self, found: _Solution, spun: Sequence[int]) -> tuple[FloatArray, str]:
         """Scale factors (3,) of whole turns less the others, and that as text; zero where noise explains it.
 
         The covariance of the difference is that of a part of the data less that of all (Hausman 1978).
         """
-        offset, places = np.zeros(3), [_GYRO_SCALES[axis] for axis in axes]
+        offset, options = np.zeros(3), replace(self.options, whole_turns=None)
+        known = self.sections, found.trajectories, found.common
+        others = Information.of(*known, self.noise, self.site, options)
+        origin = np.zeros(len(found.values))
+        origin[: len(options.columns)] = found.common[options.columns]
+        values, others_covariance, is_observed = others.solve(origin)
+        axes = [axis for axis in spun if is_observed[_GYRO_SCALES[axis]]]
+        places = [_GYRO_SCALES[axis] for axis in axes]
         if not places:
             return offset, ""
-        difference = found.values[places] - alone.values[places]
-        covariance = (alone.covariance - found.covariance)[np.ix_(places, places)]
+        difference = found.values[places] - values[places]
+        covariance = (others_covariance - found.covariance)[np.ix_(places, places)]
         scales = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         squares, directions = np.linalg.eigh(covariance / np.outer(scales, scales))
         parts = (directions.T @ (difference / scales)) ** 2 / np.maximum(squares, _MIN_EIGENVALUE)
@@ -301,7 +308,7 @@ class _Problem:
         if p_value >= MIN_P_VALUE:
             return offset, ""
         # All data are a weighted mean of both.
-        share = 1.0 - np.diag(found.covariance)[places] / np.diag(alone.covariance)[places]
+        share = 1.0 - np.diag(found.covariance)[places] / np.diag(others_covariance)[places]
         offset[axes] = difference / np.maximum(share, _MIN_EIGENVALUE)
         apart = ", ".join(f"{AXES[axis]} {1e6 * offset[axis]:+.2g} ppm" for axis in axes)
         return offset, (
@@ -315,7 +322,7 @@ class _Problem:
         alternatives = [
             (replace(self, options=replace(self.options, **chosen)), what)
             for chosen, what in _BESIDE_COEFFICIENTS
-            if not all(getattr(self.options, name) for name in chosen)
+            if self.options.are_explained and not all(getattr(self.options, name) for name in chosen)
         ]
         latitude = self.site.latitude + found.information.latitude_correction()
         if abs(latitude) < 0.5 * np.pi:
@@ -329,9 +336,10 @@ class _Problem:
             if other.fit.p_value >= MIN_P_VALUE or other.fit.chi2 < _OPPOSITE * found.fit.chi2:
                 falls = f"chi2 falls from {found.fit.chi2:.3g} to {other.fit.chi2:.3g}"
                 return f"{what[0].upper()}{what[1:]} would explain it: {falls}"
+        others = "; gyrobench calibrate has --lever-arms, --delay, --quadratic"
         return (
             "Check latitude, gravity, signs and times, and whether the unit drifts, moves at rest or has "
-            "biases that follow attitude; gyrobench calibrate has --lever-arms, --delay, --quadratic"
+            f"biases that follow attitude{others * self.options.are_explained}"
         )
 
     def check_alternatives(self, found: _Solution) -> None:

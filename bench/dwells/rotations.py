@@ -152,6 +152,7 @@ def _options(setup: MeasurementSetup) -> CalibrationOptions:
         gravity_sigma=gravity_sigma,
         latitude_sigma=setup.prior.latitude,
         bias_drift=BIAS_DRIFT,
+        are_explained=False,
     )
 
 
