@@ -70,8 +70,8 @@ class CalibrationOptions:
     #: and of all accelerometers: rates times a longer time are larger angles, velocity increments over it
     #: smaller forces.
     scales_by_time: tuple[float, float] = (0.0, 0.0)
-    #: Whether lever arms, delay, quadratic terms and drift are tried as explanations of a misfit: each takes as
-    #: long as the estimate.
+    #: Whether lever arms, delay, quadratic terms and drift are tried as explanations of a misfit, one by one:
+    #: each takes as long as the estimate.
     are_explained: bool = True
 
     @property
