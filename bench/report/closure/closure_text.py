@@ -380,7 +380,7 @@ def alternative_sentence(closure: Closure) -> str:
         best = max(others, key=lambda each: each.share)
         return f"The best candidate alone, {best.effect.display_name}, explains {_share_of(best)}."
     share = "" if is_noise_only(closure) else f" (explains {_share_of(best)})"
-    alternative = f"The best alternative is {best.effect.display_name} alone{share}; the data"
+    alternative = f"The most probable alternative is {best.effect.display_name} alone{share}; the data"
     if best.log_odds_against < _EVEN:
         return f"{alternative} do not prefer {found_labels(closure)}."
     odds = odds_text(best.log_odds_against).replace(">", "more than ")
