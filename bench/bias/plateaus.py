@@ -106,12 +106,11 @@ def mean_c(plateau: Sequence[DwellRow], axis: int) -> float:
 
 def plateau_key(dwell: AtSetPoint) -> tuple[str, int, float | None]:
     """What all dwells of a plateau share: power cycle, cycle and set point."""
-    return dwell.run, dwell.cycle, set_point_c(dwell)
+    return dwell.run, dwell.cycle, set_point_c(dwell.chamber_set_c)
 
 
-def set_point_c(dwell: AtSetPoint) -> float | None:
+def set_point_c(set_c: float | None) -> float | None:
     """Commanded set point to 1 mK, degC: means of one may differ by their rounding. None where not known."""
-    set_c = dwell.chamber_set_c
     return None if set_c is None or math.isnan(set_c) else round(set_c, 3) + 0.0
 
 
@@ -123,7 +122,7 @@ def _mean_c(dwell: PlateauMember) -> float:
 
 def _is_same(one: Sequence[DwellRow], other: Sequence[DwellRow], axis: int) -> bool:
     return (
-        set_point_c(one[0]) == set_point_c(other[0])
+        set_point_c(one[0].chamber_set_c) == set_point_c(other[0].chamber_set_c)
         and abs(mean_c(one, axis) - mean_c(other, axis)) <= MAX_FROM_MEAN_K
         and not {row.position for row in one}.isdisjoint(row.position for row in other)
     )

@@ -23,7 +23,7 @@ from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, Coeffi
 from gyrobench.bench.calibration.joint_coefficients import joint_coefficients
 from gyrobench.bench.calibration.results import coefficient_rows
 from gyrobench.bench.dwells.measure_dwell import MeasurementSetup
-from gyrobench.bench.dwells.rotations import PlateauRotations, enclosing
+from gyrobench.bench.dwells.rotations import OF_GYROS, PlateauRotations, enclosing
 from gyrobench.bench.dwells.temperatures import triple
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.positions import AXES
@@ -31,7 +31,6 @@ from gyrobench.bench.runs.tables.coefficient_table import COMMON_SOURCES, Platea
 
 #: Temperatures of plateaus, K, between which coefficients show their slopes, and degree of the curve.
 _MIN_APART_C, _SLOPE_DEGREE = 2.0, 2
-_OF_GYROS = ("gyro_c", "gyro_rate_c_per_h")
 #: Dwells and rotations contradict each other where chance gives the difference less often than this.
 _MIN_P_VALUE = 1e-3
 
@@ -200,7 +199,7 @@ def _of_plateau(
     rotations: Sequence[PlateauRotations], first: JointDwell, rows: Sequence[DwellRow]
 ) -> PlateauRotations | None:
     """The rotations at the set point and the temperatures of these dwells; of several those as steady."""
-    gyro_c, rates = (np.mean([getattr(row, name) for row in rows], axis=0) for name in _OF_GYROS)
+    gyro_c, rates = (np.mean([getattr(row, name) for row in rows], axis=0) for name in OF_GYROS)
     near = [
         (float(np.nan_to_num(np.abs(rates - each.gyro_rate_c_per_h)).max()), number)
         for number, each in enumerate(rotations)

@@ -28,7 +28,8 @@ from gyrobench.drivers.frames import FrameBlock
 #: Slopes of a gyro's temperature by which dwells with rotations of one plateau may differ: after the soaks of
 #: the shipped procedures they are up to 4 K/h.
 _MAX_RATE_APART_C_PER_H = 5.0
-_OF_GYROS = ("gyro_c", "gyro_rate_c_per_h")
+#: Mean temperatures of the gyros and their slopes, of dwells and rotations alike.
+OF_GYROS = ("gyro_c", "gyro_rate_c_per_h")
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +101,7 @@ class RunRotations:
 
 def _is_alike(group: Sequence[RotatedDwell], dwell: RotatedDwell) -> bool:
     """Whether a dwell has the temperatures of a group and their slopes; those not measured count as alike."""
-    gyro_c, rates = (np.mean([getattr(each, name) for each in group], axis=0) for name in _OF_GYROS)
+    gyro_c, rates = (np.mean([getattr(each, name) for each in group], axis=0) for name in OF_GYROS)
     is_apart = np.abs(gyro_c - dwell.gyro_c) > MAX_FROM_MEAN_K
     return not (is_apart | (np.abs(rates - dwell.gyro_rate_c_per_h) > _MAX_RATE_APART_C_PER_H)).any()
 
@@ -108,7 +109,7 @@ def _is_alike(group: Sequence[RotatedDwell], dwell: RotatedDwell) -> bool:
 def _calibrated_rotations(dwells: Sequence[RotatedDwell], setup: MeasurementSetup) -> PlateauRotations:
     options = _options(setup)
     gyro_c, gyro_rate_c_per_h = (
-        triple(np.mean([getattr(each, name) for each in dwells], axis=0)) for name in _OF_GYROS
+        triple(np.mean([getattr(each, name) for each in dwells], axis=0)) for name in OF_GYROS
     )
     case_c = float(np.mean([each.case_c for each in dwells]))
     range_c = enclosing([each.range_c for each in dwells])
@@ -121,7 +122,7 @@ def _calibrated_rotations(dwells: Sequence[RotatedDwell], setup: MeasurementSetu
     except MeasurementError as error:
         return replace(rotations, finding=f"the rotations give no coefficients: {error}")
     parts = covariances_by_source(found, setup.site, options)
-    # The increments themselves are of no more use.
+    # The increments themselves are no longer needed.
     found = replace(found, recordings=(), sections=(), trajectories=(), parts=parts)
     return replace(rotations, calibration=found, with_force=with_force)
 

@@ -122,7 +122,7 @@ class RunContent:
 def read_run(folder: RunFolder) -> RunContent:
     """Read a run folder; missing or damaged files become problems, not errors."""
     problems: list[str] = []
-    journal, damage = _Journal(), damage_of(folder)
+    journal, errors = _Journal(), dict[Path, Exception]()
 
     def read(path: Path, reader: Callable[[Path], T], missing: T, *, is_optional: bool = False) -> T:
         if not path.exists():
@@ -131,6 +131,7 @@ def read_run(folder: RunFolder) -> RunContent:
         try:
             return reader(path)
         except (GyrobenchError, json.JSONDecodeError) as error:
+            errors[path] = error
             problems.append(f"{path.name} can't be used: {error}")
             return missing
 
@@ -143,6 +144,7 @@ def read_run(folder: RunFolder) -> RunContent:
     purposes = Counter(journal.purposes.values())
     is_optional = bool(calibration_check or purposes) and not purposes["biases"]
     dwells: list[DwellRow] = read(folder.dwells, read_dwells, [], is_optional=is_optional)
+    damage = _damage(folder, journal, errors)
     bins: list[BiasBin] = read(folder.bias_bins, read_bins, [])
     return RunContent(
         name=folder.path.resolve().name,
@@ -179,19 +181,27 @@ def damage_of(folder: RunFolder) -> dict[str, str]:
     Empty for an intact run. An interrupted run need not have a dwell table yet; a finished one that measured
     biases does.
     """
-    journal, damage = _Journal(), {}
-    try:
-        journal.read(folder.journal) if folder.journal.exists() else None
-    except GyrobenchError as error:
+    journal, errors = _Journal(), dict[Path, Exception]()
+    for path, reader in ((folder.journal, journal.read), (folder.dwells, read_dwells)):
+        try:
+            if path.exists():
+                reader(path)
+        except GyrobenchError as error:
+            errors[path] = error
+    return _damage(folder, journal, errors)
+
+
+def _damage(folder: RunFolder, journal: _Journal, errors: Mapping[Path, Exception]) -> dict[str, str]:
+    """See :func:`damage_of`; ``errors``: of the files that were read."""
+    damage = {}
+    if error := errors.get(folder.journal):
         damage[JOURNAL] = f"{error}. Restore the file from a copy."
     again = f"Write it again with `gyrobench bins {folder.path}`."
-    try:
-        if folder.dwells.exists():
-            read_dwells(folder.dwells)
-        elif journal.facts.ended == "finished" and "biases" in journal.purposes.values():
-            damage[DWELLS] = f"{folder.dwells}: is missing. {again}"
-    except GyrobenchError as error:
+    if error := errors.get(folder.dwells):
         damage[DWELLS] = f"{error}. {again}"
+    measured_biases = journal.facts.ended == "finished" and "biases" in journal.purposes.values()
+    if measured_biases and not folder.dwells.exists():
+        damage[DWELLS] = f"{folder.dwells}: is missing. {again}"
     return damage
 
 

@@ -66,7 +66,7 @@ def pair_dwells(runs: Sequence[Iterable[_Dwell]]) -> list[list[list[_Dwell]]]:
 
 
 def _key(each: NumberedDwell | PlannedDwell) -> _Key:
-    return each.dwell, each.cycle, set_point_c(each)
+    return each.dwell, each.cycle, set_point_c(each.chamber_set_c)
 
 
 def _joint(runs: Sequence[dict[_Key, _Dwell]]) -> list[PlannedDwell]:
@@ -137,14 +137,9 @@ def pair_places(runs: Sequence[Sequence[PlateauPlace]]) -> list[list[int]]:
 def _is_same(one: PlateauPlace, other: PlateauPlace) -> bool:
     return (
         one.cycle == other.cycle
-        and _set_c(one) == _set_c(other)
+        and set_point_c(one.chamber_set_c) == set_point_c(other.chamber_set_c)
         and not abs(one.gyro_c - other.gyro_c) > MAX_FROM_MEAN_K
     )
-
-
-def _set_c(place: PlateauPlace) -> float | None:
-    set_c = place.chamber_set_c
-    return None if set_c is None or math.isnan(set_c) else round(set_c, 3)
 
 
 def in_all(runs: Sequence[Iterable[int]]) -> set[int]:

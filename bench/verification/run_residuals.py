@@ -83,7 +83,7 @@ def check_plateau(plateau: Sequence[AnyDwell], compared: Collection[int], site: 
     biases, sigmas = ([getattr(row, name) for row in rows] for name in ("bias_dph", "sigma_dph"))
     return ResidualCheck(
         cycle=plateau[0].cycle,
-        chamber_set_c=set_point_c(plateau[0]),
+        chamber_set_c=set_point_c(plateau[0].chamber_set_c),
         dwells=tuple(row.dwell for row in rows),
         gyro_c=float(np.mean(measured_c)),
         bias_rms_dph=rms(biases),
