@@ -165,7 +165,9 @@ class Run:
         from gyrobench.bench.report.run_report import run_figures
 
         run = read_run(self.folder)
-        drawn = run_figures(run.telemetry, run.dwells, run.bins, run.acceptance, run.marked_temperatures_c)
+        drawn = run_figures(
+            lambda: run.telemetry, run.dwells, run.bins, run.acceptance, run.marked_temperatures_c
+        )
         return {name: draw() for name, draw in drawn}
 
     def _block(self, dwell: int) -> FrameBlock:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from array import array
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 from gyrobench.bench.foundations.csv_tables import CsvTable, format_csv, read_text, write_text
 from gyrobench.bench.foundations.text import format_number
@@ -48,6 +49,9 @@ def _columns(names: Iterable[str]) -> tuple[str, ...]:
     )
 
 
+#: Fields beside what is measured, and how many numbers that is.
+_NOT_NUMBERS = ("unit", "run", "dwell", "cycle", "position", "other", "flags")
+_NUMBERS = len(_SCALARS) + 3 * len(_TRIPLES) + len(_FIT)
 _NAMES = ("unit", "run", "dwell", "cycle", "position", *_SCALARS, *_TRIPLES, *_FIT)
 _REQUIRED = _columns(name for name in _NAMES if name not in _OPTIONAL)
 
@@ -106,6 +110,35 @@ class DwellRow:
     flags: str = ""
 
 
+class PackedDwells(Sequence[DwellRow]):
+    """Rows in a third of the memory, for tables that are kept while much else is: each is made when used."""
+
+    def __init__(self, rows: Iterable[DwellRow]) -> None:
+        self._names: list[tuple[Any, ...]] = []
+        self._numbers = array("d")
+        for row in rows:
+            self._names.append(tuple(getattr(row, name) for name in _NOT_NUMBERS))
+            self._numbers.extend(_numbers(row))
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    @overload
+    def __getitem__(self, index: int) -> DwellRow: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[DwellRow]: ...
+    def __getitem__(self, index: int | slice) -> DwellRow | list[DwellRow]:
+        if isinstance(index, slice):
+            return [self[place] for place in range(*index.indices(len(self)))]
+        place = range(len(self))[index]
+        numbers = iter(self._numbers[place * _NUMBERS : (place + 1) * _NUMBERS])
+        values: dict[str, Any] = dict(zip(_NOT_NUMBERS, self._names[place], strict=True))
+        values |= {name: next(numbers) for name in _SCALARS}
+        values |= {name: (next(numbers), next(numbers), next(numbers)) for name in _TRIPLES}
+        values |= zip(_FIT, numbers, strict=True)
+        return DwellRow(**values)
+
+
 def paper_rows(rows: Iterable[DwellRow]) -> list[DwellRow]:
     """Rows with the paper's biases in the place of the state-space ones; those without are left out."""
     return [
@@ -141,16 +174,7 @@ def parse_dwells(text: str, name: str) -> list[DwellRow]:
     ``name``: what to call the file in messages. Raises DocumentError, which lists everything that is wrong
     with the table, each with file, line and column.
     """
-    table = CsvTable(text, name, required=_REQUIRED)
-    other = [name for name in table.header if name not in COLUMNS and table.is_numeric(name)]
-    rows = [_row(table, index, other) for index in range(len(table))]
-    seen: dict[int, int] = {}
-    for index, row in enumerate(rows):
-        first = seen.setdefault(row.dwell, index)
-        if first != index:
-            table.problem(index, "dwell", f"dwell {row.dwell} is also in line {table.lines[first]}")
-    table.raise_problems()
-    return rows
+    return list(_rows(text, name))
 
 
 def read_dwells(path: Path) -> list[DwellRow]:
@@ -161,11 +185,36 @@ def read_dwells(path: Path) -> list[DwellRow]:
     return parse_dwells(read_text(path), str(path))
 
 
+def read_packed_dwells(path: Path) -> PackedDwells:
+    """The same, as rows that are kept."""
+    return PackedDwells(_rows(read_text(path), str(path)))
+
+
+def _rows(text: str, name: str) -> Iterator[DwellRow]:
+    """Give the rows, then raise what is wrong with the table."""
+    table = CsvTable(text, name, required=_REQUIRED)
+    other = [name for name in table.header if name not in COLUMNS and table.is_numeric(name)]
+    seen: dict[int, int] = {}
+    for index in range(len(table)):
+        row = _row(table, index, other)
+        first = seen.setdefault(row.dwell, index)
+        if first != index:
+            table.problem(index, "dwell", f"dwell {row.dwell} is also in line {table.lines[first]}")
+        yield row
+    table.raise_problems()
+
+
+def _numbers(row: DwellRow) -> Iterator[float]:
+    """What is measured, in the order of the columns."""
+    yield from (getattr(row, name) for name in _SCALARS)
+    for name in _TRIPLES:
+        yield from getattr(row, name)
+    yield from (getattr(row, name) for name in _FIT)
+
+
 def _cells(row: DwellRow) -> list[str]:
-    triples = [value for name in _TRIPLES for value in getattr(row, name)]
-    numbers = [*(getattr(row, name) for name in _SCALARS), *triples, row.fit_ratio, row.fit_p_value]
     names = [row.unit, row.run, str(row.dwell), str(row.cycle), row.position]
-    return [*names, *map(format_number, numbers), row.flags]
+    return [*names, *map(format_number, _numbers(row)), row.flags]
 
 
 def _row(table: CsvTable, index: int, other: Sequence[str]) -> DwellRow:

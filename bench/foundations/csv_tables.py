@@ -30,7 +30,7 @@ COLDEST_C, HOTTEST_C = -273.15, 1000.0
 _SHOWN_PROBLEMS = 20
 #: What stands between cells in place of a comma, and how to call it.
 _OTHER_SEPARATORS = {";": "';'", "\t": "a tab"}
-_PART_LINES = 500
+_PART_LINES = 100
 _INTEGER = re.compile(r"[-+]?[0-9]{1,18}")
 _LINE = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+")
 _NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
@@ -113,14 +113,14 @@ class CsvTable:
             self.problem(
                 index, column, f"a name can't begin with '{text[0]}', as formulas do; found '{text}'"
             )
-        return text
+        return sys.intern(text)  # kept once, not once for each row
 
     def choice(self, index: int, column: str, allowed: Collection[str]) -> str:
         """Read one of the allowed words."""
         text = self.text(index, column)
         if text not in allowed:
             self.problem(index, column, f"expected one of {', '.join(allowed)}; found '{text}'")
-        return sys.intern(text)  # kept once, not once for each row
+        return sys.intern(text)
 
     def integer(self, index: int, column: str) -> int:
         """Read a whole number."""

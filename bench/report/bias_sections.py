@@ -229,10 +229,10 @@ def dwells_section(rows: Sequence[DwellRow], empty: str) -> Section:
     """All dwells in a table; a sentence without any."""
     if not rows:
         return Section("Dwells", [empty])
-    estimates = [*rows, *paper_rows(rows)]
+    has_paper = any(map(_by_paper, rows))
     scale = BiasScale.of(
-        [bias for row in estimates for bias in row.bias_dph],
-        [sigma for row in estimates for sigma in row.sigma_dph],
+        (bias for row in rows for each in (row, *_by_paper(row)) for bias in each.bias_dph),
+        (sigma for row in rows for each in (row, *_by_paper(row)) for sigma in each.sigma_dph),
     )
     lines: list[list[str]] = []
     marks: list[Mark] = []
@@ -244,15 +244,19 @@ def dwells_section(rows: Sequence[DwellRow], empty: str) -> Section:
             marks.append("doubtful")
     header = ["position", "dwell", "cycle", "start", "chamber set", *(f"{gyro_label(gyro)}" for gyro in AXES)]
     header += [*(f"{gyro.upper()} bias" for gyro in AXES), "fit p"]
-    paper = " In grey by the paper's method." if paper_rows(rows) else ""
+    paper = " In grey by the paper's method." if has_paper else ""
     return Section(
         "Dwells", tables=[SectionTable(_DWELLS.format(scale.unit, paper), header, lines, marks=marks)]
     )
 
 
+def _by_paper(row: DwellRow) -> list[DwellRow]:
+    return paper_rows([row])
+
+
 def _dwell_cells(row: DwellRow, scale: BiasScale) -> list[str]:
     biases = _dwell_biases(row, scale)
-    for own in paper_rows([row]):
+    for own in _by_paper(row):
         biases = [
             f"{one}\n{other}".rstrip() for one, other in zip(biases, _dwell_biases(own, scale), strict=True)
         ]

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from gyrobench.bench.bias.bins import DEFAULT_WIDTH_C, BiasBin, bin_biases, read_bins
-from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
+from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells, read_packed_dwells
 from gyrobench.bench.bias.noise_estimate import NoiseEstimate
 from gyrobench.bench.bias.verdicts import Acceptance, read_acceptance
 from gyrobench.bench.characteristics.results import TestResult, read_characteristics
@@ -55,7 +55,7 @@ class RunContent:
     station: Entry
     #: dwells, bins, telemetry: The tables; empty where missing. Bins are computed from the dwells if only
     #: their file is missing.
-    dwells: list[DwellRow]
+    dwells: Sequence[DwellRow]
     bins: list[BiasBin]
     telemetry: Mapping[str, FloatArray]
     #: joint_sigmas, joint_plateaus, noise, calibration_check: Joint solution, noise of the INS, biases of the
@@ -143,7 +143,7 @@ def read_run(folder: RunFolder) -> RunContent:
     # Dwells with rotations, for noise or for calibration checks have no rows in this table.
     purposes = Counter(journal.purposes.values())
     is_optional = bool(calibration_check or purposes) and not purposes["biases"]
-    dwells: list[DwellRow] = read(folder.dwells, read_dwells, [], is_optional=is_optional)
+    dwells: Sequence[DwellRow] = read(folder.dwells, read_packed_dwells, (), is_optional=is_optional)
     damage = _damage(folder, journal, errors)
     bins: list[BiasBin] = read(folder.bias_bins, read_bins, [])
     return RunContent(

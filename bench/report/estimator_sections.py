@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from gyrobench.bench.bias.dwell_table import DwellRow, paper_rows
+from gyrobench.bench.bias.dwell_table import DwellRow, PackedDwells, paper_rows
 from gyrobench.bench.bias.noise_estimate import NoiseEstimate, compare_noise
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.vertical_pairs import Finding
@@ -19,9 +19,9 @@ from gyrobench.bench.report.figures.estimators import (
     differences_dph,
     estimators_figure,
     fit_figure,
+    has_both,
     has_distribution,
     noise_figure,
-    with_both,
 )
 from gyrobench.bench.report.number_format import NO_PAPER, BiasScale, p_text
 from gyrobench.bench.report.page import Section, SectionFigure, SectionTable
@@ -64,7 +64,7 @@ _FIT_P_VALUES = (
 
 def estimators_note(rows: Sequence[DwellRow]) -> str:
     """Name the estimators of the report."""
-    if paper_rows(rows):
+    if any(paper_rows([row]) for row in rows):
         return f"{_STATE_SPACE} {_PAPER}"
     if any(not math.isnan(row.fit_p_value) for row in rows):
         return f"{_STATE_SPACE} {NO_PAPER}"
@@ -73,11 +73,11 @@ def estimators_note(rows: Sequence[DwellRow]) -> str:
 
 def estimators_section(rows: Sequence[DwellRow], marked_c: Sequence[float] = ()) -> Section | None:
     """Compare the estimators; None where no good dwell has both."""
-    both = with_both(rows)
+    both = PackedDwells(row for row in rows if has_both(row))
     if not both:
         return None
     drawn = (
-        [SectionFigure("estimators", _DIFFERENCES, partial(estimators_figure, both, marked_c))]
+        [SectionFigure("estimators", _DIFFERENCES, partial(estimators_figure, rows, marked_c))]
         if len(both) > 1
         else []
     )

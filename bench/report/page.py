@@ -207,6 +207,7 @@ def _as_file(
         stamp(figure, watermark)
         save_figure(figure, path, key)
         save_vectors(figure, path, vectors)
+        del figure
         free_memory()
     return replace(drawn, figure=path)
 

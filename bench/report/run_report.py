@@ -61,6 +61,7 @@ from gyrobench.bench.runs.folder import JOURNAL, RunFolder
 from gyrobench.bench.runs.provenance import SIMULATED, DataHash, data_hashes, note_preparer
 from gyrobench.bench.runs.seal import keep_sealed
 from gyrobench.bench.runs.tables.coefficient_table import plateau_findings
+from gyrobench.bench.runs.telemetry import read_telemetry
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -110,24 +111,27 @@ def write_report(
     into = RunFolder(out or folder.path)
     if prepared_by:
         note_preparer(folder, prepared_by)
-    content, hashes = _with_hashes(folder)
-    content = _shown(content)
+    content = read_run(folder)
     by = prepared_by or str(content.provenance.get("prepared_by", ""))
     make_folder(into.figures)
     marked_c = [*content.marked_temperatures_c, *mark_temperatures_c]
     earlier = read_run(before) if before else None
     compared = [before_after_section(earlier, content, marked_c)] if earlier else []
-    drawn = run_figures(content.telemetry, content.dwells, content.bins, content.acceptance, marked_c)
+    key = _figures_key(content, earlier, marked_c)
+    readings = partial(read_telemetry, folder.telemetry) if content.telemetry else None
+    content = _shown(content)
+    drawn = run_figures(readings, content.dwells, content.bins, content.acceptance, marked_c)
     figures = [SectionFigure(name, "", figure) for name, figure in drawn]
     if uncertainties := shares(content.budget):
         figures.append(SectionFigure("uncertainty_budget", "", partial(budget_figure, uncertainties)))
     [own, *sections] = with_figure_files(
         into.figures,
         [Section("", figures=figures), *compared, *_analysis_sections(content, marked_c)],
-        _figures_key(content, earlier, marked_c),
+        key,
         _watermark(content),
         vectors,
     )
+    hashes = _hashes(folder, content.problems)
     paths = [each.figure for each in own.figures if isinstance(each.figure, Path)]
     write_whole(into.report, map(str.encode, render(content, paths, sections, hashes, by)))
     if out is None:
@@ -136,11 +140,11 @@ def write_report(
 
 
 def _shown(content: RunContent) -> RunContent:
-    """The content without what the report does not show: figures need the memory."""
-    drawn = {name: content.telemetry[name] for name in DRAWN if content.telemetry}
-    is_shown = has_rotations(content.coefficients) or plateau_findings(content.coefficients)
-    coefficients = content.coefficients if is_shown else []
-    return replace(content, telemetry=drawn, coefficients=coefficients)
+    """The content without readings, and what the report does not show: figures need the memory."""
+    if has_rotations(content.coefficients) or plateau_findings(content.coefficients):
+        return replace(content, telemetry={})
+    stated = [row for row in content.budget.stated if row.result == "bin"]
+    return replace(content, telemetry={}, coefficients=[], budget=replace(content.budget, stated=stated))
 
 
 def _figures_key(content: RunContent, before: RunContent | None, marked_c: Sequence[float]) -> str:
@@ -149,16 +153,18 @@ def _figures_key(content: RunContent, before: RunContent | None, marked_c: Seque
     inputs = (
         *(content.dwells, content.bins, content.acceptance, content.noise, shares(content.budget)),
         *(content.coefficients, content.characteristics, before.bins if before else None),
-        [content.station, marked_c, code, __version__, matplotlib.__version__, list(content.telemetry)],
+        [content.station, marked_c, code, __version__, matplotlib.__version__],
     )
     shown = hashlib.sha256()
     with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
         for each in inputs:
-            for part in each if isinstance(each, list) else [each]:  # one by one: all would take megabytes
+            for part in (
+                each if isinstance(each, Sequence) else [each]
+            ):  # one by one: all would take megabytes
                 shown.update(repr(part).encode())
             shown.update(b";")
-    for values in content.telemetry.values():
-        shown.update(values.tobytes())
+    for name in DRAWN if content.telemetry else ():
+        shown.update(content.telemetry[name].tobytes())
     return shown.hexdigest()
 
 
@@ -226,13 +232,12 @@ def _watermark(content: RunContent) -> str:
     return SIMULATED if content.is_simulated else ""
 
 
-def _with_hashes(folder: RunFolder) -> tuple[RunContent, list[DataHash]]:
-    content = read_run(folder)
+def _hashes(folder: RunFolder, problems: list[str]) -> list[DataHash]:
     try:
-        return content, data_hashes(folder)
+        return data_hashes(folder)
     except RunFolderError as error:
-        problem = f"The data can't be hashed: {error}"
-        return replace(content, problems=[*content.problems, problem]), []
+        problems.append(f"The data can't be hashed: {error}")
+        return []
 
 
 def _analysis_sections(content: RunContent, marked_c: Sequence[float]) -> list[Section]:
@@ -421,7 +426,7 @@ def instruments_of(content: RunContent) -> dict[str, str]:
 
 
 def run_figures(
-    telemetry: Readings,
+    readings: Callable[[], Readings] | None,
     dwells: Sequence[DwellRow],
     bins: Sequence[BiasBin],
     acceptance: Acceptance | None = None,
@@ -430,10 +435,10 @@ def run_figures(
     """Figures that there are data for.
 
     These are temperature, bias_x, bias_y, bias_z, position_pair and position_differences. Yields the name of
-    each and a function that draws it.
+    each and a function that draws it. ``readings`` gives the telemetry; None where there is none.
     """
-    if len(telemetry.get("time_s", ())) or dwells:
-        yield "temperature", partial(temperature_figure, telemetry, dwells, marked_c)
+    if readings or dwells:
+        yield "temperature", lambda: temperature_figure(readings() if readings else {}, dwells, marked_c)
     if bins or any(not row.flags for row in dwells):
         span_dph = bias_span_dph(dwells, bins)
         for gyro in AXES:

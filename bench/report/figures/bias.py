@@ -13,17 +13,20 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from gyrobench.bench.bias.bins import BiasBin, PositionComparison, paper_bins
-from gyrobench.bench.bias.dwell_table import DwellRow, paper_rows
+from gyrobench.bench.bias.dwell_table import DwellRow, Triple, paper_rows
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.report.figures.style import (
     BARS,
     GYRO_STYLES,
     POSITION_STYLES,
     common_legend,
+    draw_points,
     house_style,
     mark_temperatures,
     new_figure,
@@ -47,12 +50,23 @@ class _Panel:
     """Results of one estimator for one gyro."""
 
     estimator: str
-    dwells: list[DwellRow]
+    #: Temperature in degC, bias and its uncertainty in deg/h of each dwell, by position.
+    dwells: dict[str, list[Triple]]
     bins: list[BiasBin]
 
     @property
     def is_empty(self) -> bool:
-        return not (self.dwells or self.bins)
+        return not (any(self.dwells.values()) or self.bins)
+
+    @property
+    def of_bins(self) -> list[tuple[float, float]]:
+        """Biases with their uncertainties, deg/h."""
+        return [(each.bias_dph, each.sigma_dph) for each in self.bins]
+
+    @property
+    def of_dwells(self) -> list[tuple[float, float]]:
+        """The same of the dwells."""
+        return [(bias, sigma) for own in self.dwells.values() for _, bias, sigma in own]
 
 
 @house_style
@@ -72,11 +86,11 @@ def bias_figure(
     """
     both = _both_panels(gyro, dwells, bins)
     panels = both[:1] if both[1].is_empty else both
-    scale = _scale(AXES.index(gyro), panels)
+    scale = _scale(panels)
     figure = new_figure(4.2)
     all_axes = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
     for axes, panel in zip(all_axes, panels, strict=True):
-        _draw_panel(axes, AXES.index(gyro), panel, scale, marked_c)
+        _draw_panel(axes, panel, scale, marked_c)
         axes.set(xlabel="temperature of the gyro / °C")
     all_axes[0].set(ylabel=f"bias / ({scale.unit})")
     _widen(all_axes[0], span_dph * scale.factor)
@@ -87,14 +101,12 @@ def bias_figure(
     return figure
 
 
-def bias_span_dph(dwells: Iterable[DwellRow], bins: Iterable[BiasBin]) -> float:
+def bias_span_dph(dwells: Sequence[DwellRow], bins: Sequence[BiasBin]) -> float:
     """Largest range of the biases of any gyro with their uncertainties."""
-    rows, every = list(dwells), list(bins)
     spans = []
-    for axis, gyro in enumerate(AXES):
-        panels = _both_panels(gyro, rows, every)
-        pairs = [(each.bias_dph, each.sigma_dph) for panel in panels for each in panel.bins]
-        pairs += [(row.bias_dph[axis], row.sigma_dph[axis]) for panel in panels for row in panel.dwells]
+    for gyro in AXES:
+        panels = _both_panels(gyro, dwells, bins)
+        pairs = [pair for panel in panels for pair in (*panel.of_bins, *panel.of_dwells)]
         known = [pair for pair in pairs if not math.isnan(sum(pair))]
         ends = [bias + sign * sigma for bias, sigma in known for sign in (-1.0, 1.0)]
         spans.append(max(ends) - min(ends) if ends else 0.0)
@@ -102,12 +114,17 @@ def bias_span_dph(dwells: Iterable[DwellRow], bins: Iterable[BiasBin]) -> float:
 
 
 def _both_panels(gyro: str, dwells: Iterable[DwellRow], bins: Iterable[BiasBin]) -> list[_Panel]:
-    good = [row for row in dwells if not row.flags]
+    axis = AXES.index(gyro)
     own = [each for each in bins if each.gyro == gyro]
-    return [
-        _Panel(STATE_SPACE, good, _filled(own)),
-        _Panel(PAPER, paper_rows(good), _filled(paper_bins(own))),
-    ]
+    panels = [_Panel(STATE_SPACE, {}, _filled(own)), _Panel(PAPER, {}, _filled(paper_bins(own)))]
+    for row in dwells:
+        for panel, rows in zip(panels, ([row], paper_rows([row])), strict=True):
+            panel.dwells.setdefault(row.position, []).extend(
+                (each.gyro_c[axis], each.bias_dph[axis], each.sigma_dph[axis])
+                for each in rows
+                if not each.flags
+            )
+    return panels
 
 
 def _widen(axes: Axes, span: float) -> None:
@@ -121,37 +138,39 @@ def _filled(bins: Iterable[BiasBin]) -> list[BiasBin]:
     return [each for each in bins if not each.is_empty]
 
 
-def _scale(axis: int, panels: Iterable[_Panel]) -> BiasScale:
-    pairs = [(each.bias_dph, each.sigma_dph) for panel in panels for each in panel.bins] or [
-        (row.bias_dph[axis], row.sigma_dph[axis]) for panel in panels for row in panel.dwells
+def _scale(panels: Iterable[_Panel]) -> BiasScale:
+    panels = list(panels)
+    pairs = [pair for panel in panels for pair in panel.of_bins] or [
+        pair for panel in panels for pair in panel.of_dwells
     ]
     return BiasScale.of(*(zip(*pairs, strict=True) if pairs else ((), ())))
 
 
-def _draw_panel(axes: Axes, axis: int, panel: _Panel, scale: BiasScale, marked_c: Sequence[float]) -> None:
+def _draw_panel(axes: Axes, panel: _Panel, scale: BiasScale, marked_c: Sequence[float]) -> None:
     axes.set_title(panel.estimator)
     for position in POSITIONS:
-        _draw_dwells(axes, axis, [row for row in panel.dwells if row.position == position], scale)
+        _draw_dwells(axes, position, np.array(panel.dwells.get(position, ())), scale)
         draw_bins(axes, [each for each in panel.bins if each.position == position], scale)
     if not panel.is_empty:
         mark_temperatures(axes, "x", marked_c)
 
 
-def _draw_dwells(axes: Axes, axis: int, rows: Sequence[DwellRow], scale: BiasScale) -> None:
-    if not rows:
+def _draw_dwells(axes: Axes, position: str, dwells: FloatArray, scale: BiasScale) -> None:
+    if not len(dwells):
         return
-    style = POSITION_STYLES[rows[0].position]
-    axes.errorbar(
-        [row.gyro_c[axis] for row in rows],
-        [row.bias_dph[axis] * scale.factor for row in rows],
-        [row.sigma_dph[axis] * scale.factor for row in rows],
-        linestyle="none",
+    temperature_c, bias_dph, sigma_dph = dwells.T
+    style = POSITION_STYLES[position]
+    draw_points(
+        axes,
+        temperature_c,
+        bias_dph * scale.factor,
+        sigma_dph * scale.factor,
+        style.colour,
+        alpha=0.35,
+        bar_alpha=0.35,
         marker=style.marker,
         markersize=3.0,
         markerfacecolor=style.face,
-        color=style.colour,
-        elinewidth=0.7,
-        alpha=0.35,
     )
 
 

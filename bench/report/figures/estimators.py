@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,7 +14,12 @@ from gyrobench.bench.bias.dwell_table import DwellRow, paper_rows
 from gyrobench.bench.bias.noise_estimate import ChannelNoise, NoiseEstimate, NoiseParameter
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.statistics import uniformity_band
-from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, DPH_TO_RADPS, UG_PER_SQRT_HZ_TO_SI
+from gyrobench.bench.foundations.arrays import (
+    DEG_PER_SQRT_H_TO_SI,
+    DPH_TO_RADPS,
+    UG_PER_SQRT_HZ_TO_SI,
+    FloatArray,
+)
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.report.figures.style import (
     BARS,
@@ -23,6 +28,7 @@ from gyrobench.bench.report.figures.style import (
     POSITION_STYLES,
     WIDTH_IN,
     common_legend,
+    draw_points,
     house_style,
     mark_temperatures,
     new_figure,
@@ -42,9 +48,14 @@ def estimators_figure(dwells: Iterable[DwellRow], marked_c: Sequence[float] = ()
     Bars are combined uncertainties. Both use the same data, so noise alone separates them by less:
     points beyond their bars show systematic errors of the paper's method. Lines mark ``marked_c`` in degC.
     """
-    both = with_both(dwells)
-    pairs = [pair for row in both for pair in differences_dph(row)]
-    scale = BiasScale.of(*(zip(*pairs, strict=True) if pairs else ((), ())))
+    points: dict[str, list[FloatArray]] = {position: [] for position in POSITION_STYLES}
+    for row in dwells:
+        if has_both(row):
+            points[row.position].append(np.column_stack([row.gyro_c, differences_dph(row)]))
+    both = {position: np.array(own) for position, own in points.items() if own}
+    scale = BiasScale.of(
+        *np.concatenate([own.reshape(-1, 3) for own in both.values()]).T[1:] if both else ((), ())
+    )
     figure = new_figure(3.6, left_in=0.85)
     panels = figure.subplots(1, len(AXES), sharex=True, sharey=True)
     for axis, (gyro, axes) in enumerate(zip(AXES, panels, strict=True)):
@@ -59,9 +70,9 @@ def estimators_figure(dwells: Iterable[DwellRow], marked_c: Sequence[float] = ()
     return figure
 
 
-def with_both(dwells: Iterable[DwellRow]) -> list[DwellRow]:
-    """Dwells without flags that have both estimates."""
-    return [row for row in dwells if not row.flags and paper_rows([row])]
+def has_both(row: DwellRow) -> bool:
+    """Whether a dwell has no flags, and both estimates."""
+    return bool(not row.flags and paper_rows([row]))
 
 
 def differences_dph(row: DwellRow) -> list[tuple[float, float]]:
@@ -71,28 +82,29 @@ def differences_dph(row: DwellRow) -> list[tuple[float, float]]:
 
 
 def _draw_estimator_differences(
-    axes: Axes, axis: int, rows: Sequence[DwellRow], scale: BiasScale, marked_c: Sequence[float]
+    axes: Axes, axis: int, both: Mapping[str, FloatArray], scale: BiasScale, marked_c: Sequence[float]
 ) -> None:
-    temperatures = [row.gyro_c[axis] for row in rows]
-    dodge_c = _DODGE * (max(temperatures, default=0.0) - min(temperatures, default=0.0))
+    """``both``: temperature in degC, difference and uncertainty in deg/h of each dwell and gyro."""
+    dodge_c = (
+        _DODGE * float(np.ptp(np.concatenate([own[:, axis, 0] for own in both.values()]))) if both else 0.0
+    )
     for place, (position, style) in enumerate(POSITION_STYLES.items()):
-        own = [row for row in rows if row.position == position]
-        if own:
-            pairs = [differences_dph(row)[axis] for row in own]
-            _, _, bars = axes.errorbar(
-                [row.gyro_c[axis] + (place - 2.5) * dodge_c for row in own],
-                [difference * scale.factor for difference, _ in pairs],
-                [sigma * scale.factor for _, sigma in pairs],
+        if position in both:
+            temperature_c, difference_dph, sigma_dph = both[position][:, axis].T
+            draw_points(
+                axes,
+                temperature_c + (place - 2.5) * dodge_c,
+                difference_dph * scale.factor,
+                sigma_dph * scale.factor,
+                style.colour,
+                alpha=1.0,
+                bar_alpha=0.4,
                 label=position_label(position),
-                linestyle="none",
                 marker=style.marker,
                 markersize=4.0,
                 markerfacecolor=style.face,
-                color=style.colour,
-                elinewidth=0.7,
             )
-            bars[0].set_alpha(0.4)
-    if rows:
+    if both:
         mark_temperatures(axes, "x", marked_c)
 
 

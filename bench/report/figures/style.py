@@ -23,6 +23,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg, RendererAgg, get_hi
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties, fontManager, get_font
 
+from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.files import write_whole
 
 #: Width of all figures, inch: the text of an A4 page.
@@ -295,6 +296,25 @@ def text_width_in(texts: Iterable[str], size: float) -> float:
 def say_empty(axes: Axes, message: str) -> None:
     """Write the reason for empty axes into them."""
     axes.text(0.5, 0.5, message, transform=axes.transAxes, ha="center", va="center", color="#666666")
+
+
+def draw_points(
+    axes: Axes,
+    x: FloatArray,
+    y: FloatArray,
+    sigma: FloatArray,
+    color: str,
+    alpha: float,
+    bar_alpha: float,
+    **markers: Any,
+) -> None:
+    """Draw many points with their uncertainties.
+
+    All bars are one line with gaps: a collection, as of matplotlib's error bars, has an object for each.
+    """
+    ends = np.stack([y - sigma, y + sigma, np.full(len(y), np.nan)], axis=1)
+    axes.plot(np.repeat(x, 3), ends.ravel(), color=color, linewidth=0.7, alpha=bar_alpha)
+    axes.plot(x, y, linestyle="none", color=color, alpha=alpha, **markers)
 
 
 def common_legend(

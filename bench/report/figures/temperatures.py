@@ -16,9 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import PatchCollection
+from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.foundations.arrays import FloatArray
@@ -139,11 +138,12 @@ def _draw_bands(figure: Figure, bands: Iterable[_Band], unit_s: float) -> None:
     faces = ["none" if band.is_flagged else colour for band, colour in zip(shown, colours, strict=True)]
     across = upper.get_xaxis_transform()
     upper.broken_barh(spans, (0.0, 1.0), transform=across, facecolors=colours, alpha=0.18, linewidth=0.0)
-    below = [
-        Rectangle((start, [*lanes, band.position].index(band.position) - 0.38), width, 0.76)
-        for band, (start, width) in zip(shown, spans, strict=True)
-    ]
-    bars = PatchCollection(below, facecolors=faces, edgecolors=colours, linewidths=0.8)
+    below = []
+    for band, (start, width) in zip(shown, spans, strict=True):
+        lane = [*lanes, band.position].index(band.position)
+        low, high = lane - 0.38, lane + 0.38
+        below.append([(start, low), (start, high), (start + width, high), (start + width, low)])
+    bars = PolyCollection(below, facecolors=faces, edgecolors=colours, linewidths=0.8)
     lower.add_collection(bars, autolim=False)
 
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from gyrobench.bench.bias.joint_solution import JointSolution
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class JointBiasRow:
     """Bias of one gyro in one dwell."""
 
@@ -43,7 +43,7 @@ class JointBiasRow:
     corrected_sigma_dph: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class JointSigmas:
     """Standard uncertainties of biases, deg/h: of dwells by themselves, and joint."""
 
@@ -67,7 +67,7 @@ class JointSigmas:
         return [one / joint for one, joint in zip(self.single_dph, self.joint_dph, strict=True)]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class JointPlateauRow:
     """What the dwells of one plateau share."""
 

@@ -10,10 +10,12 @@ from hypothesis import strategies as st
 from gyrobench.bench.bias.dwell_table import (
     COLUMNS,
     DwellRow,
+    PackedDwells,
     format_dwells,
     paper_rows,
     parse_dwells,
     read_dwells,
+    read_packed_dwells,
     write_dwells,
 )
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
@@ -106,6 +108,27 @@ def test_a_row_survives_the_file(tmp_path):
     for field in fields(DwellRow):
         assert getattr(read, field.name) == pytest.approx(getattr(ROW, field.name), nan_ok=True)
     assert path.read_bytes().count(b"\r") == 0
+
+
+@given(st.lists(dwell_rows, max_size=4))
+def test_packed_rows_are_the_same_rows(rows):
+    packed = PackedDwells(rows)
+    assert len(packed) == len(rows)
+    assert format_dwells(packed) == format_dwells(rows)
+    assert [repr(each) for each in packed[1:]] == [repr(each) for each in rows[1:]]
+    if rows:
+        assert repr(packed[-1]) == repr(rows[-1])
+    with pytest.raises(IndexError):
+        packed[len(rows)]
+
+
+def test_packed_rows_are_read_and_refused_as_others(tmp_path):
+    path = tmp_path / "dwells.csv"
+    write_dwells(path, [ROW, replace(ROW, dwell=4)])
+    assert format_dwells(read_packed_dwells(path)) == path.read_text(encoding="utf-8")
+    write_dwells(path, [ROW, ROW])
+    with pytest.raises(DocumentError, match="dwell 3 is also in line 2"):
+        read_packed_dwells(path)
 
 
 def test_columns_may_come_in_any_order_with_others_among_them():

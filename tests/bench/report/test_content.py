@@ -31,7 +31,9 @@ def test_whole_folder_is_read_without_complaint(run_folder: RunFolder, bins: lis
 
 def test_empty_folder_gives_empty_content(empty_folder: RunFolder) -> None:
     content = read_run(empty_folder)
-    assert (content.journal, content.dwells, content.bins) == ([], [], [])
+    assert not content.journal
+    assert not content.dwells
+    assert not content.bins
     assert len(content.problems) == 7
 
 

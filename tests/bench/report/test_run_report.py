@@ -7,12 +7,14 @@ import hashlib
 import json
 import re
 import shutil
+import weakref
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+from matplotlib.figure import Figure
 
 from gyrobench.bench.bias.acceptance import judge
 from gyrobench.bench.bias.bins import BiasBin, bin_biases, write_bins
@@ -23,6 +25,7 @@ from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.report.closure.closure_page import write_closure_page
 from gyrobench.bench.report.content import read_run
 from gyrobench.bench.report.figures.bias import bias_figure
+from gyrobench.bench.report.figures.style import new_figure
 from gyrobench.bench.report.page import Section, SectionFigure, SectionTable, with_figure_files
 from gyrobench.bench.report.run_report import render, write_report
 from gyrobench.bench.report.verification.verification_page import write_verification_page
@@ -334,6 +337,20 @@ def test_damaged_results_are_named_and_leave_their_sections_out(
     assert "noise.json can't be used:" in text
     assert "Joint solution of each plateau" not in text
     assert "Noise of the INS" not in text
+
+
+def test_a_figure_is_freed_before_the_next_one_is_drawn(empty_folder: RunFolder) -> None:
+    drawn: list[weakref.ref[Figure]] = []
+
+    def draw() -> Figure:
+        assert all(each() is None for each in drawn)
+        figure = new_figure(2.0)
+        drawn.append(weakref.ref(figure))
+        return figure
+
+    section = Section("", figures=[SectionFigure(name, "", draw) for name in ("first", "second", "third")])
+    with_figure_files(empty_folder.path, [section])
+    assert len(drawn) == 3
 
 
 def test_sections_stand_before_the_dwells(

@@ -97,11 +97,22 @@ def test_bias_figure_without_the_papers_method_has_one_panel(old_dwells: list[Dw
     assert len(series(axes, labelled=True)) == 6
 
 
-def test_bias_figure_shows_every_good_dwell(dwells: list[DwellRow], bins: list[BiasBin]) -> None:
-    shown = [points(one)[0] for one in series(bias_figure("x", dwells, bins).axes[0], labelled=False)]
-    assert sorted(value for values in shown for value in values) == sorted(
-        row.gyro_c[0] for row in dwells if not row.flags
+def test_bias_figure_shows_every_good_dwell_with_its_uncertainty(
+    dwells: list[DwellRow], bins: list[BiasBin]
+) -> None:
+    good = [row for row in dwells if not row.flags]
+    lines = bias_figure("x", dwells, bins).axes[0].lines
+    faint = [line for line in lines if line.get_alpha() == 0.35]
+    markers, bars = (
+        [each for each in faint if (each.get_marker() == "None") is way] for way in (False, True)
     )
+    shown = [value for line in markers for value in np.asarray(line.get_xdata()).tolist()]
+    assert sorted(shown) == sorted(row.gyro_c[0] for row in good)
+    ends = [np.asarray(line.get_ydata()).reshape(-1, 3)[:, :2] for line in bars]
+    expected = [
+        (1e3 * (row.bias_dph[0] - s), 1e3 * (row.bias_dph[0] + s)) for row in good for s in [row.sigma_dph[0]]
+    ]
+    assert np.array(sorted(map(tuple, np.concatenate(ends)))) == pytest.approx(np.array(sorted(expected)))
 
 
 def test_bias_figure_marks_temperatures_inside_its_axis(dwells: list[DwellRow], bins: list[BiasBin]) -> None:
@@ -230,9 +241,9 @@ def pixels(figure: Figure) -> FloatArray:
 def test_ticks_are_those_of_matplotlib(
     monkeypatch: pytest.MonkeyPatch, telemetry: Telemetry, dwells: list[DwellRow], bins: list[BiasBin]
 ) -> None:
-    drawn = {name: pixels(draw()) for name, draw in run_figures(telemetry, dwells, bins)}
+    drawn = {name: pixels(draw()) for name, draw in run_figures(lambda: telemetry, dwells, bins)}
     monkeypatch.setattr("gyrobench.bench.report.figures.style._QuickFigure", Figure)
-    for name, draw in run_figures(telemetry, dwells, bins):
+    for name, draw in run_figures(lambda: telemetry, dwells, bins):
         np.testing.assert_array_equal(pixels(draw()), drawn[name], name)
 
 
@@ -250,7 +261,7 @@ def is_cut(figure: Figure) -> bool:
 def test_figures_have_room_for_their_labels(
     telemetry: Telemetry, dwells: list[DwellRow], bins: list[BiasBin]
 ) -> None:
-    cut = {name: is_cut(draw()) for name, draw in run_figures(telemetry, dwells, bins)}
+    cut = {name: is_cut(draw()) for name, draw in run_figures(lambda: telemetry, dwells, bins)}
     wide = [replace(each, bias_dph=100.0 * each.bias_dph) for each in bins]
     for gyro in "xyz":
         cut[gyro] = is_cut(bias_figure(gyro, dwells, wide))
@@ -260,16 +271,16 @@ def test_figures_have_room_for_their_labels(
 def test_figures_are_saved_for_what_there_are_data_for(
     tmp_path: Path, telemetry: Telemetry, dwells: list[DwellRow], bins: list[BiasBin]
 ) -> None:
-    figures = dict(run_figures(telemetry, dwells, bins))
+    figures = dict(run_figures(lambda: telemetry, dwells, bins))
     biases = ["bias_x", "bias_y", "bias_z"]
     assert list(figures) == ["temperature", *biases, "position_pair", "position_differences"]
     for name, figure in figures.items():
         save_figure(figure(), tmp_path / name)
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
-    assert list(dict(run_figures(telemetry, [], []))) == ["temperature"]
-    assert not dict(run_figures({}, [], []))
+    assert list(dict(run_figures(lambda: telemetry, [], []))) == ["temperature"]
+    assert not dict(run_figures(None, [], []))
     one_position = [each for each in bins if each.position == "z_up"]
-    assert list(dict(run_figures({}, [], one_position))) == biases
+    assert list(dict(run_figures(None, [], one_position))) == biases
 
 
 def test_z_up_and_y_up_stand_side_by_side_for_all_gyros(bins: list[BiasBin]) -> None:
