@@ -146,9 +146,7 @@ def print_end(
 
     Exits with an error if it did not finish, or is what ``fail_on`` says.
     """
-    from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN
     from gyrobench.bench.foundations.memory import free_memory
-    from gyrobench.bench.report.statements import latitude_sentence
 
     is_finished, resume = outcome.ended == "finished", f"Resume   gyrobench resume {folder.path}"
     safe_state = "\n".join(each.text for each in outcome.safe_state)
@@ -158,10 +156,7 @@ def print_end(
         console.print(safe_state, soft_wrap=True)
     record = _end_record(folder, outcome)
     shortcoming = outcome.shortcoming(fail_on.value if fail_on else None)
-    rate = outcome.results.up_rate
-    latitude = rate and latitude_sentence(
-        rate.finding, RAD_TO_ARCMIN * rate.latitude_error, RAD_TO_ARCMIN * rate.latitude_sigma
-    )
+    latitude = _latitude_text(outcome)
     outcome.release()
     free_memory()  # which the modules that are imported now use again
 
@@ -191,6 +186,19 @@ def print_end(
     if shortcoming:
         console.print(shortcoming, soft_wrap=True, style="bold red")
         raise typer.Exit(EXIT_NOT_FINISHED)
+
+
+def _latitude_text(outcome: RunOutcome) -> str:
+    """A statement on a wrong latitude; empty where there is none."""
+    from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN
+    from gyrobench.bench.report.statements import latitude_sentence
+
+    rate = outcome.results.up_rate
+    if rate is None:
+        return ""
+    return latitude_sentence(
+        rate.finding, RAD_TO_ARCMIN * rate.latitude_error, RAD_TO_ARCMIN * rate.latitude_sigma
+    )
 
 
 def _interruption(outcome: RunOutcome) -> str:
