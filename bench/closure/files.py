@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 
 from gyrobench.bench.closure.compose import Composed, law_text
-from gyrobench.bench.closure.outcome import Closure, FoundEffect
+from gyrobench.bench.closure.outcome import Closure, FoundEffect, OtherForm
 from gyrobench.bench.closure.problem import DEGREE, SCALE_C, predict
 from gyrobench.bench.closure.quantity import Quantity, quantity
 from gyrobench.bench.foundations.arrays import FloatArray
@@ -306,7 +306,7 @@ def _declared(closure: Closure, coefficients: FloatArray) -> dict[str, Any]:
     }
 
 
-def _by_parameter(found: FoundEffect, values: Iterable[_T]) -> dict[str, _T]:
+def _by_parameter(found: FoundEffect | OtherForm, values: Iterable[_T]) -> dict[str, _T]:
     names = (each.name for each in found.candidate.form.parameters)
     return dict(zip(names, values, strict=True))
 
@@ -332,5 +332,14 @@ def _effect(found: FoundEffect) -> dict[str, Any]:
         "parameters_sigma": _by_parameter(found, found.values_sigma.tolist()),
         "parameters_95": _by_parameter(found, map(list, found.values_range)),
         "at_bound": list(found.at_bound),
+        "other_forms": [
+            {
+                "form": each.candidate.form.name,
+                "probability": each.probability,
+                "parameters": _by_parameter(each, each.candidate.values),
+                "parameters_95": _by_parameter(each, map(list, each.values_range)),
+            }
+            for each in found.other_forms
+        ],
         "gain_in_cycles_left_out": {str(cycle): gain for cycle, gain in found.gains.items()},
     }

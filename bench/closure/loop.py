@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.candidates import Hypothesis, solve_with
+from gyrobench.bench.closure.candidates import Candidate, Hypothesis, solve_with
 from gyrobench.bench.closure.compose import compose
 from gyrobench.bench.closure.confounding import confounding
 from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.effect import Effect
-from gyrobench.bench.closure.outcome import CandidateResult, Closure, FoundEffect, HeldOutCycle
+from gyrobench.bench.closure.outcome import CandidateResult, Closure, FoundEffect, HeldOutCycle, OtherForm
 from gyrobench.bench.closure.posterior import CLEAN, EXPLAINED, Posterior, detectable_dph
-from gyrobench.bench.closure.problem import DEGREE, Solution, declared_problem
+from gyrobench.bench.closure.problem import DEGREE, Problem, Solution, declared_problem
 from gyrobench.bench.closure.search import Search
 from gyrobench.bench.closure.selection import Selected, select
 from gyrobench.bench.closure.uncertainty import Draws, draw, interval
@@ -225,9 +225,21 @@ def _found_effects(
                 weights=weights,
                 weighted_sigma_dph=draws.sigma(sizes_drawn * weights_drawn[:, None, :], sizes * weights),
                 quantity=quantity,
+                other_forms=tuple(_other_forms(problem, found, each, weighed)),
             )
         )
     return tuple(sorted(result, key=lambda each: -each.rms_dph))
+
+
+def _other_forms(
+    problem: Problem, found: Hypothesis, one: Candidate, weighed: Posterior
+) -> Iterator[OtherForm]:
+    for probability, candidates in weighed.other_forms(found.names, one):
+        [other] = [each for each in candidates if each.effect.name == one.effect.name]
+        drawn = draw(problem, candidates)
+        values = drawn.values[other.effect.name]
+        ranges = tuple(map(interval, other.form.parameters, other.values, values.T))
+        yield OtherForm(other, probability, drawn.sigma(values, np.array(other.values)), ranges)
 
 
 def _evidence(selected: Selected) -> tuple[CandidateResult, ...]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import starmap
 
 import numpy as np
 
@@ -25,6 +27,24 @@ _S_PER_H = 3600.0
 _UNITS = {"c": "degC"}
 #: An interval is stated in place of a standard uncertainty if its middle is off by this share of its length.
 _ASYMMETRY = 0.125
+
+
+@dataclass(frozen=True)
+class OtherForm:
+    """An effect found, in another form that is not improbable."""
+
+    candidate: Candidate  #: As fitted.
+    probability: float  #: Of this form, if the effects found are there.
+    #: values_sigma, values_range: As in :class:`FoundEffect`.
+    values_sigma: FloatArray
+    values_range: tuple[tuple[float, float], ...]
+
+    @property
+    def text(self) -> str:
+        """Form, probability and parameters: "or, with 12 %, one width: half width 5.8 ± 0.5 degC"."""
+        parameters = "; ".join(_parameter_texts(self.candidate, self.values_sigma, self.values_range))
+        stated = f"{self.candidate.form.name}{f': {parameters}' if parameters else ''}"
+        return f"or, with {100.0 * self.probability:.0f} %, {stated}"
 
 
 @dataclass(frozen=True)
@@ -53,6 +73,7 @@ class FoundEffect:
     weights: FloatArray
     weighted_sigma_dph: FloatArray
     quantity: Quantity = GYRO_BIAS  #: What shows it.
+    other_forms: tuple[OtherForm, ...] = ()  #: Most probable first; the sizes are those of :attr:`candidate`.
 
     @property
     def effect(self) -> Effect:
@@ -70,18 +91,17 @@ class FoundEffect:
     @property
     def parameter_texts(self) -> tuple[str, ...]:
         """Each nonlinear parameter with its uncertainty: "tau 1.50 ± 0.08 h"."""
-        form, values = self.candidate.form, self.candidate.values
-        return tuple(
-            _parameter_text(each, value, sigma, (low, high))
-            for each, value, sigma, (low, high) in zip(
-                form.parameters, values, self.values_sigma.tolist(), self.values_range, strict=True
-            )
-        )
+        return _parameter_texts(self.candidate, self.values_sigma, self.values_range)
 
     @property
     def statement(self) -> str:
         """One sentence: what the bias does, its size, the gyros and the parameters, with uncertainties."""
         parameters = "; ".join(self.parameter_texts)
+        if self.other_forms:
+            form = self.candidate.form.name
+            parameters = "; ".join(
+                [f"{form}: {parameters}" if parameters else form, *(each.text for each in self.other_forms)]
+            )
         place, unit = self.quantity.place(self.axes), self.quantity.unit
         size = f"{with_sigma(self.rms_dph, self.rms_sigma_dph)} {unit} rms on the {place}"
         sentence = self.quantity.said(self.effect.statement)
@@ -223,6 +243,13 @@ class Closure:
             f"in position {plain_name(position)}, at {low_c:.0f} to {high_c:.0f} degC, and "
             f"at {low_h:.0f} to {high_h:.0f} h."
         )
+
+
+def _parameter_texts(
+    candidate: Candidate, sigmas: FloatArray, ranges: Sequence[tuple[float, float]]
+) -> tuple[str, ...]:
+    values = zip(candidate.form.parameters, candidate.values, sigmas.tolist(), ranges, strict=True)
+    return tuple(starmap(_parameter_text, values))
 
 
 def _parameter_text(parameter: Parameter, value: float, sigma: float, interval: tuple[float, float]) -> str:

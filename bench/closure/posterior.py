@@ -39,6 +39,8 @@ SAME_MAGNITUDE = 0.8
 NOISE_PRIOR = ((0.9, 52.0, 51.0), (0.1, 4.0, 6.0))
 #: Effects are tied if the data and the prior prefer one by odds of less than this to 1.
 TIE_ODDS = 100.0
+#: Least probability of another form of an effect found that is stated.
+FORM_SHARE = 0.05
 #: Probability that all effects found are there, without a remainder, where they explain a residual.
 EXPLAINED = 0.99
 #: Probability of any other effect from which it is not settled that those found are all.
@@ -62,6 +64,8 @@ class Weighed:
     probability: float  #: Posterior.
     #: The effects as fitted; of one that can't be fitted, the one that imitates it.
     candidates: tuple[Candidate, ...]
+    #: Their forms, each combination as fitted with its share of the probability.
+    forms: tuple[tuple[float, tuple[Candidate, ...]], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -156,6 +160,20 @@ class Posterior:
             and not each.names & general - names
         ]
 
+    def other_forms(self, names: frozenset[str], one: Candidate) -> list[tuple[float, tuple[Candidate, ...]]]:
+        """A set of effects with one of them in other forms, most probable first.
+
+        Each form that has FORM_SHARE of the probability of the set, with the set as fitted.
+        """
+        found: dict[str, tuple[float, tuple[Candidate, ...]]] = {}
+        for each in self.hypotheses:
+            for share, candidates in each.forms if each.names == names and not each.has_remainder else ():
+                [form] = [other.form.name for other in candidates if other.effect.name == one.effect.name]
+                before, best = found.get(form, (0.0, candidates))
+                found[form] = before + share, best
+        found.pop(one.form.name, None)
+        return sorted((each for each in found.values() if each[0] > FORM_SHARE), key=lambda each: -each[0])
+
     def tied_with(self, names: frozenset[str], one: str) -> tuple[str, ...]:
         """Effects that may take the place of one of a set, most probable first."""
         tied = (next(iter(each - names)) for each in self.similar(names) if one not in each)
@@ -208,8 +226,11 @@ class Evidences:
         for names, fits in found.items():
             for has_remainder in (False, True):
                 logs = np.ravel([processes if has_remainder else alone for alone, processes, _ in fits])
-                probability = math.exp(np.logaddexp.reduce(logs) - whole)
-                weighed.append(Weighed(names, has_remainder, probability, fits[0][2]))
+                sums = np.logaddexp.reduce(np.reshape(logs, (len(fits), -1)), axis=1)
+                total = np.logaddexp.reduce(sums)
+                shares = np.exp(sums - total).tolist()
+                forms = tuple(zip(shares, (candidates for *_, candidates in fits), strict=True))
+                weighed.append(Weighed(names, has_remainder, math.exp(total - whole), fits[0][2], forms))
         return Posterior(
             tuple(sorted(weighed, key=lambda each: -each.probability)),
             dict(zip(self.processes, (follows / follows.sum()).tolist(), strict=True)),

@@ -221,7 +221,7 @@ def _parameters(closure: Closure) -> list[SectionTable]:
     rows = [
         [each.effect.display_name, parameter]
         for each in closure.effects
-        for parameter in each.parameter_texts
+        for parameter in (*each.parameter_texts, *(other.text for other in each.other_forms))
     ]
     caption = (
         "Nonlinear parameters with their standard uncertainties, or the interval that holds them with 95 % "

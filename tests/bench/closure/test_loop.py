@@ -59,6 +59,25 @@ def test_an_effect_is_explained_with_its_size(closed):
     assert closure.before.p_value < LACK_OF_FIT_P < closure.after.p_value
 
 
+def test_a_form_that_the_data_do_not_exclude_is_stated_with_its_probability(closed):
+    weak, strong = (closed({"thermal_hysteresis": size}, cycles=3) for size in (2.0, 8.0))
+    [found] = weak.effects
+    [other] = found.other_forms
+    assert {found.candidate.form, other.candidate.form} == set(THERMAL_HYSTERESIS.forms)
+    [of] = [
+        each
+        for each in weak.posterior.hypotheses
+        if each.names == {"thermal_hysteresis"} and not each.has_remainder
+    ]
+    assert sum(share for share, _ in of.forms) == pytest.approx(1.0)
+    shares = {candidates[0].form: share for share, candidates in of.forms}
+    assert other.probability == pytest.approx(shares[other.candidate.form])
+    assert 0.05 < other.probability < 0.5
+    [(low_c, high_c)], [width_c] = other.values_range, other.candidate.values
+    assert low_c < width_c < high_c
+    assert strong.effects[0].other_forms == ()
+
+
 def test_the_stated_size_is_that_in_the_dwells_searched(closed):
     measured = measure({"time_drift": 4.0}, cycles=2)
     [found] = closed({"time_drift": 4.0}).effects

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -5,14 +7,14 @@ from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.effects import attitude_thermal
 from gyrobench.bench.closure.effects.laws import G_SENSITIVITY, THERMAL_HYSTERESIS, WARM_UP
 from gyrobench.bench.closure.loop import close_loop
-from gyrobench.bench.closure.outcome import FoundEffect
+from gyrobench.bench.closure.outcome import FoundEffect, OtherForm
 from tests.bench.closure.test_candidates import whole
 from tests.bench.closure.thermal_bench import SIGMA_DPH, measure
 
 TRIANGLE = ((-20.0, 0.2, 0.0), (60.0, 0.2, 0.0), (20.0, 0.2, 0.0))
 
 
-def found(effect, *values, axes=("x", "y", "z"), sigma=(), within=()):
+def found(effect, *values, axes=("x", "y", "z"), sigma=(), within=(), other_forms=()):
     candidate = whole(effect, *values)
     shape = candidate.kept.shape
     return FoundEffect(
@@ -31,6 +33,7 @@ def found(effect, *values, axes=("x", "y", "z"), sigma=(), within=()):
         within,
         np.ones(1),
         np.zeros(shape),
+        other_forms=other_forms,
     )
 
 
@@ -62,6 +65,17 @@ def test_a_parameter_at_its_bound_is_named_with_what_is_known_of_it():
     assert lowest.at_bound == ("half_width_c",)
     assert "0.30 degC, its lower bound, below 0.90 degC with 95 %" in lowest.statement
     assert found(WARM_UP, 7200.0, sigma=[60.0], within=[(7080.0, 7320.0)]).at_bound == ()
+
+
+def test_another_form_that_is_not_improbable_is_stated_with_its_parameters():
+    many_widths = replace(whole(THERMAL_HYSTERESIS, 4.5), form=THERMAL_HYSTERESIS.forms[1])
+    other = OtherForm(many_widths, 0.34, np.array([0.25]), ((4.0, 5.0),))
+    sentence = found(
+        THERMAL_HYSTERESIS, 5.25, sigma=[0.12], within=[(5.02, 5.5)], other_forms=(other,)
+    ).statement
+    assert sentence.endswith(
+        "(one width: half width 5.25 ± 0.12 degC; or, with 34 %, many widths: half width 4.50 ± 0.25 degC)."
+    )
 
 
 def test_several_parameters_are_listed():
