@@ -196,7 +196,7 @@ def print_end(
 def _interruption(outcome: RunOutcome) -> str:
     """How and why a run ended that did not finish, as a sentence."""
     if outcome.reason.startswith("stopped by "):
-        return f"The run was {outcome.reason.replace('SIGINT', 'Ctrl-C')}."
+        return f"The run was {outcome.reason}."
     return f"The run {outcome.ended}: {outcome.reason}"
 
 

@@ -10,6 +10,7 @@ from functools import partial
 from types import MappingProxyType
 from typing import Any
 
+from gyrobench.bench.foundations.operator_name import source_in_words
 from gyrobench.bench.foundations.text import counted, listed
 from gyrobench.bench.report.page import Mark, Section, SectionTable
 
@@ -308,7 +309,7 @@ def _by(entry: Entry) -> str:
 
 def _who(entry: Entry) -> str:
     """Source of a command, with the operator's name where it is known and not in the source."""
-    by, operator = str(entry.get("by")), str(entry.get("operator") or "")
+    by, operator = source_in_words(str(entry.get("by"))), str(entry.get("operator") or "")
     return f"{operator} ({by})" if operator and operator not in by else by
 
 

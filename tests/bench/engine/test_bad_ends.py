@@ -41,11 +41,20 @@ def assert_safe(folder, outcome, bench):
     assert (last["event"], last["reason"]) == ("run_ended", outcome.reason)
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
-def test_a_signal_stops_the_run_safely(tmp_path, number):
+@pytest.mark.parametrize(
+    ("number", "who"),
+    [
+        (signal.SIGTERM, "another program (SIGTERM)"),
+        (signal.SIGHUP, "the end of the terminal session (SIGHUP)"),
+        (signal.SIGINT, "the operator (Ctrl-C)"),
+    ],
+)
+def test_a_signal_stops_the_run_safely_and_the_reason_names_its_source_in_words(tmp_path, number, who):
     folder, outcome, bench = run_with(tmp_path, "navigate", lambda bench, clock: os.kill(os.getpid(), number))
     assert outcome.ended == "stopped"
-    assert signal.Signals(number).name in outcome.reason
+    assert outcome.reason == f"stopped by {who}"
+    [ordered] = [entry for entry in read_journal(folder.journal) if entry["event"] == "ordered"]
+    assert ordered["by"] == signal.Signals(number).name
     assert_safe(folder, outcome, bench)
 
 
