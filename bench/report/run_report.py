@@ -277,7 +277,7 @@ def verdict_boxes(content: RunContent) -> list[Box]:
     ]
     notes += [] if is_safe else ["The safe state was not fully reached; see the section Safe state."]
     colour = facts.ended if is_safe and facts.ended in ("finished", "stopped") else "failed"
-    boxes.append(Box(colour, content.ending, facts.reason or ("" if facts.ended else _INTERRUPTED), notes))
+    boxes.append(Box(colour, content.ending, content.reason or ("" if facts.ended else _INTERRUPTED), notes))
     boxes += [verdict_box(acceptance)] if acceptance else _not_judged(content)
     if doubts := plateau_findings(content.coefficients):
         where = listed(sorted({each.partition(":")[0] for each in doubts}))

@@ -16,7 +16,7 @@ from gyrobench.bench.runs.journal import Journal
 @pytest.mark.parametrize(
     ("reason", "sentence"),
     [
-        ("stopped by the operator (Ctrl-C)", "The run was stopped by the operator (Ctrl-C)."),
+        ("stopped by the operator (Ctrl-C)", "The run was stopped by the operator (Ctrl-C)"),
         (
             "the operator answered 'stop' to: ready?",
             "The run stopped: the operator answered 'stop' to: ready?",

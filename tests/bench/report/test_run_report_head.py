@@ -30,8 +30,8 @@ def resume(folder):
 def test_the_end_of_a_run_is_stated_with_its_unfinished_step(stopped: RunFolder):
     content = read_run(stopped)
     [box] = verdict_boxes(content)
-    assert (box.colour, box.gist) == ("stopped", "The run stopped.")
-    assert box.text == "stopped by the operator (Ctrl-C)"
+    assert (box.colour, box.text) == ("stopped", "")
+    assert box.gist == "The run was stopped by the operator (Ctrl-C)."
     assert box.notes == ["Unfinished step: 6, turn 180 deg (cycle 1, 62 degC, z_up)."]
     assert [action["what"] for action in content.facts.safe_state] == [
         "rate table stopped",
