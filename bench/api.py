@@ -240,7 +240,7 @@ def run(
         operator = ConsentingOperator()
     folder, outcome = run_job(job, None if out is None else Path(out), observer or RunObserver(), operator)
     if outcome.ended != "finished":
-        raise MeasurementError(f"{folder.path}: the run {outcome.ended}: {outcome.reason}")
+        raise MeasurementError(f"{folder.path}: the run {outcome.ending}")
     if shortcoming := outcome.shortcoming(fail_on):
         raise MeasurementError(f"{folder.path}: {shortcoming}")
     return Run(folder.path)

@@ -165,7 +165,7 @@ def calibrate(
     _check_size(found.values, is_observed)
     spun = sorted({turn.axis for turns in rotations for turn in turns if turn.is_spin})
     if options.whole_turns is not None and spun:
-        found, offset, contradiction = problem.with_turns_checked(found, spun)
+        problem, found, offset, contradiction = problem.with_turns_checked(found, spun)
         findings += [contradiction] * bool(contradiction)
     covariance, test = found.covariance, found.fit
     if test.p_value < MIN_P_VALUE:
@@ -258,8 +258,10 @@ class _Problem:
             "rotations between rests at one place. Check signs, axes and units in the import map"
         )
 
-    def with_turns_checked(self, found: _Solution, spun: Sequence[int]) -> tuple[_Solution, FloatArray, str]:
-        """The same with whole turns as uncertain as rotations and noise show them to be.
+    def with_turns_checked(
+        self, found: _Solution, spun: Sequence[int]
+    ) -> tuple[_Problem, _Solution, FloatArray, str]:
+        """The same problem, and its solution, with whole turns as uncertain as rotations and noise show.
 
         Also by how much the scale factors of whole turns contradict the others (3,), zero where they do not,
         and that as text. A scale factor that depends on the rate is no fault of the rests. It makes turns at
@@ -268,7 +270,7 @@ class _Problem:
         """
         offset, text = self._contradiction(found, spun)
         if not text and found.fit.p_value >= MIN_P_VALUE:
-            return found, offset, ""
+            return self, found, offset, ""
         alone = replace(self, options=replace(self.options, whole_turns=None)).solve()
         spins = [
             spin
@@ -276,13 +278,14 @@ class _Problem:
             for spin in section.spin_errors(start, alone.common, self.site)
         ]
         if not spins or not (text or alone.fit.p_value >= MIN_P_VALUE):
-            return found, offset, ""
+            return self, found, offset, ""
         left = []
         for axis in {spin.axis for spin in spins}:
             error, path = np.array([(each.error, each.path) for each in spins if each.axis == axis]).T
             left += list(error - path * (path @ error) / (path @ path) + path * offset[axis])
         turns = float(np.hypot(self.options.whole_turns or 0.0, np.sqrt(np.mean(np.square(left)))))
-        return replace(self, options=replace(self.options, whole_turns=turns)).solve(), offset, text
+        widened = replace(self, options=replace(self.options, whole_turns=turns))
+        return widened, widened.solve(), offset, text
 
     def _contradiction(self, found: _Solution, spun: Sequence[int]) -> tuple[FloatArray, str]:
         """Scale factors (3,) of whole turns less the others, and that as text; zero where noise explains it.

@@ -220,7 +220,7 @@ class Certificate:
             for entry in self.run.entries("past_due")
         ]
         if self.run.facts.ended != "finished":
-            texts.append(f"{self.run.ending} {_sentence(self.run.facts.reason)}".strip())
+            texts.append(f"{self.run.ending} {_sentence(self.run.reason)}".strip())
         return texts or ["None."]
 
     @property

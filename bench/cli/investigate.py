@@ -206,7 +206,7 @@ def _start(
             f"{sources[0]}: is not a run folder. Name a procedure, run folders, or a table with --bench"
         )
     else:
-        emulation = Emulation(world_for(station or EMULATED, world), seed or 0, must_fit=True)
+        emulation = Emulation(world_for(station or EMULATED, world), seed or 0)
         start = start_with_procedure(sources[0], station or EMULATED, emulation, out, adaptive=adaptive)
     require_one_unit(start.job)
     return start

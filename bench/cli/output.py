@@ -151,7 +151,7 @@ def print_end(
     is_finished, resume = outcome.ended == "finished", f"Resume   gyrobench resume {folder.path}"
     safe_state = "\n".join(each.text for each in outcome.safe_state)
     if not is_finished:
-        console.print(_interruption(outcome), soft_wrap=True, style="bold red")
+        console.print(f"The run {outcome.ending}", soft_wrap=True, style="bold red")
         console.print(resume, soft_wrap=True)
         console.print(safe_state, soft_wrap=True)
     record = _end_record(folder, outcome)
@@ -199,13 +199,6 @@ def _latitude_text(outcome: RunOutcome) -> str:
     return latitude_sentence(
         rate.finding, RAD_TO_ARCMIN * rate.latitude_error, RAD_TO_ARCMIN * rate.latitude_sigma
     )
-
-
-def _interruption(outcome: RunOutcome) -> str:
-    """How and why a run ended that did not finish, as a sentence."""
-    if outcome.reason.startswith("stopped by "):
-        return f"The run was {outcome.reason.replace('SIGINT', 'Ctrl-C')}."
-    return f"The run {outcome.ended}: {outcome.reason}"
 
 
 def _end_record(folder: RunFolder, outcome: RunOutcome) -> dict[str, object]:

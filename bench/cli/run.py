@@ -66,7 +66,7 @@ def run(
     job = prepare_job(
         procedure,
         station,
-        Emulation(world_for(station, world), seed, faults or "", must_fit=True),
+        Emulation(world_for(station, world), seed, faults or ""),
         calibration,
         loaded,
         {"customer": customer, "order": order, "item": item},

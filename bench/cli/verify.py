@@ -149,7 +149,7 @@ def _measure(terminal: RunConsole, verification: VerificationRuns, name: str, vi
         measured, outcome = verification.measure(name, progress, operator)
     write_report(measured)
     if outcome.ended != "finished":
-        terminal.print(f"The run {outcome.ended}: {outcome.reason}", soft_wrap=True, style="bold red")
+        terminal.print(f"The run {outcome.ending}", soft_wrap=True, style="bold red")
         terminal.print(f"Folder   {measured.path}", soft_wrap=True)
         raise typer.Exit(EXIT_NOT_FINISHED)
 

@@ -32,6 +32,8 @@ LARGER_P, STRUCTURE_P = 1e-2, 1e-2
 #: Noises are the same if their scales differ by less than this share.
 _SAME = 0.03
 _ROUNDS = 10
+#: Where too many are off, those within this share of the farthest one become outliers first.
+_FARTHEST = 0.5
 _TIME_DEGREE = 5
 #: Twice the negative log likelihood of an outlier beyond that of other dwells: 2 % have ten times the noise.
 _OUTLIER_COST = 2.0 * math.log(10.0 / 0.02)
@@ -132,7 +134,8 @@ def estimate_noise(
         updated = _with_outliers(noise, after)
         if np.mean(updated.factors[searched] > 1.0) > MAX_OUTLIERS:
             updated = Noise.stated(campaign)
-        is_settled, noise = updated.is_like(noise), updated
+        is_settled = updated.is_like(noise) and np.allclose(updated.factors, noise.factors, rtol=_SAME)
+        noise = updated
         if is_settled:
             break
     test = lack_of_fit(after, sum(len(each.values) for each in effects))
@@ -157,9 +160,13 @@ def _with_outliers(noise: Noise, after: Problem) -> Noise:
     leverage = np.stack([np.sum(basis**2, axis=1) for basis in after.bases], axis=1)
     off = after.residuals * noise.factors[searched] / np.sqrt(np.maximum(1.0 - leverage, _MIN_SHARE))
     off /= max(1.0, float(np.median(np.abs(off))) / MEDIAN)
-    factors[searched] = np.where(np.abs(off) > OUTLIER_SIGMA, np.abs(off), 1.0)
+    is_outlier = np.abs(off) > OUTLIER_SIGMA
+    if np.mean(is_outlier) > MAX_OUTLIERS:  # the farthest ones may pull the model away from others
+        is_known = noise.factors[searched] > 1.0
+        is_outlier &= is_known | (np.abs(off) > _FARTHEST * np.abs(off[~is_known]).max(initial=0.0))
+    factors[searched] = np.where(is_outlier, np.abs(off), 1.0)
     outliers = [
         Outlier(int(campaign.dwell[searched][dwell]), campaign.quantity.axes[gyro], float(off[dwell, gyro]))
-        for dwell, gyro in np.argwhere(np.abs(off) > OUTLIER_SIGMA)
+        for dwell, gyro in np.argwhere(is_outlier)
     ]
     return Noise(1.0, tuple(sorted(outliers, key=lambda each: -abs(each.residual_sigma))), factors)

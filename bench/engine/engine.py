@@ -21,6 +21,7 @@ from gyrobench.bench.foundations.errors import (
     RunStoppedError,
     StepTimeoutError,
 )
+from gyrobench.bench.foundations.operator_name import source_in_words
 from gyrobench.bench.procedure.approach import RetainedState, approach, end_of_dwell, restart_of
 from gyrobench.bench.procedure.plan import PlannedStep, turns_after
 from gyrobench.bench.procedure.steps import Align, GoTo, PowerOn
@@ -313,12 +314,13 @@ class Engine:
                 return index, retained
             self._units.skip(dwell)
             return self._after_dwell(dwell, retained)
-        self._units.discard(dwell, f"paused by {given.by}", counts=False)
+        why = f"paused by {source_in_words(given.by)}"
+        self._units.discard(dwell, why, counts=False)
         is_safe = self._bench.station.file.safe_state.on_pause == "safe"
         if is_safe:
             self._make_safe()
         try:
-            self._holding.hold(f"paused by {given.by}", command=RunCommand.PAUSE)
+            self._holding.hold(why, command=RunCommand.PAUSE)
         except TrippedError as error:
             return index, self._recover(index, error.trips)
         is_ins_on = is_ins_on and self._units.are_on

@@ -11,7 +11,7 @@ from gyrobench.bench.engine.operator import GivenCommand, RunCommand, take_sende
 from gyrobench.bench.engine.run_context import RunContext
 from gyrobench.bench.engine.units import Units
 from gyrobench.bench.foundations.errors import InstrumentError, RunStoppedError
-from gyrobench.bench.foundations.operator_name import operator_name
+from gyrobench.bench.foundations.operator_name import operator_name, source_in_words
 from gyrobench.bench.foundations.text import listed
 
 #: A calendar that differs by so much more than before was set, or corrected over a long time.
@@ -65,7 +65,7 @@ class Heartbeat:
             given = replace(given, by=f"{name} ({given.by})")
         run.journal.record("ordered", order=given.command, by=given.by, operator=name)
         if given.command is RunCommand.ABORT:
-            raise RunStoppedError(f"stopped by {given.by}")
+            raise RunStoppedError(f"stopped by {source_in_words(given.by)}")
         return given
 
     def _check_calendar(self) -> None:
@@ -174,7 +174,7 @@ class Holding:
         if given and given.command is not RunCommand.CONTINUE:
             self._run.note(f"the run holds: it accepts continue or abort, not {given.command}")
             return ""
-        return given.by if given else "the operator" if answer else ""
+        return source_in_words(given.by) if given else "the operator" if answer else ""
 
     def _is_clear(self, trips: Sequence[Trip]) -> bool:
         """Clear latched alarms, and return whether nothing is tripped; notes what still is."""

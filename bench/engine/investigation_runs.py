@@ -152,9 +152,7 @@ def _measure(job: Job, folder: RunFolder, observe: Observe, after: EarlierRuns |
 
 def _require_finished(folder: RunFolder, outcome: RunOutcome) -> None:
     if outcome.ended != "finished":
-        raise GyrobenchError(
-            f"{folder.path}: the run {outcome.ended}: {outcome.reason}. Repeat the command to resume it"
-        )
+        raise GyrobenchError(f"{folder.path}: the run {outcome.ending}. Repeat the command to resume it")
 
 
 class StationBench:

@@ -15,6 +15,7 @@ from gyrobench.bench.dwells.rotations import RunRotations
 from gyrobench.bench.dwells.run_results import RunResults
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.operator import Operator, RunCommand
+from gyrobench.bench.foundations.text import run_ending
 from gyrobench.bench.procedure.plan import PlannedStep
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.station.safe_state import SafeAction
@@ -39,6 +40,11 @@ class RunOutcome:
     duration_s: float = 0.0  #: on the run's clock
     #: Actions at the end that brought the bench to its safe state.
     safe_state: list[SafeAction] = field(default_factory=list)
+
+    @property
+    def ending(self) -> str:
+        """How the run ended and why, see :func:`gyrobench.bench.foundations.text.run_ending`."""
+        return run_ending(self.ended, self.reason)
 
     @property
     def is_safe(self) -> bool:

@@ -1,13 +1,19 @@
-"""Who acts: the operator's name, for the audit trail."""
+"""Who acts: the operator's name, for the audit trail, and the source of a command in words."""
 
 from __future__ import annotations
 
 import getpass
 import os
+import signal
 
 #: Environment variable with the operator's name.
 OPERATOR_VARIABLE = "GYROBENCH_OPERATOR"
 _MAX_CHARACTERS = 100
+_SIGNALS = {
+    "SIGINT": "the operator (Ctrl-C)",
+    "SIGTSTP": "the operator (Ctrl-Z)",
+    "SIGHUP": "the end of the terminal session (SIGHUP)",
+}
 
 
 def operator_name() -> str:
@@ -21,3 +27,8 @@ def login_name() -> str:
         return getpass.getuser()
     except (KeyError, OSError):
         return "unknown"
+
+
+def source_in_words(by: str) -> str:
+    """Source of a command in words: of SIGINT "the operator (Ctrl-C)"; what is no signal's name stays."""
+    return _SIGNALS.get(by, f"another program ({by})" if by in signal.Signals.__members__ else by)

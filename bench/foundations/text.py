@@ -36,6 +36,13 @@ def hours_minutes(time_s: float) -> str:
     return f"{minutes // 60}:{minutes % 60:02d}"
 
 
+def run_ending(ended: str, reason: str) -> str:
+    """Write how a run ended: "was stopped by the operator (Ctrl-C)", "failed: the INS is silent"."""
+    if reason.startswith("stopped by "):
+        return f"was {reason}"
+    return f"{ended}: {reason}" if reason else ended
+
+
 def bin_label(low_c: float, high_c: float, between: str = " to ") -> str:
     """Write the range of a bin, without its unit."""
     return f"{low_c:g}{between}{high_c:g}"

@@ -41,7 +41,10 @@ _UNCERTAIN_MAXIMUM = (
     " about 2.5 times the uncertainty of one of them, so the p-value decides. Filled markers: significant "
     "difference."
 )
-_LIMIT_LINE = " The red line is the acceptance limit."
+_LIMIT_LINE = (
+    " The red line is the acceptance limit. The uncertainties are those of bin means; the section Acceptance "
+    "has those of differences corrected to one temperature."
+)
 _BIAS_FIGURE = (
     "Bias of the {} against its own temperature{}. Lines join the weighted means of the temperature bins, "
     "faint points are single dwells; bars are standard uncertainties. All gyros have the same scale."
@@ -282,12 +285,14 @@ def _pictures(figures: Mapping[str, Path], name: str, caption: str) -> list[Sect
 
 _HOW = (
     "Positions are compared within one plateau and one power cycle, at the mean temperature of the plateau; "
-    "each bias is corrected to that temperature with the gyro's own temperature curve. Plateaus of one set "
-    "point in several cycles are averaged where they agree and judged separately otherwise. The largest of "
-    "several noisy differences overestimates the largest true one, so the table gives confidence limits for "
-    "the true one. Pass: every pair of positions is below the limit with {0:g} % confidence. Fail: at least "
-    "one pair is above it with {0:g} % confidence, corrected for the number of pairs. Marginal: neither. The "
-    "probability of accepting a unit at a limit, and of rejecting one within all limits, is at most {1:g} %."
+    "each bias is corrected to that temperature with the gyro's own temperature curve. The uncertainties "
+    "include that of the correction; the section Results has those of bin means, without it. Plateaus of one"
+    " set point in several cycles are averaged where they agree and judged separately otherwise. The largest"
+    " of several noisy differences overestimates the largest true one, so the table gives confidence limits "
+    "for the true one. Pass: every pair of positions is below the limit with {0:g} % confidence. Fail: at "
+    "least one pair is above it with {0:g} % confidence, corrected for the number of pairs. Marginal: "
+    "neither. The probability of accepting a unit at a limit, and of rejecting one within all limits, is at "
+    "most {1:g} %."
 )
 _LACKING = (
     "Planned dwells not compared with the others of their plateau (flagged, missing, or separated by a power "

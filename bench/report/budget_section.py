@@ -6,6 +6,7 @@ import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from matplotlib.figure import Figure
 
@@ -14,7 +15,7 @@ from gyrobench.bench.foundations.text import bin_label, counted, listed
 from gyrobench.bench.navigation.positions import POSITIONS, gyro_label, position_label
 from gyrobench.bench.report.figures.style import common_legend, house_style, new_figure
 from gyrobench.bench.report.number_format import BiasScale
-from gyrobench.bench.report.page import Box, Mark, Section, SectionTable
+from gyrobench.bench.report.page import Box, Mark, Section, SectionFigure, SectionTable
 from gyrobench.bench.runs.tables.budget_table import (
     ANY_POWER_CYCLE,
     COMBINED,
@@ -23,8 +24,7 @@ from gyrobench.bench.runs.tables.budget_table import (
     ContributionSummary,
 )
 
-#: Caption of the figure of shares.
-CAPTION = (
+_CAPTION = (
     "Shares of the variance of a dwell's bias; at the right its standard uncertainty (root mean square) and "
     "the number of dwells."
 )
@@ -108,8 +108,17 @@ def budget_box(budget: BudgetSummary) -> Box | None:
     )
 
 
-def budget_section(budget: BudgetSummary) -> Section | None:
-    """The contributions and the expanded uncertainties in tables; None without a budget."""
+def budget_figures(budget: BudgetSummary) -> list[SectionFigure]:
+    """The figure of shares; none without a budget."""
+    found = shares(budget)
+    return [SectionFigure("uncertainty_budget", _CAPTION, partial(budget_figure, found))] if found else []
+
+
+def budget_section(budget: BudgetSummary, *, is_drawn: bool = False) -> Section | None:
+    """The contributions and the expanded uncertainties in tables, ``is_drawn``: and in the figure of shares.
+
+    None without a budget.
+    """
     if not budget.dwells:
         return None
     tables = [
@@ -118,7 +127,8 @@ def budget_section(budget: BudgetSummary) -> Section | None:
         if is_vertical in budget.all_gyros
     ]
     bins = [row for row in budget.stated if row.result == "bin"]
-    return Section("Uncertainty budget", [_HOW], tables=[*tables, *([_bins(bins)] if bins else [])])
+    figures = budget_figures(budget) if is_drawn else []
+    return Section("Uncertainty budget", [_HOW], figures, tables=[*tables, *([_bins(bins)] if bins else [])])
 
 
 def _contributions(own: Mapping[str, ContributionSummary], kind: str) -> SectionTable:

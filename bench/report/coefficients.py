@@ -12,7 +12,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from gyrobench.bench.bias.budget import NORMAL_K
+from gyrobench.bench.calibration.results import NOT_OBSERVABLE
 from gyrobench.bench.characteristics.results import Coefficient, Curve, TestName, TestResult
+from gyrobench.bench.foundations.text import counted, decimals_of
 from gyrobench.bench.navigation.positions import gyro_label
 from gyrobench.bench.report.figures.style import (
     BARS_SHORT,
@@ -38,6 +40,7 @@ _TEXT = (
     f"together, with standard uncertainties. {FRAME_TEXT} {TEMPERATURE_TEXT}"
 )
 _NONE = "The rotations of this run give no coefficients."
+_OVERVIEW = "Coefficients at {}{}: values of all axes, largest change of one between plateaus (its axis)"
 _WITHOUT_FORCE = (
     "The INS sends no specific forces: rotations are evaluated from its velocity and attitude, which do not "
     "show the vertical specific force. The last table has the standard uncertainties expected with specific "
@@ -86,7 +89,9 @@ def coefficients_section(
         why = plateau_findings(rows)
         return Section(_TITLE, [_NONE, *why]) if why else None
     tables = list(_tables(rows))
-    notes = [*_not_observable(rows), *plateau_findings(rows)]
+    open_axes = "; ".join(f"{_NAMES[name]} {', '.join(of)}" for name, of in _not_observable(rows).items())
+    notes = [f"Not observable ({_NOT_OBSERVED}): {open_axes}."] if open_axes else []
+    notes += plateau_findings(rows)
     if any(not math.isnan(row.sigma_with_force) for row in rows):
         notes.insert(0, _WITHOUT_FORCE)
         tables.append(_cost_table(rows))
@@ -94,16 +99,57 @@ def coefficients_section(
     return Section(_TITLE, [_TEXT, *notes], [figure], tables)
 
 
-def _not_observable(rows: Sequence[PlateauCoefficientRow]) -> list[str]:
-    """Which coefficients are not observable at any of the plateaus that are estimated."""
+def coefficients_overview(rows: Sequence[PlateauCoefficientRow]) -> SectionTable:
+    """Each kind of coefficient in a row: its values, change between plateaus and uncertainty."""
+    observed = [row for row in rows if not math.isnan(row.value)]
+    gyros_c = [row.temperature_c for row in observed if row.coefficient.startswith("gyro")]
+    known_c = [f"{end(gyros_c):.0f}" for end in (min, max) if gyros_c and not any(map(math.isnan, gyros_c))]
+    range_c = f" (gyros {' to '.join(dict.fromkeys(known_c))} °C)" if known_c else ""
+    where = counted(len({row.plateau for row in observed}), "plateau")
+    open_axes = _not_observable(rows)
+    return SectionTable(
+        _OVERVIEW.format(where, range_c),
+        ["coefficients", "unit", "values", "largest change", "largest standard uncertainty"],
+        [
+            _overview_cells(name, [row for row in observed if row.coefficient == kind], open_axes.get(kind))
+            for kind, name in _NAMES.items()
+        ],
+        words=2,
+    )
+
+
+def _overview_cells(
+    name: str, observed: Sequence[PlateauCoefficientRow], open_axes: Sequence[str] | None
+) -> list[str]:
+    if not observed:
+        return [name, NOT_OBSERVABLE]
+    by_axis: dict[str, list[float]] = {}
+    for row in observed:
+        by_axis.setdefault(row.axis, []).append(row.value)
+    change, axis = max((max(values) - min(values), axis) for axis, values in by_axis.items())
+    sigma = max(row.sigma for row in observed)
+    ends = min(map(min, by_axis.values())), max(map(max, by_axis.values()))
+    low, high, changed, uncertainty = (f"{each:z.{decimals_of(sigma)}f}" for each in (*ends, change, sigma))
+    note = f"\n{', '.join(open_axes)} {NOT_OBSERVABLE}" if open_axes else ""
+    has_change = any(len(values) > 1 for values in by_axis.values())
+    return [
+        f"{name}{note}",
+        _unit(observed[0].unit),
+        " to ".join(dict.fromkeys((low, high))),
+        f"{changed} ({axis})" if has_change else "",
+        uncertainty,
+    ]
+
+
+def _not_observable(rows: Sequence[PlateauCoefficientRow]) -> dict[str, list[str]]:
+    """Axes by coefficient that are not observable at any of the plateaus that are estimated."""
     estimated = {row.plateau for row in rows if not math.isnan(row.value)}
     observed = {(row.coefficient, row.axis) for row in rows if not math.isnan(row.value)}
     axes: dict[str, list[str]] = {}
     for row in _at_plateau(rows, min(estimated, default=0)):
         if (row.coefficient, row.axis) not in observed:
             axes.setdefault(row.coefficient, []).append(row.axis)
-    found = "; ".join(f"{_NAMES[name]} {', '.join(of)}" for name, of in axes.items())
-    return [f"Not observable ({_NOT_OBSERVED}): {found}."] if found else []
+    return axes
 
 
 @house_style

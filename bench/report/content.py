@@ -18,7 +18,7 @@ from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.documents import read_document
 from gyrobench.bench.foundations.errors import GyrobenchError
 from gyrobench.bench.foundations.files import file_sha256
-from gyrobench.bench.foundations.text import hours_minutes
+from gyrobench.bench.foundations.text import hours_minutes, run_ending
 from gyrobench.bench.report.journal_sections import KindDuration, add_step
 from gyrobench.bench.report.page import FINDINGS_FILE, Findings, read_findings_file
 from gyrobench.bench.runs.folder import DWELLS, JOURNAL, RunFolder
@@ -93,7 +93,14 @@ class RunContent:
         if ended == "failed" and dropped.get("why") == self.facts.reason:
             after = hours_minutes(self.facts.last_s)
             return f"Unit {dropped.get('unit')} was dropped from the run {self.run_name} after {after} h."
+        if self.facts.reason.startswith("stopped by "):
+            return f"The run {run_ending(ended, self.facts.reason)}."
         return f"The run {ended}." if ended else "The run has not ended."
+
+    @property
+    def reason(self) -> str:
+        """Why the run did not finish; empty where :attr:`ending` states it."""
+        return "" if self.facts.reason in self.ending else self.facts.reason
 
     @property
     def is_simulated(self) -> bool:

@@ -10,7 +10,8 @@ from functools import partial
 from types import MappingProxyType
 from typing import Any
 
-from gyrobench.bench.foundations.text import counted, listed
+from gyrobench.bench.foundations.operator_name import source_in_words
+from gyrobench.bench.foundations.text import counted, listed, run_ending
 from gyrobench.bench.report.page import Mark, Section, SectionTable
 
 
@@ -299,7 +300,8 @@ class _Gathered:
 
     def _ended(self, entry: Entry) -> None:
         if entry.get("ended") != "finished" and entry.get("reason") != self._dropped:
-            self._add(entry, "ended", f"The run {entry.get('ended')}: {entry.get('reason')}")
+            ending = run_ending(str(entry.get("ended")), str(entry.get("reason")))
+            self._add(entry, "ended", f"The run {ending}")
 
 
 def _by(entry: Entry) -> str:
@@ -308,7 +310,7 @@ def _by(entry: Entry) -> str:
 
 def _who(entry: Entry) -> str:
     """Source of a command, with the operator's name where it is known and not in the source."""
-    by, operator = str(entry.get("by")), str(entry.get("operator") or "")
+    by, operator = source_in_words(str(entry.get("by"))), str(entry.get("operator") or "")
     return f"{operator} ({by})" if operator and operator not in by else by
 
 

@@ -32,13 +32,18 @@ from gyrobench.bench.report.bias_sections import (
     gyro_section,
     verdict_box,
 )
-from gyrobench.bench.report.budget_section import CAPTION, budget_box, budget_figure, budget_section, shares
+from gyrobench.bench.report.budget_section import budget_box, budget_figures, budget_section, shares
 from gyrobench.bench.report.calibration_check import (
     calibration_check_section,
     calibration_check_sentence,
     dwells_text,
 )
-from gyrobench.bench.report.coefficients import characteristics_sections, coefficients_section, has_rotations
+from gyrobench.bench.report.coefficients import (
+    characteristics_sections,
+    coefficients_overview,
+    coefficients_section,
+    has_rotations,
+)
 from gyrobench.bench.report.content import Entry, RunContent, read_run
 from gyrobench.bench.report.estimator_sections import (
     estimators_note,
@@ -122,8 +127,8 @@ def write_report(
     content = _shown(content)
     drawn = run_figures(readings, content.dwells, content.bins, content.acceptance, marked_c)
     figures = [SectionFigure(name, "", figure) for name, figure in drawn]
-    if uncertainties := shares(content.budget):
-        figures.append(SectionFigure("uncertainty_budget", "", partial(budget_figure, uncertainties)))
+    if not has_rotations(content.coefficients):
+        figures += budget_figures(content.budget)
     [own, *sections] = with_figure_files(
         into.figures,
         [Section("", figures=figures), *compared, *_analysis_sections(content, marked_c)],
@@ -214,8 +219,11 @@ def render(
         boxes=verdict_boxes(content),
         facts=facts,
         figures=[
-            SectionFigure(name, CAPTION, drawn[name]) for name in ("uncertainty_budget",) if name in drawn
+            replace(each, figure=drawn[each.name])
+            for each in budget_figures(content.budget)
+            if each.name in drawn
         ],
+        tables=[coefficients_overview(content.coefficients)] if has_rotations(content.coefficients) else [],
         sections=[part for part in parts if part],
     )
     source = f"Run {content.run_name}{started}"
@@ -245,7 +253,7 @@ def _analysis_sections(content: RunContent, marked_c: Sequence[float]) -> list[S
     sections = [
         coefficients_section(content.coefficients, content.budget),
         *characteristics_sections(content.characteristics),
-        budget_section(content.budget),
+        budget_section(content.budget, is_drawn=has_rotations(content.coefficients)),
         estimators_section(content.dwells, marked_c),
         fit_section(content.dwells),
         joint_section(content.joint_sigmas, content.joint_plateaus),
@@ -269,7 +277,7 @@ def verdict_boxes(content: RunContent) -> list[Box]:
     ]
     notes += [] if is_safe else ["The safe state was not fully reached; see the section Safe state."]
     colour = facts.ended if is_safe and facts.ended in ("finished", "stopped") else "failed"
-    boxes.append(Box(colour, content.ending, facts.reason or ("" if facts.ended else _INTERRUPTED), notes))
+    boxes.append(Box(colour, content.ending, content.reason or ("" if facts.ended else _INTERRUPTED), notes))
     boxes += [verdict_box(acceptance)] if acceptance else _not_judged(content)
     if doubts := plateau_findings(content.coefficients):
         where = listed(sorted({each.partition(":")[0] for each in doubts}))

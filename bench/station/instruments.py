@@ -100,8 +100,6 @@ class Emulation:
     world: str = "gyro_a"
     seed: int = 0  #: Seed of everything random in the world.
     faults: str = ""
-    #: Whether a world whose INS does not send as the signal map says is refused when the INS is opened.
-    must_fit: bool = False
 
     def options(self) -> dict[str, str | int]:
         """Parameters of the world in an emulator's address."""
@@ -371,7 +369,7 @@ def open_ins(station: Station, clock: Clock, emulation: Emulation, bench: Statio
     """Open the INS on its bus; ``bench`` is the station with all units, where there are several.
 
     Raises ConnectionFailedError if it can't be opened. Raises DocumentError if the maps of the station file
-    do not fit the DBC file.
+    do not fit the DBC file, or an emulated INS does not send as they say.
     """
     section, database = station.file.ins, station.database()
     is_shared = bench is not None and bench.shares_bus(station)
@@ -388,13 +386,12 @@ def open_ins(station: Station, clock: Clock, emulation: Emulation, bench: Statio
 def open_ins_bus(
     station: Station, clock: Clock, emulation: Emulation, bench: Station | None = None
 ) -> can.BusABC:
-    """Open the bus alone, as :func:`open_ins`; raises ConnectionFailedError if it can't be opened."""
+    """Open the bus alone, as :func:`open_ins`."""
     section = station.file.ins
     options: dict[str, str | int | float | bool] = dict(section.options)
     if section.interface == _EMULATOR:
         options.update(_emulated_bench(bench or station, emulation))
-        if emulation.must_fit:
-            options["epoch_period_s"] = section.signals.epoch_period_s
+        options["epoch_period_s"] = section.signals.epoch_period_s
         if section.identifier_offset:
             options["identifier_offset"] = section.identifier_offset
         if bench is not None and bench.power_events and len(bench.units) > 1:

@@ -131,6 +131,6 @@ def _check_period(world: str, period_s: float, expected_s: float | None) -> None
     if expected_s is not None and not math.isclose(period_s, expected_s, rel_tol=1e-6):
         raise DocumentError(
             f"{world}: the INS of this world sends an epoch in {period_s:g} s, the station expects one in "
-            f"{expected_s:g} s. Choose a --world and a --station that belong together, as "
-            "`--station quick --world quick`, or correct epoch_period_s in one of them"
+            f"{expected_s:g} s. Choose a world and a station that belong together, as quick and quick, or "
+            "correct epoch_period_s in one of them"
         )

@@ -1,5 +1,6 @@
 """Coefficients from increments of a rotated unit: correct, as good as possible, and honest about the rest."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -290,6 +291,14 @@ def test_a_misfit_is_stated_with_what_would_explain_it():
     assert "Quadratic terms of the accelerometers (--quadratic) would explain it: chi2 falls from" in finding
     with pytest.raises(MeasurementError, match="at most 10 times is accepted"):
         calibrate([recorded((angle, bent * 1.0 + 4e-5 * velocity**2 / 0.05), 4)], SITE)
+
+
+def test_what_would_explain_a_misfit_is_tried_with_whole_turns_as_uncertain_as_they_contradict_rotations():
+    log = spun(at_high_rates_ppm=30.0)
+    bent = replace(log, velocity=log.velocity + 2e-6 * log.velocity**2 / log.interval_s)
+    turns, misfit = calibrate([bent], SITE, ONE_ARCSEC).findings
+    assert turns.startswith("whole turns contradict the rotations")
+    assert "Quadratic terms of the accelerometers (--quadratic) would explain it" in misfit
 
 
 @pytest.mark.parametrize("off_deg", [0.1, -0.1])

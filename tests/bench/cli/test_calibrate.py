@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -112,6 +113,16 @@ def test_scale_factors_that_all_sensors_share_are_named(tmp_path):
     (tmp_path / "map.yaml").write_text(text + "  gravity_mps2: 9.8\n  gravity_sigma_mps2: 0.1\n")
     result = gyrobench("calibrate", "log.csv", "--map", "map.yaml", cwd=tmp_path)
     assert "all accelerometer scale factors are about +6" in " ".join(result.stdout.split())
+
+
+def test_a_misfit_is_stated_once_and_its_test_names_where(tmp_path):
+    write_log(tmp_path, unit())
+    text = (tmp_path / "map.yaml").read_text()
+    (tmp_path / "map.yaml").write_text(text.replace("latitude_deg: 45", "latitude_deg: 44.9"))
+    answer = gyrobench("calibrate", "log.csv", "--map", "map.yaml", cwd=tmp_path)
+    text = " ".join(answer.stdout.split())
+    assert text.count("noise does not explain") == text.count("multiplied by") == 1
+    assert re.search(r"Fit chi2 \d+ for \d+ degrees of freedom, p \S+: see Check", text)
 
 
 def test_what_the_data_leave_open_is_no_number(tmp_path):

@@ -248,7 +248,7 @@ def test_sigterm_ends_a_run_with_what_was_measured_and_the_safe_state(tmp_path):
         process.send_signal(signal.SIGTERM)
         printed, _ = process.communicate(timeout=600)
     assert process.returncode == EXIT_NOT_FINISHED
-    assert "stopped by SIGTERM" in printed
+    assert "stopped by another program (SIGTERM)" in printed
     assert "rate table stopped" in printed
     assert "Report" in printed
 

@@ -16,8 +16,7 @@ from gyrobench.bench.runs.journal import Journal
 @pytest.mark.parametrize(
     ("reason", "sentence"),
     [
-        ("stopped by SIGINT", "The run was stopped by Ctrl-C."),
-        ("stopped by SIGTERM", "The run was stopped by SIGTERM."),
+        ("stopped by the operator (Ctrl-C)", "The run was stopped by the operator (Ctrl-C)"),
         (
             "the operator answered 'stop' to: ready?",
             "The run stopped: the operator answered 'stop' to: ready?",

@@ -2,7 +2,9 @@
 
 import pytest
 
+import gyrobench as gyrobench_api
 from gyrobench.bench.cli.options import DEFAULT_WORLD, world_for
+from gyrobench.bench.foundations.errors import DocumentError
 from tests.bench.command_line import gyrobench
 
 
@@ -21,16 +23,23 @@ def test_a_station_has_the_shipped_world_of_its_name_by_default(station, world, 
 
 
 @pytest.mark.parametrize(("station", "world"), [("emulated", "quick"), ("quick", "gyro_a")])
-@pytest.mark.parametrize("command", ["run", "investigate"])
+@pytest.mark.parametrize(
+    "command", ["run ten_minute_check --station", "investigate ten_minute_check --station", "check", "jog"]
+)
 def test_a_world_that_does_not_fit_the_station_is_refused_before_anything_is_made(
     tmp_path, command, station, world
 ):
-    given = ["ten_minute_check", "--station", station, "--world", world]
-    answer = gyrobench(command, *given, cwd=tmp_path)
+    answer = gyrobench(*command.split(), station, "--world", world, cwd=tmp_path)
     assert answer.returncode == 2
     assert f"{world}.yaml: the INS of this world sends an epoch in" in answer.stderr
-    assert "Choose a --world and a --station that belong together" in answer.stderr
+    assert "Choose a world and a station that belong together" in answer.stderr
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+
+
+def test_a_world_that_does_not_fit_the_station_is_refused_by_the_python_interface_too(tmp_path):
+    with pytest.raises(DocumentError, match=r"quick\.yaml: the INS of this world sends an epoch in"):
+        gyrobench_api.run("ten_minute_check", "emulated", world="quick", out=tmp_path / "run")
+    assert not (tmp_path / "run").exists()
 
 
 def test_a_procedure_beyond_the_limits_of_the_station_alone_names_the_station(tmp_path):

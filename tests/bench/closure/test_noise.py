@@ -1,5 +1,7 @@
 """Noise that is larger than stated, and outliers: recognized, named, and not called an effect."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -67,6 +69,38 @@ def test_an_outlier_is_off_by_more_than_five_standard_deviations_and_counts_as_o
     np.testing.assert_allclose(sorted(noise.factors[noise.factors > 1.0]), sorted(off))
     residuals = noise.problem(campaign, np.ones(len(campaign), dtype=bool)).residuals
     assert np.abs(residuals[noise.factors > 1.0]).max() < 1.3
+
+
+def with_bias_times_1000(rows, dwell, gyros):
+    """The same dwells, one with the biases of some gyros 1000 times as large."""
+    factors = [1000.0 if axis in gyros else 1.0 for axis in "xyz"]
+    off = [tuple((np.array(row.bias_dph) * factors).tolist()) for row in rows]
+    return [
+        replace(row, bias_dph=bias) if row.dwell == dwell else row
+        for row, bias in zip(rows, off, strict=True)
+    ]
+
+
+@pytest.mark.parametrize("gyros", ["x", "xyz"])
+@pytest.mark.parametrize("dwell", [5, 20])
+def test_a_dwell_that_is_thousands_of_sigmas_off_is_the_only_outlier_and_counts_as_one(dwell, gyros):
+    campaign = campaign_of(with_bias_times_1000(measure(seed=1).rows, dwell, gyros))
+    searched = np.ones(len(campaign), dtype=bool)
+    noise = estimate_noise(campaign, searched)
+    assert {(each.dwell, each.gyro) for each in noise.outliers} == {(dwell, gyro) for gyro in gyros}
+    residuals = noise.problem(campaign, searched).residuals
+    assert np.abs(residuals[noise.factors > 1.0]).max() < 1.3
+
+
+@pytest.mark.parametrize("dwell", [5, 20])
+def test_an_effect_is_found_beside_a_dwell_that_is_thousands_of_sigmas_off(dwell):
+    rows = measure({"temperature_rate": 3.0}, seed=1).rows
+    without = close_loop(campaign_of(rows))
+    closure = close_loop(campaign_of(with_bias_times_1000(rows, dwell, "x")))
+    assert without.names == ("temperature_rate",)
+    assert (closure.verdict, closure.names) == (without.verdict, without.names)
+    assert {each.dwell for each in closure.noise.outliers} == {dwell}
+    assert closure.error_after_dph == pytest.approx(without.error_after_dph, rel=0.05)
 
 
 def follows_of_wandering(kind, seed):

@@ -241,7 +241,7 @@ def test_a_pause_gives_the_dwell_up_and_says_who_paused(witnessed):
     seen, last = witnessed("navigate", order(signal.SIGTSTP))
     paused = seen[RunState.PAUSED]
     assert all(each.dwell is None and each.step is None for each in paused)
-    assert paused[0].reason == "paused by SIGTSTP"
+    assert paused[0].reason == "paused by the operator (Ctrl-Z)"
     assert paused[0].question.answers == ("continue", "abort")
     assert any("repeated" in message.text for message in last.messages)
     assert len(last.dwells) == 2

@@ -161,7 +161,7 @@ console = RunConsole(markup=False)
 job = prepare_job("short.yaml", "emulated", Emulation("ideal"))
 with observe_in_terminal(console, job, sys.argv[1] == "live") as (progress, operator):
     _, outcome = run_job(job, Path("run"), progress, operator)
-console.print("The run", outcome.ended, outcome.reason)
+console.print("The run", outcome.ended, outcome.reason, highlight=False)
 """
 MOVES_CURSOR, HIDES_CURSOR, SHOWS_CURSOR = "\x1b[1A", "\x1b[?25l", "\x1b[?25h"
 COLOURS = [f"\x1b[{bold}{number}m" for number in range(31, 37) for bold in ("", "1;")]
@@ -244,7 +244,7 @@ def test_ctrl_c_ends_the_run_and_leaves_the_terminal_as_it_was(on_terminal):
     assert not terminal.is_as_before()
     os.write(terminal.far, b"\x03")
     text = terminal.read_until()
-    assert "stopped by SIGINT" in text or "The run finished" in text
+    assert "stopped by the operator (Ctrl-C)" in text or "The run finished" in text
     assert text.rindex(SHOWS_CURSOR) > text.rindex(HIDES_CURSOR)
     assert terminal.is_as_before()
     assert not any(colour in text for colour in COLOURS)

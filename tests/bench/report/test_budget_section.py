@@ -6,6 +6,7 @@ from gyrobench.bench.bias.budget import BiasBudget, Budget, Contribution
 from gyrobench.bench.report.budget_section import budget_box, budget_figure, budget_section, shares
 from gyrobench.bench.report.run_report import write_report
 from gyrobench.bench.runs.tables.budget_table import BudgetSummary, budget_rows, write_budget
+from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, write_coefficients
 
 
 def budget(noise_dph, latitude_dph, dof=math.inf):
@@ -98,3 +99,15 @@ def test_the_first_page_of_the_report_shows_the_figure_before_the_contents(empty
     assert page.index("Standard uncertainty of a bias in a dwell") < page.index("Shares of the variance")
     assert page.index("Shares of the variance") < page.index("<h2>Contents</h2>")
     assert (empty_folder.figures / "uncertainty_budget.png").is_file()
+
+
+def test_a_report_of_coefficients_has_them_on_its_first_page_and_the_figure_in_the_section(empty_folder):
+    write_budget(empty_folder.budget, budget_rows(BUDGETS))
+    scale_factor = PlateauCoefficientRow(
+        *(1, 1, 25.0, 30.0, "accelerometer_scale_factor", "x", 12.3, 0.4, "ppm", "", math.nan, 0.0)
+    )
+    write_coefficients(empty_folder.coefficients, [scale_factor])
+    first, sections = write_report(empty_folder).read_text().split("<h2>Contents</h2>")
+    assert ">12.3<" in first
+    assert "Shares of the variance" not in first
+    assert sections.index("Uncertainty budget") < sections.index("Shares of the variance")

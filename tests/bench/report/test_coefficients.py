@@ -8,7 +8,11 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.characteristics.results import Curve
-from gyrobench.bench.report.coefficients import characteristics_figure, coefficients_figure
+from gyrobench.bench.report.coefficients import (
+    characteristics_figure,
+    coefficients_figure,
+    coefficients_overview,
+)
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow
 
 
@@ -65,3 +69,35 @@ def test_plateaus_at_one_temperature_have_an_axis_with_distinct_ticks() -> None:
     low, high = axes.get_xlim()
     assert high - low >= 2.0
     assert low < 29.19 < high
+
+
+def row(plateau, coefficient, axis, value, sigma):
+    temperature_c, unit = 20.0 * plateau, "ppm" if coefficient.endswith("factor") else "deg/h"
+    return PlateauCoefficientRow(
+        *(plateau, 1, 25.0, temperature_c, coefficient, axis, value, sigma, unit, "", nan, nan)
+    )
+
+
+def test_the_overview_has_the_values_of_all_axes_and_the_largest_change_and_uncertainty() -> None:
+    rows = [
+        row(1, "gyro_bias", "x", 0.0139, 0.0004),
+        row(1, "gyro_bias", "y", -0.0101, 0.0005),
+        row(2, "gyro_bias", "x", 0.0056, 0.0004),
+        row(2, "gyro_bias", "y", -0.0021, 0.0004),
+    ]
+    table = coefficients_overview(rows)
+    assert "at 2 plateaus (gyros 20 to 40 °C)" in table.caption
+    assert table.rows[0] == ["gyro bias", "deg/h", "-0.0101 to 0.0139", "0.0083 (x)", "0.0005"]
+
+
+def test_the_overview_names_what_is_not_observable_and_states_no_change_of_one_plateau() -> None:
+    rows = [
+        row(1, "gyro_scale_factor", "x", nan, nan),
+        row(1, "gyro_scale_factor", "y", 12.5, 0.4),
+        row(1, "accelerometer_scale_factor", "x", nan, nan),
+    ]
+    by_name = {name.split("\n")[0]: [name, *cells] for name, *cells in coefficients_overview(rows).rows}
+    assert by_name["gyro scale factor"] == [
+        *("gyro scale factor\nx not observable", "ppm", "12.5", "", "0.4")
+    ]
+    assert by_name["accel. scale factor"] == ["accel. scale factor", "not observable"]

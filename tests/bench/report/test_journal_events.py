@@ -68,8 +68,10 @@ def test_how_the_run_was_cut_short_and_continued_is_there():
         entry(5.0, "dwell_skipped", dwell=3),
         entry(6.0, "run_ended", ended="stopped", reason="by an order"),
     ]
-    kinds = [each.kind for each in run_events(journal)]
+    events = run_events(journal)
+    kinds = [each.kind for each in events]
     assert kinds == ["note", "resumed", "command", "note", "dwell skipped", "ended"]
+    assert events[2].outcome == "by the operator (Ctrl-Z)"
 
 
 def test_a_quiet_run_says_so():

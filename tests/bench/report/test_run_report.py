@@ -22,6 +22,7 @@ from gyrobench.bench.bias.dwell_table import DwellRow, write_dwells
 from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits, write_acceptance
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.report.bias_sections import acceptance_section, comparison_section
 from gyrobench.bench.report.closure.closure_page import write_closure_page
 from gyrobench.bench.report.content import read_run
 from gyrobench.bench.report.figures.bias import bias_figure
@@ -174,6 +175,17 @@ def test_a_verdict_stands_in_the_head_with_its_judgements_below(
     assert "Unit rejected. X gyro, Y gyro and Z gyro are beyond the limit of 0.006 deg/h" in text
     assert "Limits of the procedure: 0.006 deg/h between two positions at one plateau and" in text
     assert re.search(r"X gyro -25 to -20 X-Down above Z-Up fail \S+ ± \S+ \S+ \S+ 6\.0", text)
+
+
+def test_acceptance_and_results_state_what_the_uncertainty_of_a_difference_is_of(
+    dwells: list[DwellRow],
+) -> None:
+    acceptance = judge(dwells, AcceptanceLimits(position_difference_dph=0.006))
+    drawn = {"position_differences": Path("position_differences.png")}
+    [figure] = comparison_section(bin_biases(dwells), acceptance, drawn).figures
+    assert "those of bin means; the section Acceptance has those of differences corrected" in figure.caption
+    how = " ".join(acceptance_section(acceptance).paragraphs)
+    assert "include that of the correction; the section Results has those of bin means, without it" in how
 
 
 def test_without_limits_the_report_says_that_nothing_was_judged(copy: RunFolder) -> None:

@@ -13,8 +13,8 @@ from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow,
 
 @pytest.fixture
 def stopped(empty_folder, journal_writer):
-    """A run that was stopped by order in a turn."""
-    journal_writer(empty_folder, ended="stopped", reason="stopped by SIGINT")
+    """A run that the operator stopped in a turn."""
+    journal_writer(empty_folder, ended="stopped", reason="stopped by the operator (Ctrl-C)")
     return empty_folder
 
 
@@ -30,7 +30,8 @@ def resume(folder):
 def test_the_end_of_a_run_is_stated_with_its_unfinished_step(stopped: RunFolder):
     content = read_run(stopped)
     [box] = verdict_boxes(content)
-    assert (box.colour, box.gist, box.text) == ("stopped", "The run stopped.", "stopped by SIGINT")
+    assert (box.colour, box.text) == ("stopped", "")
+    assert box.gist == "The run was stopped by the operator (Ctrl-C)."
     assert box.notes == ["Unfinished step: 6, turn 180 deg (cycle 1, 62 degC, z_up)."]
     assert [action["what"] for action in content.facts.safe_state] == [
         "rate table stopped",

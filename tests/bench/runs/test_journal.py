@@ -165,7 +165,7 @@ STARTED = {
 IDENTIFIED = {"time_s": 60.0, "event": "ins_identified", "unit": "1001"}
 DWELL = {"time_s": 1500.0, "event": "dwell_finished"}
 STOPPED = {
-    "time_s": 1600.0, "event": "run_ended", "ended": "stopped", "reason": "stopped by SIGINT",
+    "time_s": 1600.0, "event": "run_ended", "ended": "stopped", "reason": "stopped by the operator (Ctrl-C)",
     "safe_state": [{"what": "rate table stopped"}],
 }  # fmt: skip
 RESUMED = {"time_s": 9000.0, "event": "run_resumed", "procedure": "shift", "station": "bench_1"}
@@ -176,7 +176,7 @@ def test_a_run_is_reported_by_its_entries():
     facts = facts_of([STARTED, IDENTIFIED, DWELL, STOPPED])
     assert (facts.procedure, facts.station, facts.unit) == ("shift", "bench_1", "1001")
     assert (facts.started_utc, facts.last_s, facts.dwells) == (STARTED["utc"], 1600.0, 1)
-    assert (facts.ended, facts.reason, facts.resumes) == ("stopped", "stopped by SIGINT", 0)
+    assert (facts.ended, facts.reason, facts.resumes) == ("stopped", "stopped by the operator (Ctrl-C)", 0)
     assert facts.safe_state == ({"what": "rate table stopped"},)
     assert facts.options == {"clock": "real"}
 
