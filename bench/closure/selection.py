@@ -131,6 +131,8 @@ def _settled(campaign: Campaign, searched: BoolArray, effects: Sequence[Effect],
     for _ in range(_MAX_SEARCHES):
         search = Search(noise.problem(campaign, searched), effects)
         selected = Selected(noise, search, *search.most_probable())
+        if noise.outliers and not selected.best.candidates:
+            break  # no effect accounts for the outliers
         noise = estimate_noise(campaign, searched, selected.best.candidates)
         if is_last or noise.is_like(selected.noise):
             break

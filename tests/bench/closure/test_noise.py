@@ -103,6 +103,15 @@ def test_an_effect_is_found_beside_a_dwell_that_is_thousands_of_sigmas_off(dwell
     assert closure.error_after_dph == pytest.approx(without.error_after_dph, rel=0.05)
 
 
+def test_a_bias_that_no_effect_explains_stays_unexplained_beside_a_dwell_that_is_thousands_of_sigmas_off():
+    rows, _ = make_unit(0, ["random_walk"], 2.0)
+    without = close_loop(campaign_of(rows))
+    closure = close_loop(campaign_of(with_bias_times_1000(rows, 20, "y")))
+    assert (without.verdict, without.names) == (closure.verdict, closure.names) == ("unexplained", ())
+    assert (20, "y") in {(each.dwell, each.gyro) for each in closure.noise.outliers}
+    assert closure.error_after_dph == pytest.approx(without.error_after_dph, rel=0.05)
+
+
 def follows_of_wandering(kind, seed):
     """What a bias that wanders follows, with probabilities; it is no effect."""
     closure = close_loop(campaign_of(make_unit(seed, [kind], 2.0)[0]))
