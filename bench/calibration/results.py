@@ -12,7 +12,7 @@ import numpy as np
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, Coefficient, CoefficientEstimate
 from gyrobench.bench.calibration.estimator import Calibration
-from gyrobench.bench.calibration.rotation_list import Forecast
+from gyrobench.bench.calibration.rotation_list import ExpectedUncertainties
 from gyrobench.bench.calibration.spins import SpinScaleFactor
 from gyrobench.bench.foundations.arrays import (
     DEG_PER_SQRT_H_TO_SI,
@@ -74,7 +74,7 @@ def coefficient_rows(estimate: CoefficientEstimate) -> list[CoefficientRow]:
     ]
 
 
-def forecast_rows(expected: Forecast) -> list[dict[str, Any]]:
+def expected_rows(expected: ExpectedUncertainties) -> list[dict[str, Any]]:
     """Expected standard uncertainty of each coefficient; None where not observable."""
     return [
         {

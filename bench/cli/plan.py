@@ -121,17 +121,18 @@ def _show_observability(
     from math import pi
 
     from gyrobench.bench.calibration.list_search import parse_targets, shortest_list
-    from gyrobench.bench.calibration.results import forecast_rows
+    from gyrobench.bench.calibration.results import expected_rows
     from gyrobench.bench.calibration.rotation_list import (
+        RotationSetup,
         expected_noise,
-        forecast,
+        expected_uncertainties,
         load_rotation_list,
         rotation_list_text,
     )
     from gyrobench.bench.dwells.measure_dwell import measurement_setup
     from gyrobench.bench.foundations.csv_tables import write_text
     from gyrobench.bench.foundations.shipped import find_document
-    from gyrobench.bench.report.terminal.calibration import forecast_summary
+    from gyrobench.bench.report.terminal.calibration import expected_summary
     from gyrobench.bench.station.station import Station
 
     rotations = load_rotation_list(find_document("rotations", name))
@@ -142,22 +143,24 @@ def _show_observability(
     whole_turns = None if whole_turns_arcsec is None else whole_turns_arcsec * pi / 648000.0
     max_rate_dps = station.file.rate_table.limits.rate_dps
     site_sigmas = station.gravity[1], station.prior().latitude
-    bench = (station.table, station.site, noise, max_rate_dps, whole_turns, site_sigmas, has_increments)
+    setup = RotationSetup(
+        station.table, station.site, noise, max_rate_dps, whole_turns, site_sigmas, has_increments
+    )
     files = []
     if reach:
-        rotations, found = shortest_list(rotations, parse_targets(reach), *bench)
+        rotations, found = shortest_list(rotations, parse_targets(reach), setup)
         files = [Path(f"{rotations.rotation_list}.yaml")]
         write_text(files[0], rotation_list_text(rotations))
     else:
-        found = forecast(rotations, *bench)
+        found = expected_uncertainties(rotations, setup)
     record = {
         "rotation_list": rotations.rotation_list,
         "station": station.file.station,
         "duration_s": found.duration_s,
-        "coefficients": forecast_rows(found),
+        "coefficients": expected_rows(found),
         "file": files[0] if files else None,
     }
-    summary = forecast_summary(rotations, found, noise, site_sigmas)
+    summary = expected_summary(rotations, found, noise, site_sigmas)
     print_result(record, as_json, summary, *(f"Written  {path}" for path in files))
 
 
