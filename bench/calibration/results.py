@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from gyrobench.bench.calibration.coefficients import COEFFICIENTS, Coefficient, CoefficientEstimate
+from gyrobench.bench.calibration.coefficients import COEFFICIENTS, CoefficientEstimate, SensorCoefficient
 from gyrobench.bench.calibration.estimator import Calibration
 from gyrobench.bench.calibration.rotation_list import ExpectedUncertainties
 from gyrobench.bench.calibration.spins import SpinScaleFactor
@@ -115,7 +115,7 @@ def rest_rates(calibration: Calibration) -> list[RestRate]:
 
 def strongest_correlations(
     calibration: Calibration, least: float
-) -> list[tuple[Coefficient, Coefficient, float]]:
+) -> list[tuple[SensorCoefficient, SensorCoefficient, float]]:
     """Pairs of observed coefficients whose correlation is at least so large, strongest first."""
     correlations = calibration.correlations
     seen = np.flatnonzero(calibration.is_observed)

@@ -23,8 +23,8 @@ from gyrobench.bench.calibration.information import (
     integrated_sections,
 )
 from gyrobench.bench.calibration.recording import SensorNoise
-from gyrobench.bench.calibration.section import EPOCH_S, Section
-from gyrobench.bench.calibration.strapdown import UNKNOWNS, Epochs
+from gyrobench.bench.calibration.section import EPOCH_S, IncrementSection
+from gyrobench.bench.calibration.strapdown import UNKNOWNS, IncrementEpochs
 from gyrobench.bench.foundations.arrays import (
     DEG_PER_SQRT_H_TO_SI,
     STANDARD_GRAVITY,
@@ -159,8 +159,8 @@ def expected_uncertainties(rotations: RotationList, setup: RotationSetup) -> Exp
     size = round(EPOCH_S / STEP_S)
     ends = np.arange(size, len(angle) + 1, size, dtype=np.int64)
     turns = [(first // size, -(-last // size), np.eye(3)) for first, last in spins]
-    section = Section(
-        STEP_S, angle, velocity, len(angle), Epochs(ends, at_rest[ends], turns, setup.has_vertical)
+    section = IncrementSection(
+        STEP_S, angle, velocity, len(angle), IncrementEpochs(ends, at_rest[ends], turns, setup.has_vertical)
     )
     gravity_sigma, latitude_sigma = setup.site_sigmas
     options = CalibrationOptions(

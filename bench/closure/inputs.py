@@ -13,7 +13,7 @@ import numpy as np
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
 from gyrobench.bench.closure.campaign import Campaign, Table, campaign_of
 from gyrobench.bench.closure.files import CLOSURE_FILE, read_held_out_cycles, read_quantity, read_tables
-from gyrobench.bench.closure.joined_tables import Source, joined
+from gyrobench.bench.closure.joined_tables import TableToJoin, joined
 from gyrobench.bench.closure.quantity import GYRO_BIAS, Quantity
 from gyrobench.bench.closure.temperatures import TemperatureRecord
 from gyrobench.bench.foundations.arrays import FloatArray
@@ -53,7 +53,7 @@ def read_campaign(*paths: Path, quantity: Quantity = GYRO_BIAS) -> Campaign:
     return campaign if source.campaign.part_of is None else campaign.part(source.campaign.part_of[1])
 
 
-def _source(path: Path, quantity: Quantity) -> Source:
+def _source(path: Path, quantity: Quantity) -> TableToJoin:
     record, began_s = None, None
     table, is_run = path, path.is_dir()
     if is_run:
@@ -70,7 +70,7 @@ def _source(path: Path, quantity: Quantity) -> Source:
         rows, quantity = _rows_of(read_dwells(table), quantity, path if is_run else None)
         if record is not None:
             record = replace(record, gyro_c=record.gyro_c[:, quantity.sensors])
-        return Source(str(path), campaign_of(rows, record, quantity), is_run, began_s)
+        return TableToJoin(str(path), campaign_of(rows, record, quantity), is_run, began_s)
     except MeasurementError as error:
         raise MeasurementError(f"{table}: {error}") from error
 

@@ -17,7 +17,7 @@ import numpy as np
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate, Hypothesis, evaluate, refine, solve_with
 from gyrobench.bench.closure.effects.effect import Effect
-from gyrobench.bench.closure.joined_tables import Source, joined
+from gyrobench.bench.closure.joined_tables import TableToJoin, joined
 from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.closure.planned_campaign import PlannedUnit
 from gyrobench.bench.closure.posterior import TIE_ODDS, Evidences
@@ -83,7 +83,7 @@ def tie_outlooks(closure: Closure, planned: Campaign) -> list[TieOutlook]:
     seen = replace(problem.campaign.part(closure.searched), tables=(), part_of=None)
     seen = replace(seen, sigma_dph=seen.sigma_dph * closure.noise_scale)
     planned = replace(planned, unit=seen.unit)
-    together = joined([Source("measured", seen), Source("planned", planned, is_run=True)])
+    together = joined([TableToJoin("measured", seen), TableToJoin("planned", planned, is_run=True)])
     whole, alone = (
         partial(
             _odds, problem=problem, is_predicted=is_predicted, campaign=campaign, effects=[*effects.values()]

@@ -18,7 +18,7 @@ from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.measured_unit import MeasuredUnit
 from gyrobench.bench.engine.operator import ask_operator
 from gyrobench.bench.engine.run_context import RunContext
-from gyrobench.bench.engine.soak import TemperatureHistory
+from gyrobench.bench.engine.soak import SoakTemperatures
 from gyrobench.bench.engine.units import Units
 from gyrobench.bench.foundations.errors import (
     ConnectionFailedError,
@@ -168,7 +168,7 @@ def _soaking(step: Soak, context: StepContext) -> Ticks:
         yield from _lasting(bench, step.for_s)
         return
     begin_s = bench.clock.now()
-    histories: dict[MeasuredUnit, TemperatureHistory] = defaultdict(TemperatureHistory)
+    histories: dict[MeasuredUnit, SoakTemperatures] = defaultdict(SoakTemperatures)
     asked_s, is_new = -np.inf, False
     while (elapsed_s := bench.clock.now() - begin_s) < (step.at_most_s or np.inf):
         if asked_s < bench.readings.asked_s:

@@ -80,7 +80,7 @@ class DwellStep(TimedStep):
     azimuth_deg: float = Field(description="azimuth at the start, deg")
 
 
-class BenchState(StrictModel):
+class StartState(StrictModel):
     """State of bench and unit before the first step."""
 
     chamber_c: float | None = Field(description="temperature of the chamber, degC; null if not measured")
@@ -101,7 +101,7 @@ class BlockPlan(StrictModel):
     schema_version: Literal[1] = 1
     unit: str = Field(description="serial number of the INS")
     start_s: float = Field(description="time of the first step, s, on the time axis of the table")
-    state: BenchState = Field(description="state before the first step")
+    state: StartState = Field(description="state before the first step")
     next_dwell: int = Field(description="number of the first new dwell")
     next_cycle: int = Field(description="number of the new pass of the profile")
     steps: list[AnyStep] = Field(min_length=1, description="steps in order")

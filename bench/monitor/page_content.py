@@ -14,9 +14,9 @@ from gyrobench.bench.monitor.run_list import RunSummary
 from gyrobench.bench.monitor.snapshot import (
     BenchReadings,
     LiveBin,
-    MeasuredDwell,
     RunSnapshot,
     RunState,
+    SnapshotDwell,
     mean_known,
 )
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
@@ -227,7 +227,7 @@ def bin_tables(bins: Iterable[LiveBin]) -> list[BinTable]:
     return [_bin_table(gyro, [each for each in known if each.gyro == gyro], scale) for gyro in AXES]
 
 
-def shown_dwells(dwells: Sequence[MeasuredDwell]) -> ShownDwells:
+def shown_dwells(dwells: Sequence[SnapshotDwell]) -> ShownDwells:
     """Dwells, the newest first."""
     biases = [value for dwell in dwells for value in dwell.bias_dph]
     scale = BiasScale.of(biases, [value for dwell in dwells for value in dwell.sigma_dph])
@@ -284,7 +284,7 @@ def _cell(bias_dph: float, sigma_dph: float, scale: BiasScale, count: int = 1) -
     return Cell(true_minus(scale.text(bias_dph)), scale.text(sigma_dph), count)
 
 
-def _shown_dwell(dwell: MeasuredDwell, scale: BiasScale) -> ShownDwell:
+def _shown_dwell(dwell: SnapshotDwell, scale: BiasScale) -> ShownDwell:
     pairs = zip(dwell.bias_dph, dwell.sigma_dph, strict=True)
     gyro_c = mean_known(dwell.gyro_c)
     return ShownDwell(

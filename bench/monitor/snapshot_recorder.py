@@ -34,7 +34,6 @@ from gyrobench.bench.monitor.snapshot import (
     CurrentStep,
     LiveBias,
     LiveBin,
-    MeasuredDwell,
     MeasuredProfile,
     Note,
     PlannedProfile,
@@ -42,6 +41,7 @@ from gyrobench.bench.monitor.snapshot import (
     Question,
     RunSnapshot,
     RunState,
+    SnapshotDwell,
     Triple,
     UnitStatus,
     WindowTrace,
@@ -111,10 +111,10 @@ def _evenly_thinned(values: FloatArray, max_count: int) -> tuple[float, ...]:
     return tuple(map(float, values))
 
 
-def measured_dwells(rows: Sequence[DwellRow]) -> tuple[MeasuredDwell, ...]:
+def measured_dwells(rows: Sequence[DwellRow]) -> tuple[SnapshotDwell, ...]:
     """Summary of each dwell."""
     return tuple(
-        MeasuredDwell(row.dwell, row.cycle, row.position, row.gyro_c, row.bias_dph, row.sigma_dph, row.flags)
+        SnapshotDwell(row.dwell, row.cycle, row.position, row.gyro_c, row.bias_dph, row.sigma_dph, row.flags)
         for row in rows
     )
 
@@ -295,7 +295,7 @@ class SnapshotRecorder(RunObserver):
         self._dwell: DwellTrace | None = None
         self._position, self._azimuth_deg = "", math.nan
         self._has_new_dwell = True
-        self._dwells: tuple[MeasuredDwell, ...] = ()
+        self._dwells: tuple[SnapshotDwell, ...] = ()
         self._bins: tuple[LiveBin, ...] = ()
         self._bins_of_units: dict[str, tuple[LiveBin, ...]] = {}
         self._messages: deque[Note] = deque(maxlen=MAX_MESSAGES)

@@ -19,7 +19,7 @@ from gyrobench.bench.monitor.snapshot import (
     WindowTrace,
     mean_known,
 )
-from gyrobench.bench.monitor.terminal_plot import Curve, axes_drawing, plot
+from gyrobench.bench.monitor.terminal_plot import PlotCurve, axes_drawing, plot
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
 _STATE_STYLES = {
@@ -185,10 +185,10 @@ def profile_graph(snapshot: RunSnapshot, width: int, height: int, is_ascii: bool
     to_come = [index for index, time_s in enumerate(planned.time_s) if time_s >= snapshot.plan_now_s]
     future_s = [planned.time_s[index] + snapshot.behind_s for index in to_come]
     curves = [
-        Curve(future_s, [planned.chamber_c[index] for index in to_come], _CHAMBER, is_dotted=True),
-        Curve(future_s, [planned.gyro_c[index] for index in to_come], _GYRO, is_dotted=True),
-        Curve(measured.time_s, measured.chamber_c, _CHAMBER, "c"),
-        Curve(measured.time_s, measured.gyro_x_c, _GYRO, "g"),
+        PlotCurve(future_s, [planned.chamber_c[index] for index in to_come], _CHAMBER, is_dotted=True),
+        PlotCurve(future_s, [planned.gyro_c[index] for index in to_come], _GYRO, is_dotted=True),
+        PlotCurve(measured.time_s, measured.chamber_c, _CHAMBER, "c"),
+        PlotCurve(measured.time_s, measured.gyro_x_c, _GYRO, "g"),
     ]
     title = Text.assemble(
         ("  degC  ", "dim"),
@@ -213,7 +213,7 @@ def dwell_graphs(snapshot: RunSnapshot, width: int, height: int, is_ascii: bool)
     time_s, end_s = _joined_time_s(windows)
 
     def graph(title: Text, values: dict[str, tuple[str, list[float]]], min_span: float) -> list[Text]:
-        curves = [Curve(time_s, series, style, letter) for letter, (style, series) in values.items()]
+        curves = [PlotCurve(time_s, series, style, letter) for letter, (style, series) in values.items()]
         labels = ("0", f"{end_s / 60.0:.2g} min")
         return [title, *plot(curves, each, height - 1, (0.0, end_s), labels, min_span, is_ascii)]
 

@@ -37,7 +37,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
-from gyrobench.bench.foundations.documents import Location, Problem, StrictModel
+from gyrobench.bench.foundations.documents import DocumentProblem, Location, StrictModel
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
 from gyrobench.drivers.frames import EXTENDED_ID
 from gyrobench.drivers.ins.attitude import EulerSequence
@@ -415,7 +415,7 @@ _GIVEN = {
 }
 
 
-def check_commands(commands: CommandMap, codec: DbcCodec, at: Location = ()) -> list[Problem]:
+def check_commands(commands: CommandMap, codec: DbcCodec, at: Location = ()) -> list[DocumentProblem]:
     """Problems with the DBC of a map that is at ``at`` in its file."""
     problems = []
     for name in CommandMap.model_fields:
@@ -427,9 +427,9 @@ def check_commands(commands: CommandMap, codec: DbcCodec, at: Location = ()) -> 
             here = (*at, name, "values", signal)
             if isinstance(value, str) and value not in given:
                 known = f"a number or {', '.join(sorted(given))}" if given else "a number"
-                problems.append(Problem(here, f"expected {known}; found '{value}'"))
+                problems.append(DocumentProblem(here, f"expected {known}; found '{value}'"))
             try:
                 codec.signal(command.message, signal)
             except DocumentError as error:
-                problems.append(Problem(here, str(error)))
+                problems.append(DocumentProblem(here, str(error)))
     return problems

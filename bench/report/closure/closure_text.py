@@ -272,19 +272,21 @@ def title(closure: Closure) -> str:
 
 def probability_sentence(closure: Closure) -> str:
     """Probabilities of the effects, of an unlisted effect, and of no undeclared effect."""
-    weighed = closure.posterior
-    likely = {name: p for name, p in weighed.of_effect.items() if p >= _WORTH_STATING}
+    posterior = closure.posterior
+    likely = {name: p for name, p in posterior.of_effect.items() if p >= _WORTH_STATING}
     parts = []
     for each in closure.effects:
         likely.pop(each.effect.name, None)
-        general = [name for name in weighed.more_general.get(each.effect.name, ()) if likely.pop(name, None)]
+        general = [
+            name for name in posterior.more_general.get(each.effect.name, ()) if likely.pop(name, None)
+        ]
         law = f" (as such or as {labels(closure, general)})" if general else ""
         parts.append(f"{each.effect.display_name} {probability_text(each.probability)}{law}")
     parts += [f"{closure.label(name)} {probability_text(p)}" for name, p in likely.items()]
-    follows = max(weighed.follows, key=lambda name: weighed.follows[name])
-    unknown = f"an unlisted effect {probability_text(weighed.not_on_list)}"
-    parts.append(f"{unknown} (it follows {follows})" if weighed.not_on_list >= 0.5 else unknown)
-    parts.append(f"no undeclared effect {probability_text(weighed.nothing)}")
+    follows = max(posterior.follows, key=lambda name: posterior.follows[name])
+    unknown = f"an unlisted effect {probability_text(posterior.not_on_list)}"
+    parts.append(f"{unknown} (it follows {follows})" if posterior.not_on_list >= 0.5 else unknown)
+    parts.append(f"no undeclared effect {probability_text(posterior.nothing)}")
     return f"Probabilities: {'; '.join(parts)}."
 
 

@@ -81,8 +81,8 @@ def test_the_search_ties_effects_below_the_stated_size_and_not_above(
     distinguished = []
     for seed in range(8):
         search = searched(campaign, true, size_dph, seed, beside=(alternative,))
-        weighed = search.evidences.posterior([search.declared, *search.alone.values()])
-        distinguished.append(alternative not in weighed.tied_with(frozenset({true}), true))
+        posterior = search.evidences.posterior([search.declared, *search.alone.values()])
+        distinguished.append(alternative not in posterior.tied_with(frozenset({true}), true))
     assert np.mean(distinguished) == pytest.approx(float(is_distinguished), abs=0.3)
 
 

@@ -161,7 +161,7 @@ _FRAGMENT = "fragment"
 _HOME = "../../"
 
 
-class Site:
+class Website:
     """Answers requests for pages of a run folder, or of a folder of runs.
 
     The folder ``root`` is read at each request, so a run may start in it later; ``utc`` returns the host's
