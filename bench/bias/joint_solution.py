@@ -122,7 +122,7 @@ def declared_root(prior: PriorKnowledge, earth_rate: FloatArray) -> FloatArray:
     )
 
 
-def north_free_root(prior: PriorKnowledge, earth_rate: FloatArray) -> FloatArray:
+def _north_free_root(prior: PriorKnowledge, earth_rate: FloatArray) -> FloatArray:
     """The same with any rate North; a rate Up stays in the biases of the vertical gyros."""
     root = declared_root(prior, earth_rate)
     root[NAVIGATION_RATE, NAVIGATION_RATE] = np.diag([_ANY_RATE, 0.0])
@@ -143,7 +143,7 @@ def free_root(root: FloatArray, gyro_scale_factors: bool = True) -> FloatArray:
     return free
 
 
-def solve_alone(dwell: JointInformation, shared_root: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _solve_alone(dwell: JointInformation, shared_root: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Solve one dwell by itself; its biases (3,) and their covariance (3, 3)."""
     unknowns, covariance = solve(*_system([dwell], shared_root))
     return unknowns[SHARED:], covariance[SHARED:, SHARED:]
@@ -296,12 +296,12 @@ def solve_jointly(dwells: Sequence[JointDwell], prior: PriorKnowledge) -> JointS
         raise MeasurementError("there is no dwell to solve; a joint solution needs at least one")
     earth_rate = dwells[0].rows.earth_rate
     rows = [dwell.rows for dwell in dwells]
-    root, free_root = declared_root(prior, earth_rate), north_free_root(prior, earth_rate)
+    root, free_root = declared_root(prior, earth_rate), _north_free_root(prior, earth_rate)
     fit, north_free_fit = solve_together(rows, root), solve_together(rows, free_root)
     pairs = _pairs(dwells, north_free_fit, prior.bias_slope)
     return JointSolution(
         dwells=tuple(dwells),
-        single=_side_by_side([solve_alone(each, root) for each in rows]),
+        single=_side_by_side([_solve_alone(each, root) for each in rows]),
         together=_biases(fit),
         north_free=_biases(north_free_fit),
         fit=fit,

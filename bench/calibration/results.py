@@ -180,7 +180,7 @@ def write_calibration(folder: Path, calibration: Calibration, record: Mapping[st
     """
     texts = {
         "coefficients.csv": format_rows(list(CoefficientRow.__annotations__), coefficient_rows(calibration)),
-        "correlations.csv": correlations_table(calibration),
+        "correlations.csv": _correlations_table(calibration),
         "calibration.json": json.dumps(record, indent=1, ensure_ascii=False) + "\n",
     }
     make_folder(folder)
@@ -191,7 +191,7 @@ def write_calibration(folder: Path, calibration: Calibration, record: Mapping[st
     return [folder / name for name in texts]
 
 
-def correlations_table(estimate: CoefficientEstimate) -> str:
+def _correlations_table(estimate: CoefficientEstimate) -> str:
     """Text of ``correlations.csv``; empty cells where a coefficient is not observed."""
     names = [f"{each.name}_{each.axis}" for each in estimate.coefficients]
     seen = np.outer(estimate.is_observed, estimate.is_observed)

@@ -105,7 +105,7 @@ def evaluate(
     good = [dwell for dwell in dwells if dwell.estimate and not dwell.row.flags]
     joint = [solve_jointly(plateau, setup.prior) for plateau in group_plateaus(_joint_dwells(good))]
     rate = pooled_up_rate(joint, setup.prior)
-    evaluated = with_latitude(dwells, joint, rate, setup.prior)
+    evaluated = _with_latitude(dwells, joint, rate, setup.prior)
     rows = [dwell.row for dwell in evaluated if dwell.estimate and not dwell.row.flags]
     bins = bin_biases(rows, bin_width_c)
     parts = [BudgetedDwell(each.row, each.estimate.parts) for each in evaluated if each.estimate]
@@ -194,7 +194,7 @@ def _noise(dwells: Sequence[MeasuredDwell], setup: MeasurementSetup) -> NoiseEst
         return None
 
 
-def with_latitude(
+def _with_latitude(
     dwells: Sequence[MeasuredDwell],
     solutions: Sequence[JointSolution],
     rate: UpRate | None,

@@ -70,7 +70,7 @@ def import_logs(logs: Sequence[Path], mapping: str) -> LogImport:
     """
     map_path = find_document("imports", mapping)
     log_map = load_log_map(map_path)
-    read = [read_log(path, log_map) for path in logs]
+    read = [_read_log(path, log_map) for path in logs]
     left_out = Counter(reason for log in read for reason in log.reasons if reason)
     if missing := sum(log.missing for log in read):
         left_out["no sample at all"] = missing
@@ -217,7 +217,7 @@ class ReadLog:
         return [each for each, reason in zip(self.windows, self.reasons, strict=True) if not reason]
 
 
-def read_log(path: Path, log_map: LogMap) -> ReadLog:
+def _read_log(path: Path, log_map: LogMap) -> ReadLog:
     """Cut one log into windows and judge them.
 
     Raises DocumentError if the import map does not match the log, or it can't be read. Raises

@@ -207,12 +207,12 @@ class ExternalBench(AfterLastDwell):
                 f"{self.command}: ended with exit code {code}: {message or 'no message'}. "
                 "What was measured before is kept"
             )
-        return checked_rows(read_dwells(answered), plan, answered, self.rows)
+        return _checked_rows(read_dwells(answered), plan, answered, self.rows)
 
     def _whole(self, plan: BlockPlan, table: Path) -> list[DwellRow]:
         """Dwells of a table that has all of a plan; none otherwise."""
         try:
-            rows = checked_rows(read_dwells(table), plan, table, self.rows)
+            rows = _checked_rows(read_dwells(table), plan, table, self.rows)
         except GyrobenchError:
             return []
         return rows if len(rows) == len(plan.dwells) else []
@@ -255,7 +255,7 @@ def _end(process: subprocess.Popen[bytes]) -> None:
             process.wait(_TERMINATION_S)
 
 
-def checked_rows(
+def _checked_rows(
     rows: Sequence[DwellRow], plan: BlockPlan, table: Path, first: Sequence[DwellRow]
 ) -> list[DwellRow]:
     """New rows of a block, in order; ``first`` are the dwells before the first block.

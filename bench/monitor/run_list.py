@@ -101,7 +101,7 @@ def snapshot_of_unit(run: RunSnapshot, folder: RunFolder) -> RunSnapshot:
     )
 
 
-def end_of(folder: RunFolder, facts: RunFacts) -> tuple[RunState, str]:
+def _end_of(folder: RunFolder, facts: RunFacts) -> tuple[RunState, str]:
     """State of a run without a snapshot, and the reason of its end."""
     if holder_of(folder.path) is not None:
         return RunState.RUNNING, ""
@@ -118,7 +118,7 @@ def snapshot_from_records(folder: RunFolder) -> RunSnapshot:
     content = read_run(folder)
     journal = list(_intact_entries(folder.journal))
     station, plan = _station_and_plan(folder)
-    state, reason = end_of(folder, content.facts)
+    state, reason = _end_of(folder, content.facts)
     rows, now_s = content.dwells, content.facts.last_s
     bench = _bench_at_end(content.telemetry, now_s)
     return RunSnapshot(
@@ -357,7 +357,7 @@ def _of_snapshot(name: str, snapshot: RunSnapshot) -> RunSummary:
 
 def _of_journal(folder: RunFolder) -> RunSummary:
     facts = facts_of(read_journal(folder.journal))
-    state, reason = end_of(folder, facts)
+    state, reason = _end_of(folder, facts)
     return RunSummary(
         name=folder.path.name,
         procedure=facts.procedure,

@@ -58,12 +58,12 @@ def find_problems(plan: Plan, limits: StationLimits | None = None) -> list[Docum
     """All problems of a plan; see :func:`check`."""
     if limits is not None:  # a long plan asks for the same few attitudes again and again
         limits = replace(limits, reachable=cache(limits.reachable))
-    problems = [*find_dwell_problems(plan)]
+    problems = [*_find_dwell_problems(plan)]
     for planned in plan.steps:
         problems += [*_order_problems(planned), *_time_problems(planned)]
         if limits is not None:
             problems += [*_chamber_problems(planned, limits), *_table_problems(planned, limits)]
-            problems += find_reach_problems(plan, planned, limits)
+            problems += _find_reach_problems(plan, planned, limits)
     problems += [*_test_problems(plan), *_spin_problems(plan)]
     if limits is not None:
         problems += _gyro_problems(plan, limits)
@@ -178,7 +178,7 @@ def _spin_problems(plan: Plan) -> Iterator[DocumentProblem]:
 _INSEPARABLE = "biases and initial errors can't be separated"
 
 
-def find_dwell_problems(plan: Plan) -> Iterator[DocumentProblem]:
+def _find_dwell_problems(plan: Plan) -> Iterator[DocumentProblem]:
     """Everything that keeps the dwells of a plan from giving a result, in no order."""
     for dwell, steps in itertools.groupby(plan.steps, key=lambda planned: planned.dwell):
         group = list(steps)
@@ -197,7 +197,7 @@ def find_dwell_problems(plan: Plan) -> Iterator[DocumentProblem]:
         yield from _until_without_turn(windows)
         yield from _not_turned_between(group)
         yield from _turned_to_the_same(windows, turns)
-    yield from find_unpaired_checks(plan)
+    yield from _find_unpaired_checks(plan)
 
 
 def _navigation_time_problems(window: PlannedStep) -> Iterator[DocumentProblem]:
@@ -305,7 +305,7 @@ def _turned_to_the_same(
 _TOLERANCE_DEG = 0.5
 
 
-def find_unpaired_checks(plan: Plan) -> Iterator[DocumentProblem]:
+def _find_unpaired_checks(plan: Plan) -> Iterator[DocumentProblem]:
     """Calibration checks that have no partner half a turn away, in their position and at their temperature.
 
     A gyro bias changes the two headings oppositely, an azimuth error of the table equally.
@@ -364,7 +364,9 @@ def _half_turn_apart(one: PlannedStep, other: PlannedStep) -> bool:
 _AZIMUTHS_DEG = (0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0)
 
 
-def find_reach_problems(plan: Plan, planned: PlannedStep, limits: StationLimits) -> Iterator[DocumentProblem]:
+def _find_reach_problems(
+    plan: Plan, planned: PlannedStep, limits: StationLimits
+) -> Iterator[DocumentProblem]:
     """Why the position of a go_to can't be reached, or not with the turns that follow there.
 
     The problem is placed at the first turn that leads out of reach, or at the go_to if that is itself.

@@ -222,7 +222,7 @@ def variable_in(value: Any) -> str | None:
     return match[1] if match else None
 
 
-def entry_location(entry: StepTemplate | Repeat, at: Location) -> Location:
+def _entry_location(entry: StepTemplate | Repeat, at: Location) -> Location:
     """Place of the keys of the entry at ``at``."""
     return (*at, "repeat" if isinstance(entry, Repeat) else entry.kind.name)
 
@@ -231,7 +231,7 @@ def _scope_problems(
     entries: Sequence[StepTemplate | Repeat], at: Location, scope: tuple[str, ...]
 ) -> Iterator[DocumentProblem]:
     for index, entry in enumerate(entries):
-        here = entry_location(entry, (*at, index))
+        here = _entry_location(entry, (*at, index))
         if isinstance(entry, Repeat):
             yield from _loop_problems(entry, (*here, "over"), scope)
             yield from _scope_problems(entry.steps, (*here, "steps"), (*scope, *entry.over))
@@ -345,7 +345,7 @@ def _resolve(
     problems: list[DocumentProblem],
 ) -> Iterator[ResolvedStep]:
     for index, entry in enumerate(entries):
-        here = entry_location(entry, (*at, index))
+        here = _entry_location(entry, (*at, index))
         if isinstance(entry, Repeat):
             for values in _combinations(entry, (*here, "over")):
                 yield from _resolve(entry.steps, (*here, "steps"), {**scope, **values}, problems)

@@ -408,7 +408,7 @@ def _signature(text: bytearray, key: Path | None) -> dict[str, str]:
     if key is None and not configured:
         return {"unsigned": f"no key; {KEY_VARIABLE} names one"}
     try:
-        secret = load_key(key or Path(configured))
+        secret = _load_key(key or Path(configured))
     except GyrobenchError as error:
         if key is not None:
             raise
@@ -421,7 +421,7 @@ def _signature(text: bytearray, key: Path | None) -> dict[str, str]:
     }
 
 
-def load_key(path: Path) -> Ed25519PrivateKey:
+def _load_key(path: Path) -> Ed25519PrivateKey:
     """Load the key that signs seals; its password, if any, is in GYROBENCH_KEY_PASSWORD.
 
     Raises DocumentError if it can't be read or is not an Ed25519 key.

@@ -167,7 +167,7 @@ class Compensation:
             if (_used(getattr(self, name)) & (getattr(self, scale) <= 0.0)).any():
                 raise MeasurementError(f"compensation: {name} needs {scale} above zero")
         for name, each in self.coefficients.items():
-            axis = correction_place(name)[1]
+            axis = _correction_place(name)[1]
             if each.rate_per_c_per_h and not self.rate_limit_c_per_h[axis] > 0.0:
                 raise MeasurementError(
                     f"compensation: the rate of {name} needs rate_limit_c_per_h above zero"
@@ -218,7 +218,7 @@ _SENSORS = {
 }
 
 
-def correction_place(name: str) -> tuple[str, int, int | None]:
+def _correction_place(name: str) -> tuple[str, int, int | None]:
     """Sensor, its axis (0 for x), and the axis that a coefficient makes it sense; None for a bias.
 
     Raises MeasurementError if the name is not that of a coefficient.
@@ -378,7 +378,7 @@ class CoefficientCommand(Command):
         if self.others is not None and compensation.corrected():
             numbers |= dict.fromkeys(self._indices_of_others(self.others), 0.0)
             for name, each in compensation.coefficients.items():
-                sensor, sensor_axis, sensed = correction_place(name)
+                sensor, sensor_axis, sensed = _correction_place(name)
                 if sensor_axis == axis:
                     numbers |= dict(enumerate(each.numbers().tolist(), self.others.first(sensor, sensed)))
         return dict(sorted(numbers.items()))
