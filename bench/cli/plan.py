@@ -189,7 +189,7 @@ def _record(job: Job, figure: Path) -> dict[str, Any]:
 
 def _print_separability(job: Job, target_dph: float, folder: Path | None) -> None:
     from gyrobench.bench.closure.effects import all_effects
-    from gyrobench.bench.closure.inputs import read_closure
+    from gyrobench.bench.closure.loop import repeat_search
     from gyrobench.bench.closure.outlook import measured_unit, tie_outlooks
     from gyrobench.bench.closure.planned_campaign import planned_campaign
     from gyrobench.bench.closure.procedure_changes import advise, advise_ties
@@ -201,7 +201,7 @@ def _print_separability(job: Job, target_dph: float, folder: Path | None) -> Non
     unit, name, closure = planned_unit(job.station), job.plan.procedure.procedure, None
     if folder:
         try:
-            closure = read_closure(folder)
+            closure = repeat_search(folder)
         except (MeasurementError, RunFolderError) as error:
             raise DocumentError(str(error)) from error
         unit = measured_unit(closure, job.plan.steps[0].before.thermal)

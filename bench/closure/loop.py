@@ -14,6 +14,8 @@ from gyrobench.bench.closure.compose import compose
 from gyrobench.bench.closure.confounding import confounding
 from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.effect import Effect
+from gyrobench.bench.closure.files import holds_search, read_held_out_cycles, read_quantity, read_tables
+from gyrobench.bench.closure.inputs import read_campaign
 from gyrobench.bench.closure.outcome import CandidateResult, Closure, FoundEffect, HeldOutCycle, OtherForm
 from gyrobench.bench.closure.posterior import CLEAN, EXPLAINED, Posterior, detectable_dph
 from gyrobench.bench.closure.problem import DEGREE, Problem, Solution, declared_problem
@@ -28,8 +30,9 @@ from gyrobench.bench.closure.validation import (
     measured_minus,
 )
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms, rms_of_known
-from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.foundations.errors import MeasurementError, RunFolderError
 from gyrobench.bench.foundations.text import counted, listed
+from gyrobench.bench.runs.folder import RunFolder
 
 #: Verdict without a search.
 NOT_SEARCHED = "not searched"
@@ -115,6 +118,28 @@ def _closure(campaign: Campaign, searched: BoolArray, candidates: Sequence[Effec
         declared_draws=declared_draws,
         model_draws=model_draws,
     )
+
+
+def repeat_search(folder: Path) -> Closure:
+    """Repeat the search of which the files are in a folder, on its tables.
+
+    ``folder``: as ``gyrobench close`` writes it, or the run folder that it is in. Tables that are not at
+    their path are looked for beside the folder. Raises RunFolderError if there is no search, it is damaged,
+    or its tables are missing; DocumentError or MeasurementError if the tables can't be used.
+    """
+    folder = folder if holds_search(folder) else RunFolder(folder).closure
+    beside = RunFolder(folder.parent)
+    own = beside.path if beside.journal.exists() else beside.dwells
+    names = read_tables(folder) or [str(own)]
+    paths = []
+    for path in map(Path, names):
+        places = [path, beside.path / path.name, *([own] if len(names) == 1 else [])]
+        if not any(place.exists() for place in places):
+            raise RunFolderError(
+                f"{folder}: the table searched, {path}, is not there. Repeat gyrobench close"
+            )
+        paths.append(next(place for place in places if place.exists()))
+    return close_loop(read_campaign(*paths, quantity=read_quantity(folder)), read_held_out_cycles(folder))
 
 
 def composed(closure: Closure) -> Closure:

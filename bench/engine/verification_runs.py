@@ -10,14 +10,14 @@ from types import MappingProxyType
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
-from gyrobench.bench.closure.files import CLOSURE_FILE
-from gyrobench.bench.closure.inputs import read_closure
+from gyrobench.bench.closure.files import holds_search
 from gyrobench.bench.closure.loadable_model import (
     LoadableModel,
     declared_model,
     model_with_effects,
     with_coefficients,
 )
+from gyrobench.bench.closure.loop import repeat_search
 from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.closure.quantity import QUANTITIES
 from gyrobench.bench.dwells.check_dwell import CheckDwell
@@ -249,7 +249,7 @@ def new_emulation(run: RunFolder, world: str | None = None, seed: int | None = N
 def _searches(run: RunFolder) -> tuple[Closure, ...]:
     """The searches of the run in coefficients beyond the gyros' biases."""
     folders = [run.closure.with_name(f"{run.closure.name}_{each.name}") for each in QUANTITIES]
-    return tuple(read_closure(folder) for folder in folders if (folder / CLOSURE_FILE).exists())
+    return tuple(repeat_search(folder) for folder in folders if holds_search(folder))
 
 
 def _coefficients_of(run: RunFolder) -> list[PlateauCoefficientRow]:

@@ -21,7 +21,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv
 
-from gyrobench.bench.closure.files import read_held_out_cycles
+from gyrobench.bench.closure.files import holds_search, read_held_out_cycles
 from gyrobench.bench.closure.inputs import read_campaign
 from gyrobench.bench.closure.loadable_model import declared_model, model_with_effects
 from gyrobench.bench.closure.loop import close_loop
@@ -215,7 +215,7 @@ def _why_missing(folder: RunFolder, what: DataKind) -> str:
         case DataKind.NAVIGATION | DataKind.CAN:
             return "" if any(folder.can.glob("part-*")) else "there are no CAN frames"
         case DataKind.COMPENSATION:
-            is_closed = (folder.closure / "closure.json").exists()
+            is_closed = holds_search(folder.closure)
             return "" if is_closed else f"no search for effects yet; run `gyrobench close {folder.path}`"
     names = [f"{table}.csv" for table in _TABLES[what]]
     missing = [name for name in names if not (folder.path / name).exists()]
