@@ -143,7 +143,9 @@ class MeasuredDwell:
     #: estimate, paper: By the full error model, without its information, and by the paper's method.
     estimate: StateSpaceEstimate | None
     paper: BiasEstimate | None
-    shared: JointInformation | None  #: What it shows of the unknowns that the dwells of a plateau share.
+    joint_information: (
+        JointInformation | None
+    )  #: What it shows of the unknowns that the dwells of a plateau share.
     #: Navigation at rest, an epoch a second, for the noise estimate; empty where it is disturbed, and where
     #: :mod:`gyrobench.bench.dwells.run_dwells` does not keep it.
     windows: tuple[RestMotion, ...]
@@ -171,7 +173,7 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
     A dwell that can't give a result gives a row without biases, flagged with the reason.
     """
     flags = list(marks.disturbances)
-    estimate, paper, shared = None, None, None
+    estimate, paper, joint_information = None, None, None
     doubts: tuple[str, ...] = ()
     windows: tuple[RestMotion, ...] = ()
     counts, temperatures, fault = EpochCounts(), DwellTemperatures(), ""
@@ -190,7 +192,7 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
         paper = _paper(dwell, setup.site, noise)
         estimate, found, doubts = estimate_dwell(dwell, setup, noise, faults)
         if estimate.information:
-            shared = JointInformation.of(estimate.information, dwell.position, setup.prior)
+            joint_information = JointInformation.of(estimate.information, dwell.position, setup.prior)
             estimate = replace(estimate, information=None)
         flags += found
         if not flags:
@@ -200,7 +202,7 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
         flags.append(str(error))
         fault = str(error) if isinstance(error, SignalMapError) else ""
     row = _row(marks, temperatures, estimate, paper, flags)
-    return MeasuredDwell(row, estimate, paper, shared, windows, counts, doubts, fault, evidence)
+    return MeasuredDwell(row, estimate, paper, joint_information, windows, counts, doubts, fault, evidence)
 
 
 def estimate_dwell(

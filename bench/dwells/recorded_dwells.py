@@ -24,7 +24,9 @@ from gyrobench.drivers.frames import FrameBlock, concatenate
 _MAX_NOISE_SAMPLES = 50_000
 
 
-def replay(folder: RunFolder, setup: MeasurementSetup) -> tuple[list[MeasuredDwell], list[CheckDwell]]:
+def measure_recorded(
+    folder: RunFolder, setup: MeasurementSetup
+) -> tuple[list[MeasuredDwell], list[CheckDwell]]:
     """Measure every finished dwell of a run again; check dwells are returned separately.
 
     The journal lists the frames of each dwell; the frames themselves come from the raw log, one part of it at
@@ -51,19 +53,19 @@ def _recorded(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:
         yield marks, read_frames(folder, marks)
 
 
-def rotated(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:
-    """Finished dwells with rotations that nothing disturbed, in order; raises as :func:`replay`."""
+def rotated_dwells(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:
+    """Finished dwells with rotations that nothing disturbed, in order; raises as :func:`measure_recorded`."""
     for marks in rotated_marks(folder):
         yield marks, read_frames(folder, marks)
 
 
 def rotated_marks(folder: RunFolder) -> list[DwellMarks]:
-    """Marks of :func:`rotated`."""
+    """Marks of :func:`rotated_dwells`."""
     return [marks for marks in finished_marks(folder) if marks.is_rotated and not marks.disturbances]
 
 
 def noise_records(folder: RunFolder, setup: MeasurementSetup) -> list[RateRecord]:
-    """Gyro rates of the finished noise records that nothing disturbed; raises as :func:`replay`."""
+    """Gyro rates of the finished noise records that nothing disturbed; raises as :func:`measure_recorded`."""
     return [
         _rate_record(marks, read_frames(folder, marks), setup)
         for marks in finished_marks(folder)

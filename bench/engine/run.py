@@ -11,7 +11,7 @@ from pathlib import Path
 from gyrobench.bench.bias.dwell_table import write_dwells
 from gyrobench.bench.dwells.live_estimate import warm_up
 from gyrobench.bench.dwells.measure_dwell import MeasurementSetup, measurement_setup
-from gyrobench.bench.dwells.recorded_dwells import replay
+from gyrobench.bench.dwells.recorded_dwells import measure_recorded
 from gyrobench.bench.dwells.run_results import evaluate_run
 from gyrobench.bench.engine.engine import Engine
 from gyrobench.bench.engine.job import Job
@@ -102,7 +102,7 @@ def resume_run(
     if resumption.is_measured:
         return folder, _finish(resumption)
     clock = clock or resumption.clock()
-    outcome, units = _replayed(resumption)
+    outcome, units = _remeasured(resumption)
 
     def check_folder(folder: RunFolder, instruments: Instruments) -> None:  # noqa: ARG001
         resumption.check_unchanged()
@@ -113,12 +113,14 @@ def resume_run(
     return _execute(start, observer, operator)
 
 
-def _replayed(resumption: Resumption) -> tuple[RunOutcome, tuple[UnitRun, ...]]:
+def _remeasured(resumption: Resumption) -> tuple[RunOutcome, tuple[UnitRun, ...]]:
     """Measure the finished dwells of an interrupted run again; returns its outcome, and its units."""
     units = []
     for station, part in zip(resumption.job.station.units, resumption.units, strict=True):
         setup = measurement_setup(station)
-        dwells, check_dwells = replay(part.folder, setup) if part.folder.journal.is_file() else ([], [])
+        dwells, check_dwells = (
+            measure_recorded(part.folder, setup) if part.folder.journal.is_file() else ([], [])
+        )
         outcome = RunOutcome(dwells=dwells, check_dwells=check_dwells)
         if why := resumption.state.dropped.get(station.number):
             outcome.fail(why)
@@ -151,7 +153,7 @@ def _finish(resumption: Resumption) -> RunOutcome:
     folder, job = resumption.folder, resumption.job
     with RunLock(folder.path, resumption.clock()):
         resumption.check_unchanged()
-        outcome, units = _replayed(resumption)
+        outcome, units = _remeasured(resumption)
         for unit in units:
             write_dwells(unit.folder.dwells, [dwell.row for dwell in unit.outcome.dwells])
             _evaluate(unit, job)

@@ -22,7 +22,7 @@ from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.closure.quantity import QUANTITIES
 from gyrobench.bench.dwells.check_dwell import CheckDwell
 from gyrobench.bench.dwells.measure_dwell import MeasuredDwell, measurement_setup
-from gyrobench.bench.dwells.recorded_dwells import replay
+from gyrobench.bench.dwells.recorded_dwells import measure_recorded
 from gyrobench.bench.engine.job import Job, emulation_of, prepare_job
 from gyrobench.bench.engine.observers import RunObserver, RunOutcome
 from gyrobench.bench.engine.operator import Operator
@@ -207,7 +207,7 @@ class VerificationRuns:
         return compare_coefficients(runs, site)
 
     def _read(self, name: str) -> _Measured:
-        return replay(RunFolder(self.folder / name), measurement_setup(self.jobs[name].station))
+        return measure_recorded(RunFolder(self.folder / name), measurement_setup(self.jobs[name].station))
 
     def _notes(self, rows: Mapping[str, Sequence[DwellRow]], *, has_coefficients: bool) -> Iterator[str]:
         units = {row.unit for row in read_dwells(self._run.dwells)}
