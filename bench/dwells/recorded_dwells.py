@@ -14,6 +14,7 @@ from gyrobench.bench.dwells.measure_dwell import MeasuredDwell, MeasurementSetup
 from gyrobench.bench.dwells.rotated_dwell import navigated_increments
 from gyrobench.bench.dwells.run_dwells import add_dwell
 from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.procedure.plan import DwellPurpose
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import read_journal
@@ -37,7 +38,7 @@ def measure_recorded(
     dwells: list[MeasuredDwell] = []
     check_dwells: list[CheckDwell] = []
     for marks, frames in _recorded(folder):
-        if marks.is_calibration_check:
+        if marks.purpose is DwellPurpose.CALIBRATION_CHECK:
             check_dwells.append(measure_check_dwell(marks, frames, setup))
         else:
             add_dwell(dwells, measure_dwell(marks, frames, setup))
@@ -45,7 +46,7 @@ def measure_recorded(
 
 
 def _recorded(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:
-    finished = [marks for marks in finished_marks(folder) if marks.gives_bias]
+    finished = [marks for marks in finished_marks(folder) if marks.purpose.gives_bias]
     parts = [marks.log_part for marks in finished if marks.windows]
     if len(set(parts)) < len(parts):
         raise RunFolderError(f"{folder.journal}: damaged: it places two dwells in one part of the log")
@@ -61,16 +62,19 @@ def rotated_dwells(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]
 
 def rotated_marks(folder: RunFolder) -> list[DwellMarks]:
     """Marks of :func:`rotated_dwells`."""
-    return [marks for marks in finished_marks(folder) if marks.is_rotated and not marks.disturbances]
+    return _undisturbed(folder, DwellPurpose.ROTATIONS)
 
 
 def noise_records(folder: RunFolder, setup: MeasurementSetup) -> list[RateRecord]:
     """Gyro rates of the finished noise records that nothing disturbed; raises as :func:`measure_recorded`."""
     return [
         _rate_record(marks, read_frames(folder, marks), setup)
-        for marks in finished_marks(folder)
-        if marks.is_noise_record and not marks.disturbances
+        for marks in _undisturbed(folder, DwellPurpose.NOISE)
     ]
+
+
+def _undisturbed(folder: RunFolder, purpose: DwellPurpose) -> list[DwellMarks]:
+    return [marks for marks in finished_marks(folder) if marks.purpose is purpose and not marks.disturbances]
 
 
 def _rate_record(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) -> RateRecord:

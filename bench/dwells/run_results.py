@@ -42,7 +42,7 @@ from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN, RADPS_TO_DPH
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.files import remove
 from gyrobench.bench.navigation.positions import POSITIONS
-from gyrobench.bench.procedure.plan import Plan, PlannedStep
+from gyrobench.bench.procedure.plan import DwellPurpose, Plan, PlannedStep
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
 from gyrobench.bench.runs.tables.budget_table import budget_rows, coefficient_budget_rows, write_budget
@@ -131,7 +131,7 @@ def planned_dwells(plan: Plan) -> list[PlannedDwell]:
     """Dwells of a plan that measure biases, in order, at the temperatures estimated for their beginning."""
     first: dict[int, PlannedStep] = {}
     for step in plan.steps:
-        if step.dwell is not None and step.gives_bias and not step.is_calibration_check:
+        if step.dwell is not None and step.purpose is DwellPurpose.CALIBRATION:
             first.setdefault(step.dwell, step)
     return [
         PlannedDwell(

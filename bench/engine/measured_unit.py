@@ -13,6 +13,7 @@ from gyrobench.bench.engine.dwell_recorder import DwellRecorder
 from gyrobench.bench.engine.live_unit import LiveUnit
 from gyrobench.bench.engine.run_context import RunContext
 from gyrobench.bench.foundations.errors import SignalMapError
+from gyrobench.bench.procedure.plan import DwellPurpose
 from gyrobench.drivers.frames import FrameBlock
 
 
@@ -47,9 +48,9 @@ class MeasuredUnit:
         """
         marks, outcome, state = self.recorder.marks(), self.run.outcome, self.run.state
         frames = self.live.end_capture()
-        if not marks.gives_bias:
+        if not marks.purpose.gives_bias:
             return self._finish_recorded(marks, frames)
-        measure = measure_check_dwell if marks.is_calibration_check else measure_dwell
+        measure = measure_check_dwell if marks.purpose is DwellPurpose.CALIBRATION_CHECK else measure_dwell
         measured = measure(marks, frames, self.run.setup)
         is_map_wrong = bool(measured.setup_fault) and (self._contradicted or not self._has_agreed())
         self._contradicted = bool(measured.setup_fault)
@@ -82,10 +83,11 @@ class MeasuredUnit:
             return False
         self.journal.record("dwell_finished", marks=marks.to_json(), flags=flags)
         self.run.state.finished.add(marks.dwell)
-        if marks.is_rotated and not marks.disturbances:
+        is_rotated = marks.purpose is DwellPurpose.ROTATIONS
+        if is_rotated and not marks.disturbances:
             for finding in self.run.outcome.rotations.add(marks, frames, self.run.setup):
                 self._noted(finding)
-        what = f"{len(marks.windows) - 1} rotations from" if marks.is_rotated else "noise in"
+        what = f"{len(marks.windows) - 1} rotations from" if is_rotated else "noise in"
         self._noted(f"{what} {marks.position}: {flags or 'recorded'}")
         return True
 

@@ -12,7 +12,14 @@ from functools import cache
 from gyrobench.bench.foundations.documents import Document, DocumentProblem, Location
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.navigation.table_axes import TurnOrMove, turn_text
-from gyrobench.bench.procedure.plan import Plan, PlannedStep, turn_steps_after, turns_of
+from gyrobench.bench.procedure.plan import (
+    SINGLE_NAVIGATION,
+    DwellPurpose,
+    Plan,
+    PlannedStep,
+    turn_steps_after,
+    turns_of,
+)
 from gyrobench.bench.procedure.rotations import RotatingStep, Spin
 from gyrobench.bench.procedure.steps import (
     MIN_NAVIGATION_S,
@@ -187,12 +194,11 @@ def _find_dwell_problems(plan: Plan) -> Iterator[DocumentProblem]:
         if dwell is None:
             yield from _outside_dwells(windows)
             continue
-        if group[0].is_rotated:
+        if group[0].purpose is DwellPurpose.ROTATIONS:
             yield from _mixed_with_rotations(group)
             continue
         turns = [planned for planned in group if isinstance(planned.step, Turn)]
-        is_single = group[0].is_calibration_check or group[0].is_noise_record
-        kind_problems = _turned_check if is_single else _one_sided
+        kind_problems = _turned_check if group[0].purpose in SINGLE_NAVIGATION else _one_sided
         yield from kind_problems(windows, [*turns, *_turn_that_follows(plan, group[-1])])
         yield from _until_without_turn(windows)
         yield from _not_turned_between(group)
@@ -283,8 +289,8 @@ def _not_turned_between(dwell: Sequence[PlannedStep]) -> Iterator[DocumentProble
 
 def _turn_advice(moves: Sequence[PlannedStep]) -> str:
     """What to do about two navigations in succession: one alone gives a bias only in a calibration check."""
-    if moves[0].is_calibration_check or moves[0].is_noise_record:
-        kind = "calibration check" if moves[0].is_calibration_check else "noise record"
+    if moves[0].purpose in SINGLE_NAVIGATION:
+        kind = "calibration check" if moves[0].purpose is DwellPurpose.CALIBRATION_CHECK else "noise record"
         return f": a {kind} has a single one. Make it longer, or put go_to and align between them"
     has_turn = any(isinstance(planned.step, Turn) for planned in moves)
     return ". Put a turn between them" + (", or make one longer" if has_turn else "")
@@ -339,7 +345,8 @@ def _verifying(steps: Sequence[PlannedStep]) -> Iterator[PlannedStep]:
         group = list(members)
         windows = [planned for planned in group if isinstance(planned.step, Navigate)]
         turned = any(isinstance(planned.step, Turn) for planned in group)
-        if dwell is not None and group[0].is_calibration_check and len(windows) == 1 and not turned:
+        is_check = dwell is not None and group[0].purpose is DwellPurpose.CALIBRATION_CHECK
+        if is_check and len(windows) == 1 and not turned:
             yield windows[0]
 
 
