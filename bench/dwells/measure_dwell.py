@@ -14,7 +14,7 @@ from gyrobench.bench.bias.bias_filter import StateSpaceEstimate, estimate_state_
 from gyrobench.bench.bias.bias_steps import BiasStep
 from gyrobench.bench.bias.budget import BudgetInputs
 from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, TurnPath
-from gyrobench.bench.bias.dwell_table import NEIGHBOURS_ON, NOT_MEASURED, DwellRow
+from gyrobench.bench.bias.dwell_table import NEIGHBOURS_ON, NOT_MEASURED, DwellRow, triple
 from gyrobench.bench.bias.joint_solution import JointInformation
 from gyrobench.bench.bias.noise_estimate import RestMotion, estimate_noise
 from gyrobench.bench.bias.noise_model import NoiseModel
@@ -31,7 +31,6 @@ from gyrobench.bench.dwells.temperatures import (
     DwellTemperatures,
     dwell_temperatures,
     gyro_temperatures_at,
-    triple,
     valid_temperatures,
 )
 from gyrobench.bench.foundations.arrays import ARCSEC_TO_RAD, UG_TO_MPS2, BoolArray, FloatArray
