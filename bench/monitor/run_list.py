@@ -30,9 +30,9 @@ from gyrobench.bench.monitor.snapshot import (
 )
 from gyrobench.bench.monitor.snapshot_recorder import (
     live_bins,
-    measured_dwells,
     planned_profile,
     profile_of_telemetry,
+    snapshot_dwells,
 )
 from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.procedure.procedure_file import load_procedure
@@ -95,7 +95,7 @@ def snapshot_of_unit(run: RunSnapshot, folder: RunFolder) -> RunSnapshot:
         bench=bench,
         attitude=None,
         dwell=None,
-        dwells=measured_dwells(rows),
+        dwells=snapshot_dwells(rows),
         finished_dwells=status.dwells,
         bins=live_bins(rows, procedure.bin_width_c),
     )
@@ -140,7 +140,7 @@ def snapshot_from_records(folder: RunFolder) -> RunSnapshot:
         measured=profile_of_telemetry(content.telemetry) if content.telemetry else MeasuredProfile(),
         bench=bench,
         attitude=_attitude(station, bench, content.dwells, journal),
-        dwells=measured_dwells(rows),
+        dwells=snapshot_dwells(rows),
         bins=live_bins(rows, plan.procedure.bin_width_c) if plan else (),
         messages=tuple(_messages(journal))[-MAX_MESSAGES:],
     )

@@ -111,7 +111,7 @@ def _evenly_thinned(values: FloatArray, max_count: int) -> tuple[float, ...]:
     return tuple(map(float, values))
 
 
-def measured_dwells(rows: Sequence[DwellRow]) -> tuple[SnapshotDwell, ...]:
+def snapshot_dwells(rows: Sequence[DwellRow]) -> tuple[SnapshotDwell, ...]:
     """Summary of each dwell."""
     return tuple(
         SnapshotDwell(row.dwell, row.cycle, row.position, row.gyro_c, row.bias_dph, row.sigma_dph, row.flags)
@@ -463,7 +463,7 @@ class SnapshotRecorder(RunObserver):
     def _take_dwells(self) -> None:
         self._has_new_dwell = False
         rows = [dwell.row for dwell in self._shown.dwells]
-        self._dwells = measured_dwells(rows)
+        self._dwells = snapshot_dwells(rows)
         width_c = self._plan.procedure.bin_width_c
         self._bins = live_bins(rows, width_c)
         self._bins_of_units = {
