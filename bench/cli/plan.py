@@ -13,7 +13,7 @@ from gyrobench.bench.cli.output import JsonOption, console, print_json, print_re
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError, RunFolderError
 
 if TYPE_CHECKING:
-    from gyrobench.bench.closure.planned_campaign import PlannedUnit
+    from gyrobench.bench.closure.planned_campaign import UnitProperties
     from gyrobench.bench.engine.job import Job
     from gyrobench.bench.station.station import Station
 
@@ -190,7 +190,7 @@ def _record(job: Job, figure: Path) -> dict[str, Any]:
 def _print_separability(job: Job, target_dph: float, folder: Path | None) -> None:
     from gyrobench.bench.closure.effects import all_effects
     from gyrobench.bench.closure.loop import repeat_search
-    from gyrobench.bench.closure.outlook import measured_unit, tie_outlooks
+    from gyrobench.bench.closure.outlook import measured_properties, tie_outlooks
     from gyrobench.bench.closure.planned_campaign import planned_campaign
     from gyrobench.bench.closure.procedure_changes import advise, advise_ties
     from gyrobench.bench.closure.separability import searched_dwells, separability
@@ -198,13 +198,13 @@ def _print_separability(job: Job, target_dph: float, folder: Path | None) -> Non
     from gyrobench.bench.report.figures.style import save_figure
     from gyrobench.bench.report.terminal.separability import closure_outlook, separability_summary
 
-    unit, name, closure = planned_unit(job.station), job.plan.procedure.procedure, None
+    unit, name, closure = declared_properties(job.station), job.plan.procedure.procedure, None
     if folder:
         try:
             closure = repeat_search(folder)
         except (MeasurementError, RunFolderError) as error:
             raise DocumentError(str(error)) from error
-        unit = measured_unit(closure, job.plan.steps[0].before.thermal)
+        unit = measured_properties(closure, job.plan.steps[0].before.thermal)
     try:
         campaign = planned_campaign(job.plan, unit)
     except MeasurementError as error:
@@ -227,12 +227,12 @@ def _print_separability(job: Job, target_dph: float, folder: Path | None) -> Non
     typer.echo(f"Figure   {path}")
 
 
-def planned_unit(station: Station) -> PlannedUnit:
+def declared_properties(station: Station) -> UnitProperties:
     """The unit on a station: its sensors, and its noise where that is declared."""
-    from gyrobench.bench.closure.planned_campaign import PlannedUnit
+    from gyrobench.bench.closure.planned_campaign import UnitProperties
 
     signals, noise = station.file.ins.signals, station.file.ins.noise
-    unit = PlannedUnit(
+    unit = UnitProperties(
         has_boards=signals.gyro_electronics_temperature is not None,
         has_case=signals.case_temperature is not None,
     )

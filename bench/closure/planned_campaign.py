@@ -27,7 +27,7 @@ _S_PER_H = 3600.0
 
 
 @dataclass(frozen=True)
-class PlannedUnit:
+class UnitProperties:
     """Properties of a unit that determine the uncertainty of its dwells."""
 
     #: Angle random walk of each gyro; of all three, or shape (3,).
@@ -54,7 +54,7 @@ class _Navigation:
     set_c: float
 
 
-def planned_campaign(plan: Plan, unit: PlannedUnit) -> Campaign:
+def planned_campaign(plan: Plan, unit: UnitProperties) -> Campaign:
     """Predict the dwells of a plan.
 
     The biases are zero. Their uncertainty is the angle random walk over the navigation time of a dwell.

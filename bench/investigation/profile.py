@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.closure.planned_campaign import PlannedUnit, planned_campaign
+from gyrobench.bench.closure.planned_campaign import UnitProperties, planned_campaign
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.investigation.blocks import BlockKind, BlockStart, Timeline
@@ -48,7 +48,7 @@ class Profile:
 
         Raises DocumentError if it has fewer than two temperatures, and MeasurementError without dwells.
         """
-        campaign = planned_campaign(plan, PlannedUnit())
+        campaign = planned_campaign(plan, UnitProperties())
         waits_h = (campaign.start_s - np.append(0.0, campaign.end_s[:-1])) / _S_PER_H
         visits = []
         places = zip(campaign.cycle.tolist(), campaign.set_c.tolist(), range(len(campaign)), strict=True)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from gyrobench.bench.cli.plan import planned_unit
+from gyrobench.bench.cli.plan import declared_properties
 from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.planned_campaign import planned_campaign
 from gyrobench.bench.closure.procedure_changes import advise
@@ -28,7 +28,7 @@ def now_of(plan, unit):
 @pytest.fixture(scope="module")
 def fig7():
     document, plan = shipped("six_position_fig7")
-    unit = planned_unit(station())
+    unit = declared_properties(station())
     return document, plan, unit, now_of(plan, unit)
 
 
