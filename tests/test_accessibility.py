@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from gyrobench.bench.monitor.site import Site
+from gyrobench.bench.monitor.website import Website
 from tests.bench.command_line import gyrobench
 from tests.bench.monitor.sample_snapshots import made_up_snapshot, waiting_snapshot
 from tests.bench.monitor.served_run import now, run_under_way
@@ -38,8 +38,8 @@ def monitored(tmp_path_factory):
     for name, snapshot in (("monitor", made_up_snapshot()), ("question", waiting_snapshot())):
         (place / name).mkdir()
         with run_under_way(place / name / "run", snapshot):
-            found[name] = Site(place / name / "run", now).answer("/").body.decode()
-            found["list of runs"] = Site(place / name, now).answer("/").body.decode()
+            found[name] = Website(place / name / "run", now).answer("/").body.decode()
+            found["list of runs"] = Website(place / name, now).answer("/").body.decode()
     return found
 
 
@@ -56,7 +56,7 @@ def written(tmp_path_factory):
     return {
         "report": (run / "report.html").read_text(encoding="utf-8"),
         "search for effects": (run / "closure/closure.html").read_text(encoding="utf-8"),
-        "record in the monitor": Site(run, now).answer("/").body.decode(),
+        "record in the monitor": Website(run, now).answer("/").body.decode(),
     }
 
 

@@ -123,7 +123,7 @@ def _emulator_schema(kind: str) -> str:
     return _emulator_documents("schema", kind)
 
 
-def check_emulator_file(kind: str, path: Path) -> None:
+def _check_emulator_file(kind: str, path: Path) -> None:
     """Check a ``world`` or ``faults`` file; a DocumentError lists all problems with their places."""
     _emulator_documents("check", kind, str(path))
 
@@ -150,7 +150,7 @@ _ENTRY = {"$ref": "#/$defs/entry"}
 _SCALARS = {"number", "integer", "string"}
 
 
-def procedure_schema(title: str) -> Schema:
+def _procedure_schema(title: str) -> Schema:
     """Write the schema of procedures, draft 2020-12."""
     schema = json_schema(Procedure, title)
     loop = _section(json_schema(Repeat, ""))
@@ -230,7 +230,7 @@ EDITOR_MARK = "# yaml-language-server: $schema="
 def schema_of(kind: FileKind) -> Schema:
     """Write the schema of a kind of file from its model, draft 2020-12."""
     if kind is PROCEDURE:
-        return procedure_schema(kind.title)
+        return _procedure_schema(kind.title)
     if kind.model is None:
         return emulator_schema(kind.name)
     return json_schema(kind.model, kind.title)
@@ -320,7 +320,7 @@ def _summary(document: Document, kind: FileKind, station: Station | None) -> str
     elif kind.model is not None:
         validate(document, kind.model)
     else:
-        check_emulator_file(kind.name, document.path)
+        _check_emulator_file(kind.name, document.path)
     return ""
 
 

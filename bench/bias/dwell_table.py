@@ -16,6 +16,13 @@ from gyrobench.bench.navigation.positions import AXES, POSITIONS
 #: Values of the x, y and z gyro.
 Triple = tuple[float, float, float]
 
+
+def triple(values: Iterable[float]) -> Triple:
+    """Values of the x, y and z gyro as plain numbers."""
+    x, y, z = map(float, values)
+    return x, y, z
+
+
 _SCALARS = ("azimuth_deg", "start_s", "end_s", "since_power_on_s", "chamber_set_c", "chamber_c", "case_c")
 _TRIPLES = {
     "gyro_c": "gyro_{}_c",
@@ -220,7 +227,7 @@ def _cells(row: DwellRow) -> list[str]:
 def _row(table: CsvTable, index: int, other: Sequence[str]) -> DwellRow:
     failed = bool(table.text(index, "flags"))
 
-    def triple(name: str) -> Triple:
+    def read_triple(name: str) -> Triple:
         read = _READERS.get(name, CsvTable.number)
         columns = (_TRIPLES[name].format(axis) for axis in AXES)
         x, y, z = (read(table, index, column, failed or name in _OPTIONAL) for column in columns)
@@ -229,7 +236,7 @@ def _row(table: CsvTable, index: int, other: Sequence[str]) -> DwellRow:
     values: dict[str, Any] = {
         name: table.number(index, name, may_be_empty=name in _OPTIONAL) for name in (*_SCALARS, *_FIT)
     }
-    values |= {name: triple(name) for name in _TRIPLES}
+    values |= {name: read_triple(name) for name in _TRIPLES}
     row = DwellRow(
         unit=table.name(index, "unit"),
         run=table.name(index, "run"),

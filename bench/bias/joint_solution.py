@@ -122,7 +122,7 @@ def declared_root(prior: PriorKnowledge, earth_rate: FloatArray) -> FloatArray:
     )
 
 
-def north_free_root(prior: PriorKnowledge, earth_rate: FloatArray) -> FloatArray:
+def _north_free_root(prior: PriorKnowledge, earth_rate: FloatArray) -> FloatArray:
     """The same with any rate North; a rate Up stays in the biases of the vertical gyros."""
     root = declared_root(prior, earth_rate)
     root[NAVIGATION_RATE, NAVIGATION_RATE] = np.diag([_ANY_RATE, 0.0])
@@ -143,7 +143,7 @@ def free_root(root: FloatArray, gyro_scale_factors: bool = True) -> FloatArray:
     return free
 
 
-def solve_alone(dwell: JointInformation, shared_root: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _solve_alone(dwell: JointInformation, shared_root: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Solve one dwell by itself; its biases (3,) and their covariance (3, 3)."""
     unknowns, covariance = solve(*_system([dwell], shared_root))
     return unknowns[SHARED:], covariance[SHARED:, SHARED:]
@@ -180,7 +180,7 @@ class JointDwell:
 
     number: int  #: Of the dwell; no two dwells of a run have the same.
     position_name: str  #: Key of :data:`gyrobench.bench.navigation.positions.POSITIONS`.
-    rows: JointInformation  #: Of the same prior knowledge as the solution.
+    information: JointInformation  #: Of the same prior knowledge as the solution.
     cycle: int = 1  #: Cycle of the temperature profile.
     chamber_set_c: float = math.nan  #: Set point of the chamber; NaN where there is none.
     #: Mean temperature of each gyro; NaN where not measured.
@@ -294,14 +294,14 @@ def solve_jointly(dwells: Sequence[JointDwell], prior: PriorKnowledge) -> JointS
     """
     if not dwells:
         raise MeasurementError("there is no dwell to solve; a joint solution needs at least one")
-    earth_rate = dwells[0].rows.earth_rate
-    rows = [dwell.rows for dwell in dwells]
-    root, free_root = declared_root(prior, earth_rate), north_free_root(prior, earth_rate)
-    fit, north_free_fit = solve_together(rows, root), solve_together(rows, free_root)
+    earth_rate = dwells[0].information.earth_rate
+    information = [dwell.information for dwell in dwells]
+    root, north_free_root = declared_root(prior, earth_rate), _north_free_root(prior, earth_rate)
+    fit, north_free_fit = solve_together(information, root), solve_together(information, north_free_root)
     pairs = _pairs(dwells, north_free_fit, prior.bias_slope)
     return JointSolution(
         dwells=tuple(dwells),
-        single=_side_by_side([solve_alone(each, root) for each in rows]),
+        single=_side_by_side([_solve_alone(each, root) for each in information]),
         together=_biases(fit),
         north_free=_biases(north_free_fit),
         fit=fit,
@@ -319,7 +319,7 @@ def pooled_up_rate(solutions: Sequence[JointSolution], prior: PriorKnowledge) ->
     agreeing = [each for each in solutions if each.agrees]
     if not agreeing:
         return None
-    earth_rate = agreeing[0].dwells[0].rows.earth_rate
+    earth_rate = agreeing[0].dwells[0].information.earth_rate
     return up_rate([each.pairs for each in agreeing], earth_rate, prior.latitude)
 
 

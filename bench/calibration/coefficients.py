@@ -39,7 +39,7 @@ LOWER = np.tril_indices(3)
 
 
 @dataclass(frozen=True)
-class Coefficient:
+class SensorCoefficient:
     """One coefficient."""
 
     sensor: str  #: "gyro" or "accelerometer".
@@ -55,16 +55,16 @@ class Coefficient:
         return f"{self.sensor}_{self.kind}"
 
 
-def _bias(sensor: str, axis: str) -> Coefficient:
+def _bias(sensor: str, axis: str) -> SensorCoefficient:
     if sensor == "gyro":
-        return Coefficient(sensor, "bias", axis, "deg/h", RADPS_TO_DPH, 0.002)
-    return Coefficient(sensor, "bias", axis, "ug", 1.0 / UG_TO_MPS2, 0.1)
+        return SensorCoefficient(sensor, "bias", axis, "deg/h", RADPS_TO_DPH, 0.002)
+    return SensorCoefficient(sensor, "bias", axis, "ug", 1.0 / UG_TO_MPS2, 0.1)
 
 
-def _element(sensor: str, i: int, j: int) -> Coefficient:
+def _element(sensor: str, i: int, j: int) -> SensorCoefficient:
     if i == j:
-        return Coefficient(sensor, "scale_factor", AXES[i], "ppm", 1e6, 0.01)
-    return Coefficient(sensor, "misalignment", AXES[i] + AXES[j], "arcsec", RAD_TO_ARCSEC, 0.01)
+        return SensorCoefficient(sensor, "scale_factor", AXES[i], "ppm", 1e6, 0.01)
+    return SensorCoefficient(sensor, "misalignment", AXES[i] + AXES[j], "arcsec", RAD_TO_ARCSEC, 0.01)
 
 
 _ALL = tuple((i, j) for i in range(3) for j in range(3))
@@ -73,7 +73,7 @@ _LOWER = tuple((int(i), int(j)) for i, j in zip(*LOWER, strict=True))
 
 def _coefficients(
     gyro: Sequence[tuple[int, int]], force: Sequence[tuple[int, int]]
-) -> tuple[Coefficient, ...]:
+) -> tuple[SensorCoefficient, ...]:
     return (
         *(_bias("gyro", axis) for axis in AXES),
         *(_element("gyro", *place) for place in gyro),
@@ -90,13 +90,13 @@ GYRO_FRAME_COEFFICIENTS = _coefficients(_LOWER, _ALL)
 #: and their quadratic terms, ``K2 f^2``.
 BESIDE = (
     *(
-        Coefficient("accelerometer", "lever_arm", AXES[i] + AXES[j], "mm", 1e3, 0.2)
+        SensorCoefficient("accelerometer", "lever_arm", AXES[i] + AXES[j], "mm", 1e3, 0.2)
         for i in range(3)
         for j in range(3)
     ),
-    Coefficient("accelerometer", "delay", "", "ms", 1e3, 0.01),
+    SensorCoefficient("accelerometer", "delay", "", "ms", 1e3, 0.01),
     *(
-        Coefficient("accelerometer", "quadratic", axis, "ug/g2", STANDARD_GRAVITY**2 / UG_TO_MPS2, 1e-4)
+        SensorCoefficient("accelerometer", "quadratic", axis, "ug/g2", STANDARD_GRAVITY**2 / UG_TO_MPS2, 1e-4)
         for axis in AXES
     ),
 )
@@ -187,7 +187,7 @@ class CoefficientEstimate:
     values: FloatArray
     covariance: FloatArray
     is_observed: BoolArray
-    coefficients: tuple[Coefficient, ...] = field(default=COEFFICIENTS, kw_only=True)
+    coefficients: tuple[SensorCoefficient, ...] = field(default=COEFFICIENTS, kw_only=True)
     #: Shapes (n, n). Covariances by source, which add up to the covariance; empty where it is not split.
     parts: Mapping[str, FloatArray] = field(default_factory=dict, kw_only=True)
 

@@ -41,14 +41,14 @@ from gyrobench.bench.calibration.information import (
 )
 from gyrobench.bench.calibration.recording import (
     IncrementRecording,
+    RecordedRotation,
     Rest,
-    Rotation,
     SensorNoise,
     find_rests,
     find_rotations,
     measure_noise,
 )
-from gyrobench.bench.calibration.section import Section
+from gyrobench.bench.calibration.section import IncrementSection
 from gyrobench.bench.calibration.strapdown import UNKNOWNS, Trajectory
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
@@ -94,12 +94,12 @@ class Calibration(CoefficientEstimate):
     noise: SensorNoise  #: As measured at rest or declared.
     recordings: tuple[IncrementRecording, ...]
     rests: tuple[tuple[Rest, ...], ...]  #: Of each recording.
-    rotations: tuple[tuple[Rotation, ...], ...]  #: Of each recording.
+    rotations: tuple[tuple[RecordedRotation, ...], ...]  #: Of each recording.
     gravity: tuple[float, float]  #: Assumed gravity and its standard uncertainty, m/s^2.
     #: Test that the noise explains what the coefficients leave of the velocity. Where it does not, the
     #: uncertainties are larger by the root of chi2 over its degrees of freedom.
     fit: Chi2Test
-    sections: tuple[Section, ...]  #: Of each recording, between rests.
+    sections: tuple[IncrementSection, ...]  #: Of each recording, between rests.
     starts: tuple[FloatArray, ...]  #: Attitude ``C_nb`` (3, 3) at the start of each.
     unknowns: FloatArray  #: Shape (34,). Values that the increments are freed of, observed or not.
     trajectories: tuple[Trajectory, ...]  #: Of the sections, at values close to these.
@@ -140,8 +140,12 @@ def calibrate(
     _check_force(recordings, rests, gravity)
     bias = _first_bias(recordings, rests)
 
-    def problem_with(rotations: Sequence[Sequence[Rotation]], options: CalibrationOptions) -> _Problem:
-        sections = [Section.between_rests(*each) for each in zip(recordings, rests, rotations, strict=True)]
+    def problem_with(
+        rotations: Sequence[Sequence[RecordedRotation]], options: CalibrationOptions
+    ) -> _Problem:
+        sections = [
+            IncrementSection.between_rests(*each) for each in zip(recordings, rests, rotations, strict=True)
+        ]
         return _Problem(sections, bias, noise, site, options)
 
     if options.whole_turns is not None and any(
@@ -223,7 +227,7 @@ class _Solution:
 class _Problem:
     """What the coefficients are estimated from."""
 
-    sections: Sequence[Section]
+    sections: Sequence[IncrementSection]
     bias: FloatArray  #: Shape (3,). Of the gyros, rad/s, where to begin.
     noise: SensorNoise
     site: Site

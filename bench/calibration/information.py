@@ -11,7 +11,7 @@ import numpy as np
 from gyrobench.bench.bias.statistics import compress, solve
 from gyrobench.bench.calibration.coefficients import BESIDE, COEFFICIENTS, COUNT
 from gyrobench.bench.calibration.recording import SensorNoise
-from gyrobench.bench.calibration.section import Section
+from gyrobench.bench.calibration.section import IncrementSection
 from gyrobench.bench.calibration.strapdown import (
     ATTITUDE,
     DELAY,
@@ -83,7 +83,7 @@ class CalibrationOptions:
 
 
 def integrated_sections(
-    sections: Sequence[Section],
+    sections: Sequence[IncrementSection],
     starts: Sequence[FloatArray],
     common: FloatArray,
     site: Site,
@@ -110,7 +110,7 @@ class Information:
     @classmethod
     def of(
         cls,
-        sections: Sequence[Section],
+        sections: Sequence[IncrementSection],
         trajectories: Sequence[Trajectory],
         common: FloatArray,
         noise: SensorNoise,

@@ -34,14 +34,14 @@ def joint_coefficients(solution: JointSolution, prior: PriorKnowledge) -> Coeffi
     the gyros is left out, what is known of latitude, mount and drift of the accelerometers is not. A gyro's
     bias is the mean of the dwells. ``prior``: as for the solution.
     """
-    rows = [dwell.rows for dwell in solution.dwells]
-    root = free_root(declared_root(prior, rows[0].earth_rate))
-    fit = solve_together(rows, root)
+    information = [dwell.information for dwell in solution.dwells]
+    root = free_root(declared_root(prior, information[0].earth_rate))
+    fit = solve_together(information, root)
     shared = np.arange(SHARED)
     lower = np.ravel_multi_index(LOWER, (3, 3))
     chosen = [*shared[GYRO_MATRIX], *shared[ACCELEROMETER_BIAS], *shared[ACCELEROMETER_MATRIX][lower]]
     to_coefficients = np.zeros((COUNT, len(fit.unknowns)))
-    to_coefficients[:3, SHARED:] = np.tile(np.eye(3), len(rows)) / len(rows)
+    to_coefficients[:3, SHARED:] = np.tile(np.eye(3), len(information)) / len(information)
     to_coefficients[np.arange(3, COUNT), chosen] = 1.0
     covariance = to_coefficients @ fit.covariance @ to_coefficients.T
     sizes = np.array([np.inf] * 3 + list(np.diag(root)[chosen]))
@@ -49,15 +49,17 @@ def joint_coefficients(solution: JointSolution, prior: PriorKnowledge) -> Coeffi
         to_coefficients @ fit.unknowns,
         covariance,
         np.sqrt(np.diag(covariance)) < _MAX_LEFT * sizes,
-        parts=_parts(rows, root, fit, to_coefficients),
+        parts=_parts(information, root, fit, to_coefficients),
     )
 
 
 def _parts(
-    rows: Sequence[JointInformation], root: FloatArray, fit: JointFit, to_coefficients: FloatArray
+    information: Sequence[JointInformation], root: FloatArray, fit: JointFit, to_coefficients: FloatArray
 ) -> dict[str, FloatArray]:
     """Covariances (21, 21) by the data of the dwells, by the latitude, and by the assumed sizes."""
-    placed = np.vstack([each.for_joint_unknowns(number, len(rows)) for number, each in enumerate(rows)])
+    placed = np.vstack(
+        [each.for_joint_unknowns(number, len(information)) for number, each in enumerate(information)]
+    )
     gain = to_coefficients @ fit.covariance @ placed.T
     by_latitude = np.zeros(len(fit.unknowns))
     by_latitude[:SHARED] = root[:, NAVIGATION_RATE].sum(axis=1)

@@ -19,13 +19,13 @@ import numpy as np
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT
 from gyrobench.bench.calibration.information import ATTITUDE_ERROR, FORCE_SCALE, IS_FORCE_SCALE
-from gyrobench.bench.calibration.recording import SensorNoise
 from gyrobench.bench.calibration.rotation_list import (
     STEP_S,
-    Forecast,
+    ExpectedUncertainties,
     RotationList,
+    RotationSetup,
     TableRotation,
-    forecast,
+    expected_uncertainties,
     ideal_increments,
     motion,
 )
@@ -33,9 +33,8 @@ from gyrobench.bench.calibration.strapdown import ATTITUDE, epoch_steps
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.kernels import compiled
-from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import POSITIONS
-from gyrobench.bench.navigation.table_axes import Angles, TwoAxisTable
+from gyrobench.bench.navigation.table_axes import Angles
 
 #: Lists kept of each length, and the longest.
 _BEAM, _MAX_ROTATIONS = 60, 36
@@ -43,7 +42,7 @@ _BEAM, _MAX_ROTATIONS = 60, 36
 _MAX_TURNS = 10
 #: Length of an epoch, s; one value of the velocity at rest stands for those of each second.
 _EPOCH_S = 5.0
-#: Parts of the targets to search for, since the search is coarser than the forecast.
+#: Parts of the targets to search for, since the search is coarser than the expected uncertainties.
 _MARGINS = (1.0, 0.97, 0.9)
 _UNITS = {"deg/h": "dph", "ppm": "ppm", "arcsec": "arcsec", "ug": "ug"}
 #: Unknowns of a list.
@@ -80,32 +79,23 @@ def parse_targets(text: str) -> FloatArray:
 
 
 def shortest_list(
-    pattern: RotationList,
-    targets: FloatArray,
-    table: TwoAxisTable,
-    site: Site,
-    noise: SensorNoise,
-    max_rate_dps: float,
-    whole_turns: float | None = None,
-    site_sigmas: tuple[float, float] = (0.0, 0.0),
-    has_vertical: bool = True,
-) -> tuple[RotationList, Forecast]:
-    """A list of rotations that reaches the targets, and its forecast.
+    pattern: RotationList, targets: FloatArray, setup: RotationSetup
+) -> tuple[RotationList, ExpectedUncertainties]:
+    """A list of rotations that reaches the targets, and what it will know.
 
     ``pattern``: gives start, dwell and rate; its rotations are used, as far as needed, if nothing quicker is
-    found. ``targets`` (21,): largest uncertainties, SI; infinite where there is none. ``max_rate_dps`` and
-    after it: as of :func:`forecast`; whole turns are tried only with ``whole_turns``. Raises DocumentError if
-    no list reaches the targets.
+    found. ``targets`` (21,): largest uncertainties, SI; infinite where there is none. Whole turns are tried
+    only where ``setup`` states their uncertainty. Raises DocumentError if no list reaches the targets.
     """
     unseen = np.array(IS_FORCE_SCALE) & np.isfinite(targets)
-    if unseen.any() and not has_vertical:
+    if unseen.any() and not setup.has_vertical:
         raise DocumentError(
             "accelerometer scale factors are not observable without increments (ins.signals.increments). "
             "Leave their targets out"
         )
     left: list[str] = []
     for margin in _MARGINS:
-        search = _Search(pattern, margin * targets, table, site, noise, whole_turns, has_vertical)
+        search = _Search(pattern, margin * targets, setup)
         rotations, left = search.run()
         if left:
             break
@@ -116,7 +106,7 @@ def shortest_list(
                 "rotations": rotations,
             }
         )
-        expected = forecast(found, table, site, noise, max_rate_dps, whole_turns, site_sigmas, has_vertical)
+        expected = expected_uncertainties(found, setup)
         missed = np.isfinite(targets) & ~((expected.sigmas <= targets) & expected.is_observed)
         if not missed.any():
             return found, expected
@@ -163,26 +153,16 @@ class _Partial:
 
 
 class _Search:
-    def __init__(
-        self,
-        pattern: RotationList,
-        targets: FloatArray,
-        table: TwoAxisTable,
-        site: Site,
-        noise: SensorNoise,
-        whole_turns: float | None,
-        has_vertical: bool,
-    ) -> None:
-        self._pattern, self._table, self._site, self._noise = pattern, table, site, noise
-        self._targets, self._whole_turns = targets, whole_turns
-        self._white = float(np.mean(noise.white_velocity**2)) / _EPOCH_S
-        self._turn = (whole_turns or 0.0) ** 2
-        self._measured, self._sizes = 3 if has_vertical else 2, _SIZES.copy()
-        if not has_vertical:
+    def __init__(self, pattern: RotationList, targets: FloatArray, setup: RotationSetup) -> None:
+        self._pattern, self._targets, self._setup = pattern, targets, setup
+        self._white = float(np.mean(setup.noise.white_velocity**2)) / _EPOCH_S
+        self._turn = (setup.whole_turns or 0.0) ** 2
+        self._measured, self._sizes = 3 if setup.has_vertical else 2, _SIZES.copy()
+        if not setup.has_vertical:
             self._sizes[np.flatnonzero(IS_FORCE_SCALE)] = FORCE_SCALE
         self._cache: dict[tuple[float, float, str, float], _Movement] = {}
-        self._limits = {"outer": table.outer_limits_deg, "inner": table.inner_limits_deg}
-        self._start = table.angles(POSITIONS[pattern.start].C_nb())
+        self._limits = {"outer": setup.table.outer_limits_deg, "inner": setup.table.inner_limits_deg}
+        self._start = setup.table.angles(POSITIONS[pattern.start].C_nb())
 
     def run(self) -> tuple[list[TableRotation], list[str]]:
         """Rotations that reach the targets; or what the best list leaves too uncertain."""
@@ -239,7 +219,7 @@ class _Search:
         for axis, at_deg in zip(axes, angles, strict=True):
             low, high = self._limits[axis]
             sizes = [90.0, 180.0]
-            if self._whole_turns is not None:
+            if self._setup.whole_turns is not None:
                 room = min(max(high - at_deg, at_deg - low) / 360.0, _MAX_TURNS)
                 sizes += [360.0 * int(room)] * (room >= 1.0)
             for angle_deg in (sign * size for size in sizes for sign in (1.0, -1.0)):
@@ -279,7 +259,7 @@ class _Search:
             movement.covariance,
             movement.drive,
             movement.at_rest,
-            movement.is_spin and self._whole_turns is not None,
+            movement.is_spin and self._setup.whole_turns is not None,
             self._measured,
             self._white,
             self._turn,
@@ -294,10 +274,10 @@ class _Search:
         key = (outer, inner, rotation.axis, rotation.angle_deg) if rotation else (outer, inner, "", 0.0)
         if key not in self._cache:
             made = self._pattern.model_copy(update={"rotations": [rotation] if rotation else []})
-            attitude, at_rest, spins = motion(made, self._table, angles)
+            attitude, at_rest, spins = motion(made, self._setup.table, angles)
             rest = round(self._pattern.dwell_s / STEP_S) if rotation else 0
             attitude, at_rest = attitude[rest:], at_rest[rest:]
-            angle, velocity = ideal_increments(attitude, self._site)
+            angle, velocity = ideal_increments(attitude, self._setup.site)
             size = round(_EPOCH_S / STEP_S)
             ends = np.append(np.arange(size, len(angle), size), len(angle)).astype(np.int64)
             transition, covariance, drive = epoch_steps(
@@ -306,9 +286,9 @@ class _Search:
                 STEP_S,
                 ends,
                 attitude[0],
-                self._noise,
-                self._site.latitude,
-                self._site.gravity,
+                self._setup.noise,
+                self._setup.site.latitude,
+                self._setup.site.gravity,
             )
             drive = np.ascontiguousarray(drive[:, :, _COLUMNS] * self._sizes)
             self._cache[key] = _Movement(transition, covariance, drive, at_rest[ends], bool(spins))

@@ -98,7 +98,7 @@ class Rest:
 
 
 @dataclass(frozen=True, eq=False)
-class Rotation:
+class RecordedRotation:
     """What happened between two rests."""
 
     start_s: float  #: From the start of the recording.
@@ -167,7 +167,7 @@ def find_rests(recording: IncrementRecording) -> list[Rest]:
 
 def find_rotations(
     recording: IncrementRecording, rests: Sequence[Rest], angle: FloatArray | None = None
-) -> list[Rotation]:
+) -> list[RecordedRotation]:
     """What happened between each rest and the next.
 
     ``angle`` (n, 3): increments freed of known errors, which show more whole turns; by default as recorded.
@@ -180,7 +180,7 @@ def find_rotations(
         travelled = steps.sum(axis=0)
         axis = int(np.argmax(np.abs(travelled)))
         rotations.append(
-            Rotation(
+            RecordedRotation(
                 before.end * recording.interval_s,
                 len(steps) * recording.interval_s,
                 rotation_vectors(net_turn(steps)[np.newaxis])[0],

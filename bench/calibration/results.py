@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from gyrobench.bench.calibration.coefficients import COEFFICIENTS, Coefficient, CoefficientEstimate
+from gyrobench.bench.calibration.coefficients import COEFFICIENTS, CoefficientEstimate, SensorCoefficient
 from gyrobench.bench.calibration.estimator import Calibration
-from gyrobench.bench.calibration.rotation_list import Forecast
+from gyrobench.bench.calibration.rotation_list import ExpectedUncertainties
 from gyrobench.bench.calibration.spins import SpinScaleFactor
 from gyrobench.bench.foundations.arrays import (
     DEG_PER_SQRT_H_TO_SI,
@@ -74,7 +74,7 @@ def coefficient_rows(estimate: CoefficientEstimate) -> list[CoefficientRow]:
     ]
 
 
-def forecast_rows(expected: Forecast) -> list[dict[str, Any]]:
+def expected_rows(expected: ExpectedUncertainties) -> list[dict[str, Any]]:
     """Expected standard uncertainty of each coefficient; None where not observable."""
     return [
         {
@@ -115,7 +115,7 @@ def rest_rates(calibration: Calibration) -> list[RestRate]:
 
 def strongest_correlations(
     calibration: Calibration, least: float
-) -> list[tuple[Coefficient, Coefficient, float]]:
+) -> list[tuple[SensorCoefficient, SensorCoefficient, float]]:
     """Pairs of observed coefficients whose correlation is at least so large, strongest first."""
     correlations = calibration.correlations
     seen = np.flatnonzero(calibration.is_observed)
@@ -180,7 +180,7 @@ def write_calibration(folder: Path, calibration: Calibration, record: Mapping[st
     """
     texts = {
         "coefficients.csv": format_rows(list(CoefficientRow.__annotations__), coefficient_rows(calibration)),
-        "correlations.csv": correlations_table(calibration),
+        "correlations.csv": _correlations_table(calibration),
         "calibration.json": json.dumps(record, indent=1, ensure_ascii=False) + "\n",
     }
     make_folder(folder)
@@ -191,7 +191,7 @@ def write_calibration(folder: Path, calibration: Calibration, record: Mapping[st
     return [folder / name for name in texts]
 
 
-def correlations_table(estimate: CoefficientEstimate) -> str:
+def _correlations_table(estimate: CoefficientEstimate) -> str:
     """Text of ``correlations.csv``; empty cells where a coefficient is not observed."""
     names = [f"{each.name}_{each.axis}" for each in estimate.coefficients]
     seen = np.outer(estimate.is_observed, estimate.is_observed)

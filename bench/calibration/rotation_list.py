@@ -23,8 +23,8 @@ from gyrobench.bench.calibration.information import (
     integrated_sections,
 )
 from gyrobench.bench.calibration.recording import SensorNoise
-from gyrobench.bench.calibration.section import EPOCH_S, Section
-from gyrobench.bench.calibration.strapdown import UNKNOWNS, Epochs
+from gyrobench.bench.calibration.section import EPOCH_S, IncrementSection
+from gyrobench.bench.calibration.strapdown import UNKNOWNS, IncrementEpochs
 from gyrobench.bench.foundations.arrays import (
     DEG_PER_SQRT_H_TO_SI,
     STANDARD_GRAVITY,
@@ -125,41 +125,44 @@ def expected_noise(
 
 
 @dataclass(frozen=True, eq=False)
-class Forecast:
+class RotationSetup:
+    """What a list of rotations is measured with."""
+
+    table: TwoAxisTable
+    site: Site
+    noise: SensorNoise  #: Of the unit.
+    max_rate_dps: float  #: Of the table.
+    whole_turns: float | None = None  #: Standard uncertainty of its return after whole turns, rad.
+    site_sigmas: tuple[float, float] = (0.0, 0.0)  #: Of gravity, m/s^2, and latitude, rad.
+    has_vertical: bool = True  #: Whether the vertical velocity is measured, as by increments.
+
+
+@dataclass(frozen=True, eq=False)
+class ExpectedUncertainties:
     """What a calibration over a list of rotations will know."""
 
     duration_s: float
-    sigmas: (
-        FloatArray  #: Shape (21,). Expected standard uncertainties, SI; without meaning where not observed.
-    )
+    sigmas: FloatArray  #: Shape (21,). Standard uncertainties, SI; without meaning where not observed.
     is_observed: BoolArray  #: Shape (21,).
 
 
-def forecast(
-    rotations: RotationList,
-    table: TwoAxisTable,
-    site: Site,
-    noise: SensorNoise,
-    max_rate_dps: float,
-    whole_turns: float | None = None,
-    site_sigmas: tuple[float, float] = (0.0, 0.0),
-    has_vertical: bool = True,
-) -> Forecast:
+def expected_uncertainties(rotations: RotationList, setup: RotationSetup) -> ExpectedUncertainties:
     """Expected uncertainties by Fisher information, of biases that do not drift.
 
-    ``max_rate_dps``: limit of the table. ``whole_turns``: standard uncertainty, rad, of its return after
-    whole turns. ``site_sigmas``: of gravity, m/s^2, and latitude, rad. ``has_vertical``: whether the vertical
-    velocity is measured, as by increments. Raises DocumentError if the table can't do the rotations.
+    Raises DocumentError if the table can't do the rotations.
     """
+    table, site, noise, whole_turns = setup.table, setup.site, setup.noise, setup.whole_turns
     start = table.angles(POSITIONS[rotations.start].C_nb())
-    _check(rotations, table, start, max_rate_dps)
+    _check(rotations, table, start, setup.max_rate_dps)
     attitude, at_rest, spins = motion(rotations, table, start)
     angle, velocity = ideal_increments(attitude, site)
     size = round(EPOCH_S / STEP_S)
     ends = np.arange(size, len(angle) + 1, size, dtype=np.int64)
     turns = [(first // size, -(-last // size), np.eye(3)) for first, last in spins]
-    section = Section(STEP_S, angle, velocity, len(angle), Epochs(ends, at_rest[ends], turns, has_vertical))
-    gravity_sigma, latitude_sigma = site_sigmas
+    section = IncrementSection(
+        STEP_S, angle, velocity, len(angle), IncrementEpochs(ends, at_rest[ends], turns, setup.has_vertical)
+    )
+    gravity_sigma, latitude_sigma = setup.site_sigmas
     options = CalibrationOptions(
         whole_turns=whole_turns, gravity_sigma=gravity_sigma, latitude_sigma=latitude_sigma
     )
@@ -167,10 +170,10 @@ def forecast(
     trajectories = integrated_sections([section], [attitude[0]], common, site, options)
     ideal = Information.of([section], trajectories, common, noise, site, options)
     _, covariance, is_observed = ideal.solve()
-    if not has_vertical:
+    if not setup.has_vertical:
         is_observed[:COUNT] &= ~np.array(IS_FORCE_SCALE)
     covariance = covariance[:COUNT, :COUNT] + sum(ideal.site_parts(site, options).values())
-    return Forecast(rotations.duration_s, np.sqrt(np.diag(covariance)), is_observed[:COUNT])
+    return ExpectedUncertainties(rotations.duration_s, np.sqrt(np.diag(covariance)), is_observed[:COUNT])
 
 
 def _check(rotations: RotationList, table: TwoAxisTable, start: Angles, max_rate_dps: float) -> None:

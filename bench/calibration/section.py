@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrobench.bench.calibration.coefficients import COUNT, SensorErrors
-from gyrobench.bench.calibration.recording import IncrementRecording, Rest, Rotation
+from gyrobench.bench.calibration.recording import IncrementRecording, RecordedRotation, Rest
 from gyrobench.bench.calibration.strapdown import (
     ATTITUDE,
     DELAY,
     LEVER_ARMS,
     QUADRATIC,
-    Epochs,
+    IncrementEpochs,
     Trajectory,
     attitudes,
     integrated,
@@ -45,19 +45,19 @@ class SpinError:
 
 
 @dataclass(frozen=True, eq=False)
-class Section:
+class IncrementSection:
     """Increments from a first rest to a last one, in epochs."""
 
     interval_s: float
     angle: FloatArray  #: Shape (k, 3). Rad.
     velocity: FloatArray  #: Shape (k, 3). M/s.
     first: int  #: Increments of the first rest.
-    epochs: Epochs
+    epochs: IncrementEpochs
 
     @classmethod
     def between_rests(
-        cls, recording: IncrementRecording, rests: Sequence[Rest], rotations: Sequence[Rotation]
-    ) -> Section:
+        cls, recording: IncrementRecording, rests: Sequence[Rest], rotations: Sequence[RecordedRotation]
+    ) -> IncrementSection:
         """From a recording, with what was found in it."""
         offset, size = rests[0].begin, max(1, round(EPOCH_S / recording.interval_s))
         ends = np.arange(size, rests[-1].end - offset + 1, size, dtype=np.int64)
@@ -73,7 +73,7 @@ class Section:
             if turned is not None and rotation.kind != "disturbance" and turned[2, 2] > _MIN_UP:
                 headings.append((*edges, turned))
         angle, velocity = recording.angle[offset:], recording.velocity[offset:]
-        epochs = Epochs(ends, at_rest, spins, recording.has_vertical, headings)
+        epochs = IncrementEpochs(ends, at_rest, spins, recording.has_vertical, headings)
         return cls(recording.interval_s, angle, velocity, rests[0].end - offset, epochs)
 
     def aligned(self, errors: SensorErrors) -> FloatArray:
@@ -116,7 +116,7 @@ class Section:
         """Of the epochs, shape (n,)."""
         return np.asarray(np.diff(self.epochs.ends, prepend=0) * self.interval_s)
 
-    def retimed(self, factor: float, of_rates: bool) -> Section:
+    def retimed(self, factor: float, of_rates: bool) -> IncrementSection:
         """The same with another interval; ``of_rates``: increments are rates times the interval."""
         scale = factor if of_rates else 1.0
         return replace(

@@ -54,7 +54,7 @@ _MIN_VELOCITY, _MIN_ANGLE = 1e-8, 1e-10
 
 
 @dataclass(frozen=True, eq=False)
-class Epochs:
+class IncrementEpochs:
     """Where in n epochs of increments the unit rests."""
 
     ends: IntArray  #: Shape (n,). Number of increments up to the end of each epoch.
@@ -70,7 +70,7 @@ class Epochs:
 def white_rows(
     trajectory: Trajectory,
     lengths_s: FloatArray,
-    epochs: Epochs,
+    epochs: IncrementEpochs,
     noise: SensorNoise,
     latitude: float,
     whole_turns: float | None,
@@ -329,7 +329,7 @@ def epoch_steps(
 _Turn = tuple[int, int, FloatArray, tuple[float, float, float]]
 
 
-def _turns(epochs: Epochs, whole_turns: float | None, heading: float | None) -> list[_Turn]:
+def _turns(epochs: IncrementEpochs, whole_turns: float | None, heading: float | None) -> list[_Turn]:
     """Epochs before and after each rotation that counts, the rotation (3, 3), its uncertainties E, N, U."""
     turns: dict[int, _Turn] = {}
     if heading is not None:

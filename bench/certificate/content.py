@@ -21,8 +21,9 @@ import numpy as np
 from gyrobench.bench.bias.bins import BiasBin
 from gyrobench.bench.bias.budget import NORMAL_K, coverage_factor
 from gyrobench.bench.bias.statistics import weighted_fit
-from gyrobench.bench.closure.inputs import read_closure
+from gyrobench.bench.closure.files import holds_search
 from gyrobench.bench.closure.loadable_model import model_with_effects
+from gyrobench.bench.closure.loop import repeat_search
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.clock import WallClock, parsed_utc
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError, RunFolderError
@@ -359,10 +360,10 @@ def _coefficients(rows: Sequence[PlateauCoefficientRow], covered: Coverage) -> I
 
 def _model(folder: RunFolder, run: RunContent) -> tuple[list[ModelNumber], str]:
     """Numbers of the model of `gyrobench close`, else of a polynomial fitted to the dwells."""
-    if not (folder.closure / "closure.json").exists():
+    if not holds_search(folder.closure):
         return [number for gyro in AXES for number in _polynomial(gyro, run)], _POLYNOMIAL
     try:
-        closure = read_closure(folder.path)
+        closure = repeat_search(folder.path)
         model = model_with_effects(closure)
     except (MeasurementError, DocumentError) as error:
         raise RunFolderError(f"{folder.closure}: {error}. Repeat gyrobench close") from error

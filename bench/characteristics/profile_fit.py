@@ -153,7 +153,7 @@ def thermal_sensitivity(rows: Sequence[DwellRow], reference_c: float | None, deg
         linear = np.column_stack([powers, rate / 60.0])
         widths = np.geomspace(_NARROWEST_C, _WIDEST * span_c, _WIDTHS)
         path_c = temperature[:, np.newaxis] + rate[:, np.newaxis] / 3600.0 * away_s
-        states = [play_state(path_c.ravel(), each).reshape(path_c.shape).mean(axis=1) for each in widths]
+        states = [_play_state(path_c.ravel(), each).reshape(path_c.shape).mean(axis=1) for each in widths]
         designs = np.array([np.column_stack([linear, 0.5 * state, constants]) for state in states])
         fit = profile_fit(bias, sigma, designs)
         zeros_c.append(zero_c)
@@ -178,7 +178,7 @@ def thermal_sensitivity(rows: Sequence[DwellRow], reference_c: float | None, deg
                 "intervals include this, but something else acts on the bias. Try gyrobench close."
             )
         offset = constants @ fit.coefficients[degree + 2 :]
-        is_cooling = play_state(temperature, _REVERSAL_C) > 0.0
+        is_cooling = _play_state(temperature, _REVERSAL_C) > 0.0
         parts = [
             f"{'cooling' if cooling else 'heating'}, cycle {row.cycle}"
             for cooling, row in zip([is_cooling[1], *is_cooling[1:]], good, strict=True)
@@ -189,7 +189,7 @@ def thermal_sensitivity(rows: Sequence[DwellRow], reference_c: float | None, deg
     return TestResult(test="thermal_sensitivity", coefficients=coefficients, curves=curves, notes=notes)
 
 
-def play_state(temperature_c: FloatArray, half_width_c: float) -> FloatArray:
+def _play_state(temperature_c: FloatArray, half_width_c: float) -> FloatArray:
     """History (n,) of temperatures in the order of time: -1 after enough heating, +1 after enough cooling."""
     states = np.empty(len(temperature_c))
     follower_c = temperature_c[0] if len(states) else 0.0

@@ -2,45 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from gyrobench.bench.cli.options import complete_run
 from gyrobench.bench.cli.output import JsonOption, console, print_json
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError, RunFolderError
-
-if TYPE_CHECKING:
-    from gyrobench.bench.closure.outcome import Closure
-
-
-def search(
-    tables: Sequence[Path],
-    hold_out_cycles: Sequence[int] = (),
-    hold_out: Sequence[Path] = (),
-    *,
-    each_in_turn: bool = False,
-    coefficient: str = "gyro_bias",
-) -> Closure:
-    """Search in dwell tables or run folders.
-
-    ``hold_out``: the ones of which all cycles are held out. ``each_in_turn``: whether each cycle is held
-    out in turn as well. ``coefficient``: what to search, or one of its coefficients. Raises DocumentError if
-    they can't be used for a search.
-    """
-    from gyrobench.bench.closure.inputs import read_campaign
-    from gyrobench.bench.closure.loop import close_loop, hold_out_each
-    from gyrobench.bench.closure.quantity import quantity
-
-    try:
-        campaign = read_campaign(*tables, quantity=quantity(coefficient))
-        cycles = [cycle for path in hold_out for cycle in campaign.cycles_of(str(path))]
-        closure = close_loop(campaign, [*hold_out_cycles, *cycles])
-    except (MeasurementError, RunFolderError) as error:
-        raise DocumentError(str(error)) from error
-    return hold_out_each(closure) if each_in_turn else closure
 
 
 def close(
@@ -112,14 +81,21 @@ def close(
     """
     import json
 
-    from gyrobench.bench.closure.loop import composed
+    from gyrobench.bench.closure.inputs import read_campaign
+    from gyrobench.bench.closure.loop import close_loop, composed
+    from gyrobench.bench.closure.loop import hold_out_each as held_out_in_turn
+    from gyrobench.bench.closure.quantity import quantity
     from gyrobench.bench.report.closure.closure_page import closure_findings, write_search
     from gyrobench.bench.report.terminal.tables import section_view
 
-    each_in_turn = hold_out_each or rotate
-    closure = search(
-        tables, hold_out_cycle or (), hold_out or (), each_in_turn=each_in_turn, coefficient=coefficient
-    )
+    try:
+        campaign = read_campaign(*tables, quantity=quantity(coefficient))
+        cycles = [cycle for path in hold_out or () for cycle in campaign.cycles_of(str(path))]
+        closure = close_loop(campaign, [*(hold_out_cycle or ()), *cycles])
+    except (MeasurementError, RunFolderError) as error:
+        raise DocumentError(str(error)) from error
+    if hold_out_each or rotate:
+        closure = held_out_in_turn(closure)
     if compose:
         closure = composed(closure)
     page, report = write_search(closure, tables, out)

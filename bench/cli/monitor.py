@@ -38,11 +38,11 @@ def monitor(
     from gyrobench.bench.foundations.clock import WallClock
     from gyrobench.bench.foundations.errors import MissingRunError
     from gyrobench.bench.monitor.server import MonitorServer
-    from gyrobench.bench.monitor.site import Site
+    from gyrobench.bench.monitor.website import Website
 
     if not run.is_dir():
         raise MissingRunError(f"{run}: no such folder. Give a run folder, or a folder of runs")
-    with MonitorServer(Site(run, WallClock().utc).answer, port) as server:
+    with MonitorServer(Website(run, WallClock().utc).answer, port) as server:
         local = server.server_port
         typer.echo(f"{run} is shown at {server.url} until Ctrl-C.")
         typer.echo("From another machine, run this there and open the same address:")

@@ -13,7 +13,7 @@ from gyrobench.bench.cli.output import JsonOption, console, print_json, print_re
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError, RunFolderError
 
 if TYPE_CHECKING:
-    from gyrobench.bench.closure.planned_campaign import PlannedUnit
+    from gyrobench.bench.closure.planned_campaign import UnitProperties
     from gyrobench.bench.engine.job import Job
     from gyrobench.bench.station.station import Station
 
@@ -121,17 +121,18 @@ def _show_observability(
     from math import pi
 
     from gyrobench.bench.calibration.list_search import parse_targets, shortest_list
-    from gyrobench.bench.calibration.results import forecast_rows
+    from gyrobench.bench.calibration.results import expected_rows
     from gyrobench.bench.calibration.rotation_list import (
+        RotationSetup,
         expected_noise,
-        forecast,
+        expected_uncertainties,
         load_rotation_list,
         rotation_list_text,
     )
     from gyrobench.bench.dwells.measure_dwell import measurement_setup
     from gyrobench.bench.foundations.csv_tables import write_text
     from gyrobench.bench.foundations.shipped import find_document
-    from gyrobench.bench.report.terminal.calibration import forecast_summary
+    from gyrobench.bench.report.terminal.calibration import expected_summary
     from gyrobench.bench.station.station import Station
 
     rotations = load_rotation_list(find_document("rotations", name))
@@ -142,22 +143,24 @@ def _show_observability(
     whole_turns = None if whole_turns_arcsec is None else whole_turns_arcsec * pi / 648000.0
     max_rate_dps = station.file.rate_table.limits.rate_dps
     site_sigmas = station.gravity[1], station.prior().latitude
-    bench = (station.table, station.site, noise, max_rate_dps, whole_turns, site_sigmas, has_increments)
+    setup = RotationSetup(
+        station.table, station.site, noise, max_rate_dps, whole_turns, site_sigmas, has_increments
+    )
     files = []
     if reach:
-        rotations, found = shortest_list(rotations, parse_targets(reach), *bench)
+        rotations, found = shortest_list(rotations, parse_targets(reach), setup)
         files = [Path(f"{rotations.rotation_list}.yaml")]
         write_text(files[0], rotation_list_text(rotations))
     else:
-        found = forecast(rotations, *bench)
+        found = expected_uncertainties(rotations, setup)
     record = {
         "rotation_list": rotations.rotation_list,
         "station": station.file.station,
         "duration_s": found.duration_s,
-        "coefficients": forecast_rows(found),
+        "coefficients": expected_rows(found),
         "file": files[0] if files else None,
     }
-    summary = forecast_summary(rotations, found, noise, site_sigmas)
+    summary = expected_summary(rotations, found, noise, site_sigmas)
     print_result(record, as_json, summary, *(f"Written  {path}" for path in files))
 
 
@@ -186,8 +189,8 @@ def _record(job: Job, figure: Path) -> dict[str, Any]:
 
 def _print_separability(job: Job, target_dph: float, folder: Path | None) -> None:
     from gyrobench.bench.closure.effects import all_effects
-    from gyrobench.bench.closure.inputs import read_closure
-    from gyrobench.bench.closure.outlook import measured_unit, tie_outlooks
+    from gyrobench.bench.closure.loop import repeat_search
+    from gyrobench.bench.closure.outlook import measured_properties, tie_outlooks
     from gyrobench.bench.closure.planned_campaign import planned_campaign
     from gyrobench.bench.closure.procedure_changes import advise, advise_ties
     from gyrobench.bench.closure.separability import searched_dwells, separability
@@ -195,13 +198,13 @@ def _print_separability(job: Job, target_dph: float, folder: Path | None) -> Non
     from gyrobench.bench.report.figures.style import save_figure
     from gyrobench.bench.report.terminal.separability import closure_outlook, separability_summary
 
-    unit, name, closure = planned_unit(job.station), job.plan.procedure.procedure, None
+    unit, name, closure = declared_properties(job.station), job.plan.procedure.procedure, None
     if folder:
         try:
-            closure = read_closure(folder)
+            closure = repeat_search(folder)
         except (MeasurementError, RunFolderError) as error:
             raise DocumentError(str(error)) from error
-        unit = measured_unit(closure, job.plan.steps[0].before.thermal)
+        unit = measured_properties(closure, job.plan.steps[0].before.thermal)
     try:
         campaign = planned_campaign(job.plan, unit)
     except MeasurementError as error:
@@ -224,12 +227,12 @@ def _print_separability(job: Job, target_dph: float, folder: Path | None) -> Non
     typer.echo(f"Figure   {path}")
 
 
-def planned_unit(station: Station) -> PlannedUnit:
+def declared_properties(station: Station) -> UnitProperties:
     """The unit on a station: its sensors, and its noise where that is declared."""
-    from gyrobench.bench.closure.planned_campaign import PlannedUnit
+    from gyrobench.bench.closure.planned_campaign import UnitProperties
 
     signals, noise = station.file.ins.signals, station.file.ins.noise
-    unit = PlannedUnit(
+    unit = UnitProperties(
         has_boards=signals.gyro_electronics_temperature is not None,
         has_case=signals.case_temperature is not None,
     )

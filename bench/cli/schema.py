@@ -7,12 +7,12 @@ from typing import Annotated
 
 import typer
 
-from gyrobench.bench.cli.validate import Kind
+from gyrobench.bench.cli.validate import FileKindOption
 
 
 def schema(
     kind: Annotated[
-        Kind | None,
+        FileKindOption | None,
         typer.Argument(help="Kind of file whose schema is printed; default: the first lines for editors."),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for all schemas.")] = None,

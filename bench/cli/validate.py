@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from gyrobench.bench.authoring.file_kinds import FileCheck
 
 
-class Kind(StrEnum):
+class FileKindOption(StrEnum):
     """Kinds of file; the names are those of gyrobench.bench.authoring.file_kinds."""
 
     PROCEDURE = "procedure"
@@ -32,7 +32,8 @@ class Kind(StrEnum):
 def validate(
     files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="YAML files.")],
     as_kind: Annotated[
-        Kind | None, typer.Option("--as", help="Kind of the files; default: detected from their keys.")
+        FileKindOption | None,
+        typer.Option("--as", help="Kind of the files; default: detected from their keys."),
     ] = None,
     station: Annotated[
         str | None,

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gyrobench.bench.cli.close import search
 from gyrobench.bench.cli.options import (
     STATION_HELP,
     RunArgument,
@@ -123,16 +122,16 @@ def _search(run: RunFolder) -> Closure:
     """
     from gyrobench.bench.closure.files import has_composed_laws, is_written, read_held_out_cycles
     from gyrobench.bench.closure.inputs import read_campaign
-    from gyrobench.bench.closure.loop import composed, without_search
+    from gyrobench.bench.closure.loop import close_loop, composed, without_search
     from gyrobench.bench.report.closure.closure_page import write_search
 
     try:
         campaign = read_campaign(run.path)
         if len(campaign.cycles) == 1:
             return without_search(campaign)
+        closure = close_loop(campaign, read_held_out_cycles(run.closure))
     except MeasurementError as error:
         raise DocumentError(str(error)) from error
-    closure = search([run.path], read_held_out_cycles(run.closure))
     if not is_written(run.closure, closure):
         write_search(composed(closure) if has_composed_laws(run.closure) else closure, [run.path])
     return closure

@@ -105,12 +105,16 @@ def compose(problem: Problem, effects_found: Sequence[Candidate]) -> Composed:
     for file, each in fitted:
         if file.effect not in best or each.is_better_than(best[file.effect][1]):
             best[file.effect] = file, each
-    weighed = Evidences(problem, effects).posterior([none, *(each for _, each in best.values())]).hypotheses
+    hypotheses = (
+        Evidences(problem, effects).posterior([none, *(each for _, each in best.values())]).hypotheses
+    )
     of_driver = dict.fromkeys((file.driver for file, _ in best.values()), 0.0)
     laws = []
     for file, each in best.values():
         probability = sum(
-            one.probability for one in weighed if one.candidates is each.candidates and not one.has_remainder
+            one.probability
+            for one in hypotheses
+            if one.candidates is each.candidates and not one.has_remainder
         )
         of_driver[file.driver] += probability
         model = solve_with(problem, each.candidates)
@@ -120,8 +124,8 @@ def compose(problem: Problem, effects_found: Sequence[Candidate]) -> Composed:
     first = {law.file.driver: law for law in reversed(laws)}  # the most probable one of each driver
     listed = [law for law in laws if law is first[law.file.driver] and law.probability >= _MIN_PROBABILITY]
     ranked = dict(sorted(of_driver.items(), key=lambda each: -each[1]))
-    no_law = sum(one.probability for one in weighed if len(one.candidates) == len(found))
-    with_law = [one for one in weighed if len(one.candidates) > len(found)]
+    no_law = sum(one.probability for one in hypotheses if len(one.candidates) == len(found))
+    with_law = [one for one in hypotheses if len(one.candidates) > len(found)]
     and_remainder = sum(one.probability for one in with_law if one.has_remainder)
     return Composed(len(starts), tuple(listed[:_LISTED]), ranked, no_law + and_remainder, and_remainder)
 

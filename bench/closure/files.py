@@ -23,7 +23,7 @@ from gyrobench.bench.runs.provenance import watermark_of
 
 _T = TypeVar("_T")
 #: Name of the file with the outcome of a search.
-CLOSURE_FILE = "closure.json"
+_CLOSURE_FILE = "closure.json"
 #: Effect file of the most probable composed law.
 COMPOSED_LAW = "composed_law.yaml"
 #: Most probable hypotheses in the document.
@@ -45,11 +45,16 @@ def write_closure(folder: Path, closure: Closure) -> None:
     Raises RunFolderError if a file can't be written.
     """
     make_folder(folder)
-    write_text(folder / CLOSURE_FILE, json.dumps(closure_document(closure), indent=2) + "\n")
+    write_text(folder / _CLOSURE_FILE, json.dumps(closure_document(closure), indent=2) + "\n")
     write_text(folder / "predictions.csv", format_predictions(closure))
     write_text(folder / "model.yaml", yaml.safe_dump(model_document(closure), sort_keys=False))
     for law in closure.composed.laws[:1] if closure.composed else ():
         write_text(folder / COMPOSED_LAW, law_text(law))
+
+
+def holds_search(folder: Path) -> bool:
+    """Whether a folder holds the files of a search."""
+    return (folder / _CLOSURE_FILE).exists()
 
 
 def is_written(folder: Path, closure: Closure) -> bool:
@@ -70,7 +75,7 @@ def has_composed_laws(folder: Path) -> bool:
 
     Raises RunFolderError if the file is damaged.
     """
-    return (folder / CLOSURE_FILE).exists() and _read(folder).get("composed") is not None
+    return holds_search(folder) and _read(folder).get("composed") is not None
 
 
 def read_held_out_cycles(folder: Path) -> list[int]:
@@ -78,7 +83,7 @@ def read_held_out_cycles(folder: Path) -> list[int]:
 
     Raises RunFolderError if the file is damaged.
     """
-    if not (folder / CLOSURE_FILE).exists():
+    if not holds_search(folder):
         return []
     cycles = _read(folder).get("held_out_cycles")
     if not isinstance(cycles, list) or not all(type(cycle) is int for cycle in cycles):
@@ -107,10 +112,10 @@ def read_tables(folder: Path) -> list[str]:
 
 
 def _read(folder: Path) -> dict[str, Any]:
-    path = folder / CLOSURE_FILE
+    path = folder / _CLOSURE_FILE
     if not path.exists():
         raise RunFolderError(
-            f"{folder}: there is no {CLOSURE_FILE}. Give a folder that gyrobench close wrote"
+            f"{folder}: there is no {_CLOSURE_FILE}. Give a folder that gyrobench close wrote"
         )
     try:
         content = parse_json(read_limited(path, _MAX_BYTES, RunFolderError))
@@ -123,7 +128,7 @@ def _read(folder: Path) -> dict[str, Any]:
 
 def _damaged(folder: Path, reason: str) -> RunFolderError:
     return RunFolderError(
-        f"{folder / CLOSURE_FILE}: the file is damaged: {reason}. Remove it and run gyrobench close again"
+        f"{folder / _CLOSURE_FILE}: the file is damaged: {reason}. Remove it and run gyrobench close again"
     )
 
 

@@ -1,4 +1,4 @@
-"""What a search reads: dwells of run folders and tables, their temperatures, and earlier searches."""
+"""What a search reads: dwells of run folders and tables, and their temperatures."""
 
 from __future__ import annotations
 
@@ -6,27 +6,23 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
 from gyrobench.bench.closure.campaign import Campaign, Table, campaign_of
-from gyrobench.bench.closure.files import CLOSURE_FILE, read_held_out_cycles, read_quantity, read_tables
-from gyrobench.bench.closure.joined_tables import Source, joined
+from gyrobench.bench.closure.joined_tables import TableToJoin, joined
 from gyrobench.bench.closure.quantity import GYRO_BIAS, Quantity
 from gyrobench.bench.closure.temperatures import TemperatureRecord
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.bench.foundations.errors import MeasurementError, RunFolderError
+from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
 from gyrobench.bench.runs.journal import facts_of, read_journal
 from gyrobench.bench.runs.provenance import read_provenance, started_utc
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, read_coefficients_apart
 from gyrobench.bench.runs.telemetry import read_telemetry
-
-if TYPE_CHECKING:
-    from gyrobench.bench.closure.outcome import Closure
 
 _MIN_SAMPLES = 2
 _STEP_S = 30.0
@@ -53,7 +49,7 @@ def read_campaign(*paths: Path, quantity: Quantity = GYRO_BIAS) -> Campaign:
     return campaign if source.campaign.part_of is None else campaign.part(source.campaign.part_of[1])
 
 
-def _source(path: Path, quantity: Quantity) -> Source:
+def _source(path: Path, quantity: Quantity) -> TableToJoin:
     record, began_s = None, None
     table, is_run = path, path.is_dir()
     if is_run:
@@ -70,7 +66,7 @@ def _source(path: Path, quantity: Quantity) -> Source:
         rows, quantity = _rows_of(read_dwells(table), quantity, path if is_run else None)
         if record is not None:
             record = replace(record, gyro_c=record.gyro_c[:, quantity.sensors])
-        return Source(str(path), campaign_of(rows, record, quantity), is_run, began_s)
+        return TableToJoin(str(path), campaign_of(rows, record, quantity), is_run, began_s)
     except MeasurementError as error:
         raise MeasurementError(f"{table}: {error}") from error
 
@@ -203,30 +199,6 @@ def joined_rows(campaign: Campaign) -> list[DwellRow]:
             for row in own
         ]
     return sorted(rows, key=lambda row: (row.start_s, row.dwell))
-
-
-def read_closure(folder: Path) -> Closure:
-    """Repeat the search of which the files are in a folder, on its tables.
-
-    ``folder``: as ``gyrobench close`` writes it, or the run folder that it is in. Tables that are not at
-    their path are looked for beside the folder. Raises RunFolderError if there is no search, it is damaged,
-    or its tables are missing; DocumentError or MeasurementError if the tables can't be used.
-    """
-    from gyrobench.bench.closure.loop import close_loop
-
-    folder = folder if (folder / CLOSURE_FILE).exists() else RunFolder(folder).closure
-    beside = RunFolder(folder.parent)
-    own = beside.path if beside.journal.exists() else beside.dwells
-    names = read_tables(folder) or [str(own)]
-    paths = []
-    for path in map(Path, names):
-        places = [path, beside.path / path.name, *([own] if len(names) == 1 else [])]
-        if not any(place.exists() for place in places):
-            raise RunFolderError(
-                f"{folder}: the table searched, {path}, is not there. Repeat gyrobench close"
-            )
-        paths.append(next(place for place in places if place.exists()))
-    return close_loop(read_campaign(*paths, quantity=read_quantity(folder)), read_held_out_cycles(folder))
 
 
 def temperature_record(telemetry: Mapping[str, FloatArray]) -> TemperatureRecord | None:

@@ -21,7 +21,7 @@ _ON_CLOCK = "on the clock of "
 
 
 @dataclass(frozen=True)
-class Source:
+class TableToJoin:
     """A table or run before it is joined."""
 
     name: str  #: Its path, for messages.
@@ -44,7 +44,7 @@ class Source:
         """Power-on before its first dwell, on its own clock."""
         return float(self.campaign.power_on_s[0])
 
-    def is_after(self, other: Source) -> bool:
+    def is_after(self, other: TableToJoin) -> bool:
         """Whether this is a table that continues another one on the same clock."""
         same = {self.campaign.whole.run_names[0]} & set(other.campaign.whole.run_names)
         known_s = other.campaign.power_on_s if same else np.empty(0)
@@ -53,7 +53,7 @@ class Source:
         return not self.is_run and self.start_s >= other.end_s - 1e-3 and bool(begins)
 
 
-def joined(sources: Sequence[Source]) -> Campaign:
+def joined(sources: Sequence[TableToJoin]) -> Campaign:
     """Join tables of one unit on one time axis, with unique numbers of dwells and cycles.
 
     Runs with a calendar time are placed by it. A table that continues the one before on its clock stays
@@ -90,7 +90,7 @@ def joined(sources: Sequence[Source]) -> Campaign:
     return _together(parts, tables)
 
 
-def _ordered(sources: Sequence[Source]) -> list[Source]:
+def _ordered(sources: Sequence[TableToJoin]) -> list[TableToJoin]:
     """Sources in the order of time if that is known, otherwise as given."""
     began_s = [each.began_s for each in sources if each.began_s is not None]
     if len(began_s) == len(sources):
@@ -99,7 +99,9 @@ def _ordered(sources: Sequence[Source]) -> list[Source]:
     return in_time if all(later.is_after(each) for each, later in pairwise(in_time)) else list(sources)
 
 
-def _placed(source: Source, before: Sequence[Source], shifts_s: Sequence[float]) -> tuple[float, str]:
+def _placed(
+    source: TableToJoin, before: Sequence[TableToJoin], shifts_s: Sequence[float]
+) -> tuple[float, str]:
     """What is added to the times of a source, and how that was found."""
     if not before:
         return 0.0, ""
@@ -128,7 +130,9 @@ def _placed(source: Source, before: Sequence[Source], shifts_s: Sequence[float])
     return end_s + ASSUMED_PAUSE_S - source.power_on_s, f"after {last.name}: it has no common clock with it"
 
 
-def _shifted(source: Source, shift_s: float, before: Sequence[Campaign], *, is_on_clock: bool) -> Campaign:
+def _shifted(
+    source: TableToJoin, shift_s: float, before: Sequence[Campaign], *, is_on_clock: bool
+) -> Campaign:
     """Campaign on the common clock, with numbers of dwells and cycles and runs that those before lack."""
     campaign = source.campaign
     whole = campaign.whole

@@ -14,6 +14,8 @@ from gyrobench.bench.closure.compose import compose
 from gyrobench.bench.closure.confounding import confounding
 from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.effect import Effect
+from gyrobench.bench.closure.files import holds_search, read_held_out_cycles, read_quantity, read_tables
+from gyrobench.bench.closure.inputs import read_campaign
 from gyrobench.bench.closure.outcome import CandidateResult, Closure, FoundEffect, HeldOutCycle, OtherForm
 from gyrobench.bench.closure.posterior import CLEAN, EXPLAINED, Posterior, detectable_dph
 from gyrobench.bench.closure.problem import DEGREE, Problem, Solution, declared_problem
@@ -28,8 +30,9 @@ from gyrobench.bench.closure.validation import (
     measured_minus,
 )
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms, rms_of_known
-from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.foundations.errors import MeasurementError, RunFolderError
 from gyrobench.bench.foundations.text import counted, listed
+from gyrobench.bench.runs.folder import RunFolder
 
 #: Verdict without a search.
 NOT_SEARCHED = "not searched"
@@ -73,7 +76,7 @@ def without_search(campaign: Campaign) -> Closure:
 def _closure(campaign: Campaign, searched: BoolArray, candidates: Sequence[Effect]) -> Closure:
     """Search the dwells ``searched`` (n,); the errors in the others are NaN where there are none."""
     selected = select(campaign, searched, candidates)
-    search, found, weighed, after = selected.search, selected.found, selected.posterior, selected.after
+    search, found, posterior, after = selected.search, selected.found, selected.posterior, selected.after
     problem = search.problem
     declared, model = (solve_with(problem, each) for each in ((), found.candidates))
     declared_draws, model_draws = (draw(problem, each) for each in ((), found.candidates))
@@ -89,17 +92,17 @@ def _closure(campaign: Campaign, searched: BoolArray, candidates: Sequence[Effec
         verdict=_verdict(
             found,
             after,
-            weighed,
+            posterior,
             is_confirmed=bool(found.candidates)
             and not searched.all()
             and not circular
             and is_confirmed(before_dph, after_dph, noise_dph),
         ),
         circular=circular,
-        posterior=weighed,
+        posterior=posterior,
         not_accepted=selected.not_accepted,
         detectable_dph=detectable_dph(selected.with_effects),
-        effects=_found_effects(search, found, model, model_draws, weighed),
+        effects=_found_effects(search, found, model, model_draws, posterior),
         evidence=_evidence(selected),
         before=lack_of_fit(problem, 0),
         after=after,
@@ -115,6 +118,28 @@ def _closure(campaign: Campaign, searched: BoolArray, candidates: Sequence[Effec
         declared_draws=declared_draws,
         model_draws=model_draws,
     )
+
+
+def repeat_search(folder: Path) -> Closure:
+    """Repeat the search of which the files are in a folder, on its tables.
+
+    ``folder``: as ``gyrobench close`` writes it, or the run folder that it is in. Tables that are not at
+    their path are looked for beside the folder. Raises RunFolderError if there is no search, it is damaged,
+    or its tables are missing; DocumentError or MeasurementError if the tables can't be used.
+    """
+    folder = folder if holds_search(folder) else RunFolder(folder).closure
+    beside = RunFolder(folder.parent)
+    own = beside.path if beside.journal.exists() else beside.dwells
+    names = read_tables(folder) or [str(own)]
+    paths = []
+    for path in map(Path, names):
+        places = [path, beside.path / path.name, *([own] if len(names) == 1 else [])]
+        if not any(place.exists() for place in places):
+            raise RunFolderError(
+                f"{folder}: the table searched, {path}, is not there. Repeat gyrobench close"
+            )
+        paths.append(next(place for place in places if place.exists()))
+    return close_loop(read_campaign(*paths, quantity=read_quantity(folder)), read_held_out_cycles(folder))
 
 
 def composed(closure: Closure) -> Closure:
@@ -175,12 +200,12 @@ def _searched(campaign: Campaign, hold_out_cycles: Sequence[int]) -> BoolArray:
     return searched
 
 
-def _verdict(found: Hypothesis, after: LackOfFit, weighed: Posterior, *, is_confirmed: bool) -> str:
-    if after.is_significant or weighed.not_on_list > 0.5:
+def _verdict(found: Hypothesis, after: LackOfFit, posterior: Posterior, *, is_confirmed: bool) -> str:
+    if after.is_significant or posterior.not_on_list > 0.5:
         return "unexplained"
     if not found.candidates:
-        return "clean" if weighed.nothing >= CLEAN else "ambiguous"
-    is_settled = weighed.of_all(found.names) >= EXPLAINED and not weighed.rivals(found.names)
+        return "clean" if posterior.nothing >= CLEAN else "ambiguous"
+    is_settled = posterior.of_all(found.names) >= EXPLAINED and not posterior.rivals(found.names)
     return "explained" if is_settled and is_confirmed else "ambiguous"
 
 
@@ -192,7 +217,7 @@ def _is_circular(effect: Effect, held_out: Campaign) -> bool:
 
 
 def _found_effects(
-    search: Search, found: Hypothesis, model: Solution, draws: Draws, weighed: Posterior
+    search: Search, found: Hypothesis, model: Solution, draws: Draws, posterior: Posterior
 ) -> tuple[FoundEffect, ...]:
     problem, quantity = search.problem, search.problem.campaign.quantity
     result = []
@@ -216,8 +241,8 @@ def _found_effects(
                 candidate_fits=search.candidate_fits(each.effect),
                 rms_dph=rms(part),
                 gains={cycle: left_out.gain for cycle, left_out in left_out_cycles.items()},
-                tied_with=weighed.tied_with(found.names, each.effect.name),
-                probability=weighed.of_all([each.effect.name], has_remainder=None),
+                tied_with=posterior.tied_with(found.names, each.effect.name),
+                probability=posterior.of_all([each.effect.name], has_remainder=None),
                 sizes_sigma_dph=draws.sigma(sizes_drawn, sizes),
                 values_sigma=draws.sigma(values, np.array(each.values)),
                 rms_sigma_dph=float(draws.sigma(np.sqrt(np.mean(parts**2, axis=(1, 2))), rms(part))),
@@ -225,16 +250,16 @@ def _found_effects(
                 weights=weights,
                 weighted_sigma_dph=draws.sigma(sizes_drawn * weights_drawn[:, None, :], sizes * weights),
                 quantity=quantity,
-                other_forms=tuple(_other_forms(problem, found, each, weighed)),
+                other_forms=tuple(_other_forms(problem, found, each, posterior)),
             )
         )
     return tuple(sorted(result, key=lambda each: -each.rms_dph))
 
 
 def _other_forms(
-    problem: Problem, found: Hypothesis, one: Candidate, weighed: Posterior
+    problem: Problem, found: Hypothesis, one: Candidate, posterior: Posterior
 ) -> Iterator[OtherForm]:
-    for probability, candidates in weighed.other_forms(found.names, one):
+    for probability, candidates in posterior.other_forms(found.names, one):
         [other] = [each for each in candidates if each.effect.name == one.effect.name]
         drawn = draw(problem, candidates)
         values = drawn.values[other.effect.name]

@@ -17,9 +17,9 @@ import numpy as np
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate, Hypothesis, evaluate, refine, solve_with
 from gyrobench.bench.closure.effects.effect import Effect
-from gyrobench.bench.closure.joined_tables import Source, joined
+from gyrobench.bench.closure.joined_tables import TableToJoin, joined
 from gyrobench.bench.closure.outcome import Closure
-from gyrobench.bench.closure.planned_campaign import PlannedUnit
+from gyrobench.bench.closure.planned_campaign import UnitProperties
 from gyrobench.bench.closure.posterior import TIE_ODDS, Evidences
 from gyrobench.bench.closure.problem import DEGREE, Problem, declared_problem, predict
 from gyrobench.bench.closure.search import Search
@@ -34,7 +34,7 @@ _SMALLEST, _MAX_LOG_ODDS = 1e-150, 345.0
 _DRAWS = 5
 
 
-def measured_unit(closure: Closure, estimate: ThermalEstimate) -> PlannedUnit:
+def measured_properties(closure: Closure, estimate: ThermalEstimate) -> UnitProperties:
     """The unit of a closure: its noise, sensors, and temperatures fitted to the campaign.
 
     ``estimate`` is of a typical unit: it stands for what was not measured.
@@ -42,7 +42,7 @@ def measured_unit(closure: Closure, estimate: ThermalEstimate) -> PlannedUnit:
     campaign = closure.campaign
     hours = (campaign.end_s - campaign.start_s)[:, np.newaxis] / _S_PER_H
     variance = (closure.noise_scale * campaign.sigma_dph) ** 2 * hours
-    return PlannedUnit(
+    return UnitProperties(
         np.sqrt(variance[closure.searched].mean(axis=0)),
         "as measured in the closure",
         has_boards=bool(np.isfinite(campaign.board_c).all()),
@@ -83,7 +83,7 @@ def tie_outlooks(closure: Closure, planned: Campaign) -> list[TieOutlook]:
     seen = replace(problem.campaign.part(closure.searched), tables=(), part_of=None)
     seen = replace(seen, sigma_dph=seen.sigma_dph * closure.noise_scale)
     planned = replace(planned, unit=seen.unit)
-    together = joined([Source("measured", seen), Source("planned", planned, is_run=True)])
+    together = joined([TableToJoin("measured", seen), TableToJoin("planned", planned, is_run=True)])
     whole, alone = (
         partial(
             _odds, problem=problem, is_predicted=is_predicted, campaign=campaign, effects=[*effects.values()]

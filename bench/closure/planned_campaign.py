@@ -15,7 +15,7 @@ from gyrobench.bench.closure.thermal_course import Course, UnitThermal
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.positions import POSITIONS
-from gyrobench.bench.procedure.plan import Plan, PlannedStep
+from gyrobench.bench.procedure.plan import DwellPurpose, Plan, PlannedStep
 from gyrobench.bench.procedure.steps import Navigate, PowerOn
 
 _STEPS_A_LAG = 20
@@ -27,7 +27,7 @@ _S_PER_H = 3600.0
 
 
 @dataclass(frozen=True)
-class PlannedUnit:
+class UnitProperties:
     """Properties of a unit that determine the uncertainty of its dwells."""
 
     #: Angle random walk of each gyro; of all three, or shape (3,).
@@ -54,7 +54,7 @@ class _Navigation:
     set_c: float
 
 
-def planned_campaign(plan: Plan, unit: PlannedUnit) -> Campaign:
+def planned_campaign(plan: Plan, unit: UnitProperties) -> Campaign:
     """Predict the dwells of a plan.
 
     The biases are zero. Their uncertainty is the angle random walk over the navigation time of a dwell.
@@ -118,14 +118,14 @@ def _navigations(steps: Sequence[PlannedStep]) -> Iterator[_Navigation]:
     run, power_on_s = -1, 0.0
     for dwell, group in itertools.groupby(steps, key=lambda planned: planned.dwell):
         members = list(group)
-        if dwell is None or not members[0].gives_bias:
+        if dwell is None or not members[0].purpose.gives_bias:
             for planned in members:
                 if isinstance(planned.step, PowerOn):
                     run, power_on_s = run + 1, planned.start_s
             continue
         windows = [planned for planned in members if isinstance(planned.step, Navigate)]
         bench = windows[0].before
-        if bench.position is not None and not windows[0].is_calibration_check:
+        if bench.position is not None and windows[0].purpose is not DwellPurpose.CALIBRATION_CHECK:
             yield _Navigation(
                 position=bench.position,
                 azimuth_deg=bench.azimuth_deg,

@@ -56,7 +56,7 @@ _ABSENT = 0.5
 
 
 @dataclass(frozen=True)
-class Weighed:
+class HypothesisProbability:
     """A hypothesis and its probability."""
 
     names: frozenset[str]  #: Effects.
@@ -72,7 +72,7 @@ class Weighed:
 class Posterior:
     """Probabilities after a search."""
 
-    hypotheses: tuple[Weighed, ...]  #: Most probable first.
+    hypotheses: tuple[HypothesisProbability, ...]  #: Most probable first.
     follows: dict[str, float]  #: Probability of each process, if there is a remainder.
     #: By effect found: those of which it is a special case. They are no other cause, only a more general law.
     more_general: Mapping[str, frozenset[str]] = field(default_factory=dict)
@@ -119,7 +119,7 @@ class Posterior:
             if self.contains(each, names) and has_remainder in (None, each.has_remainder)
         )
 
-    def contains(self, hypothesis: Weighed, names: Collection[str]) -> bool:
+    def contains(self, hypothesis: HypothesisProbability, names: Collection[str]) -> bool:
         """Whether a hypothesis has all these effects, each as such or as a special case."""
         return all(hypothesis.names & {name, *self.more_general.get(name, ())} for name in names)
 
@@ -222,7 +222,7 @@ class Evidences:
         every = [each for fits in found.values() for each in fits]
         whole = np.logaddexp.reduce(np.concatenate([[alone, *processes] for alone, processes, _ in every]))
         follows = np.exp(np.logaddexp.reduce([processes for _, processes, _ in every], axis=0) - whole)
-        weighed = []
+        results = []
         for names, fits in found.items():
             for has_remainder in (False, True):
                 logs = np.ravel([processes if has_remainder else alone for alone, processes, _ in fits])
@@ -230,9 +230,10 @@ class Evidences:
                 total = np.logaddexp.reduce(sums)
                 shares = np.exp(sums - total).tolist()
                 forms = tuple(zip(shares, (candidates for *_, candidates in fits), strict=True))
-                weighed.append(Weighed(names, has_remainder, math.exp(total - whole), fits[0][2], forms))
+                probability = math.exp(total - whole)
+                results.append(HypothesisProbability(names, has_remainder, probability, fits[0][2], forms))
         return Posterior(
-            tuple(sorted(weighed, key=lambda each: -each.probability)),
+            tuple(sorted(results, key=lambda each: -each.probability)),
             dict(zip(self.processes, (follows / follows.sum()).tolist(), strict=True)),
         )
 
@@ -250,10 +251,10 @@ class Evidences:
             *((each.effect.name, each.form.name, each.values, each.kept.tobytes()) for each in of.candidates),
         )
         if key not in self._weights:
-            self._weights[key] = self._weighed(of, is_summed=is_summed)
+            self._weights[key] = self._computed_weights(of, is_summed=is_summed)
         return self._weights[key]
 
-    def _weighed(self, of: Hypothesis, *, is_summed: bool) -> tuple[float, FloatArray]:
+    def _computed_weights(self, of: Hypothesis, *, is_summed: bool) -> tuple[float, FloatArray]:
         terms, prior = Terms.of(self._problem, of.candidates), self._log_prior(of)
         alone, best = self._without_process(of, terms)
         with_process = self._with_processes(terms, best, alone, is_summed=is_summed)

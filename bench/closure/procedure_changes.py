@@ -13,7 +13,7 @@ from typing import Any
 
 from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.closure.outlook import tie_outlooks
-from gyrobench.bench.closure.planned_campaign import PlannedUnit, planned_campaign
+from gyrobench.bench.closure.planned_campaign import UnitProperties, planned_campaign
 from gyrobench.bench.closure.separability import Separability, searched_dwells, separability
 from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.foundations.errors import DocumentError
@@ -302,7 +302,7 @@ def advise(
     document: Document,
     plan: Plan,
     planner: Planner,
-    unit: PlannedUnit,
+    unit: UnitProperties,
     present: Separability,
     target_dph: float,
 ) -> list[Advice]:
@@ -347,7 +347,7 @@ def advise(
 
 
 def advise_ties(
-    document: Document, plan: Plan, planner: Planner, unit: PlannedUnit, closure: Closure
+    document: Document, plan: Plan, planner: Planner, unit: UnitProperties, closure: Closure
 ) -> list[Advice]:
     """Find the smallest change after which each tie of a closure is expected to be settled.
 
@@ -371,8 +371,8 @@ def advise_ties(
 
 
 def _changed(
-    document: Document, plan: Plan, planner: Planner, unit: PlannedUnit
-) -> list[tuple[tuple[str, ...], float, Plan, PlannedUnit]]:
+    document: Document, plan: Plan, planner: Planner, unit: UnitProperties
+) -> list[tuple[tuple[str, ...], float, Plan, UnitProperties]]:
     """Instructions, added time, plan and unit of each change, shortest added time first."""
     result = []
     for change in CHANGES:

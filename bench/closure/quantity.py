@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from gyrobench.bench.calibration.coefficients import COEFFICIENTS, Coefficient
+from gyrobench.bench.calibration.coefficients import COEFFICIENTS, SensorCoefficient
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.text import did_you_mean, listed
 from gyrobench.bench.navigation.positions import AXES, gyro_label
@@ -80,7 +80,7 @@ class Quantity:
         return [self.in_unit(each) for each in document] if isinstance(document, list) else document
 
 
-def _steps_to_axis(each: Coefficient) -> int:
+def _steps_to_axis(each: SensorCoefficient) -> int:
     return (AXES.index(each.axis[-1]) - AXES.index(each.axis[0])) % len(AXES)
 
 

@@ -160,22 +160,22 @@ class Search:
         for _ in range(_MAX_EXCHANGES):
             self._fit_similar(best)
             fitted = self._fitted(best)
-            weighed = evidences.posterior([*fitted.values(), *self._other_forms(fitted)])
-            sets = (fitted[names] for names in weighed.sets if names in fitted)
+            posterior = evidences.posterior([*fitted.values(), *self._other_forms(fitted)])
+            sets = (fitted[names] for names in posterior.sets if names in fitted)
             found = next(each for each in sets if not self._objections(each))
             if found.names == best.names:
                 break
             best = found
-        similar = [fitted[names] for names in weighed.similar(found.names) if names in fitted]
+        similar = [fitted[names] for names in posterior.similar(found.names) if names in fitted]
         for each in similar:
-            is_as_probable = weighed.odds(found.names, each.names) < _EVEN_ODDS
+            is_as_probable = posterior.odds(found.names, each.names) < _EVEN_ODDS
             is_simpler = each.parameter_count < found.parameter_count
             if is_simpler and is_as_probable and not self._objections(each):
                 found = each
-        return found, replace(weighed, more_general=self._more_general(found, fitted, weighed))
+        return found, replace(posterior, more_general=self._more_general(found, fitted, posterior))
 
     def _more_general(
-        self, found: Hypothesis, fitted: Mapping[frozenset[str], Hypothesis], weighed: Posterior
+        self, found: Hypothesis, fitted: Mapping[frozenset[str], Hypothesis], posterior: Posterior
     ) -> dict[str, frozenset[str]]:
         """By effect found: those that contain it and are less probable, or fitted no different from it.
 
@@ -184,10 +184,10 @@ class Search:
         there are: a lag of seconds is no different from a rate.
         """
         general: dict[str, frozenset[str]] = {}
-        of_found = weighed.of_set(found.names, has_remainder=False)
+        of_found = posterior.of_set(found.names, has_remainder=False)
         limit = max(RIVAL, of_found / _EVEN_ODDS)
-        for each in (fitted[names] for names in weighed.similar(found.names) if names in fitted):
-            of_each = weighed.of_set(each.names, has_remainder=False)
+        for each in (fitted[names] for names in posterior.similar(found.names) if names in fitted):
+            of_each = posterior.of_set(each.names, has_remainder=False)
             [one], [other] = found.names - each.names, each.names - found.names
             law = next((one.effect for one in each.candidates if one.effect.name == other), None)
             if law is None or one not in law.contains:

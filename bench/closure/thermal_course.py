@@ -143,13 +143,13 @@ class UnitThermal:
             case_lag_s, [case_rise_k], case_c = _fit(whole, time_s, whole.case_c, air_c, driven[:, :1])
         else:  # the lag with which one gyro's optics fit best
 
-            def misfit(lag_s: float) -> float:
+            def sum_of_squares(lag_s: float) -> float:
                 case_c = _followed(air_c + case_rise_k, time_s, lag_s, None)
                 course_c = _fit(whole, time_s, whole.gyro_c[:, 0], case_c, driven)[2]
                 off_k = _means(time_s, course_c, whole.start_s, whole.end_s) - whole.gyro_c[:, 0]
                 return float(np.sum(off_k**2))
 
-            case_lag_s = min(np.geomspace(_LAGS_S[0], _LAGS_S[1], _CASE_LAGS).tolist(), key=misfit)
+            case_lag_s = min(np.geomspace(_LAGS_S[0], _LAGS_S[1], _CASE_LAGS).tolist(), key=sum_of_squares)
             case_c = _followed(air_c + case_rise_k, time_s, case_lag_s, None)
         optics, electronics = [], []
         for gyro in range(3):

@@ -16,11 +16,17 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.procedure.plan import DwellPurpose
 
-#: What the journal calls :attr:`DwellMarks.is_calibration_check`.
-_CHECK_IN_JOURNAL = "is_verification"
-#: Attributes that the journal has only where they are true, or known.
-_LATER = ("is_rotated", "is_noise_record", "neighbours_on")
+_CHECK = "is_verification"
+#: Purposes in the journal, which always states whether it is the first; calibration is none of them.
+_PURPOSES = {
+    _CHECK: DwellPurpose.CALIBRATION_CHECK,
+    "is_rotated": DwellPurpose.ROTATIONS,
+    "is_noise_record": DwellPurpose.NOISE,
+}
+#: Attribute that the journal has only where it is known.
+_NEIGHBOURS = "neighbours_on"
 _AS_WRITTEN = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
@@ -68,20 +74,11 @@ class DwellMarks:
     #: not read.
     chamber_set_c: float | None
     chamber_c: float | None
-    #: Whether it checks a calibration: one window straight from the alignment.
-    is_calibration_check: bool = False
+    purpose: DwellPurpose = DwellPurpose.CALIBRATION
     align_s: float = 0.0  #: How long the alignment took.
-    #: Whether the unit was rotated about the table's axes between the windows: it gives no bias by itself.
-    is_rotated: bool = False
-    is_noise_record: bool = False  #: Whether it is one long navigation for the gyros' noise.
     neighbours_on: float | None = None  #: Mean number of other units that were on; None for a single unit.
     #: What went wrong while it lasted; a disturbed dwell is kept out of the bins.
     disturbances: tuple[str, ...] = ()
-
-    @property
-    def gives_bias(self) -> bool:
-        """Whether the dwell measures gyro biases."""
-        return not (self.is_rotated or self.is_noise_record)
 
     @property
     def frame_count(self) -> int:
@@ -91,23 +88,24 @@ class DwellMarks:
     def to_json(self) -> dict[str, Any]:
         """Plain data for the journal."""
         data = asdict(self)
-        data[_CHECK_IN_JOURNAL] = data.pop("is_calibration_check")
-        for name in _LATER:
-            if data[name] is False or data[name] is None:
-                del data[name]
-        return data
+        del data["purpose"]
+        if self.neighbours_on is None:
+            del data[_NEIGHBOURS]
+        is_for = {name: self.purpose is purpose for name, purpose in _PURPOSES.items()}
+        return data | {name: is_so for name, is_so in is_for.items() if is_so or name == _CHECK}
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> DwellMarks:
         """Undo :meth:`to_json`. Raises RunFolderError if the data are not those of a dwell."""
+        given = _with_purpose(data)
         try:
-            marks = _adapter().validate_json(json.dumps(_named(data)))
+            marks = _adapter().validate_json(json.dumps(given))
         except ValidationError as error:
             problems = "; ".join(
                 f"{'.'.join(map(str, each['loc']))}: {each['msg']}" for each in error.errors()
             )
             raise RunFolderError(f"damaged marks of a dwell: {problems}") from error
-        lacking = {each.name for each in fields(cls)} - {*_LATER} - set(_named(data))
+        lacking = {each.name for each in fields(cls)} - {_NEIGHBOURS} - set(given)
         ends = [frame for window in marks.windows for frame in (window.first_frame, window.end_frame)]
         if lacking or marks.position not in POSITIONS or min(ends, default=0) < 0 or ends != sorted(ends):
             raise RunFolderError(
@@ -116,11 +114,16 @@ class DwellMarks:
         return marks
 
 
-def _named(data: Any) -> Any:
-    """Marks by the names of their attributes; what is no mapping is left to the validation."""
+def _with_purpose(data: Any) -> Any:
+    """Marks with their purpose, None where it is not stated; what is no mapping is left to the validation."""
     if not isinstance(data, Mapping):
         return data
-    return {"is_calibration_check" if name == _CHECK_IN_JOURNAL else name: data[name] for name in data}
+    stated = {name: data[name] for name in _PURPOSES if name in data}
+    purpose = None
+    if _CHECK in stated and all(isinstance(each, bool) for each in stated.values()):
+        found = (_PURPOSES[name] for name, is_so in stated.items() if is_so)
+        purpose = next(found, DwellPurpose.CALIBRATION)
+    return {name: data[name] for name in data if name not in _PURPOSES} | {"purpose": purpose}
 
 
 @cache

@@ -14,7 +14,7 @@ from gyrobench.bench.bias.bias_filter import StateSpaceEstimate, estimate_state_
 from gyrobench.bench.bias.bias_steps import BiasStep
 from gyrobench.bench.bias.budget import BudgetInputs
 from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, TurnPath
-from gyrobench.bench.bias.dwell_table import NEIGHBOURS_ON, NOT_MEASURED, DwellRow
+from gyrobench.bench.bias.dwell_table import NEIGHBOURS_ON, NOT_MEASURED, DwellRow, triple
 from gyrobench.bench.bias.joint_solution import JointInformation
 from gyrobench.bench.bias.noise_estimate import RestMotion, estimate_noise
 from gyrobench.bench.bias.noise_model import NoiseModel
@@ -31,7 +31,6 @@ from gyrobench.bench.dwells.temperatures import (
     DwellTemperatures,
     dwell_temperatures,
     gyro_temperatures_at,
-    triple,
     valid_temperatures,
 )
 from gyrobench.bench.foundations.arrays import ARCSEC_TO_RAD, UG_TO_MPS2, BoolArray, FloatArray
@@ -143,7 +142,9 @@ class MeasuredDwell:
     #: estimate, paper: By the full error model, without its information, and by the paper's method.
     estimate: StateSpaceEstimate | None
     paper: BiasEstimate | None
-    shared: JointInformation | None  #: What it shows of the unknowns that the dwells of a plateau share.
+    joint_information: (
+        JointInformation | None
+    )  #: What it shows of the unknowns that the dwells of a plateau share.
     #: Navigation at rest, an epoch a second, for the noise estimate; empty where it is disturbed, and where
     #: :mod:`gyrobench.bench.dwells.run_dwells` does not keep it.
     windows: tuple[RestMotion, ...]
@@ -171,7 +172,7 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
     A dwell that can't give a result gives a row without biases, flagged with the reason.
     """
     flags = list(marks.disturbances)
-    estimate, paper, shared = None, None, None
+    estimate, paper, joint_information = None, None, None
     doubts: tuple[str, ...] = ()
     windows: tuple[RestMotion, ...] = ()
     counts, temperatures, fault = EpochCounts(), DwellTemperatures(), ""
@@ -190,7 +191,7 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
         paper = _paper(dwell, setup.site, noise)
         estimate, found, doubts = estimate_dwell(dwell, setup, noise, faults)
         if estimate.information:
-            shared = JointInformation.of(estimate.information, dwell.position, setup.prior)
+            joint_information = JointInformation.of(estimate.information, dwell.position, setup.prior)
             estimate = replace(estimate, information=None)
         flags += found
         if not flags:
@@ -200,7 +201,7 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
         flags.append(str(error))
         fault = str(error) if isinstance(error, SignalMapError) else ""
     row = _row(marks, temperatures, estimate, paper, flags)
-    return MeasuredDwell(row, estimate, paper, shared, windows, counts, doubts, fault, evidence)
+    return MeasuredDwell(row, estimate, paper, joint_information, windows, counts, doubts, fault, evidence)
 
 
 def estimate_dwell(

@@ -15,16 +15,20 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from gyrobench.bench.bias.budget import Budget, coefficient_budget
-from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow, Triple
+from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow, Triple, triple
 from gyrobench.bench.bias.joint_solution import JointDwell, JointSolution
 from gyrobench.bench.bias.plateaus import MAX_FROM_MEAN_K, plateau_key
 from gyrobench.bench.bias.statistics import chi2_p_value, lowest_polynomial
-from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, Coefficient, CoefficientEstimate
+from gyrobench.bench.calibration.coefficients import (
+    COEFFICIENTS,
+    COUNT,
+    CoefficientEstimate,
+    SensorCoefficient,
+)
 from gyrobench.bench.calibration.joint_coefficients import joint_coefficients
 from gyrobench.bench.calibration.results import coefficient_rows
 from gyrobench.bench.dwells.measure_dwell import MeasurementSetup
 from gyrobench.bench.dwells.rotations import OF_GYROS, PlateauRotations, enclosing
-from gyrobench.bench.dwells.temperatures import triple
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.runs.tables.coefficient_table import COMMON_SOURCES, PlateauCoefficientRow
@@ -67,7 +71,7 @@ class PlateauCalibration:
         )
         return float(self.estimate.values[k]), math.sqrt(self.estimate.covariance[k, k] - shared)
 
-    def change_c(self, coefficient: Coefficient, sensor: int) -> float:
+    def change_c(self, coefficient: SensorCoefficient, sensor: int) -> float:
         """Range of a temperature, 0 to 2 of the gyros, 3 of the case, while a coefficient was measured."""
         is_bias = coefficient.kind == "bias" or self.rotations is None or self.rotations.calibration is None
         low_c, high_c = (self if is_bias or self.rotations is None else self.rotations).range_c
@@ -89,7 +93,7 @@ class PlateauCalibration:
         return np.where(seen, self.estimate.correlations, np.nan)
 
     @property
-    def budgets(self) -> list[tuple[Coefficient, Budget]]:
+    def budgets(self) -> list[tuple[SensorCoefficient, Budget]]:
         """Uncertainty budgets of the observed coefficients, in their units."""
         if self.estimate is None:
             return []

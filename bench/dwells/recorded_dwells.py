@@ -14,6 +14,7 @@ from gyrobench.bench.dwells.measure_dwell import MeasuredDwell, MeasurementSetup
 from gyrobench.bench.dwells.rotated_dwell import navigated_increments
 from gyrobench.bench.dwells.run_dwells import add_dwell
 from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.procedure.plan import DwellPurpose
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import read_journal
@@ -24,7 +25,9 @@ from gyrobench.drivers.frames import FrameBlock, concatenate
 _MAX_NOISE_SAMPLES = 50_000
 
 
-def replay(folder: RunFolder, setup: MeasurementSetup) -> tuple[list[MeasuredDwell], list[CheckDwell]]:
+def measure_recorded(
+    folder: RunFolder, setup: MeasurementSetup
+) -> tuple[list[MeasuredDwell], list[CheckDwell]]:
     """Measure every finished dwell of a run again; check dwells are returned separately.
 
     The journal lists the frames of each dwell; the frames themselves come from the raw log, one part of it at
@@ -35,7 +38,7 @@ def replay(folder: RunFolder, setup: MeasurementSetup) -> tuple[list[MeasuredDwe
     dwells: list[MeasuredDwell] = []
     check_dwells: list[CheckDwell] = []
     for marks, frames in _recorded(folder):
-        if marks.is_calibration_check:
+        if marks.purpose is DwellPurpose.CALIBRATION_CHECK:
             check_dwells.append(measure_check_dwell(marks, frames, setup))
         else:
             add_dwell(dwells, measure_dwell(marks, frames, setup))
@@ -43,7 +46,7 @@ def replay(folder: RunFolder, setup: MeasurementSetup) -> tuple[list[MeasuredDwe
 
 
 def _recorded(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:
-    finished = [marks for marks in finished_marks(folder) if marks.gives_bias]
+    finished = [marks for marks in finished_marks(folder) if marks.purpose.gives_bias]
     parts = [marks.log_part for marks in finished if marks.windows]
     if len(set(parts)) < len(parts):
         raise RunFolderError(f"{folder.journal}: damaged: it places two dwells in one part of the log")
@@ -51,24 +54,27 @@ def _recorded(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:
         yield marks, read_frames(folder, marks)
 
 
-def rotated(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:
-    """Finished dwells with rotations that nothing disturbed, in order; raises as :func:`replay`."""
+def rotated_dwells(folder: RunFolder) -> Iterator[tuple[DwellMarks, FrameBlock]]:
+    """Finished dwells with rotations that nothing disturbed, in order; raises as :func:`measure_recorded`."""
     for marks in rotated_marks(folder):
         yield marks, read_frames(folder, marks)
 
 
 def rotated_marks(folder: RunFolder) -> list[DwellMarks]:
-    """Marks of :func:`rotated`."""
-    return [marks for marks in finished_marks(folder) if marks.is_rotated and not marks.disturbances]
+    """Marks of :func:`rotated_dwells`."""
+    return _undisturbed(folder, DwellPurpose.ROTATIONS)
 
 
 def noise_records(folder: RunFolder, setup: MeasurementSetup) -> list[RateRecord]:
-    """Gyro rates of the finished noise records that nothing disturbed; raises as :func:`replay`."""
+    """Gyro rates of the finished noise records that nothing disturbed; raises as :func:`measure_recorded`."""
     return [
         _rate_record(marks, read_frames(folder, marks), setup)
-        for marks in finished_marks(folder)
-        if marks.is_noise_record and not marks.disturbances
+        for marks in _undisturbed(folder, DwellPurpose.NOISE)
     ]
+
+
+def _undisturbed(folder: RunFolder, purpose: DwellPurpose) -> list[DwellMarks]:
+    return [marks for marks in finished_marks(folder) if marks.purpose is purpose and not marks.disturbances]
 
 
 def _rate_record(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) -> RateRecord:

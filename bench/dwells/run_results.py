@@ -31,13 +31,18 @@ from gyrobench.bench.dwells.calibration_check import calibration_check_rows
 from gyrobench.bench.dwells.check_dwell import CheckDwell
 from gyrobench.bench.dwells.measure_dwell import MeasuredDwell, MeasurementSetup, measurement_setup
 from gyrobench.bench.dwells.plateau_calibration import PlateauCalibration, calibrate_plateaus
-from gyrobench.bench.dwells.recorded_dwells import noise_records, replay, rotated, rotated_marks
+from gyrobench.bench.dwells.recorded_dwells import (
+    measure_recorded,
+    noise_records,
+    rotated_dwells,
+    rotated_marks,
+)
 from gyrobench.bench.dwells.rotations import RunRotations, spin_record
 from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN, RADPS_TO_DPH
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.files import remove
 from gyrobench.bench.navigation.positions import POSITIONS
-from gyrobench.bench.procedure.plan import Plan, PlannedStep
+from gyrobench.bench.procedure.plan import DwellPurpose, Plan, PlannedStep
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
 from gyrobench.bench.runs.tables.budget_table import budget_rows, coefficient_budget_rows, write_budget
@@ -105,7 +110,7 @@ def evaluate(
     good = [dwell for dwell in dwells if dwell.estimate and not dwell.row.flags]
     joint = [solve_jointly(plateau, setup.prior) for plateau in group_plateaus(_joint_dwells(good))]
     rate = pooled_up_rate(joint, setup.prior)
-    evaluated = with_latitude(dwells, joint, rate, setup.prior)
+    evaluated = _with_latitude(dwells, joint, rate, setup.prior)
     rows = [dwell.row for dwell in evaluated if dwell.estimate and not dwell.row.flags]
     bins = bin_biases(rows, bin_width_c)
     parts = [BudgetedDwell(each.row, each.estimate.parts) for each in evaluated if each.estimate]
@@ -126,7 +131,7 @@ def planned_dwells(plan: Plan) -> list[PlannedDwell]:
     """Dwells of a plan that measure biases, in order, at the temperatures estimated for their beginning."""
     first: dict[int, PlannedStep] = {}
     for step in plan.steps:
-        if step.dwell is not None and step.gives_bias and not step.is_calibration_check:
+        if step.dwell is not None and step.purpose is DwellPurpose.CALIBRATION:
             first.setdefault(step.dwell, step)
     return [
         PlannedDwell(
@@ -176,14 +181,14 @@ def _joint_dwells(dwells: Sequence[MeasuredDwell]) -> list[JointDwell]:
         JointDwell(
             number=dwell.row.dwell,
             position_name=dwell.row.position,
-            rows=dwell.shared,
+            information=dwell.joint_information,
             cycle=dwell.row.cycle,
             chamber_set_c=dwell.row.chamber_set_c,
             gyro_c=dwell.row.gyro_c,
             run=dwell.row.run,
         )
         for dwell in dwells
-        if dwell.shared
+        if dwell.joint_information
     ]
 
 
@@ -194,7 +199,7 @@ def _noise(dwells: Sequence[MeasuredDwell], setup: MeasurementSetup) -> NoiseEst
         return None
 
 
-def with_latitude(
+def _with_latitude(
     dwells: Sequence[MeasuredDwell],
     solutions: Sequence[JointSolution],
     rate: UpRate | None,
@@ -264,7 +269,7 @@ def _north_flag(solutions: Sequence[JointSolution], prior: PriorKnowledge) -> st
     if not agreeing:
         return ""
     rates, sigmas = np.array([each.north_rate for each in agreeing]).T
-    _, _, earth_up = agreeing[0].dwells[0].rows.earth_rate
+    _, _, earth_up = agreeing[0].dwells[0].information.earth_rate
     error = float((rates / sigmas**2).sum() / (1.0 / sigmas**2).sum() / earth_up)
     # What the misalignments of the gyros do is common to all plateaus.
     sigma = float(np.hypot((1.0 / sigmas**2).sum() ** -0.5, sigmas.min() / 2.0) / abs(earth_up))
@@ -302,7 +307,7 @@ def evaluate_run(
     coefficients = calibrate_plateaus(results.joint, rows, turned, setup)
     with_spins = procedure.tests.scale_factor_stability is not None
     records = noise_records(folder, setup) if procedure.tests.allan_variance else []
-    spins = [spin_record(*each, setup) for each in rotated(folder)] if with_spins else []
+    spins = [spin_record(*each, setup) for each in rotated_dwells(folder)] if with_spins else []
     characteristics = procedure.tests.evaluate(rows, records, spins)
     results = replace(results, coefficients=coefficients, characteristics=characteristics)
     if results.dwells:
@@ -316,7 +321,7 @@ def _rotations(folder: RunFolder, setup: MeasurementSetup, known: RunRotations) 
     if known.dwells == [marks.dwell for marks in rotated_marks(folder)]:
         return known
     found = RunRotations()
-    for marks, frames in rotated(folder):
+    for marks, frames in rotated_dwells(folder):
         found.add(marks, frames, setup)
     return found
 
@@ -331,7 +336,7 @@ def recompute_run(path: Path) -> RunFolder:
     document, procedure = load_procedure(folder.procedure)
     station = Station(folder.station)
     setup = measurement_setup(station)
-    dwells, check_dwells = replay(folder, setup)
+    dwells, check_dwells = measure_recorded(folder, setup)
     calibration = read_dwells(folder.calibration) if folder.calibration.exists() else []
     evaluate_run(folder, station.plan(document, procedure), setup, dwells, check_dwells, calibration)
     return folder

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow, Triple
+from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow, Triple, triple
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.positions import AXES
@@ -97,12 +97,6 @@ def _slopes(time_s: FloatArray, values_c: FloatArray) -> FloatArray:
             for column_c, each in valid
         ]
     )
-
-
-def triple(values: FloatArray) -> Triple:
-    """Values of the x, y and z gyro as plain numbers."""
-    x, y, z = (float(value) for value in values)
-    return x, y, z
 
 
 #: Temperatures, degC, that an INS survives.

@@ -15,10 +15,11 @@ from typing import TypeVar
 import numpy as np
 
 from gyrobench.bench.engine.live_bench import LiveBench
+from gyrobench.bench.engine.measured_unit import MeasuredUnit
 from gyrobench.bench.engine.operator import ask_operator
 from gyrobench.bench.engine.run_context import RunContext
-from gyrobench.bench.engine.soak import TemperatureHistory
-from gyrobench.bench.engine.units import Unit, Units
+from gyrobench.bench.engine.soak import SoakTemperatures
+from gyrobench.bench.engine.units import Units
 from gyrobench.bench.foundations.errors import (
     ConnectionFailedError,
     FaultError,
@@ -103,7 +104,7 @@ def _power_on(step: PowerOn, context: StepContext) -> Ticks:
     yield from _lasting(bench, step.settle_s)
 
 
-def _sending(unit: Unit, bench: LiveBench) -> Ticks:
+def _sending(unit: MeasuredUnit, bench: LiveBench) -> Ticks:
     """Wait until the INS sends."""
     reopened_s = bench.clock.now()
     while not _is_sending(unit):
@@ -167,7 +168,7 @@ def _soaking(step: Soak, context: StepContext) -> Ticks:
         yield from _lasting(bench, step.for_s)
         return
     begin_s = bench.clock.now()
-    histories: dict[Unit, TemperatureHistory] = defaultdict(TemperatureHistory)
+    histories: dict[MeasuredUnit, SoakTemperatures] = defaultdict(SoakTemperatures)
     asked_s, is_new = -np.inf, False
     while (elapsed_s := bench.clock.now() - begin_s) < (step.at_most_s or np.inf):
         if asked_s < bench.readings.asked_s:
@@ -225,12 +226,12 @@ def _align(step: Align, context: StepContext) -> Ticks:
         yield from context.units.each(_fine)
 
 
-def _fine(unit: Unit) -> Ticks:
+def _fine(unit: MeasuredUnit) -> Ticks:
     while unit.live.status().alignment is not Alignment.FINE:
         yield
 
 
-def _commanded(context: StepContext, command: Callable[[Unit], Ticks | None]) -> Ticks:
+def _commanded(context: StepContext, command: Callable[[MeasuredUnit], Ticks | None]) -> Ticks:
     """Command all units at once, those with a command, and wait until each confirms it.
 
     A failed one is tried again as often as the step allows; then its unit is dropped, or the error raised.
@@ -250,9 +251,11 @@ def _commanded(context: StepContext, command: Callable[[Unit], Ticks | None]) ->
         yield from _lasting(context.bench, _RETRY_PAUSE_S)
 
 
-def _confirmed_by_all(context: StepContext, waiting: dict[Unit, Ticks]) -> dict[Unit, InstrumentError]:
+def _confirmed_by_all(
+    context: StepContext, waiting: dict[MeasuredUnit, Ticks]
+) -> dict[MeasuredUnit, InstrumentError]:
     """Exchange until each command has been confirmed or has failed; empties ``waiting``, returns errors."""
-    errors: dict[Unit, InstrumentError] = {}
+    errors: dict[MeasuredUnit, InstrumentError] = {}
     while waiting:
         for unit, steps in list(waiting.items()):
             try:
@@ -299,7 +302,7 @@ def _navigation_begun(context: StepContext) -> Ticks:
             why = "the INS has not aligned, so it can't navigate. Increase the duration of align."
             context.units.fail(unit, InvalidDwellError(why))
 
-    def navigating(unit: Unit) -> Ticks | None:
+    def navigating(unit: MeasuredUnit) -> Ticks | None:
         is_begun = unit.live.ins.status().mode is InsMode.NAVIGATE or unit.recorder.has_window
         return None if is_begun else unit.live.ins.navigating()
 
@@ -371,7 +374,7 @@ def _rotating(step: RotatingStep, context: StepContext) -> Ticks:
 
 
 def _increments_sent(context: StepContext, on: bool) -> Ticks:
-    def sent(unit: Unit) -> Ticks:
+    def sent(unit: MeasuredUnit) -> Ticks:
         if unit.live.ins.supports("send_increments"):
             yield from tried(context, lambda: unit.live.ins.send_increments(on))
 
@@ -478,12 +481,12 @@ def _table_read(context: StepContext) -> Ticks:
         context.bench.read_table()
 
 
-def _is_sending(unit: Unit) -> bool:
+def _is_sending(unit: MeasuredUnit) -> bool:
     status = unit.live.status()
     return status.age_s < _BOOT_FRAMES_AGE_S and status.mode is not InsMode.BOOT
 
 
-def _choosing_euler_sequence(step: Align, unit: Unit) -> Ticks | None:
+def _choosing_euler_sequence(step: Align, unit: MeasuredUnit) -> Ticks | None:
     """Select the Euler sequence that is regular in this position, where the INS supports that."""
     if not unit.live.ins.supports("set_euler_sequence"):
         return None

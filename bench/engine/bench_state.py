@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from gyrobench.bench.navigation.table_axes import Angles
-from gyrobench.bench.procedure.plan import PlannedStep
+from gyrobench.bench.procedure.plan import DwellPurpose, PlannedStep
 from gyrobench.bench.station.safe_state import SafeAction, SafePart
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.chamber import ChamberReading
@@ -47,9 +47,7 @@ class RunPosition:
     step: int = 0  #: number in the plan; 0 outside
     dwell: int = 0  #: number in the plan; 0 outside
     cycle: int = 1  #: temperature cycle
-    is_calibration_check: bool = False  #: the dwell checks a calibration
-    is_rotated: bool = False  #: the dwell rotates about the table's axes
-    is_noise_record: bool = False  #: the dwell records the gyros' noise
+    purpose: DwellPurpose = DwellPurpose.CALIBRATION  #: of the dwell
     power_ons: int = 0  #: how often the units were switched on
     powered_s: float = 0.0  #: when they were switched on last, on the run's clock
     angles_deg: Angles | None = None  #: outer and inner angle last commanded; None before the first motion
@@ -144,9 +142,7 @@ class BenchState:
             step=planned.number,
             dwell=planned.dwell or 0,
             cycle=planned.cycle,
-            is_calibration_check=planned.is_calibration_check,
-            is_rotated=planned.is_rotated,
-            is_noise_record=planned.is_noise_record,
+            purpose=planned.purpose,
         )
 
     # chamber

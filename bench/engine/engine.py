@@ -7,7 +7,7 @@ from dataclasses import asdict, replace
 
 from gyrobench.bench.engine.actions import StepContext, perform
 from gyrobench.bench.engine.holding import Heartbeat, Holding
-from gyrobench.bench.engine.interlocks.checks import Finding
+from gyrobench.bench.engine.interlocks.checks import InterlockFinding
 from gyrobench.bench.engine.interlocks.watch import Trip, TrippedError, text_of_trips, trip_of_error
 from gyrobench.bench.engine.operator import CommandReceivedError, GivenCommand, RunCommand
 from gyrobench.bench.engine.run_context import RunContext
@@ -126,13 +126,13 @@ class Engine:
         failed = self._bench.failed_safe_actions.values()
         if failed:
             problems = "; ".join(f"{action.what}: {action.problem}" for action in failed)
-            found = Finding("safe_state", f"the bench is not in its safe state: {problems}", "")
+            found = InterlockFinding("safe_state", f"the bench is not in its safe state: {problems}", "")
             trips = [*trips, Trip("safe_state", (found,), PassingRule())]
         faults, self._unseen_faults = self._unseen_faults, ()
         if faults:
             rule = self._bench.station.file.interlocks.table_fault
             problem = f"the rate table reported {', '.join(faults)} before the run began"
-            found = Finding("table_fault", problem, "Find the cause.")
+            found = InterlockFinding("table_fault", problem, "Find the cause.")
             trips = [*trips, Trip("table_fault", (found,), rule)]
         if trips:
             raise TrippedError(trips)

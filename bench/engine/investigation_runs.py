@@ -40,7 +40,7 @@ from gyrobench.bench.investigation.block_procedure import (
     opening_procedure,
 )
 from gyrobench.bench.investigation.blocks import Block, BlockStart, BlockTimes
-from gyrobench.bench.investigation.external_bench import BenchState, BlockPlan, PowerStep
+from gyrobench.bench.investigation.external_bench import BlockPlan, PowerStep, StartState
 from gyrobench.bench.investigation.profile import Profile
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.procedure.plan import Plan
@@ -203,7 +203,7 @@ class StationBench:
         x, y, z = (
             replace(ended, gyro_c=_last(readings[f"gyro_{axis}_c"])).passed(now_s - last_s) for axis in AXES
         )
-        state = BenchState(
+        state = StartState(
             chamber_c=x.chamber_c,
             gyro_x_c=x.gyro_c,
             gyro_y_c=y.gyro_c,

@@ -14,7 +14,7 @@ from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.procedure.checks import find_problems
-from gyrobench.bench.procedure.plan import Plan, expand
+from gyrobench.bench.procedure.plan import DwellPurpose, Plan, expand
 from gyrobench.bench.procedure.procedure_file import Procedure, load_procedure
 from gyrobench.bench.runs.compensation_file import read_compensation
 from gyrobench.bench.runs.folder import RunFolder
@@ -107,7 +107,7 @@ def prepare_job(
     bench.check_dbc()
     document, model = load_procedure(find_document("procedures", procedure))
     plan = _planned(bench, document, model)
-    if calibration and not any(planned.is_calibration_check for planned in plan.steps):
+    if calibration and not any(each.purpose is DwellPurpose.CALIBRATION_CHECK for each in plan.steps):
         raise DocumentError(
             f"{document.path}: checks no calibration, so {calibration} is not used. Leave --calibration out, "
             "or choose a procedure with `purpose: calibration_check`"

@@ -11,7 +11,7 @@ from pathlib import Path
 from gyrobench.bench.bias.dwell_table import write_dwells
 from gyrobench.bench.dwells.live_estimate import warm_up
 from gyrobench.bench.dwells.measure_dwell import MeasurementSetup, measurement_setup
-from gyrobench.bench.dwells.recorded_dwells import replay
+from gyrobench.bench.dwells.recorded_dwells import measure_recorded
 from gyrobench.bench.dwells.run_results import evaluate_run
 from gyrobench.bench.engine.engine import Engine
 from gyrobench.bench.engine.job import Job
@@ -19,7 +19,7 @@ from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.observers import ObservedOperator, ObserverGroup, RunObserver, RunOutcome
 from gyrobench.bench.engine.operator import CommandQueue, Operator
 from gyrobench.bench.engine.resume import ResumeState, Resumption, prepare_resumption
-from gyrobench.bench.engine.run_context import MeasuredUnit, RunContext, UnitRecord
+from gyrobench.bench.engine.run_context import RunContext, UnitRun
 from gyrobench.bench.engine.run_notifier import RunNotifier
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import GyrobenchError, InstrumentError, RunFolderError
@@ -64,9 +64,9 @@ def run_job(
     state = ResumeState(unit=after.unit, power_ons=after.power_ons) if after else ResumeState()
     outcome = RunOutcome()
 
-    def units(folder: RunFolder) -> tuple[UnitRecord, ...]:
+    def units(folder: RunFolder) -> tuple[UnitRun, ...]:
         return tuple(
-            UnitRecord(
+            UnitRun(
                 unit.number,
                 job.plan_of(unit),
                 measurement_setup(unit),
@@ -102,7 +102,7 @@ def resume_run(
     if resumption.is_measured:
         return folder, _finish(resumption)
     clock = clock or resumption.clock()
-    outcome, units = _replayed(resumption)
+    outcome, units = _remeasured(resumption)
 
     def check_folder(folder: RunFolder, instruments: Instruments) -> None:  # noqa: ARG001
         resumption.check_unchanged()
@@ -113,16 +113,18 @@ def resume_run(
     return _execute(start, observer, operator)
 
 
-def _replayed(resumption: Resumption) -> tuple[RunOutcome, tuple[UnitRecord, ...]]:
+def _remeasured(resumption: Resumption) -> tuple[RunOutcome, tuple[UnitRun, ...]]:
     """Measure the finished dwells of an interrupted run again; returns its outcome, and its units."""
     units = []
     for station, part in zip(resumption.job.station.units, resumption.units, strict=True):
         setup = measurement_setup(station)
-        dwells, check_dwells = replay(part.folder, setup) if part.folder.journal.is_file() else ([], [])
+        dwells, check_dwells = (
+            measure_recorded(part.folder, setup) if part.folder.journal.is_file() else ([], [])
+        )
         outcome = RunOutcome(dwells=dwells, check_dwells=check_dwells)
         if why := resumption.state.dropped.get(station.number):
             outcome.fail(why)
-        units.append(UnitRecord(station.number, part.plan, setup, part.folder, part.state, outcome))
+        units.append(UnitRun(station.number, part.plan, setup, part.folder, part.state, outcome))
     if not units[0].number:
         return units[0].outcome, tuple(units)
     return RunOutcome(), tuple(units)
@@ -151,7 +153,7 @@ def _finish(resumption: Resumption) -> RunOutcome:
     folder, job = resumption.folder, resumption.job
     with RunLock(folder.path, resumption.clock()):
         resumption.check_unchanged()
-        outcome, units = _replayed(resumption)
+        outcome, units = _remeasured(resumption)
         for unit in units:
             write_dwells(unit.folder.dwells, [dwell.row for dwell in unit.outcome.dwells])
             _evaluate(unit, job)
@@ -172,7 +174,7 @@ class _Start:
     state: ResumeState
     outcome: RunOutcome
     open_folder: Callable[[], RunFolder]
-    units: Callable[[RunFolder], tuple[UnitRecord, ...]]
+    units: Callable[[RunFolder], tuple[UnitRun, ...]]
     prepare_folder: Callable[[RunFolder, Instruments], None]
 
 
@@ -210,15 +212,15 @@ def _execute(start: _Start, observer: RunObserver, operator: Operator) -> tuple[
         bench_lock.sign(folder.path)
         run_lock = opened.enter_context(RunLock(folder.path, clock))
         start.prepare_folder(folder, instruments)
-        records = start.units(folder)
+        units = start.units(folder)
         journal = opened.enter_context(Journal(folder.journal, clock))
-        running = [record for record in records if record.number not in start.state.dropped]
-        journals = [
-            opened.enter_context(Journal(record.folder.journal, clock)) if record.number else journal
-            for record in running
-        ]
-        journal.followers += [each for each in journals if each is not journal]
-        outcome.units = {record.number: record.outcome for record in records if record.number}
+        running = [unit for unit in units if unit.number not in start.state.dropped]
+        journals = {
+            unit.number: opened.enter_context(Journal(unit.folder.journal, clock)) if unit.number else journal
+            for unit in running
+        }
+        journal.followers += [each for each in journals.values() if each is not journal]
+        outcome.units = {unit.number: unit.outcome for unit in units if unit.number}
         _record_start(journal, start, setup, observer)
         for text in (*bench_lock.taken_over, *run_lock.taken_over):
             journal.record("note", text=text)
@@ -226,7 +228,7 @@ def _execute(start: _Start, observer: RunObserver, operator: Operator) -> tuple[
         messenger = opened.enter_context(Messenger(job.station.file.messages, journal.record))
         observers = ObserverGroup(observer, RunNotifier(messenger, job.plan, start.state))
         guard = opened.enter_context(guard_for(job.station, folder.path, clock))
-        logs = [(CanLog(record.folder.can), Telemetry(record.folder.telemetry)) for record in running]
+        logs = [(CanLog(unit.folder.can), Telemetry(unit.folder.telemetry)) for unit in running]
         telemetry = None if running[0].folder == folder else Telemetry(folder.telemetry)
         opened.callback(_flush, logs, telemetry, outcome)
         bench = LiveBench(job.station, instruments, clock, logs, partial(_record_failure, journal), telemetry)
@@ -242,19 +244,19 @@ def _execute(start: _Start, observer: RunObserver, operator: Operator) -> tuple[
             guard=guard,
             state=start.state,
             outcome=outcome,
-            records=records,
-            measured=tuple(map(MeasuredUnit, running, bench.units, journals)),
+            units={unit.number: unit for unit in units},
+            unit_journals=journals,
         )
         Engine(run).run()
         if outcome.is_safe:
             guard.release()
             messenger.patience_s = PATIENCE_S  # else the guard must not wait for the bench
     observers.noted("evaluating the measurements")
-    for record in records:
+    for unit in units:
         try:
-            _evaluate(record, job)
+            _evaluate(unit, job)
         except GyrobenchError as error:
-            outcome.fail(record.named(str(error)))
+            outcome.fail(unit.named(str(error)))
             observers.ended(outcome)
     return folder, outcome
 
@@ -299,7 +301,7 @@ def _flush(
             outcome.fail(str(error))
 
 
-def _evaluate(unit: UnitRecord, job: Job) -> None:
+def _evaluate(unit: UnitRun, job: Job) -> None:
     """Compute and write the results of all dwells of a unit; raises what :func:`evaluate_run` does."""
     outcome = unit.outcome
     calibration = [row for row in job.calibration if not unit.number or row.unit == unit.number]

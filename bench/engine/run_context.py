@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from gyrobench.bench.dwells.measure_dwell import MeasurementSetup
 from gyrobench.bench.engine.job import Job
 from gyrobench.bench.engine.live_bench import LiveBench
-from gyrobench.bench.engine.live_unit import LiveUnit
 from gyrobench.bench.engine.observers import RunObserver, RunOutcome
 from gyrobench.bench.engine.operator import CommandQueue, Operator
 from gyrobench.bench.engine.resume import ResumeState
@@ -19,8 +19,8 @@ from gyrobench.bench.runs.journal import Journal
 
 
 @dataclass(frozen=True, eq=False)
-class UnitRecord:
-    """One unit of a run: what is known of it, and where that is kept; a single unit shares the run's."""
+class UnitRun:
+    """The run of one unit, as if it were alone on the bench; a single unit shares the run's folder."""
 
     number: str  #: serial number by the station file; empty for a single unit
     plan: Plan  #: with the unit's positions
@@ -37,15 +37,6 @@ class UnitRecord:
         return f"unit {self.number}: {text}" if self.number else text
 
 
-@dataclass(frozen=True, eq=False)
-class MeasuredUnit:
-    """A unit that is being measured."""
-
-    record: UnitRecord
-    live: LiveUnit
-    journal: Journal
-
-
 @dataclass(frozen=True)
 class RunContext:
     """One run on one bench."""
@@ -60,18 +51,18 @@ class RunContext:
     guard: Guard  #: gets a sign of life at each tick
     state: ResumeState  #: what is finished; the run keeps it up to date
     outcome: RunOutcome  #: how the run ends
-    records: tuple[UnitRecord, ...]  #: of all units, also those that were dropped
-    measured: tuple[MeasuredUnit, ...]  #: the units that are not dropped when it begins
+    units: Mapping[str, UnitRun]  #: all by number, also those that were dropped
+    unit_journals: Mapping[str, Journal]  #: of the units that are not dropped when it begins
 
     @property
     def plan(self) -> Plan:
         """The planned steps."""
         return self.job.plan
 
-    def note(self, text: str, unit: MeasuredUnit | None = None) -> None:
-        """Record something that the operator should know, of one unit or of all; notify the observers."""
-        (unit or self).journal.record("note", text=text)
-        self.observers.noted(unit.record.named(text) if unit else text)
+    def note(self, text: str) -> None:
+        """Record something that the operator should know; notify the observers."""
+        self.journal.record("note", text=text)
+        self.observers.noted(text)
 
     def record_retry(self, error: InstrumentError) -> None:
         """Record an exchange that is tried again."""

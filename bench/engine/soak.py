@@ -15,7 +15,7 @@ from gyrobench.bench.foundations.errors import InstrumentError
 _FIT_S = 600.0
 
 
-class TemperatureHistory:
+class SoakTemperatures:
     """Temperatures of the gyros of one unit over the last ten minutes."""
 
     def __init__(self) -> None:

@@ -1,157 +1,26 @@
-"""The units of a run, measured all at once, and the compensation stored in each.
-
-One of several units that fails is left out of the rest of the run. A bias that the INS subtracts can't be
-measured, and one that it no longer subtracts reappears unnoticed. So its compensation is compared with the
-one of the run after each power-on and before each alignment.
-"""
+"""The units of a run, measured all at once; one of several that fails is left out of the rest of the run."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator, Iterator, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
 
-from gyrobench.bench.engine.dwell_recording import DwellLedger, DwellRecorder
 from gyrobench.bench.engine.interlocks.watch import Trip, text_of_trips, trip_of_error
-from gyrobench.bench.engine.operator import ask_operator
-from gyrobench.bench.engine.resume import UNKNOWN_CHECKSUM
-from gyrobench.bench.engine.run_context import MeasuredUnit, RunContext
+from gyrobench.bench.engine.measured_unit import MeasuredUnit
+from gyrobench.bench.engine.run_context import RunContext
+from gyrobench.bench.engine.stored_compensation import StoredCompensation
 from gyrobench.bench.foundations.errors import (
     FaultError,
     GyrobenchError,
     InstrumentError,
     InvalidDwellError,
-    RefusedError,
-    RunStoppedError,
     SignalMapError,
     UnitsLostError,
 )
-from gyrobench.bench.foundations.operator_name import operator_name
 from gyrobench.bench.runs.provenance import add_identity
-from gyrobench.drivers.ins.ins_status import InsStatus
-
-_CLEAR, _KEEP, _STOP = "clear", "keep", "stop"
-
-
-class StoredCompensation:
-    """Makes the INS compensate what the run's job says, and nothing else.
-
-    Answers of the operator are kept in the unit's state, so that each question is asked once.
-    """
-
-    def __init__(self, run: RunContext, unit: MeasuredUnit) -> None:
-        self._run = run
-        self._unit = unit
-        self._required = run.job.compensation
-        self._agreed: InsStatus | None = None
-
-    def settle(self, after_power_on: bool) -> Iterator[None]:
-        """Compare, ask and load; yields once a tick until the operator answers.
-
-        Where the INS does not report whether it compensates, nothing can be compared, and the compensation is
-        loaded after each power-on. Raises RunStoppedError if the operator stops the run. Raises
-        InstrumentError if the INS does not accept the compensation.
-        """
-        ins, unit = self._unit.live.ins, self._unit
-        found = unit.live.status()
-        if self._agreed is not None and _same(found, self._agreed, unknown=not after_power_on):
-            return
-        before = self._agreed
-        if found.compensation is None and before is None:
-            self._note("the INS does not report whether it compensates its gyros (ins.signals.compensation)")
-        clears = self._required is not None  # no term of an earlier one may stay
-        if found.compensation:
-            clears = yield from self._decide(found, appeared=before is not None)
-        if clears and ins.supports("clear_compensation"):
-            ins.clear_compensation()
-        if self._required is not None:
-            checksum = ins.load_compensation(self._required)
-            ins.apply_compensation()
-            self._note(f"the compensation {checksum:08x} is loaded into the INS")
-        elif before is not None and before.compensation and not found.compensation:
-            self._note("the INS has lost its stored compensation: dwells before and after differ")
-        self._agreed = ins.status()
-        unit.journal.record(
-            "compensation",
-            found=_entry(found),
-            in_use=_entry(self._agreed),
-            terms=None if self._required is None else list(self._required.terms()),
-        )
-
-    def _decide(self, found: InsStatus, appeared: bool) -> Generator[None, None, bool]:
-        """Ask whether to clear the stored compensation; returns the answer."""
-        run, unit = self._run, self._unit
-        answered = unit.record.state.stored_compensation_answers
-        in_use = found.compensation_in_use
-        which = UNKNOWN_CHECKSUM if in_use is None else f"{in_use:08x}"
-        ins = unit.live.ins
-        applies = "has begun to apply" if appeared else "applies"
-        what = f"The {ins.name} {applies} a stored compensation ({which})."
-        can_clear = ins.supports("clear_compensation")
-        if self._required is None:
-            question = f"{what} Clear it, or keep it and measure the remaining biases?"
-            answers = [_CLEAR, _KEEP, _STOP] if can_clear else [_KEEP, _STOP]
-        elif can_clear:
-            question = f"{what} Clear it before the run's compensation is loaded?"
-            answers = [_CLEAR, _STOP]
-        else:
-            raise RefusedError(
-                ins.name,
-                f"applies a stored compensation ({which}), and ins.commands has no clear_compensation. "
-                "Clear it by hand, or map the command",
-            )
-        answer = answered.get(which, "")
-        if answer not in answers:
-            answer = yield from ask_operator(run.operator, question, answers)
-            answered[which] = answer
-            unit.journal.record("compensation_decided", which=which, answer=answer, operator=operator_name())
-        if answer == _STOP:
-            raise RunStoppedError(f"the operator answered '{answer}' to: {question}")
-        if answer == _KEEP:
-            self._note(f"the biases are those that remain with the stored compensation ({which})")
-        else:
-            self._note(f"clearing the stored compensation of the INS ({which})")
-        return answer == _CLEAR
-
-    def _note(self, text: str) -> None:
-        self._run.note(text, self._unit)
-
-
-def _same(found: InsStatus, agreed: InsStatus, unknown: bool) -> bool:
-    """Whether nothing has changed; ``unknown`` is the answer where the INS does not report it."""
-    if found.compensation is None:
-        return unknown
-    if not (found.compensation and agreed.compensation):
-        return found.compensation == agreed.compensation
-    return found.compensation_in_use == agreed.compensation_in_use
-
-
-def _entry(status: InsStatus) -> dict[str, Any]:
-    in_use = status.compensation_in_use
-    return {"active": status.compensation, "checksum": None if in_use is None else f"{in_use:08x}"}
-
 
 #: A trip that lasts longer is not one that passes: the unit is dropped.
 _PASSES_WITHIN_S = 60.0
-
-
-class Unit:
-    """A unit that is being measured, with what records and measures its dwells."""
-
-    def __init__(self, run: RunContext, measured: MeasuredUnit) -> None:
-        self._run = run
-        self.measured = measured
-        self.record, self.live, self.journal = measured.record, measured.live, measured.journal
-        self.recorder = DwellRecorder(run.bench, self.live, self.record.setup)
-        self.dwells = DwellLedger(run, measured, self.recorder)
-        self.compensation = StoredCompensation(run, measured)
-        self.is_identified = bool(self.record.state.unit)
-        self.tripped_s: float | None = None  #: since when its interlock is tripped
-        self.live.state.number = self.record.state.unit or self.record.number
-
-    def note(self, text: str) -> None:
-        """Record something that the operator should know of this unit."""
-        self._run.note(text, self.measured)
 
 
 class Units:
@@ -166,18 +35,19 @@ class Units:
     def __init__(self, run: RunContext) -> None:
         self._run = run
         self._bench = run.bench
-        self._may_drop = len(run.records) > 1 and run.bench.station.file.drop_units
-        self.running = [Unit(run, measured) for measured in run.measured]
-        self._waiting: dict[Unit, Iterator[None]] = {}  # in the step in progress
-        self._aside: dict[Unit, str] = {}  # why it is not measured for the moment
+        self._may_drop = len(run.units) > 1 and run.bench.station.file.drop_units
+        self.running = [MeasuredUnit(run, live) for live in run.bench.units]
+        self._compensations = {unit: StoredCompensation(run, unit) for unit in self.running}
+        self._waiting: dict[MeasuredUnit, Iterator[None]] = {}  # in the step in progress
+        self._aside: dict[MeasuredUnit, str] = {}  # why it is not measured for the moment
         self._all_tripped_s = -math.inf  # when all were tripped at last, for long
 
     @property
-    def measuring(self) -> list[Unit]:
+    def measuring(self) -> list[MeasuredUnit]:
         """The units that the step in progress concerns: not those set aside, or done with its dwell."""
         dwell = self._bench.state.at.dwell
         present = (unit for unit in self.running if unit not in self._aside)
-        return [unit for unit in present if dwell not in unit.record.state.finished]
+        return [unit for unit in present if dwell not in unit.run.state.finished]
 
     @property
     def have_restarted(self) -> bool:
@@ -198,7 +68,7 @@ class Units:
         }
         return set(self._bench.station.power_events) - events
 
-    def each(self, action: Callable[[Unit], Iterator[None]]) -> Iterator[None]:
+    def each(self, action: Callable[[MeasuredUnit], Iterator[None]]) -> Iterator[None]:
         """Perform an action of each unit, all at once; yields once a tick until all are done.
 
         Raises what the action raises, unless the unit is dropped for it.
@@ -248,21 +118,21 @@ class Units:
             elif unit in self._aside and not self._is_in_dwell(unit):
                 self._take_back(unit)
 
-    def _tripped(self, unit: Unit, trips: Sequence[Trip], now_s: float) -> None:
+    def _tripped(self, unit: MeasuredUnit, trips: Sequence[Trip], now_s: float) -> None:
         since_s = max(unit.tripped_s or now_s, self._all_tripped_s)
         passes = _may_pass(trips) and now_s - since_s <= _PASSES_WITHIN_S
         if not (passes and self._set_aside(unit, text_of_trips(trips))):
             self._drop(unit, text_of_trips(trips))
 
-    def _is_in_dwell(self, unit: Unit) -> bool:
+    def _is_in_dwell(self, unit: MeasuredUnit) -> bool:
         dwell = self._bench.state.at.dwell
-        return bool(dwell) and dwell not in unit.record.state.finished
+        return bool(dwell) and dwell not in unit.run.state.finished
 
-    def _set_aside(self, unit: Unit, why: str) -> bool:
+    def _set_aside(self, unit: MeasuredUnit, why: str) -> bool:
         """Stop measuring a unit in the dwell in progress; returns False where the dwell can't be repeated."""
         if unit in self._aside:
             return True
-        if self._is_in_dwell(unit) and not unit.dwells.may_repeat(self._bench.state.at.dwell):
+        if self._is_in_dwell(unit) and not unit.may_repeat(self._bench.state.at.dwell):
             return False
         self._waiting.pop(unit, None)
         self._aside[unit] = why
@@ -271,7 +141,7 @@ class Units:
         unit.note(f"not measured for the moment: {why}")
         return True
 
-    def _take_back(self, *units: Unit) -> None:
+    def _take_back(self, *units: MeasuredUnit) -> None:
         for unit in units:
             unit.live.is_set_aside = False
             del self._aside[unit]
@@ -284,10 +154,10 @@ class Units:
             except InstrumentError as error:
                 self.fail(unit, error)
 
-    def _identify(self, unit: Unit) -> None:
+    def _identify(self, unit: MeasuredUnit) -> None:
         ins, known = unit.live.ins, unit.live.state.number
         identity = ins.identify()
-        number = str(ins.identity().get("serial_number", unit.record.number or "unknown"))
+        number = str(ins.identity().get("serial_number", unit.run.number or "unknown"))
         if known not in ("", number):
             raise FaultError(
                 ins.name, f"is unit {number}, but this run measures {known}. Connect {known} again."
@@ -295,14 +165,14 @@ class Units:
         unit.live.state.number, unit.is_identified = number, True
         unit.journal.record("ins_identified", unit=number, identity=identity)
         self._run.observers.identified(number)
-        for folder in {self._run.folder, unit.record.folder}:
+        for folder in {self._run.folder, unit.run.folder}:
             add_identity(folder, ins.name, identity)
 
     def settle_compensation(self, after_power_on: bool) -> Iterator[None]:
         """Compare the stored compensation of each unit with that of the run, one after another."""
         for unit in list(self.running):
             try:
-                yield from unit.compensation.settle(after_power_on)
+                yield from self._compensations[unit].settle(after_power_on)
             except InstrumentError as error:
                 self.fail(unit, error)
 
@@ -311,26 +181,26 @@ class Units:
         run, is_over = self._run, True
         for unit in self.measuring:
             try:
-                is_over = unit.dwells.finish() and is_over
+                is_over = unit.finish_dwell() and is_over
             except SignalMapError as error:
                 self.fail(unit, error)
         for unit in [unit for unit in self._aside if self._is_in_dwell(unit)]:
-            unit.dwells.repeat(dwell, self._aside[unit])
+            unit.repeat_dwell(dwell, self._aside[unit])
             self._take_back(unit)
             is_over = False
         if is_over:
             run.state.finished.add(dwell)
-            if len(run.records) > 1:
+            if len(run.units) > 1:
                 run.journal.record("dwell_over", dwell=dwell)
         return is_over
 
     def may_repeat(self, dwell: int) -> bool:
         """Whether the procedure allows that a dwell with invalid data is repeated."""
-        return all(unit.dwells.may_repeat(dwell) for unit in self.measuring)
+        return all(unit.may_repeat(dwell) for unit in self.measuring)
 
     def repeats(self, dwell: int) -> int:
         """How often every unit repeated a dwell because of invalid data."""
-        return min(unit.record.state.repeats[dwell] for unit in self.running)
+        return min(unit.run.state.repeats[dwell] for unit in self.running)
 
     @property
     def is_recording(self) -> bool:
@@ -353,7 +223,7 @@ class Units:
         measuring = self.measuring
         if dwell and self.end_captures():
             for unit in measuring:
-                unit.record.state.repeats[dwell] += counts
+                unit.run.state.repeats[dwell] += counts
             self._run.journal.record("dwell_given_up", dwell=dwell, why=why, counts=counts)
             self._run.observers.noted(f"dwell {dwell} is repeated: {why}")
 
@@ -362,11 +232,11 @@ class Units:
         self._take_back(*self._aside)
         self.end_captures()
         self._run.journal.record("dwell_skipped", dwell=dwell)
-        for state in (self._run.state, *(unit.record.state for unit in self.running)):
+        for state in (self._run.state, *(unit.run.state for unit in self.running)):
             state.skipped.add(dwell)
         self._run.observers.noted(f"dwell {dwell} is skipped")
 
-    def fail(self, unit: Unit, error: GyrobenchError) -> None:
+    def fail(self, unit: MeasuredUnit, error: GyrobenchError) -> None:
         """Drop the unit for its error, or set it aside if the error may pass.
 
         Raises the error where units may not be dropped, or if it is of another instrument.
@@ -378,14 +248,14 @@ class Units:
         if not (passes and self._is_in_dwell(unit) and self._set_aside(unit, str(error))):
             self._drop(unit, str(error))
 
-    def _drop(self, unit: Unit, why: str) -> None:
-        run, number = self._run, unit.record.number
+    def _drop(self, unit: MeasuredUnit, why: str) -> None:
+        run, number = self._run, unit.run.number
         run.journal.record("unit_dropped", unit=number, why=why)
         run.state.dropped[number] = why
         self._waiting.pop(unit, None)
         self._aside.pop(unit, None)
         self.running.remove(unit)
-        unit.record.outcome.ended, unit.record.outcome.reason = "failed", why
+        unit.run.outcome.ended, unit.run.outcome.reason = "failed", why
         run.observers.dropped(number, why)
         if not self.running:
             self._may_drop = False

@@ -10,19 +10,19 @@ from types import MappingProxyType
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
-from gyrobench.bench.closure.files import CLOSURE_FILE
-from gyrobench.bench.closure.inputs import read_closure
+from gyrobench.bench.closure.files import holds_search
 from gyrobench.bench.closure.loadable_model import (
     LoadableModel,
     declared_model,
     model_with_effects,
     with_coefficients,
 )
+from gyrobench.bench.closure.loop import repeat_search
 from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.closure.quantity import QUANTITIES
 from gyrobench.bench.dwells.check_dwell import CheckDwell
 from gyrobench.bench.dwells.measure_dwell import MeasuredDwell, measurement_setup
-from gyrobench.bench.dwells.recorded_dwells import replay
+from gyrobench.bench.dwells.recorded_dwells import measure_recorded
 from gyrobench.bench.engine.job import Job, emulation_of, prepare_job
 from gyrobench.bench.engine.observers import RunObserver, RunOutcome
 from gyrobench.bench.engine.operator import Operator
@@ -207,7 +207,7 @@ class VerificationRuns:
         return compare_coefficients(runs, site)
 
     def _read(self, name: str) -> _Measured:
-        return replay(RunFolder(self.folder / name), measurement_setup(self.jobs[name].station))
+        return measure_recorded(RunFolder(self.folder / name), measurement_setup(self.jobs[name].station))
 
     def _notes(self, rows: Mapping[str, Sequence[DwellRow]], *, has_coefficients: bool) -> Iterator[str]:
         units = {row.unit for row in read_dwells(self._run.dwells)}
@@ -249,7 +249,7 @@ def new_emulation(run: RunFolder, world: str | None = None, seed: int | None = N
 def _searches(run: RunFolder) -> tuple[Closure, ...]:
     """The searches of the run in coefficients beyond the gyros' biases."""
     folders = [run.closure.with_name(f"{run.closure.name}_{each.name}") for each in QUANTITIES]
-    return tuple(read_closure(folder) for folder in folders if (folder / CLOSURE_FILE).exists())
+    return tuple(repeat_search(folder) for folder in folders if holds_search(folder))
 
 
 def _coefficients_of(run: RunFolder) -> list[PlateauCoefficientRow]:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow, Triple, write_dwells
+from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow, Triple, triple, write_dwells
 from gyrobench.bench.exchange.import_map import LogMap, load_log_map
 from gyrobench.bench.exchange.log_windows import SampleReader, Window, cut_windows
 from gyrobench.bench.exchange.window_checks import (
@@ -70,7 +70,7 @@ def import_logs(logs: Sequence[Path], mapping: str) -> LogImport:
     """
     map_path = find_document("imports", mapping)
     log_map = load_log_map(map_path)
-    read = [read_log(path, log_map) for path in logs]
+    read = [_read_log(path, log_map) for path in logs]
     left_out = Counter(reason for log in read for reason in log.reasons if reason)
     if missing := sum(log.missing for log in read):
         left_out["no sample at all"] = missing
@@ -217,7 +217,7 @@ class ReadLog:
         return [each for each, reason in zip(self.windows, self.reasons, strict=True) if not reason]
 
 
-def read_log(path: Path, log_map: LogMap) -> ReadLog:
+def _read_log(path: Path, log_map: LogMap) -> ReadLog:
     """Cut one log into windows and judge them.
 
     Raises DocumentError if the import map does not match the log, or it can't be read. Raises
@@ -260,8 +260,8 @@ def dwell_rows(logs: Sequence[ReadLog], sigma_dph: FloatArray, log_map: LogMap) 
                 since_power_on_s=log_map.since_power_on_s + since_start_s,
                 gyro_c=gyro_c,
                 gyro_rate_c_per_h=slope,
-                bias_dph=_triple(window.rate_dph - earth),
-                sigma_dph=_triple(sigma_dph),
+                bias_dph=triple(window.rate_dph - earth),
+                sigma_dph=triple(sigma_dph),
                 azimuth_deg=np.nan if azimuth_deg is None else azimuth_deg,
                 chamber_set_c=window.means.get("chamber_set_c", np.nan),
                 chamber_c=window.means.get("chamber_c", np.nan),
@@ -334,9 +334,4 @@ def _gyro_temperatures(window: Window, log_map: LogMap) -> tuple[Triple, Triple]
 
 def _means(window: Window, what: str) -> Triple:
     x, y, z = (window.means[f"{what}_{axis}_c"] for axis in AXES)
-    return x, y, z
-
-
-def _triple(values: FloatArray) -> Triple:
-    x, y, z = (float(value) for value in values)
     return x, y, z

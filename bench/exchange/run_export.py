@@ -21,7 +21,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv
 
-from gyrobench.bench.closure.files import read_held_out_cycles
+from gyrobench.bench.closure.files import holds_search, read_held_out_cycles
 from gyrobench.bench.closure.inputs import read_campaign
 from gyrobench.bench.closure.loadable_model import declared_model, model_with_effects
 from gyrobench.bench.closure.loop import close_loop
@@ -110,7 +110,7 @@ class ExportSelection:
         return [what for what in self.what or _DEFAULT_KINDS if self.suffixes(what)]
 
 
-def export_csv(path: Path, name: str, destination: ExportFolder) -> None:
+def _export_csv(path: Path, name: str, destination: ExportFolder) -> None:
     """Write a CSV table of the run as Parquet, or as it is.
 
     Raises DocumentError if the table can't be read. Raises RunFolderError if the file can't be written.
@@ -148,7 +148,7 @@ def read_table(path: Path) -> pa.Table:
 _SCHEMA = pa.schema([UTC_FIELD, *(field_of(name) for name in COLUMNS)])
 
 
-def export_telemetry(folder: RunFolder, began: datetime, name: str, destination: ExportFolder) -> None:
+def _export_telemetry(folder: RunFolder, began: datetime, name: str, destination: ExportFolder) -> None:
     """Write all readings; gaps are marked by a row without values.
 
     Raises RunFolderError if telemetry can't be read, or the file can't be written.
@@ -215,7 +215,7 @@ def _why_missing(folder: RunFolder, what: DataKind) -> str:
         case DataKind.NAVIGATION | DataKind.CAN:
             return "" if any(folder.can.glob("part-*")) else "there are no CAN frames"
         case DataKind.COMPENSATION:
-            is_closed = (folder.closure / "closure.json").exists()
+            is_closed = holds_search(folder.closure)
             return "" if is_closed else f"no search for effects yet; run `gyrobench close {folder.path}`"
     names = [f"{table}.csv" for table in _TABLES[what]]
     missing = [name for name in names if not (folder.path / name).exists()]
@@ -240,14 +240,14 @@ def _write(folder: RunFolder, what: DataKind, selection: ExportSelection, destin
     for name in _files(what, selection):
         match what:
             case DataKind.TELEMETRY:
-                export_telemetry(folder, started_utc(folder), name, destination)
+                _export_telemetry(folder, started_utc(folder), name, destination)
             case DataKind.NAVIGATION:
                 setup = measurement_setup(Station(folder.station))
                 export_navigation(folder, setup, name, destination, selection.dwell)
             case DataKind.CAN:
                 _write_can(folder, name, destination)
             case _:
-                export_csv((folder.path / name).with_suffix(".csv"), name, destination)
+                _export_csv((folder.path / name).with_suffix(".csv"), name, destination)
 
 
 def _write_can(folder: RunFolder, name: str, destination: ExportFolder) -> None:

@@ -61,7 +61,7 @@ _COARSE_RESOLUTION_C, _MIN_STEPS = 0.25, 8
 _GYRO_TEMPERATURES = tuple(f"gyro_{axis}_c" for axis in AXES)
 
 
-def sample_interval_s(windows: Sequence[Window]) -> float:
+def _sample_interval_s(windows: Sequence[Window]) -> float:
     """Time from one sample to the next, as most windows have it."""
     intervals = [
         each.covered_s / (each.samples + each.dropped - 1)
@@ -71,16 +71,16 @@ def sample_interval_s(windows: Sequence[Window]) -> float:
     return float(np.median(intervals)) if intervals else 0.0
 
 
-def max_gap_s_of(windows: Sequence[Window], log_map: LogMap) -> float:
+def _max_gap_s_of(windows: Sequence[Window], log_map: LogMap) -> float:
     """Longest time between samples of a valid window."""
     if log_map.max_gap_s is not None:
         return log_map.max_gap_s
-    return max(5.0 * sample_interval_s(windows), 0.01 * log_map.averages.window_s)
+    return max(5.0 * _sample_interval_s(windows), 0.01 * log_map.averages.window_s)
 
 
 def reasons_against(windows: Sequence[Window], log_map: LogMap) -> list[str]:
     """Why each window of a log is left out; empty for a valid window."""
-    interval_s, gap_s = sample_interval_s(windows), max_gap_s_of(windows, log_map)
+    interval_s, gap_s = _sample_interval_s(windows), _max_gap_s_of(windows, log_map)
     saturation = _saturation_dph(windows, log_map)
     stuck = _stuck_temperature(windows, log_map)
     return [

@@ -92,7 +92,7 @@ class StrictModel(BaseModel):
 
 
 @dataclass(frozen=True)
-class Problem:
+class DocumentProblem:
     """A mistake at one place of a document."""
 
     location: Location
@@ -118,7 +118,7 @@ class Document:
         line, column = self.places.get(known, (1, 1))
         return f"{self.path}:{line}:{column}"
 
-    def error(self, problems: Iterable[Problem]) -> DocumentError:
+    def error(self, problems: Iterable[DocumentProblem]) -> DocumentError:
         """Make one error of all problems, in the order of the file."""
         lines = {f"{self.place(problem.location)}: {problem.message}" for problem in problems}
         return DocumentError("\n".join(sorted(lines, key=_line_and_column)))
@@ -166,7 +166,9 @@ def validate(document: Document, model: type[ModelT]) -> ModelT:
     Raises DocumentError, which lists everything that does not fit the model, each with its place.
     """
     if not isinstance(document.data, dict):
-        raise document.error([Problem((), f"expected keys and values; found {_shown(document.data)}")])
+        raise document.error(
+            [DocumentProblem((), f"expected keys and values; found {_shown(document.data)}")]
+        )
     notes: set[tuple[str, str, str]] = set()
     token = _renaming_notes.set(notes)
     try:
@@ -181,7 +183,7 @@ def validate(document: Document, model: type[ModelT]) -> ModelT:
                     _log_once(f"{document.place(location)}: '{old}' is an old name. Write '{new}'.")
 
 
-def problems_of(error: ValidationError, at: Location = ()) -> list[Problem]:
+def problems_of(error: ValidationError, at: Location = ()) -> list[DocumentProblem]:
     """Translate a validation error of a value at ``at`` into problems."""
     problems = []
     for detail in error.errors():
@@ -193,7 +195,7 @@ def problems_of(error: ValidationError, at: Location = ()) -> list[Problem]:
             for pattern, plain in _PLAIN_WORDS:
                 message = pattern.sub(plain, message)
             message = f"{message}; found {_shown(detail['input'])}"
-        problems.append(Problem(location, message))
+        problems.append(DocumentProblem(location, message))
     return problems
 
 
@@ -274,7 +276,7 @@ class _NodeReader:
 
     def __init__(self) -> None:
         self.places: dict[Location, tuple[int, int]] = {}
-        self.problems: list[Problem] = []
+        self.problems: list[DocumentProblem] = []
 
     def plain(self, node: yaml.Node, location: Location) -> Any:
         self.places.setdefault(location, (node.start_mark.line + 1, node.start_mark.column + 1))
@@ -283,7 +285,7 @@ class _NodeReader:
         if isinstance(node, yaml.ScalarNode):
             return self._scalar(node, location)
         if node.tag not in _COLLECTION_TAGS:
-            self.problems.append(Problem(location, f"a value can't have the tag {_quoted(node.tag)}"))
+            self.problems.append(DocumentProblem(location, f"a value can't have the tag {_quoted(node.tag)}"))
             return None
         if isinstance(node, yaml.MappingNode):
             return self._mapping(node, location)
@@ -293,13 +295,15 @@ class _NodeReader:
         result: dict[str, Any] = {}
         for key_node, value_node in node.value:
             if not isinstance(key_node, yaml.ScalarNode):
-                self.problems.append(Problem(location, "a key has to be plain text; found a list or keys"))
+                self.problems.append(
+                    DocumentProblem(location, "a key has to be plain text; found a list or keys")
+                )
                 continue
             key = str(key_node.value)
             here = (*location, key)
             self.places[here] = (key_node.start_mark.line + 1, key_node.start_mark.column + 1)
             if key in result:
-                self.problems.append(Problem(here, f"the key {_quoted(key)} is given twice"))
+                self.problems.append(DocumentProblem(here, f"the key {_quoted(key)} is given twice"))
                 continue
             result[key] = self.plain(value_node, here)
         return result
@@ -322,11 +326,11 @@ class _NodeReader:
                     return float(text)
                 case "float":  # .inf or .nan
                     self.problems.append(
-                        Problem(location, f"the value must be a finite number; found {_shown(text)}")
+                        DocumentProblem(location, f"the value must be a finite number; found {_shown(text)}")
                     )
                     return None
         self.problems.append(
-            Problem(location, f"expected text, a number or true/false; found {_shown(text)}")
+            DocumentProblem(location, f"expected text, a number or true/false; found {_shown(text)}")
         )
         return None
 

@@ -17,7 +17,7 @@ from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.investigation.blocks import Block
 from gyrobench.bench.investigation.external_bench import AnyStep, BlockPlan, ChamberStep, DwellStep, PowerStep
 from gyrobench.bench.investigation.profile import Profile
-from gyrobench.bench.procedure.plan import Plan, PlannedStep
+from gyrobench.bench.procedure.plan import DwellPurpose, Plan, PlannedStep
 from gyrobench.bench.procedure.steps import GoTo, Navigate, PowerOn
 
 #: A unit that is off for less is switched off and on by the power-on itself.
@@ -40,9 +40,7 @@ class DwellPattern:
     @classmethod
     def of(cls, plan: Plan) -> DwellPattern:
         """The most frequent dwell of a plan. Raises DocumentError if it has none that measures a bias."""
-        measuring = [
-            each for each in plan.steps if each.dwell and each.gives_bias and not each.is_calibration_check
-        ]
+        measuring = [each for each in plan.steps if each.dwell and each.purpose is DwellPurpose.CALIBRATION]
         if not measuring:
             raise DocumentError(f"{plan.procedure.procedure}: has no dwells that blocks could repeat")
         dwells = [tuple(steps) for _, steps in groupby(measuring, key=lambda each: each.dwell)]

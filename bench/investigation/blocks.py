@@ -11,12 +11,12 @@ import numpy as np
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.investigation.external_bench import (
     AnyStep,
-    BenchState,
     BlockPlan,
     ChamberStep,
     DwellStep,
     PowerStep,
     SoakStep,
+    StartState,
 )
 from gyrobench.bench.investigation.forecast import chamber_c
 from gyrobench.bench.navigation.positions import POSITIONS
@@ -80,7 +80,7 @@ class BlockStart:
     """When and in which state a block begins on a bench that switches the unit off and on for it."""
 
     time_s: float  #: On the time axis of the table.
-    state: BenchState
+    state: StartState
     power_ons: int  #: How often the unit was switched on.
     times: BlockTimes
 
@@ -183,7 +183,7 @@ class Timeline:
         warm = [row for row in self.rows if np.isfinite([*row.gyro_c, *row.gyro_rate_c_per_h]).all()][-1]
         rise_c = np.array(warm.gyro_rate_c_per_h) * 0.5 * (warm.end_s - warm.start_s) / _S_PER_H
         x_c, y_c, z_c = (np.array(warm.gyro_c) + rise_c).tolist()
-        state = BenchState(
+        state = StartState(
             chamber_c=last.chamber_c if np.isfinite(last.chamber_c) else None,
             gyro_x_c=x_c,
             gyro_y_c=y_c,
@@ -194,7 +194,7 @@ class Timeline:
         )
         return self._plan(state)
 
-    def _plan(self, state: BenchState) -> BlockPlan:
+    def _plan(self, state: StartState) -> BlockPlan:
         return BlockPlan(
             unit=self.rows[-1].unit,
             start_s=self.start_s,
@@ -213,7 +213,7 @@ class Timeline:
 
 
 @dataclass(frozen=True)
-class Kind:
+class BlockKind:
     """One kind of block: what it adds to a timeline."""
 
     name: str
@@ -221,7 +221,7 @@ class Kind:
     add: Callable[[Timeline], None]
 
 
-def _kinds(rows: Sequence[DwellRow], times: BlockTimes) -> list[Kind]:
+def _kinds(rows: Sequence[DwellRow], times: BlockTimes) -> list[BlockKind]:
     off = f"switch the unit off for {_span(times.off_h)}"
     low_c, middle_c, high_c = np.quantile(chamber_c(rows), [0.0, 0.5, 1.0]).tolist()
     measured = [name for name in POSITIONS if any(row.position == name for row in rows)]
@@ -310,42 +310,44 @@ def _kinds(rows: Sequence[DwellRow], times: BlockTimes) -> list[Kind]:
             timeline.dwells(every)
 
     return [
-        Kind(
+        BlockKind(
             "soak from above",
             "heat, return to the middle temperature and measure after a soak",
             from_side(high_c),
         ),
-        Kind(
+        BlockKind(
             "soak from below",
             "cool, return to the middle temperature and measure after a soak",
             from_side(low_c),
         ),
-        Kind("slow ramp", "measure while the temperature changes slowly", on_ramp(_SLOW)),
-        Kind("fast ramp", "measure while the temperature changes fast", on_ramp(_FAST)),
-        Kind(
+        BlockKind("slow ramp", "measure while the temperature changes slowly", on_ramp(_SLOW)),
+        BlockKind("fast ramp", "measure while the temperature changes fast", on_ramp(_FAST)),
+        BlockKind(
             "reversal", "leave the middle temperature, return to it, and measure before and after", reversal
         ),
-        Kind("power cycle", f"{off}, then measure from power-on", power_cycle),
-        Kind(
+        BlockKind("power cycle", f"{off}, then measure from power-on", power_cycle),
+        BlockKind(
             "power cycle and long wait",
             f"{off}, measure from power-on and again {_span(times.long_wait_h)} later",
             power_cycle_then_long,
         ),
-        Kind("power step", "reduce the unit's dissipation and measure after a soak", less_power),
-        Kind("four headings", "measure one position at four headings", headings(pair[0])),
+        BlockKind("power step", "reduce the unit's dissipation and measure after a soak", less_power),
+        BlockKind("four headings", "measure one position at four headings", headings(pair[0])),
         *(
-            Kind("four headings on the side", "measure another position at four headings", headings(position))
+            BlockKind(
+                "four headings on the side", "measure another position at four headings", headings(position)
+            )
             for position in [name for name in measured if name[0] != pair[0][0]][:1]
         ),
-        Kind("cold, six positions", "measure all positions at the lowest temperature", inverted(low_c)),
-        Kind("hot, six positions", "measure all positions at the highest temperature", inverted(high_c)),
-        Kind(
+        BlockKind("cold, six positions", "measure all positions at the lowest temperature", inverted(low_c)),
+        BlockKind("hot, six positions", "measure all positions at the highest temperature", inverted(high_c)),
+        BlockKind(
             "repeat after hours",
             f"wait for {_span(times.wait_h)}, then measure all positions again",
             after_hours,
         ),
-        Kind("longer dwells", "measure two positions in long dwells", longer),
-        Kind(NEW_CYCLE, f"{off}, then measure all positions at three temperatures", new_cycle),
+        BlockKind("longer dwells", "measure two positions in long dwells", longer),
+        BlockKind(NEW_CYCLE, f"{off}, then measure all positions at three temperatures", new_cycle),
     ]
 
 
@@ -357,7 +359,7 @@ def catalogue(
     rows: Sequence[DwellRow],
     sequences: Iterable[Sequence[str]] | None = None,
     start: BlockStart | None = None,
-    more: Iterable[Kind] = (),
+    more: Iterable[BlockKind] = (),
 ) -> list[Block]:
     """Blocks that can follow dwells in the order of time, from ``start``.
 

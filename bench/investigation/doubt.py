@@ -14,7 +14,7 @@ from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.effect import Effect, searched_length_s
 from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.closure.outcome import Closure
-from gyrobench.bench.closure.posterior import RIVAL, Weighed
+from gyrobench.bench.closure.posterior import RIVAL, HypothesisProbability
 from gyrobench.bench.closure.search import MAY_BE_LACK, NOT_SIGNIFICANT, RESTS_ON_DWELL
 from gyrobench.bench.investigation.choice import Rival
 from gyrobench.bench.investigation.proposal import SETTLED
@@ -110,10 +110,10 @@ def rivals_of(closure: Closure) -> tuple[Rival, ...]:
     )
 
 
-def _by_cause(closure: Closure) -> list[Weighed]:
+def _by_cause(closure: Closure) -> list[HypothesisProbability]:
     posterior, names = closure.posterior, closure.names
     others = frozenset(posterior.rivals(names))
-    merged: dict[object, Weighed] = {}
+    merged: dict[object, HypothesisProbability] = {}
     for each in posterior.hypotheses:
         is_beyond = each.has_remainder and posterior.not_on_list >= RIVAL
         is_same = bool(names) and posterior.contains(each, names)

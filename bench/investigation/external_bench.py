@@ -80,7 +80,7 @@ class DwellStep(TimedStep):
     azimuth_deg: float = Field(description="azimuth at the start, deg")
 
 
-class BenchState(StrictModel):
+class StartState(StrictModel):
     """State of bench and unit before the first step."""
 
     chamber_c: float | None = Field(description="temperature of the chamber, degC; null if not measured")
@@ -101,7 +101,7 @@ class BlockPlan(StrictModel):
     schema_version: Literal[1] = 1
     unit: str = Field(description="serial number of the INS")
     start_s: float = Field(description="time of the first step, s, on the time axis of the table")
-    state: BenchState = Field(description="state before the first step")
+    state: StartState = Field(description="state before the first step")
     next_dwell: int = Field(description="number of the first new dwell")
     next_cycle: int = Field(description="number of the new pass of the profile")
     steps: list[AnyStep] = Field(min_length=1, description="steps in order")
@@ -207,12 +207,12 @@ class ExternalBench(AfterLastDwell):
                 f"{self.command}: ended with exit code {code}: {message or 'no message'}. "
                 "What was measured before is kept"
             )
-        return checked_rows(read_dwells(answered), plan, answered, self.rows)
+        return _checked_rows(read_dwells(answered), plan, answered, self.rows)
 
     def _whole(self, plan: BlockPlan, table: Path) -> list[DwellRow]:
         """Dwells of a table that has all of a plan; none otherwise."""
         try:
-            rows = checked_rows(read_dwells(table), plan, table, self.rows)
+            rows = _checked_rows(read_dwells(table), plan, table, self.rows)
         except GyrobenchError:
             return []
         return rows if len(rows) == len(plan.dwells) else []
@@ -255,7 +255,7 @@ def _end(process: subprocess.Popen[bytes]) -> None:
             process.wait(_TERMINATION_S)
 
 
-def checked_rows(
+def _checked_rows(
     rows: Sequence[DwellRow], plan: BlockPlan, table: Path, first: Sequence[DwellRow]
 ) -> list[DwellRow]:
     """New rows of a block, in order; ``first`` are the dwells before the first block.

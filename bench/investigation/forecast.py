@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from gyrobench.bench.bias.dwell_table import DwellRow, Triple
+from gyrobench.bench.bias.dwell_table import DwellRow, Triple, triple
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.thermal_course import ELECTRONICS_ABOVE_OPTICS_K, Course, UnitThermal
 from gyrobench.bench.foundations.arrays import FloatArray
@@ -118,15 +118,15 @@ class Forecast:
                 start_s=step.start_s,
                 end_s=step.end_s,
                 since_power_on_s=since_s[index],
-                gyro_c=_triple(optics_c[index]),
-                gyro_rate_c_per_h=_triple(rate_c_per_h[index]),
+                gyro_c=triple(optics_c[index]),
+                gyro_rate_c_per_h=triple(rate_c_per_h[index]),
                 bias_dph=(0.0, 0.0, 0.0),
-                sigma_dph=_triple(self._sigma_dph * math.sqrt(self._typical_s / (step.end_s - step.start_s))),
+                sigma_dph=triple(self._sigma_dph * math.sqrt(self._typical_s / (step.end_s - step.start_s))),
                 azimuth_deg=step.azimuth_deg if math.isfinite(last.azimuth_deg) else math.nan,
                 chamber_set_c=set_c[index],
                 chamber_c=air_c[index],
                 case_c=case_c[index],
-                board_c=_triple(electronics_c[index]),
+                board_c=triple(electronics_c[index]),
                 other=() if supply_w is None else ((_SUPPLY_W, supply_w * float(factors[index])),),
             )
             for index, step in enumerate(steps)
@@ -170,8 +170,3 @@ def _inputs(
         elif isinstance(step, DwellStep):
             up_body[later] = POSITIONS[step.position].C_nb()[2]
     return time_s, set_c, power, up_body
-
-
-def _triple(values: FloatArray | Sequence[float]) -> Triple:
-    x, y, z = map(float, values)
-    return x, y, z

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.closure.planned_campaign import PlannedUnit, planned_campaign
+from gyrobench.bench.closure.planned_campaign import UnitProperties, planned_campaign
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.investigation.blocks import BlockStart, Kind, Timeline
+from gyrobench.bench.investigation.blocks import BlockKind, BlockStart, Timeline
 from gyrobench.bench.investigation.choice import Rival
 from gyrobench.bench.investigation.external_bench import BlockPlan
 from gyrobench.bench.procedure.plan import Plan
@@ -48,7 +48,7 @@ class Profile:
 
         Raises DocumentError if it has fewer than two temperatures, and MeasurementError without dwells.
         """
-        campaign = planned_campaign(plan, PlannedUnit())
+        campaign = planned_campaign(plan, UnitProperties())
         waits_h = (campaign.start_s - np.append(0.0, campaign.end_s[:-1])) / _S_PER_H
         visits = []
         places = zip(campaign.cycle.tolist(), campaign.set_c.tolist(), range(len(campaign)), strict=True)
@@ -91,7 +91,7 @@ class Profile:
         found = np.array([[one == other for other in places] for one in dict.fromkeys(places)], dtype=float)
         return np.kron(np.eye(3), found / found.sum(axis=1, keepdims=True))
 
-    def kinds(self) -> list[Kind]:
+    def kinds(self) -> list[BlockKind]:
         """Blocks of dwells at each temperature, which begin when the ramp ends and last while it settles."""
 
         def leg(to_c: float, length: float) -> Any:
@@ -102,7 +102,7 @@ class Profile:
             return add
 
         return [
-            Kind(
+            BlockKind(
                 f"{words} at {to_c:g} degC",
                 f"measure all positions at {to_c:g} degC{more}",
                 leg(to_c, length),
@@ -130,7 +130,7 @@ class Profile:
 
 
 @dataclass(frozen=True)
-class Calibration:
+class ProfileCalibration:
     """What the dwells determine of the biases of a profile, for each of k hypotheses.
 
     There is one bias for each gyro, set point and position, m in all: the mean of its dwells.

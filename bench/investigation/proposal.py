@@ -28,7 +28,7 @@ from gyrobench.bench.investigation.choice import (
 )
 from gyrobench.bench.investigation.external_bench import AfterLastDwell
 from gyrobench.bench.investigation.forecast import Forecast
-from gyrobench.bench.investigation.profile import Calibration, Profile
+from gyrobench.bench.investigation.profile import Profile, ProfileCalibration
 from gyrobench.bench.navigation.positions import AXES
 
 #: Blocks that are tried with another one after them, and visits of a profile in a block.
@@ -58,7 +58,7 @@ class Proposal:
     expected: Expected  #: After the block.
     #: How often its kinds were measured, the most of each, without settling the cause.
     repeats: int = 0
-    #: Hours of a profile that the block replaces; see :meth:`~.profile.Calibration.missing_h`.
+    #: Hours of a profile that the block replaces; see :meth:`~.profile.ProfileCalibration.missing_h`.
     replaced_h: float = 0.0
     missing_h: float = 0.0  #: Hours of a profile that are missing after the block.
 
@@ -114,7 +114,7 @@ def propose(
     planner: BlockPlanner | None = None,
     measured: Sequence[Sequence[str]] = (),
     profile: Profile | None = None,
-    calibration: Calibration | None = None,
+    calibration: ProfileCalibration | None = None,
     *,
     is_settled: bool = False,
 ) -> list[Proposal]:
@@ -139,7 +139,7 @@ def propose(
         Kinds of the blocks measured since the first table.
     profile : Profile, optional
         Its dwells are blocks too.
-    calibration : Calibration, optional
+    calibration : ProfileCalibration, optional
         Where given, information about the biases of the profile counts as well.
     is_settled : bool
         Whether only that counts; the proposals are without predictions then.
@@ -263,12 +263,12 @@ def calibration_of(
     rivals: Sequence[Rival],
     noise_scale: float,
     planner: BlockPlanner | None = None,
-) -> Calibration:
+) -> ProfileCalibration:
     """What the dwells measured determine of the biases of a profile."""
     start = (planner or AfterLastDwell()).start(forecast.measured)
     whole = tuple(forecast.rows(profile.whole(forecast.measured, start)))
     means, rivals = profile.means, _leading(rivals)
-    return Calibration(
+    return ProfileCalibration(
         profile,
         whole,
         rivals,

@@ -9,7 +9,7 @@ from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.investigation.choice import Rival
 from gyrobench.bench.investigation.doubt import confirming_rivals
-from gyrobench.bench.investigation.profile import Calibration
+from gyrobench.bench.investigation.profile import ProfileCalibration
 from gyrobench.bench.investigation.proposal import Outcome, Proposal
 
 #: Purposes of a block.
@@ -30,7 +30,7 @@ class Stage:
     #: What the block says about the rivals; None at the end, and if all its dwells have flags.
     outcome: Outcome | None = None
     confirmation: Outcome | None = None  #: The same about those of :attr:`confirmed`; None without a cause.
-    calibration: Calibration | None = None  #: Of the biases of a profile; None without one.
+    calibration: ProfileCalibration | None = None  #: Of the biases of a profile; None without one.
 
     @property
     def is_uncertain(self) -> bool:
@@ -77,7 +77,7 @@ class Investigation:
         return self.stages[-1].closure
 
     @property
-    def calibration(self) -> Calibration | None:
+    def calibration(self) -> ProfileCalibration | None:
         """What is known of the biases of the profile of an adaptive campaign."""
         return self.stages[-1].calibration
 

@@ -186,7 +186,7 @@ END_COMMANDS = ("quit", "exit", "q", "leave")
 
 
 @dataclass(frozen=True)
-class Command:
+class JogCommand:
     """One command: each way to type it with its meaning, and the function that executes it."""
 
     usages: Mapping[str, str]
@@ -199,10 +199,10 @@ class Shell:
     def __init__(self, control: ManualControl, display: Display) -> None:
         self._control = control
         self._display = display
-        self._commands: Mapping[str, Command] = {
-            "show": Command({"show": "all readings"}, self._show),
-            "watch": Command({"watch [S]": "readings for S seconds, default 60"}, self._watch),
-            "table": Command(
+        self._commands: Mapping[str, JogCommand] = {
+            "show": JogCommand({"show": "all readings"}, self._show),
+            "watch": JogCommand({"watch [S]": "readings for S seconds, default 60"}, self._watch),
+            "table": JogCommand(
                 {
                     "table outer|inner ANGLE [at RATE]": "move one axis; deg, deg/s",
                     "table to POSITION [AZIMUTH] [at RATE]": "go to z_up, x_down, ...",
@@ -210,28 +210,28 @@ class Shell:
                 },
                 self._table,
             ),
-            "stop": Command(
+            "stop": JogCommand(
                 {"stop": "stop the table"}, lambda words: _without_arguments(words, control.stop)
             ),
-            "home": Command({"home [at RATE]": "all axes to zero"}, self._home),
-            "servo": Command({"servo on|off": "close or open the table's servos"}, self._servo),
-            "chamber": Command(
+            "home": JogCommand({"home [at RATE]": "all axes to zero"}, self._home),
+            "servo": JogCommand({"servo on|off": "close or open the table's servos"}, self._servo),
+            "chamber": JogCommand(
                 {
                     "chamber TEMPERATURE [at RAMP]": "set point; degC, degC/min",
                     "chamber on|off": "switch temperature control",
                 },
                 self._chamber,
             ),
-            "unit": Command({"unit on|off": "switch the power of the INS"}, self._unit),
-            "ins": Command({"ins align|navigate|standby": "command the INS"}, self._ins),
-            "faults": Command({"faults": "faults, alarms, tripped interlocks"}, self._faults),
-            "clear": Command(
+            "unit": JogCommand({"unit on|off": "switch the power of the INS"}, self._unit),
+            "ins": JogCommand({"ins align|navigate|standby": "command the INS"}, self._ins),
+            "faults": JogCommand({"faults": "faults, alarms, tripped interlocks"}, self._faults),
+            "clear": JogCommand(
                 {"clear": "clear the chamber's alarms"},
                 lambda words: _without_arguments(words, control.clear),
             ),
-            "events": Command({"events": "the chamber's event outputs"}, self._events),
-            "limits": Command({"limits": "limits of angle, rate, temperature"}, self._limits),
-            "help": Command({"help": "this list"}, self._help),
+            "events": JogCommand({"events": "the chamber's event outputs"}, self._events),
+            "limits": JogCommand({"limits": "limits of angle, rate, temperature"}, self._limits),
+            "help": JogCommand({"help": "this list"}, self._help),
         }
 
     def execute(self, line: str) -> None:

@@ -214,21 +214,21 @@ class ManualControl:
             self.tick()
         self.bench.read_instruments()
         self.bench.units[0].state.seen_on()
-        self._display.print(f"INS on: {mode_words(self.bench.readings.ins)}")
+        self._display.print(f"INS on: {_mode_words(self.bench.readings.ins)}")
 
     def ins(self, command: str) -> None:
         """Command the INS: ``align``, ``navigate`` or ``standby``."""
         getattr(self.bench.instruments.ins, command)()
         self.bench.read_instruments()
-        self._display.print(f"INS: {mode_words(self.bench.readings.ins)}")
+        self._display.print(f"INS: {_mode_words(self.bench.readings.ins)}")
 
     def watch(self, duration_s: float) -> None:
         """Print the readings for a time."""
         end_s = self.bench.clock.now() + duration_s
         while self.bench.clock.now() < end_s - 1e-6:
             self.tick(follow=True)
-            self._display.progress(watch_line(self.bench))
-        self._display.print(watch_line(self.bench))
+            self._display.progress(_watch_line(self.bench))
+        self._display.print(_watch_line(self.bench))
 
     def clear(self) -> None:
         """Clear the chamber's latched alarms; `servo on` clears those of the table."""
@@ -390,14 +390,14 @@ def _ins_lines(ins: InsStatus) -> list[str]:
         f"{name} {_known(each, '+.4f')}" for name, each in zip("ENU", ins.velocity_enu_mps, strict=True)
     )
     return [
-        f"INS        {mode_words(ins)}, last frame {ins.age_s:.1f} s ago",
+        f"INS        {_mode_words(ins)}, last frame {ins.age_s:.1f} s ago",
         f"           velocity   {'  '.join(velocity)} m/s",
         f"           gyros      {_xyz(ins.optics_c)} degC, case {_known(ins.case_c, '.1f')} degC",
         f"           boards     {_xyz(ins.electronics_c)} degC",
     ]
 
 
-def watch_line(bench: LiveBench) -> str:
+def _watch_line(bench: LiveBench) -> str:
     """The readings that change, on one line of at most 80 columns."""
     now = bench.readings
     outer, inner = bench.table_angles()
@@ -427,7 +427,7 @@ def limit_lines(limits: ManualLimits) -> list[str]:
     return [*lines, f"{'chamber':8} {air}"]
 
 
-def mode_words(ins: InsStatus) -> str:
+def _mode_words(ins: InsStatus) -> str:
     """Mode and alignment of the INS, in words."""
     if ins.mode is InsMode.UNKNOWN:
         return "mode unknown"

@@ -227,7 +227,7 @@ TIMEOUT_S = 10.0
 _PERMANENT = 500
 
 
-def send_mail(receiver: Email, password: str, message: Message) -> str:
+def _send_mail(receiver: Email, password: str, message: Message) -> str:
     """Send a mail by way of the receiver's mail server; returns the server's answer."""
     mail = EmailMessage()
     mail["From"], mail["To"] = receiver.sender, receiver.address
@@ -287,13 +287,13 @@ class _NoRedirect(urllib.request.HTTPRedirectHandler):
         return
 
 
-def post_webhook(receiver: Webhook, secret: str, message: Message) -> str:
+def _post_webhook(receiver: Webhook, secret: str, message: Message) -> str:
     """Post a message as JSON; returns the server's answer."""
     body = json.dumps(message.to_json()).encode()
     return _post(receiver.address, secret, body, {"Content-Type": "application/json"})
 
 
-def post_ntfy(receiver: Ntfy, secret: str, message: Message) -> str:
+def _post_ntfy(receiver: Ntfy, secret: str, message: Message) -> str:
     """Post a message to a topic; returns the server's answer."""
     headers = {
         "Title": _header(message.title),
@@ -371,7 +371,7 @@ def _tag(message: Message) -> str:
 MAX_EXCHANGE_S = 30.0
 
 _SEND: Mapping[str, Callable[[Any, str, Message], str]] = MappingProxyType(
-    {"webhook": post_webhook, "ntfy": post_ntfy, "email": send_mail}
+    {"webhook": _post_webhook, "ntfy": _post_ntfy, "email": _send_mail}
 )
 
 

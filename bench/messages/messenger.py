@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import Any
 
 from gyrobench.bench.foundations.clock import Clock, Deadline, WallClock
-from gyrobench.bench.foundations.documents import Problem
+from gyrobench.bench.foundations.documents import DocumentProblem
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.messages.delivery import Message, UndeliveredError, deliver
@@ -219,7 +219,7 @@ def send_test(station: str, text: str) -> list[Attempt]:
     """
     document, file = load_station_file(find_document("stations", station))
     if not file.messages:
-        raise document.error([Problem((), "no receivers: the section `messages` is missing")])
+        raise document.error([DocumentProblem((), "no receivers: the section `messages` is missing")])
     message = Message("test", text, file.station, WallClock().utc())
     return [_attempt(receiver, message) for receiver in file.messages]
 

@@ -14,9 +14,9 @@ from gyrobench.bench.monitor.run_list import RunSummary
 from gyrobench.bench.monitor.snapshot import (
     BenchReadings,
     LiveBin,
-    MeasuredDwell,
     RunSnapshot,
     RunState,
+    SnapshotDwell,
     mean_known,
 )
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
@@ -104,11 +104,11 @@ class Headline:
 def headline(snapshot: RunSnapshot, verdict: str = "") -> Headline:
     """Headline of a run; ``verdict`` is that on its unit, if it was judged."""
     state = snapshot.state
-    look = "bad" if snapshot.alarms and not state.is_over else state_class(state, verdict)
+    look = "bad" if snapshot.alarms and not state.is_over else _state_class(state, verdict)
     share = 1.0 - snapshot.left_s / snapshot.planned_s if snapshot.planned_s > 0.0 else 0.0
     return Headline(
         sign=_sign(state, verdict),
-        state=state_text(state, verdict),
+        state=_state_text(state, verdict),
         reason=snapshot.reason,
         look=look,
         tiles=(_time_tile(snapshot), _temperature_tile(snapshot.bench), _dwell_tile(snapshot)),
@@ -117,23 +117,23 @@ def headline(snapshot: RunSnapshot, verdict: str = "") -> Headline:
     )
 
 
-def state_class(state: RunState, verdict: str = "") -> str:
+def _state_class(state: RunState, verdict: str = "") -> str:
     """CSS class of a state, and of the verdict on the unit of a run that finished."""
     if state is RunState.FINISHED and verdict:
         return {"accepted": "good", "rejected": "bad"}.get(verdict, "notable")
     return "bad" if state is RunState.FAILED else "notable" if state in _ATTENTION_STATES else "good"
 
 
-def state_text(state: RunState, verdict: str) -> str:
+def _state_text(state: RunState, verdict: str) -> str:
     """State, and the verdict on the unit: "finished, unit rejected"."""
     return f"{state.value}, unit {verdict}" if state is RunState.FINISHED and verdict else state.value
 
 
 def _sign(state: RunState, verdict: str) -> str:
-    return STATE_SYMBOLS[RunState.FAILED if state_class(state, verdict) == "bad" else state]
+    return STATE_SYMBOLS[RunState.FAILED if _state_class(state, verdict) == "bad" else state]
 
 
-def celsius(temperature_c: float, decimals: int = 1) -> str:
+def _celsius(temperature_c: float, decimals: int = 1) -> str:
     """Format a temperature with its unit; "unknown" for NaN."""
     if math.isnan(temperature_c):
         return "unknown"
@@ -163,9 +163,9 @@ def _temperature_tile(bench: BenchReadings | None) -> Tile:
     if bench is None:
         return Tile("Chamber", "unknown", "")
     gyro_c = mean_known(bench.gyro_c)
-    gyros = "INS silent" if math.isnan(gyro_c) else f"gyros {celsius(gyro_c)}"
-    target = "no set point" if math.isnan(bench.chamber_set_c) else f"set {celsius(bench.chamber_set_c)}"
-    return Tile("Chamber", celsius(bench.chamber_c), f"{target}, {gyros}")
+    gyros = "INS silent" if math.isnan(gyro_c) else f"gyros {_celsius(gyro_c)}"
+    target = "no set point" if math.isnan(bench.chamber_set_c) else f"set {_celsius(bench.chamber_set_c)}"
+    return Tile("Chamber", _celsius(bench.chamber_c), f"{target}, {gyros}")
 
 
 def _dwell_tile(snapshot: RunSnapshot) -> Tile:
@@ -227,7 +227,7 @@ def bin_tables(bins: Iterable[LiveBin]) -> list[BinTable]:
     return [_bin_table(gyro, [each for each in known if each.gyro == gyro], scale) for gyro in AXES]
 
 
-def shown_dwells(dwells: Sequence[MeasuredDwell]) -> ShownDwells:
+def shown_dwells(dwells: Sequence[SnapshotDwell]) -> ShownDwells:
     """Dwells, the newest first."""
     biases = [value for dwell in dwells for value in dwell.bias_dph]
     scale = BiasScale.of(biases, [value for dwell in dwells for value in dwell.sigma_dph])
@@ -238,11 +238,11 @@ def reading_rows(bench: BenchReadings) -> list[tuple[str, str, str]]:
     """Present readings: quantity, value, and age of the instrument's last reply."""
     chamber, table, ins = (_age(age_s) for age_s in (bench.chamber_age_s, bench.table_age_s, bench.ins_age_s))
     return [
-        ("chamber air", celsius(bench.chamber_c, 2), chamber),
+        ("chamber air", _celsius(bench.chamber_c, 2), chamber),
         ("chamber set", _set_point(bench.chamber_set_c), chamber),
         ("gyro optics x, y, z", _triple(bench.gyro_c), ins),
         ("electronics x, y, z", _triple(bench.electronics_c), ins),
-        ("INS case", celsius(bench.case_c, 2), ins),
+        ("INS case", _celsius(bench.case_c, 2), ins),
         ("INS mode", bench.ins_mode, ins),
         ("table outer axis", _axis(bench.outer_deg, bench.outer_rate_dps), table),
         ("table inner axis", _axis(bench.inner_deg, bench.inner_rate_dps), table),
@@ -284,7 +284,7 @@ def _cell(bias_dph: float, sigma_dph: float, scale: BiasScale, count: int = 1) -
     return Cell(true_minus(scale.text(bias_dph)), scale.text(sigma_dph), count)
 
 
-def _shown_dwell(dwell: MeasuredDwell, scale: BiasScale) -> ShownDwell:
+def _shown_dwell(dwell: SnapshotDwell, scale: BiasScale) -> ShownDwell:
     pairs = zip(dwell.bias_dph, dwell.sigma_dph, strict=True)
     gyro_c = mean_known(dwell.gyro_c)
     return ShownDwell(
@@ -298,7 +298,7 @@ def _shown_dwell(dwell: MeasuredDwell, scale: BiasScale) -> ShownDwell:
 
 
 def _set_point(temperature_c: float) -> str:
-    return "not controlled" if math.isnan(temperature_c) else celsius(temperature_c, 2)
+    return "not controlled" if math.isnan(temperature_c) else _celsius(temperature_c, 2)
 
 
 def _triple(values_c: Iterable[float]) -> str:
@@ -337,10 +337,10 @@ def list_row(run: RunSummary, freshness: Freshness) -> ListRow:
     is_silent = bool(freshness.warning)
     return ListRow(
         name=run.name,
-        address=address_of(run.name),
-        look="bad" if is_silent or run.alarms else state_class(run.state, run.verdict),
+        address=_address_of(run.name),
+        look="bad" if is_silent or run.alarms else _state_class(run.state, run.verdict),
         sign="▲" if is_silent else _sign(run.state, run.verdict),
-        state="silent" if is_silent else state_text(run.state, run.verdict),
+        state="silent" if is_silent else _state_text(run.state, run.verdict),
         reason=freshness.warning or run.reason,
         facts=", ".join(_facts(run)),
     )
@@ -348,10 +348,10 @@ def list_row(run: RunSummary, freshness: Freshness) -> ListRow:
 
 def unreadable_row(name: str, problem: str) -> ListRow:
     """Row of a run that can't be read."""
-    return ListRow(name, address_of(name), "bad", "▲", "can't be read", problem, "")
+    return ListRow(name, _address_of(name), "bad", "▲", "can't be read", problem, "")
 
 
-def address_of(name: str) -> str:
+def _address_of(name: str) -> str:
     """Address of a run's page, from the page of the list."""
     return f"runs/{quote(name, safe='')}/"
 

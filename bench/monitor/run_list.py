@@ -30,9 +30,9 @@ from gyrobench.bench.monitor.snapshot import (
 )
 from gyrobench.bench.monitor.snapshot_recorder import (
     live_bins,
-    measured_dwells,
     planned_profile,
     profile_of_telemetry,
+    snapshot_dwells,
 )
 from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.procedure.procedure_file import load_procedure
@@ -95,13 +95,13 @@ def snapshot_of_unit(run: RunSnapshot, folder: RunFolder) -> RunSnapshot:
         bench=bench,
         attitude=None,
         dwell=None,
-        dwells=measured_dwells(rows),
+        dwells=snapshot_dwells(rows),
         finished_dwells=status.dwells,
         bins=live_bins(rows, procedure.bin_width_c),
     )
 
 
-def end_of(folder: RunFolder, facts: RunFacts) -> tuple[RunState, str]:
+def _end_of(folder: RunFolder, facts: RunFacts) -> tuple[RunState, str]:
     """State of a run without a snapshot, and the reason of its end."""
     if holder_of(folder.path) is not None:
         return RunState.RUNNING, ""
@@ -118,7 +118,7 @@ def snapshot_from_records(folder: RunFolder) -> RunSnapshot:
     content = read_run(folder)
     journal = list(_intact_entries(folder.journal))
     station, plan = _station_and_plan(folder)
-    state, reason = end_of(folder, content.facts)
+    state, reason = _end_of(folder, content.facts)
     rows, now_s = content.dwells, content.facts.last_s
     bench = _bench_at_end(content.telemetry, now_s)
     return RunSnapshot(
@@ -140,7 +140,7 @@ def snapshot_from_records(folder: RunFolder) -> RunSnapshot:
         measured=profile_of_telemetry(content.telemetry) if content.telemetry else MeasuredProfile(),
         bench=bench,
         attitude=_attitude(station, bench, content.dwells, journal),
-        dwells=measured_dwells(rows),
+        dwells=snapshot_dwells(rows),
         bins=live_bins(rows, plan.procedure.bin_width_c) if plan else (),
         messages=tuple(_messages(journal))[-MAX_MESSAGES:],
     )
@@ -357,7 +357,7 @@ def _of_snapshot(name: str, snapshot: RunSnapshot) -> RunSummary:
 
 def _of_journal(folder: RunFolder) -> RunSummary:
     facts = facts_of(read_journal(folder.journal))
-    state, reason = end_of(folder, facts)
+    state, reason = _end_of(folder, facts)
     return RunSummary(
         name=folder.path.name,
         procedure=facts.procedure,

@@ -185,7 +185,7 @@ class CurrentDwell(StrictRecord):
 
 
 @dataclass(frozen=True)
-class MeasuredDwell(StrictRecord):
+class SnapshotDwell(StrictRecord):
     """A completed dwell; triples are x, y, z."""
 
     number: int
@@ -329,7 +329,7 @@ class RunSnapshot(StrictRecord):
     attitude: Attitude | None = None
     step: CurrentStep | None = None
     dwell: CurrentDwell | None = None
-    dwells: tuple[MeasuredDwell, ...] = ()
+    dwells: tuple[SnapshotDwell, ...] = ()
     bins: tuple[LiveBin, ...] = ()
     alarms: tuple[Alarm, ...] = ()
     messages: tuple[Note, ...] = ()

@@ -34,7 +34,6 @@ from gyrobench.bench.monitor.snapshot import (
     CurrentStep,
     LiveBias,
     LiveBin,
-    MeasuredDwell,
     MeasuredProfile,
     Note,
     PlannedProfile,
@@ -42,6 +41,7 @@ from gyrobench.bench.monitor.snapshot import (
     Question,
     RunSnapshot,
     RunState,
+    SnapshotDwell,
     Triple,
     UnitStatus,
     WindowTrace,
@@ -90,7 +90,7 @@ def planned_profile(plan: Plan) -> PlannedProfile:
     return PlannedProfile(time_s, chamber_c, gyro_c, spans)
 
 
-def measured_profile(rows: Sequence[tuple[float, ...]]) -> MeasuredProfile:
+def _measured_profile(rows: Sequence[tuple[float, ...]]) -> MeasuredProfile:
     """Profile from rows in the order of its series."""
     return (
         MeasuredProfile(*(tuple(series) for series in zip(*rows, strict=True))) if rows else MeasuredProfile()
@@ -111,10 +111,10 @@ def _evenly_thinned(values: FloatArray, max_count: int) -> tuple[float, ...]:
     return tuple(map(float, values))
 
 
-def measured_dwells(rows: Sequence[DwellRow]) -> tuple[MeasuredDwell, ...]:
+def snapshot_dwells(rows: Sequence[DwellRow]) -> tuple[SnapshotDwell, ...]:
     """Summary of each dwell."""
     return tuple(
-        MeasuredDwell(row.dwell, row.cycle, row.position, row.gyro_c, row.bias_dph, row.sigma_dph, row.flags)
+        SnapshotDwell(row.dwell, row.cycle, row.position, row.gyro_c, row.bias_dph, row.sigma_dph, row.flags)
         for row in rows
     )
 
@@ -135,7 +135,7 @@ def live_bins(rows: Sequence[DwellRow], width_c: float) -> tuple[LiveBin, ...]:
     )
 
 
-def bench_readings(bench: LiveBench) -> BenchReadings:
+def _bench_readings(bench: LiveBench) -> BenchReadings:
     """Last readings and their age."""
     readings, now_s = bench.readings, bench.clock.now()
     outer_deg, inner_deg = bench.table_angles()
@@ -159,13 +159,13 @@ def bench_readings(bench: LiveBench) -> BenchReadings:
     )
 
 
-def attitude_of(bench: LiveBench, position: str, azimuth_deg: float) -> Attitude:
+def _attitude_of(bench: LiveBench, position: str, azimuth_deg: float) -> Attitude:
     """Attitude of the unit from the table's angles, and its commanded position."""
     east, north, up = bench.station.table.attitude(*bench.table_angles()).tolist()
     return Attitude(position, azimuth_deg % 360.0, (tuple(east), tuple(north), tuple(up)))
 
 
-def alarms_of(bench: LiveBench) -> tuple[Alarm, ...]:
+def _alarms_of(bench: LiveBench) -> tuple[Alarm, ...]:
     """Tripped interlocks, and instruments that do not reply."""
     tripped = (Alarm(trip.name, trip.text) for trip in bench.trips())
     silent = (Alarm(name, f"the {name} does not reply; retrying") for name in bench.silent)
@@ -295,7 +295,7 @@ class SnapshotRecorder(RunObserver):
         self._dwell: DwellTrace | None = None
         self._position, self._azimuth_deg = "", math.nan
         self._has_new_dwell = True
-        self._dwells: tuple[MeasuredDwell, ...] = ()
+        self._dwells: tuple[SnapshotDwell, ...] = ()
         self._bins: tuple[LiveBin, ...] = ()
         self._bins_of_units: dict[str, tuple[LiveBin, ...]] = {}
         self._messages: deque[Note] = deque(maxlen=MAX_MESSAGES)
@@ -327,14 +327,14 @@ class SnapshotRecorder(RunObserver):
             reason=self._reason,
             question=self._question,
             planned=self._planned,
-            measured=measured_profile(self._readings.rows()),
-            bench=bench_readings(bench) if is_read else None,
-            attitude=attitude_of(bench, self._position, self._azimuth_deg) if is_read else None,
+            measured=_measured_profile(self._readings.rows()),
+            bench=_bench_readings(bench) if is_read else None,
+            attitude=_attitude_of(bench, self._position, self._azimuth_deg) if is_read else None,
             step=self._step,
             dwell=self._dwell.now() if self._dwell else None,
             dwells=self._dwells,
             bins=self._bins,
-            alarms=alarms_of(bench) if is_read else (),
+            alarms=_alarms_of(bench) if is_read else (),
             messages=tuple(self._messages),
             units=tuple(
                 _unit_status(bench, number, outcome, self._bins_of_units.get(number, ()))
@@ -463,7 +463,7 @@ class SnapshotRecorder(RunObserver):
     def _take_dwells(self) -> None:
         self._has_new_dwell = False
         rows = [dwell.row for dwell in self._shown.dwells]
-        self._dwells = measured_dwells(rows)
+        self._dwells = snapshot_dwells(rows)
         width_c = self._plan.procedure.bin_width_c
         self._bins = live_bins(rows, width_c)
         self._bins_of_units = {

@@ -105,7 +105,7 @@ _STEPS = (1.0, 2.0, 5.0, 10.0)
 
 
 @dataclass(frozen=True)
-class Curve:
+class PlotCurve:
     """One line of a plot, broken at NaN, with a rich style and a letter at its end."""
 
     x: Sequence[float]
@@ -116,7 +116,7 @@ class Curve:
 
 
 def plot(
-    curves: Sequence[Curve],
+    curves: Sequence[PlotCurve],
     width: int,
     height: int,
     x_range: tuple[float, float],
@@ -167,7 +167,7 @@ def _with_axes(
     return [*lines, Text(below, _DIM)]
 
 
-def _y_range(curves: Iterable[Curve], min_span: float) -> tuple[float, float]:
+def _y_range(curves: Iterable[PlotCurve], min_span: float) -> tuple[float, float]:
     """Round numbers around all values."""
     values = [value for curve in curves for value in curve.y if math.isfinite(value)]
     low, high = (min(values), max(values)) if values else (0.0, 0.0)

@@ -19,7 +19,7 @@ from gyrobench.bench.monitor.snapshot import (
     WindowTrace,
     mean_known,
 )
-from gyrobench.bench.monitor.terminal_plot import Curve, axes_drawing, plot
+from gyrobench.bench.monitor.terminal_plot import PlotCurve, axes_drawing, plot
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
 _STATE_STYLES = {
@@ -53,7 +53,7 @@ def headline(snapshot: RunSnapshot, width: int) -> Text:
     return Text.assemble(left, "  ", right)
 
 
-def attention(snapshot: RunSnapshot, width: int) -> list[Text]:
+def _attention(snapshot: RunSnapshot, width: int) -> list[Text]:
     """Alarms, the reason why the run does not continue, and the open question; empty if there are none."""
     lines: list[Text] = []
     question = snapshot.question.text if snapshot.question else ""
@@ -70,7 +70,7 @@ def attention(snapshot: RunSnapshot, width: int) -> list[Text]:
     return lines
 
 
-def step_line(snapshot: RunSnapshot) -> Text:
+def _step_line(snapshot: RunSnapshot) -> Text:
     """The current step and its elapsed time."""
     step = snapshot.step
     if step is None:
@@ -85,7 +85,7 @@ def step_line(snapshot: RunSnapshot) -> Text:
     )
 
 
-def readings_line(bench: BenchReadings) -> Text:
+def _readings_line(bench: BenchReadings) -> Text:
     """Temperatures and mode of the INS; stale readings are marked with their age."""
     set_c = "off" if math.isnan(bench.chamber_set_c) else f"set {bench.chamber_set_c:.1f}"
     parts = [
@@ -97,7 +97,7 @@ def readings_line(bench: BenchReadings) -> Text:
     return Text("  ".join(part for part in parts if part))
 
 
-def bias_line(snapshot: RunSnapshot, plus_minus: str) -> Text:
+def _bias_line(snapshot: RunSnapshot, plus_minus: str) -> Text:
     """The live estimate of the current dwell."""
     dwell, live = snapshot.dwell, snapshot.live_bias
     if dwell is None:
@@ -111,7 +111,7 @@ def bias_line(snapshot: RunSnapshot, plus_minus: str) -> Text:
     return Text.assemble(head, (values, "bold"), "  0.001 deg/h")
 
 
-def unit_lines(snapshot: RunSnapshot, plus_minus: str) -> list[Text]:
+def _unit_lines(snapshot: RunSnapshot, plus_minus: str) -> list[Text]:
     """A line for each of several units: dwells, biases of the newest one, or why it was dropped."""
     lines = []
     for unit in snapshot.units:
@@ -126,7 +126,7 @@ def unit_lines(snapshot: RunSnapshot, plus_minus: str) -> list[Text]:
     return lines
 
 
-def sigma_line(estimates: tuple[LiveBias, ...], width: int, is_ascii: bool) -> Text:
+def _sigma_line(estimates: tuple[LiveBias, ...], width: int, is_ascii: bool) -> Text:
     """History of the largest of the three uncertainties, first to last."""
     sigmas = [1e3 * max(each.sigma_dph) for each in estimates]
     head, tail = f"sigma {sigmas[0]:.1f} ", f" {sigmas[-1]:.1f}"
@@ -138,7 +138,7 @@ def sigma_line(estimates: tuple[LiveBias, ...], width: int, is_ascii: bool) -> T
     return Text.assemble((head, "dim"), (bars, "cyan"), (tail, "dim"))
 
 
-def message_lines(snapshot: RunSnapshot, count: int) -> list[Text]:
+def _message_lines(snapshot: RunSnapshot, count: int) -> list[Text]:
     """The newest messages, the last at the bottom."""
     newest = snapshot.messages[-count:] if count else ()
     return [Text.assemble((f"{hours_minutes(each.time_s):>6s} ", "dim"), each.text) for each in newest]
@@ -178,17 +178,17 @@ _MIN_BIN_ROWS = 1 + len(AXES)
 _MIN_SPAN_C, _MIN_SPAN_MMPS, _MIN_SPAN_ARCSEC = 4.0, 0.5, 0.5
 
 
-def profile_graph(snapshot: RunSnapshot, width: int, height: int, is_ascii: bool) -> list[Text]:
+def _profile_graph(snapshot: RunSnapshot, width: int, height: int, is_ascii: bool) -> list[Text]:
     """Temperatures as they were until now, and by plan from now on."""
     measured, planned = snapshot.measured, snapshot.planned
     end_s = max(snapshot.now_s + snapshot.left_s, snapshot.now_s, 1.0)
     to_come = [index for index, time_s in enumerate(planned.time_s) if time_s >= snapshot.plan_now_s]
     future_s = [planned.time_s[index] + snapshot.behind_s for index in to_come]
     curves = [
-        Curve(future_s, [planned.chamber_c[index] for index in to_come], _CHAMBER, is_dotted=True),
-        Curve(future_s, [planned.gyro_c[index] for index in to_come], _GYRO, is_dotted=True),
-        Curve(measured.time_s, measured.chamber_c, _CHAMBER, "c"),
-        Curve(measured.time_s, measured.gyro_x_c, _GYRO, "g"),
+        PlotCurve(future_s, [planned.chamber_c[index] for index in to_come], _CHAMBER, is_dotted=True),
+        PlotCurve(future_s, [planned.gyro_c[index] for index in to_come], _GYRO, is_dotted=True),
+        PlotCurve(measured.time_s, measured.chamber_c, _CHAMBER, "c"),
+        PlotCurve(measured.time_s, measured.gyro_x_c, _GYRO, "g"),
     ]
     title = Text.assemble(
         ("  degC  ", "dim"),
@@ -202,7 +202,7 @@ def profile_graph(snapshot: RunSnapshot, width: int, height: int, is_ascii: bool
     return [title, *plot(curves, width, height - 1, (0.0, end_s), labels, _MIN_SPAN_C, is_ascii, now)]
 
 
-def dwell_graphs(snapshot: RunSnapshot, width: int, height: int, is_ascii: bool) -> list[Text]:
+def _dwell_graphs(snapshot: RunSnapshot, width: int, height: int, is_ascii: bool) -> list[Text]:
     """Position, velocity and heading side by side."""
     each = (width - _AXES_WIDTH - 2) // 2
     windows = snapshot.dwell.windows if snapshot.dwell else ()
@@ -213,7 +213,7 @@ def dwell_graphs(snapshot: RunSnapshot, width: int, height: int, is_ascii: bool)
     time_s, end_s = _joined_time_s(windows)
 
     def graph(title: Text, values: dict[str, tuple[str, list[float]]], min_span: float) -> list[Text]:
-        curves = [Curve(time_s, series, style, letter) for letter, (style, series) in values.items()]
+        curves = [PlotCurve(time_s, series, style, letter) for letter, (style, series) in values.items()]
         labels = ("0", f"{end_s / 60.0:.2g} min")
         return [title, *plot(curves, each, height - 1, (0.0, end_s), labels, min_span, is_ascii)]
 
@@ -226,7 +226,7 @@ def dwell_graphs(snapshot: RunSnapshot, width: int, height: int, is_ascii: bool)
     return _beside([position, velocity, heading], (_AXES_WIDTH, each, each), height)
 
 
-def bins_table(snapshot: RunSnapshot, height: int, plus_minus: str) -> list[Text]:
+def _bins_table(snapshot: RunSnapshot, height: int, plus_minus: str) -> list[Text]:
     """The bins nearest to the temperature of the gyros, all three in each, of the units that fit.
 
     No lines while all are empty.
@@ -327,20 +327,20 @@ def screen(snapshot: RunSnapshot, width: int, height: int, is_ascii: bool) -> li
     readings, live bias and units, the profile, the dwell with its position, the bins, and messages.
     """
     plus_minus = "+-" if is_ascii else "±"
-    top = [headline(snapshot, width), *attention(snapshot, width)]
-    lines = [step_line(snapshot)]
+    top = [headline(snapshot, width), *_attention(snapshot, width)]
+    lines = [_step_line(snapshot)]
     if snapshot.bench:
-        lines.append(readings_line(snapshot.bench))
-    bias = [bias_line(snapshot, plus_minus), *unit_lines(snapshot, plus_minus)]
+        lines.append(_readings_line(snapshot.bench))
+    bias = [_bias_line(snapshot, plus_minus), *_unit_lines(snapshot, plus_minus)]
     rows = _shares(height - len(top) - len(lines) - len(bias), snapshot)
     if snapshot.dwell and rows["sigma"]:
-        bias.append(sigma_line(snapshot.dwell.estimates, width, is_ascii))
+        bias.append(_sigma_line(snapshot.dwell.estimates, width, is_ascii))
     if rows["profile"]:
-        lines += profile_graph(snapshot, width, rows["profile"], is_ascii)
+        lines += _profile_graph(snapshot, width, rows["profile"], is_ascii)
     if rows["dwell"]:
-        lines += dwell_graphs(snapshot, width, rows["dwell"], is_ascii)
-    lines += [*bias, *bins_table(snapshot, rows["bins"], plus_minus)]
-    lines += message_lines(snapshot, rows["messages"])
+        lines += _dwell_graphs(snapshot, width, rows["dwell"], is_ascii)
+    lines += [*bias, *_bins_table(snapshot, rows["bins"], plus_minus)]
+    lines += _message_lines(snapshot, rows["messages"])
     shown = [*top, *lines][:height]
     for line in shown:
         line.truncate(width, overflow="ellipsis")

@@ -155,7 +155,7 @@ class TwoAxisTable:
         return (
             f"the table can't reach this attitude: the body axis along the inner axis "
             f"({_named(body_axis, AXES)}) would have to lie at {tilt:.1f} deg to the outer axis "
-            f"({named_direction(self.outer_axis_enu)}), but always stays perpendicular to "
+            f"({_named_direction(self.outer_axis_enu)}), but always stays perpendicular to "
             f"it. At azimuth 0 this mounting reaches {', '.join(reached) or 'none of the six positions'}; "
             "mount the unit another way for the rest"
         )
@@ -168,7 +168,7 @@ def turn_text(turn: TurnOrMove) -> str:
     return f"{turn:g}"
 
 
-def named_direction(vector_enu: FloatArray) -> str:
+def _named_direction(vector_enu: FloatArray) -> str:
     """``East``, ``-Up`` or, for an oblique vector, its components."""
     return _named(vector_enu, ("East", "North", "Up"))
 
@@ -238,7 +238,7 @@ class SingleAxisTable(TwoAxisTable):
         return bool(np.allclose(carried, self.inner_axis_enu, atol=_TOLERANCE))
 
     def _why_not(self, C_nb: FloatArray) -> str:  # noqa: ARG002
-        axis = named_direction(self.inner_axis_enu)
+        axis = _named_direction(self.inner_axis_enu)
         reached = [name for name, position in POSITIONS.items() if self.reaches(position.C_nb())]
         positions = ", ".join(reached) or "no position"
         turns = "" if abs(self.inner_axis_enu @ UP) > 1.0 - _TOLERANCE else ", and no turn about Up"

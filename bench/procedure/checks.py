@@ -9,10 +9,17 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
-from gyrobench.bench.foundations.documents import Document, Location, Problem
+from gyrobench.bench.foundations.documents import Document, DocumentProblem, Location
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.navigation.table_axes import TurnOrMove, turn_text
-from gyrobench.bench.procedure.plan import Plan, PlannedStep, turn_steps_after, turns_of
+from gyrobench.bench.procedure.plan import (
+    SINGLE_NAVIGATION,
+    DwellPurpose,
+    Plan,
+    PlannedStep,
+    turn_steps_after,
+    turns_of,
+)
 from gyrobench.bench.procedure.rotations import RotatingStep, Spin
 from gyrobench.bench.procedure.steps import (
     MIN_NAVIGATION_S,
@@ -54,69 +61,71 @@ def check(document: Document, plan: Plan, limits: StationLimits | None = None) -
         raise document.error(problems)
 
 
-def find_problems(plan: Plan, limits: StationLimits | None = None) -> list[Problem]:
+def find_problems(plan: Plan, limits: StationLimits | None = None) -> list[DocumentProblem]:
     """All problems of a plan; see :func:`check`."""
     if limits is not None:  # a long plan asks for the same few attitudes again and again
         limits = replace(limits, reachable=cache(limits.reachable))
-    problems = [*find_dwell_problems(plan)]
+    problems = [*_find_dwell_problems(plan)]
     for planned in plan.steps:
         problems += [*_order_problems(planned), *_time_problems(planned)]
         if limits is not None:
             problems += [*_chamber_problems(planned, limits), *_table_problems(planned, limits)]
-            problems += find_reach_problems(plan, planned, limits)
+            problems += _find_reach_problems(plan, planned, limits)
     problems += [*_test_problems(plan), *_spin_problems(plan)]
     if limits is not None:
         problems += _gyro_problems(plan, limits)
     return problems
 
 
-def _order_problems(planned: PlannedStep) -> Iterator[Problem]:
+def _order_problems(planned: PlannedStep) -> Iterator[DocumentProblem]:
     step, bench = planned.step, planned.before
     if isinstance(step, PowerOn) and bench.powered:
-        yield Problem(planned.location, "the INS is already on here. Put power_off before this step")
+        yield DocumentProblem(planned.location, "the INS is already on here. Put power_off before this step")
     needs_power = isinstance(step, Align | Navigate | RotatingStep) or (
         isinstance(step, Soak) and step.for_s is None
     )
     if needs_power and not bench.powered:
-        yield Problem(planned.location, f"{step.name} needs the INS on. Put power_on before this step")
+        yield DocumentProblem(
+            planned.location, f"{step.name} needs the INS on. Put power_on before this step"
+        )
     if isinstance(step, Align) and bench.position is None:
-        yield Problem(planned.location, "align needs a position. Put go_to before this step")
+        yield DocumentProblem(planned.location, "align needs a position. Put go_to before this step")
     if isinstance(step, Navigate | Turn | RotatingStep) and not bench.aligned:
-        yield Problem(
+        yield DocumentProblem(
             planned.location,
             f"{step.name} needs an aligned INS. Put align before it, after the last go_to and power_on",
         )
 
 
-def _time_problems(planned: PlannedStep) -> Iterator[Problem]:
+def _time_problems(planned: PlannedStep) -> Iterator[DocumentProblem]:
     step = planned.step
     min_s = step.at_most_s if isinstance(step, Soak) and step.for_s is None else planned.duration_s
     if planned.timeout_s < min_s:
-        yield Problem(
+        yield DocumentProblem(
             planned.place_of("timeout_s"),
             f"timeout_s ({planned.timeout_s:g} s) is shorter than the step, which takes {min_s:.0f} s",
         )
 
 
-def _chamber_problems(planned: PlannedStep, limits: StationLimits) -> Iterator[Problem]:
+def _chamber_problems(planned: PlannedStep, limits: StationLimits) -> Iterator[DocumentProblem]:
     step = planned.step
     if not isinstance(step, Chamber):
         return
     if not limits.chamber_low_c <= step.temperature_c <= limits.chamber_high_c:
-        yield Problem(
+        yield DocumentProblem(
             planned.place_of("temperature_c"),
             f"{step.temperature_c:g} degC is outside the chamber's range of "
             f"{limits.chamber_low_c:g} to {limits.chamber_high_c:g} degC",
         )
     if step.ramp_c_per_min > limits.ramp_max_c_per_min:
-        yield Problem(
+        yield DocumentProblem(
             planned.place_of("ramp_c_per_min"),
             f"a ramp of {step.ramp_c_per_min:g} degC/min is too fast for the chamber; "
             f"allowed: at most {limits.ramp_max_c_per_min:g} degC/min",
         )
 
 
-def _gyro_problems(plan: Plan, limits: StationLimits) -> Iterator[Problem]:
+def _gyro_problems(plan: Plan, limits: StationLimits) -> Iterator[DocumentProblem]:
     """Commands of the chamber that would bring the gyros to a temperature at which an interlock trips."""
     command: PlannedStep | None = None
     for planned in plan.steps:
@@ -124,7 +133,7 @@ def _gyro_problems(plan: Plan, limits: StationLimits) -> Iterator[Problem]:
             command = planned
         gyro_c = planned.after.gyro_c
         if command is not None and not limits.gyro_low_c <= gyro_c <= limits.gyro_high_c:
-            yield Problem(
+            yield DocumentProblem(
                 command.place_of("temperature_c"),
                 f"the gyros would reach {gyro_c:.0f} degC; the interlock gyro_temperature trips outside "
                 f"{limits.gyro_low_c:g} to {limits.gyro_high_c:g} degC",
@@ -132,7 +141,7 @@ def _gyro_problems(plan: Plan, limits: StationLimits) -> Iterator[Problem]:
             command = None
 
 
-def _table_problems(planned: PlannedStep, limits: StationLimits) -> Iterator[Problem]:
+def _table_problems(planned: PlannedStep, limits: StationLimits) -> Iterator[DocumentProblem]:
     step, key = planned.step, "rates_dps" if isinstance(planned.step, Spin) else "rate_dps"
     if isinstance(step, GoTo | Turn):
         fastest_dps = step.rate_dps
@@ -141,32 +150,32 @@ def _table_problems(planned: PlannedStep, limits: StationLimits) -> Iterator[Pro
     else:
         return
     if fastest_dps > limits.table_rate_max_dps:
-        yield Problem(
+        yield DocumentProblem(
             planned.place_of(key),
             f"a rate of {fastest_dps:g} deg/s is too fast for the table; "
             f"allowed: at most {limits.table_rate_max_dps:g} deg/s",
         )
 
 
-def _test_problems(plan: Plan) -> Iterator[Problem]:
+def _test_problems(plan: Plan) -> Iterator[DocumentProblem]:
     tests = plan.procedure.tests
     if tests.turn_on_repeatability:
         least = tests.turn_on_repeatability.min_power_cycles
         power_ons = itertools.accumulate(isinstance(each.step, PowerOn) for each in plan.steps)
         cycles = {number for number, each in zip(power_ons, plan.steps, strict=True) if each.dwell}
         if len(cycles) < least:
-            yield Problem(
+            yield DocumentProblem(
                 ("tests", "turn_on_repeatability"),
                 f"the plan has dwells in {len(cycles)} power cycles; the test needs {least}. Repeat "
                 "power_on, a dwell and power_off",
             )
 
 
-def _spin_problems(plan: Plan) -> Iterator[Problem]:
+def _spin_problems(plan: Plan) -> Iterator[DocumentProblem]:
     test = plan.procedure.tests.scale_factor_stability
     spun = {each.dwell for each in plan.steps if isinstance(each.step, Spin)}
     if test and len(spun) < test.min_measurements:
-        yield Problem(
+        yield DocumentProblem(
             ("tests", "scale_factor_stability"),
             f"the plan has {len(spun)} dwells with step spin; the test needs {test.min_measurements}. Repeat "
             "go_to, align and spin",
@@ -176,7 +185,7 @@ def _spin_problems(plan: Plan) -> Iterator[Problem]:
 _INSEPARABLE = "biases and initial errors can't be separated"
 
 
-def find_dwell_problems(plan: Plan) -> Iterator[Problem]:
+def _find_dwell_problems(plan: Plan) -> Iterator[DocumentProblem]:
     """Everything that keeps the dwells of a plan from giving a result, in no order."""
     for dwell, steps in itertools.groupby(plan.steps, key=lambda planned: planned.dwell):
         group = list(steps)
@@ -185,44 +194,43 @@ def find_dwell_problems(plan: Plan) -> Iterator[Problem]:
         if dwell is None:
             yield from _outside_dwells(windows)
             continue
-        if group[0].is_rotated:
+        if group[0].purpose is DwellPurpose.ROTATIONS:
             yield from _mixed_with_rotations(group)
             continue
         turns = [planned for planned in group if isinstance(planned.step, Turn)]
-        is_single = group[0].is_calibration_check or group[0].is_noise_record
-        kind_problems = _turned_check if is_single else _one_sided
+        kind_problems = _turned_check if group[0].purpose in SINGLE_NAVIGATION else _one_sided
         yield from kind_problems(windows, [*turns, *_turn_that_follows(plan, group[-1])])
         yield from _until_without_turn(windows)
         yield from _not_turned_between(group)
         yield from _turned_to_the_same(windows, turns)
-    yield from find_unpaired_checks(plan)
+    yield from _find_unpaired_checks(plan)
 
 
-def _navigation_time_problems(window: PlannedStep) -> Iterator[Problem]:
+def _navigation_time_problems(window: PlannedStep) -> Iterator[DocumentProblem]:
     step = window.step
     if not isinstance(step, Navigate):
         return
     key, min_s = ("at_least_s", step.at_least_s) if step.until else ("duration_s", step.max_duration_s)
     if min_s < MIN_NAVIGATION_S:
-        yield Problem(
+        yield DocumentProblem(
             window.place_of(key),
             f"navigate for {min_s:g} s is too short for a bias; allowed: {MIN_NAVIGATION_S:g} s or more",
         )
 
 
-def _outside_dwells(windows: Sequence[PlannedStep]) -> Iterator[Problem]:
+def _outside_dwells(windows: Sequence[PlannedStep]) -> Iterator[DocumentProblem]:
     for window in windows:
         if window.before.aligned:  # else that is the problem to report
-            yield Problem(
+            yield DocumentProblem(
                 window.location,
                 "this navigation belongs to no dwell: only navigate, turn and wait may follow align",
             )
 
 
-def _mixed_with_rotations(dwell: Sequence[PlannedStep]) -> Iterator[Problem]:
+def _mixed_with_rotations(dwell: Sequence[PlannedStep]) -> Iterator[DocumentProblem]:
     for planned in dwell:
         if isinstance(planned.step, Navigate | Turn):
-            yield Problem(
+            yield DocumentProblem(
                 planned.location,
                 f"{planned.step.name} has no place beside rotate and spin, which have rests themselves. Put "
                 "go_to and align between them",
@@ -235,20 +243,20 @@ def _turn_that_follows(plan: Plan, last: PlannedStep) -> list[PlannedStep]:
     return [planned for planned in itertools.islice(following, 1) if isinstance(planned.step, Turn)]
 
 
-def _turned_check(windows: Sequence[PlannedStep], turns: Sequence[PlannedStep]) -> Iterator[Problem]:
+def _turned_check(windows: Sequence[PlannedStep], turns: Sequence[PlannedStep]) -> Iterator[DocumentProblem]:
     if not turns:
         return
     for window in windows:
         if isinstance(window.step, Navigate) and window.step.purpose != "calibration":
             name = "a calibration check" if window.step.purpose == "calibration_check" else "a noise record"
-            yield Problem(
+            yield DocumentProblem(
                 window.place_of("purpose"),
                 f"{name} is one navigation directly after the alignment, without a turn before "
                 "or after it. Leave purpose out, or replace the turn by go_to and align",
             )
 
 
-def _one_sided(windows: Sequence[PlannedStep], turns: Sequence[PlannedStep]) -> Iterator[Problem]:
+def _one_sided(windows: Sequence[PlannedStep], turns: Sequence[PlannedStep]) -> Iterator[DocumentProblem]:
     if len(windows) != 1:
         return
     if turns:
@@ -259,39 +267,41 @@ def _one_sided(windows: Sequence[PlannedStep], turns: Sequence[PlannedStep]) -> 
         message = (
             f"no turn: {_INSEPARABLE}. Add a turn and a second navigation, or set purpose: calibration_check"
         )
-    yield Problem(windows[0].location, message)
+    yield DocumentProblem(windows[0].location, message)
 
 
-def _until_without_turn(windows: Sequence[PlannedStep]) -> Iterator[Problem]:
+def _until_without_turn(windows: Sequence[PlannedStep]) -> Iterator[DocumentProblem]:
     first = windows[0]
     if isinstance(first.step, Navigate) and first.step.until:
-        yield Problem(
+        yield DocumentProblem(
             first.place_of("until"),
             f"until needs a navigation and a turn before it; without them {_INSEPARABLE}. Use duration_s",
         )
 
 
-def _not_turned_between(dwell: Sequence[PlannedStep]) -> Iterator[Problem]:
+def _not_turned_between(dwell: Sequence[PlannedStep]) -> Iterator[DocumentProblem]:
     moves = [planned for planned in dwell if isinstance(planned.step, Navigate | Turn)]
     advice = _turn_advice(moves)
     for earlier, later in itertools.pairwise(moves):
         if isinstance(earlier.step, Navigate) and isinstance(later.step, Navigate):
-            yield Problem(later.location, f"two navigations in succession{advice}")
+            yield DocumentProblem(later.location, f"two navigations in succession{advice}")
 
 
 def _turn_advice(moves: Sequence[PlannedStep]) -> str:
     """What to do about two navigations in succession: one alone gives a bias only in a calibration check."""
-    if moves[0].is_calibration_check or moves[0].is_noise_record:
-        kind = "calibration check" if moves[0].is_calibration_check else "noise record"
+    if moves[0].purpose in SINGLE_NAVIGATION:
+        kind = "calibration check" if moves[0].purpose is DwellPurpose.CALIBRATION_CHECK else "noise record"
         return f": a {kind} has a single one. Make it longer, or put go_to and align between them"
     has_turn = any(isinstance(planned.step, Turn) for planned in moves)
     return ". Put a turn between them" + (", or make one longer" if has_turn else "")
 
 
-def _turned_to_the_same(windows: Sequence[PlannedStep], turns: Sequence[PlannedStep]) -> Iterator[Problem]:
+def _turned_to_the_same(
+    windows: Sequence[PlannedStep], turns: Sequence[PlannedStep]
+) -> Iterator[DocumentProblem]:
     azimuths_deg = {round(window.before.azimuth_deg, 6) % 360.0 for window in windows}
     if turns and len(windows) > 1 and len(azimuths_deg) == 1:
-        yield Problem(
+        yield DocumentProblem(
             turns[-1].place_of("angle_deg"),
             f"all navigations are at azimuth {azimuths_deg.pop():g} deg: {_INSEPARABLE}. "
             "Turn by an angle other than a full circle",
@@ -301,7 +311,7 @@ def _turned_to_the_same(windows: Sequence[PlannedStep], turns: Sequence[PlannedS
 _TOLERANCE_DEG = 0.5
 
 
-def find_unpaired_checks(plan: Plan) -> Iterator[Problem]:
+def _find_unpaired_checks(plan: Plan) -> Iterator[DocumentProblem]:
     """Calibration checks that have no partner half a turn away, in their position and at their temperature.
 
     A gyro bias changes the two headings oppositely, an azimuth error of the table equally.
@@ -313,7 +323,7 @@ def find_unpaired_checks(plan: Plan) -> Iterator[Problem]:
     for windows in groups.values():
         for alone in _unpaired(windows):
             opposite_deg = (alone.before.azimuth_deg + 180.0) % 360.0
-            yield Problem(
+            yield DocumentProblem(
                 alone.place_of("purpose"),
                 "a single alignment includes the table's azimuth error. "
                 f"Add the same position ({alone.before.position}) at azimuth {opposite_deg:g} deg, "
@@ -335,7 +345,8 @@ def _verifying(steps: Sequence[PlannedStep]) -> Iterator[PlannedStep]:
         group = list(members)
         windows = [planned for planned in group if isinstance(planned.step, Navigate)]
         turned = any(isinstance(planned.step, Turn) for planned in group)
-        if dwell is not None and group[0].is_calibration_check and len(windows) == 1 and not turned:
+        is_check = dwell is not None and group[0].purpose is DwellPurpose.CALIBRATION_CHECK
+        if is_check and len(windows) == 1 and not turned:
             yield windows[0]
 
 
@@ -360,7 +371,9 @@ def _half_turn_apart(one: PlannedStep, other: PlannedStep) -> bool:
 _AZIMUTHS_DEG = (0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0)
 
 
-def find_reach_problems(plan: Plan, planned: PlannedStep, limits: StationLimits) -> Iterator[Problem]:
+def _find_reach_problems(
+    plan: Plan, planned: PlannedStep, limits: StationLimits
+) -> Iterator[DocumentProblem]:
     """Why the position of a go_to can't be reached, or not with the turns that follow there.
 
     The problem is placed at the first turn that leads out of reach, or at the go_to if that is itself.
@@ -378,7 +391,7 @@ def find_reach_problems(plan: Plan, planned: PlannedStep, limits: StationLimits)
         if reason:
             what = ", then turns of ".join([f"azimuth {step.azimuth_deg:g}", *_listed(turns_deg[:count])])
             advice = _reach_advice(step, turns_deg, limits)
-            yield Problem(
+            yield DocumentProblem(
                 _turn_place(placed[count - 1][0]) if count else _place(planned, step, limits),
                 f"{step.position} at {what} deg can't be reached: {reason}{advice}",
             )

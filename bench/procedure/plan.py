@@ -26,6 +26,23 @@ class Phase(StrEnum):
     ROTATE = "rotate"
 
 
+class DwellPurpose(StrEnum):
+    """What a dwell is for."""
+
+    CALIBRATION = "calibration"
+    CALIBRATION_CHECK = "calibration_check"  #: One navigation straight from the alignment.
+    ROTATIONS = "rotations"  #: Rotations about the table's axes.
+    NOISE = "noise"  #: One long navigation for the gyros' noise.
+
+    @property
+    def gives_bias(self) -> bool:
+        """Whether the dwell measures gyro biases by itself."""
+        return self in (DwellPurpose.CALIBRATION, DwellPurpose.CALIBRATION_CHECK)
+
+
+#: Purposes of dwells with one navigation.
+SINGLE_NAVIGATION = (DwellPurpose.CALIBRATION_CHECK, DwellPurpose.NOISE)
+
 #: Steps that a dwell may contain.
 _PHASES: Mapping[type[Step], Phase] = MappingProxyType(
     {
@@ -55,19 +72,9 @@ class PlannedStep:
     phase: Phase | None = None
     #: Index of a navigation in its dwell: 0 before the first turn, 1 after it, and so on.
     window: int | None = None
-    #: Whether its dwell verifies a calibration: one navigation straight from the alignment.
-    is_calibration_check: bool = False
-    #: Whether its dwell rotates about the table's axes: it gives no bias.
-    is_rotated: bool = False
-    #: Whether its dwell is one long navigation for the gyros' noise: it gives no bias.
-    is_noise_record: bool = False
+    purpose: DwellPurpose = DwellPurpose.CALIBRATION  #: Of its dwell.
     #: Places of the values that came from loop variables, by their keys.
     value_places: Mapping[Location, Location] = field(default_factory=dict, repr=False)
-
-    @property
-    def gives_bias(self) -> bool:
-        """Whether its dwell measures gyro biases."""
-        return not (self.is_rotated or self.is_noise_record)
 
     @property
     def end_s(self) -> float:
@@ -196,18 +203,22 @@ def _groups(steps: Sequence[PlannedStep]) -> Iterator[list[PlannedStep]]:
 
 def _as_dwell(group: Sequence[PlannedStep], dwell: int) -> Iterator[PlannedStep]:
     windows = itertools.count()
-    steps = [planned.step for planned in group]
-    purposes = {step.purpose for step in steps if isinstance(step, Navigate)}
+    purpose = _purpose([planned.step for planned in group])
     for planned in group:
         yield replace(
             planned,
             dwell=dwell,
             phase=_PHASES[type(planned.step)],
             window=next(windows) if isinstance(planned.step, Navigate) else None,
-            is_calibration_check="calibration_check" in purposes,
-            is_rotated=any(isinstance(step, RotatingStep) for step in steps),
-            is_noise_record="noise" in purposes,
+            purpose=purpose,
         )
+
+
+def _purpose(steps: Sequence[Step]) -> DwellPurpose:
+    if any(isinstance(step, RotatingStep) for step in steps):
+        return DwellPurpose.ROTATIONS
+    stated = {step.purpose for step in steps if isinstance(step, Navigate)}
+    return next(each for each in (*SINGLE_NAVIGATION, DwellPurpose.CALIBRATION) if each in stated)
 
 
 def turns_after(plan: Plan, position: PlannedStep) -> tuple[TurnOrMove, ...]:

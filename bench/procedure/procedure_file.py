@@ -23,8 +23,8 @@ from gyrobench.bench.bias.verdicts import AcceptanceLimits
 from gyrobench.bench.characteristics.tests import CharacteristicTests
 from gyrobench.bench.foundations.documents import (
     Document,
+    DocumentProblem,
     Location,
-    Problem,
     StrictModel,
     problems_of,
     read_document,
@@ -222,16 +222,16 @@ def variable_in(value: Any) -> str | None:
     return match[1] if match else None
 
 
-def entry_location(entry: StepTemplate | Repeat, at: Location) -> Location:
+def _entry_location(entry: StepTemplate | Repeat, at: Location) -> Location:
     """Place of the keys of the entry at ``at``."""
     return (*at, "repeat" if isinstance(entry, Repeat) else entry.kind.name)
 
 
 def _scope_problems(
     entries: Sequence[StepTemplate | Repeat], at: Location, scope: tuple[str, ...]
-) -> Iterator[Problem]:
+) -> Iterator[DocumentProblem]:
     for index, entry in enumerate(entries):
-        here = entry_location(entry, (*at, index))
+        here = _entry_location(entry, (*at, index))
         if isinstance(entry, Repeat):
             yield from _loop_problems(entry, (*here, "over"), scope)
             yield from _scope_problems(entry.steps, (*here, "steps"), (*scope, *entry.over))
@@ -239,35 +239,37 @@ def _scope_problems(
         for keys, name in entry.variables().items():
             if name not in scope:
                 defined = ", ".join(f"${known}" for known in scope) or "none"
-                yield Problem(
+                yield DocumentProblem(
                     (*here, *keys), f"no variable ${name}{did_you_mean(name, scope)}; defined here: {defined}"
                 )
 
 
-def _loop_problems(loop: Repeat, at: Location, scope: tuple[str, ...]) -> Iterator[Problem]:
+def _loop_problems(loop: Repeat, at: Location, scope: tuple[str, ...]) -> Iterator[DocumentProblem]:
     used = _variables_in(loop.steps)
     for name, values in loop.over.items():
         if name in scope:
-            yield Problem(
+            yield DocumentProblem(
                 (*at, name), f"{name} is a variable of an enclosing repeat already. Use another name"
             )
         # Other names may just count repetitions; the name of a key was meant to be used.
         if name in _STEP_KEYS and name not in used:
-            yield Problem((*at, name), f"no step in the loop uses its variable ${name}")
+            yield DocumentProblem((*at, name), f"no step in the loop uses its variable ${name}")
         for index, value in enumerate(values):
             if name == "cycle" and (not isinstance(value, int) or value < 1):
-                yield Problem(
+                yield DocumentProblem(
                     (*at, name, index), f"a cycle is a whole number from 1; found {json.dumps(value)}"
                 )
             if name == "cycle" and value in values[:index]:
                 numbers = ", ".join(map(str, range(1, len(values) + 1)))
-                yield Problem(
+                yield DocumentProblem(
                     (*at, name, index),
                     f"the cycle {json.dumps(value)} is given twice, and both passes would count as one. Give "
                     f"each pass its own number: cycle: [{numbers}]",
                 )
             if name == "position" and index and value == values[index - 1]:
-                yield Problem((*at, name, index), f"the position {value} is given twice in succession")
+                yield DocumentProblem(
+                    (*at, name, index), f"the position {value} is given twice in succession"
+                )
 
 
 def _variables_below(values: Mapping[str, Any], at: Location) -> Iterator[tuple[Location, str]]:
@@ -314,7 +316,7 @@ def resolve(document: Document, procedure: Procedure) -> list[ResolvedStep]:
     Raises DocumentError if the loops give too many steps, or a variable has a value that its step can't take.
     """
     _refuse_too_many(document, procedure.steps)
-    problems: list[Problem] = []
+    problems: list[DocumentProblem] = []
     steps = list(_resolve(procedure.steps, ("steps",), {}, problems))
     if problems:
         raise document.error(problems)
@@ -326,7 +328,7 @@ def _refuse_too_many(document: Document, entries: Sequence[StepTemplate | Repeat
     if count > MAX_STEPS:
         worst = max(range(len(entries)), key=lambda index: _count(entries[index : index + 1]))
         message = f"the loops give {count} steps; allowed: at most {MAX_STEPS}"
-        raise document.error([Problem(("steps", worst), message)])
+        raise document.error([DocumentProblem(("steps", worst), message)])
 
 
 def _count(entries: Sequence[StepTemplate | Repeat]) -> int:
@@ -340,10 +342,10 @@ def _resolve(
     entries: Sequence[StepTemplate | Repeat],
     at: Location,
     scope: Mapping[str, _Bound],
-    problems: list[Problem],
+    problems: list[DocumentProblem],
 ) -> Iterator[ResolvedStep]:
     for index, entry in enumerate(entries):
-        here = entry_location(entry, (*at, index))
+        here = _entry_location(entry, (*at, index))
         if isinstance(entry, Repeat):
             for values in _combinations(entry, (*here, "over")):
                 yield from _resolve(entry.steps, (*here, "steps"), {**scope, **values}, problems)
@@ -380,13 +382,13 @@ def _filled(value: Any, scope: Mapping[str, _Bound]) -> Any:
 
 def _traced(
     error: ValidationError, entry: StepTemplate, at: Location, scope: Mapping[str, _Bound]
-) -> Iterator[Problem]:
+) -> Iterator[DocumentProblem]:
     """Place problems of a value that came from a loop at that value."""
     variables = entry.variables()
     for problem in problems_of(error):
         keys = next((keys for keys in variables if keys == problem.location[: len(keys)]), None)
         if keys:
             place = scope[variables[keys]].place
-            yield Problem(place, f"{problem.message} (for {keys[-1]} of {entry.kind.name})")
+            yield DocumentProblem(place, f"{problem.message} (for {keys[-1]} of {entry.kind.name})")
         else:
-            yield Problem((*at, *problem.location), problem.message)
+            yield DocumentProblem((*at, *problem.location), problem.message)

@@ -12,7 +12,7 @@ import numpy as np
 
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.text import hours_minutes
-from gyrobench.bench.procedure.plan import Plan, PlannedStep
+from gyrobench.bench.procedure.plan import DwellPurpose, Plan, PlannedStep
 from gyrobench.bench.procedure.steps import GoTo
 
 #: In place of a position where the table rotates.
@@ -70,7 +70,7 @@ def position_spans(plan: Plan) -> list[tuple[float, float, str]]:
         stay = [planned for _, planned in pairs]
         position = stay[0].after.position
         if position is not None:
-            is_rotated = any(planned.is_rotated for planned in stay)
+            is_rotated = any(planned.purpose is DwellPurpose.ROTATIONS for planned in stay)
             spans.append((stay[0].start_s, stay[-1].end_s, ROTATIONS if is_rotated else position))
     return spans
 

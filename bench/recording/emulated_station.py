@@ -57,12 +57,12 @@ def write_station_file(path: Path, station: Station, urls: Mapping[str, str], sp
             f"{station.path}: no emulated INS sends the frames of {station.dbc_path.name}; serve a station "
             "with a shipped DBC file, such as `emulated`"
         )
-    text = station_text(station, urls, speed)
+    text = _station_text(station, urls, speed)
     validate(parse_document(text, path), StationFile)
     write_whole(path, text.encode())
 
 
-def station_text(station: Station, urls: Mapping[str, str], speed: float) -> str:
+def _station_text(station: Station, urls: Mapping[str, str], speed: float) -> str:
     """YAML of the station with these addresses, on a wall clock."""
     data = yaml.safe_load(station.path.read_text(encoding="utf-8"))
     first = {

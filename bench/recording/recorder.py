@@ -86,7 +86,7 @@ class Recorder:
     def lines(self, folder: Path) -> Iterator[None]:
         """Record every line to table and chamber that is opened meanwhile, into a folder."""
         before = set(folder.glob("*.rec"))
-        with recording_lines(folder, recording_headers(self._station, self._note)):
+        with recording_lines(folder, _recording_headers(self._station, self._note)):
             try:
                 yield
             finally:
@@ -160,7 +160,7 @@ class Recorder:
         with tempfile.TemporaryDirectory() as temporary:
             folder = Path(temporary)
             try:
-                with recording_lines(folder, {name: recording_headers(self._station, self._note)[name]}):
+                with recording_lines(folder, {name: _recording_headers(self._station, self._note)[name]}):
                     calls += self._query(instrument, clock)
             finally:
                 for part in sorted(folder.iterdir())[:1]:
@@ -229,7 +229,7 @@ class Proxy:
         return bool(request or reply)
 
 
-def recording_headers(station: Station, note: str = "") -> dict[str, RecordingHeader]:
+def _recording_headers(station: Station, note: str = "") -> dict[str, RecordingHeader]:
     """Headers of recordings of table and chamber, by the names that errors give the instruments."""
     table, chamber = station.file.rate_table, station.file.chamber
     return {
@@ -279,7 +279,7 @@ def _serial_port(station: Station, instrument: Instrument, note: str) -> tuple[R
         return header, section.channel
     line = station.file.rate_table if instrument == "table" else station.file.chamber
     usual = line.installed_dialect.line
-    header = recording_headers(station, note)[RATE_TABLE if instrument == "table" else CHAMBER]
+    header = _recording_headers(station, note)[RATE_TABLE if instrument == "table" else CHAMBER]
     settings = {"baudrate": line.baudrate or usual.baudrate, "parity": line.parity or usual.parity}
     return header.model_copy(update=settings), line.port
 

@@ -11,7 +11,7 @@ from urllib.parse import quote
 from pydantic import TypeAdapter, ValidationError
 
 from gyrobench.bench.foundations.clock import VirtualClock
-from gyrobench.bench.foundations.documents import Problem, problems_of
+from gyrobench.bench.foundations.documents import DocumentProblem, problems_of
 from gyrobench.bench.foundations.errors import DocumentError, InstrumentError
 from gyrobench.bench.foundations.packages import CHAMBERS, RATE_TABLES, load
 from gyrobench.bench.foundations.text import did_you_mean
@@ -75,9 +75,9 @@ def checked_calls(recording: Recording) -> list[Call]:
     calls, problems = [], []
     for index, call in enumerate(header.calls):
         found = _checked_arguments(protocol, call.ask, call.arguments, header.axes or _DEFAULT_AXES)
-        if isinstance(found, Problem):
+        if isinstance(found, DocumentProblem):
             message = f"call {index + 1} of {len(header.calls)}: {found.message}"
-            problems.append(Problem(("calls", index, *found.location), message))
+            problems.append(DocumentProblem(("calls", index, *found.location), message))
         else:
             calls.append(call.model_copy(update={"arguments": found}))
     if problems:
@@ -87,26 +87,28 @@ def checked_calls(recording: Recording) -> list[Call]:
 
 def _checked_arguments(
     protocol: type[RateTable | Chamber], ask: str, arguments: Mapping[str, Any], axes: Sequence[int]
-) -> dict[str, Any] | Problem:
+) -> dict[str, Any] | DocumentProblem:
     """Arguments of a call with their types, or what is wrong, located within the call."""
     methods = dict(_methods(protocol))
     if ask not in methods:
-        return Problem(("ask",), f"a {protocol.__name__} has no method '{ask}'{did_you_mean(ask, methods)}")
+        return DocumentProblem(
+            ("ask",), f"a {protocol.__name__} has no method '{ask}'{did_you_mean(ask, methods)}"
+        )
     try:
         inspect.signature(methods[ask]).bind(None, **arguments)
     except TypeError as error:
-        return Problem(("arguments",), f"{ask}: {error}")
+        return DocumentProblem(("arguments",), f"{ask}: {error}")
     hints, typed = get_type_hints(methods[ask]), {}
     for name, value in arguments.items():
         try:
             typed[name] = TypeAdapter(hints[name]).validate_python(value)
         except ValidationError as error:
-            return Problem(("arguments", name), f"{ask}: '{name}': {error.errors()[0]['msg']}")
+            return DocumentProblem(("arguments", name), f"{ask}: '{name}': {error.errors()[0]['msg']}")
     if typed.get("angles_deg") == {}:
-        return Problem(("arguments", "angles_deg"), f"{ask}: names no axis")
+        return DocumentProblem(("arguments", "angles_deg"), f"{ask}: names no axis")
     unknown = (set(typed.get("angles_deg", axes)) | {typed.get("axis", axes[0])}) - set(axes)
     if unknown:
-        return Problem(("arguments",), f"{ask}: there is no axis {min(unknown)}, only {list(axes)}")
+        return DocumentProblem(("arguments",), f"{ask}: there is no axis {min(unknown)}, only {list(axes)}")
     return typed
 
 
@@ -128,7 +130,7 @@ def _open_driver(recording: Recording, line: SerialLine) -> RateTable | Chamber:
             chamber = load(CHAMBERS, header.dialect, ChamberDialect)
             return chamber.open(line, chamber.options.model_validate(header.options))
     except ValidationError as error:
-        problems: list[Problem] = problems_of(error, ("options",))
+        problems: list[DocumentProblem] = problems_of(error, ("options",))
         raise DocumentError(
             "\n".join(f"{recording.path}: {'.'.join(map(str, p.location))}: {p.message}" for p in problems)
         ) from error

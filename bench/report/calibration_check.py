@@ -38,9 +38,9 @@ def calibration_check_section(rows: Sequence[CalibrationCheckRow]) -> Section | 
     """Measured and calibrated biases; None without any."""
     if not rows:
         return None
-    flags = flag_lines(rows)
+    flags = _flag_lines(rows)
     caption = (
-        f"Biases ± standard uncertainty in {calibration_check_scale(rows).unit}. Difference: measured minus "
+        f"Biases ± standard uncertainty in {_calibration_check_scale(rows).unit}. Difference: measured minus "
         "calibrated in combined standard uncertainties; * significant"
     )
     tables = [SectionTable(caption, _HEADER, calibration_check_rows(rows), words=3)]
@@ -50,7 +50,7 @@ def calibration_check_section(rows: Sequence[CalibrationCheckRow]) -> Section | 
         calibration_check_sentence(rows),
         _METHODS,
         _CALIBRATED if has_calibrated else "",
-        accelerometer_sentence(rows),
+        _accelerometer_sentence(rows),
     ]
     return Section("Calibration check", [text for text in paragraphs if text], tables=tables)
 
@@ -68,14 +68,14 @@ def calibration_check_sentence(rows: Sequence[CalibrationCheckRow]) -> str:
     return (_agreement(compared) if compared else _NOTHING) + (f" Not compared: {what}." if what else "")
 
 
-def accelerometer_sentence(rows: Sequence[CalibrationCheckRow]) -> str:
+def _accelerometer_sentence(rows: Sequence[CalibrationCheckRow]) -> str:
     """Effect of unknown accelerometer biases; empty if they are known."""
     sigmas_ug = [row.accelerometer_sigma_ug for row in rows if not row.flags]
     large = [sigma for sigma in sigmas_ug if sigma > _LARGE_ACCELEROMETER_UG]
     return _UNKNOWN_ACCELEROMETERS.format(len(large), len(sigmas_ug), max(large)) if large else ""
 
 
-def calibration_check_scale(rows: Sequence[CalibrationCheckRow]) -> BiasScale:
+def _calibration_check_scale(rows: Sequence[CalibrationCheckRow]) -> BiasScale:
     """Choose unit and decimals for the biases of a calibration check."""
     return BiasScale.of(
         [bias for row in rows for bias in (row.bias_dph, row.paper_bias_dph, row.calibrated_dph)],
@@ -85,11 +85,11 @@ def calibration_check_scale(rows: Sequence[CalibrationCheckRow]) -> BiasScale:
 
 def calibration_check_rows(rows: Sequence[CalibrationCheckRow]) -> list[list[str]]:
     """Cells of :data:`_HEADER`; a star marks a significant difference."""
-    scale = calibration_check_scale(rows)
+    scale = _calibration_check_scale(rows)
     differing = _differing(rows)
     return [
         [
-            place_label(row),
+            _place_label(row),
             row.gyro.upper(),
             row.method,
             "" if math.isnan(row.temperature_c) else f"{row.temperature_c:.1f}",
@@ -102,7 +102,7 @@ def calibration_check_rows(rows: Sequence[CalibrationCheckRow]) -> list[list[str
     ]
 
 
-def place_label(row: CalibrationCheckRow) -> str:
+def _place_label(row: CalibrationCheckRow) -> str:
     """Name position and azimuth, both azimuths of a pair of alignments: "Z-Up 180°", "Z-Up 0/180°"."""
     azimuths_deg = [row.azimuth_deg]
     if row.turned_dwell is not None:
@@ -116,7 +116,7 @@ def dwells_text(rows: Sequence[CalibrationCheckRow]) -> str:
     return f"{counted(len(numbers), 'dwell')} for the calibration check"
 
 
-def flag_lines(rows: Sequence[CalibrationCheckRow]) -> list[tuple[str, str]]:
+def _flag_lines(rows: Sequence[CalibrationCheckRow]) -> list[tuple[str, str]]:
     """Places and texts of flags."""
     return [
         (
@@ -144,7 +144,7 @@ def _agreement(compared: Sequence[CalibrationCheckRow]) -> str:
         f"{found} The largest difference, measured minus calibrated, is "
         f"{dph_with_sigma(worst.difference_dph, worst.difference_sigma_dph)} "
         f"({_sigmas(worst):+z.1f} standard uncertainties): {gyro_label(worst.gyro)} in "
-        f"{place_label(worst)} at {worst.temperature_c:.0f} °C, by {worst.method}."
+        f"{_place_label(worst)} at {worst.temperature_c:.0f} °C, by {worst.method}."
     )
 
 

@@ -72,7 +72,7 @@ class SealedFile:
 
 
 @dataclass(frozen=True)
-class Changes:
+class SealChanges:
     """Paths that differ between two seals, by kind."""
 
     added: Sequence[str] = ()
@@ -109,7 +109,7 @@ class Seal:
     command: str
     program: str
     previous_sha256: str  #: Of the file of the seal before; empty for the first.
-    changes: Changes  #: Since the seal before.
+    changes: SealChanges  #: Since the seal before.
     journal_broken_links: Sequence[int]  #: Lines of the journal that do not fit the line before.
     files: Mapping[str, SealedFile]
     key: str = field(default="", compare=False)  #: Identity of the key that signed; empty without signature.
@@ -332,10 +332,10 @@ def _paths(root: Path, below: str = "") -> Iterator[str]:
         # Other runs in the folder have their own seals.
 
 
-def _changes(root: Path, before: Mapping[str, SealedFile], files: Mapping[str, SealedFile]) -> Changes:
+def _changes(root: Path, before: Mapping[str, SealedFile], files: Mapping[str, SealedFile]) -> SealChanges:
     changed = [path for path in files if path in before and files[path].sha256 != before[path].sha256]
     extended = [path for path in changed if _is_evidence(path) and _starts_with(root / path, before[path])]
-    return Changes(
+    return SealChanges(
         added=[path for path in files if path not in before],
         extended=extended,
         replaced=[path for path in changed if path not in extended],
@@ -377,7 +377,7 @@ def _read_seal(path: Path, trusted: bytes | None) -> Seal:
     try:
         record, signature = parse_json(text), parse_json(rest)
         files = {name: SealedFile(**each) for name, each in record.pop("files").items()}
-        seal = Seal(**{**record, "files": files, "changes": Changes(**record["changes"])})
+        seal = Seal(**{**record, "files": files, "changes": SealChanges(**record["changes"])})
         key = base64.b64decode(signature.get("public_key", ""))
         problem = _problem_of(text, signature, key, trusted)
     except (ValueError, TypeError, KeyError, AttributeError) as error:
@@ -408,7 +408,7 @@ def _signature(text: bytearray, key: Path | None) -> dict[str, str]:
     if key is None and not configured:
         return {"unsigned": f"no key; {KEY_VARIABLE} names one"}
     try:
-        secret = load_key(key or Path(configured))
+        secret = _load_key(key or Path(configured))
     except GyrobenchError as error:
         if key is not None:
             raise
@@ -421,7 +421,7 @@ def _signature(text: bytearray, key: Path | None) -> dict[str, str]:
     }
 
 
-def load_key(path: Path) -> Ed25519PrivateKey:
+def _load_key(path: Path) -> Ed25519PrivateKey:
     """Load the key that signs seals; its password, if any, is in GYROBENCH_KEY_PASSWORD.
 
     Raises DocumentError if it can't be read or is not an Ed25519 key.

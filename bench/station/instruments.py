@@ -278,7 +278,7 @@ class Instruments(Outputs):
 
         def reopened() -> can.BusABC:
             ins.close()  # first: closing the channel later would close it for both
-            return open_ins_bus(self._stations[instrument], self.clock, self._emulation, self._station)
+            return _open_ins_bus(self._stations[instrument], self.clock, self._emulation, self._station)
 
         ins.replace_bus(
             within(self.clock, _opening_time_s(self.clock), instrument, reopened, discard=close_bus)
@@ -373,7 +373,7 @@ def open_ins(station: Station, clock: Clock, emulation: Emulation, bench: Statio
     """
     section, database = station.file.ins, station.database()
     is_shared = bench is not None and bench.shares_bus(station)
-    bus = open_ins_bus(station, clock, emulation, bench)
+    bus = _open_ins_bus(station, clock, emulation, bench)
     try:
         return CanIns(
             bus, section.signals, database, clock, section.commands, None, station.instrument, is_shared
@@ -383,7 +383,7 @@ def open_ins(station: Station, clock: Clock, emulation: Emulation, bench: Statio
         raise
 
 
-def open_ins_bus(
+def _open_ins_bus(
     station: Station, clock: Clock, emulation: Emulation, bench: Station | None = None
 ) -> can.BusABC:
     """Open the bus alone, as :func:`open_ins`."""

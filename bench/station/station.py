@@ -15,7 +15,7 @@ from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.clock import Clock, VirtualClock, WallClock
-from gyrobench.bench.foundations.documents import Document, Problem, parse_document, validate
+from gyrobench.bench.foundations.documents import Document, DocumentProblem, parse_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.navigation.earth import gravity_uncertainty
 from gyrobench.bench.navigation.error_model import Site
@@ -57,7 +57,7 @@ class Station:
         try:
             self.table = self._table()  #: Kinematics of the table with the unit on it.
         except DocumentError as error:
-            raise self._document.error([Problem(("rate_table", "mounting"), str(error))]) from error
+            raise self._document.error([DocumentProblem(("rate_table", "mounting"), str(error))]) from error
 
     @cached_property
     def units(self) -> tuple[Station, ...]:
@@ -147,7 +147,7 @@ class Station:
         try:
             codecs = [DbcCodec(unit.database()) for unit in self.units]
         except DocumentError as error:
-            raise self._document.error([Problem(("ins", "dbc"), str(error))]) from error
+            raise self._document.error([DocumentProblem(("ins", "dbc"), str(error))]) from error
         codec = codecs[0]
         identifiers: dict[tuple[object, ...], Station] = {}
         for unit, each in zip(self.units, codecs, strict=True):
@@ -156,7 +156,7 @@ class Station:
                 if other is not unit:
                     raise self._document.error(
                         [
-                            Problem(
+                            DocumentProblem(
                                 ("units",),
                                 f"{other.instrument} and {unit.instrument} share a bus and both use the "
                                 f"identifier {identifier}. Choose identifier_offset further apart",

@@ -42,7 +42,7 @@ _SERVED_INTERFACES = ("slcan", "socketcand", "emulator")
 _SCHEMES_HERE = ("emulator", "replay")
 
 
-def why_not_fast(addresses: Iterable[str], interface: str, host: str) -> str:
+def _why_not_fast(addresses: Iterable[str], interface: str, host: str) -> str:
     """Name the address that is not of an emulated bench on this computer; empty if all are.
 
     ``addresses`` are the ports of table and chamber and the CAN channel, ``host`` that of the bus's options.
@@ -379,7 +379,7 @@ class StationFile(StrictModel):
     def _fast_only_where_emulated(self) -> Self:
         ports = (self.rate_table.port, self.chamber.port)
         reasons = [
-            why_not_fast((*ports, ins.channel), ins.interface, str(ins.options.get("host", "")))
+            _why_not_fast((*ports, ins.channel), ins.interface, str(ins.options.get("host", "")))
             for ins in self.ins_sections
         ]
         why_not = next(filter(None, reasons), "") if self.speed != 1.0 else ""

@@ -181,17 +181,6 @@ def _gyro_c(rows: Iterable[PlateauCoefficientRow]) -> float:
     return float(np.mean([row.temperature_c for row in rows if row.coefficient == "gyro_bias"]))
 
 
-def coefficient_result(
-    compensation: str,
-    rows: Sequence[PlateauCoefficientRow],
-    correlations: Mapping[int, FloatArray],
-    site: Site,
-) -> CoefficientResult:
-    """What is left of the coefficients in one run alone."""
-    [result] = compare_coefficients([CoefficientRun(compensation, rows, correlations)], site)
-    return result
-
-
 def _by_name(rows: Iterable[PlateauCoefficientRow]) -> dict[str, list[PlateauCoefficientRow]]:
     found: dict[str, list[PlateauCoefficientRow]] = {name: [] for name in _NAMES}
     for row in rows:

@@ -222,30 +222,6 @@ def _measured_rows(
     return CompensationResult(run.compensation, tuple(checks), tuple(rows), total)
 
 
-def compensation_result(
-    compensation: str,
-    dwells: Iterable[DwellRow],
-    verifications: Iterable[CheckDwell],
-    site: Site,
-    fitted_c: FloatArray,
-    model: tuple[Draws, Collection[str]] | None = None,
-) -> CompensationResult:
-    """Residual bias of one run alone, without flagged dwells.
-
-    Parameters
-    ----------
-    dwells, verifications : iterable of DwellRow, iterable of CheckDwell
-        Of the run with that compensation.
-    fitted_c : ndarray, shape (n, 3)
-        Temperatures of the gyros in the dwells that the model was fitted to.
-    model : tuple of Draws and names, optional
-        Draws of the model that was loaded, and the effects that the INS subtracts.
-    """
-    run = MeasuredRun(compensation, tuple(dwells), tuple(verifications), model)
-    [result] = compare_runs([run], site, fitted_c)
-    return result
-
-
 def is_worse(after: VerificationRow, before: VerificationRow) -> bool:
     """Whether the varying bias over all plateaus is larger than in another run, by more than the noise.
 

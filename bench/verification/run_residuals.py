@@ -28,7 +28,6 @@ from gyrobench.bench.navigation.rotational_ins import (
     bias_by_position,
     rotate_for,
 )
-from gyrobench.bench.verification.paired_plateaus import pair_dwells
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,21 +52,6 @@ class ResidualCheck:
     velocity_east_mps: float
     velocity_noise_mps: float
     day: DayOfNavigation | None  #: Position error of a day; None unless all six positions were measured.
-
-
-def check_residuals(
-    rows: Iterable[DwellRow], check_dwells: Iterable[CheckDwell], site: Site
-) -> list[ResidualCheck]:
-    """Check each plateau of a run, in the order of time; what has flags is left out.
-
-    ``rows``: biases with the compensation that the INS applies. ``check_dwells``: navigations straight from
-    an alignment.
-    """
-    measured: list[AnyDwell] = [*rows, *check_dwells]
-    return [
-        check_plateau(plateau, {each.dwell for each in plateau}, site)
-        for [plateau] in pair_dwells([measured])
-    ]
 
 
 AnyDwell = DwellRow | CheckDwell

@@ -91,13 +91,13 @@ def _written_out(header: str, node: tuple[str, ...]) -> tuple[str, ...]:
 
 def _keyword(word: str, path: tuple[str, ...]) -> str:
     known = KEYWORDS if not path else KEYWORDS[path[0]] if len(path) == 1 else ()
-    found = find_keyword(word, tuple(known))
+    found = _find_keyword(word, tuple(known))
     if found is None:
         raise AclError(ErrorCode.UNKNOWN_COMMAND)
     return found
 
 
-def find_keyword(word: str, known: tuple[str, ...]) -> str | None:
+def _find_keyword(word: str, known: tuple[str, ...]) -> str | None:
     """First of the known keywords that starts with the word, in any case."""
     return next((keyword for keyword in known if word and keyword.startswith(word.upper())), None)
 
@@ -333,7 +333,7 @@ class AxisCommands:
 
 
 def _mode(argument: Argument) -> Mode:
-    name = find_keyword(str(argument), tuple(Mode.__members__))
+    name = _find_keyword(str(argument), tuple(Mode.__members__))
     if name is None:
         raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
     return Mode[name]

@@ -37,7 +37,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
-from gyrobench.bench.foundations.documents import Location, Problem, StrictModel
+from gyrobench.bench.foundations.documents import DocumentProblem, Location, StrictModel
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
 from gyrobench.drivers.frames import EXTENDED_ID
 from gyrobench.drivers.ins.attitude import EulerSequence
@@ -167,7 +167,7 @@ class Compensation:
             if (_used(getattr(self, name)) & (getattr(self, scale) <= 0.0)).any():
                 raise MeasurementError(f"compensation: {name} needs {scale} above zero")
         for name, each in self.coefficients.items():
-            axis = correction_place(name)[1]
+            axis = _correction_place(name)[1]
             if each.rate_per_c_per_h and not self.rate_limit_c_per_h[axis] > 0.0:
                 raise MeasurementError(
                     f"compensation: the rate of {name} needs rate_limit_c_per_h above zero"
@@ -218,7 +218,7 @@ _SENSORS = {
 }
 
 
-def correction_place(name: str) -> tuple[str, int, int | None]:
+def _correction_place(name: str) -> tuple[str, int, int | None]:
     """Sensor, its axis (0 for x), and the axis that a coefficient makes it sense; None for a bias.
 
     Raises MeasurementError if the name is not that of a coefficient.
@@ -378,7 +378,7 @@ class CoefficientCommand(Command):
         if self.others is not None and compensation.corrected():
             numbers |= dict.fromkeys(self._indices_of_others(self.others), 0.0)
             for name, each in compensation.coefficients.items():
-                sensor, sensor_axis, sensed = correction_place(name)
+                sensor, sensor_axis, sensed = _correction_place(name)
                 if sensor_axis == axis:
                     numbers |= dict(enumerate(each.numbers().tolist(), self.others.first(sensor, sensed)))
         return dict(sorted(numbers.items()))
@@ -415,7 +415,7 @@ _GIVEN = {
 }
 
 
-def check_commands(commands: CommandMap, codec: DbcCodec, at: Location = ()) -> list[Problem]:
+def check_commands(commands: CommandMap, codec: DbcCodec, at: Location = ()) -> list[DocumentProblem]:
     """Problems with the DBC of a map that is at ``at`` in its file."""
     problems = []
     for name in CommandMap.model_fields:
@@ -427,9 +427,9 @@ def check_commands(commands: CommandMap, codec: DbcCodec, at: Location = ()) -> 
             here = (*at, name, "values", signal)
             if isinstance(value, str) and value not in given:
                 known = f"a number or {', '.join(sorted(given))}" if given else "a number"
-                problems.append(Problem(here, f"expected {known}; found '{value}'"))
+                problems.append(DocumentProblem(here, f"expected {known}; found '{value}'"))
             try:
                 codec.signal(command.message, signal)
             except DocumentError as error:
-                problems.append(Problem(here, str(error)))
+                problems.append(DocumentProblem(here, str(error)))
     return problems

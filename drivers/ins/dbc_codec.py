@@ -64,14 +64,14 @@ def _database(path: Path, content: bytes, identifier_offset: int) -> Database:
     database = Database()
     try:
         text = _text(content)
-        _refuse(path, oversized(text))
+        _refuse(path, _oversized(text))
         database.add_dbc_string(text)
     except DocumentError:
         raise
     except _DBC_ERRORS as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise DocumentError(f"{path}: not a valid DBC file: {reason}") from error
-    _refuse(path, undecodable(database))
+    _refuse(path, _undecodable(database))
     if identifier_offset:
         _add_offset(path, database, identifier_offset)
     return database
@@ -386,7 +386,7 @@ _MULTIPLEXER = re.compile(r"^[ \t]*SG_MUL_VAL_[^;]*", re.MULTILINE)
 _RANGE = re.compile(r"(\d+)[ \t]*-[ \t]*(\d+)")
 
 
-def oversized(text: str) -> Iterator[str]:
+def _oversized(text: str) -> Iterator[str]:
     """Sizes and numbers that no CAN device has and that exhaust the parser, with their lines."""
     for number, line in enumerate(text.splitlines(), start=1):
         if len(line) > _MAX_LINE_CHARACTERS:
@@ -412,7 +412,7 @@ def oversized(text: str) -> Iterator[str]:
             return
 
 
-def undecodable(database: Database) -> Iterator[str]:
+def _undecodable(database: Database) -> Iterator[str]:
     """Duplicate messages, and signals of classic CAN messages whose values can't be computed."""
     for kind, all_of_kind in (
         ("message called", [message.name for message in database.messages]),

@@ -65,7 +65,7 @@ def decode_navigation(block: FrameBlock, signal_map: SignalMap, codec: DbcCodec)
     """Decode one uninterrupted block. Raises DocumentError if the signal map does not fit the DBC."""
     reader = BlockReader(block, codec)
     readout = Readout(reader, signal_map, bind_signals(signal_map, codec))
-    epochs = find_epochs(reader, readout)
+    epochs = _find_epochs(reader, readout)
     messages = {each.message for path, each in readout.signals.items() if not path.startswith("increments.")}
     return NavigationData(
         ins_time_s=epochs.ins_time_s,
@@ -182,7 +182,7 @@ class Epochs:
     counts: EpochCounts
 
 
-def find_epochs(reader: BlockReader, readout: Readout) -> Epochs:
+def _find_epochs(reader: BlockReader, readout: Readout) -> Epochs:
     """Find the epochs and their times; see :class:`Epochs`."""
     groups, incomplete = _group_frames(reader, readout)
     period_s = readout.map.epoch_period_s

@@ -18,7 +18,7 @@ from cantools.database.can import Signal
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.bench.foundations.documents import Location, Problem, StrictModel
+from gyrobench.bench.foundations.documents import DocumentProblem, Location, StrictModel
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.drivers.ins.dbc_codec import DbcCodec
 from gyrobench.drivers.ins.units import UNITS, Dimension
@@ -189,7 +189,7 @@ class IncrementsMap(StrictModel):
 
 
 @dataclass(frozen=True)
-class Quantity:
+class MappedQuantity:
     """A mapped quantity with its location in the map."""
 
     location: Location
@@ -256,14 +256,14 @@ class SignalMap(StrictModel):
         sources += [source for _, source in angles or () if isinstance(source, SignalSource)]
         return {source.signal.partition(".")[0] for source in sources if source is not None}
 
-    def quantities(self) -> dict[str, Quantity]:
+    def quantities(self) -> dict[str, MappedQuantity]:
         """Every mapped quantity by its path, such as ``attitude.euler.roll``."""
-        found: dict[str, Quantity] = {}
+        found: dict[str, MappedQuantity] = {}
 
         def add(source: SignalSource | SignalName | None, dimension: Dimension, *location: str) -> None:
             if source is not None:
                 source = SignalSource(signal=source) if isinstance(source, str) else source
-                found[".".join(location)] = Quantity(location, source, dimension)
+                found[".".join(location)] = MappedQuantity(location, source, dimension)
 
         measured: dict[tuple[str, ...], tuple[Any, Dimension]] = {
             (name,): (getattr(self, name), dimension) for name, dimension in _MEASURED.items()
@@ -402,25 +402,25 @@ def bind_signals(signal_map: SignalMap, codec: DbcCodec) -> dict[str, BoundSigna
     return bound
 
 
-def check_signals(signal_map: SignalMap, codec: DbcCodec, at: Location = ()) -> list[Problem]:
+def check_signals(signal_map: SignalMap, codec: DbcCodec, at: Location = ()) -> list[DocumentProblem]:
     """Problems that :func:`bind_signals` would raise, with the map at ``at`` in its file."""
-    return [Problem((*at, *found.location), found.message) for found in _bind(signal_map, codec)[1]]
+    return [DocumentProblem((*at, *found.location), found.message) for found in _bind(signal_map, codec)[1]]
 
 
-def _bind(signal_map: SignalMap, codec: DbcCodec) -> tuple[dict[str, BoundSignal], list[Problem]]:
+def _bind(signal_map: SignalMap, codec: DbcCodec) -> tuple[dict[str, BoundSignal], list[DocumentProblem]]:
     bound: dict[str, BoundSignal] = {}
-    problems: list[Problem] = []
+    problems: list[DocumentProblem] = []
     for path, quantity in signal_map.quantities().items():
         try:
             bound[path] = _bind_one(quantity, codec)
         except DocumentError as error:
-            problems.append(Problem(quantity.location, str(error)))
+            problems.append(DocumentProblem(quantity.location, str(error)))
     problems += _two_roles(signal_map)
     for index, name in enumerate(signal_map.epoch_messages or []):
         try:
             codec.arbitration_id(name)
         except DocumentError as error:
-            problems.append(Problem(("epoch_messages", index), str(error)))
+            problems.append(DocumentProblem(("epoch_messages", index), str(error)))
     return bound, problems
 
 
@@ -428,7 +428,7 @@ def _bind(signal_map: SignalMap, codec: DbcCodec) -> tuple[dict[str, BoundSignal
 _SHARED = ("mode", "alignment", "identity")
 
 
-def _two_roles(signal_map: SignalMap) -> list[Problem]:
+def _two_roles(signal_map: SignalMap) -> list[DocumentProblem]:
     """Measured quantities that name a signal, or bits of one, which have another role already."""
     quantities = signal_map.quantities()
     sensors: dict[str, set[str]] = {}
@@ -450,7 +450,7 @@ def _two_roles(signal_map: SignalMap) -> list[Problem]:
         is_measured = quantity.dimension is not Dimension.NUMBER or path.startswith("attitude.quaternion.")
         if first != role and is_measured:
             problems.append(
-                Problem(
+                DocumentProblem(
                     quantity.location,
                     f"the signal {quantity.source.signal} is already mapped to {first}. Each quantity has "
                     "its separate signal: correct one of the two",
@@ -459,7 +459,7 @@ def _two_roles(signal_map: SignalMap) -> list[Problem]:
     return problems
 
 
-def _bind_one(quantity: Quantity, codec: DbcCodec) -> BoundSignal:
+def _bind_one(quantity: MappedQuantity, codec: DbcCodec) -> BoundSignal:
     message, _, name = quantity.source.signal.partition(".")
     signal = codec.signal(message, name)
     gain, offset = _conversion(quantity, signal)
@@ -485,7 +485,7 @@ def _bind_one(quantity: Quantity, codec: DbcCodec) -> BoundSignal:
 _MAX_SPLIT_BITS = 52
 
 
-def _conversion(quantity: Quantity, signal: Signal) -> tuple[float, float]:
+def _conversion(quantity: MappedQuantity, signal: Signal) -> tuple[float, float]:
     allowed = UNITS.get(quantity.dimension)
     if allowed is None:
         return 1.0, 0.0

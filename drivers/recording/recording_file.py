@@ -98,7 +98,7 @@ def joined(transfers: Iterable[Transfer]) -> list[Transfer]:
     return whole
 
 
-def header_text(header: RecordingHeader) -> str:
+def _header_text(header: RecordingHeader) -> str:
     """The beginning of the file, up to the first transfer."""
     data = header.model_dump(exclude_defaults=True)
     data = {"recording": header.recording, "instrument": header.instrument} | data
@@ -109,7 +109,7 @@ def header_text(header: RecordingHeader) -> str:
 
 def recording_text(header: RecordingHeader, transfers: Iterable[Transfer]) -> str:
     """The whole file."""
-    return header_text(header) + "".join(transfer.text() for transfer in transfers)
+    return _header_text(header) + "".join(transfer.text() for transfer in transfers)
 
 
 def read_recording(path: Path) -> Recording:
@@ -165,7 +165,7 @@ class RecordingFile:
         began = clock.utc().isoformat(timespec="seconds")
         try:
             self._file = path.open("x", encoding="utf-8", buffering=1)
-            self._file.write(header_text(header.model_copy(update={"recorded_utc": began})))
+            self._file.write(_header_text(header.model_copy(update={"recorded_utc": began})))
         except OSError as error:
             raise cant_be_written(path, error) from error
 

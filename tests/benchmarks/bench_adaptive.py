@@ -22,12 +22,12 @@ from gyrobench.bench.foundations.documents import parse_document
 from gyrobench.bench.investigation.block_procedure import DwellPattern, opening_procedure
 from gyrobench.bench.investigation.doubt import rivals_of, searched
 from gyrobench.bench.investigation.external_bench import (
-    BenchState,
     BlockPlan,
     ChamberStep,
     DwellStep,
     PowerStep,
     SoakStep,
+    StartState,
 )
 from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.investigation.investigation import Investigator
@@ -70,7 +70,7 @@ def block_plan(plan):
                 add(ChamberStep, each.end_s, to_c=each.step.temperature_c, ramp_c_per_h=rate_c_per_h)
             else:
                 add(SoakStep, each.end_s)
-    state = BenchState(
+    state = StartState(
         chamber_c=22.0, gyro_x_c=22.0, gyro_y_c=22.0, gyro_z_c=22.0, powered=False, since_power_on_s=0.0,
         position="z_up",
     )  # fmt: skip

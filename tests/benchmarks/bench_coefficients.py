@@ -14,7 +14,11 @@ from gyrobench.bench.calibration.coefficients import COEFFICIENTS, SensorErrors
 from gyrobench.bench.calibration.estimator import calibrate
 from gyrobench.bench.calibration.information import CalibrationOptions
 from gyrobench.bench.calibration.recording import IncrementRecording
-from gyrobench.bench.calibration.rotation_list import forecast, load_rotation_list
+from gyrobench.bench.calibration.rotation_list import (
+    RotationSetup,
+    expected_uncertainties,
+    load_rotation_list,
+)
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.runs.tables.coefficient_table import read_coefficients
@@ -42,7 +46,8 @@ RUNS = int(os.environ.get("GYROBENCH_BENCHMARK_RUNS", "100"))
 @pytest.mark.parametrize("latitude_deg", LATITUDES_DEG)
 def test_expected_uncertainties_of_eighteen_rotations(latitude_deg):
     rotations = load_rotation_list(find_document("rotations", "eighteen_rotations"))
-    found = forecast(rotations, TABLE, Site(np.deg2rad(latitude_deg)), NOISE, 100.0)
+    setup = RotationSetup(TABLE, Site(np.deg2rad(latitude_deg)), NOISE, 100.0)
+    found = expected_uncertainties(rotations, setup)
     sigmas = found.sigmas * SHOWN
 
     def of(part):

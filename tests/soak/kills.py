@@ -24,7 +24,7 @@ from scipy.stats import chi2 as chi2_distribution
 
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
 from gyrobench.bench.dwells.measure_dwell import measurement_setup
-from gyrobench.bench.dwells.recorded_dwells import replay
+from gyrobench.bench.dwells.recorded_dwells import measure_recorded
 from gyrobench.bench.engine.job import Job, prepare_job
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.resume import prepare_resumption, resume_state_of
@@ -314,7 +314,7 @@ def readable(folder: RunFolder, job: Job) -> None:
     if folder.telemetry.exists():
         read_telemetry(folder.telemetry)
     if any(entry["event"] == "dwell_finished" for entry in entries):
-        replay(folder, measurement_setup(job.station))
+        measure_recorded(folder, measurement_setup(job.station))
     if folder.dwells.exists():
         read_dwells(folder.dwells)
 

@@ -97,7 +97,7 @@ class EffectFile(StrictModel):
                 name if name == "tau_s" else f"{name}_{unit}",
                 low,
                 high,
-                fixed(*spaced(low, high, count)),
+                fixed(*_spaced(low, high, count)),
                 is_place=name in _PLACES,
             )
             for name in _parameters(self.shape, self.memory)
@@ -133,7 +133,7 @@ def _parameters(shape: str, memory: str) -> tuple[str, ...]:
     return (*of_shape, *{"none": (), "play": ("play",)}.get(memory, ("tau_s",)))
 
 
-def spaced(low: float, high: float, count: int) -> list[float]:
+def _spaced(low: float, high: float, count: int) -> list[float]:
     """Values between bounds: at equal ratios where the bounds are far apart, otherwise equal steps."""
     inside = (np.arange(count) + 0.5) / count
     if low > 0.0 and high / low > _WIDE:

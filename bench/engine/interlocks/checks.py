@@ -31,7 +31,7 @@ _REST_DPS = 0.05
 _MIN_PERIODS = 2.5
 
 
-class Finding(NamedTuple):
+class InterlockFinding(NamedTuple):
     """A violation; ``interlock`` is its key in the station file.
 
     ``problem`` is a sentence without full stop, ``advice`` is whole sentences or empty.
@@ -42,7 +42,7 @@ class Finding(NamedTuple):
     advice: str
 
 
-def text_of_findings(findings: Iterable[Finding]) -> str:
+def text_of_findings(findings: Iterable[InterlockFinding]) -> str:
     """Return all findings as text, each advice once."""
     problems: dict[str, list[str]] = {}
     for finding in findings:
@@ -146,7 +146,9 @@ class TableChecks:
         )
         self._rates = (readings.table_s, rates_dps)
 
-    def findings(self, readings: Readings, expected: ExpectedState, now_s: float) -> Iterator[Finding]:
+    def findings(
+        self, readings: Readings, expected: ExpectedState, now_s: float
+    ) -> Iterator[InterlockFinding]:
         """Yield what is wrong now."""
         if expected.table_prepared and not self._prepared:
             self._prepared_s = now_s
@@ -155,7 +157,7 @@ class TableChecks:
             self._stopped_s, self._has_rested = now_s, False
         self._stopped = expected.table_stopped
         if problem := _silent("rate table", now_s - readings.table_s, self._silence_s):
-            yield Finding("table_silence", problem, _CHECK_LINE)
+            yield InterlockFinding("table_silence", problem, _CHECK_LINE)
         yield from self._motion(readings)
         if self._prepared and readings.table_s > self._prepared_s:
             yield from self._faults(readings)
@@ -170,7 +172,7 @@ class TableChecks:
         """Return until when nothing goes wrong by the passage of time alone."""
         return readings.table_s + self._silence_s
 
-    def _motion(self, readings: Readings) -> Iterator[Finding]:
+    def _motion(self, readings: Readings) -> Iterator[InterlockFinding]:
         angles_deg = self._station.table_axes_of(readings.table.position_deg)
         rates_dps = self._station.table_axes_of(readings.table.rate_dps)
         for (axis, range_deg), angle_deg, rate_dps, acceleration_dps2 in zip(
@@ -178,7 +180,7 @@ class TableChecks:
         ):
             low_deg, high_deg = range_deg
             if not low_deg <= angle_deg <= high_deg:
-                yield Finding(
+                yield InterlockFinding(
                     f"{axis}_angle",
                     _out_of_range(f"the angle of the {axis} axis", angle_deg, low_deg, high_deg, "deg"),
                     "Check cables and mechanical stops before the table moves again.",
@@ -189,24 +191,24 @@ class TableChecks:
             ):
                 if not -limit <= value <= limit:
                     problem = _out_of_range(f"the {what} of the {axis} axis", value, -limit, limit, unit)
-                    yield Finding(interlock, problem, _CHECK_SERVO)
+                    yield InterlockFinding(interlock, problem, _CHECK_SERVO)
 
-    def _motion_although_stopped(self, readings: Readings) -> Iterator[Finding]:
+    def _motion_although_stopped(self, readings: Readings) -> Iterator[InterlockFinding]:
         rates_dps = self._station.table_axes_of(readings.table.rate_dps)
         for axis, rate_dps in zip(self._angles_deg, rates_dps, strict=True):
             if not abs(rate_dps) <= _REST_DPS:
                 problem = f"the {axis} axis turns at {rate_dps:.2f} deg/s although the table was stopped"
-                yield Finding("table_fault", problem, "Use its emergency stop, and find the cause.")
+                yield InterlockFinding("table_fault", problem, "Use its emergency stop, and find the cause.")
 
-    def _faults(self, readings: Readings) -> Iterator[Finding]:
+    def _faults(self, readings: Readings) -> Iterator[InterlockFinding]:
         for fault in readings.table_faults:
-            yield Finding(
+            yield InterlockFinding(
                 "table_fault",
                 f"the rate table reports {fault}",
                 "Find the cause before the table moves again.",
             )
         if not readings.table.is_servoed and not readings.table_faults:
-            yield Finding(
+            yield InterlockFinding(
                 "table_fault",
                 "an axis of the rate table is not under servo control although the bench closed its servos",
                 "Check whether the controller was restarted or the servos were opened at its panel.",
@@ -233,20 +235,22 @@ class ChamberChecks:
         """Take a reading; an old one changes nothing."""
         self._rate.add(readings.chamber_s, readings.chamber.temperature_c)
 
-    def findings(self, readings: Readings, expected: ExpectedState, now_s: float) -> Iterator[Finding]:
+    def findings(
+        self, readings: Readings, expected: ExpectedState, now_s: float
+    ) -> Iterator[InterlockFinding]:
         """Yield what is wrong now."""
         commanded = (expected.chamber_set_c, expected.chamber_on)
         if commanded != self._commanded:
             self._commanded, self._commanded_s = commanded, now_s
         if problem := _silent("chamber", now_s - readings.chamber_s, self._silence_s):
-            yield Finding("chamber_silence", problem, _CHECK_LINE)
+            yield InterlockFinding("chamber_silence", problem, _CHECK_LINE)
         air_c = readings.chamber.temperature_c
         if problem := _out_of_range("the chamber's air", air_c, *self._range_c, "degC"):
-            yield Finding("chamber_air", problem, "Check controller, sensor and door.")
+            yield InterlockFinding("chamber_air", problem, "Check controller, sensor and door.")
         if problem := _too_fast("the chamber's air", self._rate.per_s(), self._rate_c_per_min):
-            yield Finding("chamber_air_rate", problem, "Check whether its door is open.")
+            yield InterlockFinding("chamber_air_rate", problem, "Check whether its door is open.")
         for alarm in readings.chamber_alarms:
-            yield Finding(
+            yield InterlockFinding(
                 "chamber_alarm",
                 f"the chamber reports {alarm}",
                 "Find the cause and clear the alarm at its panel.",
@@ -256,7 +260,7 @@ class ChamberChecks:
         if expected.chamber_reached and expected.chamber_set_c is not None:
             off_c = air_c - expected.chamber_set_c
             if not abs(off_c) <= self._deviation_c:
-                yield Finding(
+                yield InterlockFinding(
                     "chamber_deviation",
                     f"the chamber's air is at {air_c:.1f} degC, {off_c:+.1f} K from the set point that it "
                     f"had reached; the limit is {self._deviation_c:g} K",
@@ -267,10 +271,10 @@ class ChamberChecks:
         """Return until when nothing goes wrong by the passage of time alone."""
         return readings.chamber_s + self._silence_s
 
-    def _deviations_from_command(self, readings: Readings) -> Iterator[Finding]:
+    def _deviations_from_command(self, readings: Readings) -> Iterator[InterlockFinding]:
         chamber, (set_c, on) = readings.chamber, self._commanded
         if on is not None and chamber.is_on is not None and chamber.is_on != on:
-            yield Finding(
+            yield InterlockFinding(
                 "chamber_command",
                 f"the chamber is {_on_off(chamber.is_on)} although the bench switched it {_on_off(on)}",
                 _CHECK_PANEL,
@@ -278,7 +282,7 @@ class ChamberChecks:
         if set_c is not None and chamber.set_point_c is not None:
             off_c = abs(chamber.set_point_c - set_c)
             if not off_c <= self._tolerance_c:
-                yield Finding(
+                yield InterlockFinding(
                     "chamber_command",
                     f"the chamber's set point is {chamber.set_point_c:g} degC, {off_c:.1f} K from the "
                     f"commanded {set_c:g} degC; the limit is {self._tolerance_c:g} K",
@@ -345,13 +349,13 @@ class _WatchedTemperature:
             rate_per_s is None or abs(rate_per_s) * 60.0 <= self._rate_c_per_min
         )
 
-    def findings(self, is_known: bool) -> Iterator[Finding]:
+    def findings(self, is_known: bool) -> Iterator[InterlockFinding]:
         """Yield what is wrong; ``is_known``: whether the value is one, or has been unknown for long."""
         problem = _out_of_range(self._what, self.value_c, self._low_c, self._high_c, "degC")
         if problem and is_known:
-            yield Finding(f"{self._interlock}_temperature", problem, _COOL_DOWN)
+            yield InterlockFinding(f"{self._interlock}_temperature", problem, _COOL_DOWN)
         if problem := _too_fast(self._what, self._rate.per_s(), self._rate_c_per_min):
-            yield Finding(f"{self._interlock}_rate", problem, f"{_CHECK_SENSOR}.")
+            yield InterlockFinding(f"{self._interlock}_rate", problem, f"{_CHECK_SENSOR}.")
 
 
 class InsChecks:
@@ -374,7 +378,9 @@ class InsChecks:
         for temperature in self._temperatures:
             temperature.observe(readings.ins, now_s)
 
-    def findings(self, readings: Readings, expected: ExpectedState, now_s: float) -> Iterator[Finding]:
+    def findings(
+        self, readings: Readings, expected: ExpectedState, now_s: float
+    ) -> Iterator[InterlockFinding]:
         """Yield what is wrong now."""
         if expected.ins_on and not self._on:
             self._on_s = now_s
@@ -382,10 +388,10 @@ class InsChecks:
         if not self._on:
             return
         if problem := _silent("INS", self._age_s(readings, now_s), self._silence_s):
-            yield Finding("ins_silence", problem, _CHECK_LINE)
+            yield InterlockFinding("ins_silence", problem, _CHECK_LINE)
             return
         if readings.ins.mode is InsMode.FAULT and self._observed_s >= self._on_s:
-            yield Finding("ins_fault", "the INS reports a fault", "Read its built-in test results.")
+            yield InterlockFinding("ins_fault", "the INS reports a fault", "Read its built-in test results.")
         for temperature in self._temperatures:
             if not temperature.is_within_limits():
                 # By the observations: the first may come before the first temperatures.

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from gyrobench.bench.engine.bench_state import ExpectedState, Readings
 from gyrobench.bench.engine.interlocks.checks import (
     ChamberChecks,
-    Finding,
     InsChecks,
+    InterlockFinding,
     TableChecks,
     text_of_findings,
 )
@@ -36,7 +36,7 @@ class Trip:
     """A tripped interlock."""
 
     name: str  #: key in the station file's ``interlocks``
-    findings: tuple[Finding, ...]
+    findings: tuple[InterlockFinding, ...]
     rule: InterlockRule  #: when the run may continue
     unit: str = ""  #: serial number of the unit that alone is concerned, of several
 
@@ -72,7 +72,7 @@ def trip_of_error(error: GyrobenchError, station: Station, step: Step | None = N
     elif isinstance(step, PowerOn):
         name = "ins_silence"
     rule = InterlockRule() if name == "step" else getattr(station.file.interlocks, name)
-    return Trip(name, (Finding(name, str(error), ""),), rule)
+    return Trip(name, (InterlockFinding(name, str(error), ""),), rule)
 
 
 class InterlockWatch:
@@ -109,7 +109,7 @@ class InterlockWatch:
         good_expected, good_until_s = self._good
         if expected is good_expected and now_s < good_until_s:
             return []
-        found: dict[str, list[Finding]] = {}
+        found: dict[str, list[InterlockFinding]] = {}
         if self._readings is not None:
             for each in self._checks:
                 for finding in each.findings(self._readings, expected, now_s):

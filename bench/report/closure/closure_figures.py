@@ -54,7 +54,7 @@ _NOTE_WIDTH = 68
 _BINS_C, _MAX_BINS = (5.0, 10.0, 20.0, 50.0), 12
 
 
-def draw_dwells(
+def _draw_dwells(
     axes: Axes, along: FloatArray, values: FloatArray, searched: BoolArray, gyro: str, size: float = 2.6
 ) -> None:
     """Draw a point for each dwell (n,) of a gyro; held-out dwells are hollow."""
@@ -95,7 +95,7 @@ def closure_residual_figure(closure: Closure, gyro: str) -> Figure:
         row[0].set_title(f"{closure.quantity.headings[axis]}, {name}")
         row[0].set_ylim(-largest, largest)
         for axes, along in zip(row, against.values(), strict=True):
-            draw_dwells(axes, along, values_dph * scale.factor, closure.searched, gyro, size=_POINT_SIZE)
+            _draw_dwells(axes, along, values_dph * scale.factor, closure.searched, gyro, size=_POINT_SIZE)
             axes.axhspan(
                 -noise * scale.factor, noise * scale.factor, color=BAND_COLOUR, zorder=0.5, label=_NOISE_LABEL
             )
@@ -243,7 +243,7 @@ def _draw(
     axes.fill_between(
         along, line - band, line + band, color=BAND_COLOUR, zorder=0.5, linewidth=0, label=_NOISE_LABEL
     )
-    draw_dwells(axes, main.along, values, searched, gyro)
+    _draw_dwells(axes, main.along, values, searched, gyro)
     axes.plot(along, line, color="black", linewidth=1.0, label="fit")
     axes.set_xlabel(fill(main.label, _LABEL_WIDTH), fontsize=8)
 

@@ -134,7 +134,7 @@ def verdict_sentence(closure: Closure) -> str:
     found = found_labels(closure)
     match closure.verdict:
         case "clean":
-            nothing = probability_text(closure.posterior.nothing)
+            nothing = _probability_text(closure.posterior.nothing)
             return (
                 f"No undeclared effect was found: the residual of the declared model is noise ({nothing})"
                 f"{_not_excluded(closure)}."
@@ -143,11 +143,11 @@ def verdict_sentence(closure: Closure) -> str:
             count = "One effect" if len(closure.effects) == 1 else f"A set of {len(closure.effects)} effects"
             return (
                 f"{count} explains the residual within the noise and is the best of those tried: {found} "
-                f"({probability_text(closure.probability)})."
+                f"({_probability_text(closure.probability)})."
             )
         case "ambiguous":
             some = 1.0 - closure.posterior.nothing
-            likely = f"An effect is likely ({probability_text(some)})"
+            likely = f"An effect is likely ({_probability_text(some)})"
             present = "An effect is present" if some >= EXPLAINED else likely
             return f"{present}, but {_unsettled(closure)}" if found else _undecided(closure)
         case "not searched":
@@ -157,7 +157,7 @@ def verdict_sentence(closure: Closure) -> str:
             )
         case _:
             part = _part(closure)
-            unknown = probability_text(closure.posterior.not_on_list)
+            unknown = _probability_text(closure.posterior.not_on_list)
             noise = "; more noise than stated is likelier" if closure.posterior.not_on_list < 0.5 else ""
             return (
                 "The residual exceeds the noise, and no candidate effect explains it (an unlisted effect: "
@@ -170,7 +170,7 @@ def _part(closure: Closure) -> str:
     likely, tied, other = [], [], []
     for each in closure.effects:
         rivals = [name for name in each.tied_with if closure.posterior.of_effect.get(name, 0.0) >= RIVAL]
-        fit = f"{each.effect.display_name} ({probability_text(each.probability)})"
+        fit = f"{each.effect.display_name} ({_probability_text(each.probability)})"
         if rivals and closure.posterior.of_any([each.effect.name, *rivals]) >= _LIKELY:
             tied.append(" or ".join([fit, *(_with_probability(closure, name) for name in rivals)]))
         elif each.probability >= _LIKELY:
@@ -205,12 +205,12 @@ def _unsettled(closure: Closure) -> str:
     tied = [each for each in closure.effects if each.tied_with]
     if tied:
         fits = "; ".join(
-            f"{each.effect.display_name} ({probability_text(each.probability)}) or "
+            f"{each.effect.display_name} ({_probability_text(each.probability)}) or "
             f"{' or '.join(_with_probability(closure, name) for name in each.tied_with)}"
             for each in tied
         )
         return f"the data do not distinguish the candidates: {fits}."
-    found = f"{found_labels(closure)} ({probability_text(closure.probability)}"
+    found = f"{found_labels(closure)} ({_probability_text(closure.probability)}"
     if closure.probability < EXPLAINED:
         return f"{found}, required {EXPLAINED:g}) is not probable enough."
     rivals = closure.posterior.rivals(closure.names)
@@ -235,21 +235,21 @@ def _unsettled(closure: Closure) -> str:
 
 def _undecided(closure: Closure) -> str:
     """Why it is neither stated that there is an effect nor that there is none."""
-    nothing = probability_text(closure.posterior.nothing)
+    nothing = _probability_text(closure.posterior.nothing)
     sentence = f"It is not settled whether the residual is noise ({nothing}, required {CLEAN:g})"
     likely = closure.not_accepted
     if likely is None:
         return f"{sentence}: it may hold an unlisted effect."
-    what = f"{labels(closure, likely.names)} ({probability_text(likely.probability)})"
+    what = f"{labels(closure, likely.names)} ({_probability_text(likely.probability)})"
     kind = "set of effects" if likely.names[1:] else "effect"
     return f"{sentence}. The most probable {kind}, {what}, is not accepted: {likely.reason}."
 
 
 def _with_probability(closure: Closure, name: str) -> str:
-    return f"{closure.label(name)} ({probability_text(closure.posterior.of_effect.get(name, 0.0))})"
+    return f"{closure.label(name)} ({_probability_text(closure.posterior.of_effect.get(name, 0.0))})"
 
 
-def probability_text(probability: float) -> str:
+def _probability_text(probability: float) -> str:
     """Write a probability with its symbol: "P = 0.62", "P > 0.999"."""
     number = probability_number(probability)
     return f"P {number}" if number[0] in "<>" else f"P = {number}"
@@ -272,19 +272,21 @@ def title(closure: Closure) -> str:
 
 def probability_sentence(closure: Closure) -> str:
     """Probabilities of the effects, of an unlisted effect, and of no undeclared effect."""
-    weighed = closure.posterior
-    likely = {name: p for name, p in weighed.of_effect.items() if p >= _WORTH_STATING}
+    posterior = closure.posterior
+    likely = {name: p for name, p in posterior.of_effect.items() if p >= _WORTH_STATING}
     parts = []
     for each in closure.effects:
         likely.pop(each.effect.name, None)
-        general = [name for name in weighed.more_general.get(each.effect.name, ()) if likely.pop(name, None)]
+        general = [
+            name for name in posterior.more_general.get(each.effect.name, ()) if likely.pop(name, None)
+        ]
         law = f" (as such or as {labels(closure, general)})" if general else ""
-        parts.append(f"{each.effect.display_name} {probability_text(each.probability)}{law}")
-    parts += [f"{closure.label(name)} {probability_text(p)}" for name, p in likely.items()]
-    follows = max(weighed.follows, key=lambda name: weighed.follows[name])
-    unknown = f"an unlisted effect {probability_text(weighed.not_on_list)}"
-    parts.append(f"{unknown} (it follows {follows})" if weighed.not_on_list >= 0.5 else unknown)
-    parts.append(f"no undeclared effect {probability_text(weighed.nothing)}")
+        parts.append(f"{each.effect.display_name} {_probability_text(each.probability)}{law}")
+    parts += [f"{closure.label(name)} {_probability_text(p)}" for name, p in likely.items()]
+    follows = max(posterior.follows, key=lambda name: posterior.follows[name])
+    unknown = f"an unlisted effect {_probability_text(posterior.not_on_list)}"
+    parts.append(f"{unknown} (it follows {follows})" if posterior.not_on_list >= 0.5 else unknown)
+    parts.append(f"no undeclared effect {_probability_text(posterior.nothing)}")
     return f"Probabilities: {'; '.join(parts)}."
 
 

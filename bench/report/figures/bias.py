@@ -150,7 +150,7 @@ def _draw_panel(axes: Axes, panel: _Panel, scale: BiasScale, marked_c: Sequence[
     axes.set_title(panel.estimator)
     for position in POSITIONS:
         _draw_dwells(axes, position, np.array(panel.dwells.get(position, ())), scale)
-        draw_bins(axes, [each for each in panel.bins if each.position == position], scale)
+        _draw_bins(axes, [each for each in panel.bins if each.position == position], scale)
     if not panel.is_empty:
         mark_temperatures(axes, "x", marked_c)
 
@@ -174,7 +174,7 @@ def _draw_dwells(axes: Axes, position: str, dwells: FloatArray, scale: BiasScale
     )
 
 
-def draw_bins(axes: Axes, bins: Sequence[BiasBin], scale: BiasScale) -> None:
+def _draw_bins(axes: Axes, bins: Sequence[BiasBin], scale: BiasScale) -> None:
     """Draw the biases of one position with their uncertainties, joined by a line."""
     if not bins:
         return
@@ -222,7 +222,7 @@ def before_after_figure(
     for axes, name, bins in zip(panels, ("before", "after"), runs, strict=True):
         axes.set(title=f"{gyro_label(gyro)}, {name}", xlabel="temperature of the gyro / °C")
         for position in POSITIONS:
-            draw_bins(axes, [each for each in bins if each.position == position], scale)
+            _draw_bins(axes, [each for each in bins if each.position == position], scale)
         if not bins:
             say_empty(axes, "no dwell gave a bias")
     panels[0].set(ylabel=f"bias / ({scale.unit})")

@@ -77,7 +77,7 @@ def _story(found: Investigation, approvals: Sequence[str]) -> Section:
                 "probabilities",
                 "Probability of each effect after each search, by the hours since the first table; numbers: "
                 "the blocks of the table below.",
-                partial(probability_figure, found),
+                partial(_probability_figure, found),
             )
         ],
         tables if found.stages[1:] else [],
@@ -129,7 +129,7 @@ def _proof(proof: VerificationResult | None) -> list[Section]:
 
 
 @house_style
-def probability_figure(found: Investigation) -> Figure:
+def _probability_figure(found: Investigation) -> Figure:
     """Draw the probability of each effect, of nothing and of what is on no list over the hours."""
     hours = [stage.spent_h for stage in found.stages]
     posteriors = [stage.closure.posterior for stage in found.stages]

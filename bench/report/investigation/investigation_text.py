@@ -67,7 +67,7 @@ def ruled_out_sentence(stage: Stage) -> str:
     return f"Ruled out by what it predicted: {'; '.join(names)}." if names else ""
 
 
-def end_sentence(found: Investigation) -> str:
+def _end_sentence(found: Investigation) -> str:
     """How the investigation ended, and its cost."""
     cost = f"{found.spent_h:.1f} h on the bench"
     share = found.spent_h / found.repeated_campaign_h
@@ -77,7 +77,7 @@ def end_sentence(found: Investigation) -> str:
     return f"{found.reason} {cost[:1].upper()}{cost[1:]}."
 
 
-def calibration_sentence(found: Investigation) -> str:
+def _calibration_sentence(found: Investigation) -> str:
     """How certain the biases of an adaptive campaign are; empty for others."""
     if found.calibration is None:
         return ""
@@ -138,8 +138,8 @@ def closing_sentences(found: Investigation) -> list[str]:
         *filter(
             None,
             [
-                end_sentence(found),
-                calibration_sentence(found),
+                _end_sentence(found),
+                _calibration_sentence(found),
                 test_sentence(found),
                 forecast_sentence(found),
             ],

@@ -17,11 +17,11 @@ from gyrobench.bench.calibration.results import (
     CoefficientRow,
     coefficient_rows,
     common_scale_ppm,
-    forecast_rows,
+    expected_rows,
     rest_rates,
     strongest_correlations,
 )
-from gyrobench.bench.calibration.rotation_list import Forecast, RotationList
+from gyrobench.bench.calibration.rotation_list import ExpectedUncertainties, RotationList
 from gyrobench.bench.calibration.spins import SpinScaleFactor
 from gyrobench.bench.foundations.arrays import (
     DEG_PER_SQRT_H_TO_SI,
@@ -69,8 +69,11 @@ def _findings(calibration: Calibration) -> Iterator[tuple[str, str]]:
         yield "Check", f"{each}."
 
 
-def forecast_summary(
-    rotations: RotationList, expected: Forecast, noise: SensorNoise, site_sigmas: tuple[float, float]
+def expected_summary(
+    rotations: RotationList,
+    expected: ExpectedUncertainties,
+    noise: SensorNoise,
+    site_sigmas: tuple[float, float],
 ) -> RenderableType:
     """The expected uncertainty of each coefficient for a list of rotations.
 
@@ -83,7 +86,7 @@ def forecast_summary(
             row["unit"],
             NOT_OBSERVABLE if row["sigma"] is None else f"{row['sigma']:.{decimals_of(row['sigma'])}f}",
         )
-        for row in forecast_rows(expected)
+        for row in expected_rows(expected)
     ]
     title = (
         f"{rotations.rotation_list}: {counted(len(rotations.rotations), 'rotation')} in "

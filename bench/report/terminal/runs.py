@@ -84,7 +84,7 @@ def trend_summary(
     )
     if due:
         note += " until: last day on which the bias of a run is within the limit."
-    parts: list[RenderableType] = [Text(trend_sentence(unit, trends), style="bold")]
+    parts: list[RenderableType] = [Text(_trend_sentence(unit, trends), style="bold")]
     if due:
         parts.append(Text(recalibration_sentence(unit, due), style="bold"))
     parts += [Text(f"Note: {text}") for text in mixed]
@@ -112,7 +112,7 @@ def _until(due: Recalibration | None) -> str:
     return "over" if due.months == 0.0 else "beyond" if due.due is None else f"{due.due:%Y-%m-%d}"
 
 
-def trend_sentence(unit: str, trends: Sequence[Trend]) -> str:
+def _trend_sentence(unit: str, trends: Sequence[Trend]) -> str:
     """Name the gyros that drift."""
     tested = [each for each in trends if each.p_value == each.p_value]
     if not tested:

@@ -13,7 +13,7 @@ from rich.text import Text
 
 from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.closure.outlook import TieOutlook
-from gyrobench.bench.closure.planned_campaign import PlannedUnit
+from gyrobench.bench.closure.planned_campaign import UnitProperties
 from gyrobench.bench.closure.posterior import TIE_ODDS
 from gyrobench.bench.closure.procedure_changes import Advice
 from gyrobench.bench.closure.separability import POWER, Detection, Separability
@@ -33,7 +33,7 @@ _COLUMNS = (
 
 
 def separability_summary(
-    separability: Separability, dwells: int, unit: PlannedUnit, target_dph: float, advice: Sequence[Advice]
+    separability: Separability, dwells: int, unit: UnitProperties, target_dph: float, advice: Sequence[Advice]
 ) -> RenderableType:
     """Sizes that are found and distinguished, what is not at the target size, and procedure changes.
 
@@ -65,7 +65,7 @@ def separability_summary(
 
 def closure_outlook(
     closure: Closure,
-    unit: PlannedUnit,
+    unit: UnitProperties,
     expected_dph: Mapping[str, float],
     ties: Sequence[TieOutlook],
     advice: Sequence[Advice],
@@ -143,7 +143,7 @@ def pairs_text(pairs: Collection[tuple[str, str]]) -> str:
     return "; ".join(groups)
 
 
-def _basis(separability: Separability, dwells: int, unit: PlannedUnit) -> str:
+def _basis(separability: Separability, dwells: int, unit: UnitProperties) -> str:
     campaign = separability.campaign
     walk = f"an angle random walk of {np.mean(unit.angle_random_walk_deg_per_sqrt_h):.2g} deg/sqrt(h)"
     sigma = f"±{1e3 * rms(campaign.sigma_dph):.2f}"

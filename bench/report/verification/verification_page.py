@@ -211,7 +211,7 @@ _SCHEME = (
 )
 
 
-def mission_sentence(result: VerificationResult) -> str:
+def _mission_sentence(result: VerificationResult) -> str:
     """Position error after each time, with each compensation."""
     times = listed([f"{hours:g}" for hours in HOURS])
     errors = [
@@ -257,7 +257,7 @@ def _mission_table(result: VerificationResult) -> SectionTable:
 
 
 @house_style
-def coefficient_figure(result: VerificationResult) -> Figure:
+def _coefficient_figure(result: VerificationResult) -> Figure:
     """Draw the rms of each coefficient with each compensation, by unit, on logarithmic scales."""
     figure = new_figure(5.2, bottom_in=0.6, top_in=0.1, wspace=0.22, hspace=0.45)
     panels = figure.subplots(2, 2).ravel()
@@ -288,7 +288,7 @@ def coefficient_figure(result: VerificationResult) -> Figure:
 
 
 @house_style
-def mission_figure(result: VerificationResult) -> Figure:
+def _mission_figure(result: VerificationResult) -> Figure:
     """Draw the position error over a day with each compensation, and the limit of 95 %."""
     figure = new_figure(3.2)
     axes = figure.subplots()
@@ -318,14 +318,14 @@ def _coefficient_parts(result: VerificationResult) -> list[Section]:
         Section(
             "All coefficients",
             figures=[
-                SectionFigure("coefficients", _COEFFICIENTS_CAPTION, partial(coefficient_figure, result))
+                SectionFigure("coefficients", _COEFFICIENTS_CAPTION, partial(_coefficient_figure, result))
             ],
             tables=[_coefficient_table(result)],
         ),
         Section(
             "A mission of a rotational INS",
-            [mission_sentence(result), _SCHEME],
-            [SectionFigure("mission", _MISSION_CAPTION, partial(mission_figure, result))],
+            [_mission_sentence(result), _SCHEME],
+            [SectionFigure("mission", _MISSION_CAPTION, partial(_mission_figure, result))],
             [_mission_table(result)],
         ),
     ]

@@ -213,7 +213,7 @@ def change_sentences(result: VerificationResult) -> list[str]:
         new_conditions_sentence(result),
         *comparability_sentences(result),
         *result.notes,
-        *fit_sentences(result),
+        *_fit_sentences(result),
     ]
     for what, values, noise in changes:
         if len(values) == len(totals):
@@ -233,7 +233,7 @@ def comparability_sentences(result: VerificationResult) -> list[str]:
         ]
         if lacking:
             sentences.append(
-                f"The plateau at {plateau_text(plateau)} has no valid dwell {listed(lacking)}: it is not "
+                f"The plateau at {_plateau_text(plateau)} has no valid dwell {listed(lacking)}: it is not "
                 "part of the numbers for all plateaus."
             )
     valid = min(each.total.dwells for each in result.results)
@@ -251,13 +251,13 @@ def comparability_sentences(result: VerificationResult) -> list[str]:
     return sentences
 
 
-def plateau_text(plateau: PairedPlateau) -> str:
+def _plateau_text(plateau: PairedPlateau) -> str:
     """A plateau in a sentence: "-6 °C (cycle 1)"."""
     first = plateau.known[0]
     return f"{first.gyro_c:z.0f} °C (cycle {first.cycle})"
 
 
-def fit_sentences(result: VerificationResult) -> list[str]:
+def _fit_sentences(result: VerificationResult) -> list[str]:
     """The uncertainty of each compensation, and whether what remains agrees with it."""
     sentences = []
     for total in (each.total for each in result.results if each.total.compensation_sigma_dph >= 0.0):

@@ -56,7 +56,7 @@ ReportProgress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
-class Changes:
+class IndexUpdate:
     """Result of an update: number of runs read, removed, and unchanged."""
 
     read: int
@@ -93,7 +93,7 @@ class RunIndex:
         self._store = store
         self.path = path or _default_path(store)
 
-    def update(self, *, rebuild: bool = False, progress: ReportProgress | None = None) -> Changes:
+    def update(self, *, rebuild: bool = False, progress: ReportProgress | None = None) -> IndexUpdate:
         """Bring the index up to date, or read all runs again.
 
         ``rebuild``: whether to read all runs again. ``progress``: called with the number of changed runs read
@@ -114,7 +114,7 @@ class RunIndex:
                 _remove_runs(connection, gone)
                 self._read_changed(connection, changed, progress)
                 self._read_units(connection, units_tag)
-        return Changes(len(changed), len(gone), len(found) - len(changed))
+        return IndexUpdate(len(changed), len(gone), len(found) - len(changed))
 
     def query(self, sql: str, parameters: Sequence[Any] = ()) -> QueryResult:
         """Query the index, read-only and without access to other files.

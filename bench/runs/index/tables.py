@@ -32,7 +32,7 @@ from gyrobench.bench.runs.journal import facts_of, parse_journal
 
 
 @dataclass(frozen=True)
-class Unit:
+class UnitRow:
     """A row of ``units.csv``."""
 
     unit: str  #: Serial number, as in the runs.
@@ -42,7 +42,7 @@ class Unit:
     note: str
 
 
-def parse_units(text: str, name: str) -> list[Unit]:
+def parse_units(text: str, name: str) -> list[UnitRow]:
     """Read CSV text with the columns unit and batch, optionally hardware and note.
 
     ``name``: what to call the file in messages. Raises DocumentError, which lists
@@ -57,7 +57,9 @@ def parse_units(text: str, name: str) -> list[Unit]:
         if first != index:
             table.problem(index, "unit", f"unit {unit} is also in line {table.lines[first]}")
         units.append(
-            Unit(unit, table.name(index, "batch"), table.text(index, "hardware"), table.text(index, "note"))
+            UnitRow(
+                unit, table.name(index, "batch"), table.text(index, "hardware"), table.text(index, "note")
+            )
         )
     table.raise_problems()
     return units
@@ -296,7 +298,7 @@ SCHEMAS: Mapping[str, pa.Schema] = {
             ("tied_with", _TEXT),
         ]
     ),
-    "units": _schema_of(Unit),
+    "units": _schema_of(UnitRow),
     "files": pa.schema([(name, _TEXT) for name in ("path", "fingerprint", "problem")]),
 }
 #: Tables with rows of runs.

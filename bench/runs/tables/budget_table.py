@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from gyrobench.bench.bias.budget import SOURCES, BiasBudget, Budget, Combined
-from gyrobench.bench.calibration.coefficients import Coefficient
+from gyrobench.bench.calibration.coefficients import SensorCoefficient
 from gyrobench.bench.foundations.csv_tables import CsvTable, each_row, write_rows
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
@@ -76,7 +76,9 @@ def budget_rows(budgets: Iterable[BiasBudget]) -> list[BudgetRow]:
     ]
 
 
-def coefficient_budget_rows(plateau: int, budgets: Iterable[tuple[Coefficient, Budget]]) -> list[BudgetRow]:
+def coefficient_budget_rows(
+    plateau: int, budgets: Iterable[tuple[SensorCoefficient, Budget]]
+) -> list[BudgetRow]:
     """Rows of the coefficients of one plateau, in their units."""
     return [
         row

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from gyrobench.bench.foundations.documents import Problem, StrictModel, read_document, validate
+from gyrobench.bench.foundations.documents import DocumentProblem, StrictModel, read_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.drivers.emulators.faults import (
     can_faults,
@@ -83,7 +83,7 @@ def check_faults(path: Path, listed: FaultList, benches: Sequence[BenchParts]) -
                 raise UnsupportedFaultError(f"unit {fault.unit} is not on the bench; it has {len(benches)}")
             fault.check(benches[fault.unit - 1])
         except UnsupportedFaultError as error:
-            problems.append(Problem(("faults", index), f"the fault {fault.kind!r}: {error}"))
+            problems.append(DocumentProblem(("faults", index), f"the fault {fault.kind!r}: {error}"))
     if problems:
         raise read_document(path).error(problems)
 

@@ -106,6 +106,11 @@ def is_vertical(positions: tuple[str, ...] = ALL) -> BoolArray:
 
 
 def joint_solution_of(dwells: Sequence[JointDwell], prior: PriorKnowledge) -> JointSolution:
-    """The joint solution of dwells that have their information in the place of rows."""
-    rows = [JointInformation.of(each.rows, each.position, prior) for each in dwells]
-    return solve_jointly([replace(each, rows=own) for each, own in zip(dwells, rows, strict=True)], prior)
+    """The joint solution of dwells that have all their information."""
+    return solve_jointly(
+        [
+            replace(each, information=JointInformation.of(each.information, each.position, prior))
+            for each in dwells
+        ],
+        prior,
+    )

@@ -4,21 +4,26 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.calibration.list_search import parse_targets, shortest_list
-from gyrobench.bench.calibration.rotation_list import forecast, load_rotation_list, rotation_list_text
+from gyrobench.bench.calibration.rotation_list import (
+    RotationSetup,
+    expected_uncertainties,
+    load_rotation_list,
+    rotation_list_text,
+)
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.navigation.table_axes import TwoAxisTable
 from tests.bench.calibration.test_rotation_list import EAST, NAMES, NOISE, SHOWN, SITE, TABLE, UP, shipped
 
 
 def proposed(targets, name="eighteen_rotations", table=TABLE, **options):
-    return shortest_list(shipped(name), targets, table, SITE, NOISE, 100.0, **options)
+    return shortest_list(shipped(name), targets, RotationSetup(table, SITE, NOISE, 100.0, **options))
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["eighteen_rotations", "nineteen_positions"])
 @pytest.mark.parametrize("kinds", [("gyro_scale", "gyro_mis"), ("",)])
 def test_a_list_that_reaches_what_a_shipped_one_does_is_not_longer(name, kinds):
-    reached = forecast(shipped(name), TABLE, SITE, NOISE, 100.0)
+    reached = expected_uncertainties(shipped(name), RotationSetup(TABLE, SITE, NOISE, 100.0))
     named = np.array([any(part in each for part in kinds) for each in NAMES])
     targets = np.where(named, reached.sigmas, np.inf)
     found, expected = proposed(targets, name)
@@ -46,7 +51,7 @@ def test_no_rotation_of_the_list_can_be_left_out():
         fewer = [*found.rotations[:number], *found.rotations[number + 1 :]]
         shorter = found.model_copy(update={"rotations": fewer})
         try:
-            expected = forecast(shorter, TABLE, SITE, NOISE, 100.0)
+            expected = expected_uncertainties(shorter, RotationSetup(TABLE, SITE, NOISE, 100.0))
         except DocumentError:
             continue  # beyond the limits of the table
         assert (expected.sigmas > 0.97 * targets)[np.isfinite(targets)].any()

@@ -11,8 +11,9 @@ from gyrobench.bench.calibration.information import CalibrationOptions
 from gyrobench.bench.calibration.recording import IncrementRecording, SensorNoise
 from gyrobench.bench.calibration.rotation_list import (
     RotationList,
+    RotationSetup,
     TableRotation,
-    forecast,
+    expected_uncertainties,
     load_rotation_list,
 )
 from gyrobench.bench.foundations.errors import DocumentError
@@ -39,7 +40,7 @@ def shipped(name):
 
 def sigmas(rotations, table=TABLE, noise=NOISE, **options):
     """Expected uncertainties in the units of tables, NaN where not observable, by name."""
-    found = forecast(rotations, table, SITE, noise, 100.0, **options)
+    found = expected_uncertainties(rotations, RotationSetup(table, SITE, noise, 100.0, **options))
     values = np.where(found.is_observed, found.sigmas * SHOWN, np.nan)
     return dict(zip(NAMES, values, strict=True))
 
@@ -73,7 +74,7 @@ def test_eighteen_rotations_give_the_expected_uncertainties():
 
 
 @pytest.mark.parametrize("site_sigmas", [(0.0, 0.0), (1e-4, np.deg2rad(1.0 / 60.0))])
-def test_the_forecast_is_what_a_calibration_of_simulated_increments_then_states(site_sigmas):
+def test_the_expected_uncertainties_are_what_a_calibration_of_simulated_increments_then_states(site_sigmas):
     rotations = RotationList(
         rotation_list="short",
         dwell_s=60.0,
@@ -122,12 +123,12 @@ def test_a_rotation_beyond_the_limits_of_the_table_is_named():
     with pytest.raises(
         DocumentError, match=r"eighteen_rotations: rotation \d+ \(outer .90 deg\) leads to .*180"
     ):
-        forecast(rotations, narrow, SITE, NOISE, 100.0)
+        expected_uncertainties(rotations, RotationSetup(narrow, SITE, NOISE, 100.0))
     with pytest.raises(DocumentError, match="10 deg/s; the table turns at most 5 deg/s"):
-        forecast(rotations, TABLE, SITE, NOISE, 5.0)
+        expected_uncertainties(rotations, RotationSetup(TABLE, SITE, NOISE, 5.0))
 
 
 def test_a_table_of_one_axis_is_named():
     one_axis = TwoAxisTable(EAST, UP, np.eye(3), (0.0, 0.0), (-380.0, 380.0))
     with pytest.raises(DocumentError, match="the table of the station has no outer axis that turns"):
-        forecast(shipped("eighteen_rotations"), one_axis, SITE, NOISE, 100.0)
+        expected_uncertainties(shipped("eighteen_rotations"), RotationSetup(one_axis, SITE, NOISE, 100.0))

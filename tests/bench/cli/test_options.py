@@ -4,8 +4,9 @@ import pytest
 import typer
 
 from gyrobench.bench.cli import app
-from gyrobench.bench.cli import close as close_module
+from gyrobench.bench.closure import inputs, loop
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.report.closure import closure_page
 from tests.bench.command_line import gyrobench
 
 OPTIONS = [
@@ -39,15 +40,17 @@ def test_an_infinite_budget_is_refused_before_anything_is_measured(tmp_path):
     ("options", "expected"), [((), False), (("--hold-out-each",), True), (("--rotate",), True)]
 )
 def test_each_cycle_is_held_out_by_the_option_and_by_its_old_name(options, expected, monkeypatch):
-    asked = []
+    held_out = []
 
-    def search(*_, each_in_turn, **__):
-        asked.append(each_in_turn)
-        raise DocumentError("not searched")
+    def write(*_):
+        raise DocumentError("not written")
 
-    monkeypatch.setattr(close_module, "search", search)
+    monkeypatch.setattr(inputs, "read_campaign", lambda *_, **__: None)
+    monkeypatch.setattr(loop, "close_loop", lambda *_: None)
+    monkeypatch.setattr(loop, "hold_out_each", held_out.append)
+    monkeypatch.setattr(closure_page, "write_search", write)
     command = typer.main.get_command(app).commands["close"]
-    with pytest.raises(DocumentError, match="not searched"):
+    with pytest.raises(DocumentError, match="not written"):
         command(["dwells.csv", *options], standalone_mode=False)
-    assert asked == [expected]
+    assert bool(held_out) is expected
     assert [each.hidden for each in command.params if "--rotate" in each.opts] == [True]

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import pytest
 
-from gyrobench.bench.cli.plan import planned_unit
+from gyrobench.bench.cli.plan import declared_properties
 from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.planned_campaign import planned_campaign
 from gyrobench.bench.closure.procedure_changes import advise
 from gyrobench.bench.closure.separability import searched_dwells, separability
-from gyrobench.bench.foundations.documents import Problem
+from gyrobench.bench.foundations.documents import DocumentProblem
 from tests.bench.closure.plans import shipped, station
 
 TARGET_DPH = 0.001
@@ -28,7 +28,7 @@ def now_of(plan, unit):
 @pytest.fixture(scope="module")
 def fig7():
     document, plan = shipped("six_position_fig7")
-    unit = planned_unit(station())
+    unit = declared_properties(station())
     return document, plan, unit, now_of(plan, unit)
 
 
@@ -71,7 +71,7 @@ def test_a_station_that_can_not_run_any_change_leaves_all_open(fig7):
     document, plan, unit, now = fig7
 
     def refuse(changed):
-        raise changed.error([Problem((), "the mount is in the way")])
+        raise changed.error([DocumentProblem((), "the mount is in the way")])
 
     [open_] = advise(document, plan, refuse, unit, now, TARGET_DPH)
     assert open_.what == ()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter, fixed
-from gyrobench.bench.closure.planned_campaign import PlannedUnit, planned_campaign
+from gyrobench.bench.closure.planned_campaign import UnitProperties, planned_campaign
 from gyrobench.bench.closure.problem import declared_columns, declared_problem
 from gyrobench.bench.closure.separability import alternative_fits, assumed_effects, basis_of, unit_parts
 from tests.bench.closure.plans import shipped
@@ -13,7 +13,7 @@ from tests.bench.closure.plans import shipped
 @pytest.fixture(scope="module")
 def problem():
     _, plan = shipped("three_temperature_shift")
-    campaign = planned_campaign(plan, PlannedUnit())
+    campaign = planned_campaign(plan, UnitProperties())
     return declared_problem(campaign, np.ones(len(campaign), dtype=bool))
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.bias.dwell_table import read_dwells
-from gyrobench.bench.cli.plan import planned_unit
+from gyrobench.bench.cli.plan import declared_properties
 from gyrobench.bench.closure.planned_campaign import planned_campaign
 from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.foundations.documents import read_document
@@ -78,7 +78,7 @@ def test_biases_are_as_far_from_the_truth_as_their_uncertainties_say(campaign):
 def test_the_plan_predicts_the_uncertainty_of_the_vertical_gyro_without_accelerometers(dwells):
     """They increase the uncertainty of the level gyros, most in windows of a minute."""
     _, plan = shipped(PROCEDURE, STATION)
-    planned_dph = planned_campaign(plan, planned_unit(station(STATION))).sigma_dph
+    planned_dph = planned_campaign(plan, declared_properties(station(STATION))).sigma_dph
     ratios = np.array([row.sigma_dph for row in dwells]) / planned_dph
     vertical = np.array([np.abs(POSITIONS[row.position].C_nb()[2]) > 0.5 for row in dwells])
     assert np.median(ratios[vertical]) == pytest.approx(1.0, abs=0.01)

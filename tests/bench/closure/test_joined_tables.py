@@ -8,7 +8,7 @@ import pytest
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.effects import bias_jump
 from gyrobench.bench.closure.effects.laws import THERMAL_LAG, TIME_DRIFT, WARM_UP
-from gyrobench.bench.closure.joined_tables import ASSUMED_PAUSE_S, Source, joined
+from gyrobench.bench.closure.joined_tables import ASSUMED_PAUSE_S, TableToJoin, joined
 from gyrobench.bench.closure.loop import close_loop, hold_out_each
 from gyrobench.bench.closure.temperatures import TemperatureRecord
 from gyrobench.bench.foundations.errors import MeasurementError
@@ -21,7 +21,7 @@ def moved(rows, shift_s=0.0, **changes):
 
 
 def source(name, rows, record=None, **options):
-    return Source(name, campaign_of(rows, record), **options)
+    return TableToJoin(name, campaign_of(rows, record), **options)
 
 
 @pytest.fixture(scope="module")

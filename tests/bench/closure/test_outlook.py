@@ -17,7 +17,7 @@ from gyrobench.bench.closure.effects.laws import (
     WARM_UP,
 )
 from gyrobench.bench.closure.loop import close_loop
-from gyrobench.bench.closure.outlook import measured_unit, tie_outlooks
+from gyrobench.bench.closure.outlook import measured_properties, tie_outlooks
 from gyrobench.bench.closure.posterior import TIE_ODDS
 from gyrobench.bench.closure.separability import searched_dwells, separability
 from gyrobench.bench.procedure.estimate import ThermalEstimate
@@ -101,7 +101,7 @@ def test_sensors_settle_what_their_lack_left_tied():
 
 def test_the_noise_is_that_of_the_closure():
     closure = closed("one power-on")
-    unit = measured_unit(closure, ThermalEstimate())
+    unit = measured_properties(closure, ThermalEstimate())
     hours = (closure.campaign.end_s - closure.campaign.start_s)[0] / 3600.0
     expected = closure.noise_scale * closure.campaign.sigma_dph[0] * np.sqrt(hours)
     np.testing.assert_allclose(unit.angle_random_walk_deg_per_sqrt_h, expected)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.bias.dwell_table import read_dwells
-from gyrobench.bench.cli.plan import planned_unit
+from gyrobench.bench.cli.plan import declared_properties
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.planned_campaign import PlannedUnit, planned_campaign
+from gyrobench.bench.closure.planned_campaign import UnitProperties, planned_campaign
 from gyrobench.bench.foundations.errors import MeasurementError
 from tests.bench.closure.plans import dwell, planned, shipped, station
 
@@ -14,7 +14,7 @@ from tests.bench.closure.plans import dwell, planned, shipped, station
 @pytest.fixture(scope="module")
 def fig7():
     _, plan = shipped("six_position_fig7")
-    return plan, planned_campaign(plan, planned_unit(station()))
+    return plan, planned_campaign(plan, declared_properties(station()))
 
 
 def test_every_dwell_of_the_plan_is_in_it(fig7):
@@ -42,7 +42,7 @@ def test_each_power_on_begins_a_run():
         f"  - power_on: {{settle_s: 60}}\n{dwell('z_up')}  - power_off\n  - wait: {{duration_s: 600}}\n"
         f"  - power_on: {{settle_s: 60}}\n{dwell('z_down')}{dwell('y_up')}"
     )
-    campaign = planned_campaign(plan, PlannedUnit())
+    campaign = planned_campaign(plan, UnitProperties())
     assert campaign.run.tolist() == [0, 1, 1]
     assert len(campaign.run_names) == 2
     np.testing.assert_allclose(campaign.since_power_on_s[:2], campaign.since_power_on_s[0])
@@ -51,7 +51,7 @@ def test_each_power_on_begins_a_run():
 
 def test_temperatures_without_sensors_are_unknown(fig7):
     plan, campaign = fig7
-    without = planned_campaign(plan, PlannedUnit(has_boards=False, has_case=False))
+    without = planned_campaign(plan, UnitProperties(has_boards=False, has_case=False))
     assert np.isfinite(campaign.board_c).all()
     assert np.isfinite(campaign.case_c).all()
     assert np.isnan(without.board_c).all()
@@ -60,28 +60,28 @@ def test_temperatures_without_sensors_are_unknown(fig7):
 
 def test_without_a_chamber_there_is_no_set_point():
     _, plan = planned(f"  - power_on\n{dwell('z_up')}")
-    assert np.isnan(planned_campaign(plan, PlannedUnit()).set_c).all()
+    assert np.isnan(planned_campaign(plan, UnitProperties()).set_c).all()
 
 
 def test_a_calibration_check_gives_no_campaign():
     _, plan = shipped("calibration_check")
     with pytest.raises(MeasurementError, match="calibration_check has no dwell that measures a bias"):
-        planned_campaign(plan, PlannedUnit())
+        planned_campaign(plan, UnitProperties())
 
 
 def test_noise_that_a_station_does_not_declare_is_taken_as_typical(tmp_path):
     there = station()
     noise = {"noise": "estimated"}
     there.file = there.file.model_copy(update={"ins": there.file.ins.model_copy(update=noise)})
-    assert planned_unit(there) == PlannedUnit()
-    assert planned_unit(station()).noise_source == "declared by the station"
+    assert declared_properties(there) == UnitProperties()
+    assert declared_properties(station()).noise_source == "declared by the station"
 
 
 def test_it_is_close_to_the_measurements_of_a_run(short_run):
     _, plan = shipped("ten_minute_check")
     folder = short_run[0]
     measured = campaign_of(read_dwells(folder.dwells))
-    expected = planned_campaign(plan, planned_unit(station()))
+    expected = planned_campaign(plan, declared_properties(station()))
     assert expected.position == measured.position
     assert abs(expected.start_s - measured.start_s) < 60.0
     assert abs(expected.since_power_on_s - measured.since_power_on_s) < 60.0

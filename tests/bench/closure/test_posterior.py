@@ -18,8 +18,8 @@ from gyrobench.bench.closure.posterior import (
     MAGNITUDES,
     NOISE_PRIOR,
     Evidences,
+    HypothesisProbability,
     Posterior,
-    Weighed,
     detectable_dph,
     prior_width,
 )
@@ -105,56 +105,58 @@ def test_probabilities_are_frequencies_of_data_from_the_prior(problem, count):
 
 def test_a_bend_that_no_effect_describes_is_not_on_the_list(problem):
     data = problem({"g_sensitivity": 2.0}, seed=3)
-    found, weighed = Search(data, [TEMPERATURE_RATE, TIME_DRIFT]).most_probable()
-    assert weighed.not_on_list > 0.99
-    assert max(weighed.follows, key=weighed.follows.get).startswith("attitude")
+    found, posterior = Search(data, [TEMPERATURE_RATE, TIME_DRIFT]).most_probable()
+    assert posterior.not_on_list > 0.99
+    assert max(posterior.follows, key=posterior.follows.get).startswith("attitude")
     assert not found.names
 
 
 def test_clean_data_are_probably_clean(problem):
-    _, weighed = Search(problem(seed=4), all_effects()).most_probable()
-    assert weighed.nothing > 0.9
-    assert weighed.not_on_list < 0.05
+    _, posterior = Search(problem(seed=4), all_effects()).most_probable()
+    assert posterior.nothing > 0.9
+    assert posterior.not_on_list < 0.05
 
 
 def test_an_effect_that_can_not_be_fitted_is_as_probable_as_the_one_that_it_imitates(problem):
     data = problem({"temperature_rate": 4.0}, sensors=(), seed=1)
-    _, weighed = Search(data, all_effects()).most_probable()
-    assert weighed.of_effect["thermal_gradient"] == pytest.approx(
-        weighed.of_effect["temperature_rate"], rel=0.1
+    _, posterior = Search(data, all_effects()).most_probable()
+    assert posterior.of_effect["thermal_gradient"] == pytest.approx(
+        posterior.of_effect["temperature_rate"], rel=0.1
     )
-    assert "thermal_gradient" in weighed.tied_with(frozenset({"temperature_rate"}), "temperature_rate")
+    assert "thermal_gradient" in posterior.tied_with(frozenset({"temperature_rate"}), "temperature_rate")
 
 
 def test_probabilities_are_summed_over_sets():
     one, two = frozenset({"a"}), frozenset({"a", "b"})
     weights = ((one, False, 0.6), (two, False, 0.3), (one, True, 0.1))
-    weighed = Posterior(tuple(Weighed(*each, ()) for each in weights), {})
-    assert weighed.of_effect == {"a": pytest.approx(1.0), "b": pytest.approx(0.3)}
-    assert weighed.not_on_list == pytest.approx(0.1)
-    assert weighed.nothing == 0.0
-    assert weighed.sets == [one, two]
-    assert weighed.odds(one, two) == pytest.approx(2.0)
+    posterior = Posterior(tuple(HypothesisProbability(*each, ()) for each in weights), {})
+    assert posterior.of_effect == {"a": pytest.approx(1.0), "b": pytest.approx(0.3)}
+    assert posterior.not_on_list == pytest.approx(0.1)
+    assert posterior.nothing == 0.0
+    assert posterior.sets == [one, two]
+    assert posterior.odds(one, two) == pytest.approx(2.0)
 
 
 def test_an_effect_is_there_as_such_or_as_a_special_case():
     one, general, other = (frozenset({name}) for name in "agb")
     weights = ((one, False, 0.9), (general, False, 0.06), (one | other, False, 0.03), (one, True, 0.01))
-    weighed = Posterior(tuple(Weighed(*each, ()) for each in weights), {})
-    assert weighed.of_all(one) == pytest.approx(0.93)
-    assert weighed.similar(one) == [general]
-    weighed = replace(weighed, more_general={"a": general})
-    assert weighed.of_all(one) == pytest.approx(0.99)
-    assert weighed.of_all(one, has_remainder=None) == pytest.approx(1.0)
-    assert weighed.similar(one) == []
-    assert weighed.rivals(one) == {}
+    posterior = Posterior(tuple(HypothesisProbability(*each, ()) for each in weights), {})
+    assert posterior.of_all(one) == pytest.approx(0.93)
+    assert posterior.similar(one) == [general]
+    posterior = replace(posterior, more_general={"a": general})
+    assert posterior.of_all(one) == pytest.approx(0.99)
+    assert posterior.of_all(one, has_remainder=None) == pytest.approx(1.0)
+    assert posterior.similar(one) == []
+    assert posterior.rivals(one) == {}
 
 
 def test_an_effect_that_is_not_improbable_is_a_rival():
     one, both = frozenset({"a"}), frozenset({"a", "b"})
-    weighed = Posterior((Weighed(one, False, 0.8, ()), Weighed(both, False, 0.2, ())), {})
-    assert weighed.of_all(one) == pytest.approx(1.0)
-    assert weighed.rivals(one) == {"b": pytest.approx(0.2)}
+    posterior = Posterior(
+        (HypothesisProbability(one, False, 0.8, ()), HypothesisProbability(both, False, 0.2, ())), {}
+    )
+    assert posterior.of_all(one) == pytest.approx(1.0)
+    assert posterior.rivals(one) == {"b": pytest.approx(0.2)}
 
 
 def test_terms_that_were_dropped_are_summed_over(problem):
@@ -197,9 +199,9 @@ def test_the_evidence_of_a_step_is_the_same_for_all_times_between_two_dwells(pro
 
 def test_effects_that_are_not_significant_count(problem):
     search = Search(problem(seed=4), all_effects())
-    found, weighed = search.most_probable()
+    found, posterior = search.most_probable()
     assert not found.names
-    weak = [p for name, p in weighed.of_effect.items() if name not in search.alone]
+    weak = [p for name, p in posterior.of_effect.items() if name not in search.alone]
     assert len(weak) > 5
     assert 0.0 < min(weak) <= max(weak) < 0.1
 

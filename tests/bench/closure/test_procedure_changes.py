@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from gyrobench.bench.closure.planned_campaign import PlannedUnit, planned_campaign
+from gyrobench.bench.closure.planned_campaign import UnitProperties, planned_campaign
 from gyrobench.bench.closure.procedure_changes import CHANGES
 from gyrobench.bench.navigation.positions import POSITIONS
 from tests.bench.closure.plans import dwell, planned, shipped, station
@@ -29,7 +29,7 @@ def changed(what, document):
     if steps is None:
         return None
     plan = station().plan_document(replace(document, data=document.data | {"steps": steps}))
-    return plan, planned_campaign(plan, PlannedUnit())
+    return plan, planned_campaign(plan, UnitProperties())
 
 
 @pytest.fixture(scope="module")

@@ -63,8 +63,8 @@ def test_an_effect_is_found_alone(search, effect, size):
 
 def ties(one, best):
     """Effects tied with those of the best hypothesis."""
-    _, weighed = one.most_probable()
-    return tuple(other for name in best.names for other in weighed.tied_with(best.names, name))
+    _, posterior = one.most_probable()
+    return tuple(other for name in best.names for other in posterior.tied_with(best.names, name))
 
 
 def test_the_gradient_is_found_where_the_electronics_power_changes(search):

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.effects import all_effects
-from gyrobench.bench.closure.posterior import Weighed
+from gyrobench.bench.closure.posterior import HypothesisProbability
 from gyrobench.bench.closure.search import NOT_SIGNIFICANT
 from gyrobench.bench.closure.selection import select
 from tests.bench.closure.thermal_bench import measure
@@ -19,7 +19,7 @@ def test_an_effect_that_is_not_improbable_has_a_reason_though_alone_it_is_not_si
         if not each.missing_input(campaign) and not selected.search.add(selected.search.declared, each)
     )
     assert selected.rejection(weak) == ""
-    beside = Weighed(selected.found.names | {weak.name}, False, 0.2, ())
+    beside = HypothesisProbability(selected.found.names | {weak.name}, False, 0.2, ())
     hypotheses = (*selected.posterior.hypotheses, beside)
     probable = replace(selected, posterior=replace(selected.posterior, hypotheses=hypotheses))
     assert probable.rejection(weak).startswith(f"{NOT_SIGNIFICANT} beside bias jump")

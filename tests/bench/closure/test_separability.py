@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrobench.bench.cli.plan import planned_unit
+from gyrobench.bench.cli.plan import declared_properties
 from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter, fixed
 from gyrobench.bench.closure.planned_campaign import planned_campaign
@@ -21,7 +21,7 @@ EFFECTS = {effect.name: effect for effect in all_effects()}
 def campaign():
     """The dwells of the procedure of the paper's Fig. 7 that a search sees."""
     _, plan = shipped("six_position_fig7")
-    return searched_dwells(planned_campaign(plan, planned_unit(station())))
+    return searched_dwells(planned_campaign(plan, declared_properties(station())))
 
 
 @pytest.fixture(scope="module")
@@ -81,8 +81,8 @@ def test_the_search_ties_effects_below_the_stated_size_and_not_above(
     distinguished = []
     for seed in range(8):
         search = searched(campaign, true, size_dph, seed, beside=(alternative,))
-        weighed = search.evidences.posterior([search.declared, *search.alone.values()])
-        distinguished.append(alternative not in weighed.tied_with(frozenset({true}), true))
+        posterior = search.evidences.posterior([search.declared, *search.alone.values()])
+        distinguished.append(alternative not in posterior.tied_with(frozenset({true}), true))
     assert np.mean(distinguished) == pytest.approx(float(is_distinguished), abs=0.3)
 
 
@@ -138,6 +138,6 @@ def test_the_worst_value_of_a_parameter_counts(campaign):
 
 def test_the_last_cycle_is_held_out_unless_it_is_the_only_one():
     _, plan = shipped("six_position_fig7")
-    whole = planned_campaign(plan, planned_unit(station()))
+    whole = planned_campaign(plan, declared_properties(station()))
     assert set(searched_dwells(whole).cycle.tolist()) == {1}
     assert len(searched_dwells(searched_dwells(whole))) == 30

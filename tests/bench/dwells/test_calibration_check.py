@@ -16,6 +16,7 @@ from gyrobench.bench.dwells.measure_dwell import MeasurementSetup
 from gyrobench.bench.dwells.temperatures import DwellTemperatures
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 from gyrobench.bench.navigation.table_axes import TwoAxisTable
+from gyrobench.bench.procedure.plan import DwellPurpose
 from gyrobench.drivers.ins.navigation_data import EpochCounts
 from tests.bench.bias.emulated_dwells import EAST, UP, emulate, noise_model, sensors, site
 
@@ -54,7 +55,7 @@ def verified(position="z_up", azimuth_deg=0.0, dwell=1, seed=None, flags="", fai
                 "since_power_on_s": 600.0,
                 "chamber_set_c": 10.0,
                 "chamber_c": 10.0,
-                "is_calibration_check": True,
+                "purpose": DwellPurpose.CALIBRATION_CHECK,
                 "align_s": ALIGN_S,
             }
             | marks

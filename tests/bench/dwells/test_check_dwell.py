@@ -8,6 +8,7 @@ import pytest
 from gyrobench.bench.dwells.check_dwell import measure_check_dwell
 from gyrobench.bench.dwells.marks import DwellMarks
 from gyrobench.bench.dwells.measure_dwell import measurement_setup
+from gyrobench.bench.procedure.plan import DwellPurpose
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.station import Station
@@ -20,7 +21,7 @@ def recorded(short_run):
     entry = next(entry for entry in read_journal(folder.journal) if entry["event"] == "dwell_finished")
     marks = DwellMarks.from_json(entry["marks"])
     frames = dict(read_can_log(folder.can))[marks.log_part].data_frames()
-    alone = replace(marks, windows=marks.windows[:1], is_calibration_check=True)
+    alone = replace(marks, windows=marks.windows[:1], purpose=DwellPurpose.CALIBRATION_CHECK)
     return alone, frames, measurement_setup(Station(folder.station)), marks
 
 

@@ -4,6 +4,7 @@ import pytest
 
 from gyrobench.bench.dwells.marks import DwellMarks, WindowMark
 from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.procedure.plan import DwellPurpose
 
 MARKS = DwellMarks(
     unit="1001",
@@ -22,8 +23,9 @@ MARKS = DwellMarks(
 )
 
 
-def test_marks_survive_the_journal():
-    marks = replace(MARKS, disturbances=("the table moved",))
+@pytest.mark.parametrize("purpose", DwellPurpose)
+def test_marks_survive_the_journal(purpose):
+    marks = replace(MARKS, purpose=purpose, disturbances=("the table moved",))
     assert DwellMarks.from_json(marks.to_json()) == marks
 
 
@@ -39,6 +41,8 @@ def test_marks_survive_the_journal():
         {"windows": [{"first_frame": -1, "end_frame": 20, "outer_deg": 0.0, "inner_deg": 0.0}]},
         {"disturbances": "x"},
         {"disturbancex": []},
+        {"is_verification": 1},
+        {"is_rotated": "x"},
     ],
 )
 def test_damaged_marks_are_refused(changes):

@@ -16,7 +16,7 @@ from gyrobench.bench.dwells.plateau_calibration import (
     calibrate_plateaus,
     with_temperature_change,
 )
-from gyrobench.bench.dwells.recorded_dwells import rotated
+from gyrobench.bench.dwells.recorded_dwells import rotated_dwells
 from gyrobench.bench.dwells.rotations import PlateauRotations, RunRotations
 from gyrobench.bench.dwells.run_results import recompute_run
 from gyrobench.bench.foundations.shipped import find_document
@@ -131,7 +131,7 @@ def test_exchanged_axes_of_increments_give_no_coefficients(with_increments, axes
         sent = setup.decode_increments(frames)
         return replace(sent, **{name: getattr(sent, name)[:, axes] for name in names})
 
-    first = next(iter(rotated(folder)))
+    first = next(iter(rotated_dwells(folder)))
     [found] = calibrated([first], replace(setup, decode_increments=exchanged))
     assert found.calibration is None
     assert "Check axes, signs and units of ins.signals.increments" in found.finding
@@ -141,7 +141,7 @@ def test_navigation_output_that_is_rounded_counts_with_its_rounding(with_increme
     folder, _, _ = with_increments
     setup = measurement_setup(Station(folder.station))
     coarse = replace(setup, decode_increments=lambda _: None, heading_lsb_rad=8e-5, velocity_lsb_mps=0.01)
-    [found] = calibrated([next(iter(rotated(folder)))], coarse)
+    [found] = calibrated([next(iter(rotated_dwells(folder)))], coarse)
     assert found.calibration.noise.white_angle == pytest.approx(8e-5 / np.sqrt(12.0))
     assert (found.calibration.noise.white_velocity >= 0.01 / np.sqrt(12.0)).all()
 
@@ -207,7 +207,7 @@ def test_a_latitude_that_contradicts_the_rotations_is_named_while_the_run_goes_a
     setup = measurement_setup(Station(folder.station))
     wrong = replace(setup, site=replace(setup.site, latitude=setup.site.latitude + np.deg2rad(0.1)))
     rotations = RunRotations()
-    measured = list(rotated(folder))
+    measured = list(rotated_dwells(folder))
     said = [text for each in measured for text in rotations.add(*each, wrong)]
     plateaus = calibrate_plateaus([], [], rotations.calibrated(wrong), wrong)
     for plateau in plateaus:
@@ -220,7 +220,7 @@ def test_a_latitude_that_contradicts_the_rotations_is_named_while_the_run_goes_a
 def test_rotations_that_give_nothing_are_a_section_that_states_why(with_increments):
     folder, _, _ = with_increments
     setup = measurement_setup(Station(folder.station))
-    marks, _ = next(iter(rotated(folder)))
+    marks, _ = next(iter(rotated_dwells(folder)))
     nothing = PlateauRotations(marks, finding="the rotations give no coefficients: check axes")
     [plateau] = calibrate_plateaus([], [], [nothing], setup)
     section = coefficients_section(plateau.rows())

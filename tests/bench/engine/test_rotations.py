@@ -21,6 +21,7 @@ from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.monitor.run_list import snapshot_from_records
 from gyrobench.bench.monitor.snapshot_recorder import SnapshotRecorder
 from gyrobench.bench.navigation.attitude import angle_between
+from gyrobench.bench.procedure.plan import DwellPurpose
 from gyrobench.bench.report.content import read_run
 from gyrobench.bench.runs.folder import open_run_folder
 from gyrobench.bench.runs.journal import read_journal
@@ -86,7 +87,7 @@ def assert_recorded(folder, job):
     (row,) = read_dwells(folder.dwells)
     assert (row.dwell, row.position, row.flags) == (1, "z_up", "")
     _, marks = finished_marks(folder)
-    assert (marks.dwell, marks.position, marks.is_rotated) == (2, "y_up", True)
+    assert (marks.dwell, marks.position, marks.purpose) == (2, "y_up", DwellPurpose.ROTATIONS)
     assert marks.disturbances == ()
     angles = np.array([(window.outer_deg, window.inner_deg) for window in marks.windows])
     np.testing.assert_allclose(angles - angles[0], np.cumsum(MOVES, axis=0), atol=0.003)

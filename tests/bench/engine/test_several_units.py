@@ -15,10 +15,10 @@ from gyrobench.bench.engine.run import resume_run, run_job
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.shipped import find_document
-from gyrobench.bench.monitor.site import Site
 from gyrobench.bench.monitor.snapshot import RunSnapshot
 from gyrobench.bench.monitor.snapshot_recorder import SnapshotRecorder
 from gyrobench.bench.monitor.terminal_screen import screen
+from gyrobench.bench.monitor.website import Website
 from gyrobench.bench.report.units_report import units_section, write_units_report
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.index.store import runs_named
@@ -191,7 +191,7 @@ class Scraper(RunObserver):
         self.left -= planned.step.name == "navigate"
         if self.left or self.found:
             return
-        with served(Site(self.root, WallClock().utc).answer) as server:
+        with served(Website(self.root, WallClock().utc).answer) as server:
             dwells = ("gyrobench_dwells_measured", "run=run", "unit=1101")
             while self.found.get(dwells) != 3.0:
                 self.recorder.beat(bench)
@@ -355,7 +355,7 @@ def test_the_live_view_and_the_metrics_of_a_run_under_way_show_all_units(without
     lines = [line.plain for line in screen(snapshot, 100, 40, is_ascii=True)]
     assert sum(line.startswith("unit 11") for line in lines) == len(NUMBERS)
     assert any("dropped: the INS has been silent" in line for line in lines)
-    site = Site(folder.path.parent, WallClock().utc)
+    site = Website(folder.path.parent, WallClock().utc)
     page = site.answer("/runs/run/").body.decode()
     assert "units 1101, 1102, 1103, 1104</p>" in page
     assert "Unit 1102 was dropped.</strong> the INS has been silent" in page

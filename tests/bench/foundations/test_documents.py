@@ -13,7 +13,7 @@ from pydantic import Field
 from gyrobench.bench.foundations.documents import (
     MAX_DOCUMENT_BYTES,
     Document,
-    Problem,
+    DocumentProblem,
     StrictModel,
     parse_document,
     read_document,
@@ -174,7 +174,7 @@ def test_an_alias_stands_for_the_value_at_its_anchor() -> None:
 
 def test_problems_that_are_equal_are_listed_once() -> None:
     document = parse("a: 1")
-    assert str(document.error([Problem(("a",), "wrong")] * 3)) == f"{PATH}:1:1: wrong"
+    assert str(document.error([DocumentProblem(("a",), "wrong")] * 3)) == f"{PATH}:1:1: wrong"
 
 
 FRAGMENTS = ["!!int ", "!!float ", "!!null ", "!!map ", "a", ": ", "- ", "\n", "1e", "&x ", "*x", "[", "]"]

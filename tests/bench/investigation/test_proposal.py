@@ -6,7 +6,7 @@ import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.effects.laws import TIME_DRIFT, WARM_UP
-from gyrobench.bench.closure.posterior import Posterior, Weighed
+from gyrobench.bench.closure.posterior import HypothesisProbability, Posterior
 from gyrobench.bench.investigation.blocks import Block, catalogue
 from gyrobench.bench.investigation.choice import Expected
 from gyrobench.bench.investigation.doubt import confirming_rivals, rivals_of, searched
@@ -58,7 +58,9 @@ def test_what_is_improbable_beside_the_cause_counts_as_the_cause(closure):
         (["g_sensitivity"], True, 0.07),
         (["magnetic_sensitivity"], False, 0.05),
     )
-    posterior = Posterior(tuple(Weighed(frozenset(names), *each, ()) for names, *each in weights), {})
+    posterior = Posterior(
+        tuple(HypothesisProbability(frozenset(names), *each, ()) for names, *each in weights), {}
+    )
     found = {each.title: each.probability for each in rivals_of(replace(closure, posterior=posterior))}
     assert found == {
         "g_sensitivity": pytest.approx(0.75),

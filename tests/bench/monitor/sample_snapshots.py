@@ -11,7 +11,6 @@ from gyrobench.bench.monitor.snapshot import (
     CurrentStep,
     LiveBias,
     LiveBin,
-    MeasuredDwell,
     MeasuredProfile,
     Note,
     PlannedProfile,
@@ -19,6 +18,7 @@ from gyrobench.bench.monitor.snapshot import (
     Question,
     RunSnapshot,
     RunState,
+    SnapshotDwell,
     WindowTrace,
 )
 
@@ -78,7 +78,7 @@ def measured_dwells(count):
         bias = (0.003 + 0.002 * (index % 6), -0.001 * (index % 3), 0.0015)
         flagged = index == 4
         done.append(
-            MeasuredDwell(
+            SnapshotDwell(
                 number=index + 1,
                 cycle=1,
                 position=position,

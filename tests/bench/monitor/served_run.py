@@ -8,7 +8,7 @@ from datetime import UTC, datetime, timedelta
 
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.monitor.server import MonitorServer
-from gyrobench.bench.monitor.site import Site
+from gyrobench.bench.monitor.website import Website
 from gyrobench.bench.station.locks import RunLock
 from tests.bench.monitor.sample_snapshots import made_up_snapshot
 
@@ -45,7 +45,7 @@ def run_under_way(folder, snapshot=None, **changes):
 @contextlib.contextmanager
 def served(answer):
     """A monitor at a free port; ``answer`` is a folder, or what gives the answers."""
-    answer = answer if callable(answer) else Site(answer, now).answer
+    answer = answer if callable(answer) else Website(answer, now).answer
     with MonitorServer(answer, 0) as server:
         thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
         thread.start()

@@ -12,8 +12,8 @@ import matplotlib.image
 import pytest
 
 from gyrobench.bench.monitor.server import refusal
-from gyrobench.bench.monitor.site import Site
 from gyrobench.bench.monitor.snapshot import RunState
+from gyrobench.bench.monitor.website import Website
 from tests.bench.monitor.sample_snapshots import made_up_snapshot, waiting_snapshot
 from tests.bench.monitor.served_run import now, run_under_way, served, write_snapshot
 
@@ -50,7 +50,7 @@ class Changing:
     """A site on which something is done before the page asks for freshness the first time."""
 
     def __init__(self, run, change):
-        self._site, self._change = Site(run, now), change
+        self._site, self._change = Website(run, now), change
         self.asked = []
 
     def answer(self, target):
@@ -76,7 +76,7 @@ def test_the_page_takes_in_what_is_new_by_itself_and_complains_of_nothing(chromi
 
 def test_the_page_says_when_the_monitor_is_over(chromium, tmp_path):
     with run_under_way(tmp_path / "mine") as run:
-        site = Site(run, now)
+        site = Website(run, now)
 
         def answer(target):
             return site.answer(target) if target == "/" else refusal(HTTPStatus.BAD_GATEWAY, "no answer")
@@ -98,7 +98,7 @@ def test_the_page_of_a_run_becomes_a_list_and_back_where_the_folder_does(chromiu
 def test_the_page_is_drawn_where_no_script_runs(chromium, tmp_path):
     shot = tmp_path / "shot.png"
     with run_under_way(tmp_path / "mine") as run:
-        site, asked = Site(run, now), []
+        site, asked = Website(run, now), []
 
         def answer(target):
             asked.append(target)

@@ -8,9 +8,9 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from gyrobench.bench.foundations import packages
 from gyrobench.bench.foundations.errors import MissingPackageError
-from gyrobench.bench.monitor import site as monitor_site
+from gyrobench.bench.monitor import website
 from gyrobench.bench.monitor.metrics import METRICS, metrics_text
-from gyrobench.bench.monitor.site import Site
+from gyrobench.bench.monitor.website import Website
 from tests.bench.monitor.sample_snapshots import made_up_snapshot
 from tests.bench.monitor.served_run import ask, now, run_under_way, served
 from tests.docs.pages import DOCS
@@ -62,8 +62,8 @@ def test_without_the_package_the_address_names_what_to_install(tmp_path, monkeyp
     def missing(_):
         raise MissingPackageError("pip install 'gyrobench[metrics]'")
 
-    monkeypatch.setattr(monitor_site, "metrics_text", missing)
-    answer = Site(tmp_path, now).answer("/metrics")
+    monkeypatch.setattr(website, "metrics_text", missing)
+    answer = Website(tmp_path, now).answer("/metrics")
     assert answer.status == 501
     assert b"gyrobench[metrics]" in answer.body
     assert packages._EXTRAS["prometheus_client"] == "metrics"

@@ -7,8 +7,8 @@ from html.parser import HTMLParser
 import pytest
 
 from gyrobench.bench.monitor.page_content import Freshness
-from gyrobench.bench.monitor.site import run_fragment, whole_page
 from gyrobench.bench.monitor.snapshot import MeasuredProfile, PlannedProfile, Question, RunSnapshot, RunState
+from gyrobench.bench.monitor.website import run_fragment, whole_page
 from tests.bench.monitor.sample_snapshots import made_up_snapshot, waiting_snapshot
 
 FRESH = Freshness(1.0, False, "")

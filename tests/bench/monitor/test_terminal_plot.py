@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from gyrobench.bench.monitor.terminal_plot import Canvas, Curve, plot
+from gyrobench.bench.monitor.terminal_plot import Canvas, PlotCurve, plot
 
 
 def drawn(canvas):
@@ -46,7 +46,7 @@ def test_letters_stand_above_lines():
 
 @pytest.mark.parametrize("is_ascii", [True, False])
 def test_a_plot_fills_its_rectangle_and_names_its_ends(is_ascii):
-    curve = Curve([0.0, 50.0, 100.0], [-3.0, 1.0, 7.0], "cyan", "c")
+    curve = PlotCurve([0.0, 50.0, 100.0], [-3.0, 1.0, 7.0], "cyan", "c")
     lines = [line.plain for line in plot([curve], 40, 8, (0.0, 100.0), ("0", "100 s"), 1.0, is_ascii)]
     assert len(lines) == 8
     assert {len(line) for line in lines} == {40}
@@ -59,13 +59,13 @@ def test_a_plot_fills_its_rectangle_and_names_its_ends(is_ascii):
 
 @pytest.mark.parametrize("values", [[], [math.nan], [2.0], [2.0, 2.0], [0.0], [1e-12, -1e-12], [1e6, -1e6]])
 def test_any_values_give_a_plot(values):
-    curve = Curve(list(range(len(values))), values, "cyan", "c")
+    curve = PlotCurve(list(range(len(values))), values, "cyan", "c")
     lines = plot([curve], 30, 6, (0.0, 2.0), ("0", "2"), 0.5, False)
     assert len(lines) == 6
     assert {len(line.plain) for line in lines} == {30}
 
 
 def test_what_changes_little_is_not_blown_up():
-    curve = Curve([0.0, 1.0], [20.0, 20.01], "cyan")
+    curve = PlotCurve([0.0, 1.0], [20.0, 20.01], "cyan")
     lines = [line.plain for line in plot([curve], 30, 6, (0.0, 1.0), ("0", "1"), 4.0, True)]
     assert float(lines[0].split("|")[0]) - float(lines[-2].split("|")[0]) >= 4.0

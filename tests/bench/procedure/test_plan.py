@@ -5,7 +5,7 @@ import pytest
 
 from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.procedure.estimate import BenchEstimate, ThermalEstimate
-from gyrobench.bench.procedure.plan import Phase, Plan, expand, turn_steps_after, turns_after
+from gyrobench.bench.procedure.plan import DwellPurpose, Phase, Plan, expand, turn_steps_after, turns_after
 from gyrobench.bench.procedure.procedure_file import load_procedure
 
 PlanOf = Callable[[str], tuple[Document, Plan]]
@@ -93,9 +93,10 @@ def test_a_soak_ends_a_dwell(planned: PlanOf) -> None:
 def test_one_navigation_straight_from_the_alignment_is_a_dwell_with_its_purpose(planned: PlanOf) -> None:
     verify = "- align: {duration_s: 600}\n- navigate: {duration_s: 600, purpose: calibration_check}\n"
     _, plan = planned(START + verify + "- go_to: {position: z_up, azimuth_deg: 180}\n" + verify + PAIR)
-    assert [(one.dwell, one.is_calibration_check, one.window) for one in plan.steps[2:]] == [
-        (1, True, None), (1, True, 0), (None, False, None), (2, True, None), (2, True, 0),
-        (3, False, None), (3, False, 0), (3, False, None), (3, False, 1),
+    check, calibration = DwellPurpose.CALIBRATION_CHECK, DwellPurpose.CALIBRATION
+    assert [(one.dwell, one.purpose, one.window) for one in plan.steps[2:]] == [
+        (1, check, None), (1, check, 0), (None, calibration, None), (2, check, None), (2, check, 0),
+        (3, calibration, None), (3, calibration, 0), (3, calibration, None), (3, calibration, 1),
     ]  # fmt: skip
     azimuths = {one.dwell: one.before.azimuth_deg for one in plan.steps if one.phase is Phase.ALIGN}
     assert azimuths == {1: 0.0, 2: 180.0, 3: 180.0}

@@ -4,7 +4,7 @@ import pytest
 
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.procedure.checks import find_problems
-from gyrobench.bench.procedure.plan import Phase
+from gyrobench.bench.procedure.plan import DwellPurpose, Phase
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.station.station import Station
 
@@ -22,7 +22,7 @@ def test_rotations_and_spins_after_one_alignment_are_one_dwell(planned):
     _, plan = planned(HEAD + ROTATE + SPIN + "  - power_off\n")
     assert [each.dwell for each in plan.steps] == [None, None, 1, 1, 1, None]
     assert [each.phase for each in plan.steps[2:5]] == [Phase.ALIGN, Phase.ROTATE, Phase.ROTATE]
-    assert [each.is_rotated for each in plan.steps[2:5]] == [True] * 3
+    assert [each.purpose for each in plan.steps[2:5]] == [DwellPurpose.ROTATIONS] * 3
     rotate, spin = plan.steps[3:5]
     assert rotate.duration_s == pytest.approx(9.0 + 18.0 + 2 * (5.0 + 3.0) + 3 * 60.0)
     assert spin.duration_s == pytest.approx(2 * 720.0 / 5.0 + 2 * 720.0 / 20.0 + 4 * 8.0 + 5 * 60.0)
@@ -78,5 +78,7 @@ def test_the_shipped_rotations_suit_the_emulated_station():
     document, model = load_procedure(find_document("procedures", "rotations"))
     plan = station.plan(document, model)
     assert [
-        len(each.step.moves()) for each in plan.steps if each.is_rotated and each.phase is Phase.ROTATE
+        len(each.step.moves())
+        for each in plan.steps
+        if each.purpose is DwellPurpose.ROTATIONS and each.phase is Phase.ROTATE
     ] == [18, 6]

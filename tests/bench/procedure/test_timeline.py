@@ -8,7 +8,7 @@ from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.foundations.text import hours_minutes
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.procedure.estimate import BenchEstimate, ThermalEstimate
-from gyrobench.bench.procedure.plan import Plan, expand
+from gyrobench.bench.procedure.plan import DwellPurpose, Plan, expand
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.procedure.timeline import ROTATIONS, position_spans, temperature_profile, timeline_rows
 from gyrobench.bench.report.figures.temperatures import plan_figure
@@ -99,7 +99,7 @@ def test_the_shipped_calibration_check_visits_both_azimuths_of_two_positions_at_
         )
         for temperature in ("54", "20.5", "-23")
     ]
-    assert all(one.is_calibration_check for one in plan.steps if one.dwell)
+    assert all(one.purpose is DwellPurpose.CALIBRATION_CHECK for one in plan.steps if one.dwell)
 
 
 def test_the_calibration_check_is_hot_and_cold_where_the_paper_procedure_was_not_and_at_room_where_it_was(

@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from gyrobench.bench.dwells.measure_dwell import measurement_setup
-from gyrobench.bench.dwells.recorded_dwells import replay
+from gyrobench.bench.dwells.recorded_dwells import measure_recorded
 from gyrobench.bench.dwells.run_results import recompute_run
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.runs.can_log import read_can_log
@@ -105,7 +105,7 @@ def finished(folder, what):
 
 
 def measured(folder):
-    dwells, _ = replay(folder, measurement_setup(Station(folder.station)))
+    dwells, _ = measure_recorded(folder, measurement_setup(Station(folder.station)))
     return {dwell.row.dwell: dwell.row for dwell in dwells}
 
 

@@ -9,11 +9,11 @@ from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow
 from gyrobench.bench.verification.coefficient_verification import (
     CoefficientRun,
-    coefficient_result,
     compare_coefficients,
     corrections,
     write_coefficient_tables,
 )
+from tests.bench.verification.runs_alone import coefficient_result
 
 SITE = Site(np.radians(45.0))
 TEMPERATURES_C = (-20.0, 0.0, 20.0, 40.0, 60.0)

@@ -8,9 +8,9 @@ from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.effects.laws import G_SENSITIVITY
 from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.closure.problem import predict
-from gyrobench.bench.verification.compensation_verification import compensation_result
 from tests.bench.closure.thermal_bench import measure
 from tests.bench.report.made_up_verification import SITE
+from tests.bench.verification.runs_alone import compensation_result
 
 SIZES = {"g_sensitivity": 4.0}
 #: Noise of the new measurements, as a share of that of the campaign.

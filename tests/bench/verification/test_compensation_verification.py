@@ -6,11 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrobench.bench.verification.compensation_verification import (
-    compensation_result,
-    write_verification_table,
-)
+from gyrobench.bench.verification.compensation_verification import write_verification_table
 from tests.bench.report.made_up_verification import SIGMA_DPH, SITE, rows_of
+from tests.bench.verification.runs_alone import compensation_result
 
 FITTED_C = np.array([[62.0], [20.0], [0.0]]) + np.zeros(3)
 

@@ -24,8 +24,9 @@ from gyrobench.bench.navigation.rotational_ins import (
     rotate_for,
 )
 from gyrobench.bench.station.instruments import Emulation
-from gyrobench.bench.verification.run_residuals import check_residuals, day_of_navigation
+from gyrobench.bench.verification.run_residuals import day_of_navigation
 from gyrobench.drivers.ins.command_map import Compensation
+from tests.bench.verification.runs_alone import check_residuals
 
 #: Of the world "ideal".
 BIAS_DPH = np.array([0.003, -0.002, 0.004])

@@ -3,14 +3,14 @@
 from matplotlib.patches import Rectangle
 
 from gyrobench.bench.closure.effects import all_effects
-from gyrobench.bench.closure.planned_campaign import PlannedUnit, planned_campaign
+from gyrobench.bench.closure.planned_campaign import UnitProperties, planned_campaign
 from gyrobench.bench.closure.separability import searched_dwells, separability
 from gyrobench.bench.report.figures.campaigns import separability_figure
 from tests.bench.closure.plans import dwell, planned, shipped
 
 
 def separability_of(plan):
-    return separability(searched_dwells(planned_campaign(plan, PlannedUnit(0.0006))), all_effects())
+    return separability(searched_dwells(planned_campaign(plan, UnitProperties(0.0006))), all_effects())
 
 
 def test_every_pair_shows_its_correlation_and_whether_it_is_distinguished():

@@ -11,13 +11,13 @@ import pytest
 from rich.console import Console, RenderableType
 
 from gyrobench.bench.closure.effects import all_effects
-from gyrobench.bench.closure.planned_campaign import PlannedUnit, planned_campaign
+from gyrobench.bench.closure.planned_campaign import UnitProperties, planned_campaign
 from gyrobench.bench.closure.procedure_changes import Advice
 from gyrobench.bench.closure.separability import Separability, searched_dwells, separability
 from gyrobench.bench.report.terminal.separability import pairs_text, separability_summary
 from tests.bench.closure.plans import shipped
 
-UNIT = PlannedUnit(0.0006, "declared by the station")
+UNIT = UnitProperties(0.0006, "declared by the station")
 TARGET_DPH = 0.002
 
 
@@ -58,7 +58,7 @@ def test_it_states_dwells_and_uncertainty(result: Separability) -> None:
         "Standard uncertainty of a bias: ±1.04, from an angle random walk of 0.0006 deg/sqrt(h), declared by "
         "the station" in text
     )
-    undeclared = replace(UNIT, noise_source=PlannedUnit().noise_source)
+    undeclared = replace(UNIT, noise_source=UnitProperties().noise_source)
     assert "a typical value, none is declared" in printed(
         separability_summary(result, 30, undeclared, TARGET_DPH, [])
     )

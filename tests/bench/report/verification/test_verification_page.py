@@ -15,7 +15,6 @@ from gyrobench.bench.report.verification.verification_page import (
     write_verification_page,
 )
 from gyrobench.bench.report.verification.verification_text import number_rows, plateau_rows, total_rows
-from gyrobench.bench.verification.compensation_verification import compensation_result
 from tests.bench.report.made_up_verification import (
     SITE,
     alone,
@@ -26,6 +25,7 @@ from tests.bench.report.made_up_verification import (
     rows_of,
     without_a_plateau,
 )
+from tests.bench.verification.runs_alone import compensation_result
 
 COLOURS = {
     "Confirmed": "finished",

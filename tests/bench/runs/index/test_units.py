@@ -3,11 +3,11 @@
 import pytest
 
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.runs.index.tables import Unit, parse_units
+from gyrobench.bench.runs.index.tables import UnitRow, parse_units
 
 
 def test_a_table_needs_unit_and_batch_alone():
-    assert parse_units("batch,unit\nB7,1001\n", "units.csv") == [Unit("1001", "B7", "", "")]
+    assert parse_units("batch,unit\nB7,1001\n", "units.csv") == [UnitRow("1001", "B7", "", "")]
     assert parse_units("unit,batch,hardware,note\n1,B,2,new optics\n", "units.csv")[0].note == "new optics"
 
 

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from gyrobench.bench.bias.budget import Budget, Contribution
-from gyrobench.bench.calibration.coefficients import Coefficient
+from gyrobench.bench.calibration.coefficients import SensorCoefficient
 from gyrobench.bench.runs.tables.budget_table import coefficient_budget_rows, write_budget
 from gyrobench.bench.runs.tables.coefficient_table import (
     PlateauCoefficientRow,
@@ -50,7 +50,7 @@ def test_what_all_plateaus_share_is_left_out_of_the_uncertainties_by_which_they_
     assert read_coefficients_apart(coefficients, budget) == read_coefficients(coefficients)
     parts = {"gravity": 30.0, "latitude": 2.0, "velocity_random_walk": 0.3, "temperature_change": 0.4}
     contributions = [Contribution(name, math.nan, sigma) for name, sigma in parts.items()]
-    known = Coefficient("accelerometer", "scale_factor", "x", "ppm", 1e6, 0.01)
+    known = SensorCoefficient("accelerometer", "scale_factor", "x", "ppm", 1e6, 0.01)
     write_budget(budget, coefficient_budget_rows(1, [(known, Budget(tuple(contributions)))]))
     first, second = read_coefficients_apart(coefficients, budget)
     assert first.sigma == pytest.approx(0.5)

@@ -97,12 +97,12 @@ def run_fragment(
     )
 
 
-def list_fragment(folder: str, rows: Sequence[ListRow], left_out: int) -> str:
+def _list_fragment(folder: str, rows: Sequence[ListRow], left_out: int) -> str:
     """List of the runs of a folder; ``left_out`` runs are not in ``rows``."""
     return _rendered("runs.html.j2", title="Runs", folder=folder, rows=rows, left_out=left_out)
 
 
-def problem_fragment(title: str, problem: str, home: str) -> str:
+def _problem_fragment(title: str, problem: str, home: str) -> str:
     """Page that reports a problem."""
     return _rendered("problem.html.j2", title=title, problem=problem, home=home)
 
@@ -161,7 +161,7 @@ _FRAGMENT = "fragment"
 _HOME = "../../"
 
 
-class Site:
+class Website:
     """Answers requests for pages of a run folder, or of a folder of runs.
 
     The folder ``root`` is read at each request, so a run may start in it later; ``utc`` returns the host's
@@ -228,7 +228,7 @@ class Site:
             if unit is not None:
                 snapshot = snapshot_of_unit(snapshot, RunFolder(unit))
         except GyrobenchError as error:
-            return problem_fragment(run.absolute().name, str(error), home)
+            return _problem_fragment(run.absolute().name, str(error), home)
         freshness = freshness_of(snapshot.state, snapshot.updated_utc, self._utc())
         shown = unit or run
         verdict = verdict_in(shown) if snapshot.state.is_over else ""
@@ -252,9 +252,9 @@ class Site:
         try:
             runs = runs_in(self._root)
         except RunFolderError as error:
-            return problem_fragment("Runs", str(error), "")
+            return _problem_fragment("Runs", str(error), "")
         rows = [self._row(run) for run in runs[:_MAX_LISTED]]
-        return list_fragment(str(self._root), rows, max(0, len(runs) - _MAX_LISTED))
+        return _list_fragment(str(self._root), rows, max(0, len(runs) - _MAX_LISTED))
 
     def _row(self, run: Path) -> ListRow:
         try:

@@ -3,8 +3,8 @@ import threading
 
 import pytest
 
-from gyrobench.bench.monitor.site import Site
 from gyrobench.bench.monitor.snapshot import Note, RunState
+from gyrobench.bench.monitor.website import Website
 from tests.bench.monitor.sample_snapshots import made_up_snapshot
 from tests.bench.monitor.served_run import ask, now, run_under_way, served, write_snapshot
 
@@ -17,7 +17,7 @@ def text_of(site, target):
 
 def test_the_page_of_a_run_holds_what_it_refreshes(tmp_path):
     with run_under_way(tmp_path / "mine") as run:
-        site = Site(run, now)
+        site = Website(run, now)
         page, fragment = text_of(site, "/"), text_of(site, "/fragment")
     assert fragment in page
     assert "running" in fragment
@@ -27,7 +27,7 @@ def test_the_page_of_a_run_holds_what_it_refreshes(tmp_path):
 
 def test_the_policy_lets_in_nothing_but_the_style_and_the_script_of_the_page(tmp_path):
     write_snapshot(tmp_path / "mine")
-    one, other = (Site(tmp_path / "mine", now).answer("/") for _ in range(2))
+    one, other = (Website(tmp_path / "mine", now).answer("/") for _ in range(2))
     rules = dict(rule.split(" ", 1) for rule in one.policy.split("; "))
     nonce = rules["script-src"].removeprefix("'nonce-").removesuffix("'")
     assert rules["default-src"] == "'none'"
@@ -50,18 +50,18 @@ def test_only_the_pages_of_a_run_have_addresses(tmp_path, target):
     write_snapshot(run)
     for name in ("station.yaml", "report.html"):
         (run / name).write_text("content")
-    assert Site(run, now).answer(target).status == 404
+    assert Website(run, now).answer(target).status == 404
 
 
 @pytest.mark.parametrize("target", ["/%ff%fe", "/\x00"])
 def test_an_address_that_is_none_is_refused(tmp_path, target):
-    assert Site(tmp_path, now).answer(target).status in (400, 404)
+    assert Website(tmp_path, now).answer(target).status in (400, 404)
 
 
 def test_what_a_run_left_is_shown_without_its_scripts(tmp_path):
     run = tmp_path / "mine"
     write_snapshot(run, state=RunState.FINISHED)
-    site = Site(run, now)
+    site = Website(run, now)
     assert "report.html" not in text_of(site, "/")
     (run / "report.html").write_text("<p>the report</p>")
     (run / "closure").mkdir()
@@ -80,7 +80,7 @@ def test_a_report_that_is_a_link_out_of_the_run_folder_is_not_there(tmp_path):
     secret = tmp_path / "secret"
     secret.write_text("secret")
     (run / "report.html").symlink_to(secret)
-    assert Site(run, now).answer("/report.html").status == 404
+    assert Website(run, now).answer("/report.html").status == 404
 
 
 def test_a_report_beyond_all_size_is_refused(tmp_path):
@@ -88,7 +88,7 @@ def test_a_report_beyond_all_size_is_refused(tmp_path):
     write_snapshot(run)
     with (run / "report.html").open("wb") as stream:
         stream.truncate(60_000_000)
-    assert Site(run, now).answer("/report.html").status == 503
+    assert Website(run, now).answer("/report.html").status == 503
 
 
 def test_a_folder_of_runs_lists_those_under_way_and_then_the_newest(tmp_path):
@@ -100,7 +100,7 @@ def test_a_folder_of_runs_lists_those_under_way_and_then_the_newest(tmp_path):
     (tmp_path / "no_run").mkdir()
     (tmp_path / "link").symlink_to(tmp_path / "new")
     with run_under_way(tmp_path / "under_way"):
-        page = text_of(Site(tmp_path, now), "/")
+        page = text_of(Website(tmp_path, now), "/")
     places = [page.index(f'href="runs/{name}/"') for name in ("under_way", "new", "older")]
     assert places == sorted(places)
     assert page.count("<li") == 3
@@ -110,7 +110,7 @@ def test_a_folder_of_runs_lists_those_under_way_and_then_the_newest(tmp_path):
 def test_each_run_of_a_folder_has_its_page_with_a_way_back(tmp_path):
     write_snapshot(tmp_path / "mine")
     (tmp_path / "mine" / "report.html").write_text("the report")
-    site = Site(tmp_path, now)
+    site = Website(tmp_path, now)
     assert 'href="../../"' in text_of(site, "/runs/mine/")
     assert "<main" in text_of(site, "/runs/mine/fragment")
     assert text_of(site, "/runs/mine/report.html") == "the report"
@@ -120,11 +120,11 @@ def test_each_run_of_a_folder_has_its_page_with_a_way_back(tmp_path):
 @pytest.mark.parametrize("target", ["/runs/other/", "/runs/", "/runs/../", "/runs/../mine/", "/runs/%2e%2e/"])
 def test_a_run_that_is_not_in_the_folder_has_no_page(tmp_path, target):
     write_snapshot(tmp_path / "mine")
-    assert Site(tmp_path, now).answer(target).status == 404
+    assert Website(tmp_path, now).answer(target).status == 404
 
 
 def test_a_run_that_begins_later_gets_its_page_at_the_same_address(tmp_path):
-    site = Site(tmp_path, now)
+    site = Website(tmp_path, now)
     assert "No run in this folder yet" in text_of(site, "/")
     with run_under_way(tmp_path):
         assert "running" in text_of(site, "/")
@@ -133,7 +133,7 @@ def test_a_run_that_begins_later_gets_its_page_at_the_same_address(tmp_path):
 def test_names_and_messages_are_text_of_any_content(tmp_path):
     name = "<img src=x onerror=alert(1)>&\"'?#%41"
     write_snapshot(tmp_path / name, messages=(Note(0.0, "<script>alert(1)</script>"),))
-    site = Site(tmp_path, now)
+    site = Website(tmp_path, now)
     listed = text_of(site, "/fragment")
     address = "/runs/%3Cimg%20src%3Dx%20onerror%3Dalert%281%29%3E%26%22%27%3F%23%2541/"
     page = text_of(site, f"{address}fragment")
@@ -146,19 +146,19 @@ def test_names_and_messages_are_text_of_any_content(tmp_path):
 
 def test_a_killed_run_is_shown_at_once(tmp_path):
     run = tmp_path / "mine"
-    site = Site(run, now)
+    site = Website(run, now)
     with run_under_way(run):
         assert "running" in text_of(site, "/fragment")
     assert "stopped without recording its end" in text_of(site, "/fragment")
-    assert "stopped without recording its end" in text_of(Site(tmp_path, now), "/fragment")
+    assert "stopped without recording its end" in text_of(Website(tmp_path, now), "/fragment")
 
 
 def test_a_run_that_has_fallen_silent_is_reported(tmp_path):
     with run_under_way(tmp_path / "mine", age_s=40.0) as run:
-        alone = text_of(Site(run, now), "/fragment")
+        alone = text_of(Website(run, now), "/fragment")
         assert "No update for 40 s" in alone
         assert "last heard running" in alone
-        assert "No update for 40 s" in text_of(Site(tmp_path, now), "/fragment")
+        assert "No update for 40 s" in text_of(Website(tmp_path, now), "/fragment")
 
 
 @pytest.mark.parametrize("kept", [0.0, 0.3, 0.999])
@@ -169,9 +169,9 @@ def test_a_damaged_snapshot_gives_way_to_what_else_the_run_left(tmp_path, kept):
     (run / "live.json").write_bytes(whole[: int(kept * len(whole))])
     (run / "journal.jsonl").write_text('{"time_s": 7200.0, "event": "run_ended", "ended": "finished"}\n')
     for site, target in (
-        (Site(run, now), "/"),
-        (Site(tmp_path, now), "/"),
-        (Site(tmp_path, now), "/runs/mine/"),
+        (Website(run, now), "/"),
+        (Website(tmp_path, now), "/"),
+        (Website(tmp_path, now), "/runs/mine/"),
     ):
         assert "mine" in text_of(site, target)
         assert "Traceback" not in text_of(site, target)
@@ -181,8 +181,8 @@ def test_a_folder_that_holds_nothing_to_read_is_shown_with_its_file(tmp_path):
     run = tmp_path / "mine"
     run.mkdir()
     (run / "live.json").write_text("{")
-    assert "journal.jsonl" in text_of(Site(run, now), "/")
-    assert "can&#39;t be read" in text_of(Site(tmp_path, now), "/")
+    assert "journal.jsonl" in text_of(Website(run, now), "/")
+    assert "can&#39;t be read" in text_of(Website(tmp_path, now), "/")
 
 
 def test_a_reader_while_the_snapshot_is_written_sees_a_whole_one(tmp_path):

@@ -1,23 +1,16 @@
-"""The dwells of a unit: recorded while they last, measured at their end, repeated where data are invalid."""
+"""The dwell in progress of a unit: its marks, its disturbances, its biases so far."""
 
 from __future__ import annotations
-
-from dataclasses import asdict
 
 import numpy as np
 
 from gyrobench.bench.bias.bias_filter import StateSpaceEstimate
-from gyrobench.bench.bias.dwell_table import write_dwells
-from gyrobench.bench.dwells.check_dwell import measure_check_dwell
 from gyrobench.bench.dwells.live_estimate import LiveEstimate
 from gyrobench.bench.dwells.marks import DwellMarks, WindowMark
-from gyrobench.bench.dwells.measure_dwell import MeasuredDwell, MeasurementSetup, measure_dwell
-from gyrobench.bench.dwells.run_dwells import add_dwell
+from gyrobench.bench.dwells.measure_dwell import MeasurementSetup
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.live_unit import LiveUnit
-from gyrobench.bench.engine.run_context import MeasuredUnit, RunContext
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.bench.foundations.errors import SignalMapError
 from gyrobench.bench.navigation.table_axes import Angles
 from gyrobench.drivers.frames import FrameBlock, concatenate
 
@@ -127,9 +120,7 @@ class DwellRecorder:
             since_power_on_s=round(self._start_s - at.powered_s, 6),
             chamber_set_c=self._bench.state.commanded_c,
             chamber_c=float(np.mean(chamber_c)) if chamber_c else None,
-            is_calibration_check=at.is_calibration_check,
-            is_rotated=at.is_rotated,
-            is_noise_record=at.is_noise_record,
+            purpose=at.purpose,
             neighbours_on=float(np.mean(neighbours_on)) if neighbours_on else None,
             align_s=round(self._start_s - self._align_begin_s, 6),
             disturbances=tuple(self._disturbances),
@@ -145,91 +136,3 @@ def _creep_deg(read_deg: FloatArray) -> float:
     creep_deg = np.abs(last.mean(axis=0) - first.mean(axis=0))
     scatter_deg = np.sqrt((first.var(axis=0) + last.var(axis=0)) / count)
     return float(np.where(creep_deg > _CREEP_SIGMAS * scatter_deg, creep_deg, 0.0).max())
-
-
-class DwellLedger:
-    """Decides what happens to each dwell, and keeps journal and dwell table."""
-
-    def __init__(self, run: RunContext, unit: MeasuredUnit, recorder: DwellRecorder) -> None:
-        self._run = run
-        self._unit = unit
-        self._record = unit.record
-        self._recorder = recorder
-        self._contradicted = False
-
-    def finish(self) -> bool:
-        """Measure the dwell that is over; returns False where it has to be repeated.
-
-        Raises SignalMapError if it contradicts the station file, and the dwell before did too or none of the
-        run agreed, or if all dwells together do: each further dwell would be invalid too. One alone after
-        dwells that agreed is a disturbance.
-        """
-        unit, record = self._unit, self._record
-        marks = self._recorder.marks()
-        frames = unit.live.end_capture()
-        if not marks.gives_bias:
-            return self._finish_recorded(marks, frames)
-        measure = measure_check_dwell if marks.is_calibration_check else measure_dwell
-        measured = measure(marks, frames, record.setup)
-        is_map_wrong = bool(measured.setup_fault) and (self._contradicted or not self._has_agreed())
-        self._contradicted = bool(measured.setup_fault)
-        if measured.is_disturbed and not is_map_wrong and self.may_repeat(marks.dwell):
-            self.repeat(marks.dwell, measured.flags)
-            return False
-        unit.journal.record(
-            "dwell_finished", marks=marks.to_json(), flags=measured.flags, epochs=asdict(measured.counts)
-        )
-        record.state.finished.add(marks.dwell)
-        if isinstance(measured, MeasuredDwell):
-            dwells = record.outcome.dwells
-            add_dwell(dwells, measured)
-            write_dwells(record.folder.dwells, [each.row for each in dwells])
-            self._run.observers.dwell_measured(dwells[-1].row)
-            if dwells[-1].setup_fault and not measured.setup_fault:  # by all dwells together
-                raise SignalMapError(dwells[-1].setup_fault)
-        else:
-            record.outcome.check_dwells.append(measured)
-            text = measured.flags or "measured for the calibration check"
-            self._noted(f"{marks.position} at {marks.azimuth_deg:g} deg: {text}")
-        if is_map_wrong:
-            raise SignalMapError(measured.setup_fault)
-        return True
-
-    def _finish_recorded(self, marks: DwellMarks, frames: FrameBlock) -> bool:
-        flags = "; ".join(marks.disturbances)
-        if flags and self.may_repeat(marks.dwell):
-            self.repeat(marks.dwell, flags)
-            return False
-        self._unit.journal.record("dwell_finished", marks=marks.to_json(), flags=flags)
-        self._record.state.finished.add(marks.dwell)
-        if marks.is_rotated and not marks.disturbances:
-            for finding in self._record.outcome.rotations.add(marks, frames, self._record.setup):
-                self._noted(finding)
-        what = f"{len(marks.windows) - 1} rotations from" if marks.is_rotated else "noise in"
-        self._noted(f"{what} {marks.position}: {flags or 'recorded'}")
-        return True
-
-    def _has_agreed(self) -> bool:
-        """Whether a dwell of this run, also before a resume, agreed with the signal map."""
-        outcome = self._record.outcome
-        return any(each.estimate for each in outcome.dwells) or any(
-            each.navigation for each in outcome.check_dwells
-        )
-
-    def may_repeat(self, dwell: int) -> bool:
-        """Whether the procedure allows that a dwell with invalid data is repeated."""
-        procedure, repeats = self._run.plan.procedure, self._record.state.repeats
-        return (
-            procedure.disturbed_dwell == "repeat"
-            and repeats[dwell] < procedure.max_repeats
-            and repeats.total() < procedure.max_repeats_total
-        )
-
-    def repeat(self, dwell: int, why: str) -> None:
-        """Discard a dwell, which is repeated; it counts against the procedure's limit."""
-        self._record.state.repeats[dwell] += 1
-        self._unit.journal.record("dwell_given_up", dwell=dwell, why=why, counts=True)
-        self._noted(f"dwell {dwell} is repeated: {why}")
-
-    def _noted(self, text: str) -> None:
-        self._run.observers.noted(self._record.named(text))
