@@ -34,8 +34,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from gyrobench.bench.closure.outcome import Closure
-    from gyrobench.bench.engine.observers import FailOn, RunObserver
+    from gyrobench.bench.engine.observers import RunObserver
     from gyrobench.bench.engine.operator import Operator
+    from gyrobench.bench.engine.run_outcome import FailOn
     from gyrobench.drivers.frames import FrameBlock
     from gyrobench.drivers.ins.navigation_data import NavigationData
 
@@ -185,7 +186,7 @@ def run(
     procedure: str,
     station: str = "emulated",
     *,
-    world: str = "gyro_a",
+    world: str | None = None,
     seed: int = 0,
     faults: str = "",
     out: str | Path | None = None,
@@ -197,8 +198,10 @@ def run(
 
     Parameters
     ----------
-    procedure, station, world : str
-        Files by path, or shipped ones by name; the world is that of emulated instruments.
+    procedure, station : str
+        Files by path, or shipped ones by name.
+    world : str, optional
+        That of emulated instruments, likewise; by default the shipped one with the name of the station.
     seed : int
         Of the emulated instruments' noise.
     faults : str, optional
@@ -227,11 +230,12 @@ def run(
     from gyrobench.bench.engine.observers import RunObserver
     from gyrobench.bench.engine.operator import ConsentingOperator
     from gyrobench.bench.engine.run import run_job
+    from gyrobench.bench.foundations.shipped import world_for
     from gyrobench.bench.station.instruments import Emulation
 
     if seed < 0:
         raise DocumentError(f"seed must not be negative; found {seed}")
-    job = prepare_job(procedure, station, Emulation(world, seed, faults))
+    job = prepare_job(procedure, station, Emulation(world_for(station, world), seed, faults))
     if operator is None:
         if not job.is_virtual:
             raise DocumentError(

@@ -20,7 +20,7 @@ import pytest
 
 if TYPE_CHECKING:
     from gyrobench.bench.api import Run
-    from gyrobench.bench.engine.observers import FailOn
+    from gyrobench.bench.engine.run_outcome import FailOn
 
 _MARK, _WORLDS = "emulated_bench", "worlds"
 #: Of the journal that a failed test shows: the last entries, and the longest line.
@@ -33,7 +33,7 @@ class EmulatedBench:
     """What a procedure runs on; station, world and faults are files by path, or shipped ones by name."""
 
     station: str = "emulated"
-    world: str = "gyro_a"
+    world: str | None = None  #: By default the shipped one with the name of the station.
     seed: int = 0  #: Of everything random in the world.
     faults: str = ""  #: None if empty.
     folder: Path = field(default_factory=Path)  #: Where run folders are made.

@@ -17,9 +17,9 @@ from gyrobench.bench.cli.options import (
     StationArgument,
     WorldOption,
     complete_procedure,
-    world_for,
 )
 from gyrobench.bench.cli.output import EXIT_INSTRUMENT, EXIT_NOT_FINISHED, JsonOption, console, print_json
+from gyrobench.bench.foundations.shipped import world_for
 
 
 def check(

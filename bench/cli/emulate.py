@@ -10,14 +10,8 @@ from typing import Annotated
 
 import typer
 
-from gyrobench.bench.cli.options import (
-    EMULATED,
-    FaultsOption,
-    SeedOption,
-    StationOption,
-    WorldOption,
-    world_for,
-)
+from gyrobench.bench.cli.options import EMULATED, FaultsOption, SeedOption, StationOption, WorldOption
+from gyrobench.bench.foundations.shipped import world_for
 
 _PORT_HELP = "TCP port of the {}, or the path of a link to its pseudo-terminal."
 

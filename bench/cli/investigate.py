@@ -19,9 +19,9 @@ from gyrobench.bench.cli.options import (
     complete_procedure,
     complete_station,
     complete_world,
-    world_for,
 )
 from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, JsonOption, console, print_json
+from gyrobench.bench.foundations.shipped import world_for
 
 if TYPE_CHECKING:
     from gyrobench.bench.engine.investigation_runs import InvestigationStart, Observe

@@ -6,15 +6,9 @@ from typing import Annotated
 
 import typer
 
-from gyrobench.bench.cli.options import (
-    EMULATED,
-    FaultsOption,
-    SeedOption,
-    StationArgument,
-    WorldOption,
-    world_for,
-)
+from gyrobench.bench.cli.options import EMULATED, FaultsOption, SeedOption, StationArgument, WorldOption
 from gyrobench.bench.cli.output import EXIT_NOT_FINISHED
+from gyrobench.bench.foundations.shipped import world_for
 
 
 def jog(

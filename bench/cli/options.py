@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from gyrobench.bench.foundations.operator_name import OPERATOR_VARIABLE
+from gyrobench.bench.foundations.shipped import DEFAULT_WORLD
 
 _MAX_RUNS = 200
 
@@ -83,7 +84,6 @@ def _beginning_with(incomplete: str, names: Iterable[str]) -> list[str]:
 EMULATED = "emulated"
 
 STATION_HELP = "Station file, or the name of a shipped one."
-DEFAULT_WORLD = "gyro_a"
 WORLD_HELP = (
     "World behind emulated instruments: file or shipped name; default: the one with the name of the station, "
     f"else {DEFAULT_WORLD}."
@@ -119,13 +119,6 @@ def _restore_operator(before: str | None) -> None:
         os.environ.pop(OPERATOR_VARIABLE, None)
     else:
         os.environ[OPERATOR_VARIABLE] = before
-
-
-def world_for(station: str, world: str | None) -> str:
-    """Name the world to emulate: the selected one, else the shipped one of the station's name."""
-    from gyrobench.bench.foundations.shipped import shipped_names
-
-    return world or (station if station in shipped_names("worlds") else DEFAULT_WORLD)
 
 
 PROCEDURE_HELP = "Procedure file, or the name of a shipped one."

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rich.console import Console, RenderableType
 
     from gyrobench.bench.cli.options import FailOn
-    from gyrobench.bench.engine.observers import RunOutcome
+    from gyrobench.bench.engine.run_outcome import RunOutcome
     from gyrobench.bench.monitor.terminal import RunConsole
     from gyrobench.bench.runs.folder import RunFolder
 

@@ -8,8 +8,9 @@ from typing import Annotated
 
 import typer
 
-from gyrobench.bench.cli.options import FaultsOption, SeedOption, StationArgument, WorldOption, world_for
+from gyrobench.bench.cli.options import FaultsOption, SeedOption, StationArgument, WorldOption
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.shipped import world_for
 
 
 class Instrument(StrEnum):

@@ -20,9 +20,9 @@ from gyrobench.bench.cli.options import (
     ViewOption,
     WorldOption,
     complete_run,
-    world_for,
 )
 from gyrobench.bench.cli.output import JsonOption, console, print_end
+from gyrobench.bench.foundations.shipped import world_for
 
 
 def run(

@@ -24,9 +24,10 @@ from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.closure.plausibility import implausible
 from gyrobench.bench.closure.temperatures import TemperatureRecord
 from gyrobench.bench.engine.job import Job, emulation_of, job_in, prepare_job
-from gyrobench.bench.engine.observers import RunObserver, RunOutcome
+from gyrobench.bench.engine.observers import RunObserver
 from gyrobench.bench.engine.operator import Operator
 from gyrobench.bench.engine.run import EarlierRuns, is_whole, run_or_resume
+from gyrobench.bench.engine.run_outcome import RunOutcome
 from gyrobench.bench.engine.verification_runs import VerificationRuns, is_run_of
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.clock import RESUME_STEP_S, Clock, VirtualClock, WallClock

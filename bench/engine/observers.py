@@ -1,84 +1,17 @@
-"""Observers of a run: what they are notified of, and how the run ended."""
+"""Observers of a run: what they are notified of."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from functools import partial
-from typing import Literal
 
 from gyrobench.bench.bias.bias_filter import StateSpaceEstimate
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.dwells.check_dwell import CheckDwell
-from gyrobench.bench.dwells.measure_dwell import MeasuredDwell
-from gyrobench.bench.dwells.rotations import RunRotations
-from gyrobench.bench.dwells.run_results import RunResults
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.operator import Operator, RunCommand
-from gyrobench.bench.foundations.text import run_ending
+from gyrobench.bench.engine.run_outcome import RunOutcome
 from gyrobench.bench.procedure.plan import PlannedStep
 from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.bench.station.safe_state import SafeAction
-
-#: What makes a finished run fail for the caller.
-FailOn = Literal["rejected", "flagged"]
-
-
-@dataclass
-class RunOutcome:
-    """How a run ended."""
-
-    ended: str = "finished"  #: "finished", "stopped" (by the operator, or a hold lasted too long) or "failed"
-    reason: str = ""  #: why it did not finish; empty where it did
-    dwells: list[MeasuredDwell] = field(default_factory=list)
-    check_dwells: list[CheckDwell] = field(default_factory=list)  #: dwells that check a calibration
-    rotations: RunRotations = field(default_factory=RunRotations)
-    finished: set[int] = field(default_factory=set)  #: numbers of all dwells that are over
-    results: RunResults = field(default_factory=RunResults)
-    #: Those of each unit by its number, where a run has several; it has no dwells itself then.
-    units: dict[str, RunOutcome] = field(default_factory=dict)
-    duration_s: float = 0.0  #: on the run's clock
-    #: Actions at the end that brought the bench to its safe state.
-    safe_state: list[SafeAction] = field(default_factory=list)
-
-    @property
-    def ending(self) -> str:
-        """How the run ended and why, see :func:`gyrobench.bench.foundations.text.run_ending`."""
-        return run_ending(self.ended, self.reason)
-
-    @property
-    def is_safe(self) -> bool:
-        """Whether every action at the end succeeded."""
-        return not any(action.problem for action in self.safe_state)
-
-    def shortcoming(self, fail_on: FailOn | None) -> str:
-        """Why a run that finished counts as failed; empty where it does not.
-
-        "rejected": its unit is rejected. "flagged": that, or it has a dwell with flags.
-        """
-        for number, outcome in self.units.items():
-            if text := outcome.shortcoming(fail_on) or (outcome.reason if fail_on else ""):
-                return f"Unit {number}: {text}"
-        flagged = [dwell.row for dwell in self.dwells if dwell.row.flags]
-        if fail_on and self.results.acceptance.verdict == "rejected":
-            return "The unit is rejected: acceptance.json has the judgements."
-        if fail_on == "flagged" and flagged:
-            names = "; ".join(f"dwell {row.dwell}: {row.flags}" for row in flagged[:3])
-            flags = f"{len(flagged)} of {len(self.dwells)} dwells are flagged: {names}"
-            return f"{flags}. dwells.csv has all of them."
-        return ""
-
-    def release(self) -> None:
-        """Let go of dwells and results: the run folder has them."""
-        self.dwells, self.check_dwells = [], []
-        self.rotations, self.results = RunRotations(), RunResults()
-        for unit in self.units.values():
-            unit.release()
-
-    def fail(self, reason: str) -> None:
-        """Note a failure, unless there is one already."""
-        if self.ended == "finished":
-            self.ended, self.reason = "failed", reason
 
 
 class RunObserver:

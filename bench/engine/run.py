@@ -16,11 +16,12 @@ from gyrobench.bench.dwells.run_results import evaluate_run
 from gyrobench.bench.engine.engine import Engine
 from gyrobench.bench.engine.job import Job
 from gyrobench.bench.engine.live_bench import LiveBench
-from gyrobench.bench.engine.observers import ObservedOperator, ObserverGroup, RunObserver, RunOutcome
+from gyrobench.bench.engine.observers import ObservedOperator, ObserverGroup, RunObserver
 from gyrobench.bench.engine.operator import CommandQueue, Operator
 from gyrobench.bench.engine.resume import ResumeState, Resumption, prepare_resumption
 from gyrobench.bench.engine.run_context import RunContext, UnitRun
 from gyrobench.bench.engine.run_notifier import RunNotifier
+from gyrobench.bench.engine.run_outcome import RunOutcome
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import GyrobenchError, InstrumentError, RunFolderError
 from gyrobench.bench.foundations.files import make_folder, write_whole

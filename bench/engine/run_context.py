@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from gyrobench.bench.dwells.measure_dwell import MeasurementSetup
 from gyrobench.bench.engine.job import Job
 from gyrobench.bench.engine.live_bench import LiveBench
-from gyrobench.bench.engine.observers import RunObserver, RunOutcome
+from gyrobench.bench.engine.observers import RunObserver
 from gyrobench.bench.engine.operator import CommandQueue, Operator
 from gyrobench.bench.engine.resume import ResumeState
+from gyrobench.bench.engine.run_outcome import RunOutcome
 from gyrobench.bench.foundations.errors import InstrumentError
 from gyrobench.bench.guard.process import Guard
 from gyrobench.bench.procedure.plan import Plan

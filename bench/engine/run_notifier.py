@@ -7,9 +7,10 @@ from collections.abc import Sequence
 from typing import Any
 
 from gyrobench.bench.engine.live_bench import LiveBench
-from gyrobench.bench.engine.observers import RunObserver, RunOutcome
+from gyrobench.bench.engine.observers import RunObserver
 from gyrobench.bench.engine.operator import RunCommand
 from gyrobench.bench.engine.resume import ResumeState
+from gyrobench.bench.engine.run_outcome import RunOutcome
 from gyrobench.bench.messages.delivery import Event, Message, Remaining
 from gyrobench.bench.messages.messenger import Messenger
 from gyrobench.bench.procedure.plan import Plan, PlannedStep

@@ -24,9 +24,10 @@ from gyrobench.bench.dwells.check_dwell import CheckDwell
 from gyrobench.bench.dwells.measure_dwell import MeasuredDwell, measurement_setup
 from gyrobench.bench.dwells.recorded_dwells import measure_recorded
 from gyrobench.bench.engine.job import Job, emulation_of, prepare_job
-from gyrobench.bench.engine.observers import RunObserver, RunOutcome
+from gyrobench.bench.engine.observers import RunObserver
 from gyrobench.bench.engine.operator import Operator
 from gyrobench.bench.engine.run import run_or_resume
+from gyrobench.bench.engine.run_outcome import RunOutcome
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
 from gyrobench.bench.foundations.text import agreeing, counted
 from gyrobench.bench.navigation.error_model import Site

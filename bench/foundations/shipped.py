@@ -13,6 +13,8 @@ from types import MappingProxyType
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.text import did_you_mean
 
+#: World that is emulated for a station without a shipped world of its name.
+DEFAULT_WORLD = "gyro_a"
 #: Shipped procedures that new ones are started from, by what they are for.
 TEMPLATES = MappingProxyType(
     {
@@ -40,6 +42,11 @@ def _folder(kind: str) -> Path:
 def shipped_names(kind: str) -> list[str]:
     """Names of the shipped YAML files of a kind, without their ending."""
     return sorted({path.stem for folder in shipped_folders(kind) for path in folder.glob("*.yaml")})
+
+
+def world_for(station: str, world: str | None = None) -> str:
+    """World to emulate: the selected one, else the shipped one with the name of the station."""
+    return world or (station if station in shipped_names("worlds") else DEFAULT_WORLD)
 
 
 def find_document(kind: str, name: str) -> Path:

@@ -15,8 +15,9 @@ from gyrobench.bench.bias.bias_filter import StateSpaceEstimate
 from gyrobench.bench.bias.bins import bin_biases
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.engine.live_bench import LiveBench
-from gyrobench.bench.engine.observers import RunObserver, RunOutcome
+from gyrobench.bench.engine.observers import RunObserver
 from gyrobench.bench.engine.operator import RunCommand
+from gyrobench.bench.engine.run_outcome import RunOutcome
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import RunFolderError

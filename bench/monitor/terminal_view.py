@@ -18,8 +18,9 @@ from gyrobench.bench.bias.bias_filter import StateSpaceEstimate
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.engine.job import Job
 from gyrobench.bench.engine.live_bench import LiveBench
-from gyrobench.bench.engine.observers import ObserverGroup, RunObserver, RunOutcome
+from gyrobench.bench.engine.observers import ObserverGroup, RunObserver
 from gyrobench.bench.engine.operator import ConsentingOperator, Operator, RunCommand
+from gyrobench.bench.engine.run_outcome import RunOutcome
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.text import counted, hours_minutes
 from gyrobench.bench.monitor.snapshot import RunSnapshot

@@ -23,7 +23,7 @@ from gyrobench.bench.foundations.errors import (
     RefusedError,
 )
 from gyrobench.bench.foundations.packages import CHAMBERS, RATE_TABLES, load
-from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.foundations.shipped import DEFAULT_WORLD, find_document
 from gyrobench.bench.station.instrument_sections import DialectSection
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.chamber import Chamber, ChamberDialect, ChamberReading, running_profile
@@ -97,7 +97,7 @@ class Emulation:
     """Simulated world behind emulated instruments, which alone read it; real ones ignore it."""
 
     #: world, faults: World file and list of faults (empty: none), by path or shipped name.
-    world: str = "gyro_a"
+    world: str = DEFAULT_WORLD
     seed: int = 0  #: Seed of everything random in the world.
     faults: str = ""
 

@@ -25,10 +25,10 @@ import yaml
 
 from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.engine.job import prepare_job
-from gyrobench.bench.engine.observers import RunOutcome
 from gyrobench.bench.engine.operator import ConsentingOperator, Operator
 from gyrobench.bench.engine.resume import Resumption, prepare_resumption
 from gyrobench.bench.engine.run import resume_run, run_job
+from gyrobench.bench.engine.run_outcome import RunOutcome
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation

@@ -11,9 +11,9 @@ from functools import partial
 from pathlib import Path
 
 from gyrobench.bench.dwells.setup_check import measured_scale
-from gyrobench.bench.engine.observers import RunOutcome
 from gyrobench.bench.engine.preflight.ins import CanTraffic, ins_checks
 from gyrobench.bench.engine.preflight.instruments import ANSWERS, chamber_checks, table_checks
+from gyrobench.bench.engine.run_outcome import RunOutcome
 from gyrobench.bench.foundations.clock import Clock, WallClock
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.operator_name import operator_name

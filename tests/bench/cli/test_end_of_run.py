@@ -7,7 +7,7 @@ import typer
 from rich.console import Console
 
 from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, print_end
-from gyrobench.bench.engine.observers import RunOutcome
+from gyrobench.bench.engine.run_outcome import RunOutcome
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal

@@ -4,7 +4,7 @@ import pytest
 
 from gyrobench.bench.bias.verdicts import Acceptance
 from gyrobench.bench.dwells.run_results import RunResults
-from gyrobench.bench.engine.observers import RunOutcome
+from gyrobench.bench.engine.run_outcome import RunOutcome
 from tests.bench.command_line import gyrobench
 
 

@@ -3,8 +3,9 @@
 import pytest
 
 import gyrobench as gyrobench_api
-from gyrobench.bench.cli.options import DEFAULT_WORLD, world_for
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.shipped import DEFAULT_WORLD, world_for
+from gyrobench.bench.runs.provenance import read_provenance
 from tests.bench.command_line import gyrobench
 
 
@@ -48,3 +49,8 @@ def test_a_procedure_beyond_the_limits_of_the_station_alone_names_the_station(tm
     assert "These are limits of the station emulated. Choose another one with --station" in answer.stderr
     (tmp_path / "wrong.yaml").write_text("procedure: wrong\nsteps:\n  - align: {duration_s: 60}\n")
     assert "limits of the station" not in gyrobench("run", "wrong.yaml", cwd=tmp_path).stderr
+
+
+def test_the_python_interface_emulates_the_world_of_the_station(tmp_path):
+    run = gyrobench_api.run("quick_verification", "quick", out=tmp_path / "run")
+    assert read_provenance(run.folder)["options"]["world"] == "quick"
