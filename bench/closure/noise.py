@@ -50,6 +50,14 @@ class Outlier:
     residual_sigma: float  #: Measured minus model, in standard deviations of the noise.
 
 
+def outliers_text(outliers: Sequence[Outlier]) -> str:
+    """Name outliers by dwell: "dwell 20 (x +7 sigma)"."""
+    off: dict[int, list[str]] = {}
+    for each in outliers:
+        off.setdefault(each.dwell, []).append(f"{each.gyro} {each.residual_sigma:+.0f} sigma")
+    return listed([f"dwell {dwell} ({', '.join(gyros)})" for dwell, gyros in sorted(off.items())])
+
+
 @dataclass(frozen=True)
 class Noise:
     """Noise of the measured biases of a campaign."""
@@ -91,13 +99,9 @@ class Noise:
                 "noise stated here."
             )
         if self.outliers:
-            off: dict[int, list[str]] = {}
-            for each in self.outliers:
-                off.setdefault(each.dwell, []).append(f"{each.gyro} {each.residual_sigma:+.0f} sigma")
-            dwells = [f"dwell {dwell} ({', '.join(gyros)})" for dwell, gyros in sorted(off.items())]
             sentences.append(
                 f"Further than {OUTLIER_SIGMA:.0f} sigma from the model and down-weighted in the fit: "
-                f"{listed(dwells)}."
+                f"{outliers_text(self.outliers)}."
             )
         return sentences
 

@@ -13,13 +13,13 @@ from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate
 from gyrobench.bench.closure.compose import Composed
 from gyrobench.bench.closure.effects.effect import Effect, Parameter
-from gyrobench.bench.closure.noise import Noise
+from gyrobench.bench.closure.noise import MAX_OUTLIERS, OUTLIER_SIGMA, Noise, Outlier
 from gyrobench.bench.closure.posterior import Posterior
 from gyrobench.bench.closure.problem import Solution
 from gyrobench.bench.closure.quantity import GYRO_BIAS, Quantity
 from gyrobench.bench.closure.selection import NotAccepted
 from gyrobench.bench.closure.uncertainty import Draws, bound_of
-from gyrobench.bench.closure.validation import LackOfFit, measured_minus
+from gyrobench.bench.closure.validation import MEDIAN, LackOfFit, measured_minus
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms_of_known
 from gyrobench.bench.foundations.text import decimals_of, plain_name, with_sigma
 
@@ -195,6 +195,23 @@ class Closure:
         Without the scatter of the constants in a run that was not searched.
         """
         return self.model_draws.sigma(self.model_draws.bias_dph(self.campaign), self.model.bias_dph)
+
+    @property
+    def held_out_outliers(self) -> list[Outlier]:
+        """Held-out biases that are off from the model as outliers are in the search, where they are few."""
+        campaign, held_out = self.campaign, ~self.searched
+        error_dph = measured_minus(campaign, self.searched, self.model)
+        sigma_dph = np.hypot(campaign.sigma_dph * self.noise_scale, self.prediction_sigma_dph)
+        off = np.nan_to_num(error_dph / sigma_dph)[held_out]
+        scale = np.maximum(1.0, np.median(np.abs(off), axis=0) / MEDIAN)
+        is_far = np.abs(off) > OUTLIER_SIGMA * scale
+        if np.mean(is_far) > MAX_OUTLIERS:
+            return []
+        dwells = campaign.dwell[held_out]
+        return [
+            Outlier(int(dwells[dwell]), self.quantity.axes[gyro], float(off[dwell, gyro]))
+            for dwell, gyro in np.argwhere(is_far)
+        ]
 
     def label(self, name: str) -> str:
         """Label of a candidate effect."""

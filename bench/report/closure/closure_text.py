@@ -9,6 +9,7 @@ from statistics import NormalDist
 import numpy as np
 
 from gyrobench.bench.closure.candidates import start_count
+from gyrobench.bench.closure.noise import outliers_text
 from gyrobench.bench.closure.outcome import CandidateResult, Closure, FoundEffect
 from gyrobench.bench.closure.posterior import CLEAN, EXPLAINED, POWER, RIVAL
 from gyrobench.bench.closure.problem import Solution
@@ -438,11 +439,13 @@ def error_sentence(closure: Closure) -> str:
     dwells = counted(int(held_out.sum()), "dwell")
     sizes = (noise_dph(closure), closure.prediction_sigma_dph)
     noise, sigma = (rms_of_known(each[held_out]) for each in sizes)
+    off = outliers_text(closure.held_out_outliers)
+    far = f" Far from the prediction, and in these errors: {off}." if off else ""
     return (
         f"In {held_out_cycles(closure)} (held out, {dwells}), measured minus predicted {label} is {models}; "
         f"the noise is {size_text(noise)} {unit}. A predicted {label} has a standard uncertainty of "
         f"{size_text(sigma)} {unit}"
-        f"{', as far as the model holds' if closure.verdict == 'unexplained' else ''}."
+        f"{', as far as the model holds' if closure.verdict == 'unexplained' else ''}.{far}"
     )
 
 

@@ -8,6 +8,7 @@ import pytest
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.loop import close_loop, without_search
 from gyrobench.bench.closure.noise import OUTLIER_SIGMA, estimate_noise
+from gyrobench.bench.report.closure.closure_text import error_sentence
 from tests.bench.closure.thermal_bench import measure
 from tests.benchmarks.closure_units import make_unit
 
@@ -110,6 +111,17 @@ def test_a_bias_that_no_effect_explains_stays_unexplained_beside_a_dwell_that_is
     assert (without.verdict, without.names) == (closure.verdict, closure.names) == ("unexplained", ())
     assert (20, "y") in {(each.dwell, each.gyro) for each in closure.noise.outliers}
     assert closure.error_after_dph == pytest.approx(without.error_after_dph, rel=0.05)
+
+
+@pytest.mark.parametrize("options", [{}, {"power_on_each_cycle": True}], ids=["one run", "a run each cycle"])
+def test_a_held_out_dwell_that_is_far_off_is_named(options):
+    rows = measure({"temperature_rate": 3.0}, seed=1, **options).rows
+    last = max(row.cycle for row in rows)
+    dwell = [row.dwell for row in rows if row.cycle == last][3]
+    assert close_loop(campaign_of(rows)).held_out_outliers == []
+    closure = close_loop(campaign_of(with_bias_times_1000(rows, dwell, "y")))
+    assert [(each.dwell, each.gyro) for each in closure.held_out_outliers] == [(dwell, "y")]
+    assert f"Far from the prediction, and in these errors: dwell {dwell} (y " in error_sentence(closure)
 
 
 def follows_of_wandering(kind, seed):
