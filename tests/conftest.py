@@ -37,7 +37,6 @@ SHIFT_RUNS = {
     "tests/bench/engine/test_whole_procedure.py",
     "tests/bench/engine/test_whole_procedure_results.py",
     "tests/bench/dwells/test_run_dwells.py",
-    "tests/bench/dwells/test_run_results.py",
 }
 #: What takes long comes first, so that no worker has it left over at the end.
 LONG = SHIFT_RUNS | {
