@@ -25,9 +25,9 @@ investigate: $(VENV)/.installed
 	$(BIN)/gyrobench investigate quick_campaign --station quick --world quick_warm_up --approve auto \
 		--verification quick_verification
 
-# Five workers on two cores: many tests wait in real time, some of them first of all.
+# Four workers on two cores: two begin with the tests that wait in real time.
 test: install
-	$(BIN)/python -m pytest -m "not long" -n 5 --dist loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest -m "not long" -n 4 --dist loadfile --no-loadscope-reorder
 
 # With many more examples of those that hypothesis makes up.
 test-long: install

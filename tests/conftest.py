@@ -37,24 +37,39 @@ SHIFT_RUNS = {
     "tests/bench/engine/test_whole_procedure.py",
     "tests/bench/engine/test_whole_procedure_results.py",
     "tests/bench/dwells/test_run_dwells.py",
-    "tests/bench/dwells/test_run_results.py",
 }
-#: What takes long comes first, so that no worker has it left over at the end.
+#: These wait in real time. Two workers begin with them, while the others compute.
+WAITING = dict.fromkeys(
+    (
+        "tests/bench/guard/test_abandoned_bench.py",
+        "tests/bench/guard/test_alarm.py",
+        "tests/bench/guard/test_guard.py",
+        "tests/bench/jog/test_jog_session.py",
+    ),
+    "guards at work",
+) | dict.fromkeys(
+    (
+        "tests/bench/cli/test_emulate.py",
+        "tests/drivers/emulators/test_clients.py",
+        "tests/drivers/emulators/test_serve.py",
+    ),
+    "emulators at work",
+)
+#: What takes long comes next, so that no worker has it left over at the end.
 LONG = SHIFT_RUNS | {
     "tests/bench/closure/test_whole_campaigns.py",
     "tests/bench/engine/test_several_units.py",
     "tests/bench/investigation/test_investigation.py",
     "tests/bench/monitor/test_browser.py",
-    "tests/drivers/emulators/test_serve.py",
 }
 
 
 class SharedRunsScheduling(LoadFileScheduling):
-    """One worker runs all tests of a file, and all files that share runs."""
+    """One worker runs all tests of a file, all files that share runs, and all files that wait together."""
 
     def _split_scope(self, nodeid):
         path = super()._split_scope(nodeid)
-        return "runs of a shift" if path in SHIFT_RUNS else path
+        return "runs of a shift" if path in SHIFT_RUNS else WAITING.get(path, path)
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -65,12 +80,13 @@ def pytest_xdist_make_scheduler(config, log):
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put tests that wait in real time first, then what takes long."""
-    items.sort(
-        key=lambda item: (
-            item.get_closest_marker("wall_time") is None,
-            item.nodeid.partition("::")[0] not in LONG,
-        )
-    )
+
+    def order(item: pytest.Item) -> tuple[bool, bool]:
+        path = item.nodeid.partition("::")[0]
+        waits = path in WAITING or item.get_closest_marker("wall_time") is not None
+        return not waits, path not in LONG
+
+    items.sort(key=order)
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:

@@ -235,10 +235,10 @@ def _not_measured(
     limits: AcceptanceLimits,
 ) -> list[NotMeasured]:
     """Planned dwells that were not compared with the others of their plateau, or not measured at all."""
-    result = []
+    result, plateaus = [], group_plateaus(planned, MAX_PLANNED_FROM_MEAN_K)
     for axis, gyro in enumerate(AXES):
         found = {row.dwell for plateau in known[axis] for row in plateau}
-        for plateau in group_plateaus(planned, MAX_PLANNED_FROM_MEAN_K):
+        for plateau in plateaus:
             if len({dwell.position for dwell in plateau}) > 1:
                 lacking = _outside_largest(plateau, compared[axis])
             else:

@@ -59,7 +59,7 @@ def inputs(C_nb: FloatArray, rate_body: FloatArray, count: int) -> FloatArray:
     result[:3, GYRO_BIAS] = C_nb
     result[3:, ACCELEROMETER_BIAS] = C_nb[:2]
     result[1:3, NAVIGATION_RATE] = np.eye(2)
-    result[:3, GYRO_MATRIX] = np.kron(C_nb, rate_body)
+    result[:3, GYRO_MATRIX] = np.multiply.outer(C_nb, rate_body).reshape(3, 9)
     # On velocity a steady drift acts as the bias of the level gyro across it does: no fit separates them.
     result[0, ACCELEROMETER_DRIFT] = -C_nb[1] / STANDARD_GRAVITY
     result[1, ACCELEROMETER_DRIFT] = C_nb[0] / STANDARD_GRAVITY

@@ -137,14 +137,16 @@ def _differences(
     positions: Sequence[str], values: FloatArray, covariance: FloatArray
 ) -> tuple[Difference, ...]:
     """Differences of all pairs from those to the first position."""
-    value = np.r_[0.0, values]
-    spread = np.pad(covariance, ((1, 0), (1, 0)))
+    value = [0.0, *values.tolist()]
+    padded = np.zeros((len(value), len(value)))
+    padded[1:, 1:] = covariance
+    spread = padded.tolist()
     return tuple(
         Difference(
             positions[a],
             positions[b],
-            float(value[a] - value[b]),
-            math.sqrt(spread[a, a] + spread[b, b] - 2.0 * spread[a, b]),
+            value[a] - value[b],
+            math.sqrt(spread[a][a] + spread[b][b] - 2.0 * spread[a][b]),
         )
         for a, b in permutations(range(len(positions)), 2)
     )

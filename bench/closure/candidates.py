@@ -208,7 +208,7 @@ def lowest(
         is_precise = np.abs(simplex[1:] - simplex[0]).max() <= point_precision
         if evaluations >= max_evaluations or (is_precise and costs[-1] - costs[0] <= cost_precision):
             return np.asarray(simplex[0])
-        centre = np.sum(simplex[:-1], 0) / len(simplex[0])
+        centre = np.add.reduce(simplex[:-1]) / len(simplex[0])
         found, point = tried(1.0)
         if found < costs[0]:
             found, point = min((found, point), tried(2.0), key=itemgetter(0))
@@ -267,7 +267,7 @@ def _prune(problem: Problem, candidates: Sequence[Candidate]) -> list[Candidate]
         while True:
             trials = []
             for term in np.flatnonzero(mine[gyro]):
-                if np.sum(mine[gyro] & (owner == owner[term])) > 1:
+                if np.count_nonzero(mine[gyro] & (owner == owner[term])) > 1:
                     fewer = mine.copy()
                     fewer[gyro, term] = False
                     trials.append((problem.chi2_reduction(columns, fewer)[0], int(term)))

@@ -101,7 +101,8 @@ class Problem:
         squares, directions = np.linalg.eigh(terms.mT @ terms)
         parts = (directions.mT @ (terms.mT @ self.residuals.T[..., np.newaxis]))[..., 0]
         independent = squares > MIN_SHARE**2
-        return float(np.sum(parts[independent] ** 2 / squares[independent])), int(independent.sum())
+        reduction = np.add.reduce(parts[independent] ** 2 / squares[independent])
+        return float(reduction), int(np.count_nonzero(independent))
 
     def independent_lengths(self, columns: FloatArray, kept: BoolArray) -> FloatArray:
         """Length of each kept term that is independent of the columns so far, in standard deviations."""

@@ -189,17 +189,19 @@ def _draw(
         )
     panel.plot(ends, [centre, centre], color="#1d2429", lw=1.2, label="mean of the batch" if first else None)
     places = place + np.linspace(-0.5, 0.5, len(stats.units)) * _WIDTH
-    for x, unit in zip(places, stats.units, strict=True):
-        colour = colours.get(unit.unit, _OTHERS)
+    alike: dict[tuple[str, bool], list[int]] = {}
+    for index, unit in enumerate(stats.units):
+        alike.setdefault((unit.unit if unit.unit in colours else "", unit.is_outlier), []).append(index)
+    for (name, is_outlier), indices in alike.items():
         panel.errorbar(
-            x,
-            scale.factor * unit.bias_dph,
-            scale.factor * unit.sigma_dph,
-            fmt="D" if unit.is_outlier else "o",
-            markersize=5.5 if unit.is_outlier else 2.8,
-            color=colour,
+            places[indices],
+            [scale.factor * stats.units[index].bias_dph for index in indices],
+            [scale.factor * stats.units[index].sigma_dph for index in indices],
+            fmt="D" if is_outlier else "o",
+            markersize=5.5 if is_outlier else 2.8,
+            color=colours.get(name, _OTHERS),
             elinewidth=0.8,
-            label=f"unit {unit.unit}" if unit.unit in colours else None,
+            label=f"unit {name}" if name else None,
         )
 
 

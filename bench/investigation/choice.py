@@ -92,6 +92,8 @@ class Linearized:
     values: FloatArray  #: Shape (p,). The coefficients fitted.
     sigma_dph: FloatArray  #: Shape (3 n,). Noise of the dwells.
     precision: FloatArray  #: Shape (p,). Prior precision of the coefficients.
+    measured: BoolArray  #: Shape (n,). The dwells that it was fitted to.
+    fitted: FloatArray  #: Shape (p, p). Covariance of the coefficients by these.
 
     def covariance(self, known: BoolArray, at: BoolArray) -> FloatArray:
         """Covariance of the biases of m dwells ``at`` (n,), when those ``known`` (n,) are measured.
@@ -99,7 +101,9 @@ class Linearized:
         Shape (3 m, 3 m), (deg/h)^2, without the noise of these dwells.
         """
         mine, there = np.tile(known, 3), self.design[np.tile(at, 3)]
-        covariance = _inverse(self.design[mine] / self.sigma_dph[mine, np.newaxis], self.precision)
+        covariance = self.fitted
+        if not np.array_equal(known, self.measured):
+            covariance = _inverse(self.design[mine] / self.sigma_dph[mine, np.newaxis], self.precision)
         return np.asarray(there @ covariance @ there.T)
 
     def prediction(self, measured: BoolArray, at: BoolArray) -> Prediction:
@@ -144,12 +148,13 @@ def linearized(
         precision[place] = _prior_precision(campaign, columns, sigma_dph[:, gyro], run_spread_dph)
     data, sigma = campaign.bias_dph.T.ravel(), sigma_dph.T.ravel()
     known = np.tile(measured, 3)
-    sizes = _solved(design[known], data[known], sigma[known], precision)
+    sizes, fitted = _solved(design[known], data[known], sigma[known], precision)
     if parameters:
         slopes, widths_of = _parameter_slopes(campaign, candidates, sizes, starts)
         design[:, starts[-1] :] = slopes
         precision[starts[-1] :] = 1.0 / (_PARAMETER_SHARE * widths_of) ** 2
-    return Linearized(design, _solved(design[known], data[known], sigma[known], precision), sigma, precision)
+        sizes, fitted = _solved(design[known], data[known], sigma[known], precision)
+    return Linearized(design, sizes, sigma, precision, measured, fitted)
 
 
 @dataclass(frozen=True)
@@ -207,10 +212,13 @@ def _prior_precision(
     return np.asarray(precision)
 
 
-def _solved(design: FloatArray, data: FloatArray, sigma: FloatArray, precision: FloatArray) -> FloatArray:
-    """Coefficients by least squares with a prior of mean zero."""
+def _solved(
+    design: FloatArray, data: FloatArray, sigma: FloatArray, precision: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Coefficients by least squares with a prior of mean zero, and their covariance."""
     weighted = design / sigma[:, np.newaxis]
-    return np.asarray(_inverse(weighted, precision) @ (weighted.T @ (data / sigma)))
+    covariance = _inverse(weighted, precision)
+    return np.asarray(covariance @ (weighted.T @ (data / sigma))), covariance
 
 
 def _inverse(weighted: FloatArray, precision: FloatArray) -> FloatArray:

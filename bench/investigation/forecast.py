@@ -139,11 +139,11 @@ def chamber_c(rows: Sequence[DwellRow]) -> FloatArray:
     Dwells without a temperature are left out.
     """
     lag = ThermalEstimate()
-    followed = [
-        np.mean(row.gyro_c) + np.mean(row.gyro_rate_c_per_h) * lag.time_constant_s / _S_PER_H for row in rows
-    ]
+    gyro_c = np.array([row.gyro_c for row in rows]).mean(axis=1)
+    rate_c_per_h = np.array([row.gyro_rate_c_per_h for row in rows]).mean(axis=1)
+    followed = gyro_c + rate_c_per_h * lag.time_constant_s / _S_PER_H
     known = np.array([[row.chamber_set_c, row.chamber_c] for row in rows])
-    known = np.column_stack([known, np.array(followed) - lag.self_heating_c])
+    known = np.column_stack([known, followed - lag.self_heating_c])
     found = known[np.arange(len(rows)), np.argmax(np.isfinite(known), axis=1)]
     return np.asarray(found[np.isfinite(found)])
 

@@ -14,6 +14,7 @@ Titterton and Weston, Strapdown Inertial Navigation Technology, chapter 12.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -95,6 +96,20 @@ def integrate(
     ``angle_random_walk``, ``velocity_random_walk``: noise of each gyro and accelerometer, rad/sqrt(s) and
     m/s/sqrt(s).
     """
+    transitions, responses, covariances = _series(site, angle_random_walk, velocity_random_walk)
+    powers = np.power.outer(durations, np.arange(_TERMS))
+    return Intervals(
+        np.tensordot(powers, transitions, 1),
+        np.tensordot(powers * durations[:, np.newaxis], responses, 1),
+        np.tensordot(powers, covariances, 1),
+    )
+
+
+@lru_cache(maxsize=64)
+def _series(
+    site: Site, angle_random_walk: float, velocity_random_walk: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Coefficients of the power series of transition, response over time, and covariance, (k, 6, ...)."""
     F = dynamics(site)
     transition, response, covariance = np.eye(STATES), _INPUT, np.zeros((STATES, STATES))
     noise = np.diag([angle_random_walk**2] * 3 + [velocity_random_walk**2] * 2 + [0.0])
@@ -104,10 +119,5 @@ def integrate(
         covariance = (noise if order == 0 else F @ covariance + covariance @ F.T) / (order + 1)
         transition = F @ transition / (order + 1)
         response = F @ response / (order + 1)
-    powers = np.power.outer(durations, np.arange(_TERMS))
     transitions, responses, covariances = (np.stack(each) for each in zip(*terms, strict=True))
-    return Intervals(
-        np.tensordot(powers, transitions, 1),
-        np.tensordot(powers * durations[:, np.newaxis], responses, 1),
-        np.tensordot(powers, covariances, 1),
-    )
+    return transitions, responses, covariances

@@ -18,7 +18,7 @@ Chen et al., "Enhanced Dual-Axis Rotation Modulation Scheme for Inertial Navigat
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -118,8 +118,8 @@ SIX_POSITIONS = _both_senses(
 class PositionError:
     """Errors of the navigation over time, from a start without error."""
 
-    #: time_s, east_m, north_m, velocity_east_mps, velocity_north_mps: Shape (n,). Each at the end of a step
-    #: of a minute or less.
+    #: time_s, east_m, north_m, velocity_east_mps, velocity_north_mps: Shape (n,); the errors of k navigations
+    #: (n, k). Each at the end of a step of a minute or less.
     time_s: FloatArray
     east_m: FloatArray
     north_m: FloatArray
@@ -147,38 +147,53 @@ def rotate_for(
     ``duration_s``: rounded up to whole steps. ``residual_bias``: gets the middle of each step and Up in body
     axes then; :func:`bias_by_position` makes one. Raises MeasurementError if a residual bias is not finite.
     """
-    steps_s, attitudes = _cycle(scheme)
-    cycles = int(np.ceil(duration_s / steps_s.sum()))
-    steps_s, attitudes = np.tile(steps_s, cycles), np.tile(attitudes, (cycles, 1, 1))
-    count = int(np.searchsorted(np.cumsum(steps_s), duration_s - 1e-6)) + 1
-    steps_s, attitudes = steps_s[:count], attitudes[:count]
+    steps_s, attitudes = _steps(duration_s, scheme)
     middle_s = np.cumsum(steps_s) - 0.5 * steps_s
     body_dph = np.asarray(residual_bias(middle_s, attitudes[:, 2]))
     return navigate_with_drift(steps_s, np.einsum("nij,nj->ni", attitudes, body_dph), site)
 
 
+def rotate_for_each(
+    duration_s: float, scheme: RotationScheme, biases_dph: Sequence[Mapping[str, ArrayLike]], site: Site
+) -> PositionError:
+    """The same for each of k residual biases by position at once; the errors have the shape (n, k)."""
+    steps_s, attitudes = _steps(duration_s, scheme)
+    middle_s = np.cumsum(steps_s) - 0.5 * steps_s
+    body_dph = [bias_by_position(each)(middle_s, attitudes[:, 2]) for each in biases_dph]
+    return navigate_with_drift(steps_s, attitudes @ np.stack(body_dph, axis=2), site)
+
+
+def _steps(duration_s: float, scheme: RotationScheme) -> tuple[FloatArray, FloatArray]:
+    """Lengths (n,) and attitudes (n, 3, 3) of the steps of a time, which is rounded up to whole ones."""
+    steps_s, attitudes = _cycle(scheme)
+    cycles = int(np.ceil(duration_s / steps_s.sum()))
+    steps_s, attitudes = np.tile(steps_s, cycles), np.tile(attitudes, (cycles, 1, 1))
+    count = int(np.searchsorted(np.cumsum(steps_s), duration_s - 1e-6)) + 1
+    return steps_s[:count], attitudes[:count]
+
+
 def navigate_with_drift(steps_s: FloatArray, drift_enu_dph: FloatArray, site: Site) -> PositionError:
     """Navigate at rest with gyro drifts in the navigation frame, each constant over a step.
 
-    ``steps_s`` (n,): lengths of the steps. ``drift_enu_dph`` (n, 3): drift East, North and Up. Raises
-    MeasurementError if a drift is not finite.
+    ``steps_s`` (n,): lengths of the steps. ``drift_enu_dph`` (n, 3): drift East, North and Up, or (n, 3, k)
+    for k navigations. Raises MeasurementError if a drift is not finite.
     """
     if not np.isfinite(drift_enu_dph).all():
         raise MeasurementError("rotational INS: the residual bias must be finite at all times")
     lengths_s, which = np.unique(steps_s, return_inverse=True)
     intervals = integrate(site, lengths_s, 0.0, 0.0)
-    inputs = np.zeros((len(steps_s), INPUTS))
+    inputs = np.zeros((len(steps_s), INPUTS, *drift_enu_dph.shape[2:]))
     inputs[:, :3] = DPH_TO_RADPS * drift_enu_dph
-    driven = np.einsum("nij,nj->ni", intervals.response[which], inputs)
-    states = np.zeros((len(steps_s) + 1, STATES))
+    driven = np.einsum("nij,nj...->ni...", intervals.response[which], inputs)
+    states = np.zeros((len(steps_s) + 1, STATES, *drift_enu_dph.shape[2:]))
     for k, (kind, response) in enumerate(zip(which, driven, strict=True)):
         states[k + 1] = intervals.transition[kind] @ states[k] + response
     velocity_east = states[:, _EAST_VELOCITY]
-    east_m = np.cumsum(0.5 * steps_s * (velocity_east[:-1] + velocity_east[1:]))
+    means_mps = 0.5 * (velocity_east[:-1] + velocity_east[1:])
     meridian_m, _ = curvature_radii(site.latitude, site.height)
     return PositionError(
         time_s=np.cumsum(steps_s),
-        east_m=east_m,
+        east_m=np.cumsum((steps_s * means_mps.T).T, axis=0),
         north_m=meridian_m * states[1:, _LATITUDE],
         velocity_east_mps=velocity_east[1:],
         velocity_north_mps=states[1:, _NORTH_VELOCITY],

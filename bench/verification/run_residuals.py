@@ -27,6 +27,7 @@ from gyrobench.bench.navigation.rotational_ins import (
     RotationScheme,
     bias_by_position,
     rotate_for,
+    rotate_for_each,
 )
 
 
@@ -179,10 +180,7 @@ def _mean(rows: list[DwellRow]) -> tuple[FloatArray, FloatArray]:
 @lru_cache(maxsize=4)
 def _responses(site: Site, scheme: RotationScheme) -> FloatArray:
     """Way East and North, m per deg/h, for each gyro in each position: shape (18, 2, n)."""
-    responses = []
-    for name in POSITIONS:
-        for unit in _UNIT_DPH * np.eye(3):
-            alone = dict.fromkeys(POSITIONS, np.zeros(3)) | {name: unit}
-            error = rotate_for(DAY_S, scheme, bias_by_position(alone), site)
-            responses.append([error.east_m / _UNIT_DPH, error.north_m / _UNIT_DPH])
-    return np.array(responses)
+    nothing = dict.fromkeys(POSITIONS, np.zeros(3))
+    alone = [nothing | {name: unit} for name in POSITIONS for unit in _UNIT_DPH * np.eye(3)]
+    error = rotate_for_each(DAY_S, scheme, alone, site)
+    return np.stack([error.east_m.T, error.north_m.T], axis=1) / _UNIT_DPH

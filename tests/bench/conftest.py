@@ -60,18 +60,25 @@ class Watcher(LinesView):
         self._estimated, self._true = [], []
 
 
-def watched_run(procedure, out, world="ideal", seed=0, station="emulated"):
-    """Run a procedure as the command line does; returns run folder, outcome, watcher and what was printed."""
+def run_with_view(view_of, procedure, out, world="ideal", seed=0, station="emulated"):
+    """Run a procedure as the command line does; returns run folder, outcome, the view and what it printed."""
     job = prepare_job(str(procedure), str(station), Emulation(str(world), seed))
     printed = io.StringIO()
-    with Watcher(Console(file=printed, width=80), job) as watcher:
-        folder, outcome = run_job(job, Path(out), watcher, ConsentingOperator())
-    return folder, outcome, watcher, printed.getvalue()
+    with view_of(Console(file=printed, width=80), job) as view:
+        folder, outcome = run_job(job, Path(out), view, ConsentingOperator())
+    return folder, outcome, view, printed.getvalue()
 
 
-def run(procedure, out, *arguments, **options):
+def watched_run(*arguments, **options):
+    """Run a procedure; returns run folder, outcome, watcher and what was printed."""
+    return run_with_view(Watcher, *arguments, **options)
+
+
+def run(*arguments, **options):
     """Run a procedure; returns run folder, outcome and what was printed."""
-    folder, outcome, _, printed = watched_run(procedure, out, *arguments, **options)
+    folder, outcome, _, printed = run_with_view(
+        lambda console, job: LinesView(console, job.plan), *arguments, **options
+    )
     return folder, outcome, printed
 
 

@@ -178,7 +178,7 @@ def _play(state: FloatArray, _: FloatArray, half_width: float) -> FloatArray:
         earlier = np.maximum(limits[:, :-reach], limits[0, reach:])
         np.minimum(earlier, limits[1, reach:], out=earlier)
         limits[:, reach:] = earlier
-        if np.array_equal(*earlier):  # where both limits are one, instants before do not matter
+        if (earlier[0] == earlier[1]).all():  # where both limits are one, instants before do not matter
             break
         reach *= 2
     return np.asarray(np.clip(state[0], *limits) - state)

@@ -102,15 +102,17 @@ class RunIndex:
         """
         found = {run.path: run for run in self._store.runs()}
         units_tag = self._store.tag(UNITS)
-        if rebuild or not self._is_usable():
+        is_new = rebuild or not self._is_usable()
+        if is_new:
             self._remove()
         known = self._fingerprints()
         changed = [run for path, run in found.items() if known.get(path) != run.fingerprint]
         gone = [path for path in known if path not in found and path != UNITS]
-        if changed or gone or known.get(UNITS) != units_tag or not self.path.exists():
+        if changed or gone or known.get(UNITS) != units_tag or is_new:
             make_folder(self.path.parent)
             with self._connect(read_only=False) as connection:
-                _make_tables(connection)
+                if is_new:
+                    _make_tables(connection)
                 _remove_runs(connection, gone)
                 self._read_changed(connection, changed, progress)
                 self._read_units(connection, units_tag)

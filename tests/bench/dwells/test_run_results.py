@@ -1,4 +1,4 @@
-"""What the dwells of a run give together, from the dwells of the eight-hour procedure."""
+"""What the dwells of a run give together, from four positions at three temperatures."""
 
 import math
 from collections import defaultdict
@@ -25,11 +25,33 @@ from gyrobench.bench.runs.tables.joint_table import (
 from gyrobench.bench.runs.tables.noise_file import read_noise
 from gyrobench.bench.station.station import Station
 
+PROCEDURE = """procedure: three_temperatures
+steps:
+  - power_on: {settle_s: 20}
+  - repeat:
+      over: {temperature_c: [57, 22, -13]}
+      steps:
+        - chamber: {temperature_c: $temperature_c, ramp_c_per_min: 10}
+        - soak: {for_s: 600}
+        - repeat:
+            over: {position: [z_up, z_down, y_up, y_down]}
+            steps:
+              - go_to: {position: $position, rate_dps: 30}
+              - align: {duration_s: 60}
+              - navigate: {duration_s: 300}
+              - turn: {angle_deg: 180, rate_dps: 10, settle_s: 5}
+              - navigate: {duration_s: 300}
+  - power_off
+  - chamber_off
+"""
+
 
 @pytest.fixture(scope="module")
-def measured(shift_runs):
-    """The dwells of the run in the world gyro_a, and the set-up that they were measured with."""
-    folder, outcome = shift_runs["gyro_a"]
+def measured(run_procedure, tmp_path_factory):
+    """The dwells of a run on the quick bench, and the set-up that they were measured with."""
+    place = tmp_path_factory.mktemp("three-temperatures")
+    (place / "procedure.yaml").write_text(PROCEDURE)
+    folder, outcome, _ = run_procedure(place / "procedure.yaml", place / "run", "quick", station="quick")
     return outcome.dwells, measurement_setup(Station(folder.station))
 
 

@@ -1,12 +1,13 @@
 """A killed run resumes: what is finished stays, the interrupted dwell is repeated."""
 
+import os
 import signal
-import subprocess
 import sys
 
 import pytest
 
 from gyrobench.bench.bias.dwell_table import read_dwells
+from gyrobench.bench.cli import main
 from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.observers import RunObserver
 from gyrobench.bench.engine.operator import ConsentingOperator, RunCommand
@@ -15,10 +16,11 @@ from gyrobench.bench.engine.run import resume_run, run_job
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.errors import BenchInUseError, RunFolderError
 from gyrobench.bench.runs.folder import open_run_folder
-from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.runs.journal import Journal, read_journal
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.bench.station.locks import RunLock
 from tests.bench.engine.intervention import TWO_TEMPERATURES, KilledError, RefusingOperator
+from tests.drivers.emulators.forked import ForkedProcess
 
 
 class Watcher(RunObserver):
@@ -82,30 +84,27 @@ def assert_agree(rows, others):
             assert abs(bias - bias_2) < 4.5 * (sigma**2 + sigma_2**2 + 2e-6) ** 0.5
 
 
-KILLED_RUN = """
-import os, signal, sys
-from gyrobench.bench.cli import main
-from gyrobench.bench.runs.journal import Journal
+def run_until_killed(*arguments):
+    """Run the command line in a process that is killed when the first dwell has finished."""
+    record = Journal.record
 
-record = Journal.record
+    def record_and_die(self, event, **details):
+        record(self, event, **details)
+        if event == "dwell_finished":
+            os.kill(os.getpid(), signal.SIGKILL)
 
-def record_and_die(self, event, **details):
-    record(self, event, **details)
-    if event == "dwell_finished":
-        os.kill(os.getpid(), signal.SIGKILL)
-
-Journal.record = record_and_die
-main()
-"""
+    Journal.record = record_and_die
+    sys.argv = ["gyrobench", *arguments]
+    main()
 
 
 def test_a_killed_run_is_resumed_by_another_process(procedure, undisturbed, tmp_path):
     path = tmp_path / "run"
-    command = [sys.executable, "-c", KILLED_RUN, "run", str(procedure), "--station", "quick"]
-    killed = subprocess.run(
-        [*command, "--world", "quick", "--out", str(path)], stdout=subprocess.DEVNULL, check=False
-    )
+    options = ("--station", "quick", "--world", "quick", "--out", str(path))
+    killed = ForkedProcess(run_until_killed, "run", str(procedure), *options)
+    killed.wait()
     assert killed.returncode == -signal.SIGKILL
+    killed.close()
     before = [entry for entry in read_journal(path / "journal.jsonl") if entry["event"] == "dwell_finished"]
     assert len(before) == 1
     folder, _, _ = resumed(path)

@@ -53,7 +53,7 @@ def test_labels_of_bins_do_not_overlap_and_the_legend_is_inside_without_repeats(
     ]
     for of_positions in (False, True):
         figure = batch_figure(ten_bins, of_positions=of_positions)
-        figure.canvas.draw()
+        figure.draw_without_rendering()
         for panel in figure.axes:
             for is_minor in (False, True):
                 labels = [each.get_window_extent() for each in panel.get_xticklabels(minor=is_minor)]

@@ -1,10 +1,7 @@
 """Emulators as a separate process, a station file for them, and a small engine."""
 
 import contextlib
-import json
 import struct
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -12,27 +9,22 @@ import serial
 
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.guard.process import guard_for
 from gyrobench.bench.station.instruments import Outputs
+from gyrobench.bench.station.locks import BenchLock
 from gyrobench.bench.station.station import Station
+from tests.drivers.emulators.forked import ForkedProcess, served
 from tests.drivers.emulators.quick_world import LIMIT_S, QUICK_WORLD
 
-SERVE = "gyrobench.drivers.emulators.serve"
-#: Opens the bench, sets the table turning and the chamber heating, and beats until it is ended.
-ENGINE = """
-import sys
-from pathlib import Path
 
-import serial
-
-from gyrobench.bench.foundations.clock import WallClock
-from gyrobench.bench.guard.process import guard_for
-from gyrobench.bench.station.locks import BenchLock
-from gyrobench.bench.station.instruments import Outputs
-from gyrobench.bench.station.station import Station
-
-station, folder, clock = Station(Path(sys.argv[1])), Path(sys.argv[2]), WallClock()
-with BenchLock(station, folder, clock), guard_for(station, folder, clock) as guard:
-    with Outputs(station, clock) as outputs:
+def hold_bench(station_file, folder):
+    """Open the bench, set the table turning and the chamber heating, and beat until the process ends."""
+    station, clock = Station(station_file), WallClock()
+    with (
+        BenchLock(station, folder, clock),
+        guard_for(station, folder, clock) as guard,
+        Outputs(station, clock) as outputs,
+    ):
         outputs.table.prepare()
         outputs.table.turn_at(2, 10.0)
         outputs.chamber.set_temperature(60.0, None)
@@ -41,7 +33,6 @@ with BenchLock(station, folder, clock), guard_for(station, folder, clock) as gua
             if note := guard.beat():
                 print(note, guard.pid, flush=True)
             clock.sleep(0.1)
-"""
 
 
 def station_file(path, table, chamber, ins="/dev/unused"):
@@ -66,25 +57,14 @@ class ServedBench:
     def __init__(self, folder):
         world = folder / "world.yaml"
         world.write_text(QUICK_WORLD)
-        command = [
-            sys.executable,
-            "-m",
-            "gyrobench.drivers.emulators.serve",
-            "--world",
-            str(world),
-            "--for-s",
-            "1000",
-        ]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        self.urls = json.loads(self.process.stdout.readline())
+        self.process, self.urls = served("--world", world, "--for-s", "1000")
         path = station_file(
             folder / "station.yaml", self.urls["table"], self.urls["chamber"], self.urls["ins"]
         )
         self.station = Station(path)
 
     def close(self):
-        self.process.kill()
-        self.process.communicate()
+        self.process.close()
 
     def disturb(self):
         """Set the table turning and the chamber heating."""
@@ -115,13 +95,11 @@ class SmallEngine:
     def __init__(self, station_path, folder):
         self.folder = folder
         folder.mkdir(exist_ok=True)
-        command = [sys.executable, "-c", ENGINE, str(station_path), str(folder)]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        self.process = ForkedProcess(hold_bench, station_path, folder)
         self.guard_pid = int(self.process.stdout.readline())
 
     def close(self):
-        self.process.kill()
-        self.process.communicate()
+        self.process.close()
         with contextlib.suppress(FileNotFoundError):
             wait_for(lambda: "in its safe state" in self.log() or "without acting" in self.log())
 

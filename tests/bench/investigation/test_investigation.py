@@ -269,7 +269,7 @@ def test_a_block_that_brings_flagged_dwells_alone_is_not_repeated_for_ever_and_m
 
     def approve(proposal, rivals):
         proposed.append(proposal.block.kinds)
-        return len(proposed) < 8
+        return len(proposed) < 5
 
     found = Investigator(UnitBench(dict(unit), "moved"), tmp_path / "flags", 60.0, approve)
     found = found.run(WallClock())

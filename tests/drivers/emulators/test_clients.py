@@ -1,7 +1,6 @@
 """Programs that are not of this project talk to the served emulators."""
 
 import contextlib
-import json
 import os
 import socket
 import struct
@@ -18,10 +17,8 @@ from pymodbus import FramerType
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 
 from gyrobench.drivers import ins
+from tests.drivers.emulators.forked import served
 from tests.drivers.emulators.quick_world import LIMIT_S, QUICK_WORLD
-
-SERVE = "gyrobench.drivers.emulators.serve"
-
 
 SPEED = 5.0
 UNIT_POWER_REGISTER = 2010
@@ -33,24 +30,13 @@ def urls(request, tmp_path_factory):
     world = tmp_path_factory.mktemp("world") / "quick.yaml"
     world.write_text(QUICK_WORLD)
     options = ["--tcp", "--can", "socketcand"] if "tcp" in request.param else []
-    command = [
-        sys.executable,
-        "-m",
-        "gyrobench.drivers.emulators.serve",
-        "--world",
-        str(world),
-        "--speed",
-        str(SPEED),
-    ]
-    with subprocess.Popen(
-        [*command, "--for-s", "600", *options], stdout=subprocess.PIPE, text=True
-    ) as server:
-        served = json.loads(server.stdout.readline())
-        with modbus_client(served["chamber"]) as client:
-            assert not client.write_register(UNIT_POWER_REGISTER, 1).isError()
-        yield served
-        server.terminate()
-        assert server.wait(LIMIT_S) == 0
+    server, addresses = served("--world", world, "--speed", SPEED, "--for-s", "600", *options)
+    with modbus_client(addresses["chamber"]) as client:
+        assert not client.write_register(UNIT_POWER_REGISTER, 1).isError()
+    yield addresses
+    server.terminate()
+    assert server.wait(LIMIT_S) == 0
+    server.close()
 
 
 @contextlib.contextmanager

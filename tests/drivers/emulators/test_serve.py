@@ -19,16 +19,12 @@ from gyrobench.drivers.chamber.watlow_f4 import WatlowF4
 from gyrobench.drivers.emulators.serve import main
 from gyrobench.drivers.rate_table.acutrol3000 import Acutrol3000
 from gyrobench.drivers.serial_line import SerialLine
+from tests.drivers.emulators.forked import served
 from tests.drivers.emulators.quick_world import LIMIT_S, QUICK_WORLD
 
 COMMAND = [sys.executable, "-m", "gyrobench.drivers.emulators.serve"]
 READ_PV = bytes.fromhex("01 03 00 64 00 01 C5 D5")
 VELOCITY_NE, ROLL_PITCH, HEADING, STATUS = 0x004, 0x006, 0x007, 0x010
-
-
-def heed_interrupts():
-    """Undo the disregard of SIGINT that a process inherits if a shell runs the tests in the background."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 @pytest.fixture
@@ -39,17 +35,13 @@ def serve(tmp_path):
     world.write_text(QUICK_WORLD)
 
     def start(*options):
-        command = [*COMMAND, "--world", str(world), "--for-s", "600", *options]
-        server = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=heed_interrupts
-        )
+        server, urls = served("--world", world, "--for-s", "600", *options)
         servers.append(server)
-        return servers[-1], json.loads(servers[-1].stdout.readline())
+        return server, urls
 
     yield start
     for server in servers:
-        server.kill()
-        server.communicate()
+        server.close()
 
 
 def frames_until_status(bus):

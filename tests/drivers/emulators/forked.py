@@ -1,0 +1,86 @@
+"""Processes forked from one that has loaded the emulated bench, which takes a second."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from multiprocessing import get_context
+from pathlib import Path
+
+from gyrobench.drivers.emulators.serve import main
+
+_CONTEXT = get_context("forkserver")
+_CONTEXT.set_forkserver_preload(["tests.drivers.emulators.loaded"])
+
+
+class ForkedProcess:
+    """Calls a function of a module in a process of its own, with the interface of subprocess.Popen."""
+
+    def __init__(self, function, *arguments):
+        pipes = [_CONTEXT.Pipe(duplex=False) for _ in range(2)]
+        readers, writers = zip(*pipes, strict=True)
+        surroundings = dict(os.environ), Path.cwd()
+        self._process = _CONTEXT.Process(
+            target=_call, args=(function, arguments, *surroundings, *writers), daemon=True
+        )
+        self._process.start()
+        self.pid = self._process.pid
+        self.stdout, self.stderr = (os.fdopen(os.dup(each.fileno())) for each in readers)
+        for end in (*readers, *writers):
+            end.close()
+
+    @property
+    def returncode(self):
+        return self._process.exitcode
+
+    poll = returncode.fget
+
+    def send_signal(self, number):
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+    def terminate(self):
+        self.send_signal(signal.SIGTERM)
+
+    def kill(self):
+        self.send_signal(signal.SIGKILL)
+
+    def wait(self, timeout=None):
+        self._process.join(timeout)
+        if self.returncode is None:
+            raise subprocess.TimeoutExpired(self._process.name, timeout)
+        return self.returncode
+
+    def communicate(self, timeout=None):
+        """Wait for its end; returns what it printed and complained since it was last read."""
+        self.wait(timeout)
+        return self.stdout.read(), self.stderr.read()
+
+    def close(self):
+        """Kill it if it has not ended."""
+        self.kill()
+        self.wait()
+        self._process.close()
+        self.stdout.close()
+        self.stderr.close()
+
+
+def served(*options):
+    """Serve emulators; returns the process and where they are."""
+    process = ForkedProcess(main, list(map(str, options)))
+    return process, json.loads(process.stdout.readline())
+
+
+def _call(function, arguments, environment, folder, output, complaints):
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    os.environ.clear()
+    os.environ.update(environment)
+    os.chdir(folder)
+    for end, number in ((output, 1), (complaints, 2)):
+        os.dup2(end.fileno(), number)
+        end.close()
+    sys.stdout, sys.stderr = (open(number, "w", closefd=False) for number in (1, 2))  # noqa: SIM115
+    function(*arguments)
