@@ -166,9 +166,8 @@ class Run:
         from gyrobench.bench.report.run_report import run_figures
 
         run = read_run(self.folder)
-        drawn = run_figures(
-            lambda: run.telemetry, run.dwells, run.bins, run.acceptance, run.marked_temperatures_c
-        )
+        readings = (lambda: run.telemetry) if run.has_readings else None
+        drawn = run_figures(readings, run.dwells, run.bins, run.acceptance, run.marked_temperatures_c)
         return {name: draw() for name, draw in drawn}
 
     def _block(self, dwell: int) -> FrameBlock:

@@ -118,7 +118,10 @@ class DwellRow:
 
 
 class PackedDwells(Sequence[DwellRow]):
-    """Rows in a third of the memory, for tables that are kept while much else is: each is made when used."""
+    """Rows in a third of the memory, for tables that are kept while much else is.
+
+    Each row is made when it is used: the same row is equal twice only where all of it is measured.
+    """
 
     def __init__(self, rows: Iterable[DwellRow]) -> None:
         self._names: list[tuple[Any, ...]] = []

@@ -207,7 +207,8 @@ def _figures(certificate: Certificate, folder: Path, word: str) -> Iterator[tupl
     none = math.nan, math.nan, math.nan  # the biases by the paper's method are not certified
     dwells = [replace(each, paper_bias_dph=none) for each in run.dwells]
     bins = [replace(each, paper_bias_dph=math.nan) for each in run.bins]
-    drawn = run_figures(lambda: run.telemetry, dwells, bins, run.acceptance, run.marked_temperatures_c)
+    readings = (lambda: run.telemetry) if run.has_readings else None
+    drawn = run_figures(readings, dwells, bins, run.acceptance, run.marked_temperatures_c)
     for name, draw in drawn:
         path = folder / f"{name}.svg"
         path.write_bytes(_svg(draw(), word))

@@ -14,6 +14,7 @@ import typer
 from gyrobench.bench.cli.options import (
     EMULATED,
     STATION_HELP,
+    WORLD_DEFAULT,
     View,
     ViewOption,
     complete_procedure,
@@ -67,7 +68,7 @@ def investigate(
     world: Annotated[
         str | None,
         typer.Option(
-            help="World behind emulated instruments; default: the run's, or gyro_a.",
+            help=f"World behind emulated instruments; default: the run's, or {WORLD_DEFAULT}.",
             autocompletion=complete_world,
         ),
     ] = None,

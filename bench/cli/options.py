@@ -84,10 +84,8 @@ def _beginning_with(incomplete: str, names: Iterable[str]) -> list[str]:
 EMULATED = "emulated"
 
 STATION_HELP = "Station file, or the name of a shipped one."
-WORLD_HELP = (
-    "World behind emulated instruments: file or shipped name; default: the one with the name of the station, "
-    f"else {DEFAULT_WORLD}."
-)
+WORLD_DEFAULT = f"the one with the name of the station, else {DEFAULT_WORLD}"
+WORLD_HELP = f"World behind emulated instruments: file or shipped name; default: {WORLD_DEFAULT}."
 SEED_HELP = "Seed of everything random in the emulated world."
 
 

@@ -31,7 +31,7 @@ MAX_SCALE = 1.7
 LARGER_P, STRUCTURE_P = 1e-2, 1e-2
 #: Noises are the same if their scales differ by less than this share.
 _SAME = 0.03
-_ROUNDS = 10
+_ROUNDS = 30
 #: Where too many are off, those within this share of the farthest one become outliers first.
 _FARTHEST = 0.5
 _TIME_DEGREE = 5
@@ -130,23 +130,37 @@ def estimate_noise(
     extra: list[tuple[FloatArray, BoolArray | None]] = [(_smooth(campaign), None)] if smooth else []
     if effects:
         extra.append(stack(effects, campaign))
-    noise = Noise.stated(campaign)
+    stated = noise = Noise.stated(campaign)
     for _ in range(_ROUNDS):
-        after = noise.problem(campaign, searched)
-        for columns, kept in extra:
-            after = after.with_columns(columns, kept)
+        after = _fitted(noise, campaign, searched, extra)
         updated = _with_outliers(noise, after)
         if np.mean(updated.factors[searched] > 1.0) > MAX_OUTLIERS:
-            updated = Noise.stated(campaign)
+            noise, after = stated, _fitted(stated, campaign, searched, extra)
+            break
         is_settled = updated.is_like(noise) and np.allclose(updated.factors, noise.factors, rtol=_SAME)
         noise = updated
         if is_settled:
             break
+    else:
+        noise, after = stated, _fitted(stated, campaign, searched, extra)
     test = lack_of_fit(after, sum(len(each.values) for each in effects))
     if test.p_any_structure < STRUCTURE_P:
-        return noise if extra else Noise.stated(campaign)
+        return noise if extra else stated
     is_larger = test.p_noise < LARGER_P and 1.0 < test.noise_ratio < MAX_SCALE
     return replace(noise, scale=test.noise_ratio) if is_larger else noise
+
+
+def _fitted(
+    noise: Noise,
+    campaign: Campaign,
+    searched: BoolArray,
+    extra: Sequence[tuple[FloatArray, BoolArray | None]],
+) -> Problem:
+    """The problem after a fit of further columns, with those of their terms that are kept."""
+    after = noise.problem(campaign, searched)
+    for columns, kept in extra:
+        after = after.with_columns(columns, kept)
+    return after
 
 
 def _smooth(campaign: Campaign) -> FloatArray:

@@ -198,14 +198,17 @@ class Closure:
 
     @property
     def held_out_outliers(self) -> list[Outlier]:
-        """Held-out biases that are off from the model as outliers are in the search, where they are few."""
+        """Held-out biases that are off from the model as outliers are in the search, where they are few.
+
+        Of one or two dwells none is.
+        """
         campaign, held_out = self.campaign, ~self.searched
         error_dph = measured_minus(campaign, self.searched, self.model)
         sigma_dph = np.hypot(campaign.sigma_dph * self.noise_scale, self.prediction_sigma_dph)
         off = np.nan_to_num(error_dph / sigma_dph)[held_out]
         scale = np.maximum(1.0, np.median(np.abs(off), axis=0) / MEDIAN)
         is_far = np.abs(off) > OUTLIER_SIGMA * scale
-        if np.mean(is_far) > MAX_OUTLIERS:
+        if np.count_nonzero(is_far) > max(1.0, MAX_OUTLIERS * is_far.size):
             return []
         dwells = campaign.dwell[held_out]
         return [

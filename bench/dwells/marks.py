@@ -101,8 +101,10 @@ class DwellMarks:
         try:
             marks = _adapter().validate_json(json.dumps(given))
         except ValidationError as error:
+            places = [".".join(map(str, each["loc"])) for each in error.errors()]
+            names = [", ".join(_PURPOSES) if place == "purpose" else place for place in places]
             problems = "; ".join(
-                f"{'.'.join(map(str, each['loc']))}: {each['msg']}" for each in error.errors()
+                f"{name}: {each['msg']}" for name, each in zip(names, error.errors(), strict=True)
             )
             raise RunFolderError(f"damaged marks of a dwell: {problems}") from error
         lacking = {each.name for each in fields(cls)} - {_NEIGHBOURS} - set(given)

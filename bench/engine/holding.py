@@ -11,7 +11,7 @@ from gyrobench.bench.engine.operator import GivenCommand, RunCommand, take_sende
 from gyrobench.bench.engine.run_context import RunContext
 from gyrobench.bench.engine.units import Units
 from gyrobench.bench.foundations.errors import InstrumentError, RunStoppedError
-from gyrobench.bench.foundations.operator_name import operator_name, source_in_words
+from gyrobench.bench.foundations.operator_name import TERMINAL, operator_name, source_in_words
 from gyrobench.bench.foundations.text import listed
 
 #: A calendar that differs by so much more than before was set, or corrected over a long time.
@@ -20,8 +20,6 @@ _CALENDAR_STEP_S = 1.0
 _ASK_AGAIN_S = 60.0
 #: In the journal, the source of a continuation without an operator.
 _ITSELF = "itself"
-#: Source of a command that was typed where the run shows its progress.
-_TERMINAL = "the terminal"
 
 
 class Heartbeat:
@@ -55,11 +53,11 @@ class Heartbeat:
         run = self._run
         typed = run.operator.command()
         if typed:
-            run.commands.give(typed, _TERMINAL)
+            run.commands.give(typed, TERMINAL)
         given = run.commands.take()
         if given is None:
             return None
-        if given.by == _TERMINAL:
+        if given.by == TERMINAL:
             name = operator_name()
         elif name := take_sender(run.folder.path, given.command):
             given = replace(given, by=f"{name} ({given.by})")

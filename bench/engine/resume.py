@@ -12,7 +12,7 @@ from gyrobench.bench.engine.damage import Damage, find_damage
 from gyrobench.bench.engine.job import Job, job_in
 from gyrobench.bench.foundations.clock import RESUME_STEP_S, Clock, VirtualClock, WallClock
 from gyrobench.bench.foundations.errors import GyrobenchError, InstrumentError, RunFolderError
-from gyrobench.bench.foundations.text import hours_minutes, listed
+from gyrobench.bench.foundations.text import hours_minutes, listed, run_ending
 from gyrobench.bench.procedure.approach import end_of_dwell
 from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.runs.folder import UNITS, RunFolder, open_run_folder
@@ -265,7 +265,7 @@ class Resumption:
         state, plan = self.state, self.job.plan
         known = [part.state.unit or part.number for part in self.units]
         units = f", {'unit' if len(known) == 1 else 'units'} {listed(known)}" if all(known) else ""
-        how = f"{state.ended}: {state.reason}" if state.ended else NO_END_RECORDED
+        how = run_ending(state.ended, state.reason) if state.ended else NO_END_RECORDED
         lines = [
             f"{self.folder.path}: {plan.procedure.procedure}{units}; the run {how}.",
             f"{len(state.finished)} of {plan.dwell_count} dwells are finished and kept"

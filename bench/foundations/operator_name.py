@@ -9,7 +9,10 @@ import signal
 #: Environment variable with the operator's name.
 OPERATOR_VARIABLE = "GYROBENCH_OPERATOR"
 _MAX_CHARACTERS = 100
-_SIGNALS = {
+#: Where a command that was typed in the terminal of its run comes from.
+TERMINAL = "the terminal"
+_SOURCES = {
+    TERMINAL: "the operator (terminal)",
     "SIGINT": "the operator (Ctrl-C)",
     "SIGTSTP": "the operator (Ctrl-Z)",
     "SIGHUP": "the end of the terminal session (SIGHUP)",
@@ -30,5 +33,9 @@ def login_name() -> str:
 
 
 def source_in_words(by: str) -> str:
-    """Source of a command in words: of SIGINT "the operator (Ctrl-C)"; what is no signal's name stays."""
-    return _SIGNALS.get(by, f"another program ({by})" if by in signal.Signals.__members__ else by)
+    """Source of a command in words: of SIGINT "the operator (Ctrl-C)", of "anna (SIGTERM)" her command."""
+    signals = signal.Signals.__members__
+    name, _, sent = by.removesuffix(")").partition(" (")
+    if sent in signals:
+        return f"{name} (gyrobench control)"
+    return _SOURCES.get(by, f"another program ({by})" if by in signals else by)

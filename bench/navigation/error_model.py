@@ -120,4 +120,6 @@ def _series(
         transition = F @ transition / (order + 1)
         response = F @ response / (order + 1)
     transitions, responses, covariances = (np.stack(each) for each in zip(*terms, strict=True))
+    for each in (transitions, responses, covariances):
+        each.setflags(write=False)
     return transitions, responses, covariances

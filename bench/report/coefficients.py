@@ -103,7 +103,7 @@ def coefficients_overview(rows: Sequence[PlateauCoefficientRow]) -> SectionTable
     """Each kind of coefficient in a row: its values, change between plateaus and uncertainty."""
     observed = [row for row in rows if not math.isnan(row.value)]
     gyros_c = [row.temperature_c for row in observed if row.coefficient.startswith("gyro")]
-    known_c = [f"{end(gyros_c):.0f}" for end in (min, max) if gyros_c and not any(map(math.isnan, gyros_c))]
+    known_c = [f"{end(gyros_c):z.0f}" for end in (min, max) if gyros_c and not any(map(math.isnan, gyros_c))]
     range_c = f" (gyros {' to '.join(dict.fromkeys(known_c))} °C)" if known_c else ""
     where = counted(len({row.plateau for row in observed}), "plateau")
     open_axes = _not_observable(rows)

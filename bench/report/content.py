@@ -103,6 +103,11 @@ class RunContent:
         return "" if self.facts.reason in self.ending else self.facts.reason
 
     @property
+    def has_readings(self) -> bool:
+        """Whether the telemetry has any row."""
+        return len(self.telemetry.get("time_s", ())) > 0
+
+    @property
     def is_simulated(self) -> bool:
         """Whether instruments were emulated."""
         return is_emulated(self.provenance, self.facts.options)

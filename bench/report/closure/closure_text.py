@@ -440,7 +440,7 @@ def error_sentence(closure: Closure) -> str:
     sizes = (noise_dph(closure), closure.prediction_sigma_dph)
     noise, sigma = (rms_of_known(each[held_out]) for each in sizes)
     off = outliers_text(closure.held_out_outliers)
-    far = f" Far from the prediction, and in these errors: {off}." if off else ""
+    far = f" Included in these errors, further than 5 sigma from the prediction: {off}." if off else ""
     return (
         f"In {held_out_cycles(closure)} (held out, {dwells}), measured minus predicted {label} is {models}; "
         f"the noise is {size_text(noise)} {unit}. A predicted {label} has a standard uncertainty of "

@@ -85,9 +85,8 @@ def _draw_estimator_differences(
     axes: Axes, axis: int, both: Mapping[str, FloatArray], scale: BiasScale, marked_c: Sequence[float]
 ) -> None:
     """``both``: temperature in degC, difference and uncertainty in deg/h of each dwell and gyro."""
-    dodge_c = (
-        _DODGE * float(np.ptp(np.concatenate([own[:, axis, 0] for own in both.values()]))) if both else 0.0
-    )
+    temperatures_c = np.concatenate([np.zeros(0), *(own[:, axis, 0] for own in both.values())])
+    dodge_c = _DODGE * float(np.nanmax(temperatures_c) - np.nanmin(temperatures_c)) if both else 0.0
     for place, (position, style) in enumerate(POSITION_STYLES.items()):
         if position in both:
             temperature_c, difference_dph, sigma_dph = both[position][:, axis].T

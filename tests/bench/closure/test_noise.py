@@ -111,6 +111,23 @@ def test_a_bias_that_no_effect_explains_stays_unexplained_beside_a_dwell_that_is
     assert (without.verdict, without.names) == (closure.verdict, closure.names) == ("unexplained", ())
     assert (20, "y") in {(each.dwell, each.gyro) for each in closure.noise.outliers}
     assert closure.error_after_dph == pytest.approx(without.error_after_dph, rel=0.05)
+    assert closure.noise_scale == without.noise_scale == 1.0
+
+
+@pytest.mark.parametrize("share", [0.15, 0.2, 0.3])
+def test_where_too_many_biases_are_off_none_is_an_outlier(share):
+    random = np.random.default_rng(0)
+    rows = measure(seed=0).rows
+    far = set(random.choice(len(rows), round(share * len(rows)), replace=False).tolist())
+    sizes = {index: 10.0 ** random.uniform(1.0, 2.5) * random.choice([-1.0, 1.0], 3) for index in far}
+    rows = [
+        replace(row, bias_dph=tuple((np.array(row.bias_dph) + sizes[index] * row.sigma_dph).tolist()))
+        if index in far
+        else row
+        for index, row in enumerate(rows)
+    ]
+    campaign = campaign_of(rows)
+    assert estimate_noise(campaign, np.ones(len(campaign), dtype=bool)).outliers == ()
 
 
 @pytest.mark.parametrize("options", [{}, {"power_on_each_cycle": True}], ids=["one run", "a run each cycle"])
@@ -121,7 +138,10 @@ def test_a_held_out_dwell_that_is_far_off_is_named(options):
     assert close_loop(campaign_of(rows)).held_out_outliers == []
     closure = close_loop(campaign_of(with_bias_times_1000(rows, dwell, "y")))
     assert [(each.dwell, each.gyro) for each in closure.held_out_outliers] == [(dwell, "y")]
-    assert f"Far from the prediction, and in these errors: dwell {dwell} (y " in error_sentence(closure)
+    assert (
+        f"Included in these errors, further than 5 sigma from the prediction: dwell {dwell} (y "
+        in error_sentence(closure)
+    )
 
 
 def follows_of_wandering(kind, seed):

@@ -34,7 +34,13 @@ def test_empty_folder_gives_empty_content(empty_folder: RunFolder) -> None:
     assert not content.journal
     assert not content.dwells
     assert not content.bins
+    assert not content.has_readings
     assert len(content.problems) == 7
+
+
+def test_a_folder_without_parts_has_no_readings(empty_folder: RunFolder) -> None:
+    empty_folder.telemetry.mkdir()
+    assert not read_run(empty_folder).has_readings
 
 
 def test_bins_are_worked_out_where_their_file_is_missing(

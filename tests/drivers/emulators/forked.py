@@ -54,8 +54,9 @@ class ForkedProcess:
 
     def communicate(self, timeout=None):
         """Wait for its end; returns what it printed and complained since it was last read."""
+        texts = self.stdout.read(), self.stderr.read()
         self.wait(timeout)
-        return self.stdout.read(), self.stderr.read()
+        return texts
 
     def close(self):
         """Kill it if it has not ended."""
