@@ -72,7 +72,7 @@ def test_what_trips_in_a_pause_makes_the_bench_safe(tmp_path, kind):
     assert outcome.ended == "finished", outcome.reason
     events = [entry["event"] for entry in entries]
     paused = next(i for i, entry in enumerate(entries) if entry["event"] == "held")
-    assert entries[paused]["why"] == "paused by the terminal"
+    assert entries[paused]["why"] == "paused by the operator (terminal)"
     assert events[paused + 1 : paused + 4] == ["tripped", "made_safe", "held"]
 
 

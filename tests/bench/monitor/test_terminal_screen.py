@@ -127,13 +127,13 @@ def test_the_reason_of_a_pause_is_shown_beside_an_alarm():
     snapshot = replace(
         made_up_snapshot(),
         state=RunState.PAUSED,
-        reason="paused by the terminal",
+        reason="paused by the operator (terminal)",
         question=None,
         alarms=(Alarm("table_fault", "rate trip. Look at the table."),),
     )
     text = "\n".join(shown(snapshot))
     assert "PAUSED" in text
-    assert "paused by the terminal" in text
+    assert "paused by the operator (terminal)" in text
     assert "ALARM table fault: rate trip." in text
 
 
