@@ -16,7 +16,7 @@ from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate, stack
 from gyrobench.bench.closure.problem import SCALE_C, Problem, declared_problem
-from gyrobench.bench.closure.validation import MEDIAN, lack_of_fit
+from gyrobench.bench.closure.validation import MEDIAN, LackOfFit, lack_of_fit
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.navigation.positions import AXES
@@ -112,6 +112,11 @@ class Noise:
         """
         return bic + 3 * dwells * 2.0 * math.log(self.scale) + _OUTLIER_COST * len(self.outliers)
 
+    def beside_none(self, campaign: Campaign, searched: BoolArray) -> Noise:
+        """The same outliers with the scale that the dwells searched show beside the declared model alone."""
+        alone = replace(self, scale=1.0)
+        return replace(self, scale=_scale(lack_of_fit(alone.problem(campaign, searched), 0)))
+
     def is_like(self, other: Noise) -> bool:
         """Whether the scales are about equal and the outliers are the same."""
         is_same = np.array_equal(self.factors > 1.0, other.factors > 1.0)
@@ -144,10 +149,15 @@ def estimate_noise(
     else:
         noise, after = stated, _fitted(stated, campaign, searched, extra)
     test = lack_of_fit(after, sum(len(each.values) for each in effects))
-    if test.p_any_structure < STRUCTURE_P:
-        return noise if extra else stated
+    if test.p_any_structure < STRUCTURE_P and not extra:
+        return stated
+    return replace(noise, scale=_scale(test))
+
+
+def _scale(test: LackOfFit) -> float:
+    """Ratio of the noise to the stated uncertainties, where scatter without structure shows one."""
     is_larger = test.p_noise < LARGER_P and 1.0 < test.noise_ratio < MAX_SCALE
-    return replace(noise, scale=test.noise_ratio) if is_larger else noise
+    return test.noise_ratio if is_larger and test.p_any_structure >= STRUCTURE_P else 1.0
 
 
 def _fitted(

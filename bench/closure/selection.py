@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 from gyrobench.bench.closure.campaign import Campaign
@@ -132,10 +132,11 @@ def _settled(campaign: Campaign, searched: BoolArray, effects: Sequence[Effect],
         search = Search(noise.problem(campaign, searched), effects)
         selected = Selected(noise, search, *search.most_probable())
         if noise.outliers and not selected.best.candidates:
-            # No effect accounts for the outliers, but an unexplained residual may have been taken for noise.
-            if noise.scale == 1.0:
+            # No effect accounts for the outliers, but what is left may have been noise beside an effect.
+            noise = noise.beside_none(campaign, searched)
+            if is_last or noise.is_like(selected.noise):
                 break
-            noise, is_last = replace(noise, scale=1.0), True
+            is_last = True
             continue
         noise = estimate_noise(campaign, searched, selected.best.candidates)
         if is_last or noise.is_like(selected.noise):
