@@ -9,7 +9,7 @@ from statistics import NormalDist
 import numpy as np
 
 from gyrobench.bench.closure.candidates import start_count
-from gyrobench.bench.closure.noise import outliers_text
+from gyrobench.bench.closure.noise import OUTLIER_SIGMA, outliers_text
 from gyrobench.bench.closure.outcome import CandidateResult, Closure, FoundEffect
 from gyrobench.bench.closure.posterior import CLEAN, EXPLAINED, POWER, RIVAL
 from gyrobench.bench.closure.problem import Solution
@@ -439,13 +439,13 @@ def error_sentence(closure: Closure) -> str:
     dwells = counted(int(held_out.sum()), "dwell")
     sizes = (noise_dph(closure), closure.prediction_sigma_dph)
     noise, sigma = (rms_of_known(each[held_out]) for each in sizes)
-    off = outliers_text(closure.held_out_outliers)
-    far = f" Included in these errors, further than 5 sigma from the prediction: {off}." if off else ""
+    far = outliers_text(closure.held_out_outliers)
+    off = f" Included in these errors, further than {OUTLIER_SIGMA:.0f} sigma from the prediction: {far}."
     return (
         f"In {held_out_cycles(closure)} (held out, {dwells}), measured minus predicted {label} is {models}; "
         f"the noise is {size_text(noise)} {unit}. A predicted {label} has a standard uncertainty of "
         f"{size_text(sigma)} {unit}"
-        f"{', as far as the model holds' if closure.verdict == 'unexplained' else ''}.{far}"
+        f"{', as far as the model holds' if closure.verdict == 'unexplained' else ''}.{off if far else ''}"
     )
 
 
