@@ -136,17 +136,17 @@ def estimate_noise(
     if effects:
         extra.append(stack(effects, campaign))
     stated = noise = Noise.stated(campaign)
+    is_settled = False
     for _ in range(_ROUNDS):
         after = _fitted(noise, campaign, searched, extra)
         updated = _with_outliers(noise, after)
         if np.mean(updated.factors[searched] > 1.0) > MAX_OUTLIERS:
-            noise, after = stated, _fitted(stated, campaign, searched, extra)
             break
         is_settled = updated.is_like(noise) and np.allclose(updated.factors, noise.factors, rtol=_SAME)
         noise = updated
         if is_settled:
             break
-    else:
+    if not is_settled:
         noise, after = stated, _fitted(stated, campaign, searched, extra)
     test = lack_of_fit(after, sum(len(each.values) for each in effects))
     if test.p_any_structure < STRUCTURE_P and not extra:
