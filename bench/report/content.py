@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -58,10 +58,10 @@ class RunContent:
     dwells: Sequence[DwellRow]
     bins: list[BiasBin]
     telemetry: Mapping[str, FloatArray]
-    #: joint_sigmas, joint_plateaus, noise, calibration_check: Joint solution, noise of the INS, biases of the
-    #: calibration check; empty without results.
+    #: joint_sigmas, joint_plateaus: Joint solution; empty without one, and before :func:`with_joint`.
     joint_sigmas: Mapping[tuple[int, bool], JointSigmas] = field(default_factory=dict)
     joint_plateaus: list[JointPlateauRow] = field(default_factory=list)
+    #: noise, calibration_check: Of the INS; biases of the calibration check; empty without results.
     noise: NoiseEstimate | None = None
     #: Uncertainty budgets; empty where missing.
     budget: BudgetSummary = field(default_factory=BudgetSummary)
@@ -131,22 +131,40 @@ class RunContent:
         return next(iter(reversed(self.entries(event))), {})
 
 
-def read_run(folder: RunFolder) -> RunContent:
-    """Read a run folder; missing or damaged files become problems, not errors."""
-    problems: list[str] = []
-    journal, errors = _Journal(), dict[Path, Exception]()
+class _Files:
+    """Reads the files of a run folder; those missing or damaged become problems, not errors."""
 
-    def read(path: Path, reader: Callable[[Path], T], missing: T, *, is_optional: bool = False) -> T:
+    def __init__(self, problems: list[str]) -> None:
+        self.problems = problems
+        self.errors: dict[Path, Exception] = {}
+
+    def read(self, path: Path, reader: Callable[[Path], T], missing: T, *, is_optional: bool = False) -> T:
         if not path.exists():
-            problems.extend([] if is_optional else [f"{path.name} is missing."])
+            self.problems += [] if is_optional else [f"{path.name} is missing."]
             return missing
         try:
             return reader(path)
         except (GyrobenchError, json.JSONDecodeError) as error:
-            errors[path] = error
-            problems.append(f"{path.name} can't be used: {error}")
+            self.errors[path] = error
+            self.problems.append(f"{path.name} can't be used: {error}")
             return missing
 
+
+def with_joint(content: RunContent, folder: RunFolder) -> RunContent:
+    """The content with the joint solution, which no figure shows: they need the memory."""
+    read = _Files(content.problems).read
+    return replace(
+        content,
+        joint_sigmas=read(folder.joint_biases, _joint_sigmas, {}, is_optional=True),
+        joint_plateaus=read(folder.joint, read_joint_plateaus, [], is_optional=True),
+    )
+
+
+def read_run(folder: RunFolder) -> RunContent:
+    """Read a run folder; missing or damaged files become problems, not errors."""
+    problems: list[str] = []
+    journal, files = _Journal(), _Files(problems)
+    read = files.read
     read(folder.journal, journal.read, None)
     procedure: Entry = read(folder.procedure, _mapping, {})
     calibration_check: list[CalibrationCheckRow] = read(
@@ -156,7 +174,7 @@ def read_run(folder: RunFolder) -> RunContent:
     purposes = Counter(journal.purposes.values())
     is_optional = bool(calibration_check or purposes) and not purposes["biases"]
     dwells: Sequence[DwellRow] = read(folder.dwells, read_packed_dwells, (), is_optional=is_optional)
-    damage = _damage(folder, journal, errors)
+    damage = _damage(folder, journal, files.errors)
     bins: list[BiasBin] = read(folder.bias_bins, read_bins, [])
     return RunContent(
         name=folder.path.resolve().name,
@@ -172,8 +190,6 @@ def read_run(folder: RunFolder) -> RunContent:
         dwell_purposes=purposes,
         bins=bins or _bins(dwells, procedure, problems),
         telemetry=read(folder.telemetry, read_telemetry, {}),
-        joint_sigmas=read(folder.joint_biases, _joint_sigmas, {}, is_optional=True),
-        joint_plateaus=read(folder.joint, read_joint_plateaus, [], is_optional=True),
         budget=read(folder.budget, _budget, BudgetSummary(), is_optional=True),
         noise=read(folder.noise, read_noise, None, is_optional=True),
         calibration_check=calibration_check,

@@ -44,7 +44,7 @@ from gyrobench.bench.report.coefficients import (
     coefficients_section,
     has_rotations,
 )
-from gyrobench.bench.report.content import Entry, RunContent, read_run
+from gyrobench.bench.report.content import Entry, RunContent, read_run, with_joint
 from gyrobench.bench.report.estimator_sections import (
     estimators_note,
     estimators_section,
@@ -136,6 +136,7 @@ def write_report(
         _watermark(content),
         vectors,
     )
+    content = with_joint(content, folder)
     hashes = _hashes(folder, content.problems)
     paths = [each.figure for each in own.figures if isinstance(each.figure, Path)]
     write_whole(into.report, map(str.encode, render(content, paths, sections, hashes, by)))
@@ -200,6 +201,7 @@ def render(
         _temperature_section(content, drawn),
         *(gyro_section(gyro, content.bins, drawn) for gyro in AXES),
         *sections,
+        joint_section(content.joint_sigmas, content.joint_plateaus),
         *(found.chapter for found in content.chapters),
         dwells_section(content.dwells, no_dwell),
         events_section(content.journal),
@@ -256,7 +258,6 @@ def _analysis_sections(content: RunContent, marked_c: Sequence[float]) -> list[S
         budget_section(content.budget, is_drawn=has_rotations(content.coefficients)),
         estimators_section(content.dwells, marked_c),
         fit_section(content.dwells),
-        joint_section(content.joint_sigmas, content.joint_plateaus),
         noise_section(content.noise, content.station),
         calibration_check_section(content.calibration_check),
     ]
