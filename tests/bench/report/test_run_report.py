@@ -24,7 +24,7 @@ from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.report.bias_sections import acceptance_section, comparison_section
 from gyrobench.bench.report.closure.closure_page import write_closure_page
-from gyrobench.bench.report.content import read_run
+from gyrobench.bench.report.content import read_run, with_joint
 from gyrobench.bench.report.figures.bias import bias_figure
 from gyrobench.bench.report.figures.style import new_figure
 from gyrobench.bench.report.page import Section, SectionFigure, SectionTable, with_figure_files
@@ -91,7 +91,8 @@ def page_of(folder: RunFolder) -> Page:
 
 def text_of(folder: RunFolder, prepared_by: str = "") -> str:
     """Text of the report without figures, which take most of the time."""
-    return page_with("".join(render(read_run(folder), [], prepared_by=prepared_by))).text
+    content = with_joint(read_run(folder), folder)
+    return page_with("".join(render(content, [], prepared_by=prepared_by))).text
 
 
 @pytest.fixture(scope="module")
@@ -318,8 +319,8 @@ def test_dwells_solved_together_and_noise_have_their_sections(page: Page) -> Non
     assert (
         page.text.index("Comparison of the estimators")
         < page.text.index("Goodness of fit")
-        < page.text.index("Joint solution of each plateau")
         < page.text.index("Noise of the INS")
+        < page.text.index("Joint solution of each plateau")
         < page.text.index("Dwells Bias ± standard uncertainty")
     )
 
