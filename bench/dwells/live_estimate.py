@@ -12,10 +12,10 @@ from gyrobench.bench.bias.bias_filter import BiasFilter, StateSpaceEstimate
 from gyrobench.bench.bias.dwell import NavigationWindow
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.window_filter import whiten
-from gyrobench.bench.dwells.marks import WindowMark
 from gyrobench.bench.dwells.measure_dwell import MeasurementSetup, rest_output
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.runs.marks import WindowMark
 from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.navigation_data import NavigationData
 

@@ -24,6 +24,7 @@ from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import file_sha256, make_folder, write_whole
 from gyrobench.bench.foundations.text import counted, hours_minutes, listed
 from gyrobench.bench.navigation.positions import AXES
+from gyrobench.bench.procedure.plan import DwellPurpose
 from gyrobench.bench.report.bias_sections import (
     acceptance_section,
     before_after_section,
@@ -191,7 +192,7 @@ def render(
     check = calibration_check_sentence(content.calibration_check) if content.calibration_check else ""
     no_bias = "" if content.bins or check else _NO_BIAS
     no_dwell = f"{facts['dwells']}, without a turn." if check else "No dwell was measured."
-    if content.dwell_purposes and not (content.dwell_purposes["biases"] or check):
+    if content.dwell_purposes and not (content.dwell_purposes[DwellPurpose.CALIBRATION] or check):
         no_bias = no_dwell = f"{facts['dwells']}, which give no biases by themselves."
     parts = [
         acceptance_section(content.acceptance),
@@ -368,8 +369,8 @@ def _dwells_text(content: RunContent) -> str:
     flagged = sum(bool(row.flags) for row in content.dwells)
     texts = [f"{len(content.dwells)} measured, {flagged} of them flagged"] if content.dwells else []
     texts += [dwells_text(content.calibration_check)] if content.calibration_check else []
-    for what, text in (("rotations", "with rotations"), ("noise", "for noise")):
-        if count := content.dwell_purposes[what]:
+    for purpose, text in ((DwellPurpose.ROTATIONS, "with rotations"), (DwellPurpose.NOISE, "for noise")):
+        if count := content.dwell_purposes[purpose]:
             texts.append(f"{counted(count, 'dwell')} {text}")
     return "; ".join(texts) or "none"
 
