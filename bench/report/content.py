@@ -93,9 +93,8 @@ class RunContent:
         if ended == "failed" and dropped.get("why") == self.facts.reason:
             after = hours_minutes(self.facts.last_s)
             return f"Unit {dropped.get('unit')} was dropped from the run {self.run_name} after {after} h."
-        if self.facts.reason.startswith("stopped by "):
-            return f"The run {run_ending(ended, self.facts.reason)}."
-        return f"The run {ended}." if ended else "The run has not ended."
+        how = run_ending(ended, self.facts.reason, with_reason=False)
+        return f"The run {how}." if ended else "The run has not ended."
 
     @property
     def reason(self) -> str:

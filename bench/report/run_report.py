@@ -435,6 +435,14 @@ def instruments_of(content: RunContent) -> dict[str, str]:
     return known | ({"INS": identity} if identity else {})
 
 
+def figures_of(content: RunContent) -> Iterator[tuple[str, Callable[[], Figure]]]:
+    """Figures of a run that there are data for, see :func:`run_figures`."""
+    readings = (lambda: content.telemetry) if content.has_readings else None
+    return run_figures(
+        readings, content.dwells, content.bins, content.acceptance, content.marked_temperatures_c
+    )
+
+
 def run_figures(
     readings: Callable[[], Readings] | None,
     dwells: Sequence[DwellRow],
