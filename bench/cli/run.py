@@ -16,7 +16,6 @@ from gyrobench.bench.cli.options import (
     ProcedureArgument,
     SeedOption,
     StationOption,
-    View,
     ViewOption,
     WorldOption,
     complete_run,
@@ -45,7 +44,7 @@ def run(
     acknowledge: AcknowledgeOption = None,
     fail_on: FailOnOption = None,
     operator: OperatorOption = "",  # noqa: ARG001 - read from the environment
-    view: ViewOption = View.LIVE,
+    view: ViewOption = "live",
     as_json: JsonOption = False,
 ) -> None:
     """Run a procedure and report the bias of each gyro.
@@ -72,7 +71,7 @@ def run(
         {"customer": customer, "order": order, "item": item},
         acknowledge or (),
     )
-    with observe_in_terminal(terminal, job, view is View.LIVE) as (progress, answers):
+    with observe_in_terminal(terminal, job, view == "live") as (progress, answers):
         folder, outcome = run_job(job, out, progress, answers)
     del job, progress, answers  # and with them the instruments: the report needs the memory
     print_end(terminal, folder, outcome, as_json, fail_on)
