@@ -60,7 +60,8 @@ def investigate(
     world: Annotated[
         str | None,
         typer.Option(
-            help=f"World behind emulated instruments; default: the run's, or {WORLD_DEFAULT}.",
+            help="World behind emulated instruments; default: the run's, unless another station has one of "
+            f"its name; without a run {WORLD_DEFAULT}.",
             autocompletion=complete_world,
         ),
     ] = None,
