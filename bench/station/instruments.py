@@ -375,9 +375,7 @@ def open_ins(station: Station, clock: Clock, emulation: Emulation, bench: Statio
     is_shared = bench is not None and bench.shares_bus(station)
     bus = _open_ins_bus(station, clock, emulation, bench)
     try:
-        return CanIns(
-            bus, section.signals, database, clock, section.commands, None, station.instrument, is_shared
-        )
+        return CanIns(bus, section.signals, database, clock, section.commands, station.instrument, is_shared)
     except GyrobenchError:
         close_bus(bus)
         raise
