@@ -24,7 +24,7 @@ _OVERLAP = 400
 _ANY_NOISE = NoiseModel(1e-7, 1e-5, 1e-5, 1e-8)
 
 
-def warm_up(setup: MeasurementSetup) -> float:
+def compile_estimator(setup: MeasurementSetup) -> float:
     """Compile what the estimates need; returns how long that took in s, 0 where numba's cache had it."""
     clock, count = WallClock(), whiten.compilations
     begin_s = clock.now()

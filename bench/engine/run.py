@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from gyrobench.bench.bias.dwell_table import write_dwells
-from gyrobench.bench.dwells.live_estimate import warm_up
+from gyrobench.bench.dwells.live_estimate import compile_estimator
 from gyrobench.bench.dwells.measure_dwell import MeasurementSetup, measurement_setup
 from gyrobench.bench.dwells.recorded_dwells import measure_recorded
 from gyrobench.bench.dwells.run_results import evaluate_run
@@ -194,7 +194,7 @@ def _execute(start: _Start, observer: RunObserver, operator: Operator) -> tuple[
     """Run what is left of a job, and evaluate all of it."""
     job, clock, outcome = start.job, start.clock, start.outcome
     setup = measurement_setup(job.station.units[0])
-    if compiled_s := warm_up(setup):  # no tick may wait for a compiler
+    if compiled_s := compile_estimator(setup):  # no tick may wait for a compiler
         observer.noted(f"Compiled the estimators, once after installation, in {compiled_s:.1f} s.")
     with ExitStack() as opened:
         commands = opened.enter_context(CommandQueue())

@@ -20,7 +20,7 @@ from gyrobench.bench.foundations.errors import GyrobenchError
 from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.text import hours_minutes, run_ending
 from gyrobench.bench.procedure.plan import DwellPurpose
-from gyrobench.bench.report.journal_sections import KindDuration, add_step
+from gyrobench.bench.report.journal_sections import Entry, KindDuration, add_step
 from gyrobench.bench.report.page import FINDINGS_FILE, Findings, read_findings_file
 from gyrobench.bench.runs.folder import DWELLS, JOURNAL, RunFolder
 from gyrobench.bench.runs.journal import RunFacts, facts_of, read_journal
@@ -39,7 +39,6 @@ from gyrobench.bench.runs.tables.noise_file import read_noise
 from gyrobench.bench.runs.telemetry import read_telemetry
 
 T = TypeVar("T")
-Entry = Mapping[str, Any]
 
 
 @dataclass(frozen=True, eq=False)

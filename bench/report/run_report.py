@@ -45,7 +45,7 @@ from gyrobench.bench.report.coefficients import (
     coefficients_section,
     has_rotations,
 )
-from gyrobench.bench.report.content import Entry, RunContent, read_run, with_joint
+from gyrobench.bench.report.content import RunContent, read_run, with_joint
 from gyrobench.bench.report.estimator_sections import (
     estimators_note,
     estimators_section,
@@ -60,7 +60,7 @@ from gyrobench.bench.report.figures.bias import (
     position_pair_figure,
 )
 from gyrobench.bench.report.figures.temperatures import DRAWN, Readings, temperature_figure
-from gyrobench.bench.report.journal_sections import durations_section, events_section
+from gyrobench.bench.report.journal_sections import Entry, durations_section, events_section
 from gyrobench.bench.report.page import Box, Section, SectionFigure, render_page, with_figure_files
 from gyrobench.bench.report.statements import VERDICT_COLOURS, latitude_sentence
 from gyrobench.bench.runs.folder import JOURNAL, RunFolder
