@@ -226,12 +226,11 @@ def run(
     from gyrobench.bench.engine.observers import RunObserver
     from gyrobench.bench.engine.operator import ConsentingOperator
     from gyrobench.bench.engine.run import run_job
-    from gyrobench.bench.foundations.shipped import world_for
     from gyrobench.bench.station.instruments import Emulation
 
     if seed < 0:
         raise DocumentError(f"seed must not be negative; found {seed}")
-    job = prepare_job(procedure, station, Emulation(world_for(station, world), seed, faults))
+    job = prepare_job(procedure, station, Emulation.of(station, world, seed, faults))
     if operator is None:
         if not job.is_virtual:
             raise DocumentError(

@@ -21,7 +21,6 @@ from gyrobench.bench.cli.options import (
     complete_world,
 )
 from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, JsonOption, console, print_json
-from gyrobench.bench.foundations.shipped import world_for
 
 if TYPE_CHECKING:
     from gyrobench.bench.engine.investigation_runs import InvestigationStart, Observe
@@ -202,7 +201,7 @@ def _start(
             f"{sources[0]}: is not a run folder. Name a procedure, run folders, or a table with --bench"
         )
     else:
-        emulation = Emulation(world_for(station or EMULATED, world), seed or 0)
+        emulation = Emulation.of(station or EMULATED, world, seed or 0)
         start = start_with_procedure(sources[0], station or EMULATED, emulation, out, adaptive=adaptive)
     require_one_unit(start.job)
     return start

@@ -9,7 +9,6 @@ import typer
 
 from gyrobench.bench.cli.options import FaultsOption, SeedOption, StationArgument, WorldOption
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.foundations.shipped import world_for
 
 
 def record(
@@ -52,7 +51,7 @@ def record(
     from gyrobench.bench.recording.recorder import Recorder
     from gyrobench.bench.station.instruments import Emulation
 
-    recorder = Recorder(station, Emulation(world_for(station, world), seed, faults or ""), note, typer.echo)
+    recorder = Recorder(station, Emulation.of(station, world, seed, faults), note, typer.echo)
     if command:
         if instrument or proxy:
             raise DocumentError("record: a COMMAND records table and chamber; omit --instrument and --proxy")

@@ -21,7 +21,6 @@ from gyrobench.bench.cli.options import (
     complete_run,
 )
 from gyrobench.bench.cli.output import JsonOption, console, print_end
-from gyrobench.bench.foundations.shipped import world_for
 
 
 def run(
@@ -65,7 +64,7 @@ def run(
     job = prepare_job(
         procedure,
         station,
-        Emulation(world_for(station, world), seed, faults or ""),
+        Emulation.of(station, world, seed, faults),
         calibration,
         loaded,
         {"customer": customer, "order": order, "item": item},

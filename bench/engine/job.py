@@ -12,7 +12,7 @@ from gyrobench.bench.dwells.earlier_calibration import read_calibration
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.foundations.shipped import find_document, world_for
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.procedure.checks import find_problems
 from gyrobench.bench.procedure.plan import DwellPurpose, Plan, expand
 from gyrobench.bench.procedure.procedure_file import Procedure, load_procedure
@@ -122,7 +122,7 @@ def prepare_job(
     if compensation is not None:
         _check_compensation(bench, compensation)
     given = {name: text for name, text in (certificate_order or {}).items() if text}
-    emulation = emulation or Emulation(world_for(station))
+    emulation = emulation or Emulation.of(station)
     job = Job(document, plan, bench, emulation, rows, compensation, given, tuple(acknowledged))
     if compensation is not None:
         require_one_unit(job)
