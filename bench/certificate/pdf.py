@@ -56,7 +56,7 @@ def certificate_pdf(certificate: Certificate, attachments: Mapping[str, bytes] |
     Raises GyrobenchError if a system library is missing, and MissingPackageError if weasyprint is not
     installed.
     """
-    word = SIMULATED if certificate.run.is_simulated else ""
+    word = certificate.run.watermark
     with tempfile.TemporaryDirectory() as folder:
         page = _page(certificate, dict(_figures(certificate, Path(folder), word)))
         title = f"{word} Calibration certificate {certificate.order.number}".strip()

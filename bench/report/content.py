@@ -25,7 +25,7 @@ from gyrobench.bench.report.page import FINDINGS_FILE, Findings, read_findings_f
 from gyrobench.bench.runs.folder import DWELLS, JOURNAL, RunFolder
 from gyrobench.bench.runs.journal import RunFacts, facts_of, read_journal
 from gyrobench.bench.runs.marks import purpose_of
-from gyrobench.bench.runs.provenance import is_emulated, read_provenance
+from gyrobench.bench.runs.provenance import SIMULATED, is_emulated, read_provenance
 from gyrobench.bench.runs.tables.budget_table import BudgetSummary, read_budget
 from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow, read_calibration_check
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, read_coefficients
@@ -109,6 +109,11 @@ class RunContent:
     def is_simulated(self) -> bool:
         """Whether instruments were emulated."""
         return is_emulated(self.provenance, self.facts.options)
+
+    @property
+    def watermark(self) -> str:
+        """Word across its pages and figures; empty for real instruments."""
+        return SIMULATED if self.is_simulated else ""
 
     @property
     def marked_temperatures_c(self) -> list[float]:

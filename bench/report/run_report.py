@@ -64,7 +64,7 @@ from gyrobench.bench.report.journal_sections import Entry, durations_section, ev
 from gyrobench.bench.report.page import Box, Section, SectionFigure, render_page, with_figure_files
 from gyrobench.bench.report.statements import VERDICT_COLOURS, latitude_sentence
 from gyrobench.bench.runs.folder import JOURNAL, RunFolder
-from gyrobench.bench.runs.provenance import SIMULATED, DataHash, data_hashes, note_preparer
+from gyrobench.bench.runs.provenance import DataHash, data_hashes, note_preparer
 from gyrobench.bench.runs.seal import keep_sealed
 from gyrobench.bench.runs.tables.coefficient_table import plateau_findings
 from gyrobench.bench.runs.telemetry import read_telemetry
@@ -134,7 +134,7 @@ def write_report(
         into.figures,
         [Section("", figures=figures), *compared, *_analysis_sections(content, marked_c)],
         key,
-        _watermark(content),
+        content.watermark,
         vectors,
     )
     content = with_joint(content, folder)
@@ -230,17 +230,13 @@ def render(
         sections=[part for part in parts if part],
     )
     source = f"Run {content.run_name}{started}"
-    return render_page(page, source, f"{title}: {content.run_name}", prepared_by, _watermark(content))
+    return render_page(page, source, f"{title}: {content.run_name}", prepared_by, content.watermark)
 
 
 def _subject(content: RunContent) -> str:
     if has_rotations(content.coefficients):
         return "Gyro and accelerometer coefficients"
     return "Gyro bias" if content.dwells or not content.characteristics else "Gyro characteristics"
-
-
-def _watermark(content: RunContent) -> str:
-    return SIMULATED if content.is_simulated else ""
 
 
 def _hashes(folder: RunFolder, problems: list[str]) -> list[DataHash]:
