@@ -26,6 +26,8 @@ from gyrobench.drivers.chamber import running_profile
 
 #: After so many resumes in a row without a finished step the cause has to be found first.
 MAX_RESUMES_WITHOUT_PROGRESS = 5
+#: In the journal, the source of a continuation without an operator.
+ITSELF = "itself"
 #: How a run ended whose journal has no end.
 NO_END_RECORDED = "stopped without recording its end, as after a power cut or a kill"
 #: Of a run whose engine and guard both ended without making the bench safe.
@@ -102,7 +104,7 @@ class ResumeState:
                 self.finish_up_to(end_of_dwell(plan, dwell))
             case "dwell_given_up" if entry["counts"]:
                 self.repeats[_number(entry["dwell"], plan.dwell_count)] += 1
-            case "continued" if entry.get("by") == "itself":
+            case "continued" if entry.get("by") == ITSELF:
                 self.resumes.update(map(str, entry["after"]))
             case "data_given_up":
                 self.lose([_number(dwell, plan.dwell_count) for dwell in entry["dwells"]])
