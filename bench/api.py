@@ -163,12 +163,9 @@ class Run:
     def figures(self) -> dict[str, Figure]:
         """Figures of the report by name: temperature, bias of each gyro, differences between positions."""
         from gyrobench.bench.report.content import read_run
-        from gyrobench.bench.report.run_report import run_figures
+        from gyrobench.bench.report.run_report import figures_of
 
-        run = read_run(self.folder)
-        readings = (lambda: run.telemetry) if run.has_readings else None
-        drawn = run_figures(readings, run.dwells, run.bins, run.acceptance, run.marked_temperatures_c)
-        return {name: draw() for name, draw in drawn}
+        return {name: draw() for name, draw in figures_of(read_run(self.folder))}
 
     def _block(self, dwell: int) -> FrameBlock:
         from gyrobench.bench.dwells.recorded_dwells import read_dwell_frames
@@ -229,12 +226,11 @@ def run(
     from gyrobench.bench.engine.observers import RunObserver
     from gyrobench.bench.engine.operator import ConsentingOperator
     from gyrobench.bench.engine.run import run_job
-    from gyrobench.bench.foundations.shipped import world_for
     from gyrobench.bench.station.instruments import Emulation
 
     if seed < 0:
         raise DocumentError(f"seed must not be negative; found {seed}")
-    job = prepare_job(procedure, station, Emulation(world_for(station, world), seed, faults))
+    job = prepare_job(procedure, station, Emulation.of(station, world, seed, faults))
     if operator is None:
         if not job.is_virtual:
             raise DocumentError(

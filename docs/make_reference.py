@@ -1,9 +1,9 @@
 """Write the generated parts of docs/reference/: ``python docs/make_reference.py``.
 
 A page holds a comment ``<!-- keys package.module:Model -->`` (or ``...:MAPPING`` of models by name, with
-A page holds a comment ``<!-- keys package.module:Model -->`` (or ``...:MAPPING``, models by name, with
-of all keys, made from the models that check the files, or by the help of every command. ``--check`` writes
-nothing and exits with 1 where a page differs.
+``without=`` the keys to leave out) or ``<!-- commands -->``. It is followed by a table of all keys, made from
+the models that check the files, or by the help of every command. ``--check`` writes nothing and exits with 1
+where a page differs.
 """
 
 from __future__ import annotations

@@ -52,9 +52,9 @@ from gyrobench.bench.bias.verdicts import (
     Acceptance,
     AcceptanceLimits,
     GyroVerdict,
+    JudgedQuantity,
     Judgement,
     NotMeasured,
-    Quantity,
     RunVerdict,
     Verdict,
 )
@@ -71,7 +71,7 @@ class _Value:
     """What is compared with a limit: a difference or a bias, of one or two positions."""
 
     axis: int
-    quantity: Quantity
+    quantity: JudgedQuantity
     temperature_c: float
     positions: tuple[str, ...]
     value_dph: float

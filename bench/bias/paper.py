@@ -39,7 +39,7 @@ class PolynomialTrend:
         self.weights = factorial(degree) / (triangle[degree, degree] * half**degree) * basis[:, degree]
 
 
-class _Window:
+class _WindowSlopes:
     """Slopes of one window."""
 
     def __init__(self, window: NavigationWindow) -> None:
@@ -67,7 +67,7 @@ def estimate_paper(dwell: Dwell, gravity: float, noise: NoiseModel) -> BiasEstim
         Noise of the INS; sets the covariance, not the bias. Leaks of the method are not in it.
     """
     _check_half_turn(dwell)
-    before, after = (_Window(window) for window in dwell.windows)
+    before, after = (_WindowSlopes(window) for window in dwell.windows)
     east, north = (before.velocity_second_slope_en - after.velocity_second_slope_en) / (2.0 * gravity)
     up = 0.5 * (before.heading_slope + after.heading_slope)
     C_bn = dwell.C_nb_table[0].T
@@ -78,7 +78,7 @@ def estimate_paper(dwell: Dwell, gravity: float, noise: NoiseModel) -> BiasEstim
 
 
 def _variances_enu(
-    dwell: Dwell, before: _Window, after: _Window, gravity: float, noise: NoiseModel
+    dwell: Dwell, before: _WindowSlopes, after: _WindowSlopes, gravity: float, noise: NoiseModel
 ) -> tuple[float, float, float]:
     """Variances of the bias East, North and Up; noise before the turn also acts after it."""
     time = np.concatenate([window.time_s for window in dwell.windows]) - dwell.windows[0].time_s[0]

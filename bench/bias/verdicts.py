@@ -13,7 +13,7 @@ from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.files import parse_json
 
 #: What a limit is on.
-Quantity = Literal["position difference", "bias"]
+JudgedQuantity = Literal["position difference", "bias"]
 #: Of a gyro in one bin.
 Verdict = Literal["pass", "marginal", "fail"]
 #: Of a whole gyro.
@@ -50,7 +50,7 @@ class Judgement(StrictModel):
     """One gyro on the plateaus of one bin against one limit; the mean temperature decides the bin."""
 
     gyro: str = Field(pattern="^[xyz]$")
-    quantity: Quantity
+    quantity: JudgedQuantity
     bin_low_c: float
     bin_high_c: float
     positions: list[str]  #: Those compared.

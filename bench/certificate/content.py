@@ -32,7 +32,7 @@ from gyrobench.bench.foundations.text import counted, hours_minutes, listed, pla
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.report.content import RunContent, read_run
 from gyrobench.bench.report.run_report import instruments_of, serial_number_of
-from gyrobench.bench.report.statements import verdict_sentence
+from gyrobench.bench.report.statements import acceptance_sentence
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.provenance import SIMULATED
 from gyrobench.bench.runs.seal import verify_seals
@@ -273,7 +273,7 @@ class Certificate:
         found = self.run.acceptance
         if found is None or found.limits is None:
             return "No statement of conformity: the procedure states no limits.", ""
-        sentence = f"Unit {found.verdict}. {verdict_sentence(found)}"
+        sentence = f"Unit {found.verdict}. {acceptance_sentence(found)}"
         return sentence, _DECISION_RULE.format(100.0 * found.limits.confidence)
 
 

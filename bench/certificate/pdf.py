@@ -18,7 +18,7 @@ from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, po
 from gyrobench.bench.report.figures.style import stamp
 from gyrobench.bench.report.number_format import BiasScale
 from gyrobench.bench.report.page import Box, Section, SectionFigure, SectionTable, pdf_of, render_page
-from gyrobench.bench.report.run_report import run_figures
+from gyrobench.bench.report.run_report import figures_of
 from gyrobench.bench.report.statements import VERDICT_COLOURS
 from gyrobench.bench.runs.provenance import SIMULATED
 from gyrobench.bench.runs.tables.coefficient_table import (
@@ -56,7 +56,7 @@ def certificate_pdf(certificate: Certificate, attachments: Mapping[str, bytes] |
     Raises GyrobenchError if a system library is missing, and MissingPackageError if weasyprint is not
     installed.
     """
-    word = SIMULATED if certificate.run.is_simulated else ""
+    word = certificate.run.watermark
     with tempfile.TemporaryDirectory() as folder:
         page = _page(certificate, dict(_figures(certificate, Path(folder), word)))
         title = f"{word} Calibration certificate {certificate.order.number}".strip()
@@ -207,9 +207,7 @@ def _figures(certificate: Certificate, folder: Path, word: str) -> Iterator[tupl
     none = math.nan, math.nan, math.nan  # the biases by the paper's method are not certified
     dwells = [replace(each, paper_bias_dph=none) for each in run.dwells]
     bins = [replace(each, paper_bias_dph=math.nan) for each in run.bins]
-    readings = (lambda: run.telemetry) if run.has_readings else None
-    drawn = run_figures(readings, dwells, bins, run.acceptance, run.marked_temperatures_c)
-    for name, draw in drawn:
+    for name, draw in figures_of(replace(run, dwells=dwells, bins=bins)):
         path = folder / f"{name}.svg"
         path.write_bytes(_svg(draw(), word))
         yield name, path

@@ -19,7 +19,6 @@ from gyrobench.bench.cli.options import (
     complete_procedure,
 )
 from gyrobench.bench.cli.output import EXIT_INSTRUMENT, EXIT_NOT_FINISHED, JsonOption, console, print_json
-from gyrobench.bench.foundations.shipped import world_for
 
 
 def check(
@@ -66,7 +65,7 @@ def check(
     from gyrobench.bench.station.instruments import Emulation
     from gyrobench.bench.station.preflight_check import Verdict
 
-    terminal, emulation = console(as_json), Emulation(world_for(station, world), seed, faults or "")
+    terminal, emulation = console(as_json), Emulation.of(station, world, seed, faults)
 
     def is_fit() -> bool:
         return all(each.verdict is not Verdict.FAIL for each in checks)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 import sys
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -14,13 +13,6 @@ from gyrobench.bench.cli.options import EMULATED, FaultsOption, SeedOption, Stat
 from gyrobench.bench.foundations.shipped import world_for
 
 _PORT_HELP = "TCP port of the {}, or the path of a link to its pseudo-terminal."
-
-
-class CanServer(StrEnum):
-    """CAN interface of the emulated INS."""
-
-    slcan = "slcan"
-    socketcand = "socketcand"
 
 
 def emulate(
@@ -46,7 +38,8 @@ def emulate(
         ),
     ] = None,
     can: Annotated[
-        CanServer | None, typer.Option(help="CAN interface of the INS; default: that of the station.")
+        Literal["slcan", "socketcand"] | None,
+        typer.Option(help="CAN interface of the INS; default: that of the station."),
     ] = None,
     speed: Annotated[float, typer.Option(min=1.0, max=100.0, help="Speed relative to real time.")] = 1.0,
     for_s: Annotated[

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -22,7 +21,6 @@ from gyrobench.bench.cli.options import (
     complete_world,
 )
 from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, JsonOption, console, print_json
-from gyrobench.bench.foundations.shipped import world_for
 
 if TYPE_CHECKING:
     from gyrobench.bench.engine.investigation_runs import InvestigationStart, Observe
@@ -34,13 +32,6 @@ if TYPE_CHECKING:
     from gyrobench.bench.investigation.stages import Investigation
     from gyrobench.bench.monitor.terminal import RunConsole
     from gyrobench.bench.verification.compensation_verification import VerificationResult
-
-
-class Approval(StrEnum):
-    """Who approves a block."""
-
-    ASK = "ask"
-    AUTO = "auto"
 
 
 def investigate(
@@ -68,7 +59,8 @@ def investigate(
     world: Annotated[
         str | None,
         typer.Option(
-            help=f"World behind emulated instruments; default: the run's, or {WORLD_DEFAULT}.",
+            help="World behind emulated instruments; default: the run's, unless another station has one of "
+            f"its name; without a run {WORLD_DEFAULT}.",
             autocompletion=complete_world,
         ),
     ] = None,
@@ -86,7 +78,9 @@ def investigate(
             "effect is identified.",
         ),
     ] = False,
-    approve: Annotated[Approval, typer.Option(help="Whether a person approves each block.")] = Approval.ASK,
+    approve: Annotated[
+        Literal["ask", "auto"], typer.Option(help="Whether a person approves each block.")
+    ] = "ask",
     verification: Annotated[
         str | None,
         typer.Option(
@@ -108,7 +102,7 @@ def investigate(
             min=1.0, help="Longest time that the command may take for a block, s; default: by the plan."
         ),
     ] = None,
-    view: ViewOption = View.LIVE,
+    view: ViewOption = "live",
     as_json: JsonOption = False,
 ) -> None:
     """Choose and run measurements until the effect behind a residual is identified; verify its compensation.
@@ -128,7 +122,7 @@ def investigate(
     from gyrobench.bench.foundations.errors import DocumentError
     from gyrobench.bench.runs.folder import RunFolder
 
-    consent = _Consent(console(as_json), approve, as_json)
+    consent = _Consent(console(as_json), approve == "auto", as_json)
     runs = [Path(source) for source in sources if (Path(source) / RunFolder.journal).exists()]
     if adaptive and (bench is not None or runs):
         raise DocumentError("--adaptive goes with a procedure that is not measured yet. Leave it out")
@@ -142,7 +136,7 @@ def investigate(
         _report(consent.terminal, found, folder, sources, None, as_json)
         return
     start = _start(sources, runs, station, world, seed, out, adaptive=adaptive)
-    if approve is Approval.AUTO and start.job.station.file.block_approval != "auto":
+    if approve == "auto" and start.job.station.file.block_approval != "auto":
         raise DocumentError(
             f"{start.job.station.path}: does not allow blocks without approval. Set block_approval: auto, or "
             "leave --approve auto out"
@@ -156,7 +150,7 @@ class _Consent:
     """Approval of blocks: it shows each and asks, if a person approves."""
 
     terminal: RunConsole
-    approve: Approval
+    is_automatic: bool
     as_json: bool
 
     def __call__(self, proposal: Proposal, rivals: Sequence[Rival]) -> bool:
@@ -168,7 +162,7 @@ class _Consent:
 
     def is_given(self) -> bool:
         """Whether to measure what was shown."""
-        return self.approve is Approval.AUTO or typer.confirm("Measure it?", err=self.as_json)
+        return self.is_automatic or typer.confirm("Measure it?", err=self.as_json)
 
 
 def _with_command(
@@ -207,7 +201,7 @@ def _start(
             f"{sources[0]}: is not a run folder. Name a procedure, run folders, or a table with --bench"
         )
     else:
-        emulation = Emulation(world_for(station or EMULATED, world), seed or 0)
+        emulation = Emulation.of(station or EMULATED, world, seed or 0)
         start = start_with_procedure(sources[0], station or EMULATED, emulation, out, adaptive=adaptive)
     require_one_unit(start.job)
     return start
@@ -225,7 +219,7 @@ def _with_station(
     from gyrobench.bench.runs.folder import RunFolder
 
     def observe(job: Job) -> AbstractContextManager[tuple[RunObserver, Operator]]:
-        return observe_in_terminal(consent.terminal, job, view is View.LIVE)
+        return observe_in_terminal(consent.terminal, job, view == "live")
 
     job, first, clock = start.job, RunFolder(start.runs[0]), None
     if start.is_measured_first:

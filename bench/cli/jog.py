@@ -8,7 +8,6 @@ import typer
 
 from gyrobench.bench.cli.options import EMULATED, FaultsOption, SeedOption, StationArgument, WorldOption
 from gyrobench.bench.cli.output import EXIT_NOT_FINISHED
-from gyrobench.bench.foundations.shipped import world_for
 
 
 def jog(
@@ -41,8 +40,6 @@ def jog(
     from gyrobench.bench.jog.jog_session import jog_bench
     from gyrobench.bench.station.instruments import Emulation
 
-    all_done = jog_bench(
-        station, commands or [], Emulation(world_for(station, world), seed, faults or ""), leave
-    )
+    all_done = jog_bench(station, commands or [], Emulation.of(station, world, seed, faults), leave)
     if not all_done:
         raise typer.Exit(EXIT_NOT_FINISHED)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -89,18 +88,8 @@ WORLD_HELP = f"World behind emulated instruments: file or shipped name; default:
 SEED_HELP = "Seed of everything random in the emulated world."
 
 
-class View(StrEnum):
-    """View of a run in the terminal."""
-
-    LIVE = "live"
-    LINES = "lines"
-
-
-class FailOn(StrEnum):
-    """What makes a finished run fail."""
-
-    REJECTED = "rejected"
-    FLAGGED = "flagged"
+#: View of a run in the terminal.
+View = Literal["live", "lines"]
 
 
 def _name_operator(context: typer.Context, name: str) -> str:
@@ -142,7 +131,7 @@ AcknowledgeOption = Annotated[
     ),
 ]
 FailOnOption = Annotated[
-    FailOn | None,
+    Literal["rejected", "flagged"] | None,
     typer.Option(
         help="Exit with 1 if a unit is rejected or dropped; with flagged also if a dwell has flags."
     ),

@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console, RenderableType
 
-    from gyrobench.bench.cli.options import FailOn
-    from gyrobench.bench.engine.run_outcome import RunOutcome
+    from gyrobench.bench.engine.run_outcome import FailOn, RunOutcome
     from gyrobench.bench.monitor.terminal import RunConsole
     from gyrobench.bench.runs.folder import RunFolder
 
@@ -155,7 +154,7 @@ def print_end(
         console.print(resume, soft_wrap=True)
         console.print(safe_state, soft_wrap=True)
     record = _end_record(folder, outcome)
-    shortcoming = outcome.shortcoming(fail_on.value if fail_on else None)
+    shortcoming = outcome.shortcoming(fail_on)
     latitude = _latitude_text(outcome)
     outcome.release()
     free_memory()  # which the modules that are imported now use again

@@ -30,13 +30,13 @@ def raw_rate(
     """
     from gyrobench.bench.bias.raw_rate import up_down_pair
     from gyrobench.bench.exchange.import_map import load_log_map
-    from gyrobench.bench.exchange.log_windows import read_recording
+    from gyrobench.bench.exchange.log_windows import read_rate_recording
     from gyrobench.bench.foundations.arrays import RADPS_TO_DPH
     from gyrobench.bench.foundations.shipped import find_document
     from gyrobench.bench.navigation.earth import EARTH_RATE
 
     log_map = load_log_map(find_document("imports", mapping))
-    pair = up_down_pair(read_recording(up, log_map), read_recording(down, log_map), axis)
+    pair = up_down_pair(read_rate_recording(up, log_map), read_rate_recording(down, log_map), axis)
     sigma_dph = pair.bias_sigma_radps * RADPS_TO_DPH
     earth = f"Earth rate, vertical   {pair.earth_radps * RADPS_TO_DPH:.4f} ± {sigma_dph:.4f} deg/h"
     if log_map.earth_rate is None:

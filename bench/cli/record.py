@@ -2,23 +2,13 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from gyrobench.bench.cli.options import FaultsOption, SeedOption, StationArgument, WorldOption
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.foundations.shipped import world_for
-
-
-class Instrument(StrEnum):
-    """Instrument to record."""
-
-    table = "table"
-    chamber = "chamber"
-    ins = "ins"
 
 
 def record(
@@ -30,7 +20,9 @@ def record(
     command: Annotated[
         list[str] | None, typer.Argument(help="After --, a gyrobench command to be recorded.")
     ] = None,
-    instrument: Annotated[Instrument | None, typer.Option(help="Instrument to record.")] = None,
+    instrument: Annotated[
+        Literal["table", "chamber", "ins"] | None, typer.Option(help="Instrument to record.")
+    ] = None,
     proxy: Annotated[
         bool, typer.Option("--proxy", help="Serve the instrument to any program, and record the traffic.")
     ] = False,
@@ -59,7 +51,7 @@ def record(
     from gyrobench.bench.recording.recorder import Recorder
     from gyrobench.bench.station.instruments import Emulation
 
-    recorder = Recorder(station, Emulation(world_for(station, world), seed, faults or ""), note, typer.echo)
+    recorder = Recorder(station, Emulation.of(station, world, seed, faults), note, typer.echo)
     if command:
         if instrument or proxy:
             raise DocumentError("record: a COMMAND records table and chamber; omit --instrument and --proxy")
@@ -68,9 +60,9 @@ def record(
     if instrument is None:
         raise DocumentError("record: give --instrument table, chamber or ins, or a COMMAND")
     if proxy:
-        recorder.proxy(instrument.value, out, port, for_s)
+        recorder.proxy(instrument, out, port, for_s)
     else:
-        recorder.record(instrument.value, out, for_s)
+        recorder.record(instrument, out, for_s)
 
 
 def _run(context: typer.Context, words: list[str], station: str) -> int:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from gyrobench.bench.cli.options import FailOnOption, OperatorOption, RunArgument, View, ViewOption
+from gyrobench.bench.cli.options import FailOnOption, OperatorOption, RunArgument, ViewOption
 from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, JsonOption, console, print_end
 
 
@@ -26,7 +26,7 @@ def resume(
     ] = False,
     fail_on: FailOnOption = None,
     operator: OperatorOption = "",  # noqa: ARG001 - read from the environment
-    view: ViewOption = View.LIVE,
+    view: ViewOption = "live",
     as_json: JsonOption = False,
 ) -> None:
     """Resume an interrupted run.
@@ -58,7 +58,7 @@ def resume(
         resumption = prepare_resumption(run_folder, anyway)
         terminal.print(resumption.describe(), soft_wrap=True)
     job = resumption.job
-    with observe_in_terminal(terminal, job, view is View.LIVE) as (progress, answers):
+    with observe_in_terminal(terminal, job, view == "live") as (progress, answers):
         folder, outcome = resume_run(resumption, progress, answers)
     del resumption, job, progress, answers  # and with them the instruments: the report needs the memory
     print_end(terminal, folder, outcome, as_json, fail_on)

@@ -16,13 +16,11 @@ from gyrobench.bench.cli.options import (
     ProcedureArgument,
     SeedOption,
     StationOption,
-    View,
     ViewOption,
     WorldOption,
     complete_run,
 )
 from gyrobench.bench.cli.output import JsonOption, console, print_end
-from gyrobench.bench.foundations.shipped import world_for
 
 
 def run(
@@ -45,7 +43,7 @@ def run(
     acknowledge: AcknowledgeOption = None,
     fail_on: FailOnOption = None,
     operator: OperatorOption = "",  # noqa: ARG001 - read from the environment
-    view: ViewOption = View.LIVE,
+    view: ViewOption = "live",
     as_json: JsonOption = False,
 ) -> None:
     """Run a procedure and report the bias of each gyro.
@@ -66,13 +64,13 @@ def run(
     job = prepare_job(
         procedure,
         station,
-        Emulation(world_for(station, world), seed, faults or ""),
+        Emulation.of(station, world, seed, faults),
         calibration,
         loaded,
         {"customer": customer, "order": order, "item": item},
         acknowledge or (),
     )
-    with observe_in_terminal(terminal, job, view is View.LIVE) as (progress, answers):
+    with observe_in_terminal(terminal, job, view == "live") as (progress, answers):
         folder, outcome = run_job(job, out, progress, answers)
     del job, progress, answers  # and with them the instruments: the report needs the memory
     print_end(terminal, folder, outcome, as_json, fail_on)

@@ -7,12 +7,12 @@ from typing import Annotated
 
 import typer
 
-from gyrobench.bench.cli.validate import FileKindOption
+from gyrobench.bench.cli.validate import FileKindName
 
 
 def schema(
     kind: Annotated[
-        FileKindOption | None,
+        FileKindName | None,
         typer.Argument(help="Kind of file whose schema is printed; default: the first lines for editors."),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for all schemas.")] = None,
@@ -27,7 +27,7 @@ def schema(
     from gyrobench.bench.authoring.file_kinds import KINDS, editor_line, schema_of, schema_text, write_schemas
 
     if kind is not None:
-        typer.echo(schema_text(schema_of(KINDS[kind.value])), nl=False)
+        typer.echo(schema_text(schema_of(KINDS[kind])), nl=False)
     if out is not None:
         write_schemas(out)
     if kind is None and out is None:

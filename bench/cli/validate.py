@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -15,24 +14,16 @@ if TYPE_CHECKING:
     from gyrobench.bench.authoring.file_kinds import FileCheck
 
 
-class FileKindOption(StrEnum):
-    """Kinds of file; the names are those of gyrobench.bench.authoring.file_kinds."""
-
-    PROCEDURE = "procedure"
-    STATION = "station"
-    WORLD = "world"
-    FAULTS = "faults"
-    IMPORT = "import"
-    EFFECT = "effect"
-    COMPENSATION = "compensation"
-    PLAN = "plan"
-    ROTATION_LIST = "rotation_list"
+#: Kinds of file; the names are those of gyrobench.bench.authoring.file_kinds.
+FileKindName = Literal[
+    "procedure", "station", "world", "faults", "import", "effect", "compensation", "plan", "rotation_list"
+]
 
 
 def validate(
     files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="YAML files.")],
     as_kind: Annotated[
-        FileKindOption | None,
+        FileKindName | None,
         typer.Option("--as", help="Kind of the files; default: detected from their keys."),
     ] = None,
     station: Annotated[
@@ -57,7 +48,7 @@ def validate(
     from gyrobench.bench.foundations.shipped import find_document
     from gyrobench.bench.station.station import Station
 
-    kind = KINDS[as_kind.value] if as_kind else None
+    kind = KINDS[as_kind] if as_kind else None
     bench = Station(find_document("stations", station)) if station else None
     checks = [check_file(path, kind, bench) for path in files]
     if as_json:

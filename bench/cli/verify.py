@@ -70,7 +70,7 @@ def verify(
         ),
     ] = False,
     out: Annotated[Path | None, typer.Option(help="Output folder; default: verify in the run.")] = None,
-    view: ViewOption = View.LIVE,
+    view: ViewOption = "live",
     as_json: JsonOption = False,
 ) -> None:
     """Prove the compensation: load the model of a run into the INS and measure the remaining error.
@@ -144,7 +144,7 @@ def _measure(terminal: RunConsole, verification: VerificationRuns, name: str, vi
     from gyrobench.bench.verification.compensation_verification import IN_WORDS
 
     terminal.print(f"Run {IN_WORDS[name]}", style="bold")
-    with observe_in_terminal(terminal, verification.jobs[name], view is View.LIVE) as (progress, operator):
+    with observe_in_terminal(terminal, verification.jobs[name], view == "live") as (progress, operator):
         measured, outcome = verification.measure(name, progress, operator)
     write_report(measured)
     if outcome.ended != "finished":

@@ -19,10 +19,10 @@ from gyrobench.bench.dwells.calibration_check_bias import (
 )
 from gyrobench.bench.dwells.check_dwell import CheckDwell
 from gyrobench.bench.dwells.earlier_calibration import EarlierCalibration
-from gyrobench.bench.dwells.marks import DwellMarks
 from gyrobench.bench.dwells.measure_dwell import MeasurementSetup
 from gyrobench.bench.foundations.arrays import UG_TO_MPS2, FloatArray
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
+from gyrobench.bench.runs.marks import DwellMarks
 from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow
 
 _EAST, _NORTH = np.eye(3)[:2]

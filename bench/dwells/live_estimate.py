@@ -12,10 +12,10 @@ from gyrobench.bench.bias.bias_filter import BiasFilter, StateSpaceEstimate
 from gyrobench.bench.bias.dwell import NavigationWindow
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.window_filter import whiten
-from gyrobench.bench.dwells.marks import WindowMark
 from gyrobench.bench.dwells.measure_dwell import MeasurementSetup, rest_output
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.runs.marks import WindowMark
 from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.navigation_data import NavigationData
 
@@ -24,7 +24,7 @@ _OVERLAP = 400
 _ANY_NOISE = NoiseModel(1e-7, 1e-5, 1e-5, 1e-8)
 
 
-def warm_up(setup: MeasurementSetup) -> float:
+def compile_estimator(setup: MeasurementSetup) -> float:
     """Compile what the estimates need; returns how long that took in s, 0 where numba's cache had it."""
     clock, count = WallClock(), whiten.compilations
     begin_s = clock.now()

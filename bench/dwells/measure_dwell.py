@@ -23,7 +23,6 @@ from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.bias.statistics import GoodnessOfFit
 from gyrobench.bench.bias.vertical_pairs import exceeds_declared
 from gyrobench.bench.bias.window_filter import EPOCH_S
-from gyrobench.bench.dwells.marks import DwellMarks, WindowMark
 from gyrobench.bench.dwells.output_checks import OutputFault, exceeds_noise, output_faults, rounding
 from gyrobench.bench.dwells.setup_check import SetupEvidence, raise_setup_fault, setup_evidence
 from gyrobench.bench.dwells.sign_check import SignCheck
@@ -39,6 +38,7 @@ from gyrobench.bench.navigation.earth import NORMAL_GRAVITY_SIGMA, earth_rate_en
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.navigation.table_axes import TwoAxisTable
+from gyrobench.bench.runs.marks import DwellMarks, WindowMark
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.dbc_codec import DbcCodec

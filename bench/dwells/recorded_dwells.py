@@ -9,7 +9,6 @@ import numpy as np
 
 from gyrobench.bench.characteristics.allan_test import RateRecord
 from gyrobench.bench.dwells.check_dwell import CheckDwell, measure_check_dwell
-from gyrobench.bench.dwells.marks import DwellMarks
 from gyrobench.bench.dwells.measure_dwell import MeasuredDwell, MeasurementSetup, measure_dwell
 from gyrobench.bench.dwells.rotated_dwell import navigated_increments
 from gyrobench.bench.dwells.run_dwells import add_dwell
@@ -18,6 +17,7 @@ from gyrobench.bench.procedure.plan import DwellPurpose
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.runs.marks import DwellMarks
 from gyrobench.drivers.frames import FrameBlock, concatenate
 
 #: Longest segments of a noise record are thinned to so many samples: the integral of the rate loses nothing

@@ -13,7 +13,6 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell_table import Triple
 from gyrobench.bench.calibration.recording import MIN_REST_TOTAL_S, IncrementRecording, Rest
-from gyrobench.bench.dwells.marks import DwellMarks
 from gyrobench.bench.dwells.measure_dwell import MeasurementSetup, checked_navigation, rest_output
 from gyrobench.bench.dwells.temperatures import dwell_temperatures
 from gyrobench.bench.foundations.arrays import FloatArray
@@ -21,6 +20,7 @@ from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vectors
 from gyrobench.bench.navigation.earth import EARTH_RATE, curvature_radii
 from gyrobench.bench.navigation.error_model import Site
+from gyrobench.bench.runs.marks import DwellMarks
 from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.navigation_data import Increments, NavigationData
 

@@ -16,12 +16,12 @@ from gyrobench.bench.calibration.information import BIAS_DRIFT, CalibrationOptio
 from gyrobench.bench.calibration.recording import IncrementRecording, Rest
 from gyrobench.bench.calibration.spins import spin_scale_factors
 from gyrobench.bench.characteristics.scale_factor import SpinRecord
-from gyrobench.bench.dwells.marks import DwellMarks
 from gyrobench.bench.dwells.measure_dwell import MeasurementSetup
 from gyrobench.bench.dwells.rotated_dwell import RotatedDwell, measure_rotations
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.error_model import Site
+from gyrobench.bench.runs.marks import DwellMarks
 from gyrobench.drivers.frames import FrameBlock
 
 #: Slopes of a gyro's temperature by which dwells with rotations of one plateau may differ: after the soaks of

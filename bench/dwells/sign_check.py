@@ -23,13 +23,13 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell import MAX_ATTITUDE_DISAGREEMENT, MIN_EPOCHS
 from gyrobench.bench.bias.window_filter import EPOCH_S
-from gyrobench.bench.dwells.marks import DwellMarks, WindowMark
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import SignalMapError
 from gyrobench.bench.navigation.attitude import rotation_vector_enu
 from gyrobench.bench.navigation.earth import earth_rate_enu
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.table_axes import TwoAxisTable
+from gyrobench.bench.runs.marks import DwellMarks, WindowMark
 from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.navigation_data import NavigationData
 from gyrobench.drivers.ins.signal_map import EulerMap, QuaternionMap, SignalMap

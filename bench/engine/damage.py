@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from gyrobench.bench.dwells.marks import DwellMarks
 from gyrobench.bench.dwells.recorded_dwells import marks_in, read_frames
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import RunFolderError
@@ -21,6 +20,7 @@ from gyrobench.bench.foundations.operator_name import operator_name
 from gyrobench.bench.foundations.text import counted, listed
 from gyrobench.bench.runs.folder import RunFolder, part_path
 from gyrobench.bench.runs.journal import BROKEN_LINKS, MAX_JOURNAL_BYTES, Journal, broken_links, intact_lines
+from gyrobench.bench.runs.marks import DwellMarks
 from gyrobench.bench.runs.provenance import read_provenance, start_of, write_provenance
 from gyrobench.bench.runs.telemetry import damaged_telemetry
 

@@ -6,12 +6,12 @@ import numpy as np
 
 from gyrobench.bench.bias.bias_filter import StateSpaceEstimate
 from gyrobench.bench.dwells.live_estimate import LiveEstimate
-from gyrobench.bench.dwells.marks import DwellMarks, WindowMark
 from gyrobench.bench.dwells.measure_dwell import MeasurementSetup
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.live_unit import LiveUnit
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.navigation.table_axes import Angles
+from gyrobench.bench.runs.marks import DwellMarks, WindowMark
 from gyrobench.drivers.frames import FrameBlock, concatenate
 
 #: A single reading of the table may differ by this much from the one at the window's begin, deg.

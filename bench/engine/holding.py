@@ -8,6 +8,7 @@ from dataclasses import asdict, replace
 
 from gyrobench.bench.engine.interlocks.watch import Trip, TrippedError, text_of_trips
 from gyrobench.bench.engine.operator import GivenCommand, RunCommand, take_sender
+from gyrobench.bench.engine.resume import ITSELF
 from gyrobench.bench.engine.run_context import RunContext
 from gyrobench.bench.engine.units import Units
 from gyrobench.bench.foundations.errors import InstrumentError, RunStoppedError
@@ -18,8 +19,6 @@ from gyrobench.bench.foundations.text import listed
 _CALENDAR_STEP_S = 1.0
 #: The operator who continued before everything was good is asked again after this time.
 _ASK_AGAIN_S = 60.0
-#: In the journal, the source of a continuation without an operator.
-_ITSELF = "itself"
 
 
 class Heartbeat:
@@ -105,10 +104,10 @@ class Holding:
         finally:
             run.operator.withdraw()
             run.observers.continued()
-        if by == _ITSELF:
+        if by == ITSELF:
             run.state.resumes.update(names)
         held_s = self._bench.clock.now() - begin_s
-        who = {} if by == _ITSELF else {"operator": operator_name()}
+        who = {} if by == ITSELF else {"operator": operator_name()}
         run.journal.record("continued", by=by, after=names, held_s=round(held_s, 3), **who)
         run.observers.noted(f"Continued by {by}")
 
@@ -122,7 +121,7 @@ class Holding:
             if by and self._is_clear(trips):
                 return by
             if after_s is not None and self._good_for_s(trips, held_s) >= after_s:
-                return _ITSELF
+                return ITSELF
             if held_s > max_hold_s:
                 break
         raise RunStoppedError(f"held for longer than {max_hold_s / 3600.0:g} h: {why}")

@@ -34,6 +34,7 @@ from gyrobench.bench.foundations.clock import RESUME_STEP_S, Clock, VirtualClock
 from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError, RunFolderError
 from gyrobench.bench.foundations.files import make_folder, write_whole
+from gyrobench.bench.foundations.shipped import world_for
 from gyrobench.bench.investigation.block_procedure import (
     SHORTLY_S,
     DwellPattern,
@@ -93,12 +94,16 @@ def start_with_runs(
 ) -> InvestigationStart:
     """Begin with runs of one unit; what is None is that of the first, the folder ``investigation`` in it.
 
-    Raises DocumentError or RunFolderError if a file of the first run, or the station, can't be used.
+    Another station that has a shipped world of its name gets that one. Raises DocumentError or RunFolderError
+    if a file of the first run, or the station, can't be used.
     """
     first = RunFolder(runs[0])
-    known = emulation_of(first)
+    known, job = emulation_of(first), job_in(first)
+    if station is not None:
+        name, job = job.station.file.station, prepare_job(str(first.procedure), station)
+        if job.station.file.station != name:
+            world = world_for(station, world, known.world)
     emulation = Emulation(world or known.world, known.seed if seed is None else seed, known.faults)
-    job = job_in(first) if station is None else prepare_job(str(first.procedure), station)
     return InvestigationStart(replace(job, emulation=emulation), out or first.path / "investigation", runs)
 
 

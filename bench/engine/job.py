@@ -12,7 +12,7 @@ from gyrobench.bench.dwells.earlier_calibration import read_calibration
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.foundations.shipped import find_document, world_for
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.procedure.checks import find_problems
 from gyrobench.bench.procedure.plan import DwellPurpose, Plan, expand
 from gyrobench.bench.procedure.procedure_file import Procedure, load_procedure
@@ -35,7 +35,7 @@ class Job:
     calibration: tuple[DwellRow, ...] = ()
     compensation: Compensation | None = None
     #: Customer, order and item of the certificate, as far as they are given.
-    order: Mapping[str, str] = field(default_factory=dict)
+    certificate_order: Mapping[str, str] = field(default_factory=dict)
     acknowledged: tuple[str, ...] = ()  #: Instruments past due whose use the operator acknowledges.
 
     def plan_of(self, unit: Station) -> Plan:
@@ -59,7 +59,7 @@ class Job:
     @property
     def options(self) -> dict[str, str | int]:
         """How it is run, as provenance and journal keep it; :func:`emulation_of` reads it."""
-        return {"clock": self.station.file.clock, **self.emulated_world(), **self.order}
+        return {"clock": self.station.file.clock, **self.emulated_world(), **self.certificate_order}
 
     def past_due(self) -> dict[str, str]:
         """Instruments whose calibration is past due today, and since when."""
@@ -93,13 +93,13 @@ def prepare_job(
     emulation: Emulation | None = None,
     calibration: Path | None = None,
     compensation: Compensation | None = None,
-    order: Mapping[str, str] | None = None,
+    certificate_order: Mapping[str, str] | None = None,
     acknowledged: Sequence[str] = (),
 ) -> Job:
     """Read procedure and station and check the one against the other.
 
     Calibration checks are compared with ``calibration``, a run folder or dwell table. ``compensation`` is
-    loaded into the INS after each power-on. ``order``: customer, order and item, for the certificate;
+    loaded into the INS after each power-on. ``certificate_order``: customer, order and item;
     ``acknowledged``: instruments that may be past due. Raises DocumentError with everything wrong with
     them and its places, or if the INS does not accept the compensation.
     """
@@ -121,8 +121,8 @@ def prepare_job(
         )
     if compensation is not None:
         _check_compensation(bench, compensation)
-    given = {name: text for name, text in (order or {}).items() if text}
-    emulation = emulation or Emulation(world_for(station))
+    given = {name: text for name, text in (certificate_order or {}).items() if text}
+    emulation = emulation or Emulation.of(station)
     job = Job(document, plan, bench, emulation, rows, compensation, given, tuple(acknowledged))
     if compensation is not None:
         require_one_unit(job)

@@ -6,7 +6,6 @@ from dataclasses import asdict
 
 from gyrobench.bench.bias.dwell_table import write_dwells
 from gyrobench.bench.dwells.check_dwell import measure_check_dwell
-from gyrobench.bench.dwells.marks import DwellMarks
 from gyrobench.bench.dwells.measure_dwell import MeasuredDwell, measure_dwell
 from gyrobench.bench.dwells.run_dwells import add_dwell
 from gyrobench.bench.engine.dwell_recorder import DwellRecorder
@@ -14,6 +13,7 @@ from gyrobench.bench.engine.live_unit import LiveUnit
 from gyrobench.bench.engine.run_context import RunContext
 from gyrobench.bench.foundations.errors import SignalMapError
 from gyrobench.bench.procedure.plan import DwellPurpose
+from gyrobench.bench.runs.marks import DwellMarks
 from gyrobench.drivers.frames import FrameBlock
 
 

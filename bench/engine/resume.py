@@ -26,6 +26,8 @@ from gyrobench.drivers.chamber import running_profile
 
 #: After so many resumes in a row without a finished step the cause has to be found first.
 MAX_RESUMES_WITHOUT_PROGRESS = 5
+#: In the journal, the source of a continuation without an operator.
+ITSELF = "itself"
 #: How a run ended whose journal has no end.
 NO_END_RECORDED = "stopped without recording its end, as after a power cut or a kill"
 #: Of a run whose engine and guard both ended without making the bench safe.
@@ -39,7 +41,7 @@ _MAX_POWER_ONS = 1_000_000
 
 @dataclass
 class ResumeState:
-    """What is known of a run when it resumes: what is finished and stays finished."""
+    """How far a run is: empty for a new one, from the journal for one that resumes; kept up to date."""
 
     next_index: int = 0  #: first step of the plan that is not finished
     finished: set[int] = field(default_factory=set)  #: dwells that are over
@@ -102,7 +104,7 @@ class ResumeState:
                 self.finish_up_to(end_of_dwell(plan, dwell))
             case "dwell_given_up" if entry["counts"]:
                 self.repeats[_number(entry["dwell"], plan.dwell_count)] += 1
-            case "continued" if entry.get("by") == "itself":
+            case "continued" if entry.get("by") == ITSELF:
                 self.resumes.update(map(str, entry["after"]))
             case "data_given_up":
                 self.lose([_number(dwell, plan.dwell_count) for dwell in entry["dwells"]])
@@ -180,8 +182,8 @@ def _number(value: Any, highest: int) -> int:
 
 
 @dataclass(frozen=True)
-class RunPart:
-    """An interrupted run, or the part of one of its units."""
+class InterruptedRun:
+    """An interrupted run, or that of one of its units, as its folder holds it."""
 
     folder: RunFolder
     plan: Plan
@@ -195,9 +197,9 @@ class Resumption:
     """An interrupted run and its state."""
 
     job: Job
-    run: RunPart
+    run: InterruptedRun
     #: Of each unit in the order of the station file, also of dropped ones; ``run`` for a single unit.
-    units: tuple[RunPart, ...]
+    units: tuple[InterruptedRun, ...]
     is_measured: bool = False  #: whether only results and report are left to be written
 
     @property
@@ -211,7 +213,7 @@ class Resumption:
         return self.run.state
 
     @property
-    def parts(self) -> tuple[RunPart, ...]:
+    def parts(self) -> tuple[InterruptedRun, ...]:
         """The run and its units, each once."""
         return self.units if self.run in self.units else (self.run, *self.units)
 
@@ -354,21 +356,21 @@ def _read(folder: RunFolder, job: Job, damaged: Mapping[str, Damage] | None = No
     ``damaged``: what is damaged by the number of the unit, where that is known already.
     """
     stations = job.station.units
-    run = _read_part(folder, job.plan, "", damaged, has_dwells=len(stations) == 1)
+    run = _read_one(folder, job.plan, "", damaged, has_dwells=len(stations) == 1)
     if len(stations) == 1:
         return Resumption(job, run, (run,))
     units = tuple(
-        _read_part(folder.unit(unit.number), job.plan_of(unit), unit.number, damaged) for unit in stations
+        _read_one(folder.unit(unit.number), job.plan_of(unit), unit.number, damaged) for unit in stations
     )
     _join(run, [unit.state for unit in units if unit.number not in run.state.dropped])
     return Resumption(job, run, units)
 
 
-def _read_part(
+def _read_one(
     folder: RunFolder, plan: Plan, number: str, damaged: Mapping[str, Damage] | None, has_dwells: bool = True
-) -> RunPart:
+) -> InterruptedRun:
     if number and not folder.journal.is_file():  # of a process that was killed before anything moved
-        return RunPart(folder, plan, ResumeState(), number)
+        return InterruptedRun(folder, plan, ResumeState(), number)
     damage, entries = find_damage(folder, is_log_read=damaged is None)
     state = _state_of(entries, folder, plan)
     if not has_dwells:
@@ -378,10 +380,10 @@ def _read_part(
     else:
         damage = damaged[number]
     state.lose(damage.dwells)
-    return RunPart(folder, plan, state, number, damage)
+    return InterruptedRun(folder, plan, state, number, damage)
 
 
-def _join(run: RunPart, units: Sequence[ResumeState]) -> None:
+def _join(run: InterruptedRun, units: Sequence[ResumeState]) -> None:
     """Complete the state of a run with those of the units that it measures, and the other way round."""
     state = run.state
     state.finished = set.intersection(*(unit.finished for unit in units)) if units else set()

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from gyrobench.bench.bias.dwell_table import write_dwells
-from gyrobench.bench.dwells.live_estimate import warm_up
+from gyrobench.bench.dwells.live_estimate import compile_estimator
 from gyrobench.bench.dwells.measure_dwell import MeasurementSetup, measurement_setup
 from gyrobench.bench.dwells.recorded_dwells import measure_recorded
 from gyrobench.bench.dwells.run_results import evaluate_run
@@ -65,7 +65,8 @@ def run_job(
     state = ResumeState(unit=after.unit, power_ons=after.power_ons) if after else ResumeState()
     outcome = RunOutcome()
 
-    def units(folder: RunFolder) -> tuple[UnitRun, ...]:
+    def prepare(folder: RunFolder, instruments: Instruments) -> tuple[UnitRun, ...]:
+        _write_inputs(job, clock, folder, instruments)
         return tuple(
             UnitRun(
                 unit.number,
@@ -78,16 +79,7 @@ def run_job(
             for unit in job.station.units
         )
 
-    start = _Start(
-        job,
-        clock,
-        state,
-        outcome,
-        partial(create_run_folder, out, job.plan.procedure.procedure),
-        units,
-        partial(_write_inputs, job, clock),
-    )
-    return _execute(start, observer, operator)
+    return _execute(_Start(job, clock, state, outcome, out, prepare), observer, operator)
 
 
 def resume_run(
@@ -105,13 +97,13 @@ def resume_run(
     clock = clock or resumption.clock()
     outcome, units = _remeasured(resumption)
 
-    def check_folder(folder: RunFolder, instruments: Instruments) -> None:  # noqa: ARG001
+    def prepare(folder: RunFolder, instruments: Instruments) -> tuple[UnitRun, ...]:  # noqa: ARG001
         resumption.check_unchanged()
         for unit in units:  # the journal may have more dwells
             write_dwells(unit.folder.dwells, [dwell.row for dwell in unit.outcome.dwells])
+        return units
 
-    start = _Start(job, clock, resumption.state, outcome, lambda: folder, lambda _: units, check_folder)
-    return _execute(start, observer, operator)
+    return _execute(_Start(job, clock, resumption.state, outcome, folder, prepare), observer, operator)
 
 
 def _remeasured(resumption: Resumption) -> tuple[RunOutcome, tuple[UnitRun, ...]]:
@@ -164,19 +156,22 @@ def _finish(resumption: Resumption) -> RunOutcome:
 
 @dataclass(frozen=True)
 class _Start:
-    """How a run starts, new or resumed.
-
-    ``open_folder`` is called once the bench is locked and all instruments answer, ``prepare_folder`` once the
-    folder is locked, before anything moves. ``units`` are those of the run in its folder.
-    """
+    """How a run starts, new or resumed."""
 
     job: Job
     clock: Clock
     state: ResumeState
     outcome: RunOutcome
-    open_folder: Callable[[], RunFolder]
-    units: Callable[[RunFolder], tuple[UnitRun, ...]]
-    prepare_folder: Callable[[RunFolder, Instruments], None]
+    #: Folder of the run that is resumed; of a new one its path, by default a new one under ``runs/``.
+    folder: RunFolder | Path | None
+    #: Writes into the locked folder before anything moves, and returns the units of the run.
+    prepare: Callable[[RunFolder, Instruments], tuple[UnitRun, ...]]
+
+    def open_folder(self) -> RunFolder:
+        """The run folder; a new one is made."""
+        if isinstance(self.folder, RunFolder):
+            return self.folder
+        return create_run_folder(self.folder, self.job.plan.procedure.procedure)
 
 
 def _write_inputs(job: Job, clock: Clock, folder: RunFolder, instruments: Instruments) -> None:
@@ -199,7 +194,7 @@ def _execute(start: _Start, observer: RunObserver, operator: Operator) -> tuple[
     """Run what is left of a job, and evaluate all of it."""
     job, clock, outcome = start.job, start.clock, start.outcome
     setup = measurement_setup(job.station.units[0])
-    if compiled_s := warm_up(setup):  # no tick may wait for a compiler
+    if compiled_s := compile_estimator(setup):  # no tick may wait for a compiler
         observer.noted(f"Compiled the estimators, once after installation, in {compiled_s:.1f} s.")
     with ExitStack() as opened:
         commands = opened.enter_context(CommandQueue())
@@ -212,8 +207,7 @@ def _execute(start: _Start, observer: RunObserver, operator: Operator) -> tuple[
         folder = start.open_folder()
         bench_lock.sign(folder.path)
         run_lock = opened.enter_context(RunLock(folder.path, clock))
-        start.prepare_folder(folder, instruments)
-        units = start.units(folder)
+        units = start.prepare(folder, instruments)
         journal = opened.enter_context(Journal(folder.journal, clock))
         running = [unit for unit in units if unit.number not in start.state.dropped]
         journals = {

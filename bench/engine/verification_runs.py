@@ -142,8 +142,6 @@ class VerificationRuns:
         folder = RunFolder(self.folder / name)
         if name in self._measured:
             return True
-        if not folder.path.exists():
-            return False
         if not folder.journal.is_file():
             return False
         if not is_run_of(folder, self.jobs[name]):
@@ -327,9 +325,11 @@ def is_run_of(folder: RunFolder, job: Job) -> bool:
         job.document.path.read_bytes(),
         job.station.path.read_bytes(),
     )
+    if not (same_world and same_files):
+        return False
     if job.compensation is None or not folder.compensation.exists():
-        return same_world and same_files and (job.compensation is None) == (not folder.compensation.exists())
-    return same_world and same_files and read_compensation(folder.compensation).is_like(job.compensation)
+        return job.compensation is None and not folder.compensation.exists()
+    return read_compensation(folder.compensation).is_like(job.compensation)
 
 
 def _new_attitudes(fitted: Sequence[DwellRow], measured: Sequence[DwellRow]) -> int:

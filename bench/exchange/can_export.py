@@ -16,7 +16,6 @@ import numpy as np
 import pyarrow as pa
 from scipy.spatial.transform import Rotation
 
-from gyrobench.bench.dwells.marks import DwellMarks
 from gyrobench.bench.dwells.measure_dwell import MeasurementSetup
 from gyrobench.bench.dwells.recorded_dwells import finished_marks
 from gyrobench.bench.exchange.export_folder import ExportFolder, field_of
@@ -26,6 +25,7 @@ from gyrobench.bench.navigation.attitude import euler_rpy321
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.runs.can_log import BlfWriter, read_can_log
 from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.marks import DwellMarks
 from gyrobench.bench.runs.provenance import started_utc
 from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.navigation_data import NavigationData

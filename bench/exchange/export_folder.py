@@ -86,10 +86,10 @@ def type_of(column: str) -> pa.DataType:
     return pa.int64() if column in _WHOLE else pa.float64()
 
 
-def field_of(column: str, kind: pa.DataType | None = None) -> pa.Field:
+def field_of(column: str) -> pa.Field:
     """Column of a schema, with its unit as metadata."""
     unit = unit_of(column)
-    return pa.field(column, kind or type_of(column), metadata={"unit": unit} if unit else None)
+    return pa.field(column, type_of(column), metadata={"unit": unit} if unit else None)
 
 
 def data_origin(folder: RunFolder) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import numpy as np
 from gyrobench.bench.calibration.information import BIAS_DRIFT, CalibrationOptions
 from gyrobench.bench.calibration.recording import MIN_REST_TOTAL_S, IncrementRecording
 from gyrobench.bench.exchange.import_map import LogMap
-from gyrobench.bench.exchange.log_windows import FORCES, RATES, Quantity, SampleReader
+from gyrobench.bench.exchange.log_windows import FORCES, RATES, SampleReader, ScaledColumn
 from gyrobench.bench.foundations.arrays import (
     DEG_PER_SQRT_H_TO_SI,
     STANDARD_GRAVITY,
@@ -59,7 +59,7 @@ def read_increments(path: Path, log_map: LogMap) -> LogIncrements:
     """
     section = log_map.calibrated
     angle_unit, angles_are_increments = _angle_unit(log_map.gyro.unit)
-    quantities: dict[str, Quantity] = {}
+    quantities: dict[str, ScaledColumn] = {}
     for names, columns, unit in (
         (RATES, log_map.gyro, angle_unit),
         (FORCES, section.accelerometers, _VELOCITIES[section.accelerometers.unit]),

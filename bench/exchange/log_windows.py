@@ -33,7 +33,7 @@ from gyrobench.bench.navigation.positions import AXES, POSITIONS
 #: ``force_x``, ``position`` (index in POSITIONS), ``cycle``; NaN where not measured.
 Samples = dict[str, FloatArray]
 #: Column of a quantity, and the scale and offset that convert it.
-Quantity = tuple[Column, float, float]
+ScaledColumn = tuple[Column, float, float]
 
 RATES = tuple(f"rate_{axis}" for axis in AXES)
 FORCES = tuple(f"force_{axis}" for axis in AXES)
@@ -59,7 +59,9 @@ class SampleReader:
     Raises DocumentError if the file can't be read or has no sample.
     """
 
-    def __init__(self, path: Path, log_map: LogMap, quantities: Mapping[str, Quantity] | None = None) -> None:
+    def __init__(
+        self, path: Path, log_map: LogMap, quantities: Mapping[str, ScaledColumn] | None = None
+    ) -> None:
         self._path = path
         self._map = log_map
         self._position = None if quantities else log_map.averages.position
@@ -175,7 +177,7 @@ class SampleReader:
             )
 
 
-def read_recording(path: Path, log_map: LogMap) -> RateRecording:
+def read_rate_recording(path: Path, log_map: LogMap) -> RateRecording:
     """Read a whole log at rest as one recording; the specific force is scaled to standard gravity.
 
     Raises DocumentError if the log can't be read, or does not fit the map. Raises MeasurementError if the
@@ -194,11 +196,11 @@ def read_recording(path: Path, log_map: LogMap) -> RateRecording:
         raise MeasurementError(f"{path}: {error}") from error
 
 
-def _quantities(log_map: LogMap) -> dict[str, Quantity]:
+def _quantities(log_map: LogMap) -> dict[str, ScaledColumn]:
     """Column, scale and offset of each number that is read."""
     gyro, (temperatures, position, _) = log_map.gyro, log_map.averages
     to_dph = _rate_dph(gyro.unit)
-    quantities: dict[str, Quantity] = {}
+    quantities: dict[str, ScaledColumn] = {}
     for name, axis in zip(RATES, (gyro.x, gyro.y, gyro.z), strict=True):
         quantities[name] = (axis.column, axis.sign * axis.scale * to_dph, 0.0)
     quantities |= temperatures.by_quantity()

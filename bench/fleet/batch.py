@@ -42,7 +42,7 @@ from gyrobench.bench.bias.statistics import (
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.text import plain_name
-from gyrobench.bench.runs.index.run_biases import LEVEL, Quantity, RunBias, read_run_biases
+from gyrobench.bench.runs.index.run_biases import LEVEL, BiasQuantity, RunBias, read_run_biases
 from gyrobench.bench.runs.index.run_index import RunIndex
 
 #: Least number of units for an estimate of their spread.
@@ -65,7 +65,7 @@ class EffectSize:
         return f"effect {plain_name(self.effect)}"
 
 
-BatchQuantity = Quantity | EffectSize
+BatchQuantity = BiasQuantity | EffectSize
 
 
 @dataclass(frozen=True)

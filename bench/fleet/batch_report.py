@@ -21,7 +21,7 @@ from gyrobench.bench.navigation.positions import AXES, gyro_label, position_labe
 from gyrobench.bench.report.figures.style import BARS, common_legend, fitted_figure, house_style, say_empty
 from gyrobench.bench.report.number_format import BiasScale, dph_with_sigma, p_text
 from gyrobench.bench.report.page import Box, Findings, Section, SectionFigure, SectionTable, write_findings
-from gyrobench.bench.runs.index.run_biases import LEVEL, Quantity
+from gyrobench.bench.runs.index.run_biases import LEVEL, BiasQuantity
 
 
 def batch_sentence(batch: Sequence[QuantityStatistics]) -> str:
@@ -148,7 +148,7 @@ def batch_figure(batch: Sequence[QuantityStatistics], *, of_positions: bool) -> 
         panel.set_ylabel(f"{'difference' if of_positions else 'bias'} / ({scale.unit})")
         panel.grid(visible=False, axis="x")
         if mine:
-            _label(panel, [stats.quantity for stats in mine if isinstance(stats.quantity, Quantity)])
+            _label(panel, [stats.quantity for stats in mine if isinstance(stats.quantity, BiasQuantity)])
         else:
             say_empty(panel, "measured on too few units")
     panels[-1].set_xlabel("temperature of the gyro, bin / °C")
@@ -158,7 +158,7 @@ def batch_figure(batch: Sequence[QuantityStatistics], *, of_positions: bool) -> 
     return figure
 
 
-def _label(panel: Axes, quantities: Sequence[Quantity]) -> None:
+def _label(panel: Axes, quantities: Sequence[BiasQuantity]) -> None:
     """Label places with their bins, in the middle of those of a bin, and above these with positions."""
     names = [each.name for each in quantities]
     bins = [(each.bin_low_c, each.bin_high_c) for each in quantities]

@@ -36,11 +36,14 @@ def hours_minutes(time_s: float) -> str:
     return f"{minutes // 60}:{minutes % 60:02d}"
 
 
-def run_ending(ended: str, reason: str) -> str:
-    """Write how a run ended: "was stopped by the operator (Ctrl-C)", "failed: the INS is silent"."""
+def run_ending(ended: str, reason: str, *, with_reason: bool = True) -> str:
+    """Write how a run ended: "was stopped by the operator (Ctrl-C)", "failed: the INS is silent".
+
+    Without the reason: "was stopped by the operator (Ctrl-C)", "failed".
+    """
     if reason.startswith("stopped by "):
         return f"was {reason}"
-    return f"{ended}: {reason}" if reason else ended
+    return f"{ended}: {reason}" if reason and with_reason else ended
 
 
 def bin_label(low_c: float, high_c: float, between: str = " to ") -> str:

@@ -110,12 +110,12 @@ def _number_axis(title: str, values: Iterable[float], min_span: float) -> Axis:
     return replace(axis, ticks=tuple(Tick(100.0 - tick.percent, tick.text) for tick in axis.ticks))
 
 
-def time_axis(title: str, low_s: float, high_s: float, unit_s: float) -> Axis:
-    """Make an axis of time with ticks at round minutes or hours, labelled in ``unit_s``."""
-    high_s = max(high_s, low_s + MINUTE_S)
-    fitting = (step for step in _TIME_STEPS_S if (high_s - low_s) / step <= _MAX_TICKS)
-    step_s = next(fitting, 24.0 * HOUR_S * math.ceil((high_s - low_s) / (24.0 * HOUR_S * _MAX_TICKS)))
-    return _with_ticks(Axis(title, low_s, high_s, ()), step_s, lambda time_s: f"{time_s / unit_s:.3g}")
+def time_axis(title: str, high_s: float, unit_s: float) -> Axis:
+    """Make an axis of time from zero with ticks at round minutes or hours, labelled in ``unit_s``."""
+    high_s = max(high_s, MINUTE_S)
+    fitting = (step for step in _TIME_STEPS_S if high_s / step <= _MAX_TICKS)
+    step_s = next(fitting, 24.0 * HOUR_S * math.ceil(high_s / (24.0 * HOUR_S * _MAX_TICKS)))
+    return _with_ticks(Axis(title, 0.0, high_s, ()), step_s, lambda time_s: f"{time_s / unit_s:.3g}")
 
 
 def line(x: Axis, y: Axis, x_values: Sequence[float], y_values: Sequence[float]) -> str:
@@ -192,7 +192,7 @@ def window_charts(dwell: CurrentDwell) -> list[WindowCharts]:
     velocity_y = value_axis("Velocity, mm/s", velocities, _MIN_SPAN_MMPS)
     heading_y = value_axis("Heading change, arcsec", headings, _MIN_SPAN_ARCSEC)
     max_s = max((max((window.planned_s, *window.time_s)) for window in dwell.windows), default=0.0)
-    x = time_axis("Time in the window, min", 0.0, max_s, MINUTE_S)
+    x = time_axis("Time in the window, min", max_s, MINUTE_S)
     return [
         WindowCharts(number, _velocity_chart(number, window, x, velocity_y),
                      _heading_chart(number, window, x, heading_y))
@@ -260,7 +260,7 @@ def _bias_chart(index: int, gyro: str, estimates: tuple[LiveBias, ...], scale: B
     low = [value - width for value, width in zip(bias, sigma, strict=True)]
     high = [value + width for value, width in zip(bias, sigma, strict=True)]
     settled = int(_SETTLED * len(known))
-    x = time_axis("Since the first estimate, min", 0.0, max([0.0, *times_s]), MINUTE_S)
+    x = time_axis("Since the first estimate, min", max([0.0, *times_s]), MINUTE_S)
     y = value_axis(f"Bias, {scale.unit}", (*low[settled:], *high[settled:]), _MIN_SPAN_BIAS)
     curves = (
         CurvePath(f"sigma gyro-{gyro}", band(x, y, times_s, low, high), "± 1 sigma"),
@@ -309,7 +309,7 @@ def profile_chart(snapshot: RunSnapshot) -> ProfileChart | None:
     planned_ends_s = [time_s + snapshot.behind_s for time_s in planned.time_s[-1:]]
     ends_s = [snapshot.now_s, *measured.time_s[-1:], *planned_ends_s]
     unit_s, unit = (HOUR_S, "h") if max(ends_s) > _SHORT_S else (MINUTE_S, "min")
-    x = time_axis(f"Time since the start, {unit}", 0.0, max(ends_s), unit_s)
+    x = time_axis(f"Time since the start, {unit}", max(ends_s), unit_s)
     y = value_axis("Temperature, °C", _temperatures(planned, measured), _MIN_SPAN_C)
     curves = [
         CurvePath(look, _planned_path(x, y, planned.time_s, getattr(planned, name), snapshot), label)

@@ -34,11 +34,13 @@ from gyrobench.bench.monitor.snapshot_recorder import (
     profile_of_telemetry,
     snapshot_dwells,
 )
-from gyrobench.bench.procedure.plan import Plan
+from gyrobench.bench.procedure.plan import DwellPurpose, Plan
 from gyrobench.bench.procedure.procedure_file import load_procedure
-from gyrobench.bench.report.content import Entry, read_run
+from gyrobench.bench.report.content import read_run
+from gyrobench.bench.report.journal_sections import Entry
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
 from gyrobench.bench.runs.journal import MAX_RUN_S, RunFacts, facts_of, read_journal
+from gyrobench.bench.runs.marks import purpose_of
 from gyrobench.bench.station.locks import holder_of
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.ins.readout import InsMode
@@ -209,7 +211,7 @@ def _attitude(
         return None
     east, north, up = station.table.attitude(bench.outer_deg, bench.inner_deg).tolist()
     finished = [entry.get("marks") for entry in journal if entry.get("event") == "dwell_finished"]
-    is_rotated = bool(finished) and isinstance(finished[-1], Mapping) and bool(finished[-1].get("is_rotated"))
+    is_rotated = bool(finished) and purpose_of(finished[-1]) is DwellPurpose.ROTATIONS
     last = dwells[-1] if dwells and not is_rotated else None
     position, azimuth_deg = (last.position, last.azimuth_deg) if last else ("", math.nan)
     return Attitude(position, azimuth_deg, (tuple(east), tuple(north), tuple(up)))

@@ -198,7 +198,7 @@ def _unit_status(bench: LiveBench, number: str, outcome: RunOutcome, bins: tuple
     )
 
 
-class _Window:
+class _WindowRecorder:
     """One window; its heading is relative to the first known attitude."""
 
     def __init__(self, planned_s: float, begun_s: float) -> None:
@@ -227,13 +227,13 @@ class DwellTrace:
     def __init__(self, planned: PlannedStep, count: int) -> None:
         self._planned = planned
         self._count = count
-        self._windows: list[_Window] = []
+        self._windows: list[_WindowRecorder] = []
         self._is_open = False
         self._estimates: Thinned[LiveBias] = Thinned(MAX_ESTIMATES)
 
     def begin_window(self, planned_s: float, now_s: float) -> None:
         """A window of navigation begins."""
-        self._windows.append(_Window(planned_s, now_s))
+        self._windows.append(_WindowRecorder(planned_s, now_s))
         self._is_open = True
 
     def end_window(self) -> None:

@@ -16,6 +16,7 @@ from gyrobench.bench.monitor.snapshot import (
     RunSnapshot,
     RunState,
     Triple,
+    UnitStatus,
     WindowTrace,
     mean_known,
 )
@@ -106,9 +107,13 @@ def _bias_line(snapshot: RunSnapshot, plus_minus: str) -> Text:
     head = f"dwell {dwell.number}/{dwell.count}  "
     if live is None:
         return Text.assemble(head, ("bias observable after the turn", "dim"))
-    pairs = zip(AXES, live.bias_dph, live.sigma_dph, strict=True)
-    values = "  ".join(f"{axis} {1e3 * b:+z.2f}{plus_minus}{1e3 * s:.2f}" for axis, b, s in pairs)
-    return Text.assemble(head, (values, "bold"), "  0.001 deg/h")
+    return Text.assemble(head, (_biases(live, plus_minus), "bold"), "  0.001 deg/h")
+
+
+def _biases(estimate: LiveBias | UnitStatus, plus_minus: str) -> str:
+    """Bias of each gyro, in 0.001 deg/h."""
+    each = zip(AXES, estimate.bias_dph, estimate.sigma_dph, strict=True)
+    return "  ".join(f"{axis} {1e3 * bias:+z.2f}{plus_minus}{1e3 * sigma:.2f}" for axis, bias, sigma in each)
 
 
 def _unit_lines(snapshot: RunSnapshot, plus_minus: str) -> list[Text]:
@@ -119,9 +124,7 @@ def _unit_lines(snapshot: RunSnapshot, plus_minus: str) -> list[Text]:
         if unit.dropped:
             lines.append(Text.assemble(head, (f"dropped: {unit.dropped}", _ALARM)))
             continue
-        pairs = zip(AXES, unit.bias_dph, unit.sigma_dph, strict=True)
-        values = "  ".join(f"{axis} {1e3 * b:+z.2f}{plus_minus}{1e3 * s:.2f}" for axis, b, s in pairs)
-        shown = "flagged" if unit.flags else values if unit.position else ""
+        shown = "flagged" if unit.flags else _biases(unit, plus_minus) if unit.position else ""
         lines.append(Text.assemble(head, f"{unit.ins_mode:<9} ", shown))
     return lines
 

@@ -35,7 +35,7 @@ Duration = Annotated[float, Field(gt=0.0, le=MAX_STEP_S)]
 DurationOrZero = Annotated[float, Field(ge=0.0, le=MAX_STEP_S)]
 Celsius = Annotated[float, Field(gt=-273.15, le=1000.0)]
 TableRate = Annotated[float, Field(ge=0.001, le=10_000.0)]
-PositionName = Annotated[
+KnownPosition = Annotated[
     str, Field(json_schema_extra={"enum": [*POSITIONS]}), AfterValidator(_known_position)
 ]
 
@@ -395,7 +395,7 @@ class GoTo(Step):
 
     name = "go_to"
     at_position = True
-    position: PositionName = Field(description="one of the six positions")
+    position: KnownPosition = Field(description="one of the six positions")
     azimuth_deg: float = Field(default=0.0, ge=-360.0, le=360.0, description="turn about the vertical, deg")
     rate_dps: TableRate = Field(default=10.0, description="rate of the table's axes, deg/s")
     settle_s: DurationOrZero = Field(default=5.0, description="wait in the position, s")

@@ -17,6 +17,7 @@ from gyrobench.bench.procedure.steps import GoTo
 
 #: In place of a position where the table rotates.
 ROTATIONS = "rotations"
+_INTERVAL_S = 60.0
 _MAX_SAMPLES = 200
 
 
@@ -46,14 +47,14 @@ def timeline_rows(plan: Plan) -> list[TimelineRow]:
     return [_row(list(group)) for _, group in itertools.groupby(plan.steps, _plateau_and_part)]
 
 
-def temperature_profile(plan: Plan, interval_s: float = 60.0) -> tuple[FloatArray, FloatArray, FloatArray]:
+def temperature_profile(plan: Plan) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Predict the temperatures over a plan.
 
-    Returns time_s, chamber_c, gyro_c: time from the start of the plan every ``interval_s`` (wider in very
-    long steps) and twice at the borders of steps, the chamber's ramped set point, and the predicted
+    Returns time_s, chamber_c, gyro_c: time from the start of the plan every minute (wider in very long
+    steps) and twice at the borders of steps, the chamber's ramped set point, and the predicted
     temperature of the gyros.
     """
-    rows = [row for planned in plan.steps for row in _samples(planned, interval_s)]
+    rows = [row for planned in plan.steps for row in _samples(planned)]
     time_s, chamber_c, gyro_c = np.array(rows).T
     return time_s, chamber_c, gyro_c
 
@@ -110,8 +111,8 @@ def _places(moves: Sequence[GoTo]) -> Iterator[str]:
         yield position if azimuths == "0" else f"{position} {azimuths} deg"
 
 
-def _samples(planned: PlannedStep, interval_s: float) -> list[tuple[float, float, float]]:
-    count = min(1 + math.ceil(planned.duration_s / interval_s), _MAX_SAMPLES)
+def _samples(planned: PlannedStep) -> list[tuple[float, float, float]]:
+    count = min(1 + math.ceil(planned.duration_s / _INTERVAL_S), _MAX_SAMPLES)
     samples = []
     for elapsed_s in np.linspace(0.0, planned.duration_s, count):
         bench = planned.step.after(planned.before, float(elapsed_s))

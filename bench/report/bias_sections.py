@@ -27,12 +27,12 @@ from gyrobench.bench.report.page import Box, Mark, Section, SectionFigure, Secti
 from gyrobench.bench.report.statements import (
     NOTHING_TO_COMPARE,
     VERDICT_COLOURS,
+    acceptance_sentence,
     agreement_sentence,
     differing,
     equality_sentence,
     place_of,
     scatter_sentence,
-    verdict_sentence,
 )
 
 _UNCERTAIN_MAXIMUM = (
@@ -370,7 +370,7 @@ def _lacking_sentence(acceptance: Acceptance) -> str:
 def verdict_box(acceptance: Acceptance) -> Box:
     """The verdict on the unit."""
     verdict = acceptance.verdict
-    return Box(VERDICT_COLOURS[verdict], f"Unit {verdict}.", verdict_sentence(acceptance))
+    return Box(VERDICT_COLOURS[verdict], f"Unit {verdict}.", acceptance_sentence(acceptance))
 
 
 def acceptance_summary(acceptance: Acceptance) -> Section:

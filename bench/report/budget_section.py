@@ -10,7 +10,7 @@ from functools import partial
 
 from matplotlib.figure import Figure
 
-from gyrobench.bench.bias.budget import SOURCES
+from gyrobench.bench.bias.error_sources import SOURCES
 from gyrobench.bench.foundations.text import bin_label, counted, listed
 from gyrobench.bench.navigation.positions import POSITIONS, gyro_label, position_label
 from gyrobench.bench.report.figures.style import common_legend, house_style, new_figure

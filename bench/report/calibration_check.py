@@ -43,7 +43,7 @@ def calibration_check_section(rows: Sequence[CalibrationCheckRow]) -> Section | 
         f"Biases ± standard uncertainty in {_calibration_check_scale(rows).unit}. Difference: measured minus "
         "calibrated in combined standard uncertainties; * significant"
     )
-    tables = [SectionTable(caption, _HEADER, calibration_check_rows(rows), words=3)]
+    tables = [SectionTable(caption, _HEADER, printed_rows(rows), words=3)]
     tables += [SectionTable("Flagged", ["dwell", "flag"], flags, words=2)] if flags else []
     has_calibrated = any(not math.isnan(row.calibrated_dph) for row in rows)
     paragraphs = [
@@ -83,7 +83,7 @@ def _calibration_check_scale(rows: Sequence[CalibrationCheckRow]) -> BiasScale:
     )
 
 
-def calibration_check_rows(rows: Sequence[CalibrationCheckRow]) -> list[list[str]]:
+def printed_rows(rows: Sequence[CalibrationCheckRow]) -> list[list[str]]:
     """Cells of :data:`_HEADER`; a star marks a significant difference."""
     scale = _calibration_check_scale(rows)
     differing = _differing(rows)

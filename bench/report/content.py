@@ -19,11 +19,13 @@ from gyrobench.bench.foundations.documents import read_document
 from gyrobench.bench.foundations.errors import GyrobenchError
 from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.text import hours_minutes, run_ending
-from gyrobench.bench.report.journal_sections import KindDuration, add_step
+from gyrobench.bench.procedure.plan import DwellPurpose
+from gyrobench.bench.report.journal_sections import Entry, KindDuration, add_step
 from gyrobench.bench.report.page import FINDINGS_FILE, Findings, read_findings_file
 from gyrobench.bench.runs.folder import DWELLS, JOURNAL, RunFolder
 from gyrobench.bench.runs.journal import RunFacts, facts_of, read_journal
-from gyrobench.bench.runs.provenance import is_emulated, read_provenance
+from gyrobench.bench.runs.marks import purpose_of
+from gyrobench.bench.runs.provenance import SIMULATED, is_emulated, read_provenance
 from gyrobench.bench.runs.tables.budget_table import BudgetSummary, read_budget
 from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow, read_calibration_check
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, read_coefficients
@@ -37,9 +39,6 @@ from gyrobench.bench.runs.tables.noise_file import read_noise
 from gyrobench.bench.runs.telemetry import read_telemetry
 
 T = TypeVar("T")
-Entry = Mapping[str, Any]
-#: What the dwells measure that give no bias by themselves, by their key in the journal.
-_PURPOSES = {"is_rotated": "rotations", "is_noise_record": "noise", "is_verification": "calibration check"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +75,8 @@ class RunContent:
     problems: list[str] = field(default_factory=list)  #: Missing or unreadable files.
     #: What makes the run impossible to judge, see :func:`damage_of`; then ``acceptance`` is None.
     damage: Mapping[str, str] = field(default_factory=dict)
-    #: Number of finished dwells by what they are for: biases, rotations, noise, calibration check.
-    dwell_purposes: Counter[str] = field(default_factory=Counter)
+    #: Number of finished dwells by what they are for.
+    dwell_purposes: Counter[DwellPurpose] = field(default_factory=Counter)
     run_name: str = ""  #: Name of the run, also in the folder of one of its units.
     facts: RunFacts = field(default_factory=RunFacts)  #: Summary of the journal.
     #: took, last_step: Durations of the finished steps, and the last entry of a step; empty without any.
@@ -93,9 +92,8 @@ class RunContent:
         if ended == "failed" and dropped.get("why") == self.facts.reason:
             after = hours_minutes(self.facts.last_s)
             return f"Unit {dropped.get('unit')} was dropped from the run {self.run_name} after {after} h."
-        if self.facts.reason.startswith("stopped by "):
-            return f"The run {run_ending(ended, self.facts.reason)}."
-        return f"The run {ended}." if ended else "The run has not ended."
+        how = run_ending(ended, self.facts.reason, with_reason=False)
+        return f"The run {how}." if ended else "The run has not ended."
 
     @property
     def reason(self) -> str:
@@ -111,6 +109,11 @@ class RunContent:
     def is_simulated(self) -> bool:
         """Whether instruments were emulated."""
         return is_emulated(self.provenance, self.facts.options)
+
+    @property
+    def watermark(self) -> str:
+        """Word across its pages and figures; empty for real instruments."""
+        return SIMULATED if self.is_simulated else ""
 
     @property
     def marked_temperatures_c(self) -> list[float]:
@@ -172,7 +175,7 @@ def read_run(folder: RunFolder) -> RunContent:
     )
     # Dwells with rotations, for noise or for calibration checks have no rows in this table.
     purposes = Counter(journal.purposes.values())
-    is_optional = bool(calibration_check or purposes) and not purposes["biases"]
+    is_optional = bool(calibration_check or purposes) and not purposes[DwellPurpose.CALIBRATION]
     dwells: Sequence[DwellRow] = read(folder.dwells, read_packed_dwells, (), is_optional=is_optional)
     damage = _damage(folder, journal, files.errors)
     bins: list[BiasBin] = read(folder.bias_bins, read_bins, [])
@@ -227,7 +230,9 @@ def _damage(folder: RunFolder, journal: _Journal, errors: Mapping[Path, Exceptio
     again = f"Write it again with `gyrobench bins {folder.path}`."
     if error := errors.get(folder.dwells):
         damage[DWELLS] = f"{error}. {again}"
-    measured_biases = journal.facts.ended == "finished" and "biases" in journal.purposes.values()
+    measured_biases = (
+        journal.facts.ended == "finished" and DwellPurpose.CALIBRATION in journal.purposes.values()
+    )
     if measured_biases and not folder.dwells.exists():
         damage[DWELLS] = f"{folder.dwells}: is missing. {again}"
     return damage
@@ -241,7 +246,7 @@ class _Journal:
         self.facts = RunFacts()
         self.took: dict[str, KindDuration] = {}
         self.last_step: Entry = {}
-        self.purposes: dict[Any, str] = {}  #: Of each finished dwell.
+        self.purposes: dict[Any, DwellPurpose] = {}  #: Of each finished dwell.
         self._given_up: set[str] = set()
 
     def read(self, path: Path) -> None:
@@ -259,14 +264,14 @@ class _Journal:
             raise damage[0]
 
     def _add(self, entry: Entry) -> Entry:
-        event, marks = entry.get("event"), entry.get("marks")
+        event = entry.get("event")
+        purpose = purpose_of(entry.get("marks")) if event == "dwell_finished" else None
         if event in ("step_started", "step_finished"):
             self.last_step = entry
             add_step(self.took, entry)
-        elif event == "dwell_finished" and isinstance(marks, Mapping):
-            dwell = marks.get("dwell")
-            is_for = [text for key, text in _PURPOSES.items() if marks.get(key)]
-            self.purposes[dwell] = is_for[0] if is_for else "biases"
+        elif purpose is not None:
+            dwell = entry["marks"].get("dwell")
+            self.purposes[dwell] = purpose
             if entry.get("flags") or str(dwell) in self._given_up:
                 self.entries.append({**entry, "marks": {"dwell": dwell}})
         else:

@@ -21,6 +21,7 @@ _SMALLEST_P = 1e-9
 _PLAIN_P = 0.001
 _LARGE_BIAS_DPH = 1.0
 _MAX_DECIMALS = 4
+_NEARLY_ALL, _ALL = 98.5, 100.0
 
 
 @dataclass(frozen=True)
@@ -69,9 +70,29 @@ def p_text(p_value: float) -> str:
     return f"{p_value:.3f}" if p_value >= _PLAIN_P else _exponential(p_value)
 
 
+def p_phrase(p_value: float) -> str:
+    """Write a p-value in a sentence: "p = 0.02", "p < 1e-9"."""
+    text = p_text(p_value)
+    return f"p < {text[1:]}" if text.startswith("<") else f"p = {text}"
+
+
 def _exponential(value: float) -> str:
     """One digit and an exponent without leading zeros: "1e-9"."""
     return f"{value:.0e}".replace("e-0", "e-")
+
+
+def size_text(size_dph: float) -> str:
+    """Write a size with two digits, never with an exponent: "0.0092"."""
+    if not size_dph > 0.0:
+        return "0"
+    return f"{size_dph:.{max(1 - math.floor(math.log10(size_dph)), 1)}f}"
+
+
+def share_text(share: float) -> str:
+    """Write a share in percent, at most 100 %; less than all is never rounded to 100 %."""
+    percent = 100.0 * min(share, 1.0)
+    is_nearly_all = _NEARLY_ALL <= percent < _ALL
+    return f"{math.floor(percent * 10.0) / 10.0:.1f} %" if is_nearly_all else f"{percent:z.0f} %"
 
 
 def bins_by_temperature(bins: Iterable[BiasBin]) -> list[tuple[float, float, list[BiasBin]]]:

@@ -24,6 +24,7 @@ from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import file_sha256, make_folder, write_whole
 from gyrobench.bench.foundations.text import counted, hours_minutes, listed
 from gyrobench.bench.navigation.positions import AXES
+from gyrobench.bench.procedure.plan import DwellPurpose
 from gyrobench.bench.report.bias_sections import (
     acceptance_section,
     before_after_section,
@@ -44,7 +45,7 @@ from gyrobench.bench.report.coefficients import (
     coefficients_section,
     has_rotations,
 )
-from gyrobench.bench.report.content import Entry, RunContent, read_run, with_joint
+from gyrobench.bench.report.content import RunContent, read_run, with_joint
 from gyrobench.bench.report.estimator_sections import (
     estimators_note,
     estimators_section,
@@ -59,11 +60,11 @@ from gyrobench.bench.report.figures.bias import (
     position_pair_figure,
 )
 from gyrobench.bench.report.figures.temperatures import DRAWN, Readings, temperature_figure
-from gyrobench.bench.report.journal_sections import durations_section, events_section
+from gyrobench.bench.report.journal_sections import Entry, durations_section, events_section
 from gyrobench.bench.report.page import Box, Section, SectionFigure, render_page, with_figure_files
 from gyrobench.bench.report.statements import VERDICT_COLOURS, latitude_sentence
 from gyrobench.bench.runs.folder import JOURNAL, RunFolder
-from gyrobench.bench.runs.provenance import SIMULATED, DataHash, data_hashes, note_preparer
+from gyrobench.bench.runs.provenance import DataHash, data_hashes, note_preparer
 from gyrobench.bench.runs.seal import keep_sealed
 from gyrobench.bench.runs.tables.coefficient_table import plateau_findings
 from gyrobench.bench.runs.telemetry import read_telemetry
@@ -133,7 +134,7 @@ def write_report(
         into.figures,
         [Section("", figures=figures), *compared, *_analysis_sections(content, marked_c)],
         key,
-        _watermark(content),
+        content.watermark,
         vectors,
     )
     content = with_joint(content, folder)
@@ -191,7 +192,7 @@ def render(
     check = calibration_check_sentence(content.calibration_check) if content.calibration_check else ""
     no_bias = "" if content.bins or check else _NO_BIAS
     no_dwell = f"{facts['dwells']}, without a turn." if check else "No dwell was measured."
-    if content.dwell_purposes and not (content.dwell_purposes["biases"] or check):
+    if content.dwell_purposes and not (content.dwell_purposes[DwellPurpose.CALIBRATION] or check):
         no_bias = no_dwell = f"{facts['dwells']}, which give no biases by themselves."
     parts = [
         acceptance_section(content.acceptance),
@@ -229,17 +230,13 @@ def render(
         sections=[part for part in parts if part],
     )
     source = f"Run {content.run_name}{started}"
-    return render_page(page, source, f"{title}: {content.run_name}", prepared_by, _watermark(content))
+    return render_page(page, source, f"{title}: {content.run_name}", prepared_by, content.watermark)
 
 
 def _subject(content: RunContent) -> str:
     if has_rotations(content.coefficients):
         return "Gyro and accelerometer coefficients"
     return "Gyro bias" if content.dwells or not content.characteristics else "Gyro characteristics"
-
-
-def _watermark(content: RunContent) -> str:
-    return SIMULATED if content.is_simulated else ""
 
 
 def _hashes(folder: RunFolder, problems: list[str]) -> list[DataHash]:
@@ -368,8 +365,8 @@ def _dwells_text(content: RunContent) -> str:
     flagged = sum(bool(row.flags) for row in content.dwells)
     texts = [f"{len(content.dwells)} measured, {flagged} of them flagged"] if content.dwells else []
     texts += [dwells_text(content.calibration_check)] if content.calibration_check else []
-    for what, text in (("rotations", "with rotations"), ("noise", "for noise")):
-        if count := content.dwell_purposes[what]:
+    for purpose, text in ((DwellPurpose.ROTATIONS, "with rotations"), (DwellPurpose.NOISE, "for noise")):
+        if count := content.dwell_purposes[purpose]:
             texts.append(f"{counted(count, 'dwell')} {text}")
     return "; ".join(texts) or "none"
 
@@ -432,6 +429,14 @@ def instruments_of(content: RunContent) -> dict[str, str]:
     if isinstance(identity, Mapping):
         identity = ", ".join(f"{name} {value}" for name, value in identity.items())
     return known | ({"INS": identity} if identity else {})
+
+
+def figures_of(content: RunContent) -> Iterator[tuple[str, Callable[[], Figure]]]:
+    """Figures of a run that there are data for, see :func:`run_figures`."""
+    readings = (lambda: content.telemetry) if content.has_readings else None
+    return run_figures(
+        readings, content.dwells, content.bins, content.acceptance, content.marked_temperatures_c
+    )
 
 
 def run_figures(

@@ -146,7 +146,7 @@ _ADVICE = "The uncertainty is too large for a verdict; measure more cycles."
 _LACKING = "{} not compared with the others of the plateau, so the unit can't be accepted."
 
 
-def verdict_sentence(acceptance: Acceptance) -> str:
+def acceptance_sentence(acceptance: Acceptance) -> str:
     """Reason of the verdict on the unit."""
     if acceptance.limits is None:
         return _NO_LIMITS

@@ -16,7 +16,6 @@ from gyrobench.bench.report.number_format import BiasScale
 from gyrobench.bench.report.page import Mark, Section, SectionTable, render_page
 from gyrobench.bench.report.run_report import damage_boxes, head_lines, write_report
 from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.bench.runs.provenance import SIMULATED
 from gyrobench.bench.runs.seal import keep_sealed
 
 
@@ -50,8 +49,9 @@ def write_units_report(folder: RunFolder, prepared_by: str = "", vectors: Sequen
             durations_section(content.took),
         ],
     )
-    watermark = SIMULATED if content.is_simulated else ""
-    text = render_page(page, f"Run {content.name}, {procedure}", sign_off=prepared_by, watermark=watermark)
+    text = render_page(
+        page, f"Run {content.name}, {procedure}", sign_off=prepared_by, watermark=content.watermark
+    )
     write_whole(folder.report, map(str.encode, text))
     keep_sealed(folder)
     return folder.report

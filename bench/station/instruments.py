@@ -23,7 +23,7 @@ from gyrobench.bench.foundations.errors import (
     RefusedError,
 )
 from gyrobench.bench.foundations.packages import CHAMBERS, RATE_TABLES, load
-from gyrobench.bench.foundations.shipped import DEFAULT_WORLD, find_document
+from gyrobench.bench.foundations.shipped import DEFAULT_WORLD, find_document, world_for
 from gyrobench.bench.station.instrument_sections import DialectSection
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.chamber import Chamber, ChamberDialect, ChamberReading, running_profile
@@ -100,6 +100,11 @@ class Emulation:
     world: str = DEFAULT_WORLD
     seed: int = 0  #: Seed of everything random in the world.
     faults: str = ""
+
+    @classmethod
+    def of(cls, station: str, world: str | None = None, seed: int = 0, faults: str | None = None) -> Self:
+        """That of a station, by file or shipped name; without a world :func:`world_for` selects it."""
+        return cls(world_for(station, world), seed, faults or "")
 
     def options(self) -> dict[str, str | int]:
         """Parameters of the world in an emulator's address."""
@@ -375,9 +380,7 @@ def open_ins(station: Station, clock: Clock, emulation: Emulation, bench: Statio
     is_shared = bench is not None and bench.shares_bus(station)
     bus = _open_ins_bus(station, clock, emulation, bench)
     try:
-        return CanIns(
-            bus, section.signals, database, clock, section.commands, None, station.instrument, is_shared
-        )
+        return CanIns(bus, section.signals, database, clock, section.commands, station.instrument, is_shared)
     except GyrobenchError:
         close_bus(bus)
         raise

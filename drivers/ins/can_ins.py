@@ -48,10 +48,10 @@ class InsHealth:
 class CanIns:
     """An INS that a DBC file, a signal map and a command map describe.
 
-    ``bus`` is from :func:`~gyrobench.drivers.ins.can_bus.open_bus`. ``on_frames`` receives every block of
-    frames that is polled, also while a command waits. ``name`` is the instrument in errors. ``is_shared``:
-    whether other units send on the bus too; their frames are left out. Raises DocumentError if a map does not
-    fit the DBC.
+    ``bus`` is from :func:`~gyrobench.drivers.ins.can_bus.open_bus`. Where set, ``on_frames`` receives every
+    block of frames that is polled, also while a command waits. ``name`` is the instrument in errors.
+    ``is_shared``: whether other units send on the bus too; their frames are left out. Raises DocumentError if
+    a map does not fit the DBC.
     """
 
     def __init__(
@@ -61,7 +61,6 @@ class CanIns:
         database: Database,
         clock: Clock,
         commands: CommandMap | None = None,
-        on_frames: Callable[[FrameBlock], None] | None = None,
         name: str = INSTRUMENT,
         is_shared: bool = False,
     ) -> None:
@@ -78,7 +77,7 @@ class CanIns:
         self._bus = bus
         self._receive = block_receiver(bus)
         self._clock = clock
-        self.on_frames = on_frames
+        self.on_frames: Callable[[FrameBlock], None] | None = None
         self._newest = NewestFrames(self.codec)
         self._frames = self._error_frames = self._sent = self._lost = 0
 

@@ -29,6 +29,8 @@ from gyrobench.drivers.ins.signal_map import BoundSignal, SignalMap, bind_signal
 
 #: Bias difference between positions that a rotational INS of 1 nmi in 24 h allows.
 LIMIT_DPH = 0.001
+#: Length of each of the two windows.
+_WINDOW_S = 600.0
 
 _MAX_SPEED_MPS = 10.0
 _FLOATS: dict[int, type[np.floating]] = {16: np.float16, 32: np.float32, 64: np.float64}
@@ -45,12 +47,11 @@ class ResolutionLimit:
     estimate: str  #: The gyro whose bias is computed from it.
     sigma_dph: float  #: Standard deviation of the bias if the rounding errors are independent.
     worst_dph: float  #: Largest error of the bias by rounding.
-    limit_dph: float
 
     @property
     def sufficient(self) -> bool:
         """Whether rounding can't cause an error above the limit."""
-        return self.worst_dph <= self.limit_dph
+        return self.worst_dph <= LIMIT_DPH
 
     @property
     def text(self) -> str:
@@ -59,31 +60,29 @@ class ResolutionLimit:
         return (
             f"{self.quantity} ({self.signal}) has a resolution of {self.lsb:.3g} {self.unit}: {verdict} for "
             f"the bias of the {self.estimate}, which rounding changes by up to {self.worst_dph:.2g} deg/h "
-            f"({self.sigma_dph:.2g} deg/h rms if the output dithers; limit {self.limit_dph:g} deg/h)."
+            f"({self.sigma_dph:.2g} deg/h rms if the output dithers; limit {LIMIT_DPH:g} deg/h)."
         )
 
 
-def resolution_report(
-    signal_map: SignalMap, codec: DbcCodec, window_s: float = 600.0, limit_dph: float = LIMIT_DPH
-) -> list[ResolutionLimit]:
-    """Compute the limits that the mapped velocity and azimuth set with two windows of ``window_s``.
+def resolution_report(signal_map: SignalMap, codec: DbcCodec) -> list[ResolutionLimit]:
+    """Compute the limits that the mapped velocity and azimuth set with two windows of ten minutes.
 
     Raises DocumentError if the signal map does not fit the DBC.
     """
     signals = bind_signals(signal_map, codec)
-    samples = window_s / signal_map.epoch_period_s
+    samples = _WINDOW_S / signal_map.epoch_period_s
     limits = []
 
     def add(path: str, step: float, unit: str, estimate: str, errors_dph: tuple[float, float]) -> None:
         signal = f"{signals[path].message}.{signals[path].signal.name}"
-        limits.append(ResolutionLimit(path, signal, step, unit, estimate, *errors_dph, limit_dph))
+        limits.append(ResolutionLimit(path, signal, step, unit, estimate, *errors_dph))
 
     for path, estimate in (("velocity_east", "gyro along North"), ("velocity_north", "gyro along East")):
         step_mps = _step(signals[path], _MAX_SPEED_MPS)
-        errors = horizontal_gyro_errors_dph(step_mps, window_s, samples)
+        errors = horizontal_gyro_errors_dph(step_mps, _WINDOW_S, samples)
         add(path, step_mps, "m/s", estimate, errors)
     path, step_rad = _azimuth(signal_map, signals)
-    errors = vertical_gyro_errors_dph(step_rad, window_s, samples)
+    errors = vertical_gyro_errors_dph(step_rad, _WINDOW_S, samples)
     add(path, float(np.degrees(step_rad)), "deg", "vertical gyro", errors)
     return limits
 

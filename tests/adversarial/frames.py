@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gyrobench.bench.dwells.marks import DwellMarks, WindowMark
+from gyrobench.bench.runs.marks import DwellMarks, WindowMark
 from gyrobench.drivers.frames import FrameBlock
 from tests.adversarial.strapdown import EPOCH_S, Angles, Floats, Output
 

@@ -15,10 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
-from gyrobench.bench.dwells.marks import DwellMarks
 from gyrobench.bench.dwells.measure_dwell import measure_dwell, measurement_setup
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.runs.marks import DwellMarks
 from gyrobench.bench.station.station import Station
 from tests.bench.conftest import watched_run
 from tests.bench.dwells.fault_kinds import FAULTS

@@ -9,7 +9,7 @@ import pytest
 from gyrobench.bench.bias import dwell_table
 from gyrobench.bench.bias.allan import AllanVariance, RateNoise
 from gyrobench.bench.bias.bins import BiasBin
-from gyrobench.bench.bias.budget import SOURCES
+from gyrobench.bench.bias.error_sources import SOURCES
 from gyrobench.bench.bias.noise_estimate import ChannelNoise, NoiseEstimate
 from gyrobench.bench.bias.vertical_pairs import Finding
 from gyrobench.bench.closure.campaign import Table

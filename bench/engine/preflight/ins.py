@@ -25,7 +25,7 @@ from gyrobench.drivers.ins.can_ins import CanIns
 from gyrobench.drivers.ins.ins_status import InsStatus
 from gyrobench.drivers.ins.navigation_data import NavigationData, decode_navigation
 from gyrobench.drivers.ins.readout import Alignment, InsMode
-from gyrobench.drivers.ins.resolution import resolution_report
+from gyrobench.drivers.ins.resolution import LIMIT_DPH, resolution_report
 
 _SUBJECT = "INS"
 _check = partial(Check.of, _SUBJECT)
@@ -150,13 +150,13 @@ def _observe(ins: CanIns, clock: Clock, period_s: float, traffic: CanTraffic) ->
 
 def _resolution(station: Station, ins: CanIns) -> Check:
     limits = resolution_report(station.file.ins.signals, ins.codec)
-    worst = max(limits, key=lambda limit: limit.worst_dph / limit.limit_dph)
+    worst = max(limits, key=lambda limit: limit.worst_dph)
     steps = {f"{limit.unit}": limit.lsb for limit in limits}
     return _check(
         "resolution",
         all(limit.sufficient for limit in limits),
         f"steps of {' and '.join(f'{lsb:.2g} {unit}' for unit, lsb in steps.items())} move a bias by up to "
-        f"{worst.worst_dph:.2g} deg/h in windows of 10 min; the limit is {worst.limit_dph:g} deg/h",
+        f"{worst.worst_dph:.2g} deg/h in windows of 10 min; the limit is {LIMIT_DPH:g} deg/h",
         f"Map a finer output than {worst.signal}, or increase the duration of the windows.",
     )
 

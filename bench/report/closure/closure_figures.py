@@ -17,10 +17,8 @@ from gyrobench.bench.report.closure.closure_text import (
     is_noise_only,
     models_of,
     noise_dph,
-    p_phrase,
     residuals_dph,
     scale_of_errors,
-    share_text,
 )
 from gyrobench.bench.report.figures.style import (
     GYRO_STYLES,
@@ -30,7 +28,7 @@ from gyrobench.bench.report.figures.style import (
     say_empty,
     text_width_in,
 )
-from gyrobench.bench.report.number_format import BiasScale
+from gyrobench.bench.report.number_format import BiasScale, p_phrase, share_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

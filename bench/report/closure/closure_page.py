@@ -22,7 +22,7 @@ from gyrobench.bench.report.closure.closure_figures import (
     closure_evidence_figure,
     closure_residual_figure,
 )
-from gyrobench.bench.report.number_format import odds_text, p_text
+from gyrobench.bench.report.number_format import odds_text, p_text, share_text
 from gyrobench.bench.report.page import Findings, Section, SectionFigure, SectionTable, write_findings
 from gyrobench.bench.report.run_report import write_report
 from gyrobench.bench.runs.folder import CLOSURE, RunFolder
@@ -121,7 +121,7 @@ def effect_table(closure: Closure) -> SectionTable:
             each.effect.display_name,
             listed(each.axes),
             text.labels(closure, each.tied_with) or "none",
-            ", ".join(f"{cycle}: {text.share_text(gain)}" for cycle, gain in each.gains.items()) or "no",
+            ", ".join(f"{cycle}: {share_text(gain)}" for cycle, gain in each.gains.items()) or "no",
             scale.with_sigma(each.rms_dph, each.rms_sigma_dph),
             probability_number(each.probability),
         ]
@@ -152,7 +152,7 @@ def evidence_table(closure: Closure) -> SectionTable:
         if each.missing_input is None:
             name = each.effect.name
             cells = {
-                "share": text.share_text(each.share),
+                "share": share_text(each.share),
                 "p": p_text(each.p_value),
                 "odds": odds_text(each.log_odds_against) if each.log_odds_against > 0.0 else "",
             }

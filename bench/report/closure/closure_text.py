@@ -17,13 +17,12 @@ from gyrobench.bench.closure.search import SIGNIFICANCE
 from gyrobench.bench.closure.validation import LACK_OF_FIT_P, measured_minus
 from gyrobench.bench.foundations.arrays import FloatArray, rms_of_known
 from gyrobench.bench.foundations.text import counted, decimals_of, listed, probability_number, with_sigma
-from gyrobench.bench.report.number_format import BiasScale, odds_text, p_text
+from gyrobench.bench.report.number_format import BiasScale, odds_text, p_phrase, share_text, size_text
 
 _VISIBLE_NOISE_SCALE = 1.005
 _S_PER_H = 3600.0
 #: Twice the logarithm of odds of two to one.
 _EVEN = 2.0 * math.log(2.0)
-_NEARLY_ALL, _ALL = 98.5, 100.0
 #: Largest probability that is written, and the smallest of an effect that a sentence names.
 _WORTH_STATING = 0.005
 #: Probability from which an effect is said to explain a part.
@@ -98,26 +97,6 @@ def table_texts(closure: Closure) -> list[str]:
         f"{f' ({table.placed})' if table.placed else ''}"
         for table in campaign.tables
     ]
-
-
-def size_text(size_dph: float) -> str:
-    """Write a size with two digits, never with an exponent: "0.0092"."""
-    if not size_dph > 0.0:
-        return "0"
-    return f"{size_dph:.{max(1 - math.floor(math.log10(size_dph)), 1)}f}"
-
-
-def share_text(share: float) -> str:
-    """Write a share in percent, at most 100 %; less than all is never rounded to 100 %."""
-    percent = 100.0 * min(share, 1.0)
-    is_nearly_all = _NEARLY_ALL <= percent < _ALL
-    return f"{math.floor(percent * 10.0) / 10.0:.1f} %" if is_nearly_all else f"{percent:z.0f} %"
-
-
-def p_phrase(p_value: float) -> str:
-    """Write a p-value in a sentence: "p = 0.02", "p < 1e-9"."""
-    text = p_text(p_value)
-    return f"p < {text[1:]}" if text.startswith("<") else f"p = {text}"
 
 
 def labels(closure: Closure, names: Iterable[str]) -> str:

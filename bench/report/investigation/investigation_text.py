@@ -23,6 +23,7 @@ GISTS = {
     "refuted": "refuted",
     "bench_failed": "stopped: the bench failed",
 }
+_MAX_PREDICTIONS = 3
 #: Hypotheses below this probability are ruled out.
 _RULED_OUT = 0.01
 
@@ -33,7 +34,7 @@ def title_of(rival: Rival) -> str:
     return f"{names}, and an unlisted effect" if rival.remainder_dph else names
 
 
-def proposal_sentences(proposal: Proposal, rivals: Sequence[Rival], limit: int = 3) -> Iterator[str]:
+def proposal_sentences(proposal: Proposal, rivals: Sequence[Rival]) -> Iterator[str]:
     """What a block does, what it is worth, and what each hypothesis predicts."""
     plan = proposal.block.plan
     what = proposal.block.what
@@ -44,7 +45,7 @@ def proposal_sentences(proposal: Proposal, rivals: Sequence[Rival], limit: int =
         f"{proposal.expected.entropy:z.2f} nats.{biases if proposal.replaced_h else ''}"
     )
     is_test = len(rivals) > 1 and len({each.probability for each in rivals}) == 1
-    for rival, prediction in list(zip(rivals, proposal.predictions, strict=True))[:limit]:
+    for rival, prediction in list(zip(rivals, proposal.predictions, strict=True))[:_MAX_PREDICTIONS]:
         weight = f"probability {probability_number(rival.probability)}"
         mean_dph = prediction.mean_dph.reshape(3, -1)
         gyros = ", ".join(

@@ -26,6 +26,8 @@ from gyrobench.bench.runs.index.run_biases import MONTH_DAYS, RunBias, Trend, re
 from gyrobench.bench.runs.index.run_index import RunIndex, find_runs
 from gyrobench.bench.runs.index.selection import Selection
 
+#: Probability that the bias of a run on the date found is within the limit.
+_CONFIDENCE = 0.95
 #: Dates are given up to this far after the last run.
 MAX_MONTHS = 120.0
 #: Runs of all units together beyond one for each unit: with fewer the scatter is unknown.
@@ -78,9 +80,7 @@ class _Unit:
         return np.asarray(covariance + np.diag(self.variance), dtype=float)
 
 
-def recalibration(
-    runs: Mapping[str, Sequence[RunBias]], unit: str, limit_dph: float, confidence: float = 0.95
-) -> Recalibration:
+def recalibration(runs: Mapping[str, Sequence[RunBias]], unit: str, limit_dph: float) -> Recalibration:
     """Date until which the bias of a unit stays within a limit of either sign.
 
     Raises MeasurementError if the unit has no run, or all units together have too few to know the scatter
@@ -94,8 +94,6 @@ def recalibration(
         The unit.
     limit_dph : float
         Largest bias of either sign in a run, deg/h.
-    confidence : float
-        Probability that the bias of a run on that date is within the limit.
     """
     units = {name: _Unit.of(each) for name, each in runs.items() if each}
     if unit not in units:
@@ -115,7 +113,7 @@ def recalibration(
     last = own.months[-1]
 
     def is_within(months: float) -> bool:
-        return predict.probability_within(last + months, limit_dph) >= confidence
+        return predict.probability_within(last + months, limit_dph) >= _CONFIDENCE
 
     ends = np.linspace(0.0, MAX_MONTHS, _STEPS + 1)
     first_out = next((index for index, end in enumerate(ends) if not is_within(end)), None)
@@ -130,7 +128,7 @@ def recalibration(
     drift, drift_sigma = predict.drift()
     return Recalibration(
         limit_dph,
-        confidence,
+        _CONFIDENCE,
         None if first_out is None else due,
         months,
         drift,

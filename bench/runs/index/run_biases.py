@@ -39,7 +39,7 @@ class RunBias:
 
 
 @dataclass(frozen=True, order=True)
-class Quantity:
+class BiasQuantity:
     """A quantity compared between runs."""
 
     gyro: str  #: "x", "y" or "z".
@@ -49,7 +49,7 @@ class Quantity:
     name: str  #: :data:`LEVEL`, or the position whose bias minus the level it is.
     positions: tuple[str, ...]  #: Positions averaged in the level.
 
-    def is_same_as(self, other: Quantity) -> bool:
+    def is_same_as(self, other: BiasQuantity) -> bool:
         """Whether it is the same quantity of another unit: equal but for the positions averaged."""
         return (self.gyro, self.bin_low_c, self.bin_high_c, self.name) == (
             *(other.gyro, other.bin_low_c, other.bin_high_c, other.name),
@@ -62,7 +62,7 @@ class Quantity:
         return place if self.name == LEVEL else f"{place}, {position_label(self.name)} minus the mean"
 
 
-def read_run_biases(index: RunIndex, paths: Sequence[str]) -> dict[Quantity, list[RunBias]]:
+def read_run_biases(index: RunIndex, paths: Sequence[str]) -> dict[BiasQuantity, list[RunBias]]:
     """Read levels and differences of some runs, each quantity in the order of time.
 
     Runs in which the INS compensated biases are left out: they measured residuals.
@@ -75,7 +75,7 @@ def read_run_biases(index: RunIndex, paths: Sequence[str]) -> dict[Quantity, lis
     return run_biases(index.query(sql, [list(paths)]).records())
 
 
-def run_biases(rows: Iterable[Mapping[str, Any]]) -> dict[Quantity, list[RunBias]]:
+def run_biases(rows: Iterable[Mapping[str, Any]]) -> dict[BiasQuantity, list[RunBias]]:
     """Form levels and differences from biases by run, gyro, bin and position.
 
     For each gyro and bin the positions common to most runs are used; runs that lack one are left out.
@@ -84,7 +84,7 @@ def run_biases(rows: Iterable[Mapping[str, Any]]) -> dict[Quantity, list[RunBias
     for row in rows:
         of_bin = cells[row["gyro"], row["bin_low_c"], row["bin_high_c"]]
         of_bin.setdefault(row["path"], {})[row["position"]] = row
-    result: dict[Quantity, list[RunBias]] = {}
+    result: dict[BiasQuantity, list[RunBias]] = {}
     for (gyro, low_c, high_c), runs in sorted(cells.items()):
         positions = _common_positions(runs.values())
         whole = [run for run in runs.values() if set(positions) <= run.keys()]
@@ -94,7 +94,7 @@ def run_biases(rows: Iterable[Mapping[str, Any]]) -> dict[Quantity, list[RunBias
             weights = np.full(len(positions), 1.0 / len(positions))
             if name != LEVEL:
                 weights = np.eye(len(positions))[positions.index(name)] - weights
-            quantity = Quantity(gyro, low_c, high_c, name, positions)
+            quantity = BiasQuantity(gyro, low_c, high_c, name, positions)
             result[quantity] = [_combined([run[each] for each in positions], weights) for run in whole]
     return result
 
@@ -138,7 +138,7 @@ _DAY_S = 86400.0
 class Trend:
     """Drift of one gyro's bias in one temperature bin."""
 
-    quantity: Quantity  #: The quantity.
+    quantity: BiasQuantity  #: The quantity.
     runs: Sequence[RunBias]  #: Its measurements in order of time.
     #: bias_dph, sigma_dph: Mean over the runs, and its standard uncertainty.
     bias_dph: float
@@ -157,7 +157,7 @@ class Trend:
         return self.p_adjusted < FALSE_ALARM
 
 
-def trends(biases: Mapping[Quantity, Sequence[RunBias]]) -> list[Trend]:
+def trends(biases: Mapping[BiasQuantity, Sequence[RunBias]]) -> list[Trend]:
     """Fit a line to the level of each gyro and bin of one unit.
 
     The uncertainty of a slope includes the scatter of the runs about the line beyond their own
@@ -186,7 +186,7 @@ def mixed_origins(runs: Sequence[Mapping[str, Any]]) -> list[str]:
     return texts
 
 
-def _fitted(quantity: Quantity, runs: Sequence[RunBias]) -> Trend:
+def _fitted(quantity: BiasQuantity, runs: Sequence[RunBias]) -> Trend:
     values = np.array([run.bias_dph for run in runs])
     variances = np.array([run.sigma_dph for run in runs]) ** 2
     months = np.array(months_since_first(runs))

@@ -10,7 +10,8 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-from gyrobench.bench.bias.budget import SOURCES, BiasBudget, Budget, Combined
+from gyrobench.bench.bias.budget import BiasBudget, Budget, Combined
+from gyrobench.bench.bias.error_sources import SOURCES
 from gyrobench.bench.calibration.coefficients import SensorCoefficient
 from gyrobench.bench.foundations.csv_tables import CsvTable, each_row, write_rows
 from gyrobench.bench.navigation.positions import AXES, POSITIONS

@@ -4,11 +4,11 @@ import shutil
 
 import pytest
 
-from gyrobench.bench.dwells.marks import DwellMarks
 from gyrobench.bench.dwells.measure_dwell import measurement_setup
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.runs.marks import DwellMarks
 from gyrobench.bench.station.station import Station
 
 

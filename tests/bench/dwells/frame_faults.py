@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrobench.bench.dwells.marks import DwellMarks
+from gyrobench.bench.runs.marks import DwellMarks
 from gyrobench.drivers.frames import FrameBlock
 
 TIME, VELOCITY, ROLL_PITCH, HEADING, STATUS, OPTICS, ELECTRONICS = 0x01, 0x04, 0x06, 0x07, 0x10, 0x20, 0x21

@@ -11,12 +11,12 @@ from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.dwells.calibration_check import calibration_check_rows
 from gyrobench.bench.dwells.check_dwell import AlignedNavigation, CheckDwell
-from gyrobench.bench.dwells.marks import DwellMarks
 from gyrobench.bench.dwells.measure_dwell import MeasurementSetup
 from gyrobench.bench.dwells.temperatures import DwellTemperatures
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 from gyrobench.bench.navigation.table_axes import TwoAxisTable
 from gyrobench.bench.procedure.plan import DwellPurpose
+from gyrobench.bench.runs.marks import DwellMarks
 from gyrobench.drivers.ins.navigation_data import EpochCounts
 from tests.bench.bias.emulated_dwells import EAST, UP, emulate, noise_model, sensors, site
 

@@ -11,7 +11,7 @@ import pytest
 
 from gyrobench.bench.bias import parameters
 from gyrobench.bench.bias.window_filter import whiten
-from gyrobench.bench.dwells.live_estimate import LiveEstimate, warm_up
+from gyrobench.bench.dwells.live_estimate import LiveEstimate, compile_estimator
 from gyrobench.bench.dwells.measure_dwell import (
     checked_navigation,
     dwell_at_rest,
@@ -161,7 +161,7 @@ def test_noise_that_the_first_window_does_not_show_leaves_the_biases_unknown(rec
 @pytest.mark.parametrize("has_noise", [True, False])
 def test_after_warming_up_no_estimate_compiles_anything(recorded, has_noise):
     marks, frames, setup = recorded
-    warm_up(setup if has_noise else replace(setup, noise=None))
+    compile_estimator(setup if has_noise else replace(setup, noise=None))
     compiled = list(whiten.dispatcher.signatures)
     assert compiled
     measure_dwell(marks, frames, setup)
@@ -173,11 +173,11 @@ def test_after_warming_up_no_estimate_compiles_anything(recorded, has_noise):
 def test_warming_up_says_how_long_it_compiled_but_only_once(tmp_path):
     code = (
         "from gyrobench.bench.dwells.measure_dwell import measurement_setup\n"
-        "from gyrobench.bench.dwells.live_estimate import warm_up\n"
+        "from gyrobench.bench.dwells.live_estimate import compile_estimator\n"
         "from gyrobench.bench.foundations.shipped import find_document\n"
         "from gyrobench.bench.station.station import Station\n"
         "setup = measurement_setup(Station(find_document('stations', 'emulated')))\n"
-        "print(warm_up(setup), warm_up(setup))\n"
+        "print(compile_estimator(setup), compile_estimator(setup))\n"
     )
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
     for is_first in (True, False):

@@ -9,13 +9,13 @@ from dataclasses import replace
 import pytest
 
 from gyrobench.bench.bias.dwell_table import read_dwells
-from gyrobench.bench.dwells.marks import DwellMarks
 from gyrobench.bench.dwells.measure_dwell import measure_dwell
 from gyrobench.bench.dwells.run_dwells import add_dwell
 from gyrobench.bench.dwells.run_results import recompute_run
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.runs.marks import DwellMarks
 
 pytestmark = pytest.mark.long
 

@@ -1,5 +1,6 @@
 """Blocks of an investigation as runs on the emulated bench."""
 
+import shutil
 from contextlib import nullcontext
 from dataclasses import replace
 
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.inputs import joined_rows, read_campaign
-from gyrobench.bench.engine.investigation_runs import StationBench, measure_campaign
+from gyrobench.bench.engine.investigation_runs import StationBench, measure_campaign, start_with_runs
 from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.observers import RunObserver
 from gyrobench.bench.engine.operator import ConsentingOperator
@@ -167,3 +168,22 @@ def test_rows_of_joined_tables_have_unique_numbers_on_one_time_axis(campaign, me
     assert [row.dwell for row in rows] == together.dwell.tolist()
     assert [row.start_s for row in rows] == pytest.approx(together.start_s.tolist())
     assert [row.cycle for row in rows] == together.cycle.tolist()
+
+
+@pytest.mark.parametrize(
+    ("measured_on", "station", "given", "world"),
+    [
+        ("quick", None, None, "quick_warm_up"),
+        ("quick", "quick", None, "quick_warm_up"),
+        ("mine", "quick", None, "quick"),
+        ("mine", "quick", "ideal", "ideal"),
+    ],
+)
+def test_another_station_is_emulated_with_its_own_world(
+    campaign, tmp_path, measured_on, station, given, world
+):
+    run = RunFolder(shutil.copytree(campaign[1] / "campaign", tmp_path / "run"))
+    text = run.station.read_text()
+    run.station.write_text(text.replace("station: quick\n", f"station: {measured_on}\n", 1))
+    start = start_with_runs([run.path], station, given, None, None)
+    assert start.job.emulation == Emulation(world, 3)

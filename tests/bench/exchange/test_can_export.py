@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gyrobench.bench.dwells.marks import DwellMarks
 from gyrobench.bench.dwells.measure_dwell import measurement_setup
 from gyrobench.bench.exchange.can_export import TimedLog, write_blf
 from gyrobench.bench.exchange.run_export import DataKind, ExportSelection, Format, export_run
@@ -13,6 +12,7 @@ from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.runs.can_log import BlfWriter, read_can_log
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.runs.marks import DwellMarks
 from gyrobench.bench.runs.provenance import started_utc
 from gyrobench.bench.station.station import Station
 from tests.bench.exchange.frames import assert_same, frames_of, strange_parts

@@ -7,7 +7,7 @@ import pytest
 
 from gyrobench.bench.fleet.batch import EffectSize, fit_batch, outliers
 from gyrobench.bench.foundations.errors import MeasurementError
-from gyrobench.bench.runs.index.run_biases import LEVEL, Quantity, RunBias
+from gyrobench.bench.runs.index.run_biases import LEVEL, BiasQuantity, RunBias
 
 SPREAD_DPH, BETWEEN_RUNS_DPH = 0.003, 0.001
 POSITIONS = ("z_up", "y_up", "x_up")
@@ -22,7 +22,7 @@ def batch(rng, units=10, names=(LEVEL,), outlier=("", "", 0.0), spread_dph=SPREA
         for name in names:
             own = rng.normal(0.0, spread_dph, units)
             own[0] += outlier[2] if (gyro, name) == outlier[:2] else 0.0
-            values[Quantity(gyro, 20.0, 25.0, name, POSITIONS)] = [
+            values[BiasQuantity(gyro, 20.0, 25.0, name, POSITIONS)] = [
                 RunBias(
                     f"{unit}-{run}",
                     f"{unit}",

@@ -67,11 +67,11 @@ def test_an_axis_of_nothing_still_is_one():
     ],
 )
 def test_time_has_ticks_at_usual_hours_and_minutes(high_s, unit_s, texts):
-    assert [tick.text for tick in time_axis("Time", 0.0, high_s, unit_s).ticks] == texts
+    assert [tick.text for tick in time_axis("Time", high_s, unit_s).ticks] == texts
 
 
 def test_a_line_leads_through_its_points_and_is_broken_where_nothing_is_known():
-    x, y = time_axis("Time", 0.0, 100.0, 1.0), value_axis("Value", [0.0, 1.0], 1.0)
+    x, y = time_axis("Time", 100.0, 1.0), value_axis("Value", [0.0, 1.0], 1.0)
     path = line(x, y, [0.0, 50.0, 60.0, 100.0], [0.0, 1.0, NAN, 0.0])
     assert path.count("M") == 2
     assert [place[0] for place in places(path)] == pytest.approx([0.0, 500.0, 1000.0])
@@ -79,12 +79,12 @@ def test_a_line_leads_through_its_points_and_is_broken_where_nothing_is_known():
 
 
 def test_nothing_gives_no_path():
-    x, y = time_axis("Time", 0.0, 100.0, 1.0), value_axis("Value", [], 1.0)
+    x, y = time_axis("Time", 100.0, 1.0), value_axis("Value", [], 1.0)
     assert line(x, y, [1.0], [NAN]) == line(x, y, [], []) == band(x, y, [], [], []) == ""
 
 
 def test_a_band_goes_there_above_and_back_below():
-    x, y = time_axis("Time", 0.0, 100.0, 1.0), value_axis("Value", [0.0, 2.0], 1.0)
+    x, y = time_axis("Time", 100.0, 1.0), value_axis("Value", [0.0, 2.0], 1.0)
     path = band(x, y, [0.0, 100.0], [0.0, 0.5], [2.0, 1.5])
     assert [place[0] for place in places(path)] == [0.0, 1000.0, 1000.0, 0.0]
     heights = [place[1] for place in places(path)]

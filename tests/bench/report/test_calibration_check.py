@@ -4,10 +4,10 @@ from dataclasses import replace
 import pytest
 
 from gyrobench.bench.report.calibration_check import (
-    calibration_check_rows,
     calibration_check_section,
     calibration_check_sentence,
     dwells_text,
+    printed_rows,
 )
 from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow
 
@@ -107,7 +107,7 @@ def test_the_table_holds_every_bias_beside_the_calibrated_one():
 def test_azimuths_distinguish_dwells_of_one_position():
     opposite = replace(ROW, dwell=2, azimuth_deg=180.0)
     pair = replace(ALIGNMENT, azimuth_deg=270.0)
-    assert [line[0] for line in calibration_check_rows([ROW, opposite, pair])] == [
+    assert [line[0] for line in printed_rows([ROW, opposite, pair])] == [
         "Y-Up 0°",
         "Y-Up 180°",
         "Y-Up 270/90°",
@@ -116,7 +116,7 @@ def test_azimuths_distinguish_dwells_of_one_position():
 
 def test_zero_has_no_minus():
     tiny = replace(ROW, bias_dph=-1e-8, paper_bias_dph=-1e-8, calibrated_dph=-1e-8, difference_dph=-1e-8)
-    (line,) = calibration_check_rows([tiny])
+    (line,) = printed_rows([tiny])
     assert line[4:7] == ["0.0 ± 1.5", "0.0 ± 1.7", "0.0 ± 0.4"]
     assert line[7] == "+0.0"
     assert "-0.0" not in calibration_check_sentence([tiny])

@@ -111,5 +111,5 @@ def test_a_dwell_for_biases_needs_a_table_of_dwells(empty_folder: RunFolder) -> 
         journal.record("dwell_finished", marks={"dwell": 1}, flags="")
         journal.record("dwell_finished", marks={"dwell": 2, "is_rotated": True}, flags="")
     content = read_run(empty_folder)
-    assert content.dwell_purposes == {"biases": 1, "rotations": 1}
+    assert content.dwell_purposes == {"calibration": 1, "rotations": 1}
     assert "dwells.csv is missing." in content.problems

@@ -50,7 +50,8 @@ def batches():
 
 @pytest.fixture
 def driver(adapter, signal_map, codec, batches):
-    driver = CanIns(adapter.bus(), signal_map, codec.database, VirtualClock(), on_frames=batches.append)
+    driver = CanIns(adapter.bus(), signal_map, codec.database, VirtualClock())
+    driver.on_frames = batches.append
     yield driver
     driver.close()
     adapter.pull()

@@ -138,7 +138,9 @@ def batches():
 
 @pytest.fixture
 def driver(buses, signal_map, codec, clock, command_map, batches):
-    return CanIns(buses[0], signal_map, codec.database, clock, command_map, batches.append)
+    driver = CanIns(buses[0], signal_map, codec.database, clock, command_map)
+    driver.on_frames = batches.append
+    return driver
 
 
 def test_every_frame_is_polled_once_in_order_and_given_to_the_sink(
@@ -449,7 +451,8 @@ class BreakingBus(can.BusABC):
     ],
 )
 def test_frames_before_a_failure_of_the_bus_are_not_lost(error, raised, signal_map, codec, clock, batches):
-    driver = CanIns(BreakingBus(error), signal_map, codec.database, clock, None, batches.append)
+    driver = CanIns(BreakingBus(error), signal_map, codec.database, clock)
+    driver.on_frames = batches.append
     assert len(driver.poll()) == 2
     with pytest.raises(raised, match=str(error)):
         driver.poll()

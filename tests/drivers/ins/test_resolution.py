@@ -3,6 +3,7 @@ import pytest
 
 from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
 from gyrobench.drivers.ins.resolution import (
+    LIMIT_DPH,
     horizontal_gyro_errors_dph,
     resolution_report,
     vertical_gyro_errors_dph,
@@ -83,7 +84,7 @@ def test_an_output_of_centimetres_per_second_and_tenths_of_milliradians_is_too_c
     limits = resolution_report(signal_map, codec)
     assert not any(limit.sufficient for limit in limits)
     assert all("too coarse" in limit.text for limit in limits)
-    assert limits[0].sigma_dph < limits[0].limit_dph < limits[0].worst_dph
+    assert limits[0].sigma_dph < LIMIT_DPH < limits[0].worst_dph
 
 
 def test_the_step_of_a_floating_point_signal_is_that_at_its_largest_value(signal_map, codec_with):

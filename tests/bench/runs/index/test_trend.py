@@ -5,9 +5,16 @@ from datetime import datetime, timedelta
 import numpy as np
 import pytest
 
-from gyrobench.bench.runs.index.run_biases import LEVEL, MONTH_DAYS, Quantity, RunBias, mixed_origins, trends
+from gyrobench.bench.runs.index.run_biases import (
+    LEVEL,
+    MONTH_DAYS,
+    BiasQuantity,
+    RunBias,
+    mixed_origins,
+    trends,
+)
 
-QUANTITIES = [Quantity(gyro, 20.0, 25.0, LEVEL, ("z_up",)) for gyro in "xyz"]
+QUANTITIES = [BiasQuantity(gyro, 20.0, 25.0, LEVEL, ("z_up",)) for gyro in "xyz"]
 
 
 def runs(biases, sigma=0.001, months=1.0):

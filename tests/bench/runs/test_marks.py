@@ -2,9 +2,9 @@ from dataclasses import replace
 
 import pytest
 
-from gyrobench.bench.dwells.marks import DwellMarks, WindowMark
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.procedure.plan import DwellPurpose
+from gyrobench.bench.runs.marks import DwellMarks, WindowMark
 
 MARKS = DwellMarks(
     unit="1001",

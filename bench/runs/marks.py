@@ -19,7 +19,7 @@ from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.procedure.plan import DwellPurpose
 
 _CHECK = "is_verification"
-#: Purposes in the journal, which always states whether it is the first; calibration is none of them.
+#: Keys of the purposes in the journal, which always has the first; calibration is none of them.
 _PURPOSES = {
     _CHECK: DwellPurpose.CALIBRATION_CHECK,
     "is_rotated": DwellPurpose.ROTATIONS,
@@ -116,16 +116,21 @@ class DwellMarks:
         return marks
 
 
+def purpose_of(marks: Any) -> DwellPurpose | None:
+    """What a dwell is for by its marks in the journal, also damaged ones; None if it has none."""
+    if not isinstance(marks, Mapping):
+        return None
+    return next((is_for for key, is_for in _PURPOSES.items() if marks.get(key)), DwellPurpose.CALIBRATION)
+
+
 def _with_purpose(data: Any) -> Any:
     """Marks with their purpose, None where it is not stated; what is no mapping is left to the validation."""
     if not isinstance(data, Mapping):
         return data
     stated = {name: data[name] for name in _PURPOSES if name in data}
-    purpose = None
-    if _CHECK in stated and all(isinstance(each, bool) for each in stated.values()):
-        found = (_PURPOSES[name] for name, is_so in stated.items() if is_so)
-        purpose = next(found, DwellPurpose.CALIBRATION)
-    return {name: data[name] for name in data if name not in _PURPOSES} | {"purpose": purpose}
+    is_stated = _CHECK in stated and all(isinstance(each, bool) for each in stated.values())
+    others = {name: data[name] for name in data if name not in _PURPOSES}
+    return others | {"purpose": purpose_of(stated) if is_stated else None}
 
 
 @cache
