@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.effects import bias_jump
+from gyrobench.bench.closure.effects.laws import AGEING, TIME_DRIFT, WARM_UP
 from gyrobench.bench.closure.loop import close_loop, without_search
 from gyrobench.bench.closure.noise import OUTLIER_SIGMA, estimate_noise
 from gyrobench.bench.report.closure.closure_text import error_sentence
@@ -93,7 +95,7 @@ def test_a_dwell_that_is_thousands_of_sigmas_off_is_the_only_outlier_and_counts_
     assert np.abs(residuals[noise.factors > 1.0]).max() < 1.3
 
 
-@pytest.mark.parametrize("dwell", [5, 20])
+@pytest.mark.parametrize("dwell", [pytest.param(5, marks=pytest.mark.long), 20])
 def test_an_effect_is_found_beside_a_dwell_that_is_thousands_of_sigmas_off(dwell):
     rows = measure({"temperature_rate": 3.0}, seed=1).rows
     without = close_loop(campaign_of(rows))
@@ -104,10 +106,19 @@ def test_an_effect_is_found_beside_a_dwell_that_is_thousands_of_sigmas_off(dwell
     assert closure.error_after_dph == pytest.approx(without.error_after_dph, rel=0.05)
 
 
-def test_a_bias_that_no_effect_explains_stays_unexplained_beside_a_dwell_that_is_thousands_of_sigmas_off():
+@pytest.mark.parametrize(
+    "candidates",
+    [
+        pytest.param([TIME_DRIFT, AGEING, WARM_UP, bias_jump.EFFECT], id="what follows the time"),
+        pytest.param(None, id="all", marks=pytest.mark.long),
+    ],
+)
+def test_a_bias_that_no_effect_explains_stays_unexplained_beside_a_dwell_that_is_thousands_of_sigmas_off(
+    candidates,
+):
     rows, _ = make_unit(0, ["random_walk"], 2.0)
-    without = close_loop(campaign_of(rows))
-    closure = close_loop(campaign_of(with_bias_times_1000(rows, 20, "y")))
+    without = close_loop(campaign_of(rows), effects=candidates)
+    closure = close_loop(campaign_of(with_bias_times_1000(rows, 20, "y")), effects=candidates)
     assert (without.verdict, without.names) == (closure.verdict, closure.names) == ("unexplained", ())
     assert (20, "y") in {(each.dwell, each.gyro) for each in closure.noise.outliers}
     assert closure.error_after_dph == pytest.approx(without.error_after_dph, rel=0.05)

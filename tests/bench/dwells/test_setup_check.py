@@ -51,22 +51,35 @@ def test_a_latitude_of_the_wrong_hemisphere_is_named_in_nearly_every_dwell(latit
     assert sum(named) >= 5
 
 
-@pytest.mark.parametrize(
-    "unit",
-    [
-        {},
-        {"accelerometer_bias_ug": (-1000.0, 1000.0, 1000.0)},
-        {"accelerometer_drift_ug_per_h": (30.0, -30.0, 30.0)},
-        {"accelerometer_transient_ug": (20.0, -20.0, 20.0)},
-        {"angle_random_walk": 0.0012},
-        {"velocity_damping_s": 600.0},
-        {"gyro_pulse_arcsec": 5.0},
-        {"bias_step_dph": (0.0, 0.02, 0.0)},
-        {"velocity_output_mps": 1e-3, "attitude_output_arcsec": 5.0},
-    ],
+UNITS = (
+    {},
+    {"accelerometer_bias_ug": (-1000.0, 1000.0, 1000.0)},
+    {"accelerometer_drift_ug_per_h": (30.0, -30.0, 30.0)},
+    {"accelerometer_transient_ug": (20.0, -20.0, 20.0)},
+    {"angle_random_walk": 0.0012},
+    {"velocity_damping_s": 600.0},
+    {"gyro_pulse_arcsec": 5.0},
+    {"bias_step_dph": (0.0, 0.02, 0.0)},
+    {"velocity_output_mps": 1e-3, "attitude_output_arcsec": 5.0},
 )
-@pytest.mark.parametrize("latitude_deg", [36.4, -52.0])
-def test_no_error_of_the_unit_passes_for_a_wrong_set_up(unit, latitude_deg):
+
+
+def each_unit_at_one_latitude(*latitudes_deg):
+    """Every unit at every latitude, each unit at one of them among the quick tests."""
+    return [
+        pytest.param(
+            latitude_deg,
+            unit,
+            id=f"{latitude_deg}-{'-'.join(unit) or 'no error'}",
+            marks=[] if number % len(latitudes_deg) == place else [pytest.mark.long],
+        )
+        for number, unit in enumerate(UNITS)
+        for place, latitude_deg in enumerate(latitudes_deg)
+    ]
+
+
+@pytest.mark.parametrize(("latitude_deg", "unit"), each_unit_at_one_latitude(36.4, -52.0))
+def test_no_error_of_the_unit_passes_for_a_wrong_set_up(latitude_deg, unit):
     dwells = dwells_of(latitude_deg=latitude_deg, **unit)
     assert [dwell.setup_fault for dwell in dwells] == [""] * 6
     if evidence := [dwell.evidence for dwell in dwells if dwell.evidence]:
