@@ -144,6 +144,14 @@ def lock_folder_of_this_worker(tmp_path_factory):
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def no_waiting_for_the_disk():
+    """Do not wait until data are on the disk: no test cuts the power. Some simulate that and replace fsync too."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", os.fstat)
+        yield
+
+
 @pytest.fixture(scope="session")
 def made_once(tmp_path_factory):
     """``made_once(name, make)``: a folder that ``make(folder)`` fills for all workers, which only read."""
