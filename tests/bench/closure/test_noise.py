@@ -7,7 +7,7 @@ import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.effects import bias_jump
-from gyrobench.bench.closure.effects.laws import AGEING, TIME_DRIFT, WARM_UP
+from gyrobench.bench.closure.effects.laws import AGEING, TEMPERATURE_RATE, THERMAL_LAG, TIME_DRIFT, WARM_UP
 from gyrobench.bench.closure.loop import close_loop, without_search
 from gyrobench.bench.closure.noise import OUTLIER_SIGMA, estimate_noise
 from gyrobench.bench.report.closure.closure_text import error_sentence
@@ -95,11 +95,18 @@ def test_a_dwell_that_is_thousands_of_sigmas_off_is_the_only_outlier_and_counts_
     assert np.abs(residuals[noise.factors > 1.0]).max() < 1.3
 
 
-@pytest.mark.parametrize("dwell", [pytest.param(5, marks=pytest.mark.long), 20])
-def test_an_effect_is_found_beside_a_dwell_that_is_thousands_of_sigmas_off(dwell):
+@pytest.mark.parametrize("dwell", [5, 20])
+@pytest.mark.parametrize(
+    "candidates",
+    [
+        pytest.param([TEMPERATURE_RATE, THERMAL_LAG, TIME_DRIFT, bias_jump.EFFECT], id="some"),
+        pytest.param(None, id="all", marks=pytest.mark.long),
+    ],
+)
+def test_an_effect_is_found_beside_a_dwell_that_is_thousands_of_sigmas_off(dwell, candidates):
     rows = measure({"temperature_rate": 3.0}, seed=1).rows
-    without = close_loop(campaign_of(rows))
-    closure = close_loop(campaign_of(with_bias_times_1000(rows, dwell, "x")))
+    without = close_loop(campaign_of(rows), effects=candidates)
+    closure = close_loop(campaign_of(with_bias_times_1000(rows, dwell, "x")), effects=candidates)
     assert without.names == ("temperature_rate",)
     assert (closure.verdict, closure.names) == (without.verdict, without.names)
     assert {each.dwell for each in closure.noise.outliers} == {dwell}
@@ -146,8 +153,9 @@ def test_a_held_out_dwell_that_is_far_off_is_named(options):
     rows = measure({"temperature_rate": 3.0}, seed=1, **options).rows
     last = max(row.cycle for row in rows)
     dwell = [row.dwell for row in rows if row.cycle == last][3]
-    assert close_loop(campaign_of(rows)).held_out_outliers == []
-    closure = close_loop(campaign_of(with_bias_times_1000(rows, dwell, "y")))
+    candidates = [TEMPERATURE_RATE, THERMAL_LAG, TIME_DRIFT]
+    assert close_loop(campaign_of(rows), effects=candidates).held_out_outliers == []
+    closure = close_loop(campaign_of(with_bias_times_1000(rows, dwell, "y")), effects=candidates)
     assert [(each.dwell, each.gyro) for each in closure.held_out_outliers] == [(dwell, "y")]
     assert (
         f"Included in these errors, further than 5 sigma from the prediction: dwell {dwell} (y "
