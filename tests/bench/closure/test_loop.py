@@ -59,11 +59,18 @@ def test_an_effect_is_explained_with_its_size(closed):
     assert closure.before.p_value < LACK_OF_FIT_P < closure.after.p_value
 
 
-def test_a_form_that_the_data_do_not_exclude_is_stated_with_its_probability():
+@pytest.mark.parametrize(
+    "candidates",
+    [
+        pytest.param([TEMPERATURE_RATE, THERMAL_HYSTERESIS, TIME_DRIFT], id="some"),
+        pytest.param(None, id="all", marks=pytest.mark.long),
+    ],
+)
+def test_a_form_that_the_data_do_not_exclude_is_stated_with_its_probability(candidates):
     weak, strong = (
         close_loop(
             campaign_of(measure({"thermal_hysteresis": size}, headings_deg=(0.0, 90.0)).rows),
-            effects=[TEMPERATURE_RATE, THERMAL_HYSTERESIS, TIME_DRIFT],
+            effects=candidates,
         )
         for size in (2.0, 8.0)
     )

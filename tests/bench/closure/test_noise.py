@@ -149,11 +149,17 @@ def test_where_too_many_biases_are_off_none_is_an_outlier(share):
 
 
 @pytest.mark.parametrize("options", [{}, {"power_on_each_cycle": True}], ids=["one run", "a run each cycle"])
-def test_a_held_out_dwell_that_is_far_off_is_named(options):
+@pytest.mark.parametrize(
+    "candidates",
+    [
+        pytest.param([TEMPERATURE_RATE, THERMAL_LAG, TIME_DRIFT], id="some"),
+        pytest.param(None, id="all", marks=pytest.mark.long),
+    ],
+)
+def test_a_held_out_dwell_that_is_far_off_is_named(options, candidates):
     rows = measure({"temperature_rate": 3.0}, seed=1, **options).rows
     last = max(row.cycle for row in rows)
     dwell = [row.dwell for row in rows if row.cycle == last][3]
-    candidates = [TEMPERATURE_RATE, THERMAL_LAG, TIME_DRIFT]
     assert close_loop(campaign_of(rows), effects=candidates).held_out_outliers == []
     closure = close_loop(campaign_of(with_bias_times_1000(rows, dwell, "y")), effects=candidates)
     assert [(each.dwell, each.gyro) for each in closure.held_out_outliers] == [(dwell, "y")]
