@@ -27,11 +27,11 @@ investigate: $(VENV)/.installed
 
 # Four workers on two cores: two begin with the tests that wait in real time.
 test: install
-	$(BIN)/python -m pytest -m "not long" -n 4 --dist loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest -m "not long" -p no:benchmark -n 4 --dist loadfile --no-loadscope-reorder
 
 # With many more examples of those that hypothesis makes up.
 test-long: install
-	$(BIN)/python -m pytest -m "long or hypothesis" --hypothesis-profile=thorough -n 4 --dist loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest -m "long or hypothesis" -p no:benchmark --hypothesis-profile=thorough -n 4 --dist loadfile --no-loadscope-reorder
 
 soak: install
 	$(BIN)/python -m tests.soak all --table docs/reliability.md

@@ -1,4 +1,7 @@
-"""Order of the tests, which of them one worker runs, what workers compile and share, and where locks are."""
+"""Order of the tests, which of them one worker runs, what workers compile and share, and where locks are.
+
+What it needs of gyrobench is imported where a worker uses it: the process that hands out the tests has none.
+"""
 
 import atexit
 import contextlib
@@ -13,10 +16,6 @@ from pathlib import Path
 import hypothesis
 import pytest
 from xdist.scheduler import LoadFileScheduling
-
-from gyrobench.bench.report import page
-from gyrobench.bench.station.locks import LOCK_DIR_VARIABLE
-from gyrobench.drivers.emulators.bench import compile_world
 
 # A shell that starts the tests in the background leaves these ignored, for every process that a test starts.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -101,7 +100,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     gc.disable()  # importing hardly leaves anything to free
     number, others = int(config.workerinput["workerid"][2:]), config.workerinput["workercount"] - 1
     if number == 0:
-        compile_world()
+        importlib.import_module("gyrobench.drivers.emulators.bench").compile_world()
         return
     paths = [path for arg in config.args for path in sorted((config.rootpath / arg).rglob("test_*.py"))]
     for path in paths[number - 1 :: others]:
@@ -121,6 +120,8 @@ def pytest_collection_finish() -> None:
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item):
     """Draw figures for tests that look at them alone."""
+    from gyrobench.bench.report import page
+
     with pytest.MonkeyPatch.context() as patch:
         if not item.nodeid.startswith(DRAWN) and not item.get_closest_marker("draws"):
             patch.setattr(page, "_as_file", empty_figure)
@@ -139,8 +140,18 @@ def empty_figure(folder, figure, *_):
 @pytest.fixture(scope="session", autouse=True)
 def lock_folder_of_this_worker(tmp_path_factory):
     """Locks of the tests stay among those of one worker."""
+    from gyrobench.bench.station.locks import LOCK_DIR_VARIABLE
+
     with pytest.MonkeyPatch.context() as environment:
         environment.setenv(LOCK_DIR_VARIABLE, str(tmp_path_factory.mktemp("locks")))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def no_waiting_for_the_disk():
+    """Do not wait until data are on the disk: no test cuts the power. Those that simulate it replace this."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", os.fstat)
         yield
 
 

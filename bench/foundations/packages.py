@@ -100,12 +100,15 @@ def load(group: str, name: str, kind: type[ObjectT]) -> ObjectT:
     return loaded
 
 
-#: Entry points of all packages, read once.
-_all_entries = cache(entry_points)
+@cache
+def _all_entries() -> dict[str, EntryPoints]:
+    """Entry points of all packages by group, of the groups of this package; read once."""
+    found = entry_points()
+    return {group: found.select(group=group) for group in found.groups if group.startswith("gyrobench.")}
 
 
 def _entries(group: str) -> EntryPoints:
-    return _all_entries().select(group=group)
+    return _all_entries().get(group, EntryPoints(()))
 
 
 def _package(entry: EntryPoint) -> str:

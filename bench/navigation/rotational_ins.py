@@ -20,6 +20,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -229,6 +230,7 @@ def bias_by_position(biases_dph: Mapping[str, ArrayLike]) -> ResidualBias:
     return residual_bias
 
 
+@lru_cache(maxsize=8)
 def _cycle(scheme: RotationScheme) -> tuple[FloatArray, FloatArray]:
     """Lengths (n,) of the steps of one cycle, and the attitude (n, 3, 3) in the middle of each."""
     dwell_steps = int(np.ceil(scheme.dwell_s / _DWELL_STEP_S))
@@ -239,4 +241,7 @@ def _cycle(scheme: RotationScheme) -> tuple[FloatArray, FloatArray]:
         angles += [start] * dwell_steps
         angles += [tuple(np.add(start, share * np.subtract(end, start))) for share in shares]
         lengths += [scheme.dwell_s / dwell_steps] * dwell_steps + [turn_s / _TURN_STEPS] * _TURN_STEPS
-    return np.array(lengths), np.stack([GIMBALS.attitude(outer, inner) for outer, inner in angles])
+    steps_s, attitudes = np.array(lengths), np.stack([GIMBALS.attitude(*each) for each in angles])
+    for each in (steps_s, attitudes):  # all navigations by this scheme share them
+        each.setflags(write=False)
+    return steps_s, attitudes

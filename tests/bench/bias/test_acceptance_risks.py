@@ -91,21 +91,28 @@ def sloping(true_dph, slope_dph_per_c=0.0025):
     )
 
 
-@pytest.mark.parametrize("unit", [equal, sloping(equal)], ids=["flat", "sloping"])
+def flat_and_sloping(unit, *, quick):
+    """A unit and one whose biases depend on temperature; ``quick`` names the one among the quick tests."""
+    units = {"flat": unit, "sloping": sloping(unit)}
+    return [
+        pytest.param(each, id=name, marks=[] if name == quick else [pytest.mark.long])
+        for name, each in units.items()
+    ]
+
+
+@pytest.mark.parametrize("unit", flat_and_sloping(equal, quick="sloping"))
 def test_a_sound_unit_is_accepted_in_most_runs_and_never_rejected_for_its_temperature(unit):
     found = verdicts(unit, drift=drifting)
     assert found["accepted"] > 0.75 * DRAWS
     assert found["rejected"] <= MOST
 
 
-@pytest.mark.parametrize(
-    "unit", [one_pair_at_the_limit, sloping(one_pair_at_the_limit)], ids=["flat", "sloping"]
-)
+@pytest.mark.parametrize("unit", flat_and_sloping(one_pair_at_the_limit, quick="flat"))
 def test_a_unit_at_the_limit_is_accepted_in_no_more_than_one_of_twenty_runs(unit):
     assert verdicts(unit, drift=drifting)["accepted"] <= MOST
 
 
-@pytest.mark.parametrize("unit", [half_at_the_limit, sloping(half_at_the_limit)], ids=["flat", "sloping"])
+@pytest.mark.parametrize("unit", flat_and_sloping(half_at_the_limit, quick="sloping"))
 def test_a_unit_just_within_the_limit_is_rejected_in_no_more_than_one_of_twenty_runs(unit):
     assert verdicts(unit, drift=drifting)["rejected"] <= MOST
 

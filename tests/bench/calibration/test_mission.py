@@ -13,6 +13,7 @@ from gyrobench.bench.navigation.rotational_ins import (
 )
 
 SITES = [Site(np.radians(latitude)) for latitude in (5.0, 45.0, -34.0, 67.0)]
+SCHEMES = (HALF_TURNS, RETRACED_HALF_TURNS, SIX_POSITIONS)
 #: Large residuals of each kind, in the units of tables.
 LEFT = {"bias": {"gyro": 0.002, "accelerometer": 10.0}, "scale_factor": 3.0, "misalignment": 1.0}
 
@@ -27,8 +28,15 @@ def residuals(seed):
     return np.array(sizes) / per_si * np.random.default_rng(seed).standard_normal(COUNT)
 
 
-@pytest.mark.parametrize("scheme", [HALF_TURNS, RETRACED_HALF_TURNS, SIX_POSITIONS])
-@pytest.mark.parametrize("site", SITES)
+#: Each site and each scheme is among the quick tests.
+SCHEMES_AT_SITES = [
+    pytest.param(site, scheme, marks=[] if at % len(SCHEMES) == number else [pytest.mark.long])
+    for at, site in enumerate(SITES)
+    for number, scheme in enumerate(SCHEMES)
+]
+
+
+@pytest.mark.parametrize(("site", "scheme"), SCHEMES_AT_SITES)
 def test_sensors_without_error_stay_within_a_metre_for_a_day(site, scheme):
     _, error_m = navigate(SensorErrors(), site, scheme)
     assert np.abs(error_m).max() < 1.0

@@ -52,5 +52,5 @@ def test_a_procedure_beyond_the_limits_of_the_station_alone_names_the_station(tm
 
 
 def test_the_python_interface_emulates_the_world_of_the_station(tmp_path):
-    run = gyrobench_api.run("quick_verification", "quick", out=tmp_path / "run")
+    run = gyrobench_api.run("ten_minute_check", "quick", out=tmp_path / "run")
     assert read_provenance(run.folder)["options"]["world"] == "quick"

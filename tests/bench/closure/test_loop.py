@@ -59,8 +59,21 @@ def test_an_effect_is_explained_with_its_size(closed):
     assert closure.before.p_value < LACK_OF_FIT_P < closure.after.p_value
 
 
-def test_a_form_that_the_data_do_not_exclude_is_stated_with_its_probability(closed):
-    weak, strong = (closed({"thermal_hysteresis": size}, cycles=3) for size in (2.0, 8.0))
+@pytest.mark.parametrize(
+    "candidates",
+    [
+        pytest.param([TEMPERATURE_RATE, THERMAL_HYSTERESIS, TIME_DRIFT], id="some"),
+        pytest.param(None, id="all", marks=pytest.mark.long),
+    ],
+)
+def test_a_form_that_the_data_do_not_exclude_is_stated_with_its_probability(candidates):
+    weak, strong = (
+        close_loop(
+            campaign_of(measure({"thermal_hysteresis": size}, headings_deg=(0.0, 90.0)).rows),
+            effects=candidates,
+        )
+        for size in (2.0, 8.0)
+    )
     [found] = weak.effects
     [other] = found.other_forms
     assert {found.candidate.form, other.candidate.form} == set(THERMAL_HYSTERESIS.forms)
@@ -404,11 +417,21 @@ def test_an_effect_that_an_untried_one_imitates_is_ambiguous():
     assert "thermal_gradient" in found.tied_with
 
 
-def test_a_constant_gyro_temperature_without_other_temperatures_is_searched():
+@pytest.mark.parametrize(
+    "candidates",
+    [
+        pytest.param(
+            [TEMPERATURE_RATE, THERMAL_HYSTERESIS, THERMAL_LAG, TIME_DRIFT, WARM_UP],
+            id="what follows temperature or time",
+        ),
+        pytest.param(None, id="all", marks=pytest.mark.long),
+    ],
+)
+def test_a_constant_gyro_temperature_without_other_temperatures_is_searched(candidates):
     rows = [
         replace(row, gyro_c=(25.0, 25.0, 25.0), gyro_rate_c_per_h=(0.0, 0.0, 0.0))
         for row in measure({"warm_up": 8.0}, cycles=2, power_on_each_cycle=True, sensors=()).rows
     ]
-    closure = close_loop(campaign_of(rows))
+    closure = close_loop(campaign_of(rows), effects=candidates)
     assert closure.verdict in {"explained", "ambiguous", "unexplained"}
     assert np.isfinite([closure.posterior.not_on_list, closure.posterior.nothing]).all()

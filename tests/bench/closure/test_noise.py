@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
+from gyrobench.bench.closure.effects import bias_jump
+from gyrobench.bench.closure.effects.laws import AGEING, TEMPERATURE_RATE, THERMAL_LAG, TIME_DRIFT, WARM_UP
 from gyrobench.bench.closure.loop import close_loop, without_search
 from gyrobench.bench.closure.noise import OUTLIER_SIGMA, estimate_noise
 from gyrobench.bench.report.closure.closure_text import error_sentence
@@ -94,20 +96,36 @@ def test_a_dwell_that_is_thousands_of_sigmas_off_is_the_only_outlier_and_counts_
 
 
 @pytest.mark.parametrize("dwell", [5, 20])
-def test_an_effect_is_found_beside_a_dwell_that_is_thousands_of_sigmas_off(dwell):
+@pytest.mark.parametrize(
+    "candidates",
+    [
+        pytest.param([TEMPERATURE_RATE, THERMAL_LAG, TIME_DRIFT, bias_jump.EFFECT], id="some"),
+        pytest.param(None, id="all", marks=pytest.mark.long),
+    ],
+)
+def test_an_effect_is_found_beside_a_dwell_that_is_thousands_of_sigmas_off(dwell, candidates):
     rows = measure({"temperature_rate": 3.0}, seed=1).rows
-    without = close_loop(campaign_of(rows))
-    closure = close_loop(campaign_of(with_bias_times_1000(rows, dwell, "x")))
+    without = close_loop(campaign_of(rows), effects=candidates)
+    closure = close_loop(campaign_of(with_bias_times_1000(rows, dwell, "x")), effects=candidates)
     assert without.names == ("temperature_rate",)
     assert (closure.verdict, closure.names) == (without.verdict, without.names)
     assert {each.dwell for each in closure.noise.outliers} == {dwell}
     assert closure.error_after_dph == pytest.approx(without.error_after_dph, rel=0.05)
 
 
-def test_a_bias_that_no_effect_explains_stays_unexplained_beside_a_dwell_that_is_thousands_of_sigmas_off():
+@pytest.mark.parametrize(
+    "candidates",
+    [
+        pytest.param([TIME_DRIFT, AGEING, WARM_UP, bias_jump.EFFECT], id="what follows the time"),
+        pytest.param(None, id="all", marks=pytest.mark.long),
+    ],
+)
+def test_a_bias_that_no_effect_explains_stays_unexplained_beside_a_dwell_that_is_thousands_of_sigmas_off(
+    candidates,
+):
     rows, _ = make_unit(0, ["random_walk"], 2.0)
-    without = close_loop(campaign_of(rows))
-    closure = close_loop(campaign_of(with_bias_times_1000(rows, 20, "y")))
+    without = close_loop(campaign_of(rows), effects=candidates)
+    closure = close_loop(campaign_of(with_bias_times_1000(rows, 20, "y")), effects=candidates)
     assert (without.verdict, without.names) == (closure.verdict, closure.names) == ("unexplained", ())
     assert (20, "y") in {(each.dwell, each.gyro) for each in closure.noise.outliers}
     assert closure.error_after_dph == pytest.approx(without.error_after_dph, rel=0.05)
@@ -131,12 +149,19 @@ def test_where_too_many_biases_are_off_none_is_an_outlier(share):
 
 
 @pytest.mark.parametrize("options", [{}, {"power_on_each_cycle": True}], ids=["one run", "a run each cycle"])
-def test_a_held_out_dwell_that_is_far_off_is_named(options):
+@pytest.mark.parametrize(
+    "candidates",
+    [
+        pytest.param([TEMPERATURE_RATE, THERMAL_LAG, TIME_DRIFT], id="some"),
+        pytest.param(None, id="all", marks=pytest.mark.long),
+    ],
+)
+def test_a_held_out_dwell_that_is_far_off_is_named(options, candidates):
     rows = measure({"temperature_rate": 3.0}, seed=1, **options).rows
     last = max(row.cycle for row in rows)
     dwell = [row.dwell for row in rows if row.cycle == last][3]
-    assert close_loop(campaign_of(rows)).held_out_outliers == []
-    closure = close_loop(campaign_of(with_bias_times_1000(rows, dwell, "y")))
+    assert close_loop(campaign_of(rows), effects=candidates).held_out_outliers == []
+    closure = close_loop(campaign_of(with_bias_times_1000(rows, dwell, "y")), effects=candidates)
     assert [(each.dwell, each.gyro) for each in closure.held_out_outliers] == [(dwell, "y")]
     assert (
         f"Included in these errors, further than 5 sigma from the prediction: dwell {dwell} (y "

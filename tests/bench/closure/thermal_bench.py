@@ -5,6 +5,7 @@ here comes from the search that is tried on it.
 """
 
 import itertools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -88,18 +89,22 @@ def temperatures(set_c, up, power_c_per_h, attitude_convection):
     Below the onset, what the boards give to the optics depends on gravity by ``attitude_convection``.
     """
     step_h = STEP_S / 3600.0
-    lag_h = np.array([1.0, 1.04, 0.97])
-    air, case, optics, board = 20.0, 22.0, np.full(3, 26.0), np.full(3, 33.0)
+    lags_h = (1.0, 1.04, 0.97)
+    air, case, optics, board = 20.0, 22.0, [26.0] * 3, [33.0] * 3
     courses = []
-    for now_c, along, power in zip(set_c, up, power_c_per_h, strict=True):
-        courses.append(np.concatenate([[air, case], optics, board]))
-        below = 1.0 / (1.0 + np.exp((optics - ONSET_C) / ONSET_WIDTH_C))
-        into_optics = (board - optics) * (1.0 + attitude_convection * along * below) / (1.5 * lag_h)
-        into_case = (case - optics) / (0.8 * lag_h)
+    # Floats: for three gyros an array takes ten times as long.
+    for now_c, ups, power in zip(set_c.tolist(), up.tolist(), power_c_per_h.tolist(), strict=True):
+        courses.append((air, case, *optics, *board))
+        case_before, mean_board = case, sum(board) / 3.0
         air += step_h * (now_c - air) / 0.1
-        case += step_h * ((air - case) / 0.7 + 0.1 * (board.mean() - case))
-        board = board + step_h * (power + (case - board) / 1.0 - 0.7 * into_optics)
-        optics = optics + step_h * (into_case + into_optics)
+        case += step_h * ((air - case) / 0.7 + 0.1 * (mean_board - case))
+        for gyro, (along, lag_h) in enumerate(zip(ups, lags_h, strict=True)):
+            optics_c, board_c = optics[gyro], board[gyro]
+            below = 1.0 / (1.0 + math.exp((optics_c - ONSET_C) / ONSET_WIDTH_C))
+            into_optics = (board_c - optics_c) * (1.0 + attitude_convection * along * below) / (1.5 * lag_h)
+            into_case = (case_before - optics_c) / (0.8 * lag_h)
+            board[gyro] += step_h * (power + (case - board_c) / 1.0 - 0.7 * into_optics)
+            optics[gyro] += step_h * (into_case + into_optics)
     return np.array(courses)
 
 

@@ -20,6 +20,16 @@ MIDDLES_S = (300.0, 925.0)
 BIAS_DPH, ACCELEROMETER_UG = np.array([0.012, -0.02, 0.016]), (60.0, -40.0, 50.0)
 
 
+def crossed(first, second):
+    """All pairs of two lists. Of them as many as the longer one has, with each value, are quick."""
+    quick = {(n % len(first), n % len(second)) for n in range(max(len(first), len(second)))}
+    return [
+        pytest.param(a, b, marks=[] if (i, j) in quick else [pytest.mark.long])
+        for i, a in enumerate(first)
+        for j, b in enumerate(second)
+    ]
+
+
 def noise_of(factor=1.0):
     """The resolution of the output is no noise of the sensors."""
     return NoiseModel.from_datasheet(
@@ -120,8 +130,7 @@ def test_declared_noise_that_is_right_is_used_as_it_stands():
     assert DECLARED.noise_in(dwell.windows) is DECLARED.noise
 
 
-@pytest.mark.parametrize("axis", range(3))
-@pytest.mark.parametrize("at_s", MIDDLES_S)
+@pytest.mark.parametrize(("axis", "at_s"), crossed(range(3), MIDDLES_S))
 def test_a_bias_that_steps_is_found_with_its_gyro_time_and_size(axis, at_s):
     estimate, flags, _ = measured("x_up", gyro_bias_change=bias_step(axis, 0.03, at_s))
     assert f"that of the {'xyz'[axis]} gyro seems to step" in flags
@@ -141,8 +150,7 @@ def test_a_step_of_all_biases_by_a_hundredth_of_a_degree_an_hour_is_flagged():
     assert sum("not constant" in flags for flags in flagged) >= 2
 
 
-@pytest.mark.parametrize("bias_ug", [100.0, 500.0, 1000.0])
-@pytest.mark.parametrize("position", ["z_up", "x_down"])
+@pytest.mark.parametrize(("position", "bias_ug"), crossed(["z_up", "x_down"], [100.0, 500.0, 1000.0]))
 def test_large_accelerometer_biases_are_no_motion(position, bias_ug):
     _, flags, away = measured(position, accelerometer_ug=bias_ug * np.array([1.0, -1.0, 1.0]))
     assert flags == ""
@@ -164,8 +172,7 @@ def test_pulses_without_dither_are_noise_and_no_damage(position):
     assert estimate.sigma_dph.min() > measured(position)[0].sigma_dph.min()
 
 
-@pytest.mark.parametrize("position", ["z_up", "x_down"])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("position", "seed"), crossed(["z_up", "x_down"], range(3)))
 def test_coarse_output_that_stays_the_same_is_uncertain_and_no_fault(position, seed):
     setup = setup_for(COARSE_NOISE, *COARSE)
     estimate, flags, away = measured(position, seed, setup=setup, lsb=COARSE)

@@ -7,31 +7,51 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.dwells.setup_check import measured_scale, setup_fault
-from tests.adversarial.harness import LATITUDES_DEG, Case, any_unit, measured_dwells
+from tests.adversarial.harness import ALL, LATITUDES_DEG, Case, any_unit, measured_dwells
 from tests.adversarial.strapdown import Place
 
 KNOT_MPS = 0.514444
 
 
-def dwells_of(*, station=None, latitude_deg=36.4, seed=3, **unit):
+def dwells_of(*, station=None, latitude_deg=36.4, seed=3, positions=ALL, **unit):
     """One dwell in each position."""
     random = np.random.default_rng(seed)
-    case = Case(replace(any_unit(random), **unit), Place(latitude_deg), station=station or {})
-    return measured_dwells(case, random)
+    unit, place = replace(any_unit(random), **unit), Place(latitude_deg)
+    return measured_dwells(Case(unit, place, station=station or {}, positions=positions), random)
+
+
+#: Each position is in one of these pairs of an upper and a lower one.
+PAIRS = tuple(zip(ALL[::2], ALL[3::2] + ALL[1:2], strict=True))
+LONG = pytest.mark.long
+SCALES = (
+    ((0.5,) * 3, "velocity_east and ins.signals.velocity_north have a wrong scale.*half the scale"),
+    ((1.0 / KNOT_MPS,) * 3, "have a wrong scale.*knots taken for m/s"),
+    ((3.6,) * 3, "have a wrong scale.*km/h taken for m/s"),
+    ((1.0, 0.5, 1.0), "^ins.signals.velocity_north has a wrong scale"),
+    ((2.0, 1.0, 1.0), "^ins.signals.velocity_east has a wrong scale"),
+)
+UNITS = (
+    {},
+    {"accelerometer_bias_ug": (-1000.0, 1000.0, 1000.0)},
+    {"accelerometer_drift_ug_per_h": (30.0, -30.0, 30.0)},
+    {"accelerometer_transient_ug": (20.0, -20.0, 20.0)},
+    {"angle_random_walk": 0.0012},
+    {"velocity_damping_s": 600.0},
+    {"gyro_pulse_arcsec": 5.0},
+    {"bias_step_dph": (0.0, 0.02, 0.0)},
+    {"velocity_output_mps": 1e-3, "attitude_output_arcsec": 5.0},
+)
 
 
 @pytest.mark.parametrize(
-    ("scale", "cause"),
+    ("scale", "cause", "positions"),
     [
-        ((0.5,) * 3, "velocity_east and ins.signals.velocity_north have a wrong scale.*half the scale"),
-        ((1.0 / KNOT_MPS,) * 3, "have a wrong scale.*knots taken for m/s"),
-        ((3.6,) * 3, "have a wrong scale.*km/h taken for m/s"),
-        ((1.0, 0.5, 1.0), "^ins.signals.velocity_north has a wrong scale"),
-        ((2.0, 1.0, 1.0), "^ins.signals.velocity_east has a wrong scale"),
+        *((*case, PAIRS[number % 3]) for number, case in enumerate(SCALES)),
+        *(pytest.param(*case, ALL, marks=LONG) for case in SCALES),
     ],
 )
-def test_a_wrong_scale_of_the_velocities_is_named_in_every_dwell(scale, cause):
-    dwells = dwells_of(velocity_scale=scale)
+def test_a_wrong_scale_of_the_velocities_is_named_in_every_dwell(scale, cause, positions):
+    dwells = dwells_of(velocity_scale=scale, positions=positions)
     assert all("a wrong scale" in dwell.row.flags for dwell in dwells)
     assert re.search(cause, dwells[-1].setup_fault), dwells[-1].setup_fault
 
@@ -52,20 +72,13 @@ def test_a_latitude_of_the_wrong_hemisphere_is_named_in_nearly_every_dwell(latit
 
 
 @pytest.mark.parametrize(
-    "unit",
+    ("unit", "latitude_deg"),
     [
-        {},
-        {"accelerometer_bias_ug": (-1000.0, 1000.0, 1000.0)},
-        {"accelerometer_drift_ug_per_h": (30.0, -30.0, 30.0)},
-        {"accelerometer_transient_ug": (20.0, -20.0, 20.0)},
-        {"angle_random_walk": 0.0012},
-        {"velocity_damping_s": 600.0},
-        {"gyro_pulse_arcsec": 5.0},
-        {"bias_step_dph": (0.0, 0.02, 0.0)},
-        {"velocity_output_mps": 1e-3, "attitude_output_arcsec": 5.0},
+        pytest.param(unit, at_deg, marks=[] if number % 2 == place else [LONG])
+        for number, unit in enumerate(UNITS)
+        for place, at_deg in enumerate((36.4, -52.0))
     ],
 )
-@pytest.mark.parametrize("latitude_deg", [36.4, -52.0])
 def test_no_error_of_the_unit_passes_for_a_wrong_set_up(unit, latitude_deg):
     dwells = dwells_of(latitude_deg=latitude_deg, **unit)
     assert [dwell.setup_fault for dwell in dwells] == [""] * 6

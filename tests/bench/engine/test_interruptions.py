@@ -74,8 +74,14 @@ def switch_unit_off(bench, clock):
     bench.world.power_unit(False)
 
 
-def test_after_a_trip_the_bench_is_made_safe_and_held_and_the_dwell_repeated(tmp_path):
-    folder, outcome, _ = consent(tmp_path, "navigate", trip_table)
+@pytest.fixture(scope="module")
+def tripped_run(tmp_path_factory):
+    """A run whose table trips while the INS navigates: run folder and outcome."""
+    return consent(tmp_path_factory.mktemp("tripped"), "navigate", trip_table)[:2]
+
+
+def test_after_a_trip_the_bench_is_made_safe_and_held_and_the_dwell_repeated(tripped_run):
+    folder, outcome = tripped_run
     assert outcome.ended == "finished", outcome.reason
     story = names(folder, "tripped", "dwell_given_up", "made_safe", "held", "continued", "dwell_finished")
     assert story == [
@@ -88,8 +94,8 @@ def test_after_a_trip_the_bench_is_made_safe_and_held_and_the_dwell_repeated(tmp
     assert row.flags == ""
 
 
-def test_a_trip_that_needs_the_operator_is_recorded_as_such(tmp_path):
-    folder, _, _ = consent(tmp_path, "navigate", trip_table)
+def test_a_trip_that_needs_the_operator_is_recorded_as_such(tripped_run):
+    folder, _ = tripped_run
     (held,) = events(folder, "held")
     assert held["waits_for"] == "the operator"
 

@@ -1,6 +1,7 @@
 """A killed run resumes: what is finished stays, the interrupted dwell is repeated."""
 
 import os
+import shutil
 import signal
 import sys
 
@@ -66,6 +67,18 @@ def broken_off(procedure, path, kind, nth=1):
     return path
 
 
+@pytest.fixture(scope="module")
+def broken(procedure, tmp_path_factory):
+    """A run that was killed in the turn of its third dwell."""
+    return broken_off(procedure, tmp_path_factory.mktemp("broken") / "run", "turn", 3)
+
+
+@pytest.fixture
+def in_third_dwell(broken, tmp_path):
+    """A copy of it that a test may resume."""
+    return shutil.copytree(broken, tmp_path / "run")
+
+
 def resumed(path):
     watcher = Watcher()
     folder, outcome = resume_run(prepare_resumption(path), watcher, ConsentingOperator())
@@ -122,16 +135,16 @@ def test_a_run_resumes_from_any_kind_of_step(procedure, undisturbed, tmp_path, k
     assert_agree(read_dwells(folder.dwells), undisturbed)
 
 
-def test_a_run_interrupted_during_its_approach_resumes_as_well(procedure, undisturbed, tmp_path):
-    path = broken_off(procedure, tmp_path / "run", "navigate", 3)
+def test_a_run_interrupted_during_its_approach_resumes_as_well(undisturbed, in_third_dwell):
+    path = in_third_dwell
     with pytest.raises(KilledError):
         resume_run(prepare_resumption(path), Watcher("soak"), ConsentingOperator())
     folder, _, _ = resumed(path)
     assert_agree(read_dwells(folder.dwells), undisturbed)
 
 
-def test_times_and_counts_of_power_ons_continue(procedure, tmp_path):
-    path = broken_off(procedure, tmp_path / "run", "align", 3)
+def test_times_and_counts_of_power_ons_continue(in_third_dwell):
+    path = in_third_dwell
     resumed(path)
     entries = list(read_journal(path / "journal.jsonl"))
     times_s = [entry["time_s"] for entry in entries]
@@ -141,16 +154,15 @@ def test_times_and_counts_of_power_ons_continue(procedure, tmp_path):
     assert [row.start_s for row in rows] == sorted(row.start_s for row in rows)
 
 
-def test_it_describes_what_it_found_and_what_it_will_do(procedure, tmp_path):
-    path = broken_off(procedure, tmp_path / "run", "turn", 3)
-    words = prepare_resumption(path).describe()
+def test_it_describes_what_it_found_and_what_it_will_do(broken):
+    words = prepare_resumption(broken).describe()
     assert "2 of 4 dwells are finished and kept" in words
     assert "dwell 3 (25 degC, z_up) from its start" in words
     assert "unit 1003" in words
 
 
-def test_the_approach_is_noted_as_it_begins(procedure, tmp_path):
-    _, _, watcher = resumed(broken_off(procedure, tmp_path / "run", "turn", 3))
+def test_the_approach_is_noted_as_it_begins(in_third_dwell):
+    _, _, watcher = resumed(in_third_dwell)
     (way,) = [text for text in watcher.notes if text.startswith("returning to step")]
     assert "power on" in way
     assert "chamber to 25 degC" in way
@@ -191,8 +203,8 @@ def test_a_run_without_progress_is_resumed_only_anyway(procedure, tmp_path):
     assert prepare_resumption(path, anyway=True)
 
 
-def test_a_run_of_another_unit_is_not_continued(procedure, tmp_path):
-    path = broken_off(procedure, tmp_path / "run", "align")
+def test_a_run_of_another_unit_is_not_continued(in_third_dwell):
+    path = in_third_dwell
     journal = path / "journal.jsonl"
     journal.write_text(journal.read_text().replace('"unit": "1003"', '"unit": "77"'))
     _, outcome = resume_run(prepare_resumption(path), Watcher(), RefusingOperator())

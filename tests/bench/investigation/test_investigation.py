@@ -182,7 +182,7 @@ def test_a_bench_that_refuses_all_is_asked_once_for_each_kind(searched_once, tmp
         return True
 
     refusing = f"{sys.executable} -c 'raise SystemExit(3)' "
-    found = investigator(unit, tmp_path / "all", approve=approve, before=refusing).run(WallClock())
+    found = investigator(unit, tmp_path / "all", 3.0, approve, refusing).run(WallClock())
     assert found.ended == "no_block"
     assert found.reason.startswith(f"The bench refused {', then '.join(asked[0])} (no reason was given)")
     assert "; warm-up: reach the same" in found.reason
@@ -384,7 +384,7 @@ def test_an_ageing_and_a_drift_are_not_settled_as_two_effects(tmp_path):
     assert found.ended == "not_on_list"
 
 
-@pytest.mark.parametrize("seed", [302, 305])
+@pytest.mark.parametrize("seed", [302, pytest.param(305, marks=pytest.mark.long)])
 def test_small_effects_that_a_first_campaign_shows(seed):
     """A refrigeration of 1.2 times the noise that runs on after ramps; a rate, and no lag of minutes."""
     unit = unit_of(seed)

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 
 import pytest
 from pymodbus.client import ModbusSerialClient
-from pymodbus.server import ModbusSerialServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
 from gyrobench.bench.foundations.clock import WallClock
@@ -49,6 +48,8 @@ class Server(threading.Thread):
             self._loop.close()
 
     async def _serve(self) -> None:
+        from pymodbus.server import ModbusSerialServer  # here: with it comes a web server, in every worker
+
         self._server = ModbusSerialServer(self._device, port=self._port)
         await self._server.serve_forever(background=True)
         self._ready.set()

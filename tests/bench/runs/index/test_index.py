@@ -3,6 +3,7 @@
 import json
 import shutil
 from datetime import datetime
+from functools import partial
 
 import fsspec
 import pytest
@@ -88,23 +89,28 @@ DAMAGES = [
 
 
 def test_a_damaged_run_is_listed_with_the_reason_and_read_again_when_repaired(runs):
+    """Each damage is repaired as another run gets the next one."""
     index = index_of(runs)
     index.update()
-    for name, content, reason in DAMAGES:
-        file = runs / "a" / name
+    repair = list
+    for number, (name, content, reason) in enumerate(DAMAGES):
+        repair()
+        damaged, sound = ("b", "a") if number % 2 else ("a", "b")
+        file = runs / damaged / name
         whole = file.read_bytes() if file.exists() else None
         file.parent.mkdir(exist_ok=True)
         file.write_bytes(content)
+        repair = file.unlink if whole is None else partial(file.write_bytes, whole)
         index.update()
         problems = index.problems()
-        assert list(problems) == ["a"], name
-        assert reason in problems["a"]
-        assert name.rpartition("/")[2] in problems["a"]
-        assert {run["path"] for run in find_runs(index, Selection())} == {"b", "deep/c"}
-        file.unlink() if whole is None else file.write_bytes(whole)
-        index.update()
-        assert not index.problems(), name
-        assert len(find_runs(index, Selection())) == 3
+        assert list(problems) == [damaged], name
+        assert reason in problems[damaged]
+        assert name.rpartition("/")[2] in problems[damaged]
+        assert {run["path"] for run in find_runs(index, Selection())} == {sound, "deep/c"}
+    repair()
+    index.update()
+    assert not index.problems()
+    assert len(find_runs(index, Selection())) == 3
 
 
 def test_a_folder_with_a_journal_alone_is_reported(runs):
