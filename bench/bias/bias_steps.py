@@ -18,6 +18,8 @@ from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, FloatArray, IntArra
 from gyrobench.bench.foundations.kernels import compiled
 from gyrobench.bench.navigation.error_model import STATES
 
+#: Below this p-value a bias steps: one in 250 dwells with steady biases.
+MIN_STEP_P_VALUE = 4e-3
 #: Epochs between the times that are tried, and fewest epochs of a window before and after a step: the
 #: biases of the windows are compared elsewhere.
 _EVERY, _MARGIN = 10, 60

@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 
 from gyrobench.bench.bias.bias_filter import StateSpaceEstimate, estimate_state_space
-from gyrobench.bench.bias.bias_steps import BiasStep
+from gyrobench.bench.bias.bias_steps import MIN_STEP_P_VALUE, BiasStep
 from gyrobench.bench.bias.budget import BudgetInputs
 from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, TurnPath
 from gyrobench.bench.bias.dwell_table import NEIGHBOURS_ON, NOT_MEASURED, DwellRow, triple
@@ -58,8 +58,6 @@ MIN_FIT_P_VALUE = 1e-5
 _MIN_STEADY_P_VALUE = 1e-4
 #: Attitude that is noisier than declared by this factor comes in steps of its sensors.
 _COARSER = 5.0
-#: The same for a bias that steps.
-_MIN_STEP_P_VALUE = 4e-3
 
 
 @dataclass(frozen=True)
@@ -264,7 +262,7 @@ def _estimate(dwell: Dwell, setup: MeasurementSetup, noise: NoiseModel) -> State
 def _step(estimate: StateSpaceEstimate) -> BiasStep | None:
     """The step of a bias, where it is more probable than what else was tested."""
     step, others = estimate.step, (estimate.fit.p_value, estimate.steady_p_value, estimate.damping.p_value)
-    return step if step is not None and step.p_value < min(_MIN_STEP_P_VALUE, *others) else None
+    return step if step is not None and step.p_value < min(MIN_STEP_P_VALUE, *others) else None
 
 
 def checked_navigation(

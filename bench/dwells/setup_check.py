@@ -24,7 +24,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrobench.bench.bias.bias_filter import chi2_at
+from gyrobench.bench.bias.bias_filter import chi2_at, estimate_state_space
+from gyrobench.bench.bias.bias_steps import MIN_STEP_P_VALUE
 from gyrobench.bench.bias.dwell import Dwell, NavigationWindow
 from gyrobench.bench.bias.noise_model import NoiseModel, rounding_sigma
 from gyrobench.bench.bias.parameters import PriorKnowledge
@@ -173,7 +174,10 @@ def _latitude_fault(several: Sequence[SetupEvidence]) -> str:
 
 
 def _opposite_gain(dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnowledge) -> float:
-    """By how much chi2 is less at the opposite latitude; 0 where neither latitude explains the data."""
+    """By how much chi2 is less at the opposite latitude; 0 where neither latitude explains the data.
+
+    A bias that steps is explained by neither, but may pass for a latitude in part.
+    """
     try:
         windows = tuple(
             each.thinned(max(EPOCH_S, each.duration_s / _LATITUDE_EPOCHS)) for each in dwell.windows
@@ -182,8 +186,11 @@ def _opposite_gain(dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnow
         return 0.0
     thinned, opposite = replace(dwell, windows=windows), replace(site, latitude=-site.latitude)
     declared, other = (chi2_at(thinned, place, noise, prior) for place in (site, opposite))
-    count = 3 * sum(len(each.time_s) for each in windows)
-    return declared - other if min(declared, other) < _MAX_CHI2_PER_DATUM * count else 0.0
+    count, gain = 3 * sum(len(each.time_s) for each in windows), declared - other
+    if min(declared, other) > _MAX_CHI2_PER_DATUM * count:
+        return 0.0
+    step = estimate_state_space(dwell, opposite, noise, prior).step if gain > 0.0 else None
+    return 0.0 if step is not None and step.p_value < MIN_STEP_P_VALUE else gain
 
 
 def _regression(

@@ -85,3 +85,14 @@ def test_no_error_of_the_unit_passes_for_a_wrong_set_up(unit, latitude_deg):
     if evidence := [dwell.evidence for dwell in dwells if dwell.evidence]:
         scale, sigma = measured_scale(evidence)
         assert abs(scale - 1.0) < 4.0 * sigma
+
+
+@pytest.mark.parametrize(
+    ("step_dph", "seed", "positions"),
+    [((0.0, 0.02, 0.0), 3, ("y_up", "x_down")), ((0.02, 0.0, 0.0), 4, ("y_up", "x_down"))],
+)
+def test_a_bias_that_steps_does_not_pass_for_the_other_hemisphere(step_dph, seed, positions):
+    """The other latitude leaves much less of chi2, but not as little as a step of the bias does."""
+    dwells = dwells_of(latitude_deg=-52.0, seed=seed, positions=positions, bias_step_dph=step_dph)
+    assert [dwell.setup_fault for dwell in dwells] == ["", ""]
+    assert any("a bias is not constant" in dwell.flags for dwell in dwells)
