@@ -184,6 +184,9 @@ def _fit(segments: list[_Segment], readings: FloatArray) -> FloatArray | None:
 
     count = len(_PARAMETERS)
 
+    def weighted(values: FloatArray) -> FloatArray:
+        return _weighted(residuals(values))
+
     def residuals(values: FloatArray) -> FloatArray:
         parts = []
         for index, each in enumerate(segments):
@@ -196,15 +199,15 @@ def _fit(segments: list[_Segment], readings: FloatArray) -> FloatArray | None:
         steps = _STEP * np.where(values >= 0.0, 1.0, -1.0) * np.maximum(1.0, np.abs(values))
         ahead = values + steps
         steps = np.where((ahead < lows) | (ahead > highs), -steps, steps)
-        at, *changed = _weighted(residuals(np.vstack([values, values + np.diag(steps)])))
-        return ((np.array(changed) - at) / ((values + steps) - values)[:, np.newaxis]).T
+        at, *changed = weighted(np.vstack([values, values + np.diag(steps)]))
+        return np.asarray(((np.array(changed) - at) / ((values + steps) - values)[:, np.newaxis]).T)
 
     lows, starts, highs, scales = np.array([each[1:] for each in _PARAMETERS]).T
     initial = [each.start(readings[each.part]) for each in segments]
     lows = np.append(lows, [-100.0, -100.0] * len(initial))
     highs = np.append(highs, [150.0, 250.0] * len(initial))
     fitted = least_squares(
-        lambda values: _weighted(residuals(values)),
+        weighted,
         np.concatenate([starts, *initial]),
         slopes,
         bounds=(lows, highs),

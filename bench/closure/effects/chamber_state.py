@@ -47,10 +47,9 @@ def _heat_to_remove(campaign: Campaign, values: tuple[float, ...]) -> FloatArray
     cold_below_c, ratio, tau_s = values
     record, set_c = campaign.record, course_of("chamber_set_c", campaign)[:, :1]
     limited_c = set_c - ratio * lag(set_c, record.time_s, tau_s)
-    before_c = np.concatenate([limited_c[:1], limited_c[:-1]])
-    after_c = np.concatenate([limited_c[1:], limited_c[-1:]])
-    low_c = np.minimum(np.minimum(before_c, after_c), limited_c) - _SWITCH_C
-    high_c = np.maximum(np.maximum(before_c, after_c), limited_c) + _SWITCH_C
+    neighbours_c = np.concatenate([limited_c[:1], limited_c, limited_c[-1:]])
+    low_c = np.minimum(np.minimum(neighbours_c[:-2], neighbours_c[2:]), limited_c) - _SWITCH_C
+    high_c = np.maximum(np.maximum(neighbours_c[:-2], neighbours_c[2:]), limited_c) + _SWITCH_C
     runs = np.clip((cold_below_c - low_c) / (high_c - low_c), 0.0, 1.0)
     return same_for_all_gyros(campaign.means_over_dwells(runs))
 
