@@ -119,8 +119,11 @@ class Noise:
 
     def is_like(self, other: Noise) -> bool:
         """Whether the scales are about equal and the outliers are the same."""
-        is_same = np.array_equal(self.factors > 1.0, other.factors > 1.0)
-        return is_same and abs(self.scale / other.scale - 1.0) < _SAME
+        return self.has_outliers_of(other) and abs(self.scale / other.scale - 1.0) < _SAME
+
+    def has_outliers_of(self, other: Noise) -> bool:
+        """Whether the outliers are the same."""
+        return np.array_equal(self.factors > 1.0, other.factors > 1.0)
 
 
 def estimate_noise(

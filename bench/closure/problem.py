@@ -49,11 +49,6 @@ class Problem:
         return np.ascontiguousarray(1.0 / self.sigma_dph.T)[..., np.newaxis]
 
     @cached_property
-    def _stacked_residuals(self) -> FloatArray:
-        """Residuals of the three gyros, shape (3, m, 1)."""
-        return np.ascontiguousarray(self.residuals.T)[..., np.newaxis]
-
-    @cached_property
     def _stacked_bases(self) -> FloatArray:
         """Bases of the three gyros, shape (3, m, r), filled up with columns of zeros."""
         widest = max(basis.shape[1] for basis in self.bases)
@@ -103,15 +98,11 @@ class Problem:
     def chi2_reduction(self, columns: FloatArray, kept: BoolArray | None = None) -> tuple[float, int]:
         """Reduction of chi2 by a fit of terms, and the number of independent ones among them."""
         terms = self.independent_parts(columns, kept)
-        products, parts = terms.mT @ terms, (terms.mT @ self._stacked_residuals)[..., 0]
-        if len(terms.mT[0]) == 1:  # its own direction
-            squares = products[..., 0]
-        else:
-            squares, directions = np.linalg.eigh(products)
-            parts = (parts[:, np.newaxis] @ directions)[:, 0]
-        is_independent = squares > MIN_SHARE**2
-        reduction = np.add.reduce(parts[is_independent] ** 2 / squares[is_independent])
-        return float(reduction), int(np.count_nonzero(is_independent))
+        squares, directions = np.linalg.eigh(terms.mT @ terms)
+        parts = (directions.mT @ (terms.mT @ self.residuals.T[..., np.newaxis]))[..., 0]
+        independent = squares > MIN_SHARE**2
+        reduction = np.add.reduce(parts[independent] ** 2 / squares[independent])
+        return float(reduction), int(np.count_nonzero(independent))
 
     def independent_lengths(self, columns: FloatArray, kept: BoolArray) -> FloatArray:
         """Length of each kept term that is independent of the columns so far, in standard deviations."""
@@ -145,9 +136,10 @@ class Problem:
     def independent_parts(self, columns: FloatArray, kept: BoolArray | None) -> FloatArray:
         """The same of all three gyros, shape (3, m, k), zero where not kept."""
         terms = columns.take(self._rows, axis=0).transpose(1, 0, 2) * self._per_sigma
-        lengths = np.sqrt(np.einsum("gmk,gmk->gk", terms, terms))
-        used = lengths > 0.0 if kept is None else kept & (lengths > 0.0)
-        terms *= np.divide(1.0, lengths, out=np.zeros_like(lengths), where=used)[:, np.newaxis]
+        if kept is not None:
+            terms *= kept[:, np.newaxis]
+        lengths = np.sqrt(np.einsum("gmk,gmk->gk", terms, terms))[:, np.newaxis]
+        terms /= np.where(lengths > 0.0, lengths, 1.0)
         # Once: of a part above MIN_SHARE rounding leaves less than that to the columns so far.
         terms -= self._stacked_bases @ (self._stacked_bases.mT @ terms)
         return np.asarray(terms)

@@ -129,7 +129,7 @@ def select(campaign: Campaign, searched: BoolArray, effects: Sequence[Effect]) -
         settled.append(_settled(campaign, searched, effects, alone))
     if all(each.after.is_significant for each in settled):
         smooth = estimate_noise(campaign, searched, smooth=True)
-        if smooth.outliers:
+        if smooth.outliers and not smooth.has_outliers_of(first):
             settled.append(_settled(campaign, searched, effects, smooth))
     return min(settled, key=lambda each: each.cost)
 
