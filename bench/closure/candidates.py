@@ -160,20 +160,25 @@ def refine(problem: Problem, candidates: Sequence[Candidate]) -> list[Candidate]
     )
 
     kept = np.concatenate([each.kept for each in candidates], axis=1)
+    known: dict[tuple[tuple[float, ...], ...], float] = {}  # beyond a bound the values are those at the bound
 
-    def split(offsets: FloatArray) -> list[tuple[float, ...]]:
+    def split(offsets: FloatArray) -> tuple[tuple[float, ...], ...]:
         moved = (start + widths * offsets).tolist()
         values = iter(
-            min(max(value, each.low), each.high) for value, each in zip(moved, parameters, strict=True)
+            [min(max(value, each.low), each.high) for value, each in zip(moved, parameters, strict=True)]
         )
-        return [tuple(itertools.islice(values, len(each.values))) for each in candidates]
+        return tuple([tuple(itertools.islice(values, len(each.values))) for each in candidates])
 
     def negative_reduction(offsets: FloatArray) -> float:
-        columns = [
-            _terms(each.form, problem.campaign, values)
-            for each, values in zip(candidates, split(offsets), strict=True)
-        ]
-        return -problem.chi2_reduction(np.concatenate(columns, axis=2), kept)[0]
+        values = split(offsets)
+        if values not in known:
+            columns = [
+                _terms(each.form, problem.campaign, mine)
+                for each, mine in zip(candidates, values, strict=True)
+            ]
+            together = columns[0] if len(columns) == 1 else np.concatenate(columns, axis=2)
+            known[values] = -problem.chi2_reduction(together, kept)[0]
+        return known[values]
 
     simplex = np.vstack([np.zeros(len(start)), np.eye(len(start))])
     most = _MAX_EVALUATIONS * len(start)
@@ -203,10 +208,12 @@ def lowest(
         return cost(point), point
 
     while True:
-        order = np.argsort(costs)
+        order = costs.argsort()
         simplex, costs = simplex[order], costs[order]
-        is_precise = np.abs(simplex[1:] - simplex[0]).max() <= point_precision
-        if evaluations >= max_evaluations or (is_precise and costs[-1] - costs[0] <= cost_precision):
+        if evaluations >= max_evaluations or (
+            costs[-1] - costs[0] <= cost_precision
+            and np.abs(simplex[1:] - simplex[0]).max() <= point_precision
+        ):
             return np.asarray(simplex[0])
         centre = np.add.reduce(simplex[:-1]) / len(simplex[0])
         found, point = tried(1.0)

@@ -119,8 +119,11 @@ class Noise:
 
     def is_like(self, other: Noise) -> bool:
         """Whether the scales are about equal and the outliers are the same."""
-        is_same = np.array_equal(self.factors > 1.0, other.factors > 1.0)
-        return is_same and abs(self.scale / other.scale - 1.0) < _SAME
+        return self.has_outliers_of(other) and abs(self.scale / other.scale - 1.0) < _SAME
+
+    def has_outliers_of(self, other: Noise) -> bool:
+        """Whether the outliers are the same."""
+        return np.array_equal(self.factors > 1.0, other.factors > 1.0)
 
 
 def estimate_noise(
@@ -154,6 +157,16 @@ def estimate_noise(
     return replace(noise, scale=_scale(test))
 
 
+def outweighing_dwell(campaign: Campaign, searched: BoolArray) -> Noise:
+    """Noise as stated, with a dwell as outlier that has more of chi2 than all others together, if one has."""
+    problem = Noise.stated(campaign).problem(campaign, searched)
+    shares = _shares_left(problem)
+    reductions = np.sum(problem.residuals**2 / shares, axis=1)  # of chi2, without each dwell
+    is_outweighing = reductions > 0.5 * problem.chi2
+    off = problem.residuals / shares  # from the model fitted to the other dwells
+    return _of_outliers(problem, off, is_outweighing[:, np.newaxis] & (np.abs(off) > OUTLIER_SIGMA))
+
+
 def _scale(test: LackOfFit) -> float:
     """Ratio of the noise to the stated uncertainties, where scatter without structure shows one."""
     is_larger = test.p_noise < LARGER_P and 1.0 < test.noise_ratio < MAX_SCALE
@@ -183,15 +196,27 @@ def _smooth(campaign: Campaign) -> FloatArray:
 
 def _with_outliers(noise: Noise, after: Problem) -> Noise:
     """Same noise with the outliers of the residuals of a problem that has it."""
-    campaign, searched = after.campaign, after.searched
-    factors = np.ones_like(noise.factors)
-    leverage = np.stack([np.sum(basis**2, axis=1) for basis in after.bases], axis=1)
-    off = after.residuals * noise.factors[searched] / np.sqrt(np.maximum(1.0 - leverage, _MIN_SHARE))
+    searched = after.searched
+    shares = _shares_left(after)
+    off = after.residuals * noise.factors[searched] / np.sqrt(shares)
     off /= max(1.0, float(np.median(np.abs(off))) / MEDIAN)
     is_outlier = np.abs(off) > OUTLIER_SIGMA
     if np.mean(is_outlier) > MAX_OUTLIERS:  # the farthest ones may pull the model away from others
         is_known = noise.factors[searched] > 1.0
         is_outlier &= is_known | (np.abs(off) > _FARTHEST * np.abs(off[~is_known]).max(initial=0.0))
+    return _of_outliers(after, off, is_outlier)
+
+
+def _shares_left(after: Problem) -> FloatArray:
+    """Variance of the residuals of a problem (m, 3) in that of the noise: what the fit does not take up."""
+    leverage = np.stack([np.sum(basis**2, axis=1) for basis in after.bases], axis=1)
+    return np.maximum(1.0 - leverage, _MIN_SHARE)
+
+
+def _of_outliers(problem: Problem, off: FloatArray, is_outlier: BoolArray) -> Noise:
+    """Noise with outliers among the dwells searched, which are this far off (m, 3), in sigma."""
+    campaign, searched = problem.campaign, problem.searched
+    factors = np.ones((len(campaign), 3))
     factors[searched] = np.where(is_outlier, np.abs(off), 1.0)
     outliers = [
         Outlier(int(campaign.dwell[searched][dwell]), campaign.quantity.axes[gyro], float(off[dwell, gyro]))

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -271,7 +271,7 @@ class Evidences:
         per_gyro = self._log_evidence(terms.products[:, None], scales * terms.kept[:, None])
         best = scales[np.argmax(per_gyro[..., 0], axis=1)]
         per_gyro += self._other_terms(terms, best)[:, np.newaxis]
-        alone = _summed(per_gyro.reshape(3, *(len(MAGNITUDES),) * count, -1), count)
+        alone = float(_summed(per_gyro.reshape(1, 3, *(len(MAGNITUDES),) * count, -1), count)[0])
         alone += _log_parameter_volume(self._problem, of.candidates, terms, best * terms.kept)
         return alone + self._log_time_share(of.candidates, terms, best * terms.kept), best
 
@@ -329,16 +329,20 @@ class Evidences:
         scales = np.stack([best, *trials], axis=1) * terms.kept[:, np.newaxis]
 
         def by_magnitude(found: FloatArray, axes: int) -> FloatArray:
-            """Of (3, ..., scales, components): with the best, and with those of each effect summed."""
+            """Of (processes, 3, ..., scales, components): with the best, and those of each effect summed.
+
+            Returns (processes, 1 + effects).
+            """
             parts = np.split(found[..., 1:, :], len(effects), axis=-2) if effects else []
-            return np.array([_summed(found[..., 0, :], axes), *(_summed(each, axes + 1) for each in parts)])
+            sums = [_summed(found[..., 0, :], axes), *(_summed(each, axes + 1) for each in parts)]
+            return np.stack(sums, axis=1)
 
-        without = by_magnitude(self._log_evidence(terms.products[:, np.newaxis], scales), 0)
-        added = [by_magnitude(each, 1) - without for each in self._processes(terms, scales)]
-        return np.array([alone + each[0] + np.sum(each[1:] - each[0]) for each in added])
+        without = by_magnitude(self._log_evidence(terms.products[:, np.newaxis], scales)[np.newaxis], 0)
+        added = by_magnitude(self._processes(terms, scales), 1) - without
+        return np.asarray(alone + added[:, 0] + np.sum(added[:, 1:] - added[:, :1], axis=1))
 
-    def _processes(self, terms: Terms, scales: FloatArray) -> Iterator[FloatArray]:
-        """Log evidence with each process: (3, its magnitudes, scales, components of the noise prior).
+    def _processes(self, terms: Terms, scales: FloatArray) -> FloatArray:
+        """Log evidence with each process: (processes, 3, magnitudes, scales, components of the noise prior).
 
         ``scales`` (3, S, k) are those of the terms.
         """
@@ -349,14 +353,13 @@ class Evidences:
         products = terms.products[:, None, None] - np.swapaxes(parts, 2, 3)[:, :, None] @ weighted
         found = self._log_evidence(products[:, :, :, None], scales[:, None, None])
         found -= 0.5 * np.sum(np.log1p(variances), axis=3)[..., np.newaxis, np.newaxis]
-        yield from np.moveaxis(found, 1, 0)
         # Scatter is larger noise: below the second magnitude it is what the prior of the noise includes.
         larger = 1.0 + MAGNITUDES[1:, np.newaxis] ** 2
         products = terms.products[:, None] / larger[..., np.newaxis]
-        scatter = np.full((3, len(MAGNITUDES), *scales.shape[1:2], len(NOISE_PRIOR)), -1e9)
-        scatter[:, 1:] = self._log_evidence(products[:, :, None], scales[:, None])
-        scatter[:, 1:] -= 0.5 * self._dof[:, None, None, None] * np.log(larger)[..., np.newaxis]
-        yield scatter
+        scatter = np.full((3, 1, len(MAGNITUDES), *scales.shape[1:2], len(NOISE_PRIOR)), -1e9)
+        scatter[:, 0, 1:] = self._log_evidence(products[:, :, None], scales[:, None])
+        scatter[:, 0, 1:] -= 0.5 * self._dof[:, None, None, None] * np.log(larger)[..., np.newaxis]
+        return np.concatenate([found, scatter], axis=1).swapaxes(0, 1)
 
     def _log_evidence(self, products: FloatArray, scales: FloatArray) -> FloatArray:
         """Log evidence (3, ..., components of the noise prior), sizes and noise integrated.
@@ -375,22 +378,27 @@ class Evidences:
         parts = [
             shape * math.log(scale)
             - math.lgamma(shape)
-            + np.vectorize(math.lgamma)(shape + half_dof)
+            + np.reshape([math.lgamma(shape + each) for each in half_dof.flat], half_dof.shape)
             - (shape + half_dof) * np.log(scale + half_chi2)
             for _, shape, scale in NOISE_PRIOR
         ]
         return np.asarray(np.stack(parts, axis=-1) - log_determinant[..., np.newaxis])
 
 
-def _summed(per_gyro: FloatArray, magnitudes: int) -> float:
-    """Log evidence of all gyros from that of each (3, magnitudes, ..., components of the noise prior)."""
-    top = per_gyro.reshape(3, -1).max(axis=1).reshape(3, *(1,) * (per_gyro.ndim - 1))
+def _summed(per_gyro: FloatArray, magnitudes: int) -> FloatArray:
+    """Log evidence of all gyros (h,) from that of each.
+
+    ``per_gyro`` (h, 3, magnitudes, ..., components of the noise prior) are those of h hypotheses.
+    """
+    count = len(per_gyro)
+    top = per_gyro.reshape(count, 3, -1).max(axis=2).reshape(count, 3, *(1,) * (per_gyro.ndim - 2))
     shares = np.exp(per_gyro - top)
-    for axis in range(1, 1 + magnitudes):
+    for axis in range(2, 2 + magnitudes):
         shares = np.moveaxis(np.tensordot(_SMALLER, shares, (1, axis)), 0, axis)
-    together = np.sum(np.log(np.maximum(shares, 1e-300)) + top, axis=0)
+    together = np.sum(np.log(np.maximum(shares, 1e-300)) + top, axis=1)
     together += np.log([probability for probability, _, _ in NOISE_PRIOR])
-    return float(np.logaddexp.reduce(together, axis=None)) - magnitudes * math.log(len(MAGNITUDES))
+    sums = np.logaddexp.reduce(together.reshape(count, -1), axis=1)
+    return np.asarray(sums - magnitudes * math.log(len(MAGNITUDES)))
 
 
 def _smaller() -> FloatArray:

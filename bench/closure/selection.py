@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.candidates import Hypothesis, evaluate, stack
+from gyrobench.bench.closure.candidates import Hypothesis, evaluate, refine, stack
 from gyrobench.bench.closure.effects.effect import Effect
-from gyrobench.bench.closure.noise import Noise, estimate_noise
+from gyrobench.bench.closure.noise import Noise, estimate_noise, outweighing_dwell
 from gyrobench.bench.closure.posterior import Posterior
 from gyrobench.bench.closure.problem import Problem
 from gyrobench.bench.closure.search import NOT_SIGNIFICANT, SIGNIFICANCE, Search
@@ -113,14 +113,23 @@ def select(campaign: Campaign, searched: BoolArray, effects: Sequence[Effect]) -
     The noise is estimated beside the declared model and beside the effects found. A few disturbed dwells
     look like an effect, and an effect in a few dwells looks like outliers: if either noise is not as
     stated, both are searched, and the one stands that describes all dwells better.
+
+    Beside a dwell that outweighs all others nearly every effect looks significant, and all sets of three
+    would be fitted to it. An effect must not rest on one dwell: it is found without this one too, and then
+    fitted to it, which shows whether the dwell is an outlier.
     """
     stated, alone = Noise.stated(campaign), estimate_noise(campaign, searched)
-    settled = [_settled(campaign, searched, effects, stated)]
-    if not alone.is_like(stated):
+    first = outweighing_dwell(campaign, searched)
+    settled = [_settled(campaign, searched, effects, first)]
+    found = settled[0].best.candidates
+    if first.outliers and found:
+        fitted = refine(stated.problem(campaign, searched), found)
+        settled = [_settled(campaign, searched, effects, estimate_noise(campaign, searched, fitted))]
+    if not (alone.is_like(stated) or alone.is_like(first)):
         settled.append(_settled(campaign, searched, effects, alone))
     if all(each.after.is_significant for each in settled):
         smooth = estimate_noise(campaign, searched, smooth=True)
-        if smooth.outliers:
+        if smooth.outliers and not smooth.has_outliers_of(first):
             settled.append(_settled(campaign, searched, effects, smooth))
     return min(settled, key=lambda each: each.cost)
 

@@ -52,19 +52,19 @@ class TemperatureRecord:
 
     def means_over(self, start_s: FloatArray, end_s: FloatArray) -> Callable[[FloatArray], FloatArray]:
         """Function of values at the record's times (m, k): their means (n, k) from each start to each end."""
-        instants_s = np.stack([start_s, end_s])
+        instants_s = np.concatenate([start_s, end_s])
         before = np.clip(np.searchsorted(self.time_s, instants_s, "right") - 1, 0, len(self.time_s) - 2)
         steps_s = np.diff(self.time_s)
-        share = np.clip((instants_s - self.time_s[before]) / steps_s[before], 0.0, 1.0)[..., np.newaxis]
-        half_steps_s = 0.5 * steps_s[:, np.newaxis]
-        per_s = 1.0 / np.maximum(end_s - start_s, 1e-9)[:, np.newaxis]
+        share = np.clip((instants_s - self.time_s[before]) / steps_s[before], 0.0, 1.0)
+        half_steps_s = 0.5 * steps_s
+        per_s = 1.0 / np.maximum(end_s - start_s, 1e-9)
 
         def means(values: FloatArray) -> FloatArray:
-            area = np.zeros_like(values)
-            np.cumsum((values[1:] + values[:-1]) * half_steps_s, axis=0, out=area[1:])
-            lower = area[before]
-            until_start, until_end = lower + share * (area[before + 1] - lower)
-            return np.asarray((until_end - until_start) * per_s)
+            course = np.ascontiguousarray(values.T)
+            areas = (course[:, 1:] + course[:, :-1]) * half_steps_s
+            until_step = np.cumsum(areas, axis=1) - areas
+            until = until_step.take(before, axis=1) + share * areas.take(before, axis=1)
+            return np.asarray(((until[:, len(per_s) :] - until[:, : len(per_s)]) * per_s).T)
 
         return means
 
@@ -96,47 +96,48 @@ def lag(values: FloatArray, time_s: FloatArray, tau_s: float) -> FloatArray:
 
     Exact for values that are a straight line from each instant to the next.
     """
-    steps_s = time_s[1:] - time_s[:-1]
-    behind, changes, step_s = np.zeros_like(values), values[:-1] - values[1:], steps_s[0]
+    steps_s, step_s = time_s[1:] - time_s[:-1], time_s[1] - time_s[0]
+    course = np.ascontiguousarray(values.T)
+    behind = np.zeros_like(course)
+    np.subtract(course[:, :-1], course[:, 1:], out=behind[:, 1:])
     if np.abs(steps_s - step_s).max() < _SAME_STEP * step_s:
         keep_each = math.exp(-step_s / tau_s)
-        behind[1:] = changes * ((1.0 - keep_each) * tau_s / step_s)
-        return _decaying_sum(behind, keep_each)
-    keep = np.exp(-np.append(0.0, steps_s) / tau_s)[:, np.newaxis]
-    behind[1:] = (1.0 - keep[1:]) * tau_s * changes / steps_s[:, np.newaxis]
+        behind *= (1.0 - keep_each) * tau_s / step_s
+        return _decaying_sum(behind, keep_each).T
+    keep = np.exp(-np.append(0.0, steps_s) / tau_s)
+    behind[:, 1:] *= (1.0 - keep[1:]) * tau_s / steps_s
     # Sums over the last 1, 2, 4, ... steps, as far back as something is kept of them.
     reach = 1
-    while reach < len(behind) and np.any(keep[reach:] > _FORGOTTEN):
-        behind[reach:] += keep[reach:] * behind[:-reach]
+    while reach < len(keep) and np.any(keep[reach:] > _FORGOTTEN):
+        behind[:, reach:] += keep[reach:] * behind[:, :-reach]
         keep[reach:] *= keep[:-reach]
         reach *= 2
-    return behind
+    return np.asarray(behind.T)
 
 
 def _decaying_sum(added: FloatArray, keep: float) -> FloatArray:
-    """Sums (m, k) of which each is what was added (m, k) and the share ``keep`` of the one before.
+    """Sums (k, m) of which each is what was added (k, m) and the share ``keep`` of the one before.
 
     Those within blocks are products with one matrix; those at the ends of blocks are such sums again.
     """
-    count, width = added.shape
+    width, count = added.shape
     size = _BLOCK if count > _MAX_BLOCK else count
     number = -(-count // size)
     powers = keep ** np.arange(size + 1.0)
     matrix = np.concatenate([np.zeros(size - 1), powers[:-1]])[_ages(size)]
-    blocks = np.zeros((number, size, width))
-    blocks.reshape(-1, width)[:count] = added
-    side_by_side = blocks.transpose(1, 0, 2).reshape(size, -1)
-    sums = (matrix @ side_by_side).reshape(size, number, width).transpose(1, 0, 2)
+    blocks = np.zeros((width, number * size))
+    blocks[:, :count] = added
+    sums = blocks.reshape(width, number, size) @ matrix
     if number > 1:
-        sums[1:] += powers[1:, np.newaxis] * _decaying_sum(sums[:-1, -1], powers[-1])[:, np.newaxis]
-    return sums.reshape(-1, width)[:count]
+        sums[:, 1:] += _decaying_sum(sums[:, :-1, -1], powers[-1])[..., np.newaxis] * powers[1:]
+    return np.asarray(sums.reshape(width, -1)[:, :count])
 
 
 @cache
 def _ages(size: int) -> IntArray:
-    """How many steps before each of ``size`` instants (rows) each other one is, plus size - 1."""
+    """How many steps before each of ``size`` instants (columns) each other one is, plus size - 1."""
     instants = np.arange(size)
-    return np.asarray(instants[:, np.newaxis] - instants + size - 1)
+    return np.asarray(instants - instants[:, np.newaxis] + size - 1)
 
 
 def record_of_dwells(

@@ -48,6 +48,8 @@ _START_ABOVE_OPTICS_C = 8.0
 _SENSOR_SIGMAS = np.array([0.02, 0.06, 0.02])
 _MAX_RMS = np.array([0.1, 0.3, 0.1])
 _MAX_EVALUATIONS = 60
+#: Step of a derivative, as a share of the parameter or of one.
+_STEP = float(np.finfo(np.float64).eps) ** 0.5
 #: Of the smooth course of the differences between network and sensors: dwells for each degree, degree.
 _DWELLS_A_POLYNOMIAL, _MAX_DEGREE = 6, 20
 _SCALE_C = 50.0
@@ -161,8 +163,12 @@ class _Segment:
         return np.array([optics_c, board_c if np.isfinite(board_c) else optics_c + _START_ABOVE_OPTICS_C])
 
     def residuals(self, values: FloatArray, readings: FloatArray) -> FloatArray:
-        """Model minus readings (m, 3): optics, slopes, electronics; NaN without a reading."""
-        return np.stack(_run(values, self.up_body, self.driven_c, self.step_h), axis=1) - readings
+        """Model minus readings (..., m, 3): optics, slopes, electronics; NaN without a reading.
+
+        ``values`` (..., parameters): several sets at once take less time than one after the other.
+        """
+        means = _run(np.atleast_2d(values), self.up_body, self.driven_c, self.step_h)
+        return np.asarray(means.reshape(*values.shape[:-1], *readings.shape) - readings)
 
 
 def _without_pauses(start_s: FloatArray, end_s: FloatArray, fitted: BoolArray) -> list[slice]:
@@ -178,25 +184,33 @@ def _fit(segments: list[_Segment], readings: FloatArray) -> FloatArray | None:
 
     count = len(_PARAMETERS)
 
-    def residuals(values: FloatArray) -> FloatArray:
-        parts = [
-            each.residuals(np.append(values[:count], values[count + 2 * index :][:2]), readings[each.part])
-            for index, each in enumerate(segments)
-        ]
-        return np.concatenate(parts)
-
     def weighted(values: FloatArray) -> FloatArray:
         return _weighted(residuals(values))
 
+    def residuals(values: FloatArray) -> FloatArray:
+        parts = []
+        for index, each in enumerate(segments):
+            own = np.concatenate([values[..., :count], values[..., count + 2 * index :][..., :2]], axis=-1)
+            parts.append(each.residuals(own, readings[each.part]))
+        return np.concatenate(parts, axis=-2)
+
+    def slopes(values: FloatArray) -> FloatArray:
+        """Derivatives of the weighted residuals by forward differences, as scipy has them, in one run."""
+        steps = _STEP * np.where(values >= 0.0, 1.0, -1.0) * np.maximum(1.0, np.abs(values))
+        ahead = values + steps
+        steps = np.where((ahead < lows) | (ahead > highs), -steps, steps)
+        at, *changed = weighted(np.vstack([values, values + np.diag(steps)]))
+        return np.asarray(((np.array(changed) - at) / ((values + steps) - values)[:, np.newaxis]).T)
+
     lows, starts, highs, scales = np.array([each[1:] for each in _PARAMETERS]).T
     initial = [each.start(readings[each.part]) for each in segments]
+    lows = np.append(lows, [-100.0, -100.0] * len(initial))
+    highs = np.append(highs, [150.0, 250.0] * len(initial))
     fitted = least_squares(
         weighted,
         np.concatenate([starts, *initial]),
-        bounds=(
-            np.append(lows, [-100.0, -100.0] * len(initial)),
-            np.append(highs, [150.0, 250.0] * len(initial)),
-        ),
+        slopes,
+        bounds=(lows, highs),
         x_scale=np.append(scales, [1.0, 3.0] * len(initial)),
         max_nfev=_MAX_EVALUATIONS,
     ).x
@@ -217,42 +231,46 @@ def _with_start(parameters: FloatArray, segment: _Segment, readings: FloatArray)
 
 
 def _above(values: FloatArray, segment: _Segment) -> FloatArray:
-    optics_c, _, electronics_c = _run(values, segment.up_body, segment.driven_c, segment.step_h)
+    optics_c, _, electronics_c = segment.residuals(values, np.zeros((len(segment.step_h), 3))).T
     return np.asarray(electronics_c - optics_c)
 
 
 def _weighted(residuals: FloatArray) -> FloatArray:
-    """Residuals in standard deviations of the sensors, flat; zero without a reading."""
-    weighted: FloatArray = np.nan_to_num(residuals / _SENSOR_SIGMAS, nan=0.0).ravel()
-    return weighted
+    """Residuals (..., m, 3) in standard deviations of the sensors, (..., 3 m); zero without a reading."""
+    weighted: FloatArray = np.nan_to_num(residuals / _SENSOR_SIGMAS, nan=0.0)
+    return weighted.reshape(*residuals.shape[:-2], -1)
 
 
 @compiled
-def _run(
-    values: FloatArray, up_body: FloatArray, driven_c: FloatArray, step_h: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Means of the optics, their slopes, and means of the electronics per dwell, by the midpoint rule."""
-    flow, to_case, own, power, back, loss = values[:6]
-    along = up_body @ values[6:9]
-    onset, width, optics, electronics = values[9:]
-    count, steps = driven_c.shape
-    means, slopes, boards = np.zeros(count), np.zeros(count), np.zeros(count)
+def _run(values: FloatArray, up_body: FloatArray, driven_c: FloatArray, step_h: FloatArray) -> FloatArray:
+    """Means of the optics, their slopes, and means of the electronics per dwell, by the midpoint rule.
+
+    ``values`` (r, parameters): those of r runs. Each step is made in all runs, since the processor does not
+    wait for one run to begin with the next. Returns (r, dwells, 3).
+    """
+    runs, (count, steps) = len(values), driven_c.shape
+    found = np.zeros((runs, count, 3))
+    optics, electronics = values[:, 11].copy(), values[:, 12].copy()
     for dwell in range(count):
-        step, first = step_h[dwell], optics
+        step, x, y, z = step_h[dwell], up_body[dwell, 0], up_body[dwell, 1], up_body[dwell, 2]
+        first = optics.copy()
         for each in range(steps):
             case = driven_c[dwell, each]
-            middle_optics, middle_electronics = optics, electronics
-            for part in (0.5, 1.0):
-                share = along[dwell] / (1.0 + np.exp((middle_optics - onset) / width))
-                heat = (middle_electronics - middle_optics) * (1.0 + share)
-                rise = flow * heat + to_case * (case - middle_optics) + own
-                rise_electronics = power - back * heat + loss * (case - middle_electronics)
-                if part == 0.5:
-                    middle_optics = optics + 0.5 * step * rise
-                    middle_electronics = electronics + 0.5 * step * rise_electronics
-            optics += step * rise
-            electronics += step * rise_electronics
-            means[dwell] += middle_optics / steps
-            boards[dwell] += middle_electronics / steps
-        slopes[dwell] = (optics - first) / (steps * step)
-    return means, slopes, boards
+            for run in range(runs):
+                flow, to_case, own, power, back, loss, of_x, of_y, of_z, onset, width = values[run, :11]
+                along = x * of_x + y * of_y + z * of_z
+                middle_optics, middle_electronics = optics[run], electronics[run]
+                for part in (0.5, 1.0):
+                    share = along / (1.0 + np.exp((middle_optics - onset) / width))
+                    heat = (middle_electronics - middle_optics) * (1.0 + share)
+                    rise = flow * heat + to_case * (case - middle_optics) + own
+                    rise_electronics = power - back * heat + loss * (case - middle_electronics)
+                    if part == 0.5:
+                        middle_optics = optics[run] + 0.5 * step * rise
+                        middle_electronics = electronics[run] + 0.5 * step * rise_electronics
+                optics[run] += step * rise
+                electronics[run] += step * rise_electronics
+                found[run, dwell, 0] += middle_optics / steps
+                found[run, dwell, 2] += middle_electronics / steps
+        found[:, dwell, 1] = (optics - first) / (steps * step)
+    return found

@@ -29,10 +29,17 @@ _SWITCH_C = 0.5
 
 def _columns(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
     """Shares of each dwell with a falling set point, and with one that requires cooling: (n, 3, 2)."""
-    path_c = campaign.set_point_path_c
-    falling = np.mean(np.diff(path_c, axis=1) < -_MIN_SLOPE_C, axis=1)
-    cold = np.mean(path_c < values[0], axis=1)
-    return same_for_all_gyros(np.stack([falling, cold], axis=1))
+    cold = np.mean(campaign.set_point_path_c < values[0], axis=1)
+    return same_for_all_gyros(np.stack([_falling(campaign), cold], axis=1))
+
+
+def _falling(campaign: Campaign) -> FloatArray:
+    """Share of each dwell with a falling set point: (n,)."""
+    key = "share of a falling set point"
+    if key not in campaign.computed_terms:
+        slopes_c = np.diff(campaign.set_point_path_c, axis=1)
+        campaign.computed_terms[key] = np.mean(slopes_c < -_MIN_SLOPE_C, axis=1)
+    return campaign.computed_terms[key]
 
 
 def _heat_to_remove(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
@@ -40,10 +47,9 @@ def _heat_to_remove(campaign: Campaign, values: tuple[float, ...]) -> FloatArray
     cold_below_c, ratio, tau_s = values
     record, set_c = campaign.record, course_of("chamber_set_c", campaign)[:, :1]
     limited_c = set_c - ratio * lag(set_c, record.time_s, tau_s)
-    before_c = np.concatenate([limited_c[:1], limited_c[:-1]])
-    after_c = np.concatenate([limited_c[1:], limited_c[-1:]])
-    low_c = np.minimum(np.minimum(before_c, after_c), limited_c) - _SWITCH_C
-    high_c = np.maximum(np.maximum(before_c, after_c), limited_c) + _SWITCH_C
+    neighbours_c = np.concatenate([limited_c[:1], limited_c, limited_c[-1:]])
+    low_c = np.minimum(np.minimum(neighbours_c[:-2], neighbours_c[2:]), limited_c) - _SWITCH_C
+    high_c = np.maximum(np.maximum(neighbours_c[:-2], neighbours_c[2:]), limited_c) + _SWITCH_C
     runs = np.clip((cold_below_c - low_c) / (high_c - low_c), 0.0, 1.0)
     return same_for_all_gyros(campaign.means_over_dwells(runs))
 

@@ -170,18 +170,26 @@ def _play(state: FloatArray, _: FloatArray, half_width: float) -> FloatArray:
     """How far a follower with play stands from the quantity (m, 3): at most the half width.
 
     Each instant limits the follower of the one before; limits of limits are limits, so that those of 2, 4,
-    8, ... instants follow from each other.
+    8, ... instants follow from each other. From one turn of the quantity to the next, those of the last
+    instant are enough.
     """
-    limits = np.stack([state - half_width, state + half_width])
+    course = np.ascontiguousarray(state.T)
+    steps = course[:, 1:] - course[:, :-1]
+    turns = np.flatnonzero((steps[:, 1:] * steps[:, :-1] <= 0.0).any(axis=0)) + 1
+    turns = np.concatenate([[0], turns])
+    low, high = course - half_width, course + half_width
+    limits = np.stack([low[:, turns], high[:, turns]])
     reach = 1
-    while reach < len(state):
-        earlier = np.maximum(limits[:, :-reach], limits[0, reach:])
-        np.minimum(earlier, limits[1, reach:], out=earlier)
-        limits[:, reach:] = earlier
+    while reach < len(turns):
+        earlier = np.maximum(limits[..., :-reach], limits[0, :, reach:])
+        np.minimum(earlier, limits[1, :, reach:], out=earlier)
+        limits[..., reach:] = earlier
         if (earlier[0] == earlier[1]).all():  # where both limits are one, instants before do not matter
             break
         reach *= 2
-    return np.asarray(np.clip(state[0], *limits) - state)
+    at_turns = np.minimum(np.maximum(course[:, :1], limits[0]), limits[1])
+    follower = np.repeat(at_turns, np.diff(turns, append=len(state)), axis=1)
+    return np.asarray((np.minimum(np.maximum(follower, low), high) - course).T)
 
 
 #: State (m, 3) of a quantity over time, from that, the times (m,) and the parameter.
@@ -298,18 +306,12 @@ def course_of(driver: str, campaign: Campaign) -> FloatArray:
 
 def mean_decay(campaign: Campaign, on_s: FloatArray, tau_s: float) -> FloatArray:
     """Mean over each dwell of decays (n,) that begin with 1: a dwell with an event has parts of two."""
-    off_s = np.append(on_s[1:], np.inf)
-    area = sum(
-        _decay_integral(campaign.end_s, on, off, tau_s) - _decay_integral(campaign.start_s, on, off, tau_s)
-        for on, off in zip(on_s, off_s, strict=True)
-    )
-    return np.asarray(area / np.maximum(campaign.end_s - campaign.start_s, 1e-9))
-
-
-def _decay_integral(time_s: FloatArray, on_s: float, off_s: float, tau_s: float) -> FloatArray:
-    """Integral, up to a time, of the decay between one event and the next."""
-    inside = np.clip(time_s, on_s, off_s) - on_s
-    return np.asarray(tau_s * -np.expm1(-inside / tau_s))
+    instants_s = np.stack([campaign.start_s, campaign.end_s])
+    event = np.maximum(np.searchsorted(on_s, instants_s, "right") - 1, 0)
+    since_s = np.maximum(instants_s - on_s[event], 0.0)
+    earlier = np.cumsum(np.append(0.0, -np.expm1((on_s[:-1] - on_s[1:]) / tau_s)))
+    until_start, until_end = tau_s * (earlier[event] - np.expm1(-since_s / tau_s))
+    return np.asarray((until_end - until_start) / np.maximum(campaign.end_s - campaign.start_s, 1e-9))
 
 
 def form_of(law: Law, terms: tuple[str, ...] = (), name: str = "") -> Form:

@@ -101,8 +101,8 @@ _JOINTS = (0.25, 0.75, 1.25, 1.75)
 def _many_widths(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
     """Mean of play with half widths from zero to twice the mean, (n, 3, 1)."""
     record, play = campaign.record, MEMORIES[_PLAY.memory]
-    states = [play(record.gyro_c, record.time_s, values[0] * each) for each in _JOINTS]
-    return campaign.means_over_dwells(np.mean(states, axis=0))[:, :, np.newaxis]
+    states = (play(record.gyro_c, record.time_s, values[0] * each) for each in _JOINTS)
+    return campaign.means_over_dwells(np.asarray(sum(states)) / len(_JOINTS))[:, :, np.newaxis]
 
 
 def _as_one_width(fitted: FittedForm) -> InsTerms:

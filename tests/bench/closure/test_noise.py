@@ -9,7 +9,7 @@ from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.effects import bias_jump
 from gyrobench.bench.closure.effects.laws import AGEING, TEMPERATURE_RATE, THERMAL_LAG, TIME_DRIFT, WARM_UP
 from gyrobench.bench.closure.loop import close_loop, without_search
-from gyrobench.bench.closure.noise import OUTLIER_SIGMA, estimate_noise
+from gyrobench.bench.closure.noise import OUTLIER_SIGMA, estimate_noise, outweighing_dwell
 from gyrobench.bench.report.closure.closure_text import error_sentence
 from tests.bench.closure.thermal_bench import measure
 from tests.benchmarks.closure_units import make_unit
@@ -111,6 +111,32 @@ def test_an_effect_is_found_beside_a_dwell_that_is_thousands_of_sigmas_off(dwell
     assert (closure.verdict, closure.names) == (without.verdict, without.names)
     assert {each.dwell for each in closure.noise.outliers} == {dwell}
     assert closure.error_after_dph == pytest.approx(without.error_after_dph, rel=0.05)
+
+
+def test_an_effect_that_explains_a_dwell_far_off_is_found_with_it():
+    random = np.random.default_rng(0)
+    rows = measure(seed=1).rows
+    watts = 30.0 + random.normal(size=len(rows))
+    watts[20] += 500.0
+    rows = [
+        replace(
+            row,
+            bias_dph=tuple((np.array(row.bias_dph) + 5.0 * (watt - 30.0) * np.array(row.sigma_dph)).tolist()),
+            other=(("supply_w", float(watt)),),
+        )
+        for row, watt in zip(rows, watts, strict=True)
+    ]
+    campaign = campaign_of(rows)
+    searched = campaign.cycle != campaign.last_cycle
+    assert {each.dwell for each in outweighing_dwell(campaign, searched).outliers} == {rows[20].dwell}
+    closure = close_loop(campaign)
+    assert closure.names == ("supply_power",)
+    assert closure.noise.outliers == ()
+
+
+def test_no_dwell_of_a_unit_with_a_large_effect_outweighs_all_others():
+    campaign = campaign_of(measure({"attitude_thermal": 100.0}, seed=1).rows)
+    assert outweighing_dwell(campaign, np.ones(len(campaign), dtype=bool)).outliers == ()
 
 
 @pytest.mark.parametrize(
