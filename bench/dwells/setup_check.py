@@ -189,8 +189,16 @@ def _opposite_gain(dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnow
     count, gain = 3 * sum(len(each.time_s) for each in windows), declared - other
     if min(declared, other) > _MAX_CHI2_PER_DATUM * count:
         return 0.0
-    step = estimate_state_space(dwell, opposite, noise, prior).step if gain > 0.0 else None
-    return 0.0 if step is not None and step.p_value < MIN_STEP_P_VALUE else gain
+    return 0.0 if gain > 0.0 and _has_step(dwell, opposite, noise, prior) else gain
+
+
+def _has_step(dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnowledge) -> bool:
+    """Whether a bias steps if the dwell was measured at this site; unknown without a turn."""
+    try:
+        step = estimate_state_space(dwell, site, noise, prior).step
+    except MeasurementError:
+        return False
+    return step is not None and step.p_value < MIN_STEP_P_VALUE
 
 
 def _regression(
