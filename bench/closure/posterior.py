@@ -492,7 +492,9 @@ def detectable_dph(problem: Problem) -> dict[str, float]:
         log_odds = 0.5 * (variances @ chi2.T - np.sum(np.log1p(variances), axis=1, keepdims=True))
         shown = np.mean(log_odds > prior_odds, axis=1) >= POWER
         found[name] = float(sizes[np.argmax(shown)]) if shown.any() else math.inf
-    noise_dph = rms_of_known(problem.campaign.known_sigma_dph[problem.searched]) * problem.noise_scale
+    # Of a remainder as large in all dwells; an outlier with its large deviation does not count.
+    precisions = 1.0 / problem.campaign.known_sigma_dph[problem.searched]
+    noise_dph = problem.noise_scale / rms_of_known(precisions)
     return {name: size * noise_dph for name, size in found.items()}
 
 
