@@ -149,7 +149,7 @@ def lock_folder_of_this_worker(tmp_path_factory):
 
 @pytest.fixture(scope="session", autouse=True)
 def no_waiting_for_the_disk():
-    """Do not wait until data are on the disk: no test cuts the power. Those that simulate it replace this."""
+    """`os.fsync` only checks the descriptor: no test cuts the power. Those that simulate it replace this."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(os, "fsync", os.fstat)
         yield

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrobench.bench.bias import parameters, window_filter
-from gyrobench.bench.bias.bias_steps import BiasStep, WindowChange, find_bias_step
+from gyrobench.bench.bias.bias_steps import MIN_STEP_P_VALUE, BiasStep, WindowChange, find_bias_step
 from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, TurnPath
 from gyrobench.bench.bias.error_split import ErrorPart, noise_parts, prior_parts
 from gyrobench.bench.bias.noise_model import NoiseModel
@@ -124,6 +124,12 @@ class StateSpaceEstimate(BiasEstimate):
     #: For the joint solution of several dwells; None where only its result is kept.
     information: DwellInformation | None
     parts: Mapping[str, ErrorPart]  #: Errors of the biases by source, of a complete dwell; otherwise empty.
+
+    @property
+    def probable_step(self) -> BiasStep | None:
+        """The step of a bias, where it is more probable than what else was tested."""
+        others = self.fit.p_value, self.steady_p_value, self.damping.p_value
+        return self.step if self.step and self.step.p_value < min(MIN_STEP_P_VALUE, *others) else None
 
 
 class BiasFilter:

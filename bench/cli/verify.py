@@ -51,7 +51,8 @@ def verify(
     world: Annotated[
         str | None,
         typer.Option(
-            help="World behind emulated instruments; default: the run's.", autocompletion=complete_world
+            help="World behind emulated instruments; default: the run's, which has its unit.",
+            autocompletion=complete_world,
         ),
     ] = None,
     seed: Annotated[

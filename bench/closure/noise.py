@@ -34,6 +34,8 @@ _SAME = 0.03
 _ROUNDS = 30
 #: Where too many are off, those within this share of the farthest one become outliers first.
 _FARTHEST = 0.5
+#: Share of a dwell's reduction of chi2 from which on a gyro is off itself.
+_OWN_SHARE = 0.1
 _TIME_DEGREE = 5
 #: Twice the negative log likelihood of an outlier beyond that of other dwells: 2 % have ten times the noise.
 _OUTLIER_COST = 2.0 * math.log(10.0 / 0.02)
@@ -158,13 +160,19 @@ def estimate_noise(
 
 
 def outweighing_dwell(campaign: Campaign, searched: BoolArray) -> Noise:
-    """Noise as stated, with a dwell as outlier that has more of chi2 than all others together, if one has."""
+    """Noise as stated, with the dwell as outlier without which chi2 is less than half, if there is one.
+
+    Where several are, the one without which it is least. A gyro with little of the reduction is none: it
+    may only stand beside an outlier.
+    """
     problem = Noise.stated(campaign).problem(campaign, searched)
-    shares = _shares_left(problem)
-    reductions = np.sum(problem.residuals**2 / shares, axis=1)  # of chi2, without each dwell
-    is_outweighing = reductions > 0.5 * problem.chi2
-    off = problem.residuals / shares  # from the model fitted to the other dwells
-    return _of_outliers(problem, off, is_outweighing[:, np.newaxis] & (np.abs(off) > OUTLIER_SIGMA))
+    off = problem.residuals / np.sqrt(_shares_left(problem))
+    reductions = off**2  # of chi2, without each dwell
+    first = int(np.argmax(reductions.sum(axis=1)))
+    is_outlier = np.zeros(off.shape, dtype=bool)
+    if (total := reductions[first].sum()) > 0.5 * problem.chi2:
+        is_outlier[first] = (np.abs(off[first]) > OUTLIER_SIGMA) & (reductions[first] > _OWN_SHARE * total)
+    return _of_outliers(problem, off, is_outlier)
 
 
 def _scale(test: LackOfFit) -> float:

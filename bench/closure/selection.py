@@ -124,7 +124,9 @@ def select(campaign: Campaign, searched: BoolArray, effects: Sequence[Effect]) -
     found = settled[0].best.candidates
     if first.outliers and found:
         fitted = refine(stated.problem(campaign, searched), found)
-        settled = [_settled(campaign, searched, effects, estimate_noise(campaign, searched, fitted))]
+        beside = estimate_noise(campaign, searched, fitted)
+        if not beside.is_like(settled[0].noise):
+            settled.append(_settled(campaign, searched, effects, beside))
     if not (alone.is_like(stated) or alone.is_like(first)):
         settled.append(_settled(campaign, searched, effects, alone))
     if all(each.after.is_significant for each in settled):

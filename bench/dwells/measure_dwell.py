@@ -11,7 +11,6 @@ from functools import partial
 import numpy as np
 
 from gyrobench.bench.bias.bias_filter import StateSpaceEstimate, estimate_state_space
-from gyrobench.bench.bias.bias_steps import MIN_STEP_P_VALUE, BiasStep
 from gyrobench.bench.bias.budget import BudgetInputs
 from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, TurnPath
 from gyrobench.bench.bias.dwell_table import NEIGHBOURS_ON, NOT_MEASURED, DwellRow, triple
@@ -226,7 +225,7 @@ def estimate_dwell(
             f"the resolution of the gyros limits this dwell: the attitude moves in steps of about "
             f"{math.degrees(pulse_rad) * 3600.0:.2g} arcsec. Measure with dithered gyros or finer pulses",
         )
-    if (step := _step(estimate)) is not None:
+    if step := estimate.probable_step:
         flags.append(
             f"a bias is not constant: that of the {AXES[step.gyro]} gyro seems to step by "
             f"{step.size_dph:.2g} deg/h at {step.time_s:.0f} s on the clock of the INS (p = "
@@ -242,11 +241,11 @@ def _estimate(dwell: Dwell, setup: MeasurementSetup, noise: NoiseModel) -> State
     """
     estimate = estimate_state_space(dwell, setup.site, noise, setup.prior)
     error, prior = abs(estimate.latitude_error), setup.prior
-    is_sound = not (_doubts(estimate) or _step(estimate))
+    is_sound = not (_doubts(estimate) or estimate.probable_step)
     if is_sound or not exceeds_declared(error, estimate.latitude_sigma, prior.latitude):
         return estimate
     other = estimate_state_space(dwell, setup.site, noise, replace(prior, latitude=error))
-    if _doubts(other) or _step(other):
+    if _doubts(other) or other.probable_step:
         return estimate
     _, north_rate, _ = earth_rate_enu(setup.site.latitude)
     up_radps = error * north_rate * dwell.windows[0].C_nb[0, 2]
@@ -257,12 +256,6 @@ def _estimate(dwell: Dwell, setup: MeasurementSetup, noise: NoiseModel) -> State
         covariance=other.covariance + np.outer(up_radps, up_radps),
         parts={**other.parts, "latitude": added},
     )
-
-
-def _step(estimate: StateSpaceEstimate) -> BiasStep | None:
-    """The step of a bias, where it is more probable than what else was tested."""
-    step, others = estimate.step, (estimate.fit.p_value, estimate.steady_p_value, estimate.damping.p_value)
-    return step if step is not None and step.p_value < min(MIN_STEP_P_VALUE, *others) else None
 
 
 def checked_navigation(

@@ -25,7 +25,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrobench.bench.bias.bias_filter import chi2_at, estimate_state_space
-from gyrobench.bench.bias.bias_steps import MIN_STEP_P_VALUE
 from gyrobench.bench.bias.dwell import Dwell, NavigationWindow
 from gyrobench.bench.bias.noise_model import NoiseModel, rounding_sigma
 from gyrobench.bench.bias.parameters import PriorKnowledge
@@ -176,7 +175,7 @@ def _latitude_fault(several: Sequence[SetupEvidence]) -> str:
 def _opposite_gain(dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnowledge) -> float:
     """By how much chi2 is less at the opposite latitude; 0 where neither latitude explains the data.
 
-    A bias that steps is explained by neither, but may pass for a latitude in part.
+    A bias step fits neither latitude, but may reduce chi2 at the opposite one.
     """
     try:
         windows = tuple(
@@ -195,10 +194,9 @@ def _opposite_gain(dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnow
 def _has_step(dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnowledge) -> bool:
     """Whether a bias steps if the dwell was measured at this site; unknown without a turn."""
     try:
-        step = estimate_state_space(dwell, site, noise, prior).step
+        return estimate_state_space(dwell, site, noise, prior).probable_step is not None
     except MeasurementError:
         return False
-    return step is not None and step.p_value < MIN_STEP_P_VALUE
 
 
 def _regression(

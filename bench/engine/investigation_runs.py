@@ -31,7 +31,7 @@ from gyrobench.bench.engine.run_outcome import RunOutcome
 from gyrobench.bench.engine.verification_runs import VerificationRuns, is_run_of
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.clock import RESUME_STEP_S, Clock, VirtualClock, WallClock
-from gyrobench.bench.foundations.documents import Document
+from gyrobench.bench.foundations.documents import Document, read_document
 from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError, RunFolderError
 from gyrobench.bench.foundations.files import make_folder, write_whole
 from gyrobench.bench.foundations.shipped import world_for
@@ -98,11 +98,12 @@ def start_with_runs(
     if a file of the first run, or the station, can't be used.
     """
     first = RunFolder(runs[0])
-    known, job = emulation_of(first), job_in(first)
+    known = emulation_of(first)
+    job = job_in(first) if station is None else prepare_job(str(first.procedure), station)
     if station is not None:
-        name, job = job.station.file.station, prepare_job(str(first.procedure), station)
-        if job.station.file.station != name:
-            world = world_for(station, world, known.world)
+        own, name = read_document(first.station).data, job.station.file.station
+        if not isinstance(own, dict) or own.get("station") != name:
+            world = world_for(name, world, known.world)
     emulation = Emulation(world or known.world, known.seed if seed is None else seed, known.faults)
     return InvestigationStart(replace(job, emulation=emulation), out or first.path / "investigation", runs)
 

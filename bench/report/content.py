@@ -154,7 +154,7 @@ class _Files:
 
 
 def with_joint(content: RunContent, folder: RunFolder) -> RunContent:
-    """The content with the joint solution, which no figure shows: they need the memory."""
+    """The content with the joint solution; no figure shows it, so it is read after the figures."""
     read = _Files(content.problems).read
     return replace(
         content,

@@ -103,7 +103,7 @@ class Emulation:
 
     @classmethod
     def of(cls, station: str, world: str | None = None, seed: int = 0, faults: str | None = None) -> Self:
-        """That of a station, by file or shipped name; without a world :func:`world_for` selects it."""
+        """That of a station, as it was given; without a world :func:`world_for` selects it by that name."""
         return cls(world_for(station, world), seed, faults or "")
 
     def options(self) -> dict[str, str | int]:

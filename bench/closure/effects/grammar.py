@@ -305,7 +305,10 @@ def course_of(driver: str, campaign: Campaign) -> FloatArray:
 
 
 def mean_decay(campaign: Campaign, on_s: FloatArray, tau_s: float) -> FloatArray:
-    """Mean over each dwell of decays (n,) that begin with 1: a dwell with an event has parts of two."""
+    """Mean over each dwell of decays (n,) that begin with 1: a dwell with an event has parts of two.
+
+    ``on_s``: times of the events, ascending, at least one.
+    """
     instants_s = np.stack([campaign.start_s, campaign.end_s])
     event = np.maximum(np.searchsorted(on_s, instants_s, "right") - 1, 0)
     since_s = np.maximum(instants_s - on_s[event], 0.0)

@@ -1,10 +1,16 @@
 """Options of commands that are numbers."""
 
+from typing import get_args
+
 import pytest
 import typer
 
+from gyrobench.bench.authoring.file_kinds import KINDS
 from gyrobench.bench.cli import app
+from gyrobench.bench.cli.options import FailOnOption
+from gyrobench.bench.cli.validate import FileKindName
 from gyrobench.bench.closure import inputs, loop
+from gyrobench.bench.engine.run_outcome import FailOn
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.report.closure import closure_page
 from tests.bench.command_line import gyrobench
@@ -54,3 +60,9 @@ def test_each_cycle_is_held_out_by_the_option_and_by_its_old_name(options, expec
         command(["dwells.csv", *options], standalone_mode=False)
     assert bool(held_out) is expected
     assert [each.hidden for each in command.params if "--rotate" in each.opts] == [True]
+
+
+def test_choices_that_the_command_line_repeats_are_those_of_their_modules():
+    assert get_args(FileKindName) == tuple(KINDS)
+    offered, _ = get_args(get_args(FailOnOption)[0])
+    assert get_args(offered) == get_args(FailOn)

@@ -72,6 +72,18 @@ def test_a_latitude_of_the_wrong_hemisphere_is_named_in_nearly_every_dwell(latit
 
 
 @pytest.mark.parametrize(
+    "unit",
+    [
+        {"velocity_damping_s": 600.0},
+        pytest.param({"accelerometer_transient_ug": (20.0, -20.0, 20.0)}, marks=LONG),
+    ],
+)
+def test_a_wrong_hemisphere_is_named_by_the_error_model_in_a_unit_with_other_errors(unit):
+    dwells = dwells_of(station={"location.latitude_deg": -36.4}, **unit)
+    assert any("at 36.4 deg, not -36.4 deg, the error model" in dwell.row.flags for dwell in dwells)
+
+
+@pytest.mark.parametrize(
     ("unit", "latitude_deg"),
     [
         pytest.param(unit, at_deg, marks=[] if number % 2 == place else [LONG])

@@ -268,7 +268,7 @@ def test_figures_have_room_for_their_labels(
     assert cut == dict.fromkeys(cut, False)
 
 
-def test_figures_are_saved_for_what_there_are_data_for(
+def test_there_are_figures_for_what_there_are_data_for(
     tmp_path: Path, telemetry: Telemetry, dwells: list[DwellRow], bins: list[BiasBin]
 ) -> None:
     figures = dict(run_figures(lambda: telemetry, dwells, bins))
