@@ -134,6 +134,20 @@ def test_an_effect_that_explains_a_dwell_far_off_is_found_with_it():
     assert closure.noise.outliers == ()
 
 
+def test_of_two_dwells_far_off_the_one_that_chi2_rests_on_most_is_the_outlier_with_its_gyro_alone():
+    rows = measure(seed=1).rows
+
+    def off(row, axis, sigmas):
+        biases = list(row.bias_dph)
+        biases["xyz".index(axis)] += sigmas * row.sigma_dph["xyz".index(axis)]
+        return replace(row, bias_dph=tuple(biases))
+
+    rows[6], rows[10] = off(rows[6], "x", 1000.0), off(rows[10], "y", 900.0)
+    campaign = campaign_of(rows)
+    (outlier,) = outweighing_dwell(campaign, np.ones(len(campaign), dtype=bool)).outliers
+    assert (outlier.dwell, outlier.gyro) == (rows[6].dwell, "x")
+
+
 def test_no_dwell_of_a_unit_with_a_large_effect_outweighs_all_others():
     campaign = campaign_of(measure({"attitude_thermal": 100.0}, seed=1).rows)
     assert outweighing_dwell(campaign, np.ones(len(campaign), dtype=bool)).outliers == ()
