@@ -29,17 +29,10 @@ _SWITCH_C = 0.5
 
 def _columns(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
     """Shares of each dwell with a falling set point, and with one that requires cooling: (n, 3, 2)."""
-    cold = np.mean(campaign.set_point_path_c < values[0], axis=1)
-    return same_for_all_gyros(np.stack([_falling(campaign), cold], axis=1))
-
-
-def _falling(campaign: Campaign) -> FloatArray:
-    """Share of each dwell with a falling set point: (n,)."""
-    key = "share of a falling set point"
-    if key not in campaign.computed_terms:
-        slopes_c = np.diff(campaign.set_point_path_c, axis=1)
-        campaign.computed_terms[key] = np.mean(slopes_c < -_MIN_SLOPE_C, axis=1)
-    return campaign.computed_terms[key]
+    path_c = campaign.set_point_path_c
+    falling = np.mean(np.diff(path_c, axis=1) < -_MIN_SLOPE_C, axis=1)
+    cold = np.mean(path_c < values[0], axis=1)
+    return same_for_all_gyros(np.stack([falling, cold], axis=1))
 
 
 def _heat_to_remove(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
