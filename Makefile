@@ -1,7 +1,7 @@
 # make run    install into .venv and run the paper's procedure on the emulated bench
 # make investigate  identify a hidden effect on the emulated bench, and verify its compensation
 # make test   install into .venv and run the test suite, but for what takes long
-# make test-long  whole campaigns, kills, fuzzing
+# make test-long  whole campaigns, statistics of many samples, kills, fuzzing
 # make soak   kill, disturb and keep runs running for an hour; writes docs/reliability.md
 # make check  style, types, layers
 # make docs   pages of docs/ as HTML, in build/docs
@@ -25,7 +25,7 @@ investigate: $(VENV)/.installed
 	$(BIN)/gyrobench investigate quick_campaign --station quick --world quick_warm_up --approve auto \
 		--verification quick_verification
 
-# Four workers on two cores: two begin with the tests that wait in real time.
+# Four workers on two cores: two run the tests that wait in real time.
 test: install
 	$(BIN)/python -m pytest -m "not long" -p no:benchmark -n 4 --dist loadfile --no-loadscope-reorder
 

@@ -37,23 +37,25 @@ SHIFT_RUNS = {
     "tests/bench/engine/test_whole_procedure_results.py",
     "tests/bench/dwells/test_run_dwells.py",
 }
-#: These wait in real time. Two workers begin with them, while the others compute.
-WAITING = dict.fromkeys(
-    (
-        "tests/bench/guard/test_abandoned_bench.py",
-        "tests/bench/guard/test_alarm.py",
-        "tests/bench/guard/test_guard.py",
-        "tests/bench/jog/test_jog_session.py",
-    ),
-    "guards at work",
-) | dict.fromkeys(
-    (
-        "tests/bench/cli/test_emulate.py",
-        "tests/drivers/emulators/test_clients.py",
-        "tests/drivers/emulators/test_serve.py",
-    ),
-    "emulators at work",
-)
+#: These wait in real time for most of their duration.
+WAITING = {
+    "tests/bench/cli/test_emulate.py",
+    "tests/bench/cli/test_jog.py",
+    "tests/bench/guard/test_abandoned_bench.py",
+    "tests/bench/guard/test_alarm.py",
+    "tests/bench/guard/test_guard.py",
+    "tests/bench/investigation/test_external_bench.py",
+    "tests/bench/jog/test_jog_session.py",
+    "tests/bench/station/test_instruments.py",
+    "tests/bench/station/test_locks.py",
+    "tests/bench/station/test_safe_state.py",
+    "tests/drivers/chamber/test_watlow_f4.py",
+    "tests/drivers/emulators/test_clients.py",
+    "tests/drivers/emulators/test_serve.py",
+    "tests/drivers/ins/test_text_buses.py",
+    "tests/drivers/rate_table/test_acutrol3000.py",
+    "tests/drivers/test_serial_line.py",
+}
 #: What takes long comes next, so that no worker has it left over at the end.
 LONG = SHIFT_RUNS | {
     "tests/bench/closure/test_whole_campaigns.py",
@@ -63,18 +65,38 @@ LONG = SHIFT_RUNS | {
 }
 
 
-class SharedRunsScheduling(LoadFileScheduling):
-    """One worker runs all tests of a file, all files that share runs, and all files that wait together."""
+class WaitingApartScheduling(LoadFileScheduling):
+    """One worker runs all tests of a file, and all files that share runs.
+
+    Workers beyond the number of cores run the files that wait, and no others: they would only be in the way
+    of those that compute.
+    """
 
     def _split_scope(self, nodeid):
         path = super()._split_scope(nodeid)
-        return "runs of a shift" if path in SHIFT_RUNS else WAITING.get(path, path)
+        return "runs of a shift" if path in SHIFT_RUNS else path
+
+    def _is_waiting_one(self, node):
+        return int(node.gateway.id.removeprefix("gw")) < self.numnodes - len(os.sched_getaffinity(0))
+
+    def _assign_work_unit(self, node):
+        """Files that wait come last for a worker that computes."""
+        is_waiting_one = self._is_waiting_one(node)
+        for scope in [each for each in self.workqueue if (each in WAITING) != is_waiting_one]:
+            self.workqueue.move_to_end(scope)
+        super()._assign_work_unit(node)
+
+    def _reschedule(self, node):
+        if self._is_waiting_one(node) and not WAITING & self.workqueue.keys():
+            node.shutdown()
+        else:
+            super()._reschedule(node)
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
     """Keep tests that share runs together with ``--dist loadfile``; other ways are xdist's own."""
-    return SharedRunsScheduling(config, log) if config.getvalue("dist") == "loadfile" else None
+    return WaitingApartScheduling(config, log) if config.getvalue("dist") == "loadfile" else None
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -117,14 +139,22 @@ def pytest_collection_finish() -> None:
     gc.set_threshold(50_000, 10, 10)
 
 
+def pytest_sessionfinish() -> None:
+    """Leave all objects out of the collections that pytest ends with."""
+    gc.freeze()
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item):
-    """Draw figures for tests that look at them alone."""
+    """Draw figures, and free memory after each, for tests that look at them alone."""
+    from gyrobench.bench.foundations import memory
     from gyrobench.bench.report import page
 
     with pytest.MonkeyPatch.context() as patch:
         if not item.nodeid.startswith(DRAWN) and not item.get_closest_marker("draws"):
             patch.setattr(page, "_as_file", empty_figure)
+            for module in (memory, page):
+                patch.setattr(module, "free_memory", int)
         return (yield)
 
 

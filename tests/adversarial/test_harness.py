@@ -73,6 +73,7 @@ def test_frames_decode_to_the_output_by_cantools():
     assert marks.windows[-1].end_frame == len(frames)
 
 
+@pytest.mark.long
 def test_errors_of_good_dwells_have_the_size_that_is_stated():
     result = harness.measure_row(CLEAN, runs=2)
     assert (result.flagged, result.silent) == (0, 0)

@@ -65,6 +65,7 @@ def test_a_steady_ramp_of_the_rate_does_not_count():
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "noise",
     [

@@ -86,6 +86,7 @@ def test_the_fit_of_true_dwells_has_uniform_p_values(noisy_estimates):
     assert np.mean([each.fit.chi2 / each.fit.dof for each in noisy_estimates]) == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("position", "stops_deg"),
     [("y_up", (30.0, -150.0)), ("x_down", (0.0, 120.0)), ("y_up", (0.0, 90.0, 180.0, 270.0))],
@@ -99,6 +100,7 @@ def test_uncertainty_is_right_with_any_azimuths_and_turns(position, stops_deg):
     assert_chi_square(chi_square(estimates, TRUTH_DPH), 3 * len(estimates))
 
 
+@pytest.mark.long
 def test_uncertainty_is_right_with_outputs_of_the_resolution_of_the_emulated_ins():
     noise = NoiseModel.from_datasheet(0.0006, 5.0, 1e-4, np.radians(1e-6))
     random, ins = np.random.default_rng(22), sensors(TRUTH_DPH, noise=noise)

@@ -117,6 +117,7 @@ def assert_pulls(pulls):
     assert abs(pulls.std() - 1.0) < 3.5 / np.sqrt(2.0 * pulls.size)
 
 
+@pytest.mark.long
 def test_angle_random_walk_is_the_true_one_within_its_uncertainty(many_dwells):
     assert_pulls(
         [pull(estimate.angle_random_walk, truth.angle_random_walk) for truth, estimate in many_dwells]

@@ -74,6 +74,7 @@ NOISES = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", NOISES)
 def test_variance_of_slopes_is_that_of_simulated_noise(name):
     noise = NOISES[name]

@@ -59,6 +59,7 @@ NOISES = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", NOISES)
 def test_rate_lies_within_its_uncertainty_as_often_as_it_should(name):
     random = np.random.default_rng(1)

@@ -17,6 +17,7 @@ def _bias(celsius: float, rate: float, lead: float) -> float:
     return 0.004 + TEMPERATURE * away - 8e-7 * away**2 + RAMP * rate + 0.5 * HYSTERESIS * lead
 
 
+@pytest.mark.long
 def test_intervals_hold_temperature_ramp_and_hysteresis() -> None:
     random = np.random.default_rng(1)
     held = {"temperature": [], "ramp": [], "hysteresis": []}

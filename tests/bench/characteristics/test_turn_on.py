@@ -14,6 +14,7 @@ from tests.bench.characteristics.simulated_rows import holds, power_cycles
 STD = "turn-on standard deviation"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("scatter_dph", [0.001, 0.0003])
 def test_the_interval_holds_the_scatter_in_95_percent_of_records(scatter_dph: float) -> None:
     random = np.random.default_rng(1)

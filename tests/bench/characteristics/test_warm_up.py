@@ -15,6 +15,7 @@ def _named(found: list[Coefficient], start: str) -> list[Coefficient]:
     return [each for each in found if each.name.startswith(start)]
 
 
+@pytest.mark.long
 def test_intervals_hold_drop_time_constant_and_time_to_settle() -> None:
     random = np.random.default_rng(1)
     results = [warm_up(cold_start(random, 0.006, 3600.0), 0.001).coefficients for _ in range(40)]

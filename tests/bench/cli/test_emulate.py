@@ -131,14 +131,16 @@ def test_slcan_on_a_socket_comes_at_full_rate_and_nothing_is_imported_from_the_c
         (tmp_path / f"{name}.py").write_text(f"open({str(tmp_path / 'trapped')!r}, 'w')\n")
     path = tmp_path / "served.yaml"
     tcp = ["--tcp"] if way == "tcp" else []
-    _, line = emulate("--world", "ideal", "--can", "slcan", "--write-station", path, "--json", *tcp)
+    _, line = emulate(
+        "--world", "ideal", "--can", "slcan", "--speed", 10, "--write-station", path, "--json", *tcp
+    )
     urls = json.loads(line)
     server = None
     if way == "serial server":
         server = SerialServer(urls["ins"])
         path.write_text(path.read_text().replace(urls["ins"], server.url))
     station = Station(path)
-    clock = WallClock()
+    clock = WallClock(speed=station.file.speed)
     with Outputs(station, clock) as outputs:
         outputs.power_unit(True)
         ins = open_ins(station, clock, Emulation())

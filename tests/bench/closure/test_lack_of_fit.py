@@ -10,6 +10,7 @@ def of_clean_data(problem):
     return [lack_of_fit(problem(seed=seed), 0) for seed in range(60)]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["time", "temperature", "position", "temperature rate"])
 def test_without_anything_left_p_values_are_uniform(of_clean_data, name):
     assert kstest([each.p_structure[name] for each in of_clean_data], "uniform").pvalue > 0.01

@@ -91,6 +91,7 @@ def test_numbers_have_the_uncertainties_of_the_fit():
     np.testing.assert_allclose(sigma["polynomial_dph"][:, 3], draws.sigma(cubic, stated))
 
 
+@pytest.mark.long
 def test_true_numbers_are_within_their_uncertainties():
     def loaded(**options):
         return model_with_effects(search("g_sensitivity", **options)[1]).compensation

@@ -64,6 +64,7 @@ def share_found(campaign, name, size_dph, repeats=60):
     return found / repeats
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["temperature_rate", "g_sensitivity", "time_drift"])
 def test_the_search_finds_nine_of_ten_effects_of_the_stated_size(campaign, result, name):
     size_dph = detection(result, name).typical_dph

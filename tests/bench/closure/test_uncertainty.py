@@ -32,6 +32,7 @@ def fitted(campaign, effect, values, sizes_dph, random):
     return bias_dph, candidate, solve_with(problem, [candidate]), draw(problem, [candidate])
 
 
+@pytest.mark.long
 def test_sizes_and_predictions_are_within_their_95_percent_intervals(quiet):
     random = np.random.default_rng(1)
     of_sizes, of_predictions = [], []

@@ -71,6 +71,7 @@ def test_one_late_time_stamp_does_not_change_the_interval(tmp_path):
     assert abs(recording.interval_s / 0.02 - 1.0) < 3.0 * log.interval_error < 1e-5
 
 
+@pytest.mark.long
 def test_the_interval_is_as_uncertain_as_the_scatter_of_the_time_stamps_makes_it(tmp_path):
     time_s, rows = samples(50.0)
     random = np.random.default_rng(5)

@@ -36,7 +36,8 @@ def batch(rng, units=10, names=(LEVEL,), outlier=("", "", 0.0), spread_dph=SPREA
     return values
 
 
-@pytest.mark.parametrize("units", [5, pytest.param(10, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("units", [5, 10])
 def test_without_outlier_a_unit_stands_out_no_oftener_than_stated(units):
     rng = np.random.default_rng(1)
     alarms = sum(bool(outliers(fit_batch(batch(rng, units)))) for _ in range(60))

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.effects.laws import G_SENSITIVITY
@@ -40,6 +41,7 @@ def remaining(seed, name="effect"):
     return compensation_result(name, left, [], SITE, campaign.gyro_c, fitted).total
 
 
+@pytest.mark.long
 def test_what_remains_agrees_with_the_uncertainty_of_the_compensation():
     totals = [remaining(seed) for seed in range(10)]
     assert max(each.varying_p_value for each in totals) < 1e-3

@@ -3,6 +3,7 @@
 import os
 import socket
 import threading
+import time
 import tty
 
 import can
@@ -123,7 +124,10 @@ def adapter(request):
 def received(bus, count):
     blocks, receive = [], block_receiver(bus)
     while sum(map(len, blocks)) < count:
-        blocks.append(receive())
+        if len(block := receive()):
+            blocks.append(block)
+        else:
+            time.sleep(0.001)
     return concatenate(blocks)
 
 
