@@ -58,10 +58,7 @@ def held(campaigns, name, truth):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    ("cycles", "each", "scatter"),
-    [(1, 12, 0.1), (3, 8, 0.6), (8, 1, 0.3)],
-)
+@pytest.mark.parametrize(("cycles", "each", "scatter"), [(1, 12, 0.1), (3, 8, 0.6), (8, 1, 0.3)])
 def test_intervals_hold_drift_and_scatter_in_95_percent_of_campaigns(cycles, each, scatter):
     random = np.random.default_rng((1, cycles))
     drift = 0.05 if each > 1 else 0.0
