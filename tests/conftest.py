@@ -139,9 +139,10 @@ def pytest_collection_finish() -> None:
     gc.set_threshold(50_000, 10, 10)
 
 
-def pytest_sessionfinish() -> None:
-    """Leave all objects out of the collections that pytest ends with."""
-    gc.freeze()
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Leave all objects out of the collections with which pytest ends a worker."""
+    if hasattr(session.config, "workerinput"):
+        gc.freeze()
 
 
 @pytest.hookimpl(wrapper=True)

@@ -86,8 +86,10 @@ def _coefficients(
 COEFFICIENTS = _coefficients(_ALL, _LOWER)
 #: The same in the body frame of the gyros.
 GYRO_FRAME_COEFFICIENTS = _coefficients(_LOWER, _ALL)
+_DPH_PER_G = RADPS_TO_DPH * STANDARD_GRAVITY
 #: What may be estimated beside them: places of the accelerometers in the unit, their delay against the gyros,
-#: and their quadratic terms, ``K2 f^2``.
+#: and their quadratic terms, ``K2 f^2``; biases of the gyros that follow the specific force, ``G f``, by
+#: acceleration or by heat that rises to another side in another attitude.
 BESIDE = (
     *(
         SensorCoefficient("accelerometer", "lever_arm", AXES[i] + AXES[j], "mm", 1e3, 0.2)
@@ -98,6 +100,11 @@ BESIDE = (
     *(
         SensorCoefficient("accelerometer", "quadratic", axis, "ug/g2", STANDARD_GRAVITY**2 / UG_TO_MPS2, 1e-4)
         for axis in AXES
+    ),
+    *(
+        SensorCoefficient("gyro", "g_sensitivity", AXES[i] + AXES[j], "deg/h/g", _DPH_PER_G, 1e-4)
+        for i in range(3)
+        for j in range(3)
     ),
 )
 COUNT = len(COEFFICIENTS)

@@ -19,11 +19,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
-from gyrobench.bench.bias.statistics import Chi2Test, chi2_p_value, chi2_test
+from gyrobench.bench.bias.statistics import Chi2Test
 from gyrobench.bench.calibration.coefficients import (
     BESIDE,
     COEFFICIENTS,
@@ -31,14 +30,8 @@ from gyrobench.bench.calibration.coefficients import (
     CoefficientEstimate,
     SensorErrors,
 )
-from gyrobench.bench.calibration.information import (
-    BIAS_DRIFT,
-    IS_FORCE_SCALE,
-    IS_GYRO_SCALE,
-    CalibrationOptions,
-    Information,
-    integrated_sections,
-)
+from gyrobench.bench.calibration.information import IS_FORCE_SCALE, CalibrationOptions, Information
+from gyrobench.bench.calibration.problem import GYRO_SCALES, MIN_P_VALUE, CalibrationProblem
 from gyrobench.bench.calibration.recording import (
     IncrementRecording,
     RecordedRotation,
@@ -49,42 +42,21 @@ from gyrobench.bench.calibration.recording import (
     measure_noise,
 )
 from gyrobench.bench.calibration.section import IncrementSection
-from gyrobench.bench.calibration.strapdown import UNKNOWNS, Trajectory
+from gyrobench.bench.calibration.strapdown import Trajectory
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
-from gyrobench.bench.navigation.attitude import rotation_matrices
 from gyrobench.bench.navigation.earth import EARTH_RATE
 from gyrobench.bench.navigation.error_model import Site
-from gyrobench.bench.navigation.positions import AXES
 
-#: Rounds of linearisation; the last one changes the weighted sum of squares by less than this, and each
-#: observed unknown by less than this part of its standard uncertainty.
-_MAX_ROUNDS, _CONVERGED, _MAX_STEP = 15, 0.1, 0.05
 #: Scale factor errors and misalignments beyond this are wrong units, signs or axes.
 _MAX_ELEMENT = 0.25
 #: Sample rates of recordings that count as one.
 _MAX_RATE_RATIO = 1.01
-#: The opposite latitude is named where it reduces chi2 to this part; largest factor on the uncertainties.
-_OPPOSITE, _MAX_WIDENING = 0.1, 10.0
-#: Below this probability the noise alone does not explain the residuals.
-MIN_P_VALUE = 1e-3
-#: Smallest relative error of the time that is looked for.
-_MIN_TIME_ERROR = 3e-4
-#: Least eigenvalue of a correlation matrix, above rounding.
-_MIN_EIGENVALUE = 1e-9
-#: Options that may explain a misfit, with the option of ``gyrobench calibrate``.
-_BESIDE_COEFFICIENTS: tuple[tuple[dict[str, Any], str], ...] = (
-    ({"quadratic": True}, "quadratic terms of the accelerometers (--quadratic)"),
-    ({"lever_arms": True}, "places of the accelerometers (--lever-arms)"),
-    ({"delay": True}, "a delay of the accelerometers (--delay)"),
-    ({"bias_drift": BIAS_DRIFT}, "a drift of the gyro biases (--drift)"),
-)
-_GYRO_SCALES = np.flatnonzero(IS_GYRO_SCALE)
+#: Largest factor on the uncertainties.
+_MAX_WIDENING = 10.0
 #: Relative step of the variances whose contributions are derived, and those of the noise.
 _VARIANCE_STEP = 1e-3
 _NOISE = ("angle_random_walk", "velocity_random_walk", "white_angle", "white_velocity")
-#: Epochs at rest over which residuals are summed for the test of fit.
-_FIT_EPOCHS = 60
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +73,7 @@ class Calibration(CoefficientEstimate):
     fit: Chi2Test
     sections: tuple[IncrementSection, ...]  #: Of each recording, between rests.
     starts: tuple[FloatArray, ...]  #: Attitude ``C_nb`` (3, 3) at the start of each.
-    unknowns: FloatArray  #: Shape (34,). Values that the increments are freed of, observed or not.
+    unknowns: FloatArray  #: Shape (43,). Values that the increments are freed of, observed or not.
     trajectories: tuple[Trajectory, ...]  #: Of the sections, at values close to these.
     #: Shapes (n, n). Parts of the covariance by the uncertainty of gravity, latitude and time.
     by_site: Mapping[str, FloatArray]
@@ -142,11 +114,11 @@ def calibrate(
 
     def problem_with(
         rotations: Sequence[Sequence[RecordedRotation]], options: CalibrationOptions
-    ) -> _Problem:
+    ) -> CalibrationProblem:
         sections = [
             IncrementSection.between_rests(*each) for each in zip(recordings, rests, rotations, strict=True)
         ]
-        return _Problem(sections, bias, noise, site, options)
+        return CalibrationProblem(sections, bias, noise, site, options)
 
     if options.whole_turns is not None and any(
         turn.is_long and not turn.is_spin for turns in rotations for turn in turns
@@ -161,6 +133,10 @@ def calibrate(
     problem = problem_with(rotations, options)
     sections = problem.sections
     found, findings, offset = problem.solve(), [], np.zeros(3)
+    if options.g_sensitivity is None and found.fit.p_value < MIN_P_VALUE:
+        problem, found, sensitivity = problem.with_g_sensitivity(found)
+        options = problem.options
+        findings += [sensitivity] * bool(sensitivity)
     is_observed = found.is_observed
     if all(turn.kind == "disturbance" for turns in rotations for turn in turns):
         is_observed[:COUNT] &= [each.sensor != "gyro" or each.kind == "bias" for each in COEFFICIENTS]
@@ -186,7 +162,7 @@ def calibrate(
             f"multiplied by {widening:.2f}. {problem.explanation(found)}"
         )
     covariance = covariance.copy()
-    covariance[_GYRO_SCALES, _GYRO_SCALES] += offset**2
+    covariance[GYRO_SCALES, GYRO_SCALES] += offset**2
     coefficients = tuple((*COEFFICIENTS, *BESIDE)[each] for each in options.columns)
     count = len(coefficients)
     by_site = found.information.site_parts(site, options)
@@ -208,176 +184,6 @@ def calibrate(
         by_site=by_site,
         findings=tuple(findings),
     )
-
-
-@dataclass(frozen=True, eq=False)
-class _Solution:
-    #: values, covariance, is_observed: Of all unknowns, attitudes at the starts included.
-    values: FloatArray
-    covariance: FloatArray
-    is_observed: BoolArray
-    common: FloatArray  #: Shape (34,).
-    starts: list[FloatArray]
-    fit: Chi2Test
-    information: Information
-    trajectories: list[Trajectory]
-
-
-@dataclass(frozen=True, eq=False)
-class _Problem:
-    """What the coefficients are estimated from."""
-
-    sections: Sequence[IncrementSection]
-    bias: FloatArray  #: Shape (3,). Of the gyros, rad/s, where to begin.
-    noise: SensorNoise
-    site: Site
-    options: CalibrationOptions
-
-    def solve(self) -> _Solution:
-        """Estimate all unknowns. Raises MeasurementError if that does not converge."""
-        used = self.options.columns
-        common, first = np.zeros(UNKNOWNS), SensorErrors(gyro_bias=self.bias)
-        common[:COUNT] = first.vector()
-        starts = [each.aligned(first) for each in self.sections]
-        beside = 6 if self.options.bias_drift else 3
-        origin, left = np.concatenate([common[used], np.zeros(beside * len(self.sections))]), np.inf
-        for _ in range(_MAX_ROUNDS):
-            trajectories = integrated_sections(self.sections, starts, common, self.site, self.options)
-            found = Information.of(self.sections, trajectories, common, self.noise, self.site, self.options)
-            values, covariance, is_observed = found.solve(origin)
-            attitudes = values[len(used) :].reshape(-1, 3)[: len(starts)]
-            step = np.concatenate([values[: len(used)] - common[used], attitudes.ravel()])
-            before, left = left, float(np.linalg.norm(found.root @ [*values, 0.0, -1.0]) ** 2)
-            common[used] = values[: len(used)]
-            origin[len(used) : len(step)] -= attitudes.ravel()
-            starts = [turn @ start for turn, start in zip(rotation_matrices(attitudes), starts, strict=True)]
-            # Sizes count in units of the residuals where these exceed the noise.
-            excess = max(1.0, left / sum(map(len, found.blocks)))
-            is_still = np.abs(step) < _MAX_STEP * np.sqrt(excess * np.diag(covariance))[: len(step)]
-            if abs(left - before) < _CONVERGED * excess and is_still[is_observed[: len(step)]].all():
-                fit = _test_fit(values, covariance, found.blocks)
-                return _Solution(values, covariance, is_observed, common, starts, fit, found, trajectories)
-        raise MeasurementError(
-            f"the estimate does not converge in {_MAX_ROUNDS} rounds: the increments do not follow from "
-            "rotations between rests at one place. Check signs, axes and units in the import map"
-        )
-
-    def with_turns_checked(
-        self, found: _Solution, spun: Sequence[int]
-    ) -> tuple[_Problem, _Solution, FloatArray, str]:
-        """The same problem, and its solution, with whole turns as uncertain as rotations and noise show.
-
-        Also by how much the scale factors of whole turns contradict the others (3,), zero where they do not,
-        and that as text. A scale factor that depends on the rate is no fault of the rests. It makes turns at
-        several rates scatter, and those at one rate contradict the rotations, as a table does that returns
-        elsewhere. ``spun``: the gyros that were spun.
-        """
-        offset, text = self._contradiction(found, spun)
-        if not text and found.fit.p_value >= MIN_P_VALUE:
-            return self, found, offset, ""
-        alone = replace(self, options=replace(self.options, whole_turns=None)).solve()
-        spins = [
-            spin
-            for section, start in zip(self.sections, alone.starts, strict=True)
-            for spin in section.spin_errors(start, alone.common, self.site)
-        ]
-        if not spins or not (text or alone.fit.p_value >= MIN_P_VALUE):
-            return self, found, offset, ""
-        left = []
-        for axis in {spin.axis for spin in spins}:
-            error, path = np.array([(each.error, each.path) for each in spins if each.axis == axis]).T
-            left += list(error - path * (path @ error) / (path @ path) + path * offset[axis])
-        turns = float(np.hypot(self.options.whole_turns or 0.0, np.sqrt(np.mean(np.square(left)))))
-        widened = replace(self, options=replace(self.options, whole_turns=turns))
-        return widened, widened.solve(), offset, text
-
-    def _contradiction(self, found: _Solution, spun: Sequence[int]) -> tuple[FloatArray, str]:
-        """Scale factors (3,) of whole turns less the others, and that as text; zero where noise explains it.
-
-        The covariance of the difference is that of a part of the data less that of all (Hausman 1978).
-        """
-        offset, options = np.zeros(3), replace(self.options, whole_turns=None)
-        known = self.sections, found.trajectories, found.common
-        others = Information.of(*known, self.noise, self.site, options)
-        origin = np.zeros(len(found.values))
-        origin[: len(options.columns)] = found.common[options.columns]
-        values, others_covariance, is_observed = others.solve(origin)
-        axes = [axis for axis in spun if is_observed[_GYRO_SCALES[axis]]]
-        places = [_GYRO_SCALES[axis] for axis in axes]
-        if not places:
-            return offset, ""
-        difference = found.values[places] - values[places]
-        covariance = (others_covariance - found.covariance)[np.ix_(places, places)]
-        scales = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-        squares, directions = np.linalg.eigh(covariance / np.outer(scales, scales))
-        parts = (directions.T @ (difference / scales)) ** 2 / np.maximum(squares, _MIN_EIGENVALUE)
-        p_value = chi2_p_value(len(places), float(parts.sum()))
-        if p_value >= MIN_P_VALUE:
-            return offset, ""
-        # All data are a weighted mean of both.
-        share = 1.0 - np.diag(found.covariance)[places] / np.diag(others_covariance)[places]
-        offset[axes] = difference / np.maximum(share, _MIN_EIGENVALUE)
-        apart = ", ".join(f"{AXES[axis]} {1e6 * offset[axis]:+.2g} ppm" for axis in axes)
-        return offset, (
-            f"whole turns contradict the rotations (p = {p_value:.1g}): scale factors of whole turns less "
-            f"those of rotations are {apart}. Their uncertainties include it. Check that the table returns "
-            "to where it was, and whether the scale factors depend on the rate"
-        )
-
-    def explanation(self, found: _Solution) -> str:
-        """What would explain a misfit, as advice."""
-        alternatives = [
-            (replace(self, options=replace(self.options, **chosen)), what)
-            for chosen, what in _BESIDE_COEFFICIENTS
-            if self.options.are_explained and not all(getattr(self.options, name) for name in chosen)
-        ]
-        latitude = self.site.latitude + found.information.latitude_correction()
-        if abs(latitude) < 0.5 * np.pi:
-            what = f"a latitude of {np.rad2deg(latitude):.3f} deg"
-            alternatives.insert(0, (replace(self, site=replace(self.site, latitude=latitude)), what))
-        for problem, what in alternatives:
-            try:
-                other = problem.solve()
-            except MeasurementError:
-                continue
-            if other.fit.p_value >= MIN_P_VALUE or other.fit.chi2 < _OPPOSITE * found.fit.chi2:
-                falls = f"chi2 falls from {found.fit.chi2:.3g} to {other.fit.chi2:.3g}"
-                return f"{what[0].upper()}{what[1:]} would explain it: {falls}"
-        others = "; gyrobench calibrate has --lever-arms, --delay, --quadratic"
-        return (
-            "Check latitude, gravity, signs and times, and whether the unit drifts, moves at rest or has "
-            f"biases that follow attitude{others * self.options.are_explained}"
-        )
-
-    def check_alternatives(self, found: _Solution) -> None:
-        """Raise MeasurementError if a mistake in the map explains what the noise does not."""
-        opposite = replace(self.site, latitude=-self.site.latitude)
-        alternatives = [
-            (
-                replace(self, site=opposite),
-                "at the opposite latitude. Correct either 'calibration.latitude_deg' or the signs of all "
-                "accelerometers in the import map",
-            )
-        ]
-        # A wrong interval makes scale factors alike: of increments the accelerometers', of rates the gyros'.
-        for sensor, of_rates in (("accelerometer", False), ("gyro", True)):
-            chosen = [each.name == f"{sensor}_scale_factor" for each in COEFFICIENTS]
-            scale = 1.0 + float(found.values[:COUNT][chosen].mean())
-            factor = 1.0 / scale if of_rates else scale
-            if abs(factor - 1.0) > _MIN_TIME_ERROR:
-                text = (
-                    f"if samples are {self.sections[0].interval_s * factor:.4g} s apart and not "
-                    f"{self.sections[0].interval_s:.4g} s. Correct 'time' in the import map"
-                )
-                retimed = [each.retimed(factor, of_rates) for each in self.sections]
-                alternatives.append((replace(self, sections=retimed), text))
-        for problem, text in alternatives:
-            try:
-                other = problem.solve()
-            except MeasurementError:
-                continue
-            if other.fit.chi2 < _OPPOSITE * found.fit.chi2:
-                raise MeasurementError(f"chi2 is {found.fit.chi2:.3g}, and {other.fit.chi2:.3g} {text}")
 
 
 def covariances_by_source(
@@ -459,17 +265,3 @@ def _first_bias(recordings: Sequence[IncrementRecording], rests: Sequence[Sequen
     ]
     mean = np.mean(rates, axis=0)
     return np.asarray(mean if np.linalg.norm(mean) > 3.0 * EARTH_RATE else np.zeros(3))
-
-
-def _test_fit(values: FloatArray, covariance: FloatArray, blocks: Sequence[FloatArray]) -> Chi2Test:
-    """Test that the noise explains the residuals, summed over minutes."""
-    sums = np.vstack([_sums(each) for each in blocks])
-    sums = sums[sums.any(axis=1)]  # without those of what is not measured
-    return chi2_test(sums[:, -1] - sums[:, :-2] @ values, sums[:, :-2], covariance)
-
-
-def _sums(rows: FloatArray) -> FloatArray:
-    """White rows summed over blocks of a minute, which show a slow misfit."""
-    size, columns = 3 * _FIT_EPOCHS, rows.shape[1]
-    blocks = rows[: len(rows) // size * size].reshape(-1, _FIT_EPOCHS, 3, columns)
-    return np.asarray(blocks.sum(axis=1).reshape(-1, columns) / np.sqrt(_FIT_EPOCHS))

@@ -16,6 +16,7 @@ from gyrobench.bench.calibration.strapdown import (
     ATTITUDE,
     DELAY,
     DRIFT,
+    G_SENSITIVITY,
     LATITUDE,
     LEVER_ARMS,
     QUADRATIC,
@@ -52,6 +53,8 @@ class CalibrationOptions:
     lever_arms: bool = False  #: Places of the y and z accelerometers relative to the x accelerometer.
     delay: bool = False  #: Delay of the accelerometers against the gyros.
     quadratic: bool = False  #: Quadratic terms of the accelerometers.
+    #: Biases of the gyros that follow the specific force; None: where they explain what noise does not.
+    g_sensitivity: bool | None = False
     #: Standard uncertainty, rad, with which the table returns after whole turns; None: spins count as any
     #: other rotation.
     whole_turns: float | None = None
@@ -79,7 +82,8 @@ class CalibrationOptions:
         """Which columns are common to all recordings; the x accelerometer's place is the origin."""
         arms = range(LEVER_ARMS.start + 3, LEVER_ARMS.stop) if self.lever_arms else ()
         squares = range(QUADRATIC.start, QUADRATIC.stop) if self.quadratic else ()
-        return [*range(COUNT), *arms, *([DELAY] if self.delay else []), *squares]
+        by_force = range(G_SENSITIVITY.start, G_SENSITIVITY.stop) if self.g_sensitivity else ()
+        return [*range(COUNT), *arms, *([DELAY] if self.delay else []), *squares, *by_force]
 
 
 def integrated_sections(
@@ -89,7 +93,7 @@ def integrated_sections(
     site: Site,
     options: CalibrationOptions,
 ) -> list[Trajectory]:
-    """Trajectory of each section from its attitude (3, 3) at the start, freed of ``common`` (34,)."""
+    """Trajectory of each section from its attitude (3, 3) at the start, freed of ``common`` (43,)."""
     gravity, every = options.gravity or site.gravity, range(LATITUDE)
     columns = [*options.columns, *every[ATTITUDE], *(every[DRIFT] if options.bias_drift else ()), LATITUDE]
     pairs = zip(sections, starts, strict=True)
@@ -117,7 +121,7 @@ class Information:
         site: Site,
         options: CalibrationOptions,
     ) -> Information:
-        """From what :func:`integrated_sections` gives with the values ``common`` (34,)."""
+        """From what :func:`integrated_sections` gives with the values ``common`` (43,)."""
         used, blocks = options.columns, []
         for number, (section, trajectory) in enumerate(zip(sections, trajectories, strict=True)):
             table = options.whole_turns, options.heading

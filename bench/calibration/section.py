@@ -12,6 +12,7 @@ from gyrobench.bench.calibration.recording import IncrementRecording, RecordedRo
 from gyrobench.bench.calibration.strapdown import (
     ATTITUDE,
     DELAY,
+    G_SENSITIVITY,
     LEVER_ARMS,
     QUADRATIC,
     IncrementEpochs,
@@ -86,7 +87,7 @@ class IncrementSection:
         return np.stack([east, np.cross(up, east), up])
 
     def freed(self, errors: SensorErrors, common: FloatArray | None) -> tuple[FloatArray, FloatArray]:
-        """Increments (k, 3) without errors of the sensors and what is beside them: ``common`` (34,), SI."""
+        """Increments (k, 3) without errors of the sensors and what is beside them: ``common`` (43,), SI."""
         interval_s = self.interval_s
         angle, velocity = errors.removed(self.angle, self.velocity, interval_s)
         if common is not None and common[COUNT:].any():
@@ -98,12 +99,13 @@ class IncrementSection:
                 velocity[:, sensor] -= moved[:, sensor]
             velocity += common[DELAY] * np.cross(velocity, rate)
             velocity -= common[QUADRATIC] * velocity**2 / interval_s
+            angle -= velocity @ common[G_SENSITIVITY].reshape(3, 3).T
         return angle, velocity
 
     def integrated(
         self, start: FloatArray, common: FloatArray, latitude: float, gravity: float, columns: Sequence[int]
     ) -> Trajectory:
-        """From an attitude (3, 3) at the start, freed of ``common`` (34,), with responses to ``columns``."""
+        """From an attitude (3, 3) at the start, freed of ``common`` (43,), with responses to ``columns``."""
         errors, angle, velocity = SensorErrors.from_vector(common[:COUNT]), self.angle, self.velocity
         if any(COUNT <= each < ATTITUDE.start for each in columns):
             angle, velocity = self.freed(errors, common)

@@ -38,9 +38,11 @@ from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vect
 from gyrobench.bench.navigation.earth import earth_rate_enu
 
 #: Columns of the responses: the coefficients; inner lever arms of the accelerometers by rows, m; delay of the
-#: accelerometers, s; their quadratic terms, s^2/m; initial attitude error, rad; drift of the gyro biases
-#: about those at half time, rad/s^2; latitude, rad.
+#: accelerometers, s; their quadratic terms, s^2/m; sensitivities of the gyros to the specific force by rows,
+#: s/m; initial attitude error, rad; drift of the gyro biases about those at half time, rad/s^2; latitude,
+#: rad.
 LEVER_ARMS, DELAY, QUADRATIC = slice(COUNT, COUNT + 9), COUNT + 9, slice(COUNT + 10, COUNT + 13)
+G_SENSITIVITY = slice(COUNT + 13, COUNT + 22)
 UNKNOWNS = COUNT + len(BESIDE)
 ATTITUDE, DRIFT = slice(UNKNOWNS, UNKNOWNS + 3), slice(UNKNOWNS + 3, UNKNOWNS + 6)
 LATITUDE = UNKNOWNS + 6
@@ -270,10 +272,14 @@ def _integrate(
                     response[3 + i, r] += (
                         middle[i, 0] * delayed[0] + middle[i, 1] * delayed[1] + middle[i, 2] * delayed[2]
                     )
-            elif c < UNKNOWNS:
+            elif c < DELAY + 4:
                 sensor = c - DELAY - 1
                 for i in range(3):
                     response[3 + i, r] -= middle[i, sensor] * squares[sensor]
+            elif c < UNKNOWNS:
+                sensor, along = (c - DELAY - 4) // 3, (c - DELAY - 4) % 3
+                for i in range(3):
+                    response[i, r] -= middle[i, sensor] * velocities[along]
             elif c == LATITUDE:
                 for i in range(3):
                     response[i, r] -= by_latitude[i] * length_s

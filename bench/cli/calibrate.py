@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -37,6 +38,10 @@ def calibrate(
     quadratic: Annotated[
         bool, typer.Option("--quadratic", help="Estimate the quadratic terms of the accelerometers, too.")
     ] = False,
+    g_sensitivity: Annotated[
+        bool,
+        typer.Option("--g-sensitivity", help="Estimate how the gyro biases follow the specific force, too."),
+    ] = False,
     drift: Annotated[
         bool, typer.Option("--drift", help="Estimate a steady drift of each gyro's bias in each log, too.")
     ] = False,
@@ -57,6 +62,7 @@ def calibrate(
     Example: gyrobench calibrate rotations.csv --map my_imu.yaml --out calibration
     """
     from gyrobench.bench.calibration.estimator import calibrate as estimate
+    from gyrobench.bench.calibration.information import BIAS_DRIFT
     from gyrobench.bench.calibration.results import calibration_record, write_calibration
     from gyrobench.bench.calibration.spins import spin_scale_factors
     from gyrobench.bench.exchange.import_map import load_log_map
@@ -72,7 +78,15 @@ def calibrate(
         raise DocumentError("two logs have the same content, which would count twice. Name each log once")
     read = [read_increments(path, log_map) for path in logs]
     interval_error = max(each.interval_error for each in read)
-    site, options = calibration_settings(log_map, lever_arms, delay, quadratic, drift, interval_error)
+    site, options = calibration_settings(log_map, interval_error)
+    options = replace(
+        options,
+        lever_arms=lever_arms,
+        delay=delay,
+        quadratic=quadratic,
+        g_sensitivity=g_sensitivity,
+        bias_drift=BIAS_DRIFT if drift else 0.0,
+    )
     found = estimate([recording for each in read for recording in each.recordings], site, options)
     counts = sum(each.left_out for each in read), sum(each.samples for each in read)
     origin = {

@@ -10,7 +10,7 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell_table import NOT_MEASURED, Triple, triple
 from gyrobench.bench.bias.plateaus import MAX_FROM_MEAN_K, plateau_key
-from gyrobench.bench.calibration.coefficients import COUNT, CoefficientEstimate
+from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, CoefficientEstimate
 from gyrobench.bench.calibration.estimator import Calibration, calibrate, covariances_by_source
 from gyrobench.bench.calibration.information import BIAS_DRIFT, CalibrationOptions, Information
 from gyrobench.bench.calibration.recording import IncrementRecording, Rest
@@ -115,14 +115,26 @@ def _calibrated_rotations(dwells: Sequence[RotatedDwell], setup: MeasurementSetu
     rotations = PlateauRotations(dwells[0].marks, gyro_c, case_c, gyro_rate_c_per_h, range_c)
     try:
         found = _calibrated([piece for each in dwells for piece in each.pieces], setup.site, options)
+        if len(found.coefficients) > COUNT:
+            options = replace(options, g_sensitivity=True)
         with_force = None
         if not all(each.has_vertical for each in found.recordings):
             with_force = _with_force(found, setup.site, options)
     except MeasurementError as error:
         return replace(rotations, finding=f"the rotations give no coefficients: {error}")
     parts = covariances_by_source(found, setup.site, options)
-    # The increments themselves are no longer needed.
-    found = replace(found, recordings=(), sections=(), trajectories=(), parts=parts)
+    # The increments themselves are no longer needed, nor what was estimated beside the coefficients.
+    found = replace(
+        found,
+        values=found.values[:COUNT],
+        covariance=found.covariance[:COUNT, :COUNT],
+        is_observed=found.is_observed[:COUNT],
+        coefficients=COEFFICIENTS,
+        recordings=(),
+        sections=(),
+        trajectories=(),
+        parts=parts,
+    )
     return replace(rotations, calibration=found, with_force=with_force)
 
 
@@ -134,7 +146,8 @@ def spin_record(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) 
     at_s = 0.5 * (marks.start_s + marks.end_s)
     try:
         dwell = measure_rotations(marks, frames, setup)
-        found = _calibrated(dwell.pieces, setup.site, replace(_options(setup), whole_turns=None))
+        options = replace(_options(setup), whole_turns=None, g_sensitivity=False)
+        found = _calibrated(dwell.pieces, setup.site, options)
         spun = spin_scale_factors(found, setup.site, setup.table_repeatability)
     except MeasurementError as error:
         return SpinRecord(marks.run, at_s, NOT_MEASURED, (), str(error).rstrip("."))
@@ -150,6 +163,7 @@ def _options(setup: MeasurementSetup) -> CalibrationOptions:
         gravity=gravity,
         walks=walks,
         gravity_sigma=gravity_sigma,
+        g_sensitivity=None,
         latitude_sigma=setup.prior.latitude,
         bias_drift=BIAS_DRIFT,
         are_explained=False,
@@ -171,7 +185,8 @@ def _with_force(found: Calibration, site: Site, options: CalibrationOptions) -> 
     information = Information.of(sections, found.trajectories, found.unknowns, found.noise, site, options)
     _, covariance, is_observed = information.solve()
     by_site = sum(part[:COUNT, :COUNT] for part in found.by_site.values())
-    return CoefficientEstimate(found.values, covariance[:COUNT, :COUNT] + by_site, is_observed[:COUNT])
+    values = found.values[:COUNT]
+    return CoefficientEstimate(values, covariance[:COUNT, :COUNT] + by_site, is_observed[:COUNT])
 
 
 def enclosing(ranges_c: Sequence[FloatArray]) -> FloatArray:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gyrobench.bench.calibration.information import BIAS_DRIFT, CalibrationOptions
+from gyrobench.bench.calibration.information import CalibrationOptions
 from gyrobench.bench.calibration.recording import MIN_REST_TOTAL_S, IncrementRecording
 from gyrobench.bench.exchange.import_map import LogMap
 from gyrobench.bench.exchange.log_windows import FORCES, RATES, SampleReader, ScaledColumn
@@ -149,15 +149,8 @@ def _pieces(time_s: FloatArray, values: FloatArray) -> list[IntArray]:
     return [kept[begin : end + 1] for begin, end in edges.reshape(-1, 2)]
 
 
-def calibration_settings(
-    log_map: LogMap,
-    lever_arms: bool,
-    delay: bool,
-    quadratic: bool,
-    drift: bool = False,
-    interval_error: float = 0.0,
-) -> tuple[Site, CalibrationOptions]:
-    """Place and options of a calibration that estimates what the flags name beside the coefficients.
+def calibration_settings(log_map: LogMap, interval_error: float = 0.0) -> tuple[Site, CalibrationOptions]:
+    """Place of a calibration, and what its map says of the table and of the uncertainties.
 
     ``interval_error``: relative standard uncertainty of the time between samples by their time stamps.
     """
@@ -178,9 +171,12 @@ def calibration_settings(
     _, angles_are_increments = _angle_unit(log_map.gyro.unit)
     velocities_are_increments = section.accelerometers.unit in _INCREMENTS
     return site, CalibrationOptions(
-        lever_arms, delay, quadratic, whole_turns, section.gravity_mps2, walks, gravity_sigma,
-        bias_drift=BIAS_DRIFT if drift else 0.0,
+        whole_turns=whole_turns,
+        gravity=section.gravity_mps2,
+        walks=walks,
+        gravity_sigma=gravity_sigma,
         scales_by_time=(
-            0.0 if angles_are_increments else time_error, -time_error if velocities_are_increments else 0.0
+            0.0 if angles_are_increments else time_error,
+            -time_error if velocities_are_increments else 0.0,
         ),
-    )  # fmt: skip
+    )

@@ -10,7 +10,8 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT
-from gyrobench.bench.calibration.estimator import MIN_P_VALUE, Calibration
+from gyrobench.bench.calibration.estimator import Calibration
+from gyrobench.bench.calibration.problem import MIN_P_VALUE
 from gyrobench.bench.calibration.recording import SensorNoise
 from gyrobench.bench.calibration.results import (
     NOT_OBSERVABLE,

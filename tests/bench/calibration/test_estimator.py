@@ -1,5 +1,6 @@
 """Coefficients from increments of a rotated unit: correct, as good as possible, and honest about the rest."""
 
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -13,6 +14,7 @@ from gyrobench.bench.calibration.coefficients import COEFFICIENTS, SensorErrors
 from gyrobench.bench.calibration.estimator import calibrate, covariances_by_source
 from gyrobench.bench.calibration.information import BIAS_DRIFT, CalibrationOptions
 from gyrobench.bench.calibration.recording import IncrementRecording, SensorNoise
+from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, STANDARD_GRAVITY
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.error_model import Site
 from tests.bench.calibration.rotated_unit import EARTH, EIGHTEEN, Noise, Unit
@@ -315,6 +317,63 @@ def test_a_wrong_latitude_is_named_with_the_right_one(off_deg):
     assert latitude_deg == pytest.approx(45.0, abs=0.02)
 
 
+#: Sensitivities of the gyros to the specific force, SI: some 0.01 deg/h/g.
+SENSITIVITY = DPH_TO_RADPS / STANDARD_GRAVITY * RANDOM.normal(0.0, 0.01, (3, 3))
+
+
+@cache
+def following_force():
+    """Eighteen rotations of a unit whose gyro biases follow the specific force."""
+    unit = rotated_unit(force_bias=np.zeros(3), force_matrix=np.zeros((3, 3)))
+    (angle, velocity), (_, true) = eighteen(), unit.increments()
+    return angle + true @ SENSITIVITY.T, velocity
+
+
+def test_gyro_biases_that_follow_the_specific_force_are_estimated_where_asked_for():
+    options = CalibrationOptions(g_sensitivity=True)
+    found = [calibrate([recorded(following_force(), seed)], SITE, options) for seed in range(3)]
+    truth = np.concatenate([TRUTH, SENSITIVITY.ravel()])
+    deviations = np.array([(each.values - truth) / each.sigmas for each in found])
+    assert np.sqrt(np.mean(deviations**2)) == pytest.approx(1.0, abs=0.25)
+    assert [each.kind for each in found[0].coefficients[21:]] == ["g_sensitivity"] * 9
+    assert found[0].is_observed.all()
+
+
+def test_gyro_biases_that_follow_the_specific_force_are_found_where_noise_explains_nothing():
+    options = CalibrationOptions(g_sensitivity=None, gravity=SITE.gravity)
+    found = calibrate([recorded(following_force(), 1)], SITE, options)
+    (finding,) = found.findings
+    assert finding.startswith("the gyro biases follow the specific force (p = ")
+    i, j = np.unravel_index(np.argmax(np.abs(SENSITIVITY)), (3, 3))
+    named_dph_per_g = re.search(rf"{'xyz'[i]} along {'xyz'[j]} ([-+]\d\.\d+)", finding)[1]
+    truth_dph_per_g = SENSITIVITY[i, j] * STANDARD_GRAVITY / DPH_TO_RADPS
+    assert float(named_dph_per_g) == pytest.approx(truth_dph_per_g, abs=0.003)
+    assert np.abs((found.values[:21] - TRUTH) / found.sigmas[:21]).max() < 4.0
+    without = calibrate([recorded(following_force(), 1)], SITE, replace(options, g_sensitivity=False))
+    assert "gyro biases that follow the specific force (--g-sensitivity)" in without.findings[0].lower()
+    assert np.median(without.sigmas / found.sigmas[:21]) > 1.3
+    nothing = calibrate([recorded(eighteen(), 1)], SITE, options)
+    assert (len(nothing.values), nothing.findings) == (21, ())
+
+
+@pytest.mark.parametrize("latitude_deg", [45.0, 20.0, -60.0])
+@pytest.mark.parametrize("off_deg", [0.1, -0.1])
+def test_a_wrong_latitude_passes_for_no_bias_that_follows_the_specific_force(latitude_deg, off_deg):
+    """Its error of the Earth's rate along Up is one along the specific force."""
+    site = Site(np.deg2rad(latitude_deg + off_deg))
+    unit = rotated_unit(latitude_deg=latitude_deg, gravity=site.gravity)
+    found = calibrate([recorded(unit.increments(), 2)], site, CalibrationOptions(g_sensitivity=None))
+    (finding,) = found.findings
+    named_deg = float(finding.partition("A latitude of ")[2].split()[0])
+    assert named_deg == pytest.approx(latitude_deg, abs=0.03)
+
+
+def test_the_opposite_latitude_passes_for_no_bias_that_follows_the_specific_force():
+    site, options = Site(-SITE.latitude), CalibrationOptions(g_sensitivity=None, gravity=SITE.gravity)
+    with pytest.raises(MeasurementError, match="at the opposite latitude"):
+        calibrate([recorded(eighteen(), 2)], site, options)
+
+
 def test_an_error_of_the_time_is_one_of_scale_factors():
     options = CalibrationOptions(scales_by_time=(3e-5, -3e-5))
     found, exact = (calibrate([recorded(eighteen(), 2)], SITE, each) for each in (options, None))
@@ -345,7 +404,9 @@ def test_lever_arms_and_delay_are_estimated_where_asked_for():
     assert np.abs((found.values - truth) / found.sigmas).max() < 4.0
     assert found.sigmas[21:27].max() < 2e-3
     # Without them the velocity at rest contradicts the noise by far.
-    with pytest.raises(MeasurementError, match=r"times the noise.*has --lever-arms, --delay, --quadratic"):
+    with pytest.raises(
+        MeasurementError, match=r"times the noise.*has --lever-arms, --delay, --quadratic, --g"
+    ):
         calibrate([log], SITE)
 
 

@@ -104,6 +104,21 @@ def test_rotations_give_every_coefficient_within_its_uncertainty(with_increments
     assert all(np.isnan(row.sigma_with_force) for row in rows)
 
 
+def test_biases_that_follow_attitude_are_found_by_the_rotations_and_leave_the_other_coefficients_right(
+    run_procedure, tmp_path
+):
+    world, warmed = (yaml.safe_load(find_document("worlds", each).read_text()) for each in (WORLD, "gyro_a"))
+    [effect] = warmed["undeclared_effects"]
+    strong = effect | {"sensitivity_dph_per_w": [0.4, -0.4, 0.4]}
+    path = tmp_path / "world.yaml"
+    path.write_text(yaml.safe_dump(world | {"thermal": warmed["thermal"], "undeclared_effects": [strong]}))
+    folder, outcome, _ = run_procedure(short_procedure(tmp_path), tmp_path / "run", path)
+    assert outcome.ended == "finished"
+    rows = read_coefficients(folder.coefficients)
+    assert all("follow the specific force" in row.finding for row in rows)
+    assert_consistent(rows, len(COEFFICIENTS))
+
+
 def test_the_log_gives_the_coefficients_that_were_measured_during_the_run(with_increments, tmp_path):
     folder, _, _ = with_increments
     again = recompute_run(shutil.copytree(folder.path, tmp_path / "copy"))
