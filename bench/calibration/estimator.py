@@ -79,6 +79,7 @@ class Calibration(CoefficientEstimate):
     by_site: Mapping[str, FloatArray]
     #: What the data contradict: the noise, or whole turns and rotations each other; empty for nothing.
     findings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  #: What is estimated beside the coefficients because the data show it.
 
 
 def calibrate(
@@ -132,11 +133,10 @@ def calibrate(
         ]
     problem = problem_with(rotations, options)
     sections = problem.sections
-    found, findings, offset = problem.solve(), [], np.zeros(3)
+    found, findings, offset, note = problem.solve(), [], np.zeros(3), ""
     if options.g_sensitivity is None and found.fit.p_value < MIN_P_VALUE:
-        problem, found, sensitivity = problem.with_g_sensitivity(found)
+        problem, found, note = problem.with_g_sensitivity(found)
         options = problem.options
-        findings += [sensitivity] * bool(sensitivity)
     is_observed = found.is_observed
     if all(turn.kind == "disturbance" for turns in rotations for turn in turns):
         is_observed[:COUNT] &= [each.sensor != "gyro" or each.kind == "bias" for each in COEFFICIENTS]
@@ -183,6 +183,7 @@ def calibrate(
         trajectories=tuple(found.trajectories),
         by_site=by_site,
         findings=tuple(findings),
+        notes=(note,) if note else (),
     )
 
 

@@ -143,8 +143,8 @@ class CalibrationProblem:
             if clear
         )
         text = (
-            f"the gyro biases follow the specific force (p = {found.fit.p_value:.1g} without that): in "
-            f"deg/h/g {named}. The coefficients are estimated with these sensitivities"
+            f"the gyro biases follow the specific force (p = {found.fit.p_value:.1g} without that), in "
+            f"deg/h/g: {named}. The coefficients are estimated with these sensitivities"
         )
         return wider, other, text
 

@@ -22,7 +22,7 @@ from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.foundations.text import plain_name
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.runs.provenance import SIMULATED
-from gyrobench.bench.runs.tables.coefficient_table import FRAME_TEXT, plateau_findings
+from gyrobench.bench.runs.tables.coefficient_table import FRAME_TEXT, plateau_findings, plateau_notes
 
 if TYPE_CHECKING:
     from lxml import etree
@@ -329,7 +329,8 @@ class _Document:
                 )
                 for each in certificate.coefficients
             ]
-            note = " ".join([FRAME_TEXT, *plateau_findings(certificate.run.coefficients)])
+            rows = certificate.run.coefficients
+            note = " ".join([FRAME_TEXT, *plateau_findings(rows), *plateau_notes(rows)])
             coefficients = self._list("Coefficients", quantities, note)
             results.append(self._measurement("Coefficients of the sensors", [coefficients]))
         return results

@@ -26,6 +26,7 @@ from gyrobench.bench.runs.tables.coefficient_table import (
     TEMPERATURE_TEXT,
     plateau_findings,
     plateau_heads,
+    plateau_notes,
 )
 
 _VARIANT = "pdf/a-3a"
@@ -179,7 +180,8 @@ def _coefficients_section(certificate: Certificate) -> Section | None:
         factors = _factors([each for each in certificate.coefficients if each.plateau in shown])
         caption = f"Coefficient ± U, {factors}, at the plateaus from {shown[0]} to {shown[-1]}."
         tables.append(SectionTable(caption, header, rows, words=2))
-    texts = [f"{FRAME_TEXT} {TEMPERATURE_TEXT}"] if tables else []
+    notes = plateau_notes(row for row in certificate.run.coefficients if row.plateau in plateaus)
+    texts = [f"{FRAME_TEXT} {TEMPERATURE_TEXT}", *notes] if tables else []
     texts += [f"Not certified: {text}" for text in plateau_findings(certificate.run.coefficients)]
     return Section("Coefficients of the sensors", texts, tables=tables) if texts else None
 

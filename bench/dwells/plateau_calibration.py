@@ -51,6 +51,7 @@ class PlateauCalibration:
     case_c: float
     estimate: CoefficientEstimate | None  #: Of dwells and rotations together; None without either.
     finding: str = ""  #: Why the rotations give nothing, or that they contradict the dwells.
+    note: str = ""  #: What the rotations show beside the coefficients.
     #: As uncertain as if the INS sent specific forces; None where it does.
     with_force: CoefficientEstimate | None = None
     rotations: PlateauRotations | None = None  #: None where there are none.
@@ -137,6 +138,7 @@ class PlateauCalibration:
                 "; ".join(text for text in (row.finding, self.finding) if text),
                 sigma,
                 rates[AXES.index(row.axis[0])],
+                self.note,
             )
             for row, sigma in zip(coefficient_rows(estimate), with_force.tolist(), strict=True)
         ]
@@ -248,8 +250,8 @@ def _plateau(
         "gravity": setup.gravity[1]
     }
     return PlateauCalibration(
-        number, cycle, chamber_set_c, gyro_c, case_c, estimate, "; ".join(findings), with_force, rotations,
-        enclosing(ranges), inputs,
+        number, cycle, chamber_set_c, gyro_c, case_c, estimate, "; ".join(findings),
+        "; ".join(rotations.notes if rotations else ()), with_force, rotations, enclosing(ranges), inputs,
     )  # fmt: skip
 
 

@@ -54,6 +54,11 @@ class PlateauRotations:
             return (self.finding,) if self.finding else ()
         return tuple(f"rotations: {each}" for each in self.calibration.findings)
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What they show beside the coefficients."""
+        return () if self.calibration is None else self.calibration.notes
+
 
 class RunRotations:
     """Dwells with rotations, measured one by one in the order of time; increments of one plateau are held."""
@@ -68,14 +73,15 @@ class RunRotations:
     def add(self, marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) -> tuple[str, ...]:
         """Add the next dwell; with the first one of another set point those before are calibrated.
 
-        Returns what turned out to be wrong with it, or with those before.
+        Returns what turned out to be wrong with it, or with those before, and what these show beside the
+        coefficients.
         """
         found: tuple[str, ...] = ()
         if self._last and plateau_key(self._last[0]) != plateau_key(marks):
             is_known, known = bool(self._finding), len(self._before)
             self._before, self._last, self._groups, self._finding = self.calibrated(setup), [], [], ""
             if not is_known:
-                found = tuple(text for each in self._before[known:] for text in each.findings)
+                found = tuple(text for each in self._before[known:] for text in (*each.findings, *each.notes))
         self._last.append(marks)
         self.dwells.append(marks.dwell)
         if self._finding:

@@ -31,6 +31,7 @@ from gyrobench.bench.runs.tables.coefficient_table import (
     PlateauCoefficientRow,
     plateau_findings,
     plateau_heads,
+    plateau_notes,
 )
 
 _TITLE = "Coefficients of gyros and accelerometers"
@@ -91,7 +92,7 @@ def coefficients_section(
     tables = list(_tables(rows))
     open_axes = "; ".join(f"{_NAMES[name]} {', '.join(of)}" for name, of in _not_observable(rows).items())
     notes = [f"Not observable ({_NOT_OBSERVED}): {open_axes}."] if open_axes else []
-    notes += plateau_findings(rows)
+    notes += [*plateau_findings(rows), *plateau_notes(rows)]
     if any(not math.isnan(row.sigma_with_force) for row in rows):
         notes.insert(0, _WITHOUT_FORCE)
         tables.append(_cost_table(rows))

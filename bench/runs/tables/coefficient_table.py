@@ -41,6 +41,7 @@ class PlateauCoefficientRow:
     sigma_with_force: float
     #: Slope of the temperature of the gyro along the sensor's axis in the rotations; NaN without these.
     gyro_rate_c_per_h: float
+    note: str = ""  #: What was estimated at the plateau beside the coefficients, and leaves them in no doubt.
 
 
 _COLUMNS = [each.name for each in fields(PlateauCoefficientRow)]
@@ -74,12 +75,18 @@ def plateau_heads(rows: Iterable[PlateauCoefficientRow]) -> dict[int, str]:
 
 def plateau_findings(rows: Iterable[PlateauCoefficientRow]) -> list[str]:
     """What is wrong with plateaus."""
-    texts = dict.fromkeys(
-        (row.plateau, row.finding.removeprefix(f"{NOT_OBSERVABLE}; "))
-        for row in rows
-        if row.finding not in ("", NOT_OBSERVABLE)
+    return _of_plateaus(
+        (row.plateau, row.finding.removeprefix(NOT_OBSERVABLE).removeprefix("; ")) for row in rows
     )
-    return [f"Plateau {plateau}: {text}." for plateau, text in texts]
+
+
+def plateau_notes(rows: Iterable[PlateauCoefficientRow]) -> list[str]:
+    """What plateaus show beside their coefficients."""
+    return _of_plateaus((row.plateau, row.note) for row in rows)
+
+
+def _of_plateaus(texts: Iterable[tuple[int, str]]) -> list[str]:
+    return [f"Plateau {plateau}: {text}." for plateau, text in dict.fromkeys(texts) if text]
 
 
 def write_coefficients(path: Path, rows: Sequence[PlateauCoefficientRow]) -> None:

@@ -11,15 +11,16 @@ from gyrobench.bench.runs.tables.coefficient_table import (
     PlateauCoefficientRow,
     plateau_findings,
     plateau_heads,
+    plateau_notes,
     read_coefficients,
     read_coefficients_apart,
     write_coefficients,
 )
 
 
-def row(plateau, temperature_c, coefficient, finding=""):
+def row(plateau, temperature_c, coefficient, finding="", note=""):
     return PlateauCoefficientRow(
-        plateau, 1, 60.0, temperature_c, coefficient, "x", 1.0, 0.1, "ppm", finding, math.nan, 0.0
+        plateau, 1, 60.0, temperature_c, coefficient, "x", 1.0, 0.1, "ppm", finding, math.nan, 0.0, note
     )
 
 
@@ -41,6 +42,12 @@ def test_findings_are_named_once_for_each_plateau_and_not_for_what_is_not_observ
         row(2, 20.0, "accelerometer_bias", "too few rests"),
     ]
     assert plateau_findings(rows) == ["Plateau 2: too few rests."]
+
+
+def test_a_note_is_no_finding_and_is_named_once_for_each_plateau():
+    rows = [row(1, 20.0, "gyro_bias"), *(row(2, 20.0, name, note="more") for name in ("gyro_bias", "accel"))]
+    assert plateau_findings(rows) == []
+    assert plateau_notes(rows) == ["Plateau 2: more."]
 
 
 def test_what_all_plateaus_share_is_left_out_of_the_uncertainties_by_which_they_differ(tmp_path):
