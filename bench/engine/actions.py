@@ -33,12 +33,12 @@ from gyrobench.bench.procedure.rotations import RotatingStep
 from gyrobench.bench.procedure.steps import (
     Align,
     AskOperator,
-    Chamber,
     ChamberOff,
     GoTo,
     Navigate,
     PowerOff,
     PowerOn,
+    SetChamber,
     Soak,
     Step,
     Turn,
@@ -128,7 +128,7 @@ def _power_off(step: PowerOff, context: StepContext) -> Ticks:  # noqa: ARG001
 
 
 @perform.register
-def _chamber(step: Chamber, context: StepContext) -> Ticks:
+def _chamber(step: SetChamber, context: StepContext) -> Ticks:
     bench = context.bench
     bench.state.chamber_state_unknown()
     # Each driver is looked up when it is used: a port that was reopened has a new one.

@@ -24,10 +24,10 @@ from gyrobench.bench.procedure.rotations import RotatingStep, Spin
 from gyrobench.bench.procedure.steps import (
     MIN_NAVIGATION_S,
     Align,
-    Chamber,
     GoTo,
     Navigate,
     PowerOn,
+    SetChamber,
     Soak,
     Turn,
     Wait,
@@ -109,7 +109,7 @@ def _time_problems(planned: PlannedStep) -> Iterator[DocumentProblem]:
 
 def _chamber_problems(planned: PlannedStep, limits: StationLimits) -> Iterator[DocumentProblem]:
     step = planned.step
-    if not isinstance(step, Chamber):
+    if not isinstance(step, SetChamber):
         return
     if not limits.chamber_low_c <= step.temperature_c <= limits.chamber_high_c:
         yield DocumentProblem(
@@ -129,7 +129,7 @@ def _gyro_problems(plan: Plan, limits: StationLimits) -> Iterator[DocumentProble
     """Commands of the chamber that would bring the gyros to a temperature at which an interlock trips."""
     command: PlannedStep | None = None
     for planned in plan.steps:
-        if isinstance(planned.step, Chamber):
+        if isinstance(planned.step, SetChamber):
             command = planned
         gyro_c = planned.after.gyro_c
         if command is not None and not limits.gyro_low_c <= gyro_c <= limits.gyro_high_c:
