@@ -158,7 +158,7 @@ class Campaign:
         """Same campaign with other standard uncertainties (n, 3); what is computed of the rest is shared."""
         everything = self.part_of or (self, np.ones(len(self), dtype=bool))
         changed = replace(self, sigma_dph=sigma_dph, part_of=everything)
-        vars(changed)["computed_terms"] = self.computed_terms
+        vars(changed)["_computed"] = self._computed
         return changed
 
     @property
@@ -190,9 +190,14 @@ class Campaign:
         time = np.interp(self.middle_s, [self.middle_s.min(), self.middle_s.max()], [-1.0, 1.0])
         return np.asarray(np.polynomial.chebyshev.chebvander(time, degree)[:, 1:], dtype=np.float64)
 
+    def computed_once(self, key: object, compute: Callable[[], FloatArray]) -> FloatArray:
+        """What is computed for these dwells, kept by a key: terms of an effect, or the course of a driver."""
+        if key not in self._computed:
+            self._computed[key] = compute()
+        return self._computed[key]
+
     @cached_property
-    def computed_terms(self) -> dict[object, FloatArray]:
-        """Terms of effects (n, 3, k) that have been computed for these dwells, by form and parameters."""
+    def _computed(self) -> dict[object, FloatArray]:
         return {}
 
     @cached_property

@@ -244,10 +244,7 @@ def solve_with(problem: Problem, candidates: Sequence[Candidate]) -> Solution:
 
 def _terms(form: Form, campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
     """Terms (n, 3, k) of a form, computed once for each of its values."""
-    key = form, values
-    if key not in campaign.computed_terms:
-        campaign.computed_terms[key] = form.columns(campaign, values)
-    return campaign.computed_terms[key]
+    return campaign.computed_once((form, values), lambda: form.columns(campaign, values))
 
 
 def _width(value: float, low: float, high: float, problem: Problem) -> float:

@@ -2,7 +2,7 @@
 
 Every driver that the campaign has, with every memory, shape and factor, is fitted beside the effects found.
 The laws are weighed against each other and against a remainder by the posterior of
-:mod:`gyrobench.bench.closure.posterior`, all laws that were tried being equally probable before. A law is a
+:mod:`gyrobench.bench.closure.evidence`, all laws that were tried being equally probable before. A law is a
 hypothesis from the data that it explains: it is confirmed by cycles of other runs only.
 """
 
@@ -28,7 +28,7 @@ from gyrobench.bench.closure.candidates import (
 )
 from gyrobench.bench.closure.effects.effect_file import EffectFile
 from gyrobench.bench.closure.effects.grammar import DRIVERS, EVENTS, driver_label, driver_values
-from gyrobench.bench.closure.posterior import Evidences
+from gyrobench.bench.closure.evidence import Evidences
 from gyrobench.bench.closure.problem import Problem
 from gyrobench.bench.closure.search import MAX_EFFECTS
 from gyrobench.bench.closure.validation import measured_minus

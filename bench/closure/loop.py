@@ -14,10 +14,11 @@ from gyrobench.bench.closure.compose import compose
 from gyrobench.bench.closure.confounding import confounding
 from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.effect import Effect
+from gyrobench.bench.closure.evidence import detectable_dph
 from gyrobench.bench.closure.files import holds_search, read_held_out_cycles, read_quantity, read_tables
 from gyrobench.bench.closure.inputs import read_campaign
 from gyrobench.bench.closure.outcome import CandidateResult, Closure, FoundEffect, HeldOutCycle, OtherForm
-from gyrobench.bench.closure.posterior import CLEAN, EXPLAINED, Posterior, detectable_dph
+from gyrobench.bench.closure.posterior import CLEAN, EXPLAINED, Posterior
 from gyrobench.bench.closure.problem import DEGREE, Problem, Solution, declared_problem
 from gyrobench.bench.closure.search import Search
 from gyrobench.bench.closure.selection import Selected, select

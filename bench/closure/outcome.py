@@ -151,7 +151,7 @@ class Closure:
     evidence: tuple[CandidateResult, ...]  #: Of each effect alone.
     posterior: Posterior  #: Probabilities of all hypotheses.
     not_accepted: NotAccepted | None  #: The most probable set of effects, where none is found.
-    detectable_dph: dict[str, float]  #: See :func:`gyrobench.bench.closure.posterior.detectable_dph`.
+    detectable_dph: dict[str, float]  #: See :func:`gyrobench.bench.closure.evidence.detectable_dph`.
     #: before, after: Tests of the declared model, and with the effects.
     before: LackOfFit
     after: LackOfFit

@@ -17,10 +17,11 @@ import numpy as np
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate, Hypothesis, evaluate, refine, solve_with
 from gyrobench.bench.closure.effects.effect import Effect
+from gyrobench.bench.closure.evidence import Evidences
 from gyrobench.bench.closure.joined_tables import TableToJoin, joined
 from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.closure.planned_campaign import UnitProperties
-from gyrobench.bench.closure.posterior import TIE_ODDS, Evidences
+from gyrobench.bench.closure.posterior import TIE_ODDS
 from gyrobench.bench.closure.problem import DEGREE, Problem, declared_problem, predict
 from gyrobench.bench.closure.search import Search
 from gyrobench.bench.closure.separability import searched_dwells

@@ -22,11 +22,11 @@ from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.procedure.procedure_file import variable_in
 from gyrobench.bench.procedure.steps import (
     Align,
-    Chamber,
     GoTo,
     Navigate,
     PowerOff,
     PowerOn,
+    SetChamber,
     Soak,
     Turn,
     Wait,
@@ -120,8 +120,8 @@ def _measure_on_ramps(steps: Steps) -> Steps | None:
         for index in range(len(entries) - 3, -1, -1):
             ramp, soak, measurement = entries[index : index + 3]
             positions = _positions(measurement)
-            if _name(ramp) == Chamber.name and _name(soak) == Soak.name and len(positions) > 1:
-                ramp[Chamber.name]["within_c"] = _ANY_TEMPERATURE_C
+            if _name(ramp) == SetChamber.name and _name(soak) == Soak.name and len(positions) > 1:
+                ramp[SetChamber.name]["within_c"] = _ANY_TEMPERATURE_C
                 moving = copy.deepcopy(measurement)
                 moving[_REPEAT]["over"]["position"] = positions[:2]
                 entries.insert(index + 1, moving)
@@ -180,9 +180,9 @@ def _half_the_ramp_rate(steps: Steps) -> Steps | None:
                 loop["over"][name] = [0.5 * value for value in loop["over"][name]]
                 found = True
             for inner in loop["steps"]:
-                rate = inner[Chamber.name]["ramp_c_per_min"] if _name(inner) == Chamber.name else None
+                rate = inner[SetChamber.name]["ramp_c_per_min"] if _name(inner) == SetChamber.name else None
                 if isinstance(rate, int | float):
-                    inner[Chamber.name]["ramp_c_per_min"] = 0.5 * rate
+                    inner[SetChamber.name]["ramp_c_per_min"] = 0.5 * rate
                     found = True
     return changed if found else None
 
@@ -267,14 +267,14 @@ def _positions(entry: Entry) -> list[str]:
 def _temperature_variable(entry: Entry) -> str | None:
     """Variable of a loop that sets the chamber temperature."""
     for step in entry[_REPEAT]["steps"]:
-        if _name(step) == Chamber.name:
-            name = variable_in(step[Chamber.name]["temperature_c"])
+        if _name(step) == SetChamber.name:
+            name = variable_in(step[SetChamber.name]["temperature_c"])
             return name if name in entry[_REPEAT]["over"] else None
     return None
 
 
 def _ramp_variables(entries: Steps) -> set[str]:
-    ramps = [entry[Chamber.name]["ramp_c_per_min"] for entry in entries if _name(entry) == Chamber.name]
+    ramps = [entry[SetChamber.name]["ramp_c_per_min"] for entry in entries if _name(entry) == SetChamber.name]
     return {name for ramp in ramps if (name := variable_in(ramp)) is not None}
 
 

@@ -22,7 +22,8 @@ from gyrobench.bench.closure.candidates import (
     start_count,
 )
 from gyrobench.bench.closure.effects.effect import Effect
-from gyrobench.bench.closure.posterior import RIVAL, TIE_ODDS, Evidences, Posterior
+from gyrobench.bench.closure.evidence import Evidences
+from gyrobench.bench.closure.posterior import RIVAL, TIE_ODDS, Posterior
 from gyrobench.bench.closure.problem import Problem, declared_problem
 from gyrobench.bench.foundations.text import listed
 

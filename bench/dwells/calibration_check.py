@@ -21,12 +21,11 @@ from gyrobench.bench.dwells.check_dwell import CheckDwell
 from gyrobench.bench.dwells.earlier_calibration import EarlierCalibration
 from gyrobench.bench.dwells.measure_dwell import MeasurementSetup
 from gyrobench.bench.foundations.arrays import UG_TO_MPS2, FloatArray
-from gyrobench.bench.navigation.positions import AXES, POSITIONS
+from gyrobench.bench.navigation.positions import AXES, POSITIONS, half_turn_pairs
 from gyrobench.bench.runs.marks import DwellMarks
 from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow
 
 _EAST, _NORTH = np.eye(3)[:2]
-_TURN_TOLERANCE_DEG = 0.5
 #: A gyro points East or North if it is no farther away than this.
 _MAX_ANGLE_DEG = 1.0
 
@@ -54,8 +53,9 @@ def calibration_check_rows(
         for unit in {each.marks.unit for each in dwells}
     }
     rows = [_velocity_row(each, calibrations[each.marks.unit], setup) for each in dwells]
-    for first, second in _half_turn_pairs(dwells):
-        rows.append(_alignment_row(first, second, calibrations[first.marks.unit], setup))
+    for plateau in group_plateaus(sorted(dwells, key=lambda dwell: dwell.dwell)):
+        for first, second in half_turn_pairs(plateau, lambda each: each.marks.azimuth_deg, _are_comparable):
+            rows.append(_alignment_row(first, second, calibrations[first.marks.unit], setup))
     return sorted(rows, key=lambda row: (row.dwell, row.method))
 
 
@@ -98,27 +98,10 @@ def _alignment_row(
     return _compared(row, (x, y, z), bias, None, known, calibration)
 
 
-def _half_turn_pairs(dwells: Sequence[CheckDwell]) -> list[tuple[CheckDwell, CheckDwell | None]]:
-    """Pair each dwell with the next one of its plateau half a turn from it; None for those left over."""
-    pairs: list[tuple[CheckDwell, CheckDwell | None]] = []
-    for plateau in group_plateaus(sorted(dwells, key=lambda dwell: dwell.dwell)):
-        waiting: list[CheckDwell] = []
-        for each in plateau:
-            other = next((one for one in waiting if _are_half_turn_apart(one, each)), None)
-            if other is None:
-                waiting.append(each)
-            else:
-                waiting.remove(other)
-                pairs.append((other, each))
-        pairs += [(each, None) for each in waiting]
-    return pairs
-
-
-def _are_half_turn_apart(one: CheckDwell, other: CheckDwell) -> bool:
-    away_deg = (other.marks.azimuth_deg - one.marks.azimuth_deg) % 360.0 - 180.0
+def _are_comparable(one: CheckDwell, other: CheckDwell) -> bool:
     is_same = (one.marks.unit, one.marks.position) == (other.marks.unit, other.marks.position)
     apart_k = np.abs(np.subtract(one.aligning_c, other.aligning_c))  # NaN where there are no data
-    return is_same and abs(away_deg) < _TURN_TOLERANCE_DEG and not (apart_k > MAX_FROM_MEAN_K).any()
+    return is_same and not (apart_k > MAX_FROM_MEAN_K).any()
 
 
 def _empty_row(

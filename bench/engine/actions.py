@@ -33,12 +33,12 @@ from gyrobench.bench.procedure.rotations import RotatingStep
 from gyrobench.bench.procedure.steps import (
     Align,
     AskOperator,
-    Chamber,
     ChamberOff,
     GoTo,
     Navigate,
     PowerOff,
     PowerOn,
+    SetChamber,
     Soak,
     Step,
     Turn,
@@ -55,7 +55,6 @@ T = TypeVar("T")
 _POSITION_TOLERANCE_DEG = 0.002
 #: A servo may overshoot this long after its profile is complete.
 _OVERSHOOT_S = 10.0
-_BOOT_FRAMES_AGE_S = 2.0
 #: A bus on which the INS stays silent for this long after power-on is reopened.
 _BUS_SILENCE_S = 15.0
 _POWER_CYCLE_S = 5.0
@@ -107,7 +106,7 @@ def _power_on(step: PowerOn, context: StepContext) -> Ticks:
 def _sending(unit: MeasuredUnit, bench: LiveBench) -> Ticks:
     """Wait until the INS sends."""
     reopened_s = bench.clock.now()
-    while not _is_sending(unit):
+    while not unit.live.has_started():
         if bench.clock.now() - reopened_s > _BUS_SILENCE_S:
             reopened_s = bench.clock.now()
             bench.reopen(unit.live.name)
@@ -128,7 +127,7 @@ def _power_off(step: PowerOff, context: StepContext) -> Ticks:  # noqa: ARG001
 
 
 @perform.register
-def _chamber(step: Chamber, context: StepContext) -> Ticks:
+def _chamber(step: SetChamber, context: StepContext) -> Ticks:
     bench = context.bench
     bench.state.chamber_state_unknown()
     # Each driver is looked up when it is used: a port that was reopened has a new one.
@@ -479,11 +478,6 @@ def _table_read(context: StepContext) -> Ticks:
     while context.bench.readings.table_s < begin_s:
         yield
         context.bench.read_table()
-
-
-def _is_sending(unit: MeasuredUnit) -> bool:
-    status = unit.live.status()
-    return status.age_s < _BOOT_FRAMES_AGE_S and status.mode is not InsMode.BOOT
 
 
 def _choosing_euler_sequence(step: Align, unit: MeasuredUnit) -> Ticks | None:

@@ -30,6 +30,8 @@ _EPOCH_COUNT_TOLERANCE_S = 3.0
 _SAME_PERIOD, _MAX_PERIOD_RATIO, _CLEAR = 0.03, 20.0, 4.0
 #: A CAN bus that is silent for this long may have been disconnected without an error.
 BUS_SILENCE_S = 4.0
+#: Frames of an INS that has started are not older than this.
+_FRESH_S = 2.0
 
 T = TypeVar("T")
 
@@ -124,6 +126,11 @@ class LiveUnit:
         """State of the INS with the frames that have arrived by now."""
         self.poll()
         return self.ins.status()
+
+    def has_started(self) -> bool:
+        """Whether the INS sends frames and is past its boot."""
+        status = self.status()
+        return status.age_s < _FRESH_S and status.mode is not InsMode.BOOT
 
     def write_waiting(self, now_s: float) -> None:
         """Write frames to the log that no others have followed for some seconds."""

@@ -25,7 +25,6 @@ _DEFAULT_RATE_DPS = 10.0
 _MOVE_FACTOR, _MOVE_MARGIN_S = 1.5, 30.0
 _MAX_START_S = 180.0
 _TRIES = 3
-_FRESH_S = 2.0
 _MAX_EVENTS = 16
 #: Ticks allowed for the table to come to rest, and the rate below which it rests.
 _STOP_TICKS, _REST_DPS = 60, 0.01
@@ -67,7 +66,7 @@ class ManualControl:
         self._interruptions = interruptions
         self._turning: dict[str, float] = {}
         self._ticked_s = bench.clock.now()
-        if _sends_frames(bench):
+        if bench.units[0].has_started():
             bench.units[0].state.seen_on()
         self.tripped: list[str] = []
         for trip in bench.trips():
@@ -203,7 +202,7 @@ class ManualControl:
             self._display.print("INS off")
             return
         begin_s = self.bench.clock.now()
-        while not _sends_frames(self.bench):
+        while not self.bench.units[0].has_started():
             passed_s = self.bench.clock.now() - begin_s
             if passed_s > _MAX_START_S:
                 raise InstrumentError(
@@ -349,11 +348,6 @@ class ManualControl:
 
     def _angles_text(self) -> str:
         return ", ".join(f"{axis} {self._angle_deg(axis):.4f} deg" for axis in self.limits.axes)
-
-
-def _sends_frames(bench: LiveBench) -> bool:
-    status = bench.units[0].status()
-    return status.age_s < _FRESH_S and status.mode is not InsMode.BOOT
 
 
 #: Cosine of the largest tilt at which the unit counts as in a position.

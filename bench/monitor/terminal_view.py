@@ -35,7 +35,7 @@ from gyrobench.bench.monitor.terminal import (
 from gyrobench.bench.monitor.terminal_screen import MAX_HEIGHT, MAX_WIDTH, screen
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.procedure.plan import Plan, PlannedStep
-from gyrobench.bench.procedure.steps import Chamber
+from gyrobench.bench.procedure.steps import SetChamber
 from gyrobench.bench.runs.folder import RunFolder
 
 
@@ -159,7 +159,7 @@ class LinesView(RunObserver):
         self._step = f"{planned.label}: {planned.step.describe()}"
         self._so_far = ""
         self._ticks = 0
-        if isinstance(planned.step, Chamber):
+        if isinstance(planned.step, SetChamber):
             time = hours_minutes(bench.clock.now())
             now = f"chamber {bench.readings.chamber.temperature_c:.1f} degC now"
             self._console.print(

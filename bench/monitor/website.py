@@ -12,7 +12,7 @@ from http import HTTPStatus
 from pathlib import Path
 from urllib.parse import quote, unquote, urlsplit
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment
 
 from gyrobench.bench.foundations.errors import GyrobenchError, MissingPackageError, RunFolderError
 from gyrobench.bench.foundations.files import read_limited
@@ -52,6 +52,7 @@ from gyrobench.bench.monitor.server import HTML, RECORD_POLICY, Response, page_p
 from gyrobench.bench.monitor.snapshot import Attitude, RunSnapshot
 from gyrobench.bench.navigation.positions import POSITIONS, position_label
 from gyrobench.bench.report.number_format import true_minus
+from gyrobench.bench.report.page import page_templates
 from gyrobench.bench.runs.folder import UNITS, RunFolder
 
 
@@ -114,13 +115,7 @@ def whole_page(fragment: str, nonce: str) -> str:
 
 @cache
 def _environment() -> Environment:
-    environment = Environment(
-        loader=PackageLoader("gyrobench.bench.monitor"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    environment = page_templates("gyrobench.bench.monitor")
     environment.filters["position"] = position_label
     environment.filters["hours"] = hours_minutes
     return environment

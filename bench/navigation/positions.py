@@ -10,10 +10,10 @@ Navigation System Based on Ring Laser Gyroscope", section 4.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from gyrobench.bench.navigation.attitude import UP, rotation_matrix
 PositionName = Literal["z_up", "z_down", "y_up", "y_down", "x_up", "x_down"]
 #: Body axes, in the order of arrays.
 AXES = ("x", "y", "z")
+_HALF_TURN_TOLERANCE_DEG = 0.5
+
+PlacedT = TypeVar("PlacedT")
 
 _DIRECTIONS = {
     "E": (1.0, 0.0, 0.0),
@@ -82,3 +85,23 @@ def position_label(name: str) -> str:
 def gyro_label(gyro: str) -> str:
     """Name of a gyro as the paper writes it: "X gyro" for "x"."""
     return f"{gyro.upper()} gyro"
+
+
+def half_turn_pairs(
+    placed: Iterable[PlacedT],
+    azimuth_deg: Callable[[PlacedT], float],
+    fit: Callable[[PlacedT, PlacedT], bool] = lambda _one, _other: True,
+) -> list[tuple[PlacedT, PlacedT | None]]:
+    """Pair each with the first unpaired one half a turn from it that fits; None for those left over."""
+    pairs: list[tuple[PlacedT, PlacedT | None]] = []
+    unpaired: list[PlacedT] = []
+    for each in placed:
+        for other in unpaired:
+            away_deg = (azimuth_deg(each) - azimuth_deg(other)) % 360.0 - 180.0
+            if abs(away_deg) < _HALF_TURN_TOLERANCE_DEG and fit(other, each):
+                unpaired.remove(other)
+                pairs.append((other, each))
+                break
+        else:
+            unpaired.append(each)
+    return pairs + [(each, None) for each in unpaired]

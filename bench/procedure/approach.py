@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from gyrobench.bench.procedure.plan import Plan, PlannedStep
-from gyrobench.bench.procedure.steps import Chamber, ChamberOff, GoTo, PowerOff, PowerOn, Soak, Step, Wait
+from gyrobench.bench.procedure.steps import ChamberOff, GoTo, PowerOff, PowerOn, SetChamber, Soak, Step, Wait
 
 #: A soak begins when the air is this near to the set point, even if the chamber's step ends earlier.
 _NEAR_C = 1.0
@@ -63,7 +63,7 @@ def approach(plan: Plan, index: int, retained: RetainedState) -> list[PlannedSte
 
 def _is_on_ramp(plan: Plan, index: int) -> bool:
     """Whether the plan comes to a dwell straight from the chamber's command, without a soak."""
-    command = _latest(plan, index, Chamber, ChamberOff)
+    command = _latest(plan, index, SetChamber, ChamberOff)
     if plan.steps[index].dwell is None or not command or isinstance(command[0].step, ChamberOff):
         return False
     return not _soaks_between(plan, command[0], index)
@@ -99,14 +99,14 @@ def _tempering(plan: Plan, index: int, chamber_c: float) -> list[PlannedStep]:
     target = plan.steps[index]
     if isinstance(target.step, ChamberOff):
         return []
-    if isinstance(target.step, Chamber) and _is_on_its_way(target, chamber_c):
+    if isinstance(target.step, SetChamber) and _is_on_its_way(target, chamber_c):
         return [] if _soaks_before_dwells(plan, index) else _history(plan, index, chamber_c)
     return _history(plan, index, chamber_c)
 
 
 def _history(plan: Plan, index: int, chamber_c: float) -> list[PlannedStep]:
     """The chamber's last command before a step with its soaks, and what has to come before it."""
-    command = _latest(plan, index, Chamber, ChamberOff)
+    command = _latest(plan, index, SetChamber, ChamberOff)
     if not command or isinstance(command[0].step, ChamberOff):
         return command
     (chamber,) = command
@@ -136,7 +136,7 @@ def _is_soak(planned: PlannedStep) -> bool:
 def _soaks_before_dwells(plan: Plan, index: int) -> bool:
     """Whether nothing is measured between the chamber's step at ``index`` and the soak after it."""
     for planned in plan.steps[index + 1 :]:
-        if _is_soak(planned) or isinstance(planned.step, Chamber | ChamberOff):
+        if _is_soak(planned) or isinstance(planned.step, SetChamber | ChamberOff):
             return True
         if planned.in_position:
             return False
@@ -145,14 +145,14 @@ def _soaks_before_dwells(plan: Plan, index: int) -> bool:
 
 def _is_on_its_way(chamber: PlannedStep, chamber_c: float) -> bool:
     """Whether the air is still on the side of the set point from which the plan approaches it."""
-    assert isinstance(chamber.step, Chamber)  # noqa: S101 - callers check
+    assert isinstance(chamber.step, SetChamber)  # noqa: S101 - callers check
     to_go_c = chamber.step.temperature_c - chamber_c
     planned_c = chamber.step.temperature_c - chamber.before.chamber_c
     return abs(to_go_c) <= chamber.step.within_c or to_go_c * planned_c >= 0.0
 
 
 def _waiting_for_the_air(chamber: PlannedStep) -> PlannedStep:
-    assert isinstance(chamber.step, Chamber)  # noqa: S101 - callers check
+    assert isinstance(chamber.step, SetChamber)  # noqa: S101 - callers check
     near_c = min(chamber.step.within_c, _NEAR_C)
     return replace(chamber, step=chamber.step.model_copy(update={"within_c": near_c}))
 

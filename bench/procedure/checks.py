@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 from gyrobench.bench.foundations.documents import Document, DocumentProblem, Location
-from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.navigation.positions import POSITIONS, half_turn_pairs
 from gyrobench.bench.navigation.table_axes import TurnOrMove, turn_text
 from gyrobench.bench.procedure.plan import (
     SINGLE_NAVIGATION,
@@ -24,10 +24,10 @@ from gyrobench.bench.procedure.rotations import RotatingStep, Spin
 from gyrobench.bench.procedure.steps import (
     MIN_NAVIGATION_S,
     Align,
-    Chamber,
     GoTo,
     Navigate,
     PowerOn,
+    SetChamber,
     Soak,
     Turn,
     Wait,
@@ -109,7 +109,7 @@ def _time_problems(planned: PlannedStep) -> Iterator[DocumentProblem]:
 
 def _chamber_problems(planned: PlannedStep, limits: StationLimits) -> Iterator[DocumentProblem]:
     step = planned.step
-    if not isinstance(step, Chamber):
+    if not isinstance(step, SetChamber):
         return
     if not limits.chamber_low_c <= step.temperature_c <= limits.chamber_high_c:
         yield DocumentProblem(
@@ -129,7 +129,7 @@ def _gyro_problems(plan: Plan, limits: StationLimits) -> Iterator[DocumentProble
     """Commands of the chamber that would bring the gyros to a temperature at which an interlock trips."""
     command: PlannedStep | None = None
     for planned in plan.steps:
-        if isinstance(planned.step, Chamber):
+        if isinstance(planned.step, SetChamber):
             command = planned
         gyro_c = planned.after.gyro_c
         if command is not None and not limits.gyro_low_c <= gyro_c <= limits.gyro_high_c:
@@ -308,9 +308,6 @@ def _turned_to_the_same(
         )
 
 
-_TOLERANCE_DEG = 0.5
-
-
 def _find_unpaired_checks(plan: Plan) -> Iterator[DocumentProblem]:
     """Calibration checks that have no partner half a turn away, in their position and at their temperature.
 
@@ -321,7 +318,9 @@ def _find_unpaired_checks(plan: Plan) -> Iterator[DocumentProblem]:
         for window in _verifying(plateau):
             groups[number, window.cycle, window.before.position].append(window)
     for windows in groups.values():
-        for alone in _unpaired(windows):
+        for alone, partner in half_turn_pairs(windows, lambda window: window.before.azimuth_deg):
+            if partner is not None:
+                continue
             opposite_deg = (alone.before.azimuth_deg + 180.0) % 360.0
             yield DocumentProblem(
                 alone.place_of("purpose"),
@@ -348,23 +347,6 @@ def _verifying(steps: Sequence[PlannedStep]) -> Iterator[PlannedStep]:
         is_check = dwell is not None and group[0].purpose is DwellPurpose.CALIBRATION_CHECK
         if is_check and len(windows) == 1 and not turned:
             yield windows[0]
-
-
-def _unpaired(windows: Sequence[PlannedStep]) -> list[PlannedStep]:
-    """Pair each with the first unpaired one half a turn away, as the measurement does."""
-    unpaired: list[PlannedStep] = []
-    for window in windows:
-        partner = next((other for other in unpaired if _half_turn_apart(other, window)), None)
-        if partner is None:
-            unpaired.append(window)
-        else:
-            unpaired.remove(partner)
-    return unpaired
-
-
-def _half_turn_apart(one: PlannedStep, other: PlannedStep) -> bool:
-    away_deg = (other.before.azimuth_deg - one.before.azimuth_deg) % 360.0 - 180.0
-    return abs(away_deg) < _TOLERANCE_DEG
 
 
 #: Azimuths to try for advice.

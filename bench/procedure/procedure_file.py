@@ -36,12 +36,12 @@ from gyrobench.bench.procedure.steps import (
     Align,
     AskOperator,
     Celsius,
-    Chamber,
     ChamberOff,
     GoTo,
     Navigate,
     PowerOff,
     PowerOn,
+    SetChamber,
     Soak,
     Step,
     Turn,
@@ -57,7 +57,7 @@ STEP_KINDS: Mapping[str, type[Step]] = MappingProxyType(
     {
         kind.name: kind
         for kind in (
-            PowerOn, PowerOff, Chamber, ChamberOff, Soak, GoTo, Align, Navigate, Turn, Rotate, Spin, Wait,
+            PowerOn, PowerOff, SetChamber, ChamberOff, Soak, GoTo, Align, Navigate, Turn, Rotate, Spin, Wait,
             AskOperator,
         )
     }

@@ -89,7 +89,7 @@ _CHAMBER_MARGIN_S = 1800.0
 _MAX_SOAK_S = 14_400.0
 
 
-class Chamber(Step):
+class SetChamber(Step):
     """Ramp the chamber to a temperature and wait until the air reaches it."""
 
     name = "chamber"

@@ -185,7 +185,7 @@ class Recorder:
             contextlib.closing(open_ins(self._station, clock, self._emulation)) as ins,
             Outputs(self._station, clock, self._emulation) as outputs,
         ):
-            switched = _switch_on(self._station, outputs, ins, clock)
+            switched = _switch_on(self._station, outputs, ins)
             try:
                 return _log_frames(ins, path, clock, duration_s)
             finally:
@@ -327,25 +327,16 @@ def _log_frames(ins: CanIns, path: Path, clock: Clock, duration_s: float) -> str
     return f"{ins.health().frames - before} frames in {duration_s:g} s; {identity}"
 
 
-def _switch_on(station: Station, outputs: Outputs, ins: CanIns, clock: Clock) -> bool:
+def _switch_on(station: Station, outputs: Outputs, ins: CanIns) -> bool:
     """Wait for the first frame, if need be with the INS switched on; returns whether it was."""
-    if _sends_frames(ins, clock, _FIRST_FRAME_S):
+    if ins.sends_frames(_FIRST_FRAME_S):
         return False
     if station.file.unit.power != "chamber_event":
         raise NoReplyError(INSTRUMENT, "sends no frames. Switch it on; check bus, bit rate and cable.")
     outputs.power_unit(True)
-    if not _sends_frames(ins, clock, _POWER_ON_TO_FIRST_FRAME_S):
+    if not ins.sends_frames(_POWER_ON_TO_FIRST_FRAME_S):
         outputs.power_unit(False)
         raise NoReplyError(
             INSTRUMENT, "sends no frames. Check its power, the bus, the bit rate and the cable."
         )
     return True
-
-
-def _sends_frames(ins: CanIns, clock: Clock, limit_s: float) -> bool:
-    deadline = Deadline(clock, limit_s)
-    before = ins.health().frames
-    while ins.health().frames == before and not deadline.expired():
-        clock.sleep(_CAN_POLL_S)
-        ins.poll()
-    return ins.health().frames > before

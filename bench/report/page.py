@@ -126,15 +126,20 @@ def render_page(
     )
 
 
-@cache
-def _template() -> Template:
-    environment = Environment(
-        loader=PackageLoader("gyrobench.bench.report"),
+def page_templates(package: str) -> Environment:
+    """Templates of a package's pages: what they show is escaped, what they lack is an error."""
+    return Environment(
+        loader=PackageLoader(package),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+
+
+@cache
+def _template() -> Template:
+    environment = page_templates("gyrobench.bench.report")
     environment.filters["data_uri"] = _data_uri
     return environment.get_template(_PAGE)
 

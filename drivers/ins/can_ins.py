@@ -119,6 +119,15 @@ class CanIns:
         if self.on_frames is not None:
             self.on_frames(block)
 
+    def sends_frames(self, timeout_s: float) -> bool:
+        """Poll until a data frame arrives; False if none does in this time. Raises as :meth:`poll`."""
+        deadline = Deadline(self._clock, timeout_s)
+        before = self._frames
+        while self._frames == before and not deadline.expired():
+            self._clock.sleep(POLL_PERIOD_S)
+            self.poll()
+        return self._frames > before
+
     @property
     def keeps_frames(self) -> bool:
         """Whether frames wait on the bus without limit, as on an emulated one: it may be polled late."""

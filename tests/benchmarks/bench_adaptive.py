@@ -33,7 +33,7 @@ from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.investigation.investigation import Investigator
 from gyrobench.bench.investigation.profile import Profile
 from gyrobench.bench.investigation.proposal import calibration_of
-from gyrobench.bench.procedure.steps import Chamber, Navigate, PowerOn
+from gyrobench.bench.procedure.steps import Navigate, PowerOn, SetChamber
 from tests.bench.closure.plans import shipped, station
 from tests.benchmarks.closure_laws import ON_THE_LIST
 from tests.benchmarks.investigation_units import SimulatedUnit
@@ -65,7 +65,7 @@ def block_plan(plan):
         for each in members:
             if isinstance(each.step, PowerOn):
                 add(PowerStep, each.end_s, on=True, factor=1.0)
-            elif isinstance(each.step, Chamber):
+            elif isinstance(each.step, SetChamber):
                 rate_c_per_h = 60.0 * each.step.ramp_c_per_min
                 add(ChamberStep, each.end_s, to_c=each.step.temperature_c, ramp_c_per_h=rate_c_per_h)
             else:

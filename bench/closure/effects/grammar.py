@@ -295,13 +295,12 @@ def course_of(driver: str, campaign: Campaign) -> FloatArray:
     if driver == "gyro_c":
         return campaign.record.gyro_c
     whole = campaign.whole
-    key = "course", driver
-    if key not in whole.computed_terms:
+
+    def course() -> FloatArray:
         values = driver_values(driver, whole)
-        whole.computed_terms[key] = whole.record.through_dwells(
-            whole.start_s, whole.end_s, values, ~whole.held_out
-        )
-    return whole.computed_terms[key]
+        return whole.record.through_dwells(whole.start_s, whole.end_s, values, ~whole.held_out)
+
+    return whole.computed_once(("course", driver), course)
 
 
 def mean_decay(campaign: Campaign, on_s: FloatArray, tau_s: float) -> FloatArray:

@@ -84,7 +84,7 @@ def _running(
     station: Station, outputs: Outputs, ins: CanIns, clock: Clock, traffic: CanTraffic, switched: ExitStack
 ) -> Iterator[Check]:
     try:
-        if not _is_sending(ins, clock, _FIRST_FRAME_S):
+        if not ins.sends_frames(_FIRST_FRAME_S):
             _switch_on(station, outputs, switched)
             _await_start(station, ins, clock)
         yield answered(_SUBJECT, ins.identify(), station.file.ins.identity)
@@ -116,18 +116,9 @@ def _switch_on(station: Station, outputs: Outputs, switched: ExitStack) -> None:
         outputs.chamber.switch_event(unit.power_event, True)
 
 
-def _is_sending(ins: CanIns, clock: Clock, limit_s: float) -> bool:
-    deadline = Deadline(clock, limit_s)
-    before = ins.health().frames
-    while ins.health().frames == before and not deadline.expired():
-        clock.sleep(0.1)
-        ins.poll()
-    return ins.health().frames > before
-
-
 def _await_start(station: Station, ins: CanIns, clock: Clock) -> None:
     deadline = Deadline(clock, _START_S if station.file.unit.power == "chamber_event" else 0.0)
-    while not _is_sending(ins, clock, _FIRST_FRAME_S):
+    while not ins.sends_frames(_FIRST_FRAME_S):
         if deadline.expired():
             raise NoReplyError(
                 _SUBJECT, "sends nothing. Check its power, the bus, its bit rate and the cable."

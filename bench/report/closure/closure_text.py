@@ -9,9 +9,10 @@ from statistics import NormalDist
 import numpy as np
 
 from gyrobench.bench.closure.candidates import start_count
+from gyrobench.bench.closure.evidence import POWER
 from gyrobench.bench.closure.noise import OUTLIER_SIGMA, outliers_text
 from gyrobench.bench.closure.outcome import CandidateResult, Closure, FoundEffect
-from gyrobench.bench.closure.posterior import CLEAN, EXPLAINED, POWER, RIVAL
+from gyrobench.bench.closure.posterior import CLEAN, EXPLAINED, RIVAL
 from gyrobench.bench.closure.problem import Solution
 from gyrobench.bench.closure.search import SIGNIFICANCE
 from gyrobench.bench.closure.validation import LACK_OF_FIT_P, measured_minus

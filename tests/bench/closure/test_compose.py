@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.bias.dwell_table import read_dwells, write_dwells
-from gyrobench.bench.closure import posterior
+from gyrobench.bench.closure import evidence
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.compose import _laws
 from gyrobench.bench.closure.effects.laws import TEMPERATURE_RATE, TIME_DRIFT
@@ -77,7 +77,7 @@ def test_noise_on_no_law_of_the_grammar_stays_other():
 def test_a_law_beside_something_else_is_no_law_alone(monkeypatch):
     """With a remainder nearly certain before, what is left to the laws alone is small."""
     closure = searched(onset_of_case)
-    monkeypatch.setattr(posterior, "REMAINDER_PRIOR", 1.0 - 1e-9)
+    monkeypatch.setattr(evidence, "REMAINDER_PRIOR", 1.0 - 1e-9)
     found = composed(closure).composed
     assert found.law_and_remainder > 0.99
     assert found.law_and_remainder <= found.other <= 1.0 + 1e-9

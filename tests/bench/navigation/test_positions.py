@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.navigation.positions import POSITIONS, half_turn_pairs
 
 EAST, NORTH, UP = np.eye(3)
 
@@ -42,3 +42,11 @@ def test_azimuth_turns_about_up(name):
     still, turned = POSITIONS[name].C_nb()[2], quarter[2]
     np.testing.assert_allclose(turned, still, atol=1e-15)
     np.testing.assert_allclose(quarter[1], POSITIONS[name].C_nb()[0], atol=1e-15)
+
+
+def test_each_is_paired_with_the_first_one_half_a_turn_away_that_fits():
+    placed = [("a", 0.0), ("a", 10.0), ("b", 180.0), ("a", 540.2), ("a", 180.0), ("a", 191.0)]
+    pairs = half_turn_pairs(placed, lambda each: each[1], lambda one, other: one[0] == other[0])
+    assert pairs[0] == (placed[0], placed[3])
+    assert pairs[1:] == [(each, None) for each in (placed[1], placed[2], placed[4], placed[5])]
+    assert half_turn_pairs(placed[:3], lambda each: each[1])[0] == (placed[0], placed[2])

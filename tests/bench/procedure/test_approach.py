@@ -6,7 +6,7 @@ from gyrobench.bench.foundations.documents import parse_document
 from gyrobench.bench.procedure.approach import RetainedState, approach, end_of_dwell, restart_of
 from gyrobench.bench.procedure.plan import expand
 from gyrobench.bench.procedure.procedure_file import checked_procedure
-from gyrobench.bench.procedure.steps import Align, Chamber, GoTo, PowerOn, Soak, Wait
+from gyrobench.bench.procedure.steps import Align, GoTo, PowerOn, SetChamber, Soak, Wait
 
 PROCEDURE = """
 procedure: there_and_back
@@ -57,7 +57,7 @@ def test_a_step_outside_dwells_is_begun_again_itself(plan):
 
 def test_after_a_power_cut_unit_chamber_soak_and_position_come_first(plan):
     steps = approach(plan, index_of(plan, 1, Align), COLD_START)
-    assert kinds(steps) == [PowerOn, Chamber, Soak, GoTo]
+    assert kinds(steps) == [PowerOn, SetChamber, Soak, GoTo]
     assert (steps[1].step.temperature_c, steps[3].step.position) == (60, "z_up")
     assert steps[3].step.azimuth_deg == 90
 
@@ -76,22 +76,22 @@ def test_what_still_stands_is_not_done_again(plan):
 def test_a_temperature_is_reached_from_the_side_from_which_the_plan_comes(plan):
     index = index_of(plan, 3, Align)
     from_above = approach(plan, index, RetainedState(True, False, 40.0))
-    assert [each.step.temperature_c for each in from_above if isinstance(each.step, Chamber)] == [20]
+    assert [each.step.temperature_c for each in from_above if isinstance(each.step, SetChamber)] == [20]
     from_below = approach(plan, index, RetainedState(True, False, 5.0))
-    assert kinds(from_below) == [Chamber, Soak, Chamber, Soak, GoTo]
-    assert [each.step.temperature_c for each in from_below if isinstance(each.step, Chamber)] == [60, 20]
+    assert kinds(from_below) == [SetChamber, Soak, SetChamber, Soak, GoTo]
+    assert [each.step.temperature_c for each in from_below if isinstance(each.step, SetChamber)] == [60, 20]
 
 
 def test_air_that_is_where_it_was_has_not_come_from_the_wrong_side(plan):
     steps = approach(plan, index_of(plan, 3, Align), RetainedState(True, False, 19.5))
-    assert kinds(steps) == [Chamber, Soak, GoTo]
+    assert kinds(steps) == [SetChamber, Soak, GoTo]
 
 
 def test_a_dwell_on_a_ramp_has_its_ramp_repeated_up_to_its_moment(plan):
     index = index_of(plan, 6, Align)
     steps = approach(plan, index, RetainedState(True, False, 0.0))
-    assert kinds(steps) == [Chamber, Soak, Chamber, Soak, Chamber, Wait, GoTo]
-    assert [each.step.temperature_c for each in steps if isinstance(each.step, Chamber)] == [60, 20, -20]
+    assert kinds(steps) == [SetChamber, Soak, SetChamber, Soak, SetChamber, Wait, GoTo]
+    assert [each.step.temperature_c for each in steps if isinstance(each.step, SetChamber)] == [60, 20, -20]
     ramp = next(each for each in plan.steps if each.step.name == "chamber" and each.step.temperature_c == -20)
     stay = next(each for each in reversed(plan.steps[:index]) if isinstance(each.step, GoTo))
     assert steps[-2].step.duration_s == pytest.approx(stay.start_s - ramp.end_s)
@@ -103,16 +103,17 @@ def test_a_ramp_that_is_followed_by_dwells_begins_at_the_temperature_before(plan
         for i, each in enumerate(plan.steps)
         if each.step.name == "chamber" and each.step.temperature_c == -20
     )
-    assert kinds(approach(plan, index, RetainedState(True, False, 10.0))) == [Chamber, Soak, Chamber, Soak]
+    steps = approach(plan, index, RetainedState(True, False, 10.0))
+    assert kinds(steps) == [SetChamber, Soak, SetChamber, Soak]
 
 
 def test_a_ramp_that_is_followed_by_a_soak_goes_on_from_where_it_is(plan):
-    index = next(i for i, each in enumerate(plan.steps) if isinstance(each.step, Chamber) and i > 3)
+    index = next(i for i, each in enumerate(plan.steps) if isinstance(each.step, SetChamber) and i > 3)
     assert approach(plan, index, RetainedState(True, False, 35.0)) == []
-    assert kinds(approach(plan, index, RetainedState(True, False, 5.0))) == [Chamber, Soak]
+    assert kinds(approach(plan, index, RetainedState(True, False, 5.0))) == [SetChamber, Soak]
 
 
 def test_the_way_has_time_limits_of_its_own(plan):
     chamber = approach(plan, index_of(plan, 1, Align), RetainedState(False, False, -20.0))[1]
-    planned = next(each for each in plan.steps if isinstance(each.step, Chamber))
+    planned = next(each for each in plan.steps if isinstance(each.step, SetChamber))
     assert chamber.timeout_s > 2 * 80 / 2 * 60 > planned.timeout_s

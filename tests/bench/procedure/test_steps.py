@@ -10,12 +10,12 @@ from gyrobench.bench.procedure.rotations import Rotate, Rotation, Spin
 from gyrobench.bench.procedure.steps import (
     Align,
     AskOperator,
-    Chamber,
     ChamberOff,
     GoTo,
     Navigate,
     PowerOff,
     PowerOn,
+    SetChamber,
     Soak,
     Step,
     Turn,
@@ -30,7 +30,7 @@ ROOM = BenchEstimate.at_rest(THERMAL)
 EVERY_KIND: list[Step] = [
     PowerOn(settle_s=120),
     PowerOff(),
-    Chamber(temperature_c=60, ramp_c_per_min=1.0),
+    SetChamber(temperature_c=60, ramp_c_per_min=1.0),
     ChamberOff(),
     Soak(for_s=3600),
     Soak(until_gyro_rate_below_c_per_h=2.0, at_least_s=1800, at_most_s=5400),
@@ -72,35 +72,36 @@ def test_every_key_is_described(kind: type[Step]) -> None:
 
 
 def test_chamber_takes_its_ramp_and_the_time_for_the_air_to_come_near() -> None:
-    step = Chamber(temperature_c=80, ramp_c_per_min=3.0, within_c=1.0)
+    step = SetChamber(temperature_c=80, ramp_c_per_min=3.0, within_c=1.0)
     # In the ramp the air is 3 degC/min * 100 s = 5 degC behind.
     assert step.expected_s(ROOM) == pytest.approx(20.0 * 60.0 + 100.0 * math.log(5.0))
 
 
 def test_a_chamber_step_that_is_content_far_from_its_temperature_ends_on_the_ramp() -> None:
-    half_way = Chamber(temperature_c=80, ramp_c_per_min=2.0, within_c=30.0).expected_s(ROOM)
+    half_way = SetChamber(temperature_c=80, ramp_c_per_min=2.0, within_c=30.0).expected_s(ROOM)
     # In the ramp the air is 2 degC/min * 100 s behind.
     assert half_way == pytest.approx(60.0 * (30.0 + 2.0 * 100.0 / 60.0) / 2.0)
-    assert Chamber(temperature_c=60, ramp_c_per_min=2.0, within_c=50.0).expected_s(ROOM) == 0.0
+    assert SetChamber(temperature_c=60, ramp_c_per_min=2.0, within_c=50.0).expected_s(ROOM) == 0.0
 
 
 def test_chamber_already_at_its_temperature_takes_no_time() -> None:
-    assert Chamber(temperature_c=20, ramp_c_per_min=1.0).expected_s(ROOM) == 0.0
+    assert SetChamber(temperature_c=20, ramp_c_per_min=1.0).expected_s(ROOM) == 0.0
 
 
 def test_chamber_half_way_is_half_way() -> None:
-    assert Chamber(temperature_c=80, ramp_c_per_min=1.0).after(ROOM, 1800.0).chamber_c == pytest.approx(50.0)
+    half_way = SetChamber(temperature_c=80, ramp_c_per_min=1.0).after(ROOM, 1800.0)
+    assert half_way.chamber_c == pytest.approx(50.0)
 
 
 def test_chamber_off_goes_back_to_room_temperature() -> None:
-    cold = Chamber(temperature_c=-40, ramp_c_per_min=1.0).after(ROOM, 4000.0)
+    cold = SetChamber(temperature_c=-40, ramp_c_per_min=1.0).after(ROOM, 4000.0)
     off = ChamberOff().after(cold, 0.0)
     assert off.set_point_c is None
     assert off.passed(1e5).gyro_c == pytest.approx(20.0)
 
 
 def test_soak_lasts_until_the_gyros_settle_within_its_bounds() -> None:
-    hot = PowerOn().after(Chamber(temperature_c=80, ramp_c_per_min=100.0).after(ROOM, 36.0), 0.0)
+    hot = PowerOn().after(SetChamber(temperature_c=80, ramp_c_per_min=100.0).after(ROOM, 36.0), 0.0)
     settling_s = hot.time_until_gyro_rate_s(2.0)
     assert 3600.0 < settling_s < 14_400.0
     assert Soak(until_gyro_rate_below_c_per_h=2.0).expected_s(hot) == settling_s
@@ -155,8 +156,8 @@ WRONG = [
     (AskOperator, {"question": "", "answers": ["a"]}, "at least 1"),
     (AskOperator, {"question": "?", "answers": ["a", "a"]}, "must differ"),
     (AskOperator, {"question": "?", "answers": []}, "at least 1"),
-    (Chamber, {"temperature_c": -300, "ramp_c_per_min": 1}, "greater than -273.15"),
-    (Chamber, {"temperature_c": 20, "ramp_c_per_min": 0}, "greater than or equal to 0.001"),
+    (SetChamber, {"temperature_c": -300, "ramp_c_per_min": 1}, "greater than -273.15"),
+    (SetChamber, {"temperature_c": 20, "ramp_c_per_min": 0}, "greater than or equal to 0.001"),
     (Wait, {"duration_s": 5, "timeout_s": 0}, "greater than 0"),
 ]
 

@@ -237,6 +237,15 @@ def test_error_frames_and_foreign_identifiers_change_no_value(driver, buses, fra
     assert (driver.health().frames, driver.health().error_frames) == (2, 1)
 
 
+def test_an_ins_that_sends_nothing_is_waited_for(driver, buses, clock, frames_of, to_messages):
+    begin_s = clock.now()
+    assert not driver.sends_frames(2.0)
+    assert clock.now() - begin_s == pytest.approx(2.0, abs=0.1)
+    buses[1].send(to_messages(frames_of("INS_STATUS", 1.0, {"MODE": 3}))[0])
+    assert driver.sends_frames(2.0)
+    assert clock.now() - begin_s == pytest.approx(2.0, abs=0.2)
+
+
 def test_commands_wait_until_the_status_confirms_them(driver, unit, clock):
     driver.align()
     assert driver.status().mode is InsMode.ALIGN
