@@ -66,6 +66,10 @@ class Contribution:
         return self.sigma / self.input_sigma if self.input_sigma > 0.0 else math.nan
 
 
+#: More effective degrees of freedom, as of a contribution by rounding alone, count as infinite.
+_MANY_DOF = 1e9
+
+
 @dataclass(frozen=True)
 class Combined:
     """Combined and expanded uncertainty of several contributions."""
@@ -79,7 +83,8 @@ class Combined:
         known = [each for each in contributions if each.sigma > 0.0]
         variance = math.fsum(each.sigma**2 for each in known)
         fourth = math.fsum(each.sigma**4 / each.dof for each in known)
-        return cls(math.sqrt(variance), variance**2 / fourth if fourth else math.inf)
+        dof = variance**2 / fourth if fourth else math.inf
+        return cls(math.sqrt(variance), dof if dof < _MANY_DOF else math.inf)
 
     @property
     def k(self) -> float:

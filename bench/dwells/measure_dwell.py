@@ -23,7 +23,12 @@ from gyrobench.bench.bias.statistics import GoodnessOfFit
 from gyrobench.bench.bias.vertical_pairs import exceeds_declared
 from gyrobench.bench.bias.window_filter import EPOCH_S
 from gyrobench.bench.dwells.output_checks import OutputFault, exceeds_noise, output_faults, rounding
-from gyrobench.bench.dwells.setup_check import SetupEvidence, raise_setup_fault, setup_evidence
+from gyrobench.bench.dwells.setup_check import (
+    SetupEvidence,
+    latitude_fault,
+    raise_setup_fault,
+    setup_evidence,
+)
 from gyrobench.bench.dwells.sign_check import SignCheck
 from gyrobench.bench.dwells.temperatures import (
     DwellTemperatures,
@@ -264,7 +269,7 @@ def checked_navigation(
     """Decode a dwell; what frames and temperature sensors do wrong is added to ``flags``.
 
     Raises MeasurementError if the dwell never came to a window, SignalMapError if it contradicts the signs or
-    axes of the signal map.
+    axes of the signal map, or the latitude.
     """
     if not marks.windows:
         raise MeasurementError("the INS never navigated at rest in this dwell")
@@ -277,6 +282,8 @@ def checked_navigation(
             f"{navigation.counts.contradicted} frames of the INS contradict those of the same epoch: does a "
             "second node send with its identifiers? Check the bus"
         )
+    if fault := latitude_fault(navigation.latitude, setup.site):
+        raise SignalMapError(fault)
     if setup.signs is not None:
         try:
             setup.signs.check(marks, frames, navigation)

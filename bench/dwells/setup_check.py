@@ -1,6 +1,6 @@
 """Scale of the velocities and sign of the station's latitude, tested on what the INS itself navigates.
 
-Signs and axes are tested before, see :mod:`gyrobench.bench.dwells.sign_check`. Two more mistakes of a station
+Signs and axes are tested before, see :mod:`gyrobench.bench.dwells.sign_check`. More mistakes of a station
 file let a dwell look good:
 
 * Velocities with a wrong scale make the biases of the level gyros wrong by the same factor. The tilt since
@@ -9,6 +9,8 @@ file let a dwell look good:
   Earth rate and damping by the INS are free in it, a drift and a transient of the accelerometers have their
   prior uncertainty; noise of the attitude, which makes a regression's slope smaller, is subtracted from its
   moment.
+* The heading turns by ``V_E tan(latitude)/R``. What another latitude makes of it looks like a bias with a
+  slope, so that of an INS which sends its latitude it is compared with the station's.
 * A latitude of the wrong hemisphere turns the Coriolis acceleration, and the rate of the heading, round.
   The full error model is fitted with both latitudes. It shows in proportion to what it does to the biases:
   little in a unit with accelerometer biases of some micro-g.
@@ -46,6 +48,8 @@ _MEANS, _LATITUDE_EPOCHS = 60, 60
 _MIN_WHITE_MPS = 1e-6
 #: The opposite latitude is right if chi2 is less by this much there, and explained by the noise.
 _MIN_CHI2_GAIN, _MAX_CHI2_PER_DATUM = 30.0, 1.5
+#: Latitudes of INS and station differ by more than an INS drifts while it navigates on the bench, rad.
+_MAX_LATITUDE_APART = math.radians(0.2)
 _VELOCITIES = ("ins.signals.velocity_east", "ins.signals.velocity_north")
 #: What makes a velocity so many times as large as it is.
 _UNITS = {
@@ -110,6 +114,19 @@ def setup_fault(several: Sequence[SetupEvidence]) -> str:
     if not several:
         return ""
     return _scale_fault(several) or _latitude_fault(several)
+
+
+def latitude_fault(sent: float, site: Site) -> str:
+    """What is wrong if the INS sends another latitude than the station's, both rad; empty if it does not.
+
+    Smaller errors show in the data, see :mod:`gyrobench.bench.dwells.run_results`.
+    """
+    if not abs(sent - site.latitude) > _MAX_LATITUDE_APART:  # NaN where it sends none
+        return ""
+    return (
+        f"the INS uses a latitude of {math.degrees(sent):.4f} deg, location.latitude_deg is "
+        f"{math.degrees(site.latitude):.4f} deg. Correct the one that is wrong, and measure again"
+    )
 
 
 def raise_setup_fault(evidence: SetupEvidence | None) -> None:

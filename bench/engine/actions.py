@@ -14,6 +14,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from gyrobench.bench.dwells.setup_check import latitude_fault
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.measured_unit import MeasuredUnit
 from gyrobench.bench.engine.operator import ask_operator
@@ -26,6 +27,7 @@ from gyrobench.bench.foundations.errors import (
     InstrumentError,
     InvalidDwellError,
     RunStoppedError,
+    SignalMapError,
 )
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.navigation.table_axes import Angles, TurnOrMove
@@ -101,6 +103,9 @@ def _power_on(step: PowerOn, context: StepContext) -> Ticks:
     for unit in context.units.running:
         unit.live.state.powered()
     yield from _lasting(bench, step.settle_s)
+    for unit in context.units.running:
+        if fault := latitude_fault(unit.live.status().latitude, bench.station.site):
+            raise SignalMapError(f"{unit.live.name}: {fault}")
 
 
 def _sending(unit: MeasuredUnit, bench: LiveBench) -> Ticks:

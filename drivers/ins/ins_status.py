@@ -166,6 +166,11 @@ class InsStatus:
         return self._number("velocity_east"), self._number("velocity_north"), self._number("velocity_up")
 
     @cached_property
+    def latitude(self) -> float:
+        """Latitude that the INS uses, rad."""
+        return self._number("latitude")
+
+    @cached_property
     def attitude(self) -> FloatArray:
         """``C_nb``, shape (3, 3)."""
         return np.asarray(self._readout.attitude(_NOW)[0])

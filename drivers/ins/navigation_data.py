@@ -9,6 +9,7 @@ a pause from a restart of the INS.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
@@ -59,6 +60,7 @@ class NavigationData:
     temperatures: Temperatures  #: At separate, slower times.
     counts: EpochCounts  #: Lost and irregular epochs.
     short_frames: int  #: Frames with fewer bytes than in the DBC; dropped.
+    latitude: float = math.nan  #: That the INS uses, rad, as sent last; NaN where it sends none.
 
 
 def decode_navigation(block: FrameBlock, signal_map: SignalMap, codec: DbcCodec) -> NavigationData:
@@ -79,6 +81,7 @@ def decode_navigation(block: FrameBlock, signal_map: SignalMap, codec: DbcCodec)
         temperatures=_temperatures(reader, readout, epochs),
         counts=epochs.counts,
         short_frames=sum(codec.count_short(block, message) for message in messages),
+        latitude=next(iter(readout.value("latitude", epochs.rows[-1:]).tolist()), math.nan),
     )
 
 

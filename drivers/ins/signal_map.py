@@ -212,6 +212,9 @@ class SignalMap(StrictModel):
     velocity_east: Source = Field(description="velocity East")
     velocity_north: Source = Field(description="velocity North")
     velocity_up: Source | None = Field(None, description="velocity Up")
+    latitude: Source | None = Field(
+        None, description="latitude for which the INS takes the Earth's rotation; has to be the station's"
+    )
     attitude: AttitudeMap = Field(description="attitude of the body axes")
     gyro_optics_temperature: AxesMap | None = Field(None, description="temperatures of the gyros' optics")
     gyro_electronics_temperature: AxesMap | None = Field(
@@ -303,6 +306,7 @@ _MEASURED = {
     "velocity_east": Dimension.SPEED,
     "velocity_north": Dimension.SPEED,
     "velocity_up": Dimension.SPEED,
+    "latitude": Dimension.ANGLE,
     "gyro_optics_temperature": Dimension.TEMPERATURE,
     "gyro_electronics_temperature": Dimension.TEMPERATURE,
     "case_temperature": Dimension.TEMPERATURE,

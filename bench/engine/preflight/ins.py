@@ -12,6 +12,7 @@ from functools import partial
 import numpy as np
 
 from gyrobench.bench.bias.dwell import MAX_ATTITUDE_DISAGREEMENT
+from gyrobench.bench.dwells.setup_check import latitude_fault
 from gyrobench.bench.engine.interlocks.checks import ins_temperatures
 from gyrobench.bench.engine.preflight.instruments import answered, failed, unanswered
 from gyrobench.bench.foundations.clock import Clock, Deadline
@@ -164,6 +165,15 @@ def _states(station: Station, status: InsStatus) -> Iterator[Check]:
             status.mode not in (InsMode.FAULT, InsMode.UNKNOWN),
             f"reports {status.mode.name.lower()}{alignment}",
             "Read its built-in test results, and check `mode` in the signal map.",
+        )
+    if signals.latitude is not None:
+        yield _check(
+            "latitude",
+            abs(status.latitude) < math.pi and not latitude_fault(status.latitude, station.site),
+            f"is {math.degrees(status.latitude):.4f} deg, the station's "
+            f"{math.degrees(station.site.latitude):.4f} deg",
+            "Correct location.latitude_deg in the station file, the latitude entered in the INS, or "
+            "`latitude` in the signal map.",
         )
     yield _temperatures(station, status)
 

@@ -23,7 +23,8 @@ from gyrobench.drivers.emulators.world.ins_compensation import COEFFICIENTS, che
 from gyrobench.drivers.emulators.world.strapdown import euler_output
 from gyrobench.drivers.frames import FRAME_DTYPE, FrameBlock
 
-SYSTEM_TIME, VELOCITY_NE, HEIGHT_VELOCITY_D, ROLL_PITCH, HEADING = 0x001, 0x004, 0x005, 0x006, 0x007
+SYSTEM_TIME, POSITION, VELOCITY_NE, HEIGHT_VELOCITY_D = 0x001, 0x003, 0x004, 0x005
+ROLL_PITCH, HEADING = 0x006, 0x007
 INS_STATUS, INS_IDENTITY, OPTICS_TEMPERATURE, ELECTRONICS_TEMPERATURE = 0x010, 0x011, 0x020, 0x021
 COMPENSATION_STATUS = 0x012
 INS_COMMAND, COMPENSATION_NUMBER = 0x200, 0x201
@@ -32,10 +33,10 @@ ANGLE_INCREMENT, VELOCITY_INCREMENT = 0x008, 0x009
 _FIRMWARE, _HARDWARE = 103, 1
 #: The frames of a whole second, in order of sending, and their data.
 _SLOW_IDS = (
-    SYSTEM_TIME, HEIGHT_VELOCITY_D, INS_STATUS, INS_IDENTITY, COMPENSATION_STATUS, OPTICS_TEMPERATURE,
-    ELECTRONICS_TEMPERATURE,
+    SYSTEM_TIME, HEIGHT_VELOCITY_D, INS_STATUS, INS_IDENTITY, COMPENSATION_STATUS, POSITION,
+    OPTICS_TEMPERATURE, ELECTRONICS_TEMPERATURE,
 )  # fmt: skip
-_SLOW_DATA = struct.Struct("<II ii BBHBBH IHH II hhhH hhhh")
+_SLOW_DATA = struct.Struct("<II ii BBHBBH IHH II ii hhhH hhhh")
 _FAST_IDS = VELOCITY_NE, ROLL_PITCH, HEADING
 _INCREMENT_IDS = ANGLE_INCREMENT, VELOCITY_INCREMENT
 _NONE = np.zeros((0, 3))
@@ -92,7 +93,7 @@ class GyrobenchFormat(CanFormat):
         return frames
 
     def _slow_data(self, epochs: Epochs) -> NDArray[np.uint8]:
-        """Data of the slow frames of a second, shape (56,), without times, counters and temperatures."""
+        """Data of the slow frames of a second, shape (64,), without times, counters and temperatures."""
         unit, file = self._world.unit, self._world.file
         applied, table = unit.compensation, unit.loaded_table.tobytes()
         if table != self._table:
@@ -103,6 +104,7 @@ class GyrobenchFormat(CanFormat):
             epochs.mode, unit.pitch_first, 0, applied is not None, 0, 0,
             file.ins.serial_number, _FIRMWARE, _HARDWARE,
             0 if applied is None else applied.checksum, self._checksum,
+            round(1e7 * (file.latitude_deg + file.ins.latitude_error_arcmin / 60.0)), 0,
             *[0] * 8,
         )  # fmt: skip
         return np.frombuffer(data, np.uint8)
@@ -153,7 +155,7 @@ def _encode(
             _put_bits(data[row], 0, 4, sample[k] // SAMPLE_RATE_HZ)
             _put_bits(data[row + 2], 2, 2, int(min(align_time_s[second], 0xFFFF)))
             _put_bits(data[row + 2], 6, 2, status_counter + second)
-            _put_bits(data[row + 5], 6, 2, status_counter + second)
+            _put_bits(data[row + 6], 6, 2, status_counter + second)
             row += _SLOW_FRAMES
             for i in range(3):
                 _put(data[row - 2], 2 * i, 2, 100.0 * temperatures_c[second, 1 + i])

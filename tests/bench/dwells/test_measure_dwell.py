@@ -16,6 +16,7 @@ from gyrobench.bench.dwells.measure_dwell import (
 )
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.station.station import Station
 
 
@@ -76,9 +77,19 @@ def test_a_dwell_without_frames_has_no_bias_and_says_why(recorded):
 def test_frames_that_stopped_flag_the_dwell(recorded):
     marks, frames, setup = recorded
     second = marks.windows[1]
-    row = measure_dwell(marks, frames.take(slice(0, second.first_frame + 37 * 40)), setup).row
+    row = measure_dwell(marks, frames.take(slice(0, second.first_frame + 38 * 40)), setup).row
     assert has_no_numbers(row)
     assert "the window lasts 39.9 s" in row.flags
+
+
+def test_an_ins_that_uses_another_latitude_than_the_station_contradicts_the_set_up(recorded):
+    marks, frames, setup = recorded
+    measured = measure_dwell(marks, frames, replace(setup, site=Site(np.deg2rad(63.4), 60.0)))
+    assert has_no_numbers(measured.row)
+    assert measured.setup_fault == measured.flags
+    assert measured.flags.startswith("the INS uses a latitude of 36.4000 deg, location.latitude_deg is 63.4")
+    near = replace(setup, site=Site(np.deg2rad(36.55), 60.0))  # shows in the data of several dwells
+    assert measure_dwell(marks, frames, near).setup_fault == ""
 
 
 def test_a_gap_of_some_seconds_flags_the_dwell(recorded):

@@ -1,6 +1,7 @@
 """However a run ends, the bench is brought to its safe state and the journal has the reason."""
 
 import os
+import re
 import signal
 from dataclasses import replace
 from pathlib import Path
@@ -194,6 +195,18 @@ def test_a_wrong_period_of_the_epochs_ends_the_run_before_its_first_dwell(tmp_pa
     assert f"counts an epoch in 0.1 s, not in {period_s:g} s. Correct epoch_period_s" in outcome.reason
     assert not outcome.check_dwells
     assert [action.problem for action in outcome.safe_state] == [""] * len(outcome.safe_state)
+
+
+def test_a_run_ends_at_power_on_where_station_and_ins_use_other_latitudes(tmp_path, run_procedure):
+    station = tmp_path / "station.yaml"
+    text = find_document("stations", "quick").read_text()
+    place = re.search(r"latitude_deg: [-\d.]+", text)[0]
+    station.write_text(text.replace(place, "latitude_deg: 63.4"))
+    folder, outcome, _ = run_procedure("ten_minute_check", tmp_path / "run", "quick", station=str(station))
+    assert outcome.ended == "failed"
+    assert "location.latitude_deg is 63.4000 deg. Correct the one that is wrong" in outcome.reason
+    finished = [each["name"] for each in read_journal(folder.journal) if each["event"] == "step_finished"]
+    assert finished == []
 
 
 @pytest.mark.parametrize(("contradicting", "ended"), [({2}, "finished"), ({2, 3}, "failed")])

@@ -19,7 +19,8 @@ from gyrobench.drivers.emulators.world.ins_compensation import COEFFICIENTS, emp
 DBC = cantools.database.load_file(Path(gyrobench.drivers.ins.__file__).with_name("gyrobench_ins.dbc"))
 QUICK = {"boot_s": 1.0, "levelling_s": 1.0, "coarse_alignment_s": 2.0, "fine_alignment_s": 4.0}
 SLOW = ["SYSTEM_TIME", "HEIGHT_VELOCITY_D", "INS_STATUS", "INS_IDENTITY",
-        "COMPENSATION_STATUS", "GYRO_OPTICS_TEMPERATURE", "GYRO_ELECTRONICS_TEMPERATURE"]  # fmt: skip
+        "COMPENSATION_STATUS", "POSITION", "GYRO_OPTICS_TEMPERATURE",
+        "GYRO_ELECTRONICS_TEMPERATURE"]  # fmt: skip
 FAST = ["VELOCITY_NE", "ROLL_PITCH", "HEADING"]
 LSB_MPS, LSB_DEG, LSB_C = 1e-4, 1e-6, 0.01
 TEMPERATURES_C = [-12.344, 20.0, 21.116, -40.0, 55.5, 60.004, 71.0]
@@ -210,12 +211,18 @@ def test_every_epoch_period_keeps_the_slow_frames_at_one_a_second(make_world, pe
     assert stamps == sorted(stamps)
 
 
+def test_the_latitude_is_the_one_that_was_entered(make_world):
+    bus = Bus(make_world(ins=QUICK | {"latitude_error_arcmin": 3.0})).switch_on()
+    entered_deg = bus.world.file.latitude_deg + 0.05
+    assert bus.newest("POSITION") == {"LATITUDE": pytest.approx(entered_deg, abs=1e-7), "LONGITUDE": 0.0}
+
+
 def test_several_listeners_get_the_same_frames(bus):
     ours, others = [], []
     bus.ins.listeners += (ours.append, others.append)
     bus.frames.clear()
     bus.run(2.0)
-    assert sum(map(len, others)) == len(bus.frames) == 74
+    assert sum(map(len, others)) == len(bus.frames) == 76
     assert all((one.rows == other.rows).all() for one, other in zip(ours, others, strict=True))
 
 

@@ -111,7 +111,7 @@ def test_filters_are_kept(join, clock, bench):
     drained(bus)
     drained(other)
     clock.sleep(1.0)
-    assert len(drained(bus)) == len(drained(other)) == 37
+    assert len(drained(bus)) == len(drained(other)) == 38
 
 
 def test_a_time_out_counts_frames_that_do_not_pass_as_nothing(join, clock, bench):

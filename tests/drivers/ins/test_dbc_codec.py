@@ -301,7 +301,7 @@ def test_a_file_that_would_take_minutes_or_is_ambiguous_is_refused(tmp_path, tex
         (
             "SIG_VALTYPE_",
             "SG_MUL_VAL_ 1 TIME_S TIME_NS 0-4294967295 ;\nSIG_VALTYPE_",
-            "line 174: 4294967296 multiplexer values",
+            "line 182: 4294967296 multiplexer values",
         ),
         (
             "SIG_VALTYPE_ 513 VALUE",

@@ -130,6 +130,7 @@ CHANGES = {
     "jerk of the table": (("jerk_dps3: 120", "jerk_dps3: 1.0e+9"), "rate table: limits", "jerk 1e+09"),
     "set points": (("high_c: 75", "high_c: 130"), "chamber: limits", "-50 to 130"),
     "epochs": (("epoch_period_s: 0.1", "epoch_period_s: 0.2"), "INS: epoch rate", "200 ms"),
+    "latitude": (("latitude_deg: 36.4", "latitude_deg: 63.4"), "INS: latitude", "36.4000 deg"),
     "cold air": (("unit: keep", "unit: keep\ninterlocks:\n  chamber_air: {low_c: -60}"), None, ""),
 }  # fmt: skip
 
