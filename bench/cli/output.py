@@ -32,6 +32,8 @@ EXIT_WRONG_INPUT = 2
 #: An instrument can't be reached.
 EXIT_INSTRUMENT = 3
 
+_EMULATED_BENCH = "the bench was emulated, no bias or verdict is that of a real unit."
+
 #: For the help; line breaks are kept.
 EXIT_CODES_HELP = """\b
 Exit codes of all commands:
@@ -164,12 +166,15 @@ def print_end(
     from gyrobench.bench.report.terminal.tables import section_view
     from gyrobench.bench.report.units_report import units_section, write_units_report
     from gyrobench.bench.runs.journal import read_journal
+    from gyrobench.bench.runs.provenance import watermark_of
 
     report = write_units_report(folder) if outcome.units else write_report(folder)
     if outcome.units:
         console.print(section_view(units_section(folder)))
     else:
         print_tables(console, folder)
+    if word := watermark_of(folder.path):
+        console.print(f"{word}: {_EMULATED_BENCH}", soft_wrap=True, style="bold yellow")
     if latitude:
         console.print(latitude, soft_wrap=True, style="bold red")
     console.print(section_view(durations_section(step_durations(read_journal(folder.journal)))))

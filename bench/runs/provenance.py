@@ -114,6 +114,21 @@ def is_emulated(provenance: Mapping[str, Any], options: Mapping[str, Any] | None
     )
 
 
+def emulated_bench_text(folder: RunFolder) -> str:
+    """What a run with emulated instruments states at its start; empty for real ones.
+
+    Raises RunFolderError if its provenance can't be read.
+    """
+    provenance = read_provenance(folder)
+    if not is_emulated(provenance):
+        return ""
+    options = provenance.get("options", {})
+    names = ("world", "seed", "faults")
+    parts = [f"{name} {options[name]}" for name in names if name in options]
+    parts += [f"{options['clock']} clock"] if "clock" in options else []
+    return f"Emulated bench: {', '.join(parts)}. All data are simulated."
+
+
 def watermark_of(*sources: Path) -> str:
     """Word across what was computed from runs, folders in them or their tables: empty if none is emulated."""
     folders = {RunFolder(folder) for path in sources for folder in (path, path.parent)}
