@@ -149,7 +149,7 @@ def print_end(
     """
     from gyrobench.bench.foundations.memory import free_memory
 
-    is_finished, resume = outcome.ended == "finished", f"Resume   gyrobench resume {folder.path}"
+    is_finished, resume = outcome.ended == "finished", _resume_text(folder, outcome)
     safe_state = "\n".join(each.text for each in outcome.safe_state)
     if not is_finished:
         console.print(f"The run {outcome.ending}", soft_wrap=True, style="bold red")
@@ -190,6 +190,23 @@ def print_end(
     if shortcoming:
         console.print(shortcoming, soft_wrap=True, style="bold red")
         raise typer.Exit(EXIT_NOT_FINISHED)
+
+
+def _resume_text(folder: RunFolder, outcome: RunOutcome) -> str:
+    """How to resume a run that did not finish; after a wrong station file, what to correct first."""
+    resume = f"gyrobench resume {folder.path}"
+    if not outcome.is_station_wrong:
+        return f"Resume   {resume}"
+    new_run = "New run  correct your own station file or DBC file: a new run reads that one."
+    if outcome.units:  # each of which has a copy too
+        return new_run
+    lines = (
+        f"Resume   correct the copy {folder.station} or the DBC file beside it:",
+        "resume reads no other, and evaluates the dwells measured so far again with it. Then",
+        f"gyrobench seal {folder.path} --accept-changes",
+        resume,
+    )
+    return "\n         ".join(lines) + f"\n{new_run}"
 
 
 def _latitude_text(outcome: RunOutcome) -> str:

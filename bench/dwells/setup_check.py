@@ -150,7 +150,7 @@ def _scale_fault(several: Sequence[SetupEvidence]) -> str:
     return (
         f"{' and '.join(names)} {has} a wrong scale: {value:.3g} ± {sigma:.1g} times what the tilt of the "
         f"INS leads to{_named(value, sigma)}. The biases of the level gyros are wrong by the same factor. "
-        "Correct the scale or unit in the DBC or the station file, and measure again"
+        "Correct the scale or unit in the DBC or the station file"
     )
 
 
@@ -167,8 +167,7 @@ def _latitude_fault(several: Sequence[SetupEvidence]) -> str:
         return ""
     return (
         f"location.latitude_deg has the wrong sign: at {-latitude_deg:g} deg, not {latitude_deg:g} deg, "
-        f"the error model leaves {gain:.3g} less of the chi2 of the navigation. Correct the station file, "
-        "and measure again"
+        f"the error model leaves {gain:.3g} less of the chi2 of the navigation. Correct the station file"
     )
 
 

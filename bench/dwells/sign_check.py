@@ -280,4 +280,4 @@ def _text(declared: _Evidence, alternatives: list[tuple[tuple[str, ...], _Eviden
             max(evidence.off_table, evidence.off_path) * 180.0 / np.pi for evidence in (declared, other)
         )
         why = f"the attitude lies {off:.0f} deg off that of the table, and {otherwise:.1f} deg otherwise"
-    return f"{what}: {why}. Correct the station file, and measure again"
+    return f"{what}: {why}. Correct the station file"

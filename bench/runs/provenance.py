@@ -62,6 +62,17 @@ def add_identity(folder: RunFolder, instrument: str, identity: str) -> None:
     _write(folder, content)
 
 
+def note_inputs(folder: RunFolder) -> list[str]:
+    """Keep the hashes of procedure, station and DBC file as they are now; names of those that changed."""
+    content = read_provenance(folder)
+    known = content.get("files_sha256", {})
+    now = {name: file_sha256(folder.path / name) for name in known if (folder.path / name).is_file()}
+    changed = [name for name, digest in now.items() if digest != known[name]]
+    if changed:
+        _write(folder, content | {"files_sha256": {**known, **now}})
+    return changed
+
+
 def note_preparer(folder: RunFolder, name: str) -> None:
     """Keep the name of who prepares the report, for each time it is written."""
     if content := read_provenance(folder):
