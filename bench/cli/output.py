@@ -163,9 +163,10 @@ def print_end(
 
     from gyrobench.bench.report.journal_sections import durations_section, step_durations
     from gyrobench.bench.report.run_report import write_report
+    from gyrobench.bench.report.statements import signs_sentence
     from gyrobench.bench.report.terminal.tables import section_view
     from gyrobench.bench.report.units_report import units_section, write_units_report
-    from gyrobench.bench.runs.journal import read_journal
+    from gyrobench.bench.runs.journal import facts_of, read_journal
     from gyrobench.bench.runs.provenance import watermark_of
 
     report = write_units_report(folder) if outcome.units else write_report(folder)
@@ -177,6 +178,10 @@ def print_end(
         console.print(f"{word}: {_EMULATED_BENCH}", soft_wrap=True, style="bold yellow")
     if latitude:
         console.print(latitude, soft_wrap=True, style="bold red")
+    for number in outcome.units or [""]:
+        journal = folder.unit(number).journal
+        if journal.is_file() and (text := signs_sentence(facts_of(read_journal(journal)))):
+            console.print(f"Unit {number}: {text}" if number else text, style="bold yellow")
     console.print(section_view(durations_section(step_durations(read_journal(folder.journal)))))
     if is_finished:
         console.print(safe_state, soft_wrap=True)

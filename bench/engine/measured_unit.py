@@ -58,8 +58,13 @@ class MeasuredUnit:
         if measured.is_disturbed and not is_map_wrong and self.may_repeat(marks.dwell):
             self.repeat_dwell(marks.dwell, measured.flags)
             return False
+        has_result = measured.estimate if isinstance(measured, MeasuredDwell) else measured.navigation
         self.journal.record(
-            "dwell_finished", marks=marks.to_json(), flags=measured.flags, epochs=asdict(measured.counts)
+            "dwell_finished",
+            marks=marks.to_json(),
+            flags=measured.flags,
+            epochs=asdict(measured.counts),
+            **({"signs_tested": measured.are_signs_tested} if has_result else {}),
         )
         state.finished.add(marks.dwell)
         if isinstance(measured, MeasuredDwell):
