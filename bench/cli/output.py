@@ -32,6 +32,8 @@ EXIT_WRONG_INPUT = 2
 #: An instrument can't be reached.
 EXIT_INSTRUMENT = 3
 
+_EMULATED_BENCH = "the bench was emulated, no bias or verdict is that of a real unit."
+
 #: For the help; line breaks are kept.
 EXIT_CODES_HELP = """\b
 Exit codes of all commands:
@@ -147,7 +149,7 @@ def print_end(
     """
     from gyrobench.bench.foundations.memory import free_memory
 
-    is_finished, resume = outcome.ended == "finished", f"Resume   gyrobench resume {folder.path}"
+    is_finished, resume = outcome.ended == "finished", _resume_text(folder, outcome)
     safe_state = "\n".join(each.text for each in outcome.safe_state)
     if not is_finished:
         console.print(f"The run {outcome.ending}", soft_wrap=True, style="bold red")
@@ -161,17 +163,25 @@ def print_end(
 
     from gyrobench.bench.report.journal_sections import durations_section, step_durations
     from gyrobench.bench.report.run_report import write_report
+    from gyrobench.bench.report.statements import signs_sentence
     from gyrobench.bench.report.terminal.tables import section_view
     from gyrobench.bench.report.units_report import units_section, write_units_report
-    from gyrobench.bench.runs.journal import read_journal
+    from gyrobench.bench.runs.journal import facts_of, read_journal
+    from gyrobench.bench.runs.provenance import watermark_of
 
     report = write_units_report(folder) if outcome.units else write_report(folder)
     if outcome.units:
         console.print(section_view(units_section(folder)))
     else:
         print_tables(console, folder)
+    if word := watermark_of(folder.path):
+        console.print(f"{word}: {_EMULATED_BENCH}", soft_wrap=True, style="bold yellow")
     if latitude:
         console.print(latitude, soft_wrap=True, style="bold red")
+    for number in outcome.units or [""]:
+        journal = folder.unit(number).journal
+        if journal.is_file() and (text := signs_sentence(facts_of(read_journal(journal)))):
+            console.print(f"Unit {number}: {text}" if number else text, style="bold yellow")
     console.print(section_view(durations_section(step_durations(read_journal(folder.journal)))))
     if is_finished:
         console.print(safe_state, soft_wrap=True)
@@ -185,6 +195,23 @@ def print_end(
     if shortcoming:
         console.print(shortcoming, soft_wrap=True, style="bold red")
         raise typer.Exit(EXIT_NOT_FINISHED)
+
+
+def _resume_text(folder: RunFolder, outcome: RunOutcome) -> str:
+    """How to resume a run that did not finish; after a wrong station file, what to correct first."""
+    resume = f"gyrobench resume {folder.path}"
+    if not outcome.is_station_wrong:
+        return f"Resume   {resume}"
+    new_run = "New run  correct your own station file or DBC file: a new run reads that one."
+    if outcome.units:  # each of which has a copy too
+        return new_run
+    lines = (
+        f"Resume   correct the copy {folder.station} or the DBC file beside it:",
+        "resume reads no other, and evaluates the dwells measured so far again with it. Then",
+        f"gyrobench seal {folder.path} --accept-changes",
+        resume,
+    )
+    return "\n         ".join(lines) + f"\n{new_run}"
 
 
 def _latitude_text(outcome: RunOutcome) -> str:

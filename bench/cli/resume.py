@@ -34,6 +34,10 @@ def resume(
     Completed dwells are kept. The interrupted dwell is repeated, after its temperature and soak are
     re-established. If the run ended before its report was written, results and report are written.
 
+    Procedure, station and DBC file are the copies in the run folder. If a copy is corrected, all dwells,
+    also the completed ones, are evaluated with it; a sealed run needs gyrobench seal RUN --accept-changes
+    before.
+
     Exit codes: 0 the run finished, or with --look can be resumed; 1 not finished, or files are damaged.
 
     With --json, at the end: {"ended", "reason", "folder", "report", "dwells", "verdict", "safe_state"}; ended

@@ -13,9 +13,9 @@ from gyrobench.bench.bias.window_filter import EPOCH_S
 from gyrobench.bench.dwells.measure_dwell import (
     MIN_FIT_P_VALUE,
     MeasurementSetup,
-    checked_navigation,
     dwell_at_rest,
     lack_of_fit_text,
+    tested_navigation,
 )
 from gyrobench.bench.dwells.setup_check import raise_setup_fault
 from gyrobench.bench.dwells.temperatures import DwellTemperatures, dwell_temperatures
@@ -44,6 +44,7 @@ class CheckDwell:
     counts: EpochCounts  #: How the frames came.
     flags: str  #: What was wrong; empty where nothing was.
     setup_fault: str = ""  #: What of signal map or latitude is wrong.
+    are_signs_tested: bool = False  #: Whether wrong signs or axes of the velocities would have shown in it.
 
     @property
     def dwell(self) -> int:
@@ -84,8 +85,9 @@ def measure_check_dwell(marks: DwellMarks, frames: FrameBlock, setup: Measuremen
     flags = list(marks.disturbances)
     navigation, counts = None, EpochCounts()
     temperatures, aligning_c, setup_fault = DwellTemperatures(), NOT_MEASURED, ""
+    are_signs_tested = False
     try:
-        data = checked_navigation(marks, frames, setup, flags)
+        data, are_signs_tested = tested_navigation(marks, frames, setup, flags)
         counts = data.counts
         first_frame, end_frame = marks.windows[0].first_frame, marks.windows[-1].end_frame
         temperatures = dwell_temperatures(data, first_frame, end_frame)
@@ -103,7 +105,10 @@ def measure_check_dwell(marks: DwellMarks, frames: FrameBlock, setup: Measuremen
     except MeasurementError as error:
         flags.append(str(error))
         setup_fault = str(error) if isinstance(error, SignalMapError) else ""
-    return CheckDwell(marks, navigation, temperatures, aligning_c, counts, "; ".join(flags), setup_fault)
+    text = "; ".join(flags)
+    return CheckDwell(
+        marks, navigation, temperatures, aligning_c, counts, text, setup_fault, are_signs_tested
+    )
 
 
 def _navigation(dwell: Dwell, setup: MeasurementSetup) -> AlignedNavigation:

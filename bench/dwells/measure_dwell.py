@@ -156,6 +156,7 @@ class MeasuredDwell:
     setup_fault: str = ""
     #: What it shows of scale and latitude; None where the output jumps.
     evidence: SetupEvidence | None = None
+    are_signs_tested: bool = False  #: Whether wrong signs or axes of the velocities would have shown in it.
 
     @property
     def flags(self) -> str:
@@ -179,8 +180,9 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
     windows: tuple[RestMotion, ...] = ()
     counts, temperatures, fault = EpochCounts(), DwellTemperatures(), ""
     evidence: SetupEvidence | None = None
+    are_signs_tested = False
     try:
-        navigation = checked_navigation(marks, frames, setup, flags)
+        navigation, are_signs_tested = tested_navigation(marks, frames, setup, flags)
         counts = navigation.counts
         temperatures = dwell_temperatures(
             navigation, marks.windows[0].first_frame, marks.windows[-1].end_frame
@@ -203,7 +205,9 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
         flags.append(str(error))
         fault = str(error) if isinstance(error, SignalMapError) else ""
     row = _row(marks, temperatures, estimate, paper, flags)
-    return MeasuredDwell(row, estimate, paper, joint_information, windows, counts, doubts, fault, evidence)
+    return MeasuredDwell(
+        row, estimate, paper, joint_information, windows, counts, doubts, fault, evidence, are_signs_tested
+    )
 
 
 def estimate_dwell(
@@ -266,10 +270,19 @@ def _estimate(dwell: Dwell, setup: MeasurementSetup, noise: NoiseModel) -> State
 def checked_navigation(
     marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup, flags: list[str]
 ) -> NavigationData:
+    """Decode a dwell as :func:`tested_navigation` does, whether or not it tests the signs."""
+    navigation, _ = tested_navigation(marks, frames, setup, flags)
+    return navigation
+
+
+def tested_navigation(
+    marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup, flags: list[str]
+) -> tuple[NavigationData, bool]:
     """Decode a dwell; what frames and temperature sensors do wrong is added to ``flags``.
 
-    Raises MeasurementError if the dwell never came to a window, SignalMapError if it contradicts the signs or
-    axes of the signal map, or the latitude.
+    Returns also whether wrong signs or axes of the velocities would have shown. Raises MeasurementError if
+    the dwell never came to a window, SignalMapError if it contradicts the latitude, or the signs or axes of
+    the signal map.
     """
     if not marks.windows:
         raise MeasurementError("the INS never navigated at rest in this dwell")
@@ -284,9 +297,10 @@ def checked_navigation(
         )
     if fault := latitude_fault(navigation.latitude, setup.site):
         raise SignalMapError(fault)
+    are_signs_tested = False
     if setup.signs is not None:
         try:
-            setup.signs.check(marks, frames, navigation)
+            are_signs_tested = setup.signs.check(marks, frames, navigation)
         except SignalMapError:
             # A jump of the output parts tilt and velocity as a wrong sign does.
             windows = tuple(NavigationWindow(*rest_output(navigation, mark)) for mark in marks.windows)
@@ -294,7 +308,7 @@ def checked_navigation(
             if jumps := [fault.text for fault in found if not fault.may_be_noise]:
                 raise MeasurementError("; ".join(jumps)) from None
             raise
-    return navigation
+    return navigation, are_signs_tested
 
 
 def dwell_at_rest(marks: DwellMarks, navigation: NavigationData, setup: MeasurementSetup) -> Dwell:

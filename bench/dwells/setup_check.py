@@ -125,7 +125,7 @@ def latitude_fault(sent: float, site: Site) -> str:
         return ""
     return (
         f"the INS uses a latitude of {math.degrees(sent):.4f} deg, location.latitude_deg is "
-        f"{math.degrees(site.latitude):.4f} deg. Correct the one that is wrong, and measure again"
+        f"{math.degrees(site.latitude):.4f} deg. Correct the one that is wrong"
     )
 
 
@@ -167,7 +167,7 @@ def _scale_fault(several: Sequence[SetupEvidence]) -> str:
     return (
         f"{' and '.join(names)} {has} a wrong scale: {value:.3g} ± {sigma:.1g} times what the tilt of the "
         f"INS leads to{_named(value, sigma)}. The biases of the level gyros are wrong by the same factor. "
-        "Correct the scale or unit in the DBC or the station file, and measure again"
+        "Correct the scale or unit in the DBC or the station file"
     )
 
 
@@ -184,8 +184,7 @@ def _latitude_fault(several: Sequence[SetupEvidence]) -> str:
         return ""
     return (
         f"location.latitude_deg has the wrong sign: at {-latitude_deg:g} deg, not {latitude_deg:g} deg, "
-        f"the error model leaves {gain:.3g} less of the chi2 of the navigation. Correct the station file, "
-        "and measure again"
+        f"the error model leaves {gain:.3g} less of the chi2 of the navigation. Correct the station file"
     )
 
 

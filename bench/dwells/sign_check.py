@@ -23,7 +23,7 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell import MAX_ATTITUDE_DISAGREEMENT, MIN_EPOCHS
 from gyrobench.bench.bias.window_filter import EPOCH_S
-from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import SignalMapError
 from gyrobench.bench.navigation.attitude import rotation_vector_enu
 from gyrobench.bench.navigation.earth import earth_rate_enu
@@ -106,15 +106,18 @@ class SignCheck:
     site: Site
     velocity_step_mps: float  #: Resolution of the velocity.
 
-    def check(self, marks: DwellMarks, frames: FrameBlock, navigation: NavigationData) -> None:
-        """Compare attitude, table and velocities of a dwell.
+    def check(self, marks: DwellMarks, frames: FrameBlock, navigation: NavigationData) -> bool:
+        """Compare attitude, table and velocities of a dwell; returns whether it decides.
 
+        It does not where other signs or axes of the velocities would hold too, as in short windows.
         ``navigation``: the frames, decoded by the declared map. Raises SignalMapError if another map fits
         them and the declared one does not.
         """
         declared = self._evidence(marks, navigation)
-        if declared is None or self._holds(declared):
-            return
+        if declared is None:
+            return False
+        if self._holds(declared):
+            return not self._may_hold(declared)[1:].any()
         tried: list[tuple[tuple[str, ...], _Evidence]] = [((), declared)]
         if other := self._evidence(marks, navigation, -1.0):
             tried.append(((_wrong_sign("location.latitude_deg"),), other))
@@ -124,7 +127,7 @@ class SignCheck:
                 tried.append((faults, evidence))
         tried = [(faults, evidence) for faults, evidence in tried if evidence.is_on_path]
         if not tried:
-            return
+            return False
         best = min(float(np.linalg.norm(evidence.velocity_rms, axis=1).min()) for _, evidence in tried)
         limit = max(_AGREES * best, self.velocity_step_mps)
         found = [
@@ -137,11 +140,16 @@ class SignCheck:
         if fewest:
             alternatives = [each for each in found if len(each[0]) == fewest]
             raise SignalMapError(_text(declared, alternatives))
+        return False
 
     def _holds(self, evidence: _Evidence) -> bool:
-        declared, best = evidence.velocity_rms[0], evidence.velocity_rms.min(axis=0)
+        return evidence.is_on_path and bool(self._may_hold(evidence)[0])
+
+    def _may_hold(self, evidence: _Evidence) -> BoolArray:
+        """Which changes (8,) of the velocities the tilt does not contradict; the first one is none."""
+        best = evidence.velocity_rms.min(axis=0)
         limit = np.maximum(_CONTRADICTS * best, _MIN_STEPS * self.velocity_step_mps)
-        return evidence.is_on_path and bool((declared <= limit).all())
+        return np.asarray((evidence.velocity_rms <= limit).all(axis=1))
 
     def _evidence(
         self, marks: DwellMarks, navigation: NavigationData, hemisphere: float = 1.0
@@ -280,4 +288,4 @@ def _text(declared: _Evidence, alternatives: list[tuple[tuple[str, ...], _Eviden
             max(evidence.off_table, evidence.off_path) * 180.0 / np.pi for evidence in (declared, other)
         )
         why = f"the attitude lies {off:.0f} deg off that of the table, and {otherwise:.1f} deg otherwise"
-    return f"{what}: {why}. Correct the station file, and measure again"
+    return f"{what}: {why}. Correct the station file"

@@ -19,6 +19,7 @@ from gyrobench.bench.foundations.errors import (
     InvalidDwellError,
     RunFolderError,
     RunStoppedError,
+    SignalMapError,
     StepTimeoutError,
 )
 from gyrobench.bench.foundations.operator_name import source_in_words
@@ -70,6 +71,7 @@ class Engine:
             outcome.ended, outcome.reason = "stopped", str(error)
         except GyrobenchError as error:
             outcome.ended, outcome.reason = "failed", str(error)
+            outcome.is_station_wrong = isinstance(error, SignalMapError)
         except BaseException as error:
             outcome.ended, outcome.reason = "failed", f"unexpected {type(error).__name__}: {error}"
             raise

@@ -13,6 +13,7 @@ from gyrobench.bench.engine.live_unit import LiveUnit
 from gyrobench.bench.engine.run_context import RunContext
 from gyrobench.bench.foundations.errors import SignalMapError
 from gyrobench.bench.procedure.plan import DwellPurpose
+from gyrobench.bench.procedure.rotations import counted_moves
 from gyrobench.bench.runs.marks import DwellMarks
 from gyrobench.drivers.frames import FrameBlock
 
@@ -57,8 +58,13 @@ class MeasuredUnit:
         if measured.is_disturbed and not is_map_wrong and self.may_repeat(marks.dwell):
             self.repeat_dwell(marks.dwell, measured.flags)
             return False
+        has_result = measured.estimate if isinstance(measured, MeasuredDwell) else measured.navigation
         self.journal.record(
-            "dwell_finished", marks=marks.to_json(), flags=measured.flags, epochs=asdict(measured.counts)
+            "dwell_finished",
+            marks=marks.to_json(),
+            flags=measured.flags,
+            epochs=asdict(measured.counts),
+            **({"signs_tested": measured.are_signs_tested} if has_result else {}),
         )
         state.finished.add(marks.dwell)
         if isinstance(measured, MeasuredDwell):
@@ -71,7 +77,7 @@ class MeasuredUnit:
         else:
             outcome.check_dwells.append(measured)
             text = measured.flags or "measured for the calibration check"
-            self._noted(f"{marks.position} at {marks.azimuth_deg:g} deg: {text}")
+            self._noted(f"{self._named(marks)} at {marks.azimuth_deg:g} deg: {text}")
         if is_map_wrong:
             raise SignalMapError(measured.setup_fault)
         return True
@@ -87,9 +93,14 @@ class MeasuredUnit:
         if is_rotated and not marks.disturbances:
             for finding in self.run.outcome.rotations.add(marks, frames, self.run.setup):
                 self._noted(finding)
-        what = f"{len(marks.windows) - 1} rotations from" if is_rotated else "noise in"
-        self._noted(f"{what} {marks.position}: {flags or 'recorded'}")
+        steps = [each.step for each in self.run.plan.steps if each.dwell == marks.dwell]
+        what = counted_moves(steps) if is_rotated else "noise"
+        self._noted(f"{self._named(marks)}: {what} {f'flagged: {flags}' if flags else 'recorded'}")
         return True
+
+    def _named(self, marks: DwellMarks) -> str:
+        """A dwell that has no row in the terminal, by its number and position."""
+        return f"dwell {marks.dwell}/{self.run.plan.dwell_count}, {marks.position}"
 
     def _has_agreed(self) -> bool:
         """Whether a dwell of this run, also before a resume, agreed with the signal map."""

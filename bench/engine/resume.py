@@ -18,6 +18,7 @@ from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.runs.folder import UNITS, RunFolder, open_run_folder
 from gyrobench.bench.runs.journal import MAX_RUN_S
 from gyrobench.bench.runs.provenance import start_of, started_utc
+from gyrobench.bench.runs.seal import require_sealed_inputs
 from gyrobench.bench.runs.telemetry import last_reading_s
 from gyrobench.bench.station.instruments import Outputs
 from gyrobench.bench.station.locks import BenchLock, RunLock
@@ -335,6 +336,7 @@ def prepare_resumption(path: Path, anyway: bool = False) -> Resumption:
         )
     damage, entries = find_damage(folder)
     job = job_in(folder, start_of(folder, entries)[1] if damage.is_provenance_lost else None)
+    require_sealed_inputs(folder)
     found = _read(folder, job)
     state = found.state
     if all(unit.number in state.dropped for unit in found.units):

@@ -26,13 +26,14 @@ from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import GyrobenchError, InstrumentError, RunFolderError
 from gyrobench.bench.foundations.files import make_folder, write_whole
 from gyrobench.bench.foundations.operator_name import operator_name
+from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.guard.process import guard_for
 from gyrobench.bench.messages.messenger import PATIENCE_S, Messenger
 from gyrobench.bench.runs.can_log import CanLog
 from gyrobench.bench.runs.compensation_file import write_compensation
 from gyrobench.bench.runs.folder import RUNS, RunFolder, create_run_folder
 from gyrobench.bench.runs.journal import Journal, facts_of, read_journal
-from gyrobench.bench.runs.provenance import write_provenance
+from gyrobench.bench.runs.provenance import note_inputs, write_provenance
 from gyrobench.bench.runs.telemetry import Telemetry
 from gyrobench.bench.station.instruments import Instruments
 from gyrobench.bench.station.locks import BenchLock, RunLock
@@ -216,7 +217,7 @@ def _execute(start: _Start, observer: RunObserver, operator: Operator) -> tuple[
         }
         journal.followers += [each for each in journals.values() if each is not journal]
         outcome.units = {unit.number: unit.outcome for unit in units if unit.number}
-        _record_start(journal, start, setup, observer)
+        _record_start(journal, folder, start, setup, observer)
         for text in (*bench_lock.taken_over, *run_lock.taken_over):
             journal.record("note", text=text)
             observer.noted(text)
@@ -256,7 +257,9 @@ def _execute(start: _Start, observer: RunObserver, operator: Operator) -> tuple[
     return folder, outcome
 
 
-def _record_start(journal: Journal, start: _Start, setup: MeasurementSetup, observer: RunObserver) -> None:
+def _record_start(
+    journal: Journal, folder: RunFolder, start: _Start, setup: MeasurementSetup, observer: RunObserver
+) -> None:
     job, state = start.job, start.state
     left = job.plan.steps[state.resume_index(job.plan) :]
     journal.record(
@@ -271,6 +274,10 @@ def _record_start(journal: Journal, start: _Start, setup: MeasurementSetup, obse
     for name, found in job.past_due().items():
         journal.record("past_due", instrument=name, found=found, operator=operator_name())
         observer.noted(f"Warning: {found}")
+    if changed := note_inputs(folder) if state.last_s else []:
+        text = f"Changed since the run began: {listed(changed)}. All dwells are evaluated with it."
+        journal.record("note", text=text)
+        observer.noted(text)
     journal.record("resolution", lines=[limit.text for limit in setup.resolution])
     for limit in setup.resolution:
         if not limit.sufficient:

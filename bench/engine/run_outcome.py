@@ -22,6 +22,8 @@ class RunOutcome:
 
     ended: str = "finished"  #: "finished", "stopped" (by the operator, or a hold lasted too long) or "failed"
     reason: str = ""  #: why it did not finish; empty where it did
+    #: Whether it ended because the data contradict the signal map or latitude of the station file.
+    is_station_wrong: bool = False
     dwells: list[MeasuredDwell] = field(default_factory=list)
     check_dwells: list[CheckDwell] = field(default_factory=list)  #: dwells that check a calibration
     rotations: RunRotations = field(default_factory=RunRotations)

@@ -37,6 +37,7 @@ from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.procedure.plan import Plan, PlannedStep
 from gyrobench.bench.procedure.steps import SetChamber
 from gyrobench.bench.runs.folder import RunFolder
+from gyrobench.bench.runs.provenance import emulated_bench_text
 
 
 class TerminalOperator:
@@ -147,7 +148,9 @@ class LinesView(RunObserver):
         self._console.print(text, highlight=False)
 
     def begun(self, folder: RunFolder, bench: LiveBench, outcome: RunOutcome) -> None:  # noqa: ARG002
-        """Name the unit of each dwell where there are several."""
+        """State that the bench is emulated; name the unit of each dwell where there are several."""
+        if text := emulated_bench_text(folder):
+            self._console.print(text, style="bold yellow", highlight=False, soft_wrap=True)
         self._has_several = bool(outcome.units)
 
     def dropped(self, unit: str, why: str) -> None:

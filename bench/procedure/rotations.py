@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -56,6 +57,14 @@ class RotatingStep(Step):
     @override
     def after(self, bench: BenchEstimate, elapsed_s: float) -> BenchEstimate:
         return replace(bench, position=None).passed(elapsed_s)
+
+
+def counted_moves(steps: Sequence[Step]) -> str:
+    """How many rotations and whole turns the steps of a dwell make."""
+    rotations = sum(len(step.moves()) for step in steps if isinstance(step, Rotate))
+    turns = sum(step.turns * len(step.moves()) for step in steps if isinstance(step, Spin))
+    counts = ((rotations, "rotation"), (turns, "whole turn"))
+    return " and ".join(counted(number, noun) for number, noun in counts if number)
 
 
 def _move(axis: Literal["outer", "inner"], angle_deg: float) -> Move:

@@ -62,7 +62,7 @@ from gyrobench.bench.report.figures.bias import (
 from gyrobench.bench.report.figures.temperatures import DRAWN, Readings, temperature_figure
 from gyrobench.bench.report.journal_sections import Entry, durations_section, events_section
 from gyrobench.bench.report.page import Box, Section, SectionFigure, render_page, with_figure_files
-from gyrobench.bench.report.statements import VERDICT_COLOURS, latitude_sentence
+from gyrobench.bench.report.statements import VERDICT_COLOURS, latitude_sentence, signs_sentence
 from gyrobench.bench.runs.folder import JOURNAL, RunFolder
 from gyrobench.bench.runs.provenance import DataHash, data_hashes, note_preparer
 from gyrobench.bench.runs.seal import keep_sealed
@@ -287,6 +287,8 @@ def verdict_boxes(content: RunContent) -> list[Box]:
         finding, error = Finding[last.finding.upper()], last.latitude_error_arcmin
         if text := latitude_sentence(finding, error, last.latitude_error_sigma_arcmin):
             boxes.append(Box("failed", "Wrong latitude.", text))
+    if text := signs_sentence(facts):
+        boxes.append(Box(VERDICT_COLOURS["marginal"], "Signal map not tested.", text))
     return boxes
 
 

@@ -15,6 +15,7 @@ from gyrobench.bench.bias.vertical_pairs import Finding
 from gyrobench.bench.foundations.text import counted, listed
 from gyrobench.bench.navigation.positions import AXES, gyro_label, position_label
 from gyrobench.bench.report.number_format import dph_with_sigma, p_text, temperature_ranges
+from gyrobench.bench.runs.journal import RunFacts
 
 #: Result without positions to compare.
 NOTHING_TO_COMPARE = "Nothing to compare: no temperature bin has dwells in two positions."
@@ -80,6 +81,16 @@ def latitude_sentence(finding: Finding, error_arcmin: float, sigma_arcmin: float
         f"The latitude of the INS is {error_arcmin:+.2f} ± {sigma_arcmin:.2f} arcmin off, more than "
         "declared. The biases of vertical gyros are corrected for it; correct the latitude in station file "
         "and INS."
+    )
+
+
+def signs_sentence(facts: RunFacts) -> str:
+    """That no dwell tested signs and axes of the signal map; empty if one did, or none has a result."""
+    if facts.are_signs_tested is not False:
+        return ""
+    return (
+        "Signs and axes of the signal map were not tested: the windows are too short, or the output is too "
+        "coarse. If they are wrong, so are the biases: test them with gyrobench check STATION --signs."
     )
 
 

@@ -248,6 +248,8 @@ class RunFacts:
     last_s: float = 0.0  #: Latest time of an entry, on the run's clock.
     resumes: int = 0  #: Number of resumptions.
     dwells: int = 0  #: Number of completed dwells.
+    #: Whether a dwell tested signs and axes of the signal map; None where no dwell with a result states it.
+    are_signs_tested: bool | None = None
     #: ended, reason: "finished", "stopped" or "failed", and why. Empty for a run that was cut off or is in
     #: progress.
     ended: str = ""
@@ -283,6 +285,9 @@ def _with(facts: RunFacts, entry: Mapping[str, Any]) -> RunFacts:
             ended = {"bench_failed": "failed", "declined": "stopped"}.get(_text(entry, "ended"), "finished")
             return replace(facts, ended=ended, reason=_text(entry, "reason"))
         case "dwell_finished":
+            tested = entry.get("signs_tested")
+            if isinstance(tested, bool):
+                facts = replace(facts, are_signs_tested=bool(facts.are_signs_tested) or tested)
             return replace(facts, dwells=facts.dwells + 1)
         case "run_ended":
             found = entry.get("safe_state")

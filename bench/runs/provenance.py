@@ -62,6 +62,17 @@ def add_identity(folder: RunFolder, instrument: str, identity: str) -> None:
     _write(folder, content)
 
 
+def note_inputs(folder: RunFolder) -> list[str]:
+    """Keep the hashes of procedure, station and DBC file as they are now; names of those that changed."""
+    content = read_provenance(folder)
+    known = content.get("files_sha256", {})
+    now = {name: file_sha256(folder.path / name) for name in known if (folder.path / name).is_file()}
+    changed = [name for name, digest in now.items() if digest != known[name]]
+    if changed:
+        _write(folder, content | {"files_sha256": {**known, **now}})
+    return changed
+
+
 def note_preparer(folder: RunFolder, name: str) -> None:
     """Keep the name of who prepares the report, for each time it is written."""
     if content := read_provenance(folder):
@@ -112,6 +123,21 @@ def is_emulated(provenance: Mapping[str, Any], options: Mapping[str, Any] | None
     return "world" in {**provenance.get("options", {}), **(options or {})} or any(
         "emulator" in str(text) for text in identities
     )
+
+
+def emulated_bench_text(folder: RunFolder) -> str:
+    """What a run with emulated instruments states at its start; empty for real ones.
+
+    Raises RunFolderError if its provenance can't be read.
+    """
+    provenance = read_provenance(folder)
+    if not is_emulated(provenance):
+        return ""
+    options = provenance.get("options", {})
+    names = ("world", "seed", "faults")
+    parts = [f"{name} {options[name]}" for name in names if name in options]
+    parts += [f"{options['clock']} clock"] if "clock" in options else []
+    return f"Emulated bench: {', '.join(parts)}. All data are simulated."
 
 
 def watermark_of(*sources: Path) -> str:

@@ -243,6 +243,26 @@ def keep_sealed(folder: RunFolder, known: Mapping[str, str] = MappingProxyType({
         _seal_folder(folder, None, accept_changes=False, known=known)
 
 
+def require_sealed_inputs(folder: RunFolder) -> None:
+    """Raise RunFolderError if an input of a sealed run changed since its last seal.
+
+    Its report could not be sealed: better before a run resumes than at its end.
+    """
+    paths = sorted((folder.path / _SEALS).glob("*.jsonl"))
+    last = _read_seal(paths[-1], None) if paths else None
+    changed = [
+        path
+        for path in _EVIDENCE
+        if last and path != JOURNAL and path in last.files and (folder.path / path).is_file()
+        if file_sha256(folder.path / path) != last.files[path].sha256
+    ]
+    if last and changed:
+        raise RunFolderError(
+            f"{folder.path}: {listed(changed)} changed since seal {last.number}. Accept the change with "
+            f"`gyrobench seal {folder.path} --accept-changes`, which keeps it on record, or restore the file"
+        )
+
+
 def verify_seals(folder: Path, trusted_key: Path | None = None) -> SealCheck:
     """Compare a run folder, and those of its units, with their seals.
 

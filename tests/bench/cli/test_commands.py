@@ -36,6 +36,23 @@ def test_a_run_ends_by_printing_biases_and_where_report_and_figures_are(finished
     assert max(map(len, result.stdout.splitlines())) <= 80
 
 
+def test_a_run_on_an_emulated_bench_states_so_before_its_first_dwell_and_beside_the_verdict(finished):
+    _, result = finished
+    begin, _, end = result.stdout.partition("\nX gyro\n")
+    assert "Emulated bench: world ideal, seed 0, virtual clock. All data are simulated.\n" in begin
+    assert "1/1" not in begin.partition("Emulated bench")[0]
+    assert "SIMULATED: the bench was emulated, no bias or verdict is that of a real unit.\n" in end
+
+
+def test_windows_too_short_for_signs_and_axes_are_stated_at_the_end_and_in_the_report(finished):
+    cwd, result = finished
+    text = "Signs and axes of the signal map were not tested: the windows are too short"
+    assert text in " ".join(result.stdout.split())
+    report = (cwd / "runs/ten_minute_check-001/report.html").read_text()
+    assert "Signal map not tested." in report
+    assert text in " ".join(report.split())
+
+
 def test_bins_measures_a_run_again(finished):
     cwd, _ = finished
     folder = cwd / "runs/ten_minute_check-001"

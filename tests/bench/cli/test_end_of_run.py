@@ -36,3 +36,20 @@ def test_a_stopped_run_begins_with_who_stopped_it_and_how_to_continue(tmp_path, 
     lines = printed.getvalue().splitlines()
     assert lines[:2] == [sentence, resume]
     assert lines[-1] == resume
+
+
+def test_a_wrong_station_file_is_corrected_in_the_run_folder_before_the_run_resumes(tmp_path):
+    folder = RunFolder(tmp_path)
+    with Journal(folder.journal, VirtualClock()) as journal:
+        journal.record("run_started", procedure="ten_minute_check", station="emulated")
+        journal.record("run_ended", ended="failed", reason="wrong", safe_state=[])
+    printed = io.StringIO()
+    outcome = RunOutcome(ended="failed", reason="wrong", is_station_wrong=True)
+    with pytest.raises(typer.Exit):
+        print_end(Console(file=printed, width=80), folder, outcome)
+    *_, copy, reads, seal, resume, new_run = printed.getvalue().splitlines()
+    assert copy == f"Resume   correct the copy {folder.station} or the DBC file beside it:"
+    assert reads.strip().startswith("resume reads no other")
+    assert seal.strip() == f"gyrobench seal {tmp_path} --accept-changes"
+    assert resume.strip() == f"gyrobench resume {tmp_path}"
+    assert new_run.startswith("New run  correct your own station file")

@@ -13,15 +13,17 @@ from tests.adversarial.rows import EULER, VELOCITY
 from tests.adversarial.strapdown import Place, Schedule, simulate
 
 SIGNALS = "ins.signals"
+EXCHANGED = {f"{SIGNALS}.velocity_{a}": f"{VELOCITY}{b}" for a, b in (("east", "NORTH"), ("north", "EAST"))}
+SHORT = Schedule(window_s=75.0)
 MIRRORED = {
     name: {f"{SIGNALS}.velocity_{name}": {"signal": f"{VELOCITY}{name.upper()}", "sign": -1}}
     for name in ("east", "north")
 }
 
 
-def measured(station, position="z_up", seed=1, **unit):
+def measured(station, position="z_up", seed=1, schedule=None, **unit):
     random = np.random.default_rng(seed)
-    case = Case(replace(any_unit(random), **unit), Place(), Schedule(), station)
+    case = Case(replace(any_unit(random), **unit), Place(), schedule or Schedule(), station)
     setup = setup_of(case)
     angles = dwell_angles(setup, position)
     output = simulate(case.unit, case.place, case.schedule, angles, random)
@@ -46,11 +48,24 @@ def test_both_velocities_with_the_wrong_sign_are_named_beside_what_would_look_th
     assert "euler" not in measured(MIRRORED["east"] | MIRRORED["north"], "x_up").setup_fault
 
 
+@pytest.mark.parametrize("station", [{}, EXCHANGED], ids=["right", "exchanged"])
+def test_short_windows_pass_any_axes_and_do_not_count_as_a_test(station):
+    dwell = measured(station, schedule=SHORT)
+    assert (dwell.setup_fault, dwell.are_signs_tested) == ("", False)
+
+
+@pytest.mark.parametrize("position", ["z_up", "x_down"])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_windows_of_ten_minutes_test_signs_and_axes(position, seed):
+    assert measured({}, position, seed).are_signs_tested
+
+
+def test_output_too_coarse_does_not_count_as_a_test():
+    assert not measured({}, velocity_output_mps=0.02, attitude_output_arcsec=5.0).are_signs_tested
+
+
 def test_east_and_north_exchanged_are_named():
-    exchanged = {
-        f"{SIGNALS}.velocity_{a}": f"{VELOCITY}{b}" for a, b in (("east", "NORTH"), ("north", "EAST"))
-    }
-    fault = measured(exchanged).setup_fault
+    fault = measured(EXCHANGED).setup_fault
     assert fault.startswith(f"{SIGNALS}.velocity_east and {SIGNALS}.velocity_north are exchanged")
 
 

@@ -12,10 +12,13 @@ from gyrobench.bench.dwells.sign_check import SignCheck
 from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.observers import RunObserver
 from gyrobench.bench.engine.operator import ConsentingOperator
-from gyrobench.bench.engine.run import run_job
+from gyrobench.bench.engine.resume import prepare_resumption
+from gyrobench.bench.engine.run import resume_run, run_job
 from gyrobench.bench.foundations.errors import DocumentError, SignalMapError
+from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.runs.provenance import read_provenance
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.emulators import can_interface
 from gyrobench.drivers.emulators.acl_axis import SoftwareFault
@@ -230,3 +233,24 @@ def test_only_two_dwells_in_a_row_contradict_a_signal_map_that_agreed_before(
     assert checked[:3] == [1, 2, 2]
     given_up = [entry for entry in read_journal(folder.journal) if entry["event"] == "dwell_given_up"]
     assert [entry["why"] for entry in given_up] == ["velocity_north has the wrong sign"]
+
+
+def test_a_run_with_a_wrong_signal_map_resumes_with_its_corrected_copy(tmp_path):
+    """Dwells that were measured with the wrong map have biases then."""
+    right = find_document("stations", "emulated").read_text()
+    east, north = "VELOCITY_NE.VELOCITY_EAST", "VELOCITY_NE.VELOCITY_NORTH"
+    station = tmp_path / "mine.yaml"
+    station.write_text(right.replace(east, "?").replace(north, east).replace("?", north))
+    job = prepare_job("signal_map_check", str(station), Emulation("gyro_a", 1))
+    folder, outcome = run_job(job, tmp_path / "run", RunObserver(), ConsentingOperator())
+    assert outcome.ended == "failed"
+    assert outcome.is_station_wrong
+    assert outcome.reason.endswith("Correct the station file")
+    assert "exchanged" in outcome.dwells[0].row.flags
+    folder.station.write_text(right)
+    folder, outcome = resume_run(prepare_resumption(folder.path), RunObserver(), ConsentingOperator())
+    assert outcome.ended == "finished"
+    assert outcome.dwells[0].row.flags == ""
+    notes = [entry["text"] for entry in read_journal(folder.journal) if entry["event"] == "note"]
+    assert "Changed since the run began: station.yaml. All dwells are evaluated with it." in notes
+    assert read_provenance(folder)["files_sha256"]["station.yaml"] == file_sha256(folder.station)

@@ -118,6 +118,7 @@ def test_rests_and_rotations_are_in_the_journal_and_their_frames_in_the_log(job,
     assert_recorded(folder, made)
     assert outcome.finished == {1, 2}
     snapshot, live = snapshot_from_records(folder), recorder.snapshot()
+    assert "dwell 2/2, y_up: 3 rotations and 4 whole turns recorded" in [note.text for note in live.messages]
     assert (snapshot.finished_dwells, live.finished_dwells) == (2, 2)
     # The rotations have left the position.
     assert (snapshot.attitude.position, live.attitude.position) == ("", "")

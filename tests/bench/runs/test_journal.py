@@ -240,3 +240,12 @@ def test_an_old_journal_is_linked_from_where_it_is_continued(tmp_path):
     content = path.read_bytes()
     assert broken_links(content.splitlines(keepends=True)) == []
     assert broken_links(content.replace(b'"b"', b'"x"').splitlines(keepends=True)) == [3]
+
+
+@pytest.mark.parametrize(
+    ("tested", "known"),
+    [((), None), ((None,), None), ((False, None, False), False), ((False, True, False), True)],
+)
+def test_one_dwell_that_tests_signs_and_axes_is_enough(tested, known):
+    dwells = [DWELL if each is None else {**DWELL, "signs_tested": each} for each in tested]
+    assert facts_of([STARTED, *dwells]).are_signs_tested is known

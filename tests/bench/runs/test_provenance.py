@@ -6,7 +6,12 @@ from datetime import UTC, datetime
 import pytest
 
 from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.bench.runs.provenance import data_hashes, read_provenance, write_provenance
+from gyrobench.bench.runs.provenance import (
+    data_hashes,
+    emulated_bench_text,
+    read_provenance,
+    write_provenance,
+)
 
 
 def written(tmp_path):
@@ -31,6 +36,24 @@ def test_a_user_without_a_name_is_no_fault(tmp_path, monkeypatch):
 
     monkeypatch.setattr(getpass, "getuser", unknown_user)
     assert written(tmp_path)["operator"] == "unknown"
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"clock": "wall"}, ""),
+        (
+            {"clock": "wall", "world": "gyro_b", "seed": 7, "faults": "bus.yaml"},
+            "Emulated bench: world gyro_b, seed 7, faults bus.yaml, wall clock. All data are simulated.",
+        ),
+    ],
+)
+def test_only_an_emulated_bench_is_stated_as_one(tmp_path, options, text):
+    folder = RunFolder(tmp_path)
+    for path in (folder.procedure, folder.station):
+        path.write_text("a: 1\n")
+    write_provenance(folder, datetime(2026, 1, 1, tzinfo=UTC), {}, options)
+    assert emulated_bench_text(folder) == text
 
 
 @pytest.fixture

@@ -12,7 +12,14 @@ from gyrobench.bench.foundations.operator_name import OPERATOR_VARIABLE
 from gyrobench.bench.runs.can_log import CanLog
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal
-from gyrobench.bench.runs.seal import KEY_VARIABLE, keep_sealed, new_key, seal_run, verify_seals
+from gyrobench.bench.runs.seal import (
+    KEY_VARIABLE,
+    keep_sealed,
+    new_key,
+    require_sealed_inputs,
+    seal_run,
+    verify_seals,
+)
 from gyrobench.drivers.frames import FrameBlock
 from tests.bench.command_line import gyrobench
 
@@ -257,3 +264,15 @@ def test_units_are_sealed_and_verified_with_their_run(folder, key):
     change_byte(unit.dwells, 100)
     (unit.path / "seals" / "001.jsonl").unlink()
     assert "units/1103/seals/001.jsonl" in [each.path for each in verify_seals(folder.path).findings]
+
+
+def test_an_input_that_changed_since_the_seal_is_named_before_a_run_resumes(folder):
+    require_sealed_inputs(folder)  # not sealed
+    folder.station.write_text("station: a\n")
+    seal_run(folder)
+    require_sealed_inputs(folder)
+    folder.station.write_text("station: b\n")
+    with pytest.raises(RunFolderError, match=r"station.yaml changed since seal 1.*--accept-changes"):
+        require_sealed_inputs(folder)
+    seal_run(folder, accept_changes=True)
+    require_sealed_inputs(folder)
