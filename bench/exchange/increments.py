@@ -66,7 +66,8 @@ def read_increments(path: Path, log_map: LogMap) -> LogIncrements:
     ):
         for name, axis in zip(names, (columns.x, columns.y, columns.z), strict=True):
             quantities[name] = (axis.column, axis.sign * axis.scale * unit, 0.0)
-    reader = SampleReader(path, log_map, quantities)
+    velocities_are_increments = section.accelerometers.unit in _INCREMENTS
+    reader = SampleReader(path, log_map, quantities, angles_are_increments or velocities_are_increments)
     batches = list(reader.batches())
     samples = {name: np.concatenate([each[name] for each in batches]) for name in batches[0]}
     kept = samples["time_s"] >= samples["time_s"][:1] + log_map.skip_s
@@ -83,7 +84,7 @@ def read_increments(path: Path, log_map: LogMap) -> LogIncrements:
             IncrementRecording(
                 interval_s,
                 angle[part] * (1.0 if angles_are_increments else interval_s),
-                velocity[part] * (1.0 if section.accelerometers.unit in _INCREMENTS else interval_s),
+                velocity[part] * (1.0 if velocities_are_increments else interval_s),
                 reader.first_s + first_s - interval_s,
             )
         )
