@@ -174,7 +174,7 @@ def test_several_effects_may_stand_in_a_file():
         ("{kind: warm_up, bias_dps: [1, 0, 0], time_constant_s: 9}", "19", "did you mean 'bias_dph'?"),
         ("{kind: warm_up, bias_dph: [1, 0], time_constant_s: 9}", "19", "at least 3 items"),
         ("{kind: g_sensitivity, sensitivity_dph_per_g: [[0, 1, 0], [0, 0, 0]]}", "19", "3 items"),
-        ("{kind: phase_of_the_moon}", "19", "'temperature_rate'"),
+        ("{kind: phase_of_the_moon}", "19", "unknown kind 'phase_of_the_moon'"),
         ("{bias_dph: [1, 0, 0]}", "19", "kind"),
     ],
 )
