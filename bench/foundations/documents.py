@@ -162,8 +162,10 @@ def parse_document(text: str, path: Path) -> Document:
     return document
 
 
-def validate(document: Document, model: type[ModelT]) -> ModelT:
+def validate(document: Document, model: type[ModelT], further: Sequence[DocumentProblem] = ()) -> ModelT:
     """Turn a document into its model.
+
+    ``further`` problems, which the model does not know of, are reported with its own if there are any.
 
     Raises DocumentError, which lists everything that does not fit the model, each with its place.
     """
@@ -176,7 +178,7 @@ def validate(document: Document, model: type[ModelT]) -> ModelT:
     try:
         return model.model_validate(document.data)
     except ValidationError as error:
-        raise document.error(problems_of(error)) from error
+        raise document.error([*problems_of(error), *further]) from error
     finally:
         _renaming_notes.reset(token)
         for key, old, new in sorted(notes):
