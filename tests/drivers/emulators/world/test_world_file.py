@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from gyrobench.bench.foundations.documents import parse_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.foundations.shipped import find_document, shipped_names
 from gyrobench.drivers.emulators.world.world_file import WorldFile, load_world
 
 SHIPPED = {
@@ -152,6 +152,12 @@ def test_each_kind_of_effect_loads_with_its_keys_and_none_without(kind):
     [effect] = load(with_effects(f"{{kind: {kind}, {EFFECTS[kind]}}}")).undeclared_effects
     assert effect.kind == kind
     assert "is missing" in complaint(with_effects(f"kind: {kind}"))
+
+
+@pytest.mark.parametrize("name", shipped_names("worlds"))
+def test_each_shipped_world_is_in_the_table_of_the_page(name):
+    table = WORLDS_PAGE[: WORLDS_PAGE.index("## Undeclared effects")]
+    assert any(f"`{name}`" in line.split("|")[1] for line in table.splitlines() if line.startswith("|"))
 
 
 @pytest.mark.parametrize("kind", EFFECTS)
