@@ -50,6 +50,10 @@ class _Stamps:
 Group = tuple[_Stamps, Mapping[str, NDArray[Any]]]
 
 
+class NoFramesError(DocumentError):
+    """A CAN log has no frame of a message that the DBC file knows, as while the unit does not send it."""
+
+
 class SignalLog:
     """A log of named signals; ``columns`` lists them, and ``truncated`` states whether its end was left out.
 
@@ -84,7 +88,9 @@ class SignalLog:
             raise DocumentError(f"{path}: can't be read: {error.strerror or error}") from error
         except Exception as error:
             raise DocumentError(f"{path}: is no {layout.format} log, or damaged: {error}") from error
-        self._signals = {name: (stamps, values) for stamps, group in groups for name, values in group.items()}
+        signals = {name: (stamps, values) for stamps, group in groups for name, values in group.items()}
+        self._without_frames = {name for name, each in signals.items() if layout.dbc and not len(each[1])}
+        self._signals = {name: each for name, each in signals.items() if name not in self._without_frames}
         self.columns = [*self._signals]
         if not self.columns:
             raise DocumentError(f"{path}: holds no signal. Was the logger running?")
@@ -133,6 +139,11 @@ class SignalLog:
 
     def _signal(self, column: Column) -> tuple[_Stamps, NDArray[Any]]:
         name = self.columns[column - 1] if isinstance(column, int) and column <= len(self.columns) else column
+        if name in self._without_frames:
+            message = str(name).partition(".")[0]
+            raise NoFramesError(
+                f"{self._path}: has no frame of {message}. Choose a log in which the unit sends it"
+            )
         if name not in self._signals:
             raise DocumentError(
                 f"{self._path}: there is no signal '{column}'{did_you_mean(str(column), self.columns)}. "
@@ -172,17 +183,14 @@ def _parquet(path: Path) -> Iterable[Group]:
 
 
 def _can_signals(read_frames: Callable[[Path], FrameBlock], dbc: Path, path: Path) -> Iterable[Group]:
-    """Signals of the DBC file in the frames of a CAN log, as MESSAGE.SIGNAL."""
+    """Signals of the DBC file in the frames of a CAN log, as MESSAGE.SIGNAL; also those without a frame."""
     codec, block = DbcCodec(load_dbc(dbc)), read_frames(path).data_frames()
     for message in codec.message_names:
         rows = codec.rows(block, message)
         frames = block.take(rows)
-        if len(frames):
-            decoded = codec.decode(frames, message)
-            yield (
-                _Stamps(frames.timestamp_s, rows),
-                {f"{message}.{name}": values for name, values in decoded.items()},
-            )
+        decoded = codec.decode(frames, message)
+        signals = {f"{message}.{name}": values for name, values in decoded.items()}
+        yield _Stamps(frames.timestamp_s, rows), signals
 
 
 def _mf4_frames(path: Path) -> FrameBlock:

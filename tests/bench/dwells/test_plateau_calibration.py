@@ -21,7 +21,8 @@ from gyrobench.bench.dwells.recorded_dwells import rotated_dwells
 from gyrobench.bench.dwells.rotations import PlateauRotations, RunRotations
 from gyrobench.bench.dwells.run_results import recompute_run
 from gyrobench.bench.exchange.import_map import load_log_map
-from gyrobench.bench.exchange.increments import calibration_settings, read_increments
+from gyrobench.bench.exchange.increments import calibration_settings, read_logs
+from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.report.coefficients import coefficients_section
@@ -136,7 +137,11 @@ def test_the_log_gives_the_coefficients_that_were_measured_during_the_run(with_i
 def test_the_can_log_of_a_run_gives_the_coefficients_by_an_import_map(with_increments):
     folder, _, _ = with_increments
     log_map = load_log_map(find_document("imports", "emulated_ins"), for_calibration=True)
-    logs = [read_increments(path, log_map) for path in sorted(folder.can.glob("*.blf"))[1:]]
+    paths = sorted(folder.can.glob("*.blf"))
+    logs = read_logs(paths, log_map)
+    assert [log.samples > 0 for log in logs] == [False, True, True]  # the first part ends with the alignment
+    with pytest.raises(DocumentError, match=r"part-00001\.blf: has no frame of ANGLE_INCREMENT\. Choose"):
+        read_logs(paths[:1], log_map)
     assert sum(log.left_out for log in logs) == 0
     site, options = calibration_settings(log_map)
     found = calibrate([recording for log in logs for recording in log.recordings], site, options)
