@@ -66,7 +66,7 @@ def calibrate(
     from gyrobench.bench.calibration.results import calibration_record, write_calibration
     from gyrobench.bench.calibration.spins import spin_scale_factors
     from gyrobench.bench.exchange.import_map import load_log_map
-    from gyrobench.bench.exchange.increments import calibration_settings, read_increments
+    from gyrobench.bench.exchange.increments import calibration_settings, read_logs
     from gyrobench.bench.foundations.files import file_sha256
     from gyrobench.bench.foundations.shipped import find_document
     from gyrobench.bench.report.terminal.calibration import calibration_summary
@@ -76,7 +76,7 @@ def calibrate(
     digests = {path: file_sha256(path) for path in logs}
     if len(set(digests.values())) < len(logs):
         raise DocumentError("two logs have the same content, which would count twice. Name each log once")
-    read = [read_increments(path, log_map) for path in logs]
+    read = read_logs(logs, log_map)
     interval_error = max(each.interval_error for each in read)
     site, options = calibration_settings(log_map, interval_error)
     options = replace(
@@ -103,4 +103,5 @@ def calibrate(
     record = plain(calibration_record(found, site, spins, origin))
     paths = write_calibration(out, found, record) if out else []
     summary = calibration_summary(found, site, spins, turns is not None, counts)
-    print_result(record, as_json, summary, *(f"Written  {path}" for path in paths))
+    without = [f"Left out {path}: no sample" for path, log in zip(logs, read, strict=True) if not log.samples]
+    print_result(record, as_json, summary, *without, *(f"Written  {path}" for path in paths))

@@ -12,6 +12,7 @@ from gyrobench.bench.calibration.information import CalibrationOptions
 from gyrobench.bench.calibration.recording import MIN_REST_TOTAL_S, IncrementRecording
 from gyrobench.bench.exchange.import_map import LogMap
 from gyrobench.bench.exchange.log_windows import FORCES, RATES, SampleReader, ScaledColumn
+from gyrobench.bench.exchange.signal_logs import NoFramesError
 from gyrobench.bench.foundations.arrays import (
     DEG_PER_SQRT_H_TO_SI,
     STANDARD_GRAVITY,
@@ -66,7 +67,8 @@ def read_increments(path: Path, log_map: LogMap) -> LogIncrements:
     ):
         for name, axis in zip(names, (columns.x, columns.y, columns.z), strict=True):
             quantities[name] = (axis.column, axis.sign * axis.scale * unit, 0.0)
-    reader = SampleReader(path, log_map, quantities)
+    velocities_are_increments = section.accelerometers.unit in _INCREMENTS
+    reader = SampleReader(path, log_map, quantities, angles_are_increments or velocities_are_increments)
     batches = list(reader.batches())
     samples = {name: np.concatenate([each[name] for each in batches]) for name in batches[0]}
     kept = samples["time_s"] >= samples["time_s"][:1] + log_map.skip_s
@@ -83,13 +85,29 @@ def read_increments(path: Path, log_map: LogMap) -> LogIncrements:
             IncrementRecording(
                 interval_s,
                 angle[part] * (1.0 if angles_are_increments else interval_s),
-                velocity[part] * (1.0 if section.accelerometers.unit in _INCREMENTS else interval_s),
+                velocity[part] * (1.0 if velocities_are_increments else interval_s),
                 reader.first_s + first_s - interval_s,
             )
         )
     if not recordings:
         raise MeasurementError(f"{path}: {_without_pieces(time_s, found)}")
     return LogIncrements(recordings, len(time_s), max(errors))
+
+
+def read_logs(paths: Sequence[Path], log_map: LogMap) -> list[LogIncrements]:
+    """Read several logs; those without a frame of the sensors, as parts of a run, hold no sample.
+
+    Raises as :func:`read_increments`, also if no log has such a frame.
+    """
+    logs: list[LogIncrements] = []
+    for path in paths:
+        try:
+            logs.append(read_increments(path, log_map))
+        except NoFramesError:
+            if path == paths[-1] and not any(log.samples for log in logs):
+                raise
+            logs.append(LogIncrements([], 0, 0.0))
+    return logs
 
 
 def _even_times(time_s: FloatArray) -> tuple[float, float, float]:

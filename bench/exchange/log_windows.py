@@ -51,7 +51,8 @@ _TIME_RESOLUTION_S = 1e-6
 class SampleReader:
     """Reads one log by its import map, and counts samples left out for their status or without a time.
 
-    ``quantities`` replaces those of the import map, in units of the caller, and leaves the position out.
+    ``quantities`` replaces those of the import map, in units of the caller, and leaves the position out; a
+    sample has the values that were logged together. ``increments``: it is invalid without one of them.
 
     ``first_s`` is the reading of the log's clock at its first sample, from the first batch on; 0 without a
     time column.
@@ -60,7 +61,11 @@ class SampleReader:
     """
 
     def __init__(
-        self, path: Path, log_map: LogMap, quantities: Mapping[str, ScaledColumn] | None = None
+        self,
+        path: Path,
+        log_map: LogMap,
+        quantities: Mapping[str, ScaledColumn] | None = None,
+        increments: bool = False,
     ) -> None:
         self._path = path
         self._map = log_map
@@ -69,7 +74,8 @@ class SampleReader:
         if log_map.records:
             self._log = RecordLog(path, log_map.records)
         elif log_map.signals:
-            self._log = SignalLog(path, log_map.signals)
+            one_sample = {column for column, _, _ in (quantities or {}).values()}
+            self._log = SignalLog(path, log_map.signals, one_sample, increments)
         else:
             self._log = TextLog(path, log_map.text or TextFormat())
         self._quantities = quantities or _quantities(log_map)

@@ -1,11 +1,13 @@
 """Logs whose signals have names and times of their own: Parquet, BLF and MF4, ArduPilot and PX4.
 
-A log is read at the times of the first column that is asked for; of the others the last value counts.
+A log is read at the times of the first column that is asked for; of the others the last value counts, or the
+value that is logged with it where both belong to one sample.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,7 +17,7 @@ from numpy.typing import NDArray
 
 from gyrobench.bench.exchange.import_map import Column, SignalFormat
 from gyrobench.bench.exchange.log_files import Batch
-from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.arrays import FloatArray, IntArray
 from gyrobench.bench.foundations.errors import DocumentError, MissingPackageError
 from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.foundations.text import did_you_mean
@@ -31,19 +33,43 @@ _FRAMES = "CAN_DataFrame"
 _MAX_STANDARD_ID = 0x7FF
 _MAX_BYTES = 4_000_000_000
 
-#: Times and values of a group of signals that are sampled together.
-Group = tuple[FloatArray, Mapping[str, NDArray[Any]]]
+#: Columns are of one sample if at least this share of their values can be paired.
+_MIN_PAIRED = 0.9
+
+
+@dataclass(frozen=True, eq=False)
+class _Stamps:
+    """When the values of a signal were logged."""
+
+    time_s: FloatArray
+    #: Place of each value in the log; ``time_s`` where the log does not keep the order of its messages.
+    order: FloatArray | IntArray
+
+
+#: Stamps and values of a group of signals that are sampled together.
+Group = tuple[_Stamps, Mapping[str, NDArray[Any]]]
+
+
+class NoFramesError(DocumentError):
+    """A CAN log has no frame of a message that the DBC file knows, as while the unit does not send it."""
 
 
 class SignalLog:
     """A log of named signals; ``columns`` lists them, and ``truncated`` states whether its end was left out.
 
+    ``one_sample`` are columns whose values belong together, though messages of their own hold them.
+    ``complete``: a sample that lacks one of them has NaN for it, as an increment does not count twice;
+    else the last value counts.
+
     Raises DocumentError if the file can't be read or has no signal, and MissingPackageError if the package
     that reads it is not installed.
     """
 
-    def __init__(self, path: Path, layout: SignalFormat) -> None:
+    def __init__(
+        self, path: Path, layout: SignalFormat, one_sample: Collection[Column] = (), complete: bool = False
+    ) -> None:
         self._path = path
+        self._one_sample, self._complete = one_sample, complete
         self.truncated = False
         readers: dict[str, Callable[[Path], Iterable[Group]]] = {
             "parquet": _parquet,
@@ -62,7 +88,9 @@ class SignalLog:
             raise DocumentError(f"{path}: can't be read: {error.strerror or error}") from error
         except Exception as error:
             raise DocumentError(f"{path}: is no {layout.format} log, or damaged: {error}") from error
-        self._signals = {name: (times, values) for times, group in groups for name, values in group.items()}
+        signals = {name: (stamps, values) for stamps, group in groups for name, values in group.items()}
+        self._without_frames = {name for name, each in signals.items() if layout.dbc and not len(each[1])}
+        self._signals = {name: each for name, each in signals.items() if name not in self._without_frames}
         self.columns = [*self._signals]
         if not self.columns:
             raise DocumentError(f"{path}: holds no signal. Was the logger running?")
@@ -72,19 +100,29 @@ class SignalLog:
 
         Raises DocumentError if there is no such signal, or one among ``numbers`` holds text.
         """
-        base_s = next(self._signal(column)[0] for column in numbers if column != TIME_COLUMN)
+        base = next(self._signal(column)[0] for column in numbers if column != TIME_COLUMN)
         batch: Batch = {}
         for column in (*numbers, *texts):
             if column == TIME_COLUMN and column not in self._signals:
-                batch[column] = base_s
+                batch[column] = base.time_s
                 continue
-            times_s, values = self._signal(column)
-            places = np.searchsorted(times_s, base_s, side="right") - 1
+            stamps, values = self._signal(column)
+            places = np.searchsorted(stamps.time_s, base.time_s, side="right") - 1
+            if column in self._one_sample:
+                places = self._paired(base, stamps, places)
             if column in texts:
                 batch[column] = np.where(places >= 0, values.astype(str)[places], "")
             else:
                 batch[column] = np.where(places >= 0, self._numbers(column, values)[places], np.nan)
         yield batch
+
+    def _paired(self, base: _Stamps, stamps: _Stamps, last: IntArray) -> IntArray:
+        """Which values are of the samples of ``base``; -1 for none, ``last`` where they can't be paired."""
+        pairs = _pairs(base, stamps)
+        is_paired = pairs >= 0
+        if is_paired.sum() < _MIN_PAIRED * max(len(base.order), len(stamps.order)):
+            return last
+        return pairs if self._complete else np.where(is_paired, pairs, last)
 
     def _numbers(self, column: Column, values: NDArray[Any]) -> FloatArray:
         try:
@@ -99,14 +137,39 @@ class SignalLog:
         self.truncated = not is_whole
         return frames
 
-    def _signal(self, column: Column) -> tuple[FloatArray, NDArray[Any]]:
+    def _signal(self, column: Column) -> tuple[_Stamps, NDArray[Any]]:
         name = self.columns[column - 1] if isinstance(column, int) and column <= len(self.columns) else column
+        if name in self._without_frames:
+            message = str(name).partition(".")[0]
+            raise NoFramesError(
+                f"{self._path}: has no frame of {message}. Choose a log in which the unit sends it"
+            )
         if name not in self._signals:
             raise DocumentError(
                 f"{self._path}: there is no signal '{column}'{did_you_mean(str(column), self.columns)}. "
                 f"It has {', '.join(self.columns[:40])}. Correct the import map"
             )
         return self._signals[str(name)]
+
+
+def _pairs(base: _Stamps, other: _Stamps) -> IntArray:
+    """Values of another message for each one of ``base``; -1 where there is none before the next sample.
+
+    It follows or precedes it in the log, whichever takes less time for most samples.
+    """
+    count = len(other.order)
+    if np.array_equal(base.order, other.order):
+        return np.arange(count)
+    at = np.searchsorted(other.order, base.order, side="left")
+    found, delays_s = [], []
+    for places, is_own in (
+        (at, np.append(at[1:] > at[:-1], True) & (at < count)),
+        (at - 1, np.append(True, at[1:] > at[:-1]) & (at > 0)),
+    ):
+        delay_s = np.abs(other.time_s[np.clip(places, 0, count - 1)] - base.time_s)
+        found.append(np.where(is_own, places, -1))
+        delays_s.append(float(np.median(delay_s[is_own])) if is_own.any() else np.inf)
+    return found[int(delays_s[1] < delays_s[0])]
 
 
 def _parquet(path: Path) -> Iterable[Group]:
@@ -116,17 +179,18 @@ def _parquet(path: Path) -> Iterable[Group]:
     table = parquet.read_table(path)
     rows = np.arange(table.num_rows, dtype=np.float64)
     columns = {name: table.column(name).to_numpy() for name in table.column_names}
-    return [(rows, columns)]
+    return [(_Stamps(rows, rows), columns)]
 
 
 def _can_signals(read_frames: Callable[[Path], FrameBlock], dbc: Path, path: Path) -> Iterable[Group]:
-    """Signals of the DBC file in the frames of a CAN log, as MESSAGE.SIGNAL."""
+    """Signals of the DBC file in the frames of a CAN log, as MESSAGE.SIGNAL; also those without a frame."""
     codec, block = DbcCodec(load_dbc(dbc)), read_frames(path).data_frames()
     for message in codec.message_names:
-        frames = block.take(codec.rows(block, message))
-        if len(frames):
-            decoded = codec.decode(frames, message)
-            yield frames.timestamp_s, {f"{message}.{name}": values for name, values in decoded.items()}
+        rows = codec.rows(block, message)
+        frames = block.take(rows)
+        decoded = codec.decode(frames, message)
+        signals = {f"{message}.{name}": values for name, values in decoded.items()}
+        yield _Stamps(frames.timestamp_s, rows), signals
 
 
 def _mf4_frames(path: Path) -> FrameBlock:
@@ -152,7 +216,10 @@ def _mf4_block(frames: Any) -> FrameBlock:
 
 def _mf4_channels(path: Path) -> Iterable[Group]:
     with require("asammdf").MDF(path) as log:
-        return [(signal.timestamps, {signal.name: signal.samples}) for signal in log.iter_channels()]
+        return [
+            (_Stamps(signal.timestamps, signal.timestamps), {signal.name: signal.samples})
+            for signal in log.iter_channels()
+        ]
 
 
 def _ardupilot(path: Path) -> Iterable[Group]:
@@ -168,7 +235,7 @@ def _ardupilot(path: Path) -> Iterable[Group]:
     groups: list[Group] = []
     for kind, rows in found.items():
         columns = {f"{kind}.{name}": np.array([row[name] for row in rows]) for name in rows[0]}
-        groups.append((columns[f"{kind}.TimeUS"].astype(np.float64) * _S_PER_US, columns))
+        groups.append((_stamps_us(columns[f"{kind}.TimeUS"]), columns))
     return groups
 
 
@@ -178,7 +245,7 @@ def _px4(path: Path) -> Iterable[Group]:
         log = require("pyulog").ULog(stream)
     return [
         (
-            data.data["timestamp"].astype(np.float64) * _S_PER_US,
+            _stamps_us(data.data["timestamp"]),
             {
                 f"{data.name}{f'[{data.multi_id}]' if data.multi_id else ''}.{name}": values
                 for name, values in data.data.items()
@@ -186,3 +253,8 @@ def _px4(path: Path) -> Iterable[Group]:
         )
         for data in log.data_list
     ]
+
+
+def _stamps_us(times_us: NDArray[Any]) -> _Stamps:
+    times_s = times_us.astype(np.float64) * _S_PER_US
+    return _Stamps(times_s, times_s)

@@ -37,6 +37,8 @@ _MAX_VALUES = 50_000
 _MAX_DEPTH = 50
 _TOO_MUCH = f"more than {_MAX_VALUES} values or deeper than {_MAX_DEPTH} levels"
 _SHOWN_CHARACTERS = 60
+#: Mistakes whose messages need no words of what was found.
+_COMPLETE = ("unknown_key", "unknown_kind", "missing_kind")
 #: The words of pydantic's messages in those of the bench.
 _PLAIN_WORDS = tuple(
     (re.compile(pattern), plain)
@@ -160,8 +162,10 @@ def parse_document(text: str, path: Path) -> Document:
     return document
 
 
-def validate(document: Document, model: type[ModelT]) -> ModelT:
+def validate(document: Document, model: type[ModelT], further: Sequence[DocumentProblem] = ()) -> ModelT:
     """Turn a document into its model.
+
+    ``further`` problems, which the model does not know of, are reported with its own if there are any.
 
     Raises DocumentError, which lists everything that does not fit the model, each with its place.
     """
@@ -174,7 +178,7 @@ def validate(document: Document, model: type[ModelT]) -> ModelT:
     try:
         return model.model_validate(document.data)
     except ValidationError as error:
-        raise document.error(problems_of(error)) from error
+        raise document.error([*problems_of(error), *further]) from error
     finally:
         _renaming_notes.reset(token)
         for key, old, new in sorted(notes):
@@ -191,7 +195,7 @@ def problems_of(error: ValidationError, at: Location = ()) -> list[DocumentProbl
         message = detail["msg"]
         if detail["type"] == "missing":
             location = location[:-1]
-        elif detail["type"] != "unknown_key":
+        elif detail["type"] not in _COMPLETE:
             for pattern, plain in _PLAIN_WORDS:
                 message = pattern.sub(plain, message)
             message = f"{message}; found {_shown(detail['input'])}"
@@ -377,7 +381,10 @@ def _rewritten(detail: Any, model: type[BaseModel], old_keys: Mapping[str, str])
     kind, message, location = detail["type"], detail["msg"], detail["loc"]
     if location and location[0] in old_keys:
         location = (old_keys[location[0]], *location[1:])
-    if len(detail["loc"]) == 1:  # else a model below has said it
+    by_key = str(detail.get("ctx", {}).get("discriminator", "")).startswith("'")  # not by its shape
+    if by_key and kind in ("union_tag_invalid", "union_tag_not_found"):
+        kind, message, location = _wrong_kind(detail, location)
+    elif len(detail["loc"]) == 1:  # else a model below has said it
         key = str(detail["loc"][0])
         if kind == "extra_forbidden":
             kind, message = "unknown_key", _unknown_key(key, list(model.model_fields))
@@ -386,6 +393,16 @@ def _rewritten(detail: Any, model: type[BaseModel], old_keys: Mapping[str, str])
         else:
             message = re.sub(r"^(Input|String|List|Dictionary) should", f"{_quoted(key)} should", message)
     return InitErrorDetails(type=PydanticCustomError(kind, message), loc=location, input=detail.get("input"))
+
+
+def _wrong_kind(detail: Any, location: Location) -> tuple[str, str, Location]:
+    """What is wrong with the key that the kind of an entry is recognised by, and its place."""
+    key = detail["ctx"]["discriminator"].strip("'")
+    if detail["type"] == "union_tag_not_found":
+        return "missing_kind", f"the key {_quoted(key)} is missing", location
+    found, allowed = detail["ctx"]["tag"], re.findall(r"'(\w+)'", detail["ctx"]["expected_tags"])
+    message = f"unknown {key} {_quoted(found)}{did_you_mean(found, allowed)}; allowed here: "
+    return "unknown_kind", message + ", ".join(allowed), (*location, key)
 
 
 def _unknown_key(key: str, allowed: list[str]) -> str:

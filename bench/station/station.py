@@ -27,8 +27,7 @@ from gyrobench.bench.procedure.plan import Plan, expand
 from gyrobench.bench.procedure.procedure_file import Procedure, checked_procedure
 from gyrobench.bench.procedure.steps import GoTo, Step
 from gyrobench.bench.station.instrument_sections import Direction, Mounting
-from gyrobench.bench.station.station_file import UNIT_KEYS, StationFile, load_station_file
-from gyrobench.drivers import ins
+from gyrobench.bench.station.station_file import UNIT_KEYS, StationFile, find_dbc, load_station_file
 from gyrobench.drivers.ins.can_bus import INSTRUMENT
 from gyrobench.drivers.ins.command_map import check_commands
 from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
@@ -133,14 +132,7 @@ class Station:
 
         Raises DocumentError if there is no such file.
         """
-        name = self.file.ins.dbc
-        for folder in (self.path.parent, Path(ins.__file__).parent):
-            if (folder / name).is_file():
-                return folder / name
-        raise DocumentError(
-            f"DBC file {name!r}: neither beside the station file nor shipped. "
-            "Copy it there, or correct its name."
-        )
+        return find_dbc(self.path, self.file.ins.dbc)
 
     def check_dbc(self) -> None:
         """Check signals and commands of the INS against the DBC file; a DocumentError lists all problems."""

@@ -19,7 +19,14 @@ from pydantic import (
     model_validator,
 )
 
-from gyrobench.bench.foundations.documents import Document, StrictModel, read_document, validate
+from gyrobench.bench.foundations.documents import (
+    Document,
+    DocumentProblem,
+    StrictModel,
+    read_document,
+    validate,
+)
+from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.navigation.error_model import MAX_LATITUDE
 from gyrobench.bench.station.instrument_sections import (
     ChamberSection,
@@ -34,6 +41,7 @@ from gyrobench.bench.station.instrument_sections import (
 )
 from gyrobench.bench.station.interlocks import Interlocks
 from gyrobench.bench.station.receivers import Receiver
+from gyrobench.drivers import ins as ins_driver
 from gyrobench.drivers.ins.command_map import CommandMap
 from gyrobench.drivers.ins.signal_map import SignalMap
 
@@ -177,6 +185,9 @@ _IDENTIFIER_OFFSET = (
 )
 
 
+_DBC_PATTERN = r"^[^/\\\x00]{1,100}\.[dD][bB][cC]$"
+
+
 class InsSection(StrictModel):
     """The INS and its CAN bus."""
 
@@ -191,7 +202,7 @@ class InsSection(StrictModel):
         {}, description="further options of the python-can interface"
     )
     dbc: str = Field(
-        pattern=r"^[^/\\\x00]{1,100}\.[dD][bB][cC]$",
+        pattern=_DBC_PATTERN,
         description="name of a DBC file, NAME.dbc, beside the station file, or of a shipped one",
     )
     identifier_offset: int = Field(0, description=_IDENTIFIER_OFFSET)
@@ -426,4 +437,34 @@ class StationFile(StrictModel):
 def load_station_file(path: Path) -> tuple[Document, StationFile]:
     """Read and check a station file; a DocumentError lists all problems with their places."""
     document = read_document(path)
-    return document, validate(document, StationFile)
+    if isinstance(document.data, dict) and "procedure" in document.data and "station" not in document.data:
+        raise DocumentError(
+            f"{document.place(('procedure',))}: this is a procedure, not a station. Check it with: gyrobench "
+            f"validate {path}, or with its bench: gyrobench check STATION --procedure {path}"
+        )
+    return document, validate(document, StationFile, _missing_dbc(document))
+
+
+def find_dbc(station: Path, name: str) -> Path:
+    """The DBC file of that name: beside the station file, or shipped with the INS driver.
+
+    Raises DocumentError if there is no such file.
+    """
+    for folder in (station.parent, Path(ins_driver.__file__).parent):
+        if (folder / name).is_file():
+            return folder / name
+    raise DocumentError(
+        f"DBC file {name!r}: neither beside the station file nor shipped. Copy it there, or correct its name."
+    )
+
+
+def _missing_dbc(document: Document) -> list[DocumentProblem]:
+    section = document.data.get("ins") if isinstance(document.data, dict) else None
+    name = section.get("dbc") if isinstance(section, dict) else None
+    if not isinstance(name, str) or not re.fullmatch(_DBC_PATTERN, name):
+        return []
+    try:
+        find_dbc(document.path, name)
+    except DocumentError as error:
+        return [DocumentProblem(("ins", "dbc"), str(error))]
+    return []

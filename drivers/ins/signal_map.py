@@ -212,9 +212,7 @@ class SignalMap(StrictModel):
     velocity_east: Source = Field(description="velocity East")
     velocity_north: Source = Field(description="velocity North")
     velocity_up: Source | None = Field(None, description="velocity Up")
-    latitude: Source | None = Field(
-        None, description="latitude for which the INS takes the Earth's rotation; has to be the station's"
-    )
+    latitude: Source | None = Field(None, description="latitude that the INS uses; has to be the station's")
     attitude: AttitudeMap = Field(description="attitude of the body axes")
     gyro_optics_temperature: AxesMap | None = Field(None, description="temperatures of the gyros' optics")
     gyro_electronics_temperature: AxesMap | None = Field(

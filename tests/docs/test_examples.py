@@ -9,7 +9,7 @@ from tests.docs.pages import DOCS, blocks, pages
 #: Pages with commands that a reader types as they stand.
 TYPED = [page for page in pages() if any(block.language == "console" for block in blocks(page))]
 #: Pages whose commands take minutes.
-LONG = ("tutorial", "settle_a_cause", "write_a_procedure")
+LONG = ("tutorial", "settle_a_cause", "write_a_procedure", "calibrate_all_coefficients")
 
 
 @pytest.mark.parametrize(

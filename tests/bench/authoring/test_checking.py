@@ -88,6 +88,35 @@ def test_everything_wrong_is_reported_with_its_place(folder, name, pairs, kind, 
         assert any(words in problem.message and problem.line for problem in check.problems())
 
 
+@pytest.mark.parametrize(
+    ("folder", "name", "right", "wrong", "message"),
+    [
+        (
+            "worlds",
+            "gyro_a",
+            "kind: att",
+            "kind: at",
+            "unknown kind 'atitude_thermal' (did you mean 'attitude_thermal'?); allowed here: t",
+        ),
+        ("worlds", "gyro_a", "kind: att", "knd: att", "the key 'kind' is missing"),
+        (
+            "faults",
+            "every_kind",
+            "fault: lost_reply",
+            "fault: lost_replay",
+            "unknown fault 'lost_replay' (did you mean 'lost_reply'?); allowed here: ",
+        ),
+    ],
+)
+def test_an_entry_of_an_unknown_kind_is_reported_with_the_kinds_that_there_are(
+    folder, name, right, wrong, message, tmp_path
+):
+    check = check_file(changed(tmp_path, folder, name, (right, wrong)))
+    [problem] = check.problems()
+    assert problem.message.startswith(message)
+    assert problem.line > 1
+
+
 def test_a_signal_that_the_dbc_file_lacks_is_reported(tmp_path):
     check = check_file(changed(tmp_path, "stations", "quick", ("HEADING.HEADING", "HEADING.NONE")))
     assert "NONE" in check.text

@@ -29,4 +29,4 @@ def test_a_wrong_mapping_and_a_useless_log_have_their_exit_codes(log, tmp_path):
 def test_the_mapping_may_be_a_shipped_one_by_name(log, tmp_path):
     result = gyrobench("import", log.write(), "--map", "nothing", cwd=tmp_path)
     assert result.returncode == EXIT_WRONG_INPUT
-    assert "Shipped imports: example_log, ln100, tofupilot_imu" in result.stderr
+    assert "Shipped imports: emulated_ins, example_log, ln100, tofupilot_imu" in result.stderr

@@ -10,6 +10,7 @@ import yaml
 from scipy.stats import chi2
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, CoefficientEstimate, SensorErrors
+from gyrobench.bench.calibration.estimator import calibrate
 from gyrobench.bench.dwells.measure_dwell import measurement_setup
 from gyrobench.bench.dwells.plateau_calibration import (
     PlateauCalibration,
@@ -19,6 +20,9 @@ from gyrobench.bench.dwells.plateau_calibration import (
 from gyrobench.bench.dwells.recorded_dwells import rotated_dwells
 from gyrobench.bench.dwells.rotations import PlateauRotations, RunRotations
 from gyrobench.bench.dwells.run_results import recompute_run
+from gyrobench.bench.exchange.import_map import load_log_map
+from gyrobench.bench.exchange.increments import calibration_settings, read_logs
+from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.report.coefficients import coefficients_section
@@ -60,20 +64,23 @@ def without_increments(tmp_path):
     return path
 
 
+def truth(gyro_c, case_c):
+    """Coefficients of the world at temperatures (3,) of gyros and case."""
+    world = load_world(find_document("worlds", WORLD))
+    return SensorErrors(
+        *gyro_errors(world.gyro).at(gyro_c - world.reference_temperature_c),
+        *accelerometer_errors(world.accelerometer).at(case_c - world.reference_temperature_c),
+    ).vector()
+
+
 def deviations(rows):
     """Differences from the world's truth at the temperatures of the plateaus, in standard uncertainties."""
-    world = load_world(find_document("worlds", WORLD))
     found = []
     for _, plateau in itertools.groupby(rows, lambda row: row.plateau):
         by_name = {(row.coefficient, row.axis): row for row in plateau}
         gyro_c = np.array([by_name["gyro_bias", axis].temperature_c for axis in "xyz"])
         case_c = np.full(3, by_name["accelerometer_bias", "x"].temperature_c)
-        reference_c = world.reference_temperature_c
-        truth = SensorErrors(
-            *gyro_errors(world.gyro).at(gyro_c - reference_c),
-            *accelerometer_errors(world.accelerometer).at(case_c - reference_c),
-        ).vector()
-        for each, true in zip(COEFFICIENTS, truth, strict=True):
+        for each, true in zip(COEFFICIENTS, truth(gyro_c, case_c), strict=True):
             row = by_name[each.name, each.axis]
             found.append((row.value - true * each.per_si) / row.sigma)
     return np.array(found)
@@ -125,6 +132,24 @@ def test_the_log_gives_the_coefficients_that_were_measured_during_the_run(with_i
     for one, other in zip(*(read_coefficients(each.coefficients) for each in (folder, again)), strict=True):
         assert other.value == pytest.approx(one.value, abs=1e-6 * one.sigma)
         assert other.sigma == pytest.approx(one.sigma, rel=1e-6)
+
+
+def test_the_can_log_of_a_run_gives_the_coefficients_by_an_import_map(with_increments):
+    folder, _, _ = with_increments
+    log_map = load_log_map(find_document("imports", "emulated_ins"), for_calibration=True)
+    paths = sorted(folder.can.glob("*.blf"))
+    logs = read_logs(paths, log_map)
+    assert [log.samples > 0 for log in logs] == [False, True, True]  # the first part ends with the alignment
+    with pytest.raises(DocumentError, match=r"part-00001\.blf: has no frame of ANGLE_INCREMENT\. Choose"):
+        read_logs(paths[:1], log_map)
+    assert sum(log.left_out for log in logs) == 0
+    site, options = calibration_settings(log_map)
+    found = calibrate([recording for log in logs for recording in log.recordings], site, options)
+    rows = {row.coefficient: row.temperature_c for row in read_coefficients(folder.coefficients)}
+    at_c = [np.full(3, rows[name]) for name in ("gyro_bias", "accelerometer_bias")]
+    away = (found.values - truth(*at_c))[found.is_observed] / found.sigmas
+    assert len(away) == len(COEFFICIENTS)
+    assert np.abs(away).max() < 4.0
 
 
 def calibrated(dwells, setup):

@@ -5,6 +5,8 @@ import struct
 import numpy as np
 import pytest
 
+from gyrobench.bench.exchange.import_map import load_log_map
+from gyrobench.bench.exchange.increments import read_increments
 from gyrobench.bench.exchange.log_import import import_logs
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
 from gyrobench.bench.runs.can_log import CanLog
@@ -125,6 +127,84 @@ def write_mf4(log):
             file.append(asammdf.Signal(values, log.time_s, name=name))
         file.save(log.folder / "log.mf4")
     return {"signals": "{format: mf4}", "time": "{column: time_s}"}, "log.mf4"
+
+
+INCREMENTS = """VERSION ""
+BU_: IMU
+BO_ 16 ANGLE: 6 IMU
+ SG_ X : 0|16@1- (1,0) [0|0] "rad" IMU
+ SG_ Y : 16|16@1- (1,0) [0|0] "rad" IMU
+ SG_ Z : 32|16@1- (1,0) [0|0] "rad" IMU
+BO_ 17 VELOCITY: 6 IMU
+ SG_ X : 0|16@1- (1,0) [0|0] "m/s" IMU
+ SG_ Y : 16|16@1- (1,0) [0|0] "m/s" IMU
+ SG_ Z : 32|16@1- (1,0) [0|0] "m/s" IMU
+"""
+INCREMENT_MAP = """
+unit: "7"
+signals: {format: blf, dbc: imu.dbc}
+time: {column: time_s}
+gyro: {unit: UNIT, x: ANGLE.X, y: ANGLE.Y, z: ANGLE.Z}
+calibration:
+  accelerometers: {unit: VUNIT, x: VELOCITY.X, y: VELOCITY.Y, z: VELOCITY.Z}
+  latitude_deg: 45
+"""
+
+
+def read_numbered_samples(folder, delay_s=3e-4, time_step_s=0.0, lost=(), units=("rad", "m/s"), every=1):
+    """What is read of 130 s at 50 Hz whose samples hold their number, each in two frames.
+
+    ``lost``: rows of the frames; the velocity is in every second one, later than the angle by ``delay_s``,
+    and once for ``every`` angles.
+    """
+    (folder / "imu.dbc").write_text(INCREMENTS)
+    (folder / "map.yaml").write_text(INCREMENT_MAP.replace("VUNIT", units[1]).replace("UNIT", units[0]))
+    number = np.arange(6500)
+    data = np.zeros((2 * len(number), 8), np.uint8)
+    values = DbcCodec(load_dbc(folder / "imu.dbc")).encode(
+        "ANGLE", dict.fromkeys("XYZ", number.astype(float))
+    )
+    data[:, :6] = np.repeat(values, 2, axis=0)
+    times_s = np.add.outer(0.02 * number, [0.0, delay_s]).ravel()
+    if time_step_s:
+        times_s = np.floor(times_s / time_step_s) * time_step_s
+    ids = np.tile([16, 17], len(number))
+    kept = ~np.isin(np.arange(len(ids)), lost) & ((ids == 16) | (np.repeat(number, 2) % every == 0))
+    order = np.flatnonzero(kept)[np.argsort(times_s[kept], kind="stable")]
+    log = CanLog(folder / "can")
+    log.write(FrameBlock.from_columns(1.7e9 + times_s, ids, np.full(len(ids), 6), data).take(order))
+    log.cut()
+    log_map = load_log_map(folder / "map.yaml", for_calibration=True)
+    return read_increments(folder / "can/part-00001.blf", log_map).recordings
+
+
+@pytest.mark.parametrize(
+    "log", [{}, {"delay_s": -3e-4}, {"time_step_s": 1e-3}, {"time_step_s": 0.04}, {"delay_s": 0.008}]
+)
+def test_increments_of_one_sample_belong_together_whichever_is_logged_first(tmp_path, log):
+    (recording,) = read_numbered_samples(tmp_path, **log)
+    assert len(recording.angle) > 6000  # coarse time stamps take some for a gap
+    assert (recording.angle == recording.velocity).all()
+
+
+@pytest.mark.parametrize("lost", [6400, 6401])
+def test_a_sample_without_one_of_its_increments_is_missing(tmp_path, lost):
+    before, after = read_numbered_samples(tmp_path, lost=[lost])
+    assert (len(before.angle), len(after.angle)) == (3200, 3299)
+    for recording in (before, after):
+        assert (recording.angle == recording.velocity).all()
+
+
+def test_of_rates_the_last_force_counts_where_a_sample_has_none_of_its_own(tmp_path):
+    (recording,) = read_numbered_samples(tmp_path, lost=[6001], units=("rad/s", "m/s2"))
+    away = np.flatnonzero(recording.angle[:, 0] != recording.velocity[:, 0])
+    assert away.tolist() == [3000]
+
+
+def test_of_slower_forces_the_last_one_counts(tmp_path):
+    (recording,) = read_numbered_samples(tmp_path, units=("rad/s", "m/s2"), delay_s=-3e-4, every=2)
+    number = np.arange(6500)
+    assert recording.velocity[:, 0] / recording.interval_s == pytest.approx(number // 2 * 2)
 
 
 @pytest.mark.parametrize("write", [write_parquet, write_blf, write_ardupilot, write_px4, write_mf4])

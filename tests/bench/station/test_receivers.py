@@ -45,7 +45,7 @@ def test_all_kinds_are_read_with_what_they_leave_out():
             "kind: email, address: a@b, sender: b@c, server: d, user: e, secret_env: F, security: none",
             "starttls or tls only",
         ),
-        ("kind: pager, address: x", "'webhook', 'ntfy', 'email'"),
+        ("kind: pager, address: x", "unknown kind 'pager'; allowed here: webhook, ntfy, email"),
         ("kind: ntfy, address: 'https://host/t', on: []", "at least 1 item"),
     ],
 )

@@ -27,6 +27,26 @@ def test_every_mistake_is_listed_with_its_place(changed):
     assert "watlow_f4" in lines[1]
 
 
+def test_a_missing_dbc_file_is_reported_with_the_mistakes_of_the_file(changed):
+    path = changed(("low_c: -50", "low_c: 95"), ("dbc: gyrobench_ins.dbc", "dbc: none.dbc"))
+    with pytest.raises(DocumentError) as caught:
+        Station(path)
+    limits, dbc = str(caught.value).splitlines()
+    assert "must be below high_c" in limits
+    assert "DBC file 'none.dbc': neither beside the station file nor shipped" in dbc
+
+
+def test_a_procedure_in_place_of_a_station_is_named_with_how_to_check_it(tmp_path):
+    path = tmp_path / "three.yaml"
+    path.write_text("description: mine\nprocedure: three\nsteps: [power_off]\n")
+    with pytest.raises(DocumentError) as caught:
+        Station(path)
+    assert str(caught.value) == (
+        f"{path}:2:1: this is a procedure, not a station. Check it with: gyrobench validate {path}, or with "
+        f"its bench: gyrobench check STATION --procedure {path}"
+    )
+
+
 @pytest.mark.parametrize("latitude_deg", ["85.01", "-90", "135"])
 def test_near_a_pole_the_place_of_the_latitude_and_its_range_are_reported(changed, latitude_deg):
     path = changed(("latitude_deg: 36.4", f"latitude_deg: {latitude_deg}"))

@@ -24,7 +24,7 @@ def mistake(tmp_path, entry):
 @pytest.mark.parametrize(
     ("entry", "place", "message"),
     [
-        ("{fault: lost_replies, target: table, at_s: 1}", "2:5", "lost_replies"),
+        ("{fault: lost_replies, target: table, at_s: 1}", "2:6", "lost_replies"),
         ("{fault: lost_reply, at_s: 1}", "2:5", "the key 'target' is missing"),
         ("{fault: lost_reply, target: table, at_s: 1, reply: 2}", "2:49", "did you mean 'replies'"),
         ("{fault: lost_reply, target: table}", "2:5", "exactly one of the keys at_s, every_s and during"),

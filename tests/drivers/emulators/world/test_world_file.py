@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from gyrobench.bench.foundations.documents import parse_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.foundations.shipped import find_document
+from gyrobench.bench.foundations.shipped import find_document, shipped_names
 from gyrobench.drivers.emulators.world.world_file import WorldFile, load_world
 
 SHIPPED = {
@@ -154,6 +154,12 @@ def test_each_kind_of_effect_loads_with_its_keys_and_none_without(kind):
     assert "is missing" in complaint(with_effects(f"kind: {kind}"))
 
 
+@pytest.mark.parametrize("name", shipped_names("worlds"))
+def test_each_shipped_world_is_in_the_table_of_the_page(name):
+    table = WORLDS_PAGE[: WORLDS_PAGE.index("## Undeclared effects")]
+    assert any(f"`{name}`" in line.split("|")[1] for line in table.splitlines() if line.startswith("|"))
+
+
 @pytest.mark.parametrize("kind", EFFECTS)
 def test_each_kind_of_effect_is_explained_with_all_its_keys(kind):
     [effect] = load(with_effects(f"{{kind: {kind}, {EFFECTS[kind]}}}")).undeclared_effects
@@ -174,7 +180,7 @@ def test_several_effects_may_stand_in_a_file():
         ("{kind: warm_up, bias_dps: [1, 0, 0], time_constant_s: 9}", "19", "did you mean 'bias_dph'?"),
         ("{kind: warm_up, bias_dph: [1, 0], time_constant_s: 9}", "19", "at least 3 items"),
         ("{kind: g_sensitivity, sensitivity_dph_per_g: [[0, 1, 0], [0, 0, 0]]}", "19", "3 items"),
-        ("{kind: phase_of_the_moon}", "19", "'temperature_rate'"),
+        ("{kind: phase_of_the_moon}", "19", "unknown kind 'phase_of_the_moon'"),
         ("{bias_dph: [1, 0, 0]}", "19", "kind"),
     ],
 )
