@@ -77,6 +77,7 @@ class Calibration(CoefficientEstimate):
     trajectories: tuple[Trajectory, ...]  #: Of the sections, at values close to these.
     #: Shapes (n, n). Parts of the covariance by the uncertainty of gravity, latitude and time.
     by_site: Mapping[str, FloatArray]
+    options: CalibrationOptions  #: As given, and g-sensitivities where they were found.
     #: What the data contradict: the noise, or whole turns and rotations each other; empty for nothing.
     findings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()  #: What is estimated beside the coefficients because the data show it.
@@ -183,20 +184,19 @@ def calibrate(
         trajectories=tuple(found.trajectories),
         by_site=by_site,
         findings=tuple(findings),
+        options=options,
         notes=(note,) if note else (),
     )
 
 
-def covariances_by_source(
-    calibration: Calibration, site: Site, options: CalibrationOptions
-) -> Mapping[str, FloatArray]:
+def covariances_by_source(calibration: Calibration, site: Site) -> Mapping[str, FloatArray]:
     """Covariances (21, 21) of the coefficients by source of error; their sum is the calibration's.
 
     At the gains of least covariance a small change of a source's variance changes the covariance as it does
     at fixed gains, for the gains are at a minimum. So what a source contributes is the derivative of the
-    covariance with respect to the logarithm of its variance. ``options`` are those of the calibration.
+    covariance with respect to the logarithm of its variance.
     """
-    larger = float(np.sqrt(1.0 + _VARIANCE_STEP))
+    larger, options = float(np.sqrt(1.0 + _VARIANCE_STEP)), calibration.options
 
     known = calibration.sections, calibration.trajectories, calibration.unknowns
 

@@ -73,8 +73,8 @@ class CalibrationOptions:
     #: and of all accelerometers: rates times a longer time are larger angles, velocity increments over it
     #: smaller forces.
     scales_by_time: tuple[float, float] = (0.0, 0.0)
-    #: Whether lever arms, delay, quadratic terms and drift are tried as explanations of a misfit, one by one:
-    #: each takes as long as the estimate.
+    #: Whether lever arms, delay, quadratic terms, g-sensitivities and drift are tried as explanations of a
+    #: misfit, one by one: each takes as long as the estimate.
     are_explained: bool = True
 
     @property
@@ -169,11 +169,11 @@ class Information:
         growth = np.sqrt(np.diag(wide) / np.diag(covariance))
         return centre + values, covariance, np.asarray(growth < _MAX_GROWTH)
 
-    def latitude_correction(self) -> float:
-        """What the data would add to the latitude if it were an unknown, rad."""
+    def latitude_correction(self) -> tuple[float, float]:
+        """What the data would add to the latitude if it were an unknown, and its uncertainty, rad."""
         sizes = np.append(self.sizes, _LATITUDE_ERROR)
-        values, _ = solve(self.root[:, :-1], self.root[:, -1], np.diag(sizes))
-        return float(values[-1])
+        values, covariance = solve(self.root[:, :-1], self.root[:, -1], np.diag(sizes))
+        return float(values[-1]), float(np.sqrt(covariance[-1, -1]))
 
     def site_parts(self, site: Site, options: CalibrationOptions) -> Mapping[str, FloatArray]:
         """Covariances (21 + k, 21 + k) by what is assumed of place and time, which the residuals hardly show.

@@ -42,8 +42,9 @@ _MIN_TIME_ERROR = 3e-4
 #: Largest sensitivity of a ring laser gyro to the specific force, s/m: 0.5 deg/h/g. What needs more is a
 #: mistake in the set-up, such as a latitude: its error along Up is one along the specific force.
 _MAX_G_SENSITIVITY = 0.5 * DPH_TO_RADPS / STANDARD_GRAVITY
-#: Standard uncertainties from which a sensitivity is named.
-_NAMED_SIGMAS = 3.0
+#: Standard uncertainties from which a sensitivity is named, and from which it may be a rate Up.
+_NAMED_SIGMAS, _CLEAR_SIGMAS = 3.0, 4.0
+_SENSITIVITIES = BESIDE[G_SENSITIVITY.start - COUNT : G_SENSITIVITY.stop - COUNT]
 #: Least eigenvalue of a correlation matrix, above rounding.
 _MIN_EIGENVALUE = 1e-9
 #: Options that may explain a misfit, with the option of ``gyrobench calibrate``.
@@ -120,33 +121,56 @@ class CalibrationProblem:
     def with_g_sensitivity(self, found: Solution) -> tuple[CalibrationProblem, Solution, str]:
         """The same problem, and its solution, with gyro biases that follow the specific force; these as text.
 
-        Unchanged, without text, where these do not explain the residuals, or another latitude does. Raises
-        MeasurementError as :meth:`check_alternatives`.
+        Unchanged, without text, where these do not explain the residuals, noise or another latitude may, or
+        they are larger than those of a ring laser gyro. Raises MeasurementError as
+        :meth:`check_alternatives`.
         """
         wider = replace(self, options=replace(self.options, g_sensitivity=True))
         other = _explaining(wider, found)
         if other is None or other.fit.p_value < MIN_P_VALUE:
             return self, found, ""
-        values = other.common[G_SENSITIVITY]
-        if np.abs(values).max() > _MAX_G_SENSITIVITY:
+        values, columns = other.common[G_SENSITIVITY], wider.options.columns
+        places = [columns.index(each) for each in range(G_SENSITIVITY.start, G_SENSITIVITY.stop)]
+        covariance = other.covariance[np.ix_(places, places)]
+        # As an F-test: larger noise makes nine more unknowns gain as much more.
+        gain = (found.fit.chi2 - other.fit.chi2) * other.fit.dof / other.fit.chi2
+        is_doubtful = (
+            chi2_p_value(len(places), gain) >= MIN_P_VALUE
+            or np.abs(values).max() > _MAX_G_SENSITIVITY
+            or self._is_rate_up(other, values, covariance)
+        )
+        if is_doubtful:
             return self, found, ""
         self.check_alternatives(found)
         latitude = self._at_another_latitude(found)
         if latitude is not None and _explaining(latitude, found) is not None:
             return self, found, ""
-        columns = wider.options.columns
-        places = [columns.index(each) for each in range(G_SENSITIVITY.start, G_SENSITIVITY.stop)]
-        is_clear = np.abs(values) > _NAMED_SIGMAS * np.sqrt(np.diag(other.covariance)[places])
+        sigmas = np.sqrt(np.diag(covariance))
         named = ", ".join(
-            f"{each.axis[0]} along {each.axis[1]} {value * each.per_si:+.2g}"
-            for each, value, clear in zip(BESIDE[-9:], values, is_clear, strict=True)
-            if clear
+            f"{each.axis[0]} gyro {value * each.per_si:+.2g} ± {sigma * each.per_si:.1g} along {each.axis[1]}"
+            for each, value, sigma in zip(_SENSITIVITIES, values, sigmas, strict=True)
+            if abs(value) > _NAMED_SIGMAS * sigma
         )
         text = (
-            f"the gyro biases follow the specific force (p = {found.fit.p_value:.1g} without that), in "
-            f"deg/h/g: {named}. The coefficients are estimated with these sensitivities"
+            f"the gyro biases follow the specific force (p = {found.fit.p_value:.1g} without that), in deg/h "
+            f"for each g: {named}. The coefficients allow for this; the gyro biases are those without "
+            "specific force"
         )
         return wider, other, text
+
+    def _is_rate_up(self, other: Solution, values: FloatArray, covariance: FloatArray) -> bool:
+        """Whether sensitivities (9,) may stand for an error of the latitude, or a bias that lags attitude.
+
+        An equal sensitivity of all gyros along their own axes is a rate Up. It stands for such an error where
+        it is clear and larger than the rest.
+        """
+        own, (correction, sigma) = np.eye(3).ravel() / 3.0, other.information.latitude_correction()
+        up = abs(float(own @ values))
+        rest = np.sqrt(np.sum((values - 3.0 * own * (own @ values)) ** 2) / (len(values) - 1))
+        return bool(
+            (up > _CLEAR_SIGMAS * np.sqrt(own @ covariance @ own) and up > rest)
+            or abs(correction) > _CLEAR_SIGMAS * np.hypot(sigma, self.options.latitude_sigma)
+        )
 
     def with_turns_checked(
         self, found: Solution, spun: Sequence[int]
@@ -220,10 +244,17 @@ class CalibrationProblem:
         if (latitude := self._at_another_latitude(found)) is not None:
             what = f"a latitude of {np.rad2deg(latitude.site.latitude):.3f} deg"
             alternatives.insert(0, (latitude, what))
-        for problem, what in alternatives:
-            if (other := _explaining(problem, found)) is not None:
-                falls = f"chi2 falls from {found.fit.chi2:.3g} to {other.fit.chi2:.3g}"
-                return f"{what[0].upper()}{what[1:]} would explain it: {falls}"
+        explained = [
+            (other.fit.chi2 + 2.0 * len(problem.options.columns), other.fit.chi2, what)
+            for problem, what in alternatives
+            if (other := _explaining(problem, found)) is not None
+        ]
+        if explained:
+            _, chi2, what = min(explained)
+            return (
+                f"{what[0].upper()}{what[1:]} would explain it: chi2 falls from {found.fit.chi2:.3g} to "
+                f"{chi2:.3g}"
+            )
         others = "; gyrobench calibrate has --lever-arms, --delay, --quadratic, --g-sensitivity"
         return (
             "Check latitude, gravity, signs and times, and whether the unit drifts, moves at rest or has "
@@ -232,7 +263,7 @@ class CalibrationProblem:
 
     def _at_another_latitude(self, found: Solution) -> CalibrationProblem | None:
         """The same problem at the latitude that the data show, if there is one."""
-        latitude = self.site.latitude + found.information.latitude_correction()
+        latitude = self.site.latitude + found.information.latitude_correction()[0]
         if abs(latitude) >= 0.5 * np.pi:
             return None
         return replace(self, site=replace(self.site, latitude=latitude))

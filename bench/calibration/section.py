@@ -130,7 +130,7 @@ class IncrementSection:
 
     def spin_errors(self, start: FloatArray, common: FloatArray, site: Site) -> list[SpinError]:
         """What is left of whole turns with these values; not of spins oblique to the gyros."""
-        angle, _ = self.freed(SensorErrors.from_vector(common[:COUNT]), None)
+        angle, _ = self.freed(SensorErrors.from_vector(common[:COUNT]), common)
         attitude = attitudes(angle, self.interval_s, self.epochs.ends, start, site.latitude)
         edges, errors = np.concatenate([[0], self.epochs.ends]), []
         for a, b, turned in self.epochs.spins:

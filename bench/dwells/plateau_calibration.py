@@ -30,13 +30,15 @@ from gyrobench.bench.calibration.results import coefficient_rows
 from gyrobench.bench.dwells.measure_dwell import MeasurementSetup
 from gyrobench.bench.dwells.rotations import OF_GYROS, PlateauRotations, enclosing
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.bench.navigation.positions import AXES
+from gyrobench.bench.navigation.positions import AXES, POSITIONS
 from gyrobench.bench.runs.tables.coefficient_table import COMMON_SOURCES, PlateauCoefficientRow
 
 #: Temperatures of plateaus, K, between which coefficients show their slopes, and degree of the curve.
 _MIN_APART_C, _SLOPE_DEGREE = 2.0, 2
 #: Dwells and rotations contradict each other where chance gives the difference less often than this.
 _MIN_P_VALUE = 1e-3
+#: Positions whose mean specific force is a smaller part of gravity show biases without it.
+_MAX_MEAN_UP = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,7 +230,10 @@ def _plateau(
     gyro_c, case_c = NOT_MEASURED, math.nan
     cycle, set_c = 0, None
     if solution is not None:
-        estimates.append(joint_coefficients(solution, setup.prior))
+        of_dwells = joint_coefficients(solution, setup.prior)
+        if rotations is not None and rotations.notes and _is_lopsided(solution):
+            of_dwells = _without_biases(of_dwells)
+        estimates.append(of_dwells)
         cycle, set_c = solution.dwells[0].cycle, solution.dwells[0].chamber_set_c
         gyro_c = triple(np.mean([each.gyro_c for each in solution.dwells], axis=0))
         case_c = float(np.mean([rows[each.number].case_c for each in solution.dwells]))
@@ -253,6 +258,20 @@ def _plateau(
         number, cycle, chamber_set_c, gyro_c, case_c, estimate, "; ".join(findings),
         "; ".join(rotations.notes if rotations else ()), with_force, rotations, enclosing(ranges), inputs,
     )  # fmt: skip
+
+
+def _is_lopsided(solution: JointSolution) -> bool:
+    """Whether the mean of the dwells' biases holds a part that follows the specific force."""
+    ups = [POSITIONS[each.position_name].C_nb()[2] for each in solution.dwells]
+    return bool(np.linalg.norm(np.mean(ups, axis=0)) > _MAX_MEAN_UP)
+
+
+def _without_biases(estimate: CoefficientEstimate) -> CoefficientEstimate:
+    """The same estimate that says nothing of the gyro biases."""
+    wide = np.diag([each.size**2 * (k < 3) for k, each in enumerate(COEFFICIENTS)])
+    is_observed = estimate.is_observed & (np.arange(COUNT) >= 3)
+    parts = {**estimate.parts, "assumed_size": estimate.parts.get("assumed_size", 0.0) + wide}
+    return replace(estimate, covariance=estimate.covariance + wide, is_observed=is_observed, parts=parts)
 
 
 def _combined(estimates: Sequence[CoefficientEstimate]) -> CoefficientEstimate:

@@ -121,14 +121,12 @@ def _calibrated_rotations(dwells: Sequence[RotatedDwell], setup: MeasurementSetu
     rotations = PlateauRotations(dwells[0].marks, gyro_c, case_c, gyro_rate_c_per_h, range_c)
     try:
         found = _calibrated([piece for each in dwells for piece in each.pieces], setup.site, options)
-        if len(found.coefficients) > COUNT:
-            options = replace(options, g_sensitivity=True)
         with_force = None
         if not all(each.has_vertical for each in found.recordings):
-            with_force = _with_force(found, setup.site, options)
+            with_force = _with_force(found, setup.site)
     except MeasurementError as error:
         return replace(rotations, finding=f"the rotations give no coefficients: {error}")
-    parts = covariances_by_source(found, setup.site, options)
+    parts = covariances_by_source(found, setup.site)
     # The increments themselves are no longer needed, nor what was estimated beside the coefficients.
     found = replace(
         found,
@@ -185,10 +183,11 @@ def _calibrated(
     return calibrate(recordings, site, options, rests)
 
 
-def _with_force(found: Calibration, site: Site, options: CalibrationOptions) -> CoefficientEstimate:
+def _with_force(found: Calibration, site: Site) -> CoefficientEstimate:
     """The same estimate as uncertain as it would be if the vertical specific force were measured."""
     sections = [replace(each, epochs=replace(each.epochs, has_vertical=True)) for each in found.sections]
-    information = Information.of(sections, found.trajectories, found.unknowns, found.noise, site, options)
+    known = found.trajectories, found.unknowns, found.noise, site, found.options
+    information = Information.of(sections, *known)
     _, covariance, is_observed = information.solve()
     by_site = sum(part[:COUNT, :COUNT] for part in found.by_site.values())
     values = found.values[:COUNT]

@@ -65,7 +65,7 @@ def test_a_bias_that_drifts_is_no_misfit_and_leaves_the_other_coefficients_right
     deviations = np.array([(each.values - TRUTH) / each.sigmas for each in found])
     assert np.sqrt(np.mean(deviations**2)) == pytest.approx(1.0, abs=0.25)
     assert min(each.fit.p_value for each in found) > 1e-3
-    assert "bias_drift" in covariances_by_source(found[0], SITE, options)
+    assert "bias_drift" in covariances_by_source(found[0], SITE)
     constant = calibrate([recorded(drifted, 0)], SITE)
     assert constant.fit.p_value < 1e-3
     assert (constant.sigmas > found[0].sigmas).all()
@@ -278,7 +278,7 @@ def test_whole_turns_that_contradict_the_rotations_are_named_and_make_scale_fact
     assert "z +" in finding
     assert found.sigmas[z] > 1e-6 > 10.0 * agreeing.sigmas[z]
     assert abs(found.values[z] - TRUTH[z]) < 3.0 * found.sigmas[z]
-    parts = covariances_by_source(found, SITE, ONE_ARCSEC)
+    parts = covariances_by_source(found, SITE)
     np.testing.assert_allclose(np.diag(sum(parts.values())), np.diag(found.covariance), rtol=1e-6)
     assert np.sqrt(parts["misfit"][z, z]) > 0.9 * found.sigmas[z]
 
@@ -346,7 +346,7 @@ def test_gyro_biases_that_follow_the_specific_force_are_found_where_noise_explai
     assert note.startswith("the gyro biases follow the specific force (p = ")
     assert found.findings == ()
     i, j = np.unravel_index(np.argmax(np.abs(SENSITIVITY)), (3, 3))
-    named_dph_per_g = re.search(rf"{'xyz'[i]} along {'xyz'[j]} ([-+]\d\.\d+)", note)[1]
+    named_dph_per_g = re.search(rf"{'xyz'[i]} gyro ([-+]\d\.\d+) ± [\d.e-]+ along {'xyz'[j]}", note)[1]
     truth_dph_per_g = SENSITIVITY[i, j] * STANDARD_GRAVITY / DPH_TO_RADPS
     assert float(named_dph_per_g) == pytest.approx(truth_dph_per_g, abs=0.003)
     assert np.abs((found.values[:21] - TRUTH) / found.sigmas[:21]).max() < 4.0
@@ -367,6 +367,43 @@ def test_a_wrong_latitude_passes_for_no_bias_that_follows_the_specific_force(lat
     (finding,) = found.findings
     named_deg = float(finding.partition("A latitude of ")[2].split()[0])
     assert named_deg == pytest.approx(latitude_deg, abs=0.03)
+
+
+@pytest.mark.long
+def test_noise_above_the_declared_one_passes_for_no_bias_that_follows_the_specific_force():
+    walks = Noise.angle_random_walk, Noise.velocity_random_walk
+    options = CalibrationOptions(g_sensitivity=None, gravity=SITE.gravity, walks=walks, are_explained=False)
+    noisy = Noise(angle_random_walk=1.6 * Noise.angle_random_walk)
+    increments = rotated_unit(sample_hz=10.0, dwell_s=149.0).increments()
+    logs = [recorded(increments, seed, 10.0, noisy) for seed in range(40)]
+    found = [calibrate([log], SITE, options) for log in logs]
+    assert sum(bool(each.findings) for each in found) > 10
+    assert not any(each.notes for each in found)
+
+
+@pytest.mark.parametrize("off_deg", [1.5, 0.6])
+def test_a_wrong_latitude_is_hidden_by_no_true_sensitivity(off_deg):
+    """At the equator its error is a rate Up alone, as an equal own sensitivity of all gyros."""
+    still = {"force_matrix": np.zeros((3, 3)), "force_bias": np.zeros(3)}
+    unit = rotated_unit(latitude_deg=0.0, dwell_s=149.0, sample_hz=10.0, **still)
+    angle, velocity = unit.increments()
+    log = recorded((angle + velocity @ SENSITIVITY.T, velocity), 1, 10.0)
+    options = CalibrationOptions(g_sensitivity=None, gravity=SITE.gravity, are_explained=False)
+    found = calibrate([log], Site(np.deg2rad(off_deg)), options)
+    assert (found.notes, len(found.findings)) == ((), 1)
+
+
+def test_whole_turns_are_free_of_biases_that_follow_the_specific_force():
+    log = spun()
+    bent = replace(log, angle=log.angle + log.velocity @ (10.0 * SENSITIVITY).T)
+    found = calibrate([bent], SITE, replace(ONE_ARCSEC, g_sensitivity=True))
+    spins = [
+        spin
+        for section, start in zip(found.sections, found.starts, strict=True)
+        for spin in section.spin_errors(start, found.unknowns, SITE)
+    ]
+    assert len(spins) == 2
+    assert max(abs(spin.error) for spin in spins) < 1e-5
 
 
 def test_the_opposite_latitude_passes_for_no_bias_that_follows_the_specific_force():

@@ -21,7 +21,7 @@ def test_all_mistakes_are_reported_with_exit_code_2(tmp_path, capsys):
     path.write_text("faults:\n  - {fault: lost_reply, target: table}\n  - {fault: lost}\n")
     assert main(["check", "faults", str(path)]) == 2
     lines = capsys.readouterr().err.splitlines()
-    assert [line.partition(": ")[0] for line in lines] == [f"{path}:2:5", f"{path}:3:5"]
+    assert [line.partition(": ")[0] for line in lines] == [f"{path}:2:5", f"{path}:3:6"]
 
 
 @pytest.mark.parametrize("kind", ["world", "faults"])

@@ -230,7 +230,7 @@ def test_a_wrong_list_of_faults_ends_it_with_a_message(tmp_path, capsys):
     path = tmp_path / "faults.yaml"
     path.write_text("faults:\n  - {fault: gremlins, at_s: 1}\n")
     complaints = ended_at_once(capsys, "--world", "quick", "--faults", path)
-    assert f"gyrobench emulate: {path}:2:5: " in complaints
+    assert f"gyrobench emulate: {path}:2:6: " in complaints
 
 
 def test_ports_are_where_they_are_asked_for_and_a_client_that_left_makes_room_for_the_next_one(
