@@ -38,12 +38,12 @@ WORLD = "all_coefficients"
 MAX_QUANTILE = 0.999
 
 
-def short_procedure(tmp_path):
-    """Rotations and spins of full_calibration with shorter rests and without the slowest, and no dwell."""
+def short_procedure(tmp_path, dwell=()):
+    """Rotations and spins of full_calibration with shorter rests and without the slowest, after a dwell."""
     document = yaml.safe_load(find_document("procedures", "full_calibration").read_text())
     plateau = document["steps"][2]["repeat"]["steps"]
     first = next(i for i, step in enumerate(plateau) if "rotate" in step) - 2
-    steps = [{"power_on": {"settle_s": 20}}, *plateau[first:], "power_off"]
+    steps = [{"power_on": {"settle_s": 20}}, *dwell, *plateau[first:], "power_off"]
     for step in steps:
         if "rotate" in step:
             step["rotate"]["rest_s"] = 30
@@ -119,8 +119,16 @@ def test_biases_that_follow_attitude_are_found_by_the_rotations_and_leave_the_ot
     strong = effect | {"sensitivity_dph_per_w": [0.4, -0.4, 0.4]}
     path = tmp_path / "world.yaml"
     path.write_text(yaml.safe_dump(world | {"thermal": warmed["thermal"], "undeclared_effects": [strong]}))
-    folder, outcome, _ = run_procedure(short_procedure(tmp_path), tmp_path / "run", path)
-    assert outcome.ended == "finished"
+    one_position = [
+        {"go_to": {"position": "z_up", "azimuth_deg": 0, "rate_dps": 10}},
+        {"align": {"duration_s": 300}},
+        {"navigate": {"duration_s": 300}},
+        {"turn": {"angle_deg": 180, "rate_dps": 10, "settle_s": 5}},
+        {"navigate": {"duration_s": 300}},
+    ]
+    procedure = short_procedure(tmp_path, one_position)
+    folder, outcome, _ = run_procedure(procedure, tmp_path / "run", path)
+    assert (outcome.ended, len(outcome.dwells)) == ("finished", 1)
     rows = read_coefficients(folder.coefficients)
     assert all("follow the specific force" in row.note and row.finding == "" for row in rows)
     assert_consistent(rows, len(COEFFICIENTS))
