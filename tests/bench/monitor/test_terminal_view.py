@@ -137,9 +137,11 @@ def test_the_status_line_drops_biases_with_their_step(lines):
     assert "±" not in lines[-1]
 
 
+#: It takes longer than the view to draw twice.
 PROCEDURE = """procedure: short
 steps:
   - power_on
+  - wait: {duration_s: 20000}
   - go_to: {position: z_up, rate_dps: 30}
   - align: {duration_s: 60}
   - navigate: {duration_s: 61}
