@@ -13,9 +13,9 @@ from gyrobench.bench.bias.window_filter import EPOCH_S
 from gyrobench.bench.dwells.measure_dwell import (
     MIN_FIT_P_VALUE,
     MeasurementSetup,
+    checked_navigation,
     dwell_at_rest,
     lack_of_fit_text,
-    tested_navigation,
 )
 from gyrobench.bench.dwells.setup_check import raise_setup_fault
 from gyrobench.bench.dwells.temperatures import DwellTemperatures, dwell_temperatures
@@ -87,7 +87,7 @@ def measure_check_dwell(marks: DwellMarks, frames: FrameBlock, setup: Measuremen
     temperatures, aligning_c, setup_fault = DwellTemperatures(), NOT_MEASURED, ""
     are_signs_tested = False
     try:
-        data, are_signs_tested = tested_navigation(marks, frames, setup, flags)
+        data, are_signs_tested = checked_navigation(marks, frames, setup, flags)
         counts = data.counts
         first_frame, end_frame = marks.windows[0].first_frame, marks.windows[-1].end_frame
         temperatures = dwell_temperatures(data, first_frame, end_frame)

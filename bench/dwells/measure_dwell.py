@@ -182,7 +182,7 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
     evidence: SetupEvidence | None = None
     are_signs_tested = False
     try:
-        navigation, are_signs_tested = tested_navigation(marks, frames, setup, flags)
+        navigation, are_signs_tested = checked_navigation(marks, frames, setup, flags)
         counts = navigation.counts
         temperatures = dwell_temperatures(
             navigation, marks.windows[0].first_frame, marks.windows[-1].end_frame
@@ -268,14 +268,6 @@ def _estimate(dwell: Dwell, setup: MeasurementSetup, noise: NoiseModel) -> State
 
 
 def checked_navigation(
-    marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup, flags: list[str]
-) -> NavigationData:
-    """Decode a dwell as :func:`tested_navigation` does, whether or not it tests the signs."""
-    navigation, _ = tested_navigation(marks, frames, setup, flags)
-    return navigation
-
-
-def tested_navigation(
     marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup, flags: list[str]
 ) -> tuple[NavigationData, bool]:
     """Decode a dwell; what frames and temperature sensors do wrong is added to ``flags``.

@@ -59,7 +59,7 @@ def measure_rotations(marks: DwellMarks, frames: FrameBlock, setup: MeasurementS
 
     Raises MeasurementError if what the INS sent can't be used.
     """
-    navigation = checked_navigation(marks, frames, setup, [])
+    navigation, _ = checked_navigation(marks, frames, setup, [])
     first, end = marks.windows[0].first_frame, marks.windows[-1].end_frame
     temperatures = dwell_temperatures(navigation, first, end)
     increments = setup.decode_increments(frames)

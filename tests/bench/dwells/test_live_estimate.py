@@ -75,7 +75,7 @@ def test_at_the_end_it_is_the_estimate_of_the_whole_dwell(recorded, replayed, st
 
 def test_the_biases_are_those_at_the_mean_temperature_so_far(recorded, replayed):
     marks, frames, setup = recorded
-    dwell = dwell_at_rest(marks, checked_navigation(marks, frames, setup, []), setup)
+    dwell = dwell_at_rest(marks, checked_navigation(marks, frames, setup, [])[0], setup)
     whole = estimate_dwell(dwell, setup, setup.noise)[0].information.bias_at_mean
     begin = recorded[0].windows[1].first_frame
     *_, last = [replayed.estimate_at(now) for now in stops(begin, end_of(recorded), (777,))]
