@@ -22,7 +22,7 @@ import numpy as np
 from gyrobench.bench.bias import parameters, window_filter
 from gyrobench.bench.bias.bias_steps import MIN_STEP_P_VALUE, BiasStep, WindowChange, find_bias_step
 from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, TurnPath
-from gyrobench.bench.bias.error_split import ErrorPart, noise_parts, prior_parts
+from gyrobench.bench.bias.error_split import ErrorPart, ErrorParts, noise_parts, prior_parts
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.bias.statistics import GoodnessOfFit, chi2_p_value, goodness_of_fit, least_chi2, solve
@@ -45,7 +45,7 @@ _WIDE_LATITUDE = 0.1
 _WIDE_ACCELERATION, _MAX_TRANSIENT_P_VALUE = 0.1, 0.01
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Damping:
     """Rate at which an INS damps its velocity, with its standard uncertainty, 1/s."""
 
@@ -104,7 +104,7 @@ class DwellInformation:
         return int(self.rows.shape[1] - parameters.COMMON) // parameters.PER_WINDOW
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, slots=True)
 class StateSpaceEstimate(BiasEstimate):
     """Gyro bias of one dwell at the mean temperature of each gyro, and what was found with it."""
 
@@ -247,7 +247,7 @@ class BiasFilter:
         return StateSpaceEstimate(
             bias_radps=at_mean @ unknowns,
             covariance=at_mean @ covariance @ at_mean.T,
-            accelerometer_bias=unknowns[acceleration],
+            accelerometer_bias=unknowns[acceleration].copy(),  # a view would keep all unknowns
             accelerometer_sigma=np.sqrt(np.diag(covariance)[acceleration]),
             fit=self._goodness_of_fit(expansions, taken, covariance),
             steady_p_value=self._steady_p_value(information),
@@ -267,12 +267,12 @@ class BiasFilter:
         shown: FloatArray,
         expansions: list[FloatArray],
         covariance: FloatArray,
-    ) -> dict[str, ErrorPart]:
+    ) -> ErrorParts:
         at_mean, gain = information.bias_at_mean, covariance @ information.bias_at_mean.T
         prior_root = parameters.prior_root(self._prior, len(self._windows), self._earth_rate)
         by_prior = at_mean @ prior_root - gain.T @ information.rows.T @ information.rows @ prior_root
         noise = noise_parts(self._windows, self._changes, expansions, gain, self._site, self._noise)
-        return noise | prior_parts(by_prior, self._prior, shown, len(self._windows))
+        return ErrorParts(noise | prior_parts(by_prior, self._prior, shown, len(self._windows)))
 
     def goodness_of_fit(self) -> GoodnessOfFit:
         """Test whether the model explains what has been added, even a single window."""

@@ -144,7 +144,7 @@ class BiasBudget:
     bin_high_c: float = math.nan
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, slots=True)
 class BudgetedDwell:
     """A dwell and the parts of its biases' errors."""
 
@@ -348,7 +348,7 @@ def _as_stated(axis: int, dwell: BudgetedDwell) -> Mapping[str, ErrorPart]:
     solution says more or less is taken as that of the latitude.
     """
     stated = (dwell.row.sigma_dph[axis] * DPH_TO_RADPS) ** 2
-    variances = {name: float(part.covariance[axis, axis]) for name, part in dwell.parts.items()}
+    variances = {name: float(np.sum(part.columns[axis] ** 2)) for name, part in dwell.parts.items()}
     total = math.fsum(variances.values())
     if "latitude" not in variances or abs(stated - total) <= 1e-6 * total:
         return dwell.parts

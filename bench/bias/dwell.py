@@ -158,7 +158,7 @@ class Dwell:
             )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, slots=True)
 class BiasEstimate:
     """Gyro bias of one dwell."""
 

@@ -9,9 +9,11 @@ each output.
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -42,6 +44,38 @@ class ErrorPart:
     def scaled(self, factors: FloatArray) -> ErrorPart:
         """The same with the error of each gyro multiplied by a factor (3,)."""
         return replace(self, columns=self.columns * factors[:, np.newaxis])
+
+
+class ErrorParts(Mapping[str, ErrorPart]):
+    """The parts by source, in two arrays: a run keeps those of all its dwells."""
+
+    __slots__ = ("_columns", "_places", "_scalars")
+
+    def __init__(self, parts: Mapping[str, ErrorPart]) -> None:
+        self._places = _places(tuple((name, part.columns.shape[1]) for name, part in parts.items()))
+        self._columns = np.hstack([part.columns for part in parts.values()])
+        self._scalars = np.array([(part.sigma, part.dof) for part in parts.values()])
+
+    def __getitem__(self, name: str) -> ErrorPart:
+        number, columns = self._places[name]
+        sigma, dof = self._scalars[number].tolist()
+        return ErrorPart(self._columns[:, columns], sigma, dof)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._places)
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+
+@lru_cache(maxsize=16)
+def _places(sizes: tuple[tuple[str, int], ...]) -> Mapping[str, tuple[int, slice]]:
+    """Number and columns of each part of some sizes; all dwells with the same parts share them."""
+    ends = itertools.accumulate(size for _, size in sizes)
+    return {
+        name: (number, slice(end - size, end))
+        for number, ((name, size), end) in enumerate(zip(sizes, ends, strict=True))
+    }
 
 
 def prior_parts(
@@ -78,7 +112,8 @@ def prior_parts(
     for place, _ in places.values():
         named[place] = True
     parts = {name: ErrorPart(response[:, place], sigma) for name, (place, sigma) in places.items()}
-    return parts | {"initial_state": ErrorPart(response[:, ~named], math.nan)}
+    others = response[:, ~named]
+    return parts | {"initial_state": ErrorPart(_root(others @ others.T), math.nan)}
 
 
 def noise_parts(

@@ -55,7 +55,7 @@ _LOWER, _OFF_DIAGONAL = np.tril(np.ones((3, 3))).ravel(), ~np.eye(3, dtype=bool)
 _MIN_P_VALUE = 1e-3
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, slots=True)
 class JointInformation:
     """Information of one dwell on the joint problem."""
 
@@ -110,6 +110,29 @@ class JointFit:
     chi2: float
     dof: int
     p_value: float
+
+    @property
+    def shared(self) -> SharedUnknowns:
+        """What the dwells share."""
+        sigmas = np.sqrt(np.diagonal(self.covariance)[:SHARED])
+        return SharedUnknowns(self.unknowns[:SHARED].copy(), sigmas, self.p_value)
+
+    @property
+    def biases(self) -> JointBiases:
+        """The biases of each dwell."""
+        return JointBiases(
+            self.unknowns[SHARED:].reshape(-1, 3).copy(), self.covariance[SHARED:, SHARED:].copy()
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class SharedUnknowns:
+    """What the dwells of a plateau share, as a joint problem gives it."""
+
+    #: values, sigmas: Shape (23,). With standard uncertainties, SI.
+    values: FloatArray
+    sigmas: FloatArray
+    p_value: float  #: Test that the dwells agree on it; see :class:`JointFit`.
 
 
 def declared_root(prior: PriorKnowledge, earth_rate: FloatArray) -> FloatArray:
@@ -174,7 +197,7 @@ def _informative(rows: FloatArray, data: FloatArray, sizes: FloatArray) -> tuple
     return turned @ rows, turned @ data
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, slots=True)
 class JointDwell:
     """One dwell for a joint solution."""
 
@@ -221,8 +244,8 @@ class JointSolution:
     north_free: JointBiases
     #: fit, north_free_fit: Of the last two. If the dwells agree (``p_value``) in the second alone, the
     #: latitude is wrong by more than declared; if in neither, they do not share what they are meant to.
-    fit: JointFit
-    north_free_fit: JointFit
+    fit: SharedUnknowns
+    north_free_fit: SharedUnknowns
     pairs: VerticalPairs  #: Half-differences of the vertical gyros.
     up_rate: UpRate  #: The rate Up by these dwells alone.
 
@@ -256,8 +279,7 @@ class JointSolution:
     @property
     def north_rate(self) -> tuple[float, float]:
         """Rate North fixed in the navigation frame, free of prior knowledge, and its uncertainty, rad/s."""
-        fit = self.north_free_fit
-        return float(fit.unknowns[_NORTH]), float(np.sqrt(fit.covariance[_NORTH, _NORTH]))
+        return float(self.north_free_fit.values[_NORTH]), float(self.north_free_fit.sigmas[_NORTH])
 
     def corrected(self, rate: UpRate | None = None) -> JointBiases:
         """Biases with a rate Up, if there is one, taken away from the vertical gyros.
@@ -283,7 +305,7 @@ class JointSolution:
         )
 
     def _shared(self, part: slice) -> tuple[FloatArray, FloatArray]:
-        return self.fit.unknowns[part], np.sqrt(np.diagonal(self.fit.covariance)[part])
+        return self.fit.values[part], self.fit.sigmas[part]
 
 
 def solve_jointly(dwells: Sequence[JointDwell], prior: PriorKnowledge) -> JointSolution:
@@ -302,10 +324,10 @@ def solve_jointly(dwells: Sequence[JointDwell], prior: PriorKnowledge) -> JointS
     return JointSolution(
         dwells=tuple(dwells),
         single=_side_by_side([_solve_alone(each, root) for each in information]),
-        together=_biases(fit),
-        north_free=_biases(north_free_fit),
-        fit=fit,
-        north_free_fit=north_free_fit,
+        together=fit.biases,
+        north_free=north_free_fit.biases,
+        fit=fit.shared,
+        north_free_fit=north_free_fit.shared,
         pairs=pairs,
         up_rate=up_rate([pairs], earth_rate, prior.latitude),
     )
@@ -321,10 +343,6 @@ def pooled_up_rate(solutions: Sequence[JointSolution], prior: PriorKnowledge) ->
         return None
     earth_rate = agreeing[0].dwells[0].information.earth_rate
     return up_rate([each.pairs for each in agreeing], earth_rate, prior.latitude)
-
-
-def _biases(fit: JointFit) -> JointBiases:
-    return JointBiases(fit.unknowns[SHARED:].reshape(-1, 3), fit.covariance[SHARED:, SHARED:])
 
 
 def _side_by_side(singles: Sequence[tuple[FloatArray, FloatArray]]) -> JointBiases:

@@ -95,7 +95,7 @@ def chi2_test(residuals: FloatArray, rows: FloatArray, covariance: FloatArray) -
     return Chi2Test(chi2, dof, chi2_p_value(dof, chi2))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, slots=True)
 class GoodnessOfFit:
     """Chi-square test of the innovations."""
 

@@ -23,9 +23,7 @@ from enum import Enum
 import numpy as np
 
 from gyrobench.bench.bias.statistics import chi2_p_value
-from gyrobench.bench.foundations.arrays import FloatArray, IntArray, block_diagonal
-
-Labels = IntArray
+from gyrobench.bench.foundations.arrays import FloatArray
 
 #: Probability below which measurements contradict a hypothesis.
 MIN_P_VALUE = 0.01
@@ -143,25 +141,28 @@ def up_rate(
     groups = [group for group in groups if group.gyros]
     if not groups:
         return _NO_RATE
-    values = np.concatenate([group.half_difference for group in groups])
-    inverse = block_diagonal(*(np.asarray(np.linalg.inv(group.covariance)) for group in groups))
-    gyros = np.concatenate([group.gyros for group in groups])
-    temperatures = np.repeat(np.arange(len(groups)), [len(group.gyros) for group in groups])
-    weights = inverse.sum(axis=0) / inverse.sum()
-    parts = [weights[temperatures == number] for number in range(len(groups))]
-    chi2, dof = _scatter(values, inverse, np.zeros_like(gyros))
+    inverses = [np.asarray(np.linalg.inv(group.covariance)) for group in groups]
+    total = math.fsum(float(inverse.sum()) for inverse in inverses)
+    parts = [inverse.sum(axis=0) / total for inverse in inverses]
+    gyros = sorted({gyro for group in groups for gyro in group.gyros})
+    chi2, dof = _scatter(groups, inverses, [np.zeros(len(group.gyros)) for group in groups])
     p_gyros, p_temperatures = (
         _p_value(chi2 - part, dof - free)
-        for part, free in (_scatter(values, inverse, labels) for labels in (gyros, temperatures))
+        for part, free in (
+            _scatter(groups, inverses, [np.array(group.gyros, float) for group in groups]),
+            _scatter_within(groups, inverses),
+        )
     )
     p_value = _p_value(chi2, dof)
     if len(groups) > 1:
         p_value = _of_any(p_value, p_gyros, p_temperatures)
     latitude = _latitude_error(*_north_and_up(groups, parts), earth_rate)
     return UpRate(
-        rate=float(weights @ values),
-        sigma=float(inverse.sum() ** -0.5),
-        gyros=tuple(np.unique(gyros).tolist()),
+        rate=math.fsum(
+            float(part @ group.half_difference) for part, group in zip(parts, groups, strict=True)
+        ),
+        sigma=total**-0.5,
+        gyros=tuple(gyros),
         weights=_dwell_weights(groups, parts),
         chi2=chi2,
         dof=dof,
@@ -171,7 +172,7 @@ def up_rate(
         latitude_error=latitude.error,
         latitude_sigma=latitude.sigma,
         latitude_p_value=latitude.p_value,
-        finding=_finding(len(np.unique(gyros)), p_value, latitude, declared_latitude),
+        finding=_finding(len(gyros), p_value, latitude, declared_latitude),
     )
 
 
@@ -185,12 +186,32 @@ class _LatitudeError:
     significance: float
 
 
-def _scatter(values: FloatArray, inverse: FloatArray, labels: Labels) -> tuple[float, int]:
-    """Chi-square about one mean for each label, and its degrees of freedom, by the inverse covariance."""
-    design = (labels[:, np.newaxis] == np.unique(labels)).astype(float)
-    weighted = inverse @ design
-    residuals = values - design @ np.linalg.solve(design.T @ weighted, weighted.T @ values)
-    return float(residuals @ inverse @ residuals), design.shape[0] - design.shape[1]
+def _scatter(
+    groups: Sequence[VerticalPairs], inverses: Sequence[FloatArray], labels: Sequence[FloatArray]
+) -> tuple[float, int]:
+    """Chi-square about one mean for each label, and its degrees of freedom, by the inverse covariances.
+
+    ``labels``: of the half-differences of each group.
+    """
+    known = np.unique(np.concatenate(labels))
+    designs = [(each[:, np.newaxis] == known).astype(float) for each in labels]
+    normal, right = np.zeros((len(known), len(known))), np.zeros(len(known))
+    for group, inverse, design in zip(groups, inverses, designs, strict=True):
+        normal += design.T @ inverse @ design
+        right += design.T @ inverse @ group.half_difference
+    means = np.linalg.solve(normal, right)
+    residuals = [group.half_difference - each @ means for group, each in zip(groups, designs, strict=True)]
+    chi2 = math.fsum(float(each @ inverse @ each) for each, inverse in zip(residuals, inverses, strict=True))
+    return chi2, sum(len(each) for each in residuals) - len(known)
+
+
+def _scatter_within(groups: Sequence[VerticalPairs], inverses: Sequence[FloatArray]) -> tuple[float, int]:
+    """The same about a mean for each group."""
+    scatters = [
+        _scatter([group], [inverse], [np.zeros(len(group.gyros))])
+        for group, inverse in zip(groups, inverses, strict=True)
+    ]
+    return math.fsum(chi2 for chi2, _ in scatters), sum(dof for _, dof in scatters)
 
 
 def _p_value(chi2: float, dof: int) -> float:

@@ -14,6 +14,7 @@ from gyrobench.bench.bias.bias_filter import StateSpaceEstimate, estimate_state_
 from gyrobench.bench.bias.budget import BudgetInputs
 from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, TurnPath
 from gyrobench.bench.bias.dwell_table import NEIGHBOURS_ON, NOT_MEASURED, DwellRow, triple
+from gyrobench.bench.bias.error_split import ErrorParts
 from gyrobench.bench.bias.joint_solution import JointInformation
 from gyrobench.bench.bias.noise_estimate import RestMotion, estimate_noise
 from gyrobench.bench.bias.noise_model import NoiseModel
@@ -136,7 +137,7 @@ class MeasurementSetup:
         return rounding(rests, *self._steps)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, slots=True)
 class MeasuredDwell:
     """A row for the table, what is behind it where there is a result, and how the frames came."""
 
@@ -263,7 +264,7 @@ def _estimate(dwell: Dwell, setup: MeasurementSetup, noise: NoiseModel) -> State
     return replace(
         other,
         covariance=other.covariance + np.outer(up_radps, up_radps),
-        parts={**other.parts, "latitude": added},
+        parts=ErrorParts({**other.parts, "latitude": added}),
     )
 
 

@@ -51,7 +51,10 @@ class PlateauCalibration:
     #: gyro_c, case_c: As of the rotations, or where there are none of the dwells.
     gyro_c: Triple
     case_c: float
-    estimate: CoefficientEstimate | None  #: Of dwells and rotations together; None without either.
+    #: Of dwells and rotations together, without its parts; None without either.
+    estimate: CoefficientEstimate | None
+    #: Variances of the estimate by source, shape (21,) each, SI.
+    variances: Mapping[str, FloatArray] = field(default_factory=dict)
     finding: str = ""  #: Why the rotations give nothing, or that they contradict the dwells.
     note: str = ""  #: What the rotations show beside the coefficients.
     #: As uncertain as if the INS sent specific forces; None where it does.
@@ -69,9 +72,7 @@ class PlateauCalibration:
         """
         if self.estimate is None or not self.estimate.is_observed[k]:
             return math.nan, math.nan
-        shared = sum(
-            self.estimate.parts[each][k, k] for each in COMMON_SOURCES if each in self.estimate.parts
-        )
+        shared = sum(float(self.variances[each][k]) for each in COMMON_SOURCES if each in self.variances)
         return float(self.estimate.values[k]), math.sqrt(self.estimate.covariance[k, k] - shared)
 
     def change_c(self, coefficient: SensorCoefficient, sensor: int) -> float:
@@ -80,12 +81,12 @@ class PlateauCalibration:
         low_c, high_c = (self if is_bias or self.rotations is None else self.rotations).range_c
         return float(high_c[sensor] - low_c[sensor])
 
-    def with_part(self, name: str, part: FloatArray) -> PlateauCalibration:
-        """The same with one more source of uncertainty, of covariance (21, 21)."""
+    def with_source(self, name: str, variances: FloatArray) -> PlateauCalibration:
+        """The same with one more source of uncertainty, of independent variances (21,)."""
         if self.estimate is None:
             return self
-        covariance, parts = self.estimate.covariance + part, {**self.estimate.parts, name: part}
-        return replace(self, estimate=replace(self.estimate, covariance=covariance, parts=parts))
+        estimate = replace(self.estimate, covariance=self.estimate.covariance + np.diag(variances))
+        return replace(self, estimate=estimate, variances={**self.variances, name: variances})
 
     @property
     def correlations(self) -> FloatArray:
@@ -108,7 +109,7 @@ class PlateauCalibration:
             (
                 each,
                 coefficient_budget(
-                    {name: float(part[i, i]) * each.per_si**2 for name, part in self.estimate.parts.items()},
+                    {name: float(its[i]) * each.per_si**2 for name, its in self.variances.items()},
                     inputs,
                     dof,
                 ),
@@ -198,8 +199,7 @@ def with_temperature_change(plateaus: Sequence[PlateauCalibration]) -> list[Plat
             changes = curve.deriv()(at_c) * [each.change_c(coefficient, sensor) for each in plateaus]
             variances[:, k] = np.where(known & np.isfinite(changes), changes**2 / 12.0, 0.0)
     return [
-        each.with_part("temperature_change", np.diag(its))
-        for each, its in zip(plateaus, variances, strict=True)
+        each.with_source("temperature_change", its) for each, its in zip(plateaus, variances, strict=True)
     ]
 
 
@@ -250,13 +250,15 @@ def _plateau(
     if len(estimates) > 1 and (p_value := _agreement(*estimates)) < _MIN_P_VALUE:
         findings.append(f"dwells and rotations contradict each other (p = {p_value:.1g})")
     estimate = _combined(estimates) if estimates else None
+    variances = {name: np.diag(part).copy() for name, part in estimate.parts.items()} if estimate else {}
     chamber_set_c = math.nan if set_c is None else set_c
     inputs = {"latitude": setup.prior.latitude, "table_return": setup.table_repeatability} | {
         "gravity": setup.gravity[1]
     }
     return PlateauCalibration(
-        number, cycle, chamber_set_c, gyro_c, case_c, estimate, "; ".join(findings),
-        "; ".join(rotations.notes if rotations else ()), with_force, rotations, enclosing(ranges), inputs,
+        number, cycle, chamber_set_c, gyro_c, case_c, _without_parts(estimate), variances,
+        "; ".join(findings), "; ".join(rotations.notes if rotations else ()), _without_parts(with_force),
+        rotations, enclosing(ranges), inputs,
     )  # fmt: skip
 
 
@@ -291,6 +293,11 @@ def _combined(estimates: Sequence[CoefficientEstimate]) -> CoefficientEstimate:
             parts[name] = parts.get(name, 0.0) + gain @ part @ gain.T
     whole = covariance * np.outer(sizes, sizes) + parts.get("gravity", 0.0)
     return CoefficientEstimate(sizes * (covariance @ sums), whole, is_observed, parts=parts)
+
+
+def _without_parts(estimate: CoefficientEstimate | None) -> CoefficientEstimate | None:
+    """The same estimate, small enough to be kept of all plateaus of a run."""
+    return None if estimate is None else replace(estimate, parts={})
 
 
 def _agreement(one: CoefficientEstimate, other: CoefficientEstimate) -> float:

@@ -63,7 +63,7 @@ _UNITS = {
 _MAX_NAMED_SIGMAS, _MAX_NAMED_SHARE = 2.0, 0.02
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, slots=True)
 class SetupEvidence:
     """What one dwell shows of the set-up; a scale without information is left out."""
 

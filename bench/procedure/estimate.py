@@ -28,7 +28,7 @@ class ThermalEstimate:
     room_c: float = 23.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class BenchEstimate:
     """The expected state of the bench at one time."""
 

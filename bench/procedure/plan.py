@@ -52,7 +52,7 @@ _PHASES: Mapping[type[Step], Phase] = MappingProxyType(
 )  # fmt: skip
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class PlannedStep:
     """A step with its place in time."""
 

@@ -299,7 +299,7 @@ class _Bound:
     place: Location
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class ResolvedStep:
     """A step with values in place of variables."""
 
@@ -317,7 +317,7 @@ def resolve(document: Document, procedure: Procedure) -> list[ResolvedStep]:
     """
     _refuse_too_many(document, procedure.steps)
     problems: list[DocumentProblem] = []
-    steps = list(_resolve(procedure.steps, ("steps",), {}, problems))
+    steps = list(_resolve(procedure.steps, ("steps",), {}, {}, problems))
     if problems:
         raise document.error(problems)
     return steps
@@ -342,16 +342,18 @@ def _resolve(
     entries: Sequence[StepTemplate | Repeat],
     at: Location,
     scope: Mapping[str, _Bound],
+    known: dict[tuple[type[Step], str], Step],
     problems: list[DocumentProblem],
 ) -> Iterator[ResolvedStep]:
+    """Steps of some entries; ``known``: by kind and values, since thousands of steps have the same."""
     for index, entry in enumerate(entries):
         here = _entry_location(entry, (*at, index))
         if isinstance(entry, Repeat):
             for values in _combinations(entry, (*here, "over")):
-                yield from _resolve(entry.steps, (*here, "steps"), {**scope, **values}, problems)
+                yield from _resolve(entry.steps, (*here, "steps"), {**scope, **values}, known, problems)
             continue
         try:
-            yield _step(entry, here, scope)
+            yield _step(entry, here, scope, known)
         except ValidationError as error:
             problems += _traced(error, entry, here, scope)
 
@@ -365,8 +367,12 @@ def _combinations(loop: Repeat, at: Location) -> Iterator[dict[str, _Bound]]:
         yield dict(zip(loop.over, values, strict=True))
 
 
-def _step(entry: StepTemplate, at: Location, scope: Mapping[str, _Bound]) -> ResolvedStep:
-    step = entry.kind.model_validate(_filled(entry.values, scope))
+def _step(
+    entry: StepTemplate, at: Location, scope: Mapping[str, _Bound], known: dict[tuple[type[Step], str], Step]
+) -> ResolvedStep:
+    values = _filled(entry.values, scope)
+    key = entry.kind, repr(values)
+    step = known.get(key) or known.setdefault(key, entry.kind.model_validate(values))
     cycle = int(scope["cycle"].value) if "cycle" in scope else None
     places = {keys: scope[name].place for keys, name in entry.variables().items()}
     return ResolvedStep(at, step, cycle, places)

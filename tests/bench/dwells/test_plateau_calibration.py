@@ -198,27 +198,24 @@ def test_a_temperature_that_changes_within_the_plateau_adds_the_slope_between_pl
     slopes = np.linspace(-1.0, 1.0, COUNT) * 1e-6  # per K
 
     def plateau(number, temperature_c, change_c):
-        estimate = CoefficientEstimate(
-            slopes * temperature_c,
-            1e-16 * np.eye(COUNT),
-            np.ones(COUNT, bool),
-            parts={"dwells": np.eye(COUNT)},
-        )
+        estimate = CoefficientEstimate(slopes * temperature_c, 1e-16 * np.eye(COUNT), np.ones(COUNT, bool))
         around_c = np.full((2, 4), temperature_c) + 0.5 * change_c * np.array([[-1.0], [1.0]])
         at_c = (temperature_c,) * 3
-        return PlateauCalibration(number, 1, temperature_c, at_c, temperature_c, estimate, range_c=around_c)
+        variances = {"dwells": np.ones(COUNT)}
+        return PlateauCalibration(
+            number, 1, temperature_c, at_c, temperature_c, estimate, variances, range_c=around_c
+        )
 
     plateaus = [plateau(1, 60.0, 1.5), plateau(2, 25.0, 0.0), plateau(3, -35.0, 0.5)]
-    found = [each.estimate for each in with_temperature_change(plateaus)]
-    for estimate, change_c in zip(found, (1.5, 0.0, 0.5), strict=True):
-        added = np.diag(estimate.covariance) - 1e-16
-        assert np.diag(estimate.parts["temperature_change"]) == pytest.approx(added, abs=1e-25)
+    for found, change_c in zip(with_temperature_change(plateaus), (1.5, 0.0, 0.5), strict=True):
+        added = np.diag(found.estimate.covariance) - 1e-16
+        assert found.variances["temperature_change"] == pytest.approx(added, abs=1e-25)
         assert added == pytest.approx((slopes * change_c) ** 2 / 12.0, abs=1e-25)
     [alone] = with_temperature_change(plateaus[:1])
-    assert not alone.estimate.parts["temperature_change"].any()
+    assert not alone.variances["temperature_change"].any()
     poor = replace(plateaus[1].estimate, covariance=np.eye(COUNT))
     known, _, _ = with_temperature_change([plateaus[0], replace(plateaus[1], estimate=poor), plateaus[0]])
-    assert not known.estimate.parts["temperature_change"].any()  # noise shows no slope
+    assert not known.variances["temperature_change"].any()  # noise shows no slope
 
 
 def test_rotations_on_the_ramp_and_after_the_soak_of_one_set_point_are_two_plateaus(run_procedure, tmp_path):
