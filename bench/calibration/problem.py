@@ -31,8 +31,10 @@ from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import AXES
 
 #: Rounds of linearisation; the last one changes the weighted sum of squares by less than this, and each
-#: observed unknown by less than this part of its standard uncertainty.
-_MAX_ROUNDS, _CONVERGED, _MAX_STEP = 15, 0.1, 0.05
+#: observed unknown by less than this part of its standard uncertainty. Or the sum has been flat for so many
+#: rounds: rotations about one level axis show the heading by the cosine of a small angle alone, so that
+#: heading and bias East go on along a valley.
+_MAX_ROUNDS, _CONVERGED, _MAX_STEP, _FLAT_ROUNDS = 15, 0.1, 0.05, 4
 #: Something else explains the residuals where it reduces chi2 to this part.
 _EXPLAINED = 0.1
 #: Below this probability the noise alone does not explain the residuals.
@@ -97,6 +99,7 @@ class CalibrationProblem:
         starts = [each.aligned(first) for each in self.sections]
         beside = 6 if self.options.bias_drift else 3
         origin, left = np.concatenate([common[used], np.zeros(beside * len(self.sections))]), np.inf
+        flat_rounds = 0
         for _ in range(_MAX_ROUNDS):
             trajectories = integrated_sections(self.sections, starts, common, self.site, self.options)
             found = Information.of(self.sections, trajectories, common, self.noise, self.site, self.options)
@@ -110,7 +113,8 @@ class CalibrationProblem:
             # Sizes count in units of the residuals where these exceed the noise.
             excess = max(1.0, left / sum(map(len, found.blocks)))
             is_still = np.abs(step) < _MAX_STEP * np.sqrt(excess * np.diag(covariance))[: len(step)]
-            if abs(left - before) < _CONVERGED * excess and is_still[is_observed[: len(step)]].all():
+            flat_rounds = flat_rounds + 1 if abs(left - before) < _CONVERGED * excess else 0
+            if flat_rounds >= (1 if is_still[is_observed[: len(step)]].all() else _FLAT_ROUNDS):
                 fit = _test_fit(values, covariance, found.blocks)
                 return Solution(values, covariance, is_observed, common, starts, fit, found, trajectories)
         raise MeasurementError(

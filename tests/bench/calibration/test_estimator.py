@@ -432,6 +432,24 @@ def test_rotations_about_one_level_axis_leave_open_what_they_do_not_show():
     assert np.abs((found.values - TRUTH) / found.sigmas)[found.is_observed].max() < 4.0
 
 
+@pytest.mark.parametrize("latitude_deg", [45.0, 5.0])
+def test_a_heading_that_rotations_about_one_level_axis_hardly_show_keeps_no_estimate_from_converging(
+    latitude_deg,
+):
+    turns = [("outer", angle_deg) for angle_deg in (90, 90, -90, -90, -90, -90, 90, 90)]
+    normalised = []
+    for seed in (0, 8, 19):
+        random = np.random.default_rng(seed)
+        errors = {name: random.normal(0.0, np.std(each), each.shape) for name, each in ERRORS.items()}
+        errors["force_matrix"] = np.tril(errors["force_matrix"])
+        unit = rotated_unit(rotations=turns, dwell_s=149.0, latitude_deg=latitude_deg, **errors)
+        site = Site(np.deg2rad(latitude_deg))
+        found = calibrate([recorded(unit.increments(), seed)], site, CalibrationOptions(gravity=SITE.gravity))
+        deviations = (found.values - SensorErrors(**errors).vector()) / found.sigmas
+        normalised += deviations[found.is_observed].tolist()
+    assert np.sqrt(np.mean(np.square(normalised))) == pytest.approx(1.0, abs=0.4)
+
+
 def test_lever_arms_and_delay_are_estimated_where_asked_for():
     arms = np.array([[0.03, 0.0, 0.01], [-0.02, 0.04, 0.0], [0.01, -0.03, 0.05]])
     unit = rotated_unit(rate_dps=30.0, sample_hz=50.0, arms=arms, delay_s=0.002)
