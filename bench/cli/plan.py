@@ -76,8 +76,9 @@ def plan(
     The temperature profile and the positions are drawn as a PNG file; with --separability also
     separability_PROCEDURE.png, the similarity of effects.
 
-    With --json: {"procedure", "station", "duration_s", "dwells", "figure", "steps": [{"number", "step",
-    "what", "start_s", "duration_s", "dwell", "cycle"}]}, times from the start of the plan.
+    With --json: {"procedure", "station", "duration_s", "dwells", "figure", "unsettled_soaks", "steps":
+    [{"number", "step", "what", "start_s", "duration_s", "dwell", "cycle"}]}, times from the start of the
+    plan.
 
     With --observability, for a list of rotations: the expected uncertainty of each coefficient of the
     sensors' error model, with those of gravity and latitude of the station; with --json {"rotation_list",
@@ -94,7 +95,7 @@ def plan(
     if reach or whole_turns_arcsec is not None:
         raise DocumentError("--reach and --whole-turns-arcsec have a meaning with --observability only")
     from gyrobench.bench.engine.job import prepare_job
-    from gyrobench.bench.procedure.timeline import timeline_rows
+    from gyrobench.bench.procedure.timeline import timeline_rows, unsettled_soaks
     from gyrobench.bench.report.figures.style import save_figure
     from gyrobench.bench.report.figures.temperatures import plan_figure
     from gyrobench.bench.report.terminal.tables import timeline_table
@@ -110,6 +111,8 @@ def plan(
         print_json(_record(job, path))
         return
     console().print(timeline_table(timeline_rows(job.plan), job.plan.duration_s))
+    if soaks := unsettled_soaks(job.plan):
+        console().print(f"Note     {soaks}.", soft_wrap=True)
     typer.echo(f"Figure   {path}")
     if separability:
         _print_separability(job, target_dph or _DEFAULT_TARGET_DPH, closure)
@@ -165,6 +168,8 @@ def _show_observability(
 
 
 def _record(job: Job, figure: Path) -> dict[str, Any]:
+    from gyrobench.bench.procedure.timeline import unsettled_soaks
+
     plan = job.plan
     return {
         "procedure": plan.procedure.procedure,
@@ -172,6 +177,7 @@ def _record(job: Job, figure: Path) -> dict[str, Any]:
         "duration_s": plan.duration_s,
         "dwells": plan.dwell_count,
         "figure": figure,
+        "unsettled_soaks": unsettled_soaks(plan),
         "steps": [
             {
                 "number": planned.number,

@@ -69,9 +69,13 @@ class BenchEstimate:
 
     def time_until_gyro_rate_s(self, rate_c_per_h: float) -> float:
         """Time until the gyros change by less than ``rate_c_per_h``, the chamber held where it is."""
+        return self.thermal.time_constant_s * math.log(max(1.0, self.settling_c_per_h / rate_c_per_h))
+
+    @property
+    def settling_c_per_h(self) -> float:
+        """By how much the gyros change per hour, the chamber held where it is; a size."""
         gap_c = self.chamber_c + self._heating_c() - self.gyro_c
-        rate_now_c_per_h = 3600.0 * abs(gap_c) / self.thermal.time_constant_s
-        return self.thermal.time_constant_s * math.log(max(1.0, rate_now_c_per_h / rate_c_per_h))
+        return 3600.0 * abs(gap_c) / self.thermal.time_constant_s
 
     def _heating_c(self) -> float:
         return self.thermal.self_heating_c if self.powered else 0.0

@@ -10,7 +10,13 @@ from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.procedure.estimate import BenchEstimate, ThermalEstimate
 from gyrobench.bench.procedure.plan import DwellPurpose, Plan, expand
 from gyrobench.bench.procedure.procedure_file import load_procedure
-from gyrobench.bench.procedure.timeline import ROTATIONS, position_spans, temperature_profile, timeline_rows
+from gyrobench.bench.procedure.timeline import (
+    ROTATIONS,
+    position_spans,
+    temperature_profile,
+    timeline_rows,
+    unsettled_soaks,
+)
 from gyrobench.bench.report.figures.temperatures import plan_figure
 
 PlanOf = Callable[[str], tuple[Document, Plan]]
@@ -55,6 +61,24 @@ def test_rows_follow_one_another_and_cover_the_plan(planned: PlanOf) -> None:
 def test_a_row_of_moves_alone_names_them(planned: PlanOf) -> None:
     _, plan = planned("- go_to: {position: y_up}")
     assert [(row.what, row.where) for row in timeline_rows(plan)] == [("go to y_up, azimuth 0 deg", "y_up")]
+
+
+def test_a_soak_that_will_end_by_its_time_is_named_with_the_rate_that_is_left(planned: PlanOf) -> None:
+    steps = (
+        "- power_on: {settle_s: 60}\n"
+        "- chamber: {temperature_c: 60, ramp_c_per_min: 1}\n"
+        "- soak: {until_gyro_rate_below_c_per_h: 4, at_most_s: %d}\n"
+    )
+    _, plan = planned(steps % 3600)
+    rate_c_per_h = plan.steps[-1].after.settling_c_per_h
+    assert rate_c_per_h > 4.0
+    assert unsettled_soaks(plan) == (
+        "1 soak will probably end by at_most_s before the gyros have settled: 60 degC "
+        f"({rate_c_per_h:.2g} degC/h after 60 min, limit 4 degC/h)"
+    )
+    _, plan = planned(steps % 14400)
+    assert plan.steps[-1].duration_s < 14400
+    assert unsettled_soaks(plan) == ""
 
 
 DWELL = "- go_to: {position: z_up}\n- align: {duration_s: 300}\n- navigate: {duration_s: 600}\n"
