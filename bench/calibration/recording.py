@@ -29,6 +29,8 @@ _RATE_TOLERANCE, _FORCE_TOLERANCE = np.deg2rad(0.005), 2e-3
 #: Rate, rad/s, above the slowest at which a unit is taken to be turned.
 _TURNING = np.deg2rad(0.1)
 _SIGMAS = 6.0
+#: Time, s, in which a table that has stopped settles by some arcsec, below the tolerance of the rate.
+_SETTLING_S = 10.0
 #: Quartile of the sizes of differences of normal values, in standard deviations of one value.
 _QUARTILE = 0.3186 * np.sqrt(2.0)
 #: Noise of level axes over the mean of all, where gravity stands in place of the vertical force.
@@ -138,6 +140,7 @@ def find_rests(recording: IncrementRecording) -> list[Rest]:
         values[: count * size].reshape(count, size, 3).mean(axis=1) / recording.interval_s
         for values in (recording.angle, recording.velocity)
     )
+    noise = _noise(rate)
     quiet = _steady(rate, _RATE_TOLERANCE) & _steady(force, _FORCE_TOLERANCE)
     if quiet.any():
         speed = np.linalg.norm(rate, axis=1)
@@ -145,11 +148,14 @@ def find_rests(recording: IncrementRecording) -> list[Rest]:
         level = np.median(rate[slow], axis=0)
         away = np.abs(rate - level).max(axis=1)
         # The Earth's rate turns with the unit: at most twice 15 deg/h.
-        quiet &= away < 2.0 * _RATE_TOLERANCE + _SIGMAS * _noise(rate).max()
+        quiet &= away < 2.0 * _RATE_TOLERANCE + _SIGMAS * noise.max()
     edges = np.flatnonzero(np.diff(np.concatenate([[False], quiet, [False]]).astype(np.int8)))
     least = round(MIN_REST_S / recording.interval_s)
     # The blocks at the ends may hold a part of the motion.
-    spans = [((first + 1) * size, (last - 1) * size) for first, last in edges.reshape(-1, 2)]
+    spans = [
+        ((first + 1 + _settling(rate[first + 1 : last - 1], noise)) * size, (last - 1) * size)
+        for first, last in edges.reshape(-1, 2)
+    ]
     if edges.size and edges[0] == 0:
         spans[0] = (0, spans[0][1])
     if edges.size and edges[-1] == count:
@@ -163,6 +169,23 @@ def find_rests(recording: IncrementRecording) -> list[Rest]:
             "and 'time' in the import map"
         )
     return rests
+
+
+def _settling(rate: FloatArray, noise: FloatArray) -> int:
+    """How many of the blocks (n, 3) at the beginning of a rest still turn to where the unit then rests.
+
+    Whole turns would seem to end where a rest begins, and the scale factors be wrong by that. The angle that
+    is left is compared with its ``noise`` (3,), that of a block.
+    """
+    longest = min(round(_SETTLING_S / BLOCK_S), len(rate) // 2)
+    if not longest:
+        return 0
+    after = rate[longest : 3 * longest]
+    left = np.cumsum((rate[:longest] - after.mean(axis=0))[::-1], axis=0)[::-1]
+    blocks = longest - np.arange(longest)
+    sigmas = np.sqrt(blocks + blocks**2 / len(after))[:, np.newaxis] * noise
+    moving = np.flatnonzero((np.abs(left) > _SIGMAS * sigmas).any(axis=1))
+    return int(moving[-1]) + 1 if len(moving) else 0
 
 
 def find_rotations(

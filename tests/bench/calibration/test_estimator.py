@@ -283,6 +283,21 @@ def test_whole_turns_that_contradict_the_rotations_are_named_and_make_scale_fact
     assert np.sqrt(parts["misfit"][z, z]) > 0.9 * found.sigmas[z]
 
 
+def test_a_table_that_settles_by_some_arcsec_after_a_spin_leaves_the_scale_factor_right():
+    angle, velocity = spun_increments()
+    fast = np.flatnonzero(np.abs(angle[:, 2]) > np.deg2rad(30.0) / 50.0)
+    ends = [*fast[np.flatnonzero(np.diff(fast) > 50)], fast[-1]]  # and its ramp down follows
+    angle, time_s = angle.copy(), np.arange(1, 1001) / 50.0
+    for end in ends:
+        overshoot = np.sign(angle[end, 2]) * 10.0 * np.pi / 648000.0
+        angle[end, 2] += overshoot
+        angle[end + 60 :][:1000, 2] += np.diff(overshoot * np.exp(-time_s / 0.8), prepend=overshoot)
+    found = calibrate([recorded((angle, velocity), 5, 50.0)], SITE, ONE_ARCSEC)
+    z = INDEX["gyro_scale_factor_z"]
+    assert found.findings == ()
+    assert abs(found.values[z] - TRUTH[z]) < 3.0 * found.sigmas[z] < 3e-7
+
+
 def test_whole_turns_are_found_where_the_scale_factor_is_wrong_by_more_than_they_miss():
     more = 2e-3  # 7 deg of ten turns
     found = calibrate([spun(more)], SITE, ONE_ARCSEC)
