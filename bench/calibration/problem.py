@@ -261,8 +261,8 @@ class CalibrationProblem:
             )
         others = "; gyrobench calibrate has --lever-arms, --delay, --quadratic, --g-sensitivity"
         return (
-            "Check latitude, gravity, signs and times, and whether the unit drifts, moves at rest or has "
-            f"biases that follow attitude{others * self.options.are_explained}"
+            "Check latitude, gravity, signs and times, and whether the unit drifts, changes its temperature, "
+            f"moves at rest or has biases that follow attitude{others * self.options.are_explained}"
         )
 
     def _at_another_latitude(self, found: Solution) -> CalibrationProblem | None:
