@@ -34,7 +34,7 @@ from gyrobench.bench.navigation.positions import AXES
 #: observed unknown by less than this part of its standard uncertainty. Or the sum has been flat for so many
 #: rounds: rotations about one level axis show the heading by the cosine of a small angle alone, so that
 #: heading and bias East go on along a valley.
-_MAX_ROUNDS, _CONVERGED, _MAX_STEP, _FLAT_ROUNDS = 15, 0.1, 0.05, 4
+_MAX_ROUNDS, _CONVERGED, _MAX_STEP, _FLAT_ROUNDS = 15, 0.1, 0.05, 8
 #: Something else explains the residuals where it reduces chi2 to this part.
 _EXPLAINED = 0.1
 #: Below this probability the noise alone does not explain the residuals.
@@ -99,7 +99,7 @@ class CalibrationProblem:
         starts = [each.aligned(first) for each in self.sections]
         beside = 6 if self.options.bias_drift else 3
         origin, left = np.concatenate([common[used], np.zeros(beside * len(self.sections))]), np.inf
-        flat_rounds = 0
+        flat: list[FloatArray] = []
         for _ in range(_MAX_ROUNDS):
             trajectories = integrated_sections(self.sections, starts, common, self.site, self.options)
             found = Information.of(self.sections, trajectories, common, self.noise, self.site, self.options)
@@ -113,8 +113,14 @@ class CalibrationProblem:
             # Sizes count in units of the residuals where these exceed the noise.
             excess = max(1.0, left / sum(map(len, found.blocks)))
             is_still = np.abs(step) < _MAX_STEP * np.sqrt(excess * np.diag(covariance))[: len(step)]
-            flat_rounds = flat_rounds + 1 if abs(left - before) < _CONVERGED * excess else 0
-            if flat_rounds >= (1 if is_still[is_observed[: len(step)]].all() else _FLAT_ROUNDS):
+            flat = [*flat, values] if abs(left - before) < _CONVERGED * excess else []
+            converged = bool(flat) and is_still[is_observed[: len(step)]].all()
+            if len(flat) == _FLAT_ROUNDS and not converged:
+                # Where along the valley it stops says nothing of what moves with it.
+                moved = np.abs(values - flat[_FLAT_ROUNDS // 2]) / np.sqrt(excess * np.diag(covariance))
+                is_observed[: len(used)] &= moved[: len(used)] < _MAX_STEP
+                converged = True
+            if converged:
                 fit = _test_fit(values, covariance, found.blocks)
                 return Solution(values, covariance, is_observed, common, starts, fit, found, trajectories)
         raise MeasurementError(

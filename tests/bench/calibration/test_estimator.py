@@ -462,6 +462,8 @@ def test_a_heading_that_rotations_about_one_level_axis_hardly_show_keeps_no_esti
         found = calibrate([recorded(unit.increments(), seed)], site, CalibrationOptions(gravity=SITE.gravity))
         deviations = (found.values - SensorErrors(**errors).vector()) / found.sigmas
         normalised += deviations[found.is_observed].tolist()
+        assert found.is_observed[INDEX["gyro_scale_factor_x"]]
+        assert seed == 0 or not found.is_observed[INDEX["gyro_bias_x"]]
     assert np.sqrt(np.mean(np.square(normalised))) == pytest.approx(1.0, abs=0.4)
 
 
