@@ -216,10 +216,10 @@ def format_csv(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 def _formatted(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[str]:
     line = io.StringIO(newline="")
-    writer = csv.writer(line, lineterminator="\n")
+    writer = csv.writer(line, lineterminator="\r\n")  # which quotes a cell with either of the two
     for cells in chain([columns], rows):
         writer.writerow(cells)
-        yield line.getvalue()
+        yield line.getvalue().removesuffix("\r\n") + "\n"
         line.seek(0)
         line.truncate()
 

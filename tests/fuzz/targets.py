@@ -25,6 +25,8 @@ from tests.fuzz.mutations import (
 
 #: A place in a document; a file that can't be taken for text has none.
 _YAML = r"\.yaml:\d+:\d+: |/input/fuzzed\.yaml: (is not UTF-8|\d+ bytes; at most)"
+#: The world that is used with each station: the station file may be right by itself.
+_NO_FIT = r"/worlds/quick\.yaml: .* Choose a world and a station that belong together"
 _TABLE = r"/input/fuzzed\.csv:"
 
 
@@ -77,7 +79,9 @@ def _documents() -> dict[str, Target]:
     shipped, port = documents.shipped, r"^(rate table|chamber|INS): .*(port|channel|interface|address|://)"
     return {
         "procedure": Target(20, shipped("procedures"), damaged_yaml, documents.use_procedure, _YAML),
-        "station": Target(18, shipped("stations"), damaged_yaml, documents.use_station, f"{_YAML}|{port}"),
+        "station": Target(
+            18, shipped("stations"), damaged_yaml, documents.use_station, f"{_YAML}|{port}|{_NO_FIT}"
+        ),
         "world": Target(14, shipped("worlds"), damaged_yaml, documents.use_world, _YAML),
         "fault list": Target(6, shipped("faults"), damaged_yaml, documents.use_faults, _YAML),
         "DBC": Target(

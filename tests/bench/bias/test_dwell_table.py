@@ -110,6 +110,12 @@ def test_a_row_survives_the_file(tmp_path):
     assert path.read_bytes().count(b"\r") == 0
 
 
+@pytest.mark.parametrize("text", ["a\rb", "a\nb", "a\r\nb"])
+def test_an_end_of_line_in_a_cell_makes_no_other_row(text):
+    [row] = parse_dwells(format_dwells([replace(ROW, flags=text)]), "dwells.csv")
+    assert row.flags == text
+
+
 @given(st.lists(dwell_rows, max_size=4))
 def test_packed_rows_are_the_same_rows(rows):
     packed = PackedDwells(rows)
