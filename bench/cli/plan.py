@@ -112,7 +112,9 @@ def plan(
         return
     console().print(timeline_table(timeline_rows(job.plan), job.plan.duration_s))
     if soaks := unsettled_soaks(job.plan):
-        console().print(f"Note     {soaks}.", soft_wrap=True)
+        typer.echo("Soaks that will probably end by at_most_s before the gyros have settled:")
+        for each in soaks:
+            typer.echo(f"  {each}")
     typer.echo(f"Figure   {path}")
     if separability:
         _print_separability(job, target_dph or _DEFAULT_TARGET_DPH, closure)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.bench.foundations.text import counted, hours_minutes
+from gyrobench.bench.foundations.text import hours_minutes
 from gyrobench.bench.procedure.plan import DwellPurpose, Plan, PlannedStep
 from gyrobench.bench.procedure.steps import GoTo, Soak, span
 
@@ -47,18 +47,16 @@ def timeline_rows(plan: Plan) -> list[TimelineRow]:
     return [_row(list(group)) for _, group in itertools.groupby(plan.steps, _plateau_and_part)]
 
 
-def unsettled_soaks(plan: Plan) -> str:
-    """Which soaks are expected to end by their time before the gyros have settled; empty for none."""
-    found = [
-        f"{planned.plateau or 'room'} ({planned.after.settling_c_per_h:.2g} degC/h after "
-        f"{span(step.at_most_s)}, limit {limit_c_per_h:g} degC/h)"
+def unsettled_soaks(plan: Plan) -> list[str]:
+    """Which soaks are expected to end by their time before the gyros have settled."""
+    return [
+        f"{planned.plateau or 'room'}: {planned.after.settling_c_per_h:.2g} degC/h after "
+        f"{span(step.at_most_s)}, limit {limit_c_per_h:g} degC/h"
         for planned in plan.steps
         if isinstance(step := planned.step, Soak)
         and (limit_c_per_h := step.until_gyro_rate_below_c_per_h) is not None
         and planned.before.time_until_gyro_rate_s(limit_c_per_h) > step.at_most_s
     ]
-    number = f"{counted(len(found), 'soak')} will probably end by at_most_s before the gyros have settled"
-    return f"{number}: {'; '.join(found)}" if found else ""
 
 
 def temperature_profile(plan: Plan) -> tuple[FloatArray, FloatArray, FloatArray]:
