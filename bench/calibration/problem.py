@@ -33,7 +33,7 @@ from gyrobench.bench.navigation.positions import AXES
 #: Rounds of linearisation; the last one changes the weighted sum of squares by less than this, and each
 #: observed unknown by less than this part of its standard uncertainty. Or the sum has been flat for so many
 #: rounds: rotations about one level axis show the heading by the cosine of a small angle alone, so that
-#: heading and bias East go on along a valley.
+#: heading and bias East keep changing together.
 _MAX_ROUNDS, _CONVERGED, _MAX_STEP, _FLAT_ROUNDS = 15, 0.1, 0.05, 8
 #: Something else explains the residuals where it reduces chi2 to this part.
 _EXPLAINED = 0.1
@@ -116,7 +116,7 @@ class CalibrationProblem:
             flat = [*flat, values] if abs(left - before) < _CONVERGED * excess else []
             converged = bool(flat) and is_still[is_observed[: len(step)]].all()
             if len(flat) == _FLAT_ROUNDS and not converged:
-                # Where along the valley it stops says nothing of what moves with it.
+                # What still changes without effect on the sum is not observed.
                 moved = np.abs(values - flat[_FLAT_ROUNDS // 2]) / np.sqrt(excess * np.diag(covariance))
                 is_observed[: len(used)] &= moved[: len(used)] < _MAX_STEP
                 converged = True

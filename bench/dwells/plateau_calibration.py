@@ -296,7 +296,7 @@ def _combined(estimates: Sequence[CoefficientEstimate]) -> CoefficientEstimate:
 
 
 def _without_parts(estimate: CoefficientEstimate | None) -> CoefficientEstimate | None:
-    """The same estimate, small enough to be kept of all plateaus of a run."""
+    """The same estimate without its covariances by source, of which a plateau keeps the variances."""
     return None if estimate is None else replace(estimate, parts={})
 
 
