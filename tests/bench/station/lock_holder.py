@@ -3,15 +3,12 @@
 import os
 import time
 from contextlib import contextmanager
-from multiprocessing import get_context
 from pathlib import Path
 
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.station.locks import LOCK_DIR_VARIABLE, BenchLock, RunLock
 from gyrobench.bench.station.station import Station
-
-_CONTEXT = get_context("forkserver")
-_CONTEXT.set_forkserver_preload([__name__])
+from tests.drivers.emulators.forked import CONTEXT, start
 
 
 def hold(station_path, run, lock_folder, pipe):
@@ -31,10 +28,8 @@ def hold(station_path, run, lock_folder, pipe):
 def held_elsewhere(station, run):
     """Have another process hold the bench and its run folder; gives the process and a pipe to it."""
     run.mkdir(exist_ok=True)
-    ours, theirs = _CONTEXT.Pipe()
-    given = (str(station.path), str(run), os.environ[LOCK_DIR_VARIABLE], theirs)
-    process = _CONTEXT.Process(target=hold, args=given, daemon=True)
-    process.start()
+    ours, theirs = CONTEXT.Pipe()
+    process = start(hold, str(station.path), str(run), os.environ[LOCK_DIR_VARIABLE], theirs)
     theirs.close()
     assert ours.recv() == "held"
     try:

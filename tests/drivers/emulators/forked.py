@@ -1,30 +1,41 @@
 """Processes forked from one that has loaded the emulated bench, which takes a second."""
 
+import contextlib
 import json
 import os
 import signal
 import subprocess
 import sys
-from multiprocessing import get_context
+from multiprocessing import forkserver, get_context
 from pathlib import Path
+
+import pytest
 
 from gyrobench.drivers.emulators.serve import main
 
-_CONTEXT = get_context("forkserver")
-_CONTEXT.set_forkserver_preload(["tests.drivers.emulators.loaded"])
+CONTEXT = get_context("forkserver")
+CONTEXT.set_forkserver_preload(["tests.drivers.emulators.loaded"])
+_ROOT = Path(__file__).parents[3]
+
+
+def start(function, *arguments):
+    """Start a forked process that calls a function of a module; it ends with this one."""
+    with contextlib.chdir(_ROOT), pytest.MonkeyPatch.context() as environment:
+        environment.delenv("PYTHONSAFEPATH", raising=False)  # what to load is found in the current folder
+        forkserver.ensure_running()
+    process = CONTEXT.Process(target=function, args=arguments, daemon=True)
+    process.start()
+    return process
 
 
 class ForkedProcess:
     """Calls a function of a module in a process of its own, with the interface of subprocess.Popen."""
 
     def __init__(self, function, *arguments):
-        pipes = [_CONTEXT.Pipe(duplex=False) for _ in range(2)]
+        pipes = [CONTEXT.Pipe(duplex=False) for _ in range(2)]
         readers, writers = zip(*pipes, strict=True)
         surroundings = dict(os.environ), Path.cwd()
-        self._process = _CONTEXT.Process(
-            target=_call, args=(function, arguments, *surroundings, *writers), daemon=True
-        )
-        self._process.start()
+        self._process = start(_call, function, arguments, *surroundings, *writers)
         self.pid = self._process.pid
         self.stdout, self.stderr = (os.fdopen(os.dup(each.fileno())) for each in readers)
         for end in (*readers, *writers):
