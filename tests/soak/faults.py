@@ -30,7 +30,7 @@ from gyrobench.bench.engine.resume import Resumption, prepare_resumption
 from gyrobench.bench.engine.run import resume_run, run_job
 from gyrobench.bench.engine.run_outcome import RunOutcome
 from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.bench.runs.journal import read_journal
+from gyrobench.bench.runs.journal import facts_of, read_journal
 from gyrobench.bench.station.instruments import Emulation
 from tests.soak.results import PartResult, PartTable, machine
 from tests.soak.truth import WORLD, WRONG_C, TruthWatcher, compare, true_bias_dph
@@ -181,14 +181,13 @@ class FaultyRun:
         """Run, resume until it is finished, and judge; no faults after ``most`` injections."""
         begin_s = time.process_time()
         operator = operator or ConsentingOperator()
-        resumption = prepare_resumption(self.run.path, anyway=True) if self.run.journal.exists() else None
-        outcome = self._once(resumption, operator)
+        outcome = None if self.run.journal.exists() else self._once(None, operator)
         resumes = 0
-        while outcome is None or outcome.ended != "finished":
-            resumes += 1
-            if resumes > _MAX_RESUMES:
+        while facts_of(read_journal(self.run.journal)).ended != "finished":
+            if resumes == _MAX_RESUMES:
                 self.tally.problems.append(f"{self.tally.kind}: never finished: {outcome and outcome.reason}")
                 break
+            resumes += 1
             if most is not None and len(self._injections()) >= most:
                 self._write(())
             self.before_resume()
