@@ -34,6 +34,8 @@ ATTITUDE_ERROR = 0.5
 _LATITUDE_ERROR = 0.1
 #: An unknown is observed if sizes ten times as large let its uncertainty grow by less than this.
 _MAX_GROWTH = 1.1
+#: The same for a direction of several unknowns: by how much one size of it changes the residuals.
+LEAST_LENGTH = float((_MAX_GROWTH**2 - 1.0) ** -0.5)
 #: Size of the accelerometers' scale factor errors where gravity stands in place of the vertical specific
 #: force: their mean is not observed, and affects the other coefficients in second order.
 FORCE_SCALE = 1e-4
@@ -168,6 +170,22 @@ class Information:
         _, wide = solve(rows, left, np.diag(np.where(is_size, 10.0, 1.0) * self.sizes))
         growth = np.sqrt(np.diag(wide) / np.diag(covariance))
         return centre + values, covariance, np.asarray(growth < _MAX_GROWTH)
+
+    def chi2(self, values: FloatArray) -> float:
+        """Sum of squared residuals at values of the unknowns (21 + k,)."""
+        return float(np.linalg.norm(self.root @ [*values, 0.0, -1.0]) ** 2)
+
+    def shown(self, step: FloatArray, least: float) -> FloatArray:
+        """Part of a step of the unknowns (21 + k,) along what the data determine.
+
+        Along what they leave open the sum of squares is a curved valley, such as a heading with a bias East
+        and scale factors: a step along its tangent leaves it. ``least``: by how many standard deviations the
+        residuals change along each direction over one size.
+        """
+        is_drift = np.arange(len(self.sizes)) >= len(self.sizes) - self.drifts
+        _, lengths, directions = np.linalg.svd(np.vstack([self.root[:, :-2] * self.sizes, np.diag(is_drift)]))
+        known = directions[: len(lengths)][lengths > least]
+        return np.asarray(self.sizes * (known.T @ (known @ (step / self.sizes))))
 
     def latitude_correction(self) -> tuple[float, float]:
         """What the data would add to the latitude if it were an unknown, and its uncertainty, rad."""

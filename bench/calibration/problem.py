@@ -17,6 +17,7 @@ from gyrobench.bench.calibration.coefficients import BESIDE, COEFFICIENTS, COUNT
 from gyrobench.bench.calibration.information import (
     BIAS_DRIFT,
     IS_GYRO_SCALE,
+    LEAST_LENGTH,
     CalibrationOptions,
     Information,
     integrated_sections,
@@ -31,10 +32,11 @@ from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import AXES
 
 #: Rounds of linearisation; the last one changes the weighted sum of squares by less than this, and each
-#: observed unknown by less than this part of its standard uncertainty. Or the sum has been flat for so many
-#: rounds: rotations about one level axis show the heading by the cosine of a small angle alone, so that
-#: heading and bias East keep changing together.
-_MAX_ROUNDS, _CONVERGED, _MAX_STEP, _FLAT_ROUNDS = 15, 0.1, 0.05, 8
+#: observed unknown by less than this part of its standard uncertainty.
+_MAX_ROUNDS, _CONVERGED, _MAX_STEP = 15, 0.1, 0.05
+#: After a step that makes the sum so many times larger, steps are along fewer directions: those that the data
+#: determine so many times better.
+_WORSE, _FEWER = 2.0, 10.0
 #: Something else explains the residuals where it reduces chi2 to this part.
 _EXPLAINED = 0.1
 #: Below this probability the noise alone does not explain the residuals.
@@ -98,31 +100,36 @@ class CalibrationProblem:
         common[:COUNT] = first.vector()
         starts = [each.aligned(first) for each in self.sections]
         beside = 6 if self.options.bias_drift else 3
-        origin, left = np.concatenate([common[used], np.zeros(beside * len(self.sections))]), np.inf
-        flat: list[FloatArray] = []
+        origin = np.concatenate([common[used], np.zeros(beside * len(starts))])
+        turns = slice(len(used), len(used) + 3 * len(starts))
+        here, lowest, left, least = origin.copy(), np.inf, np.inf, LEAST_LENGTH
+        trial, trial_starts, trial_origin = here, starts, origin
         for _ in range(_MAX_ROUNDS):
-            trajectories = integrated_sections(self.sections, starts, common, self.site, self.options)
-            found = Information.of(self.sections, trajectories, common, self.noise, self.site, self.options)
-            values, covariance, is_observed = found.solve(origin)
-            attitudes = values[len(used) :].reshape(-1, 3)[: len(starts)]
-            step = np.concatenate([values[: len(used)] - common[used], attitudes.ravel()])
-            before, left = left, float(np.linalg.norm(found.root @ [*values, 0.0, -1.0]) ** 2)
-            common[used] = values[: len(used)]
-            origin[len(used) : len(step)] -= attitudes.ravel()
-            starts = [turn @ start for turn, start in zip(rotation_matrices(attitudes), starts, strict=True)]
-            # Sizes count in units of the residuals where these exceed the noise.
+            common[used] = trial[: len(used)]
+            tried = integrated_sections(self.sections, trial_starts, common, self.site, self.options)
+            linear = Information.of(self.sections, tried, common, self.noise, self.site, self.options)
+            if (chi2 := linear.chi2(trial)) < _WORSE * lowest:
+                here, starts, origin, lowest = trial, trial_starts, trial_origin, chi2
+                found, trajectories = linear, tried
+                values, covariance, is_observed = found.solve(origin)
+            else:
+                least *= _FEWER
+            step = found.shown(values - here, least)
+            trial, trial_origin = here + step, origin.copy()
+            before, left = left, found.chi2(trial)
             excess = max(1.0, left / sum(map(len, found.blocks)))
-            is_still = np.abs(step) < _MAX_STEP * np.sqrt(excess * np.diag(covariance))[: len(step)]
-            flat = [*flat, values] if abs(left - before) < _CONVERGED * excess else []
-            converged = bool(flat) and is_still[is_observed[: len(step)]].all()
-            if len(flat) == _FLAT_ROUNDS and not converged:
-                # What still changes without effect on the sum is not observed.
-                moved = np.abs(values - flat[_FLAT_ROUNDS // 2]) / np.sqrt(excess * np.diag(covariance))
-                is_observed[: len(used)] &= moved[: len(used)] < _MAX_STEP
-                converged = True
-            if converged:
+            trial[turns] = 0.0
+            trial_origin[turns] -= step[turns]
+            attitudes = rotation_matrices(step[turns].reshape(-1, 3))
+            trial_starts = [turn @ start for turn, start in zip(attitudes, starts, strict=True)]
+            # Sizes count in units of the residuals where these exceed the noise.
+            is_still = np.abs(step) < _MAX_STEP * np.sqrt(excess * np.diag(covariance))
+            if abs(left - before) < _CONVERGED * excess and is_still[is_observed].all():
+                common[used] = trial[: len(used)]
                 fit = _test_fit(values, covariance, found.blocks)
-                return Solution(values, covariance, is_observed, common, starts, fit, found, trajectories)
+                return Solution(
+                    values, covariance, is_observed, common, trial_starts, fit, found, trajectories
+                )
         raise MeasurementError(
             f"the estimate does not converge in {_MAX_ROUNDS} rounds: the increments do not follow from "
             "rotations between rests at one place. Check signs, axes and units in the import map"

@@ -107,11 +107,11 @@ class IncrementSection:
     ) -> Trajectory:
         """From an attitude (3, 3) at the start, freed of ``common`` (43,), with responses to ``columns``."""
         errors, angle, velocity = SensorErrors.from_vector(common[:COUNT]), self.angle, self.velocity
-        if any(COUNT <= each < ATTITUDE.start for each in columns):
+        if are_freed := any(COUNT <= each < ATTITUDE.start for each in columns):
             angle, velocity = self.freed(errors, common)
-            errors = SensorErrors()
+        site = latitude, gravity
         ends = self.epochs.ends
-        return integrated(angle, velocity, self.interval_s, ends, start, latitude, gravity, columns, errors)
+        return integrated(angle, velocity, self.interval_s, ends, start, *site, columns, errors, are_freed)
 
     @property
     def lengths_s(self) -> FloatArray:

@@ -120,7 +120,7 @@ class Trajectory:
 
     attitude: FloatArray  #: Shape (n + 1, 3, 3). C_nb.
     integral: FloatArray  #: Shape (n + 1, 3). u, m/s, ENU; zero at rest if the sensors have no error.
-    force: FloatArray  #: Shape (n, 3). Integral of the specific force over each epoch, m/s, ENU.
+    gravity: float  #: What was taken from the specific force, m/s^2.
     #: Shape (n + 1, 6, c). Derivatives of attitude (rad) and u (m/s) by coefficients and other columns, SI.
     response: FloatArray
 
@@ -135,26 +135,31 @@ def integrated(
     gravity: float,
     columns: Sequence[int] = _ALL,
     errors: SensorErrors | None = None,
+    are_freed: bool = False,
 ) -> Trajectory:
     """Integrate increments (k, 3), body axes, rad and m/s, from the attitude ``C_nb`` up to ``ends`` (n,).
 
-    ``columns``: of the responses. ``errors``: of the increments; none with columns beside the coefficients.
+    ``columns``: of the responses. ``errors``: of the sensors; increments that ``are_freed`` are free of them,
+    as they must be with columns beside the coefficients.
     """
     steps = interval_s * np.arange(np.diff(ends, prepend=0).max() + 1.0)
     earth = rotation_matrices(-earth_rate_enu(latitude) * steps[:, np.newaxis])
     half = rotation_matrices(-0.5 * earth_rate_enu(latitude) * steps[:, np.newaxis])
     attitude = np.empty((len(ends) + 1, 3, 3))
-    integral, force = np.zeros((len(ends) + 1, 3)), np.empty((len(ends), 3))
+    integral = np.zeros((len(ends) + 1, 3))
     which = np.array(columns, np.int64)
     response = np.zeros((len(ends) + 1, 6, len(which)))
     attitude[0] = C_nb
     response[0, :3] = which == np.arange(ATTITUDE.start, ATTITUDE.stop)[:, np.newaxis]
     turns = earth, half, np.cross([1.0, 0.0, 0.0], earth_rate_enu(latitude))
-    states = attitude, integral, force, response
-    removal = (errors or SensorErrors()).removal(interval_s)
+    states = attitude, integral, response
+    of_errors = (errors or SensorErrors()).removal(interval_s)
+    removal = SensorErrors().removal(interval_s) if are_freed else of_errors
     has_beside = any(COUNT <= each < UNKNOWNS for each in columns)
-    _integrate(angle, velocity, removal, interval_s, ends, has_beside, *turns, gravity, which, *states)
-    return Trajectory(attitude, integral, force, response)
+    _integrate(
+        angle, velocity, removal, of_errors, interval_s, ends, has_beside, *turns, gravity, which, *states
+    )
+    return Trajectory(attitude, integral, gravity, response)
 
 
 @compiled
@@ -184,22 +189,21 @@ def _sum(a: Vector, b: Vector, share: float) -> Vector:
 
 @compiled
 def _integrate(
-    angle: FloatArray, velocity: FloatArray, removal: FloatArray, interval_s: float, ends: IntArray,
-    has_beside: bool, earth: FloatArray, half: FloatArray, by_latitude: FloatArray, gravity: float,
-    columns: IntArray, attitudes: FloatArray, integrals: FloatArray, forces: FloatArray,
-    responses: FloatArray,
+    angle: FloatArray, velocity: FloatArray, removal: FloatArray, of_errors: FloatArray, interval_s: float,
+    ends: IntArray, has_beside: bool, earth: FloatArray, half: FloatArray, by_latitude: FloatArray,
+    gravity: float, columns: IntArray, attitudes: FloatArray, integrals: FloatArray, responses: FloatArray,
 ) -> None:  # fmt: skip
     C, begin = attitudes[0].copy(), attitudes[0].copy()
-    u, force = np.zeros(3), np.zeros(3)
+    u = np.zeros(3)
     response = responses[0].copy()
     tilt = np.empty(3)
-    # Sums over the samples since the responses were last brought up to date: increments, velocity in ENU, and
-    # derivatives of the velocity increments by lever arms, delay and quadratic terms.
-    sums = np.zeros((8, 3))
-    angles, velocities, lifts, delayed, squares, arms = sums[0], sums[1], sums[2], sums[3], sums[4], sums[5:]
+    # Sums over the samples since the responses were last brought up to date: angles, and derivatives of the
+    # velocity increments by lever arms, delay and quadratic terms.
+    sums = np.zeros((6, 3))
+    angles, delayed, squares, arms = sums[0], sums[1], sums[2], sums[3:]
     samples = summed = epoch = 0
     count = len(angle)
-    turn, turned = np.empty((3, 3)), np.empty((3, 3))
+    turn, turned, of_gyros, of_forces = np.empty((4, 3, 3))
     theta = dv = alpha = speed = coning = sculling = (0.0, 0.0, 0.0)
     for k in range(ends[-1]):
         theta_before, dv_before = theta, dv
@@ -235,10 +239,7 @@ def _integrate(
         set_product(C, earth[summed], turned)
         for i in range(3):
             angles[i] += alpha[i]
-            velocities[i] += speed[i]
-            lifts[i] += lift[i]
             u[i] += lift[i]
-            force[i] += lift[i]
         u[2] -= gravity * interval_s * summed
         samples += summed
         summed = 0
@@ -246,6 +247,12 @@ def _integrate(
         if k + 1 != ends[epoch] and angles[0] ** 2 + angles[1] ** 2 + angles[2] ** 2 < _MAX_TURN**2:
             continue
         middle, step, length_s = 0.5 * (begin + C), earth[samples], samples * interval_s
+        # An error of a sensor is one of the true increments by way of all scale factors and misalignments.
+        set_product(of_gyros, middle, of_errors[0])
+        set_product(of_forces, middle, of_errors[1])
+        # At rest the specific force is gravity. As measured it lets unknowns explain its noise: a smaller
+        # scale factor makes it smaller, another heading turns it.
+        lifted = gravity * length_s
         since_middle_s = (k + 1 - 0.5 * samples - 0.5 * ends[-1]) * interval_s
         for r, c in enumerate(columns):
             for i in range(3):
@@ -253,16 +260,16 @@ def _integrate(
             # Response of the true increments: those measured less the errors.
             if c < 3:
                 for i in range(3):
-                    response[i, r] -= middle[i, c] * length_s
+                    response[i, r] -= of_gyros[i, c] * length_s
             elif c < 12:
                 for i in range(3):
-                    response[i, r] -= middle[i, (c - 3) // 3] * angles[(c - 3) % 3]
+                    response[i, r] -= of_gyros[i, (c - 3) // 3] * angles[(c - 3) % 3]
             elif c < 15:
                 for i in range(3):
-                    response[3 + i, r] -= middle[i, c - 12] * length_s
+                    response[3 + i, r] -= of_forces[i, c - 12] * length_s
             elif c < COUNT:
                 for i in range(3):
-                    response[3 + i, r] -= middle[i, _ROWS[c - 15]] * velocities[_COLUMNS[c - 15]]
+                    response[3 + i, r] -= of_forces[i, _ROWS[c - 15]] * middle[2, _COLUMNS[c - 15]] * lifted
             elif c < DELAY:
                 sensor, arm = (c - COUNT) // 3, (c - COUNT) % 3
                 for i in range(3):
@@ -279,27 +286,24 @@ def _integrate(
             elif c < UNKNOWNS:
                 sensor, along = (c - DELAY - 4) // 3, (c - DELAY - 4) % 3
                 for i in range(3):
-                    response[i, r] -= middle[i, sensor] * velocities[along]
+                    response[i, r] -= middle[i, sensor] * middle[2, along] * lifted
             elif c == LATITUDE:
                 for i in range(3):
                     response[i, r] -= by_latitude[i] * length_s
             elif c >= UNKNOWNS + 3:
                 for i in range(3):
-                    response[i, r] -= middle[i, c - UNKNOWNS - 3] * length_s * since_middle_s
+                    response[i, r] -= of_gyros[i, c - UNKNOWNS - 3] * length_s * since_middle_s
             a, b, d = response[0, r], response[1, r], response[2, r]
             for i in range(3):
                 response[i, r] = step[i, 0] * a + step[i, 1] * b + step[i, 2] * d
                 tilt[i] = 0.5 * (tilt[i] + response[i, r])
-            response[3, r] += tilt[1] * lifts[2] - tilt[2] * lifts[1]
-            response[4, r] += tilt[2] * lifts[0] - tilt[0] * lifts[2]
-            response[5, r] += tilt[0] * lifts[1] - tilt[1] * lifts[0]
+            response[3, r] += tilt[1] * lifted
+            response[4, r] -= tilt[0] * lifted
         begin[:] = C
         sums[:] = 0.0
         samples = 0
         if k + 1 == ends[epoch]:
-            attitudes[epoch + 1], integrals[epoch + 1], forces[epoch] = C, u, force
-            responses[epoch + 1] = response
-            force[:] = 0.0
+            attitudes[epoch + 1], integrals[epoch + 1], responses[epoch + 1] = C, u, response
             epoch += 1
 
 
@@ -359,7 +363,7 @@ def _intervals(
     walks = noise.angle_random_walk**2, noise.velocity_random_walk**2
     _set_intervals(
         trajectory.attitude,
-        trajectory.force,
+        trajectory.gravity,
         lengths_s,
         *walks,
         earth_rate_enu(latitude),
@@ -371,7 +375,7 @@ def _intervals(
 
 @compiled
 def _set_intervals(
-    attitude: FloatArray, force: FloatArray, lengths_s: FloatArray, angle_walk: FloatArray,
+    attitude: FloatArray, gravity: float, lengths_s: FloatArray, angle_walk: FloatArray,
     velocity_walk: FloatArray, earth: FloatArray, transition: FloatArray, covariance: FloatArray,
 ) -> None:  # fmt: skip
     cross, tilts, lifts, moved, twice = np.zeros((5, 3, 3))
@@ -379,15 +383,13 @@ def _set_intervals(
         F, Q, C = transition[n], covariance[n], 0.5 * (attitude[n] + attitude[n + 1])
         set_turn(F[:3, :3], (-earth[0] * time, -earth[1] * time, -earth[2] * time))
         for i in range(3):
-            j, k = (i + 1) % 3, (i + 2) % 3
             F[3 + i, 3 + i] = 1.0
-            # cross @ psi = psi x force
-            cross[i, j], cross[i, k] = force[n, k], -force[n, j]
             for j in range(3):
                 tilts[i, j] = lifts[i, j] = 0.0
                 for k in range(3):
                     tilts[i, j] += time * C[i, k] * angle_walk[k] * C[j, k]
                     lifts[i, j] += time * C[i, k] * velocity_walk[k] * C[j, k]
+        cross[0, 1], cross[1, 0] = gravity * time, -gravity * time  # cross @ psi = psi x force
         F[3:, :3] = cross
         set_product(moved, cross, tilts)
         set_product(twice, moved, cross)  # its transpose is its negative

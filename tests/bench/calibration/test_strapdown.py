@@ -1,11 +1,14 @@
-"""Attitude from increments of fast motion, against the closed form."""
+"""Attitude from increments of fast motion, against the closed form; responses, against differences."""
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gyrobench.bench.calibration.strapdown import attitudes
+from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, SensorErrors
+from gyrobench.bench.calibration.strapdown import ATTITUDE, attitudes, integrated
+from gyrobench.bench.navigation.attitude import rotation_matrices
 from gyrobench.bench.navigation.earth import earth_rate_enu
+from tests.bench.calibration.rotated_unit import Unit
 
 LATITUDE = np.deg2rad(45.0)
 
@@ -42,3 +45,33 @@ def test_coning_between_samples_is_computed_from_neighbouring_increments():
 
 def test_the_drift_falls_with_a_high_power_of_the_interval():
     assert drift(0.02) / drift(0.01) == pytest.approx(16.0, rel=0.3)
+
+
+def test_responses_are_derivatives_however_large_the_errors_are():
+    unit = Unit(sample_hz=20.0, dwell_s=5.0)
+    angle, velocity = unit.increments()
+    random = np.random.default_rng(4)
+    errors = SensorErrors(
+        random.normal(0.0, 1e-5, 3),
+        random.normal(0.0, 0.1, (3, 3)),
+        random.normal(0.0, 0.01, 3),
+        np.tril(random.normal(0.0, 0.1, (3, 3))),
+    )
+    ends = np.arange(20, len(angle) + 1, 20)
+    gyro, force = np.eye(3) + errors.gyro_matrix, np.eye(3) + errors.force_matrix
+    measured = angle @ gyro.T + errors.gyro_bias / 20.0, velocity @ force.T + errors.force_bias / 20.0
+
+    def at(vector, turn):
+        start, errors = rotation_matrices(turn), SensorErrors.from_vector(vector)
+        columns = [*range(COUNT), *range(ATTITUDE.start, ATTITUDE.stop)]
+        return integrated(*measured, 0.05, ends, start, LATITUDE, unit.gravity, columns, errors)
+
+    found = at(errors.vector(), np.zeros(3))
+    for number in range(COUNT + 3):
+        step = 1e-4 * COEFFICIENTS[number].size if number < COUNT else 1e-5
+        change = np.zeros(COUNT + 3)
+        change[number] = step
+        moved = [at(errors.vector() + sign * change[:COUNT], sign * change[COUNT:]) for sign in (1.0, -1.0)]
+        difference = (moved[0].integral - moved[1].integral) / (2.0 * step)
+        response = found.response[:, 3:, number]
+        assert np.abs(response - difference).max() < 3e-3 * np.abs(difference).max()
