@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, FloatArray, IntArray
-from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.foundations.errors import MeasurementError, SignalMapError
 from gyrobench.bench.navigation.attitude import angle_between, rotation_vector_enu
 from gyrobench.bench.navigation.positions import POSITIONS, Position
 
@@ -22,6 +22,8 @@ MAX_GAP_EPOCHS, MAX_GAP_S = 5.5, 2.0
 _SLOT_TOLERANCE = 1e-3
 #: Largest angle between the attitude of the INS and that of the table, rad.
 MAX_ATTITUDE_DISAGREEMENT = np.deg2rad(5.0)
+#: So far axes are off right angles at most where the mounting is wrong, rad.
+_RIGHT_ANGLE_TOLERANCE = np.deg2rad(2.0)
 #: Largest change of the attitude of the INS within a window, rad: 3 deg/h for 10 min.
 MAX_MOVEMENT = np.deg2rad(0.5)
 
@@ -151,7 +153,10 @@ class Dwell:
     def _check_attitude(self, what: str, C_one: FloatArray, other: str, C_other: FloatArray) -> None:
         angle = angle_between(C_one, C_other)
         if not angle <= MAX_ATTITUDE_DISAGREEMENT:
-            raise MeasurementError(
+            # An INS that has not aligned is off by any angle, a wrong mounting by right angles.
+            turn = C_one.T @ C_other
+            is_mounting = np.abs(turn - np.rint(turn)).max() < _RIGHT_ANGLE_TOLERANCE
+            raise (SignalMapError if is_mounting else MeasurementError)(
                 f"{self.position_name}: {what} and {other} disagree by {np.rad2deg(angle):.1f} deg "
                 f"(at most {np.rad2deg(MAX_ATTITUDE_DISAGREEMENT):g} deg is allowed). Check how the station "
                 "file mounts the unit on the table, and whether the INS had aligned"

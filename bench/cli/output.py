@@ -148,6 +148,8 @@ def print_end(
     Exits with an error if it did not finish, or is what ``fail_on`` says.
     """
     from gyrobench.bench.foundations.memory import free_memory
+    from gyrobench.bench.report.statements import flags_sentence, setup_sentences, signs_sentence
+    from gyrobench.bench.runs.tables.joint_table import read_joint_plateaus
 
     is_finished, resume = outcome.ended == "finished", _resume_text(folder, outcome)
     safe_state = "\n".join(each.text for each in outcome.safe_state)
@@ -157,13 +159,12 @@ def print_end(
         console.print(safe_state, soft_wrap=True)
     record = _end_record(folder, outcome)
     shortcoming = outcome.shortcoming(fail_on)
-    latitude = _latitude_text(outcome)
+    flags = flags_sentence([dwell.row for dwell in outcome.results.dwells])
     outcome.release()
     free_memory()  # which the modules that are imported now use again
 
     from gyrobench.bench.report.journal_sections import durations_section, step_durations
     from gyrobench.bench.report.run_report import write_report
-    from gyrobench.bench.report.statements import signs_sentence
     from gyrobench.bench.report.terminal.tables import section_view
     from gyrobench.bench.report.units_report import units_section, write_units_report
     from gyrobench.bench.runs.journal import facts_of, read_journal
@@ -176,8 +177,9 @@ def print_end(
         print_tables(console, folder)
     if word := watermark_of(folder.path):
         console.print(f"{word}: {_EMULATED_BENCH}", soft_wrap=True, style="bold yellow")
-    if latitude:
-        console.print(latitude, soft_wrap=True, style="bold red")
+    plateaus = read_joint_plateaus(folder.joint) if folder.joint.exists() else []
+    for text in filter(None, (flags, *setup_sentences(plateaus).values())):
+        console.print(text, soft_wrap=True, style="bold red")
     for number in outcome.units or [""]:
         journal = folder.unit(number).journal
         if journal.is_file() and (text := signs_sentence(facts_of(read_journal(journal)))):
@@ -212,19 +214,6 @@ def _resume_text(folder: RunFolder, outcome: RunOutcome) -> str:
         resume,
     )
     return "\n         ".join(lines) + f"\n{new_run}"
-
-
-def _latitude_text(outcome: RunOutcome) -> str:
-    """A statement on a wrong latitude; empty where there is none."""
-    from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN
-    from gyrobench.bench.report.statements import latitude_sentence
-
-    rate = outcome.results.up_rate
-    if rate is None:
-        return ""
-    return latitude_sentence(
-        rate.finding, RAD_TO_ARCMIN * rate.latitude_error, RAD_TO_ARCMIN * rate.latitude_sigma
-    )
 
 
 def _end_record(folder: RunFolder, outcome: RunOutcome) -> dict[str, object]:

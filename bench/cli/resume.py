@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from gyrobench.bench.cli.options import FailOnOption, OperatorOption, RunArgument, ViewOption
-from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, JsonOption, console, print_end
+from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, JsonOption, console, print_end, print_json
 
 
 def resume(
@@ -38,7 +38,8 @@ def resume(
     also the completed ones, are evaluated with it; a sealed run needs gyrobench seal RUN --accept-changes
     before.
 
-    Exit codes: 0 the run finished, or with --look can be resumed; 1 not finished, or files are damaged.
+    Exit codes: 0 the run finished, now or before, or with --look can be resumed; 1 not finished, or files are
+    damaged.
 
     With --json, at the end: {"ended", "reason", "folder", "report", "dwells", "verdict", "safe_state"}; ended
     is finished, stopped or failed; verdict is that of the acceptance, as in acceptance.json.
@@ -47,10 +48,17 @@ def resume(
     """
     from gyrobench.bench.engine.resume import give_up_damage, prepare_resumption
     from gyrobench.bench.engine.run import resume_run
+    from gyrobench.bench.foundations.errors import RunFinishedError
     from gyrobench.bench.monitor.terminal_view import observe_in_terminal
 
     terminal = console(as_json)
-    resumption = prepare_resumption(run_folder, anyway)
+    try:
+        resumption = prepare_resumption(run_folder, anyway)
+    except RunFinishedError as error:
+        terminal.print(str(error), soft_wrap=True)
+        if as_json:
+            print_json({"ended": "finished", "reason": None, "folder": run_folder})
+        return
     if look or not resumption.damage:
         terminal.print(resumption.describe(), soft_wrap=True)
     if look:

@@ -45,6 +45,7 @@ from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.procedure.plan import DwellPurpose, Plan, PlannedStep
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
+from gyrobench.bench.runs.seal import keep_sealed
 from gyrobench.bench.runs.tables.budget_table import budget_rows, coefficient_budget_rows, write_budget
 from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow, write_calibration_check
 from gyrobench.bench.runs.tables.coefficient_table import write_coefficients, write_correlations
@@ -247,6 +248,13 @@ def _with_latitude(
     ]
 
 
+def _with_latitude_found(setup: MeasurementSetup, rate: UpRate | None) -> MeasurementSetup:
+    """With the latitude as uncertain as it is found to be wrong: scale factors would take its place."""
+    if rate is None or rate.finding is not Finding.LATITUDE_OFF:
+        return setup
+    return replace(setup, prior=replace(setup.prior, latitude=abs(rate.latitude_error)))
+
+
 def _corrected(dwell: MeasuredDwell, *biases: np.ndarray) -> MeasuredDwell:
     if not biases:
         return dwell
@@ -304,7 +312,9 @@ def evaluate_run(
     )
     rows = [dwell.row for dwell in results.dwells]
     turned = _rotations(folder, setup, rotations or RunRotations()).calibrated(setup)
-    coefficients = calibrate_plateaus(results.joint, rows, turned, setup)
+    flagged = {row.dwell for row in rows if row.flags}
+    sound = [each for each in results.joint if flagged.isdisjoint(dwell.number for dwell in each.dwells)]
+    coefficients = calibrate_plateaus(sound, rows, turned, _with_latitude_found(setup, results.up_rate))
     with_spins = procedure.tests.scale_factor_stability is not None
     records = noise_records(folder, setup) if procedure.tests.allan_variance else []
     spins = [spin_record(*each, setup) for each in rotated_dwells(folder)] if with_spins else []
@@ -339,4 +349,5 @@ def recompute_run(path: Path) -> RunFolder:
     dwells, check_dwells = measure_recorded(folder, setup)
     calibration = read_dwells(folder.calibration) if folder.calibration.exists() else []
     evaluate_run(folder, station.plan(document, procedure), setup, dwells, check_dwells, calibration)
+    keep_sealed(folder, are_tables_new=True)
     return folder

@@ -49,7 +49,7 @@ _MIN_WHITE_MPS = 1e-6
 #: The opposite latitude is right if chi2 is less by this much there, and explained by the noise.
 _MIN_CHI2_GAIN, _MAX_CHI2_PER_DATUM = 30.0, 1.5
 #: Latitudes of INS and station differ by more than an INS drifts while it navigates on the bench, rad.
-_MAX_LATITUDE_APART = math.radians(0.2)
+_MAX_LATITUDE_APART = math.radians(0.05)
 _VELOCITIES = ("ins.signals.velocity_east", "ins.signals.velocity_north")
 #: What makes a velocity so many times as large as it is.
 _UNITS = {

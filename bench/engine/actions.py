@@ -93,6 +93,8 @@ def _power_on(step: PowerOn, context: StepContext) -> Ticks:
         # An INS that is on already is switched off first: the time since power-on has to be known.
         yield from _switched_off(context)
         yield from _lasting(bench, _POWER_CYCLE_S)
+    for unit in context.units.running:
+        unit.live.forget()
     excluded = context.units.dropped_events
     yield from tried(context, lambda: bench.instruments.power_unit(True, excluded))
     switched_s = bench.clock.now()

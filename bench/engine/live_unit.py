@@ -127,6 +127,12 @@ class LiveUnit:
         self.poll()
         return self.ins.status()
 
+    def forget(self) -> None:
+        """Drop what the INS sent before its supply was switched on: it does not describe it any more."""
+        self.poll()
+        self.ins.forget()
+        self._mode, self._epochs = InsMode.UNKNOWN, None
+
     def has_started(self) -> bool:
         """Whether the INS sends frames and is past its boot."""
         status = self.status()

@@ -11,7 +11,12 @@ from typing import Any
 from gyrobench.bench.engine.damage import Damage, find_damage
 from gyrobench.bench.engine.job import Job, job_in
 from gyrobench.bench.foundations.clock import RESUME_STEP_S, Clock, VirtualClock, WallClock
-from gyrobench.bench.foundations.errors import GyrobenchError, InstrumentError, RunFolderError
+from gyrobench.bench.foundations.errors import (
+    GyrobenchError,
+    InstrumentError,
+    RunFinishedError,
+    RunFolderError,
+)
 from gyrobench.bench.foundations.text import hours_minutes, listed, run_ending
 from gyrobench.bench.procedure.approach import end_of_dwell
 from gyrobench.bench.procedure.plan import Plan
@@ -326,7 +331,8 @@ def _chamber_now(station: Station, outputs: Outputs) -> str:  # noqa: ARG001 - a
 def prepare_resumption(path: Path, anyway: bool = False) -> Resumption:
     """Read the folder of an interrupted run; ``anyway`` also after many resumes without progress.
 
-    Raises RunFolderError if there is no run, it is finished, or it was resumed too often without progress.
+    Raises RunFinishedError if it is finished. Raises RunFolderError if there is no run, or it was resumed too
+    often without progress.
     Raises DocumentError if its procedure, station or DBC file is wrong.
     """
     folder = open_run_folder(path, may_have_units=True)
@@ -343,7 +349,7 @@ def prepare_resumption(path: Path, anyway: bool = False) -> Resumption:
         raise RunFolderError(f"{path}: every unit of this run was dropped: nothing to resume.")
     is_measured = state.ended == "finished" and state.is_over(job.plan)
     if is_measured and not found.damage and all(_is_evaluated(unit.folder) for unit in found.units):
-        raise RunFolderError(f"{path}: this run is finished and has its report: nothing to resume.")
+        raise RunFinishedError(f"{path}: this run is finished and has its report: nothing to resume.")
     if state.resumes_without_progress >= MAX_RESUMES_WITHOUT_PROGRESS and not anyway:
         raise RunFolderError(
             f"{path}: was resumed {state.resumes_without_progress} times without finishing a step. "

@@ -101,11 +101,15 @@ class MeasurementError(GyrobenchError, ValueError):
 
 
 class SignalMapError(MeasurementError):
-    """Measured data contradict the station file: signs, axes or scale of the signal map, or the latitude."""
+    """Measured data contradict the station file: its signal map, mounting or latitude."""
 
 
 class RunFolderError(GyrobenchError, OSError):
     """A run folder can't be written, or what it holds can't be read."""
+
+
+class RunFinishedError(RunFolderError):
+    """The run has finished and has its report: nothing is left to do."""
 
 
 class MissingRunError(RunFolderError):

@@ -16,7 +16,7 @@ from gyrobench.bench.bias.verdicts import Acceptance, read_acceptance
 from gyrobench.bench.characteristics.results import TestResult, read_characteristics
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.documents import read_document
-from gyrobench.bench.foundations.errors import GyrobenchError
+from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
 from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.text import hours_minutes, run_ending
 from gyrobench.bench.procedure.plan import DwellPurpose
@@ -26,6 +26,7 @@ from gyrobench.bench.runs.folder import DWELLS, JOURNAL, RunFolder
 from gyrobench.bench.runs.journal import RunFacts, facts_of, read_journal
 from gyrobench.bench.runs.marks import purpose_of
 from gyrobench.bench.runs.provenance import SIMULATED, is_emulated, read_provenance
+from gyrobench.bench.runs.seal import edited_tables
 from gyrobench.bench.runs.tables.budget_table import BudgetSummary, read_budget
 from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow, read_calibration_check
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, read_coefficients
@@ -235,6 +236,12 @@ def _damage(folder: RunFolder, journal: _Journal, errors: Mapping[Path, Exceptio
     )
     if measured_biases and not folder.dwells.exists():
         damage[DWELLS] = f"{folder.dwells}: is missing. {again}"
+    try:
+        edited = edited_tables(folder)
+    except RunFolderError:  # a damaged seal, which `gyrobench seal --verify` names
+        edited = []
+    for name in edited:
+        damage.setdefault(name, f"{folder.path / name}: has changed since it was sealed. {again}")
     return damage
 
 

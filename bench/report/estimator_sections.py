@@ -23,7 +23,7 @@ from gyrobench.bench.report.figures.estimators import (
     has_distribution,
     noise_figure,
 )
-from gyrobench.bench.report.number_format import NO_PAPER, BiasScale, p_text
+from gyrobench.bench.report.number_format import NO_PAPER, BiasScale, p_in_brackets, p_text
 from gyrobench.bench.report.page import Section, SectionFigure, SectionTable
 from gyrobench.bench.report.statements import SIGNIFICANCE, fit_sentence
 from gyrobench.bench.runs.tables.joint_table import JointPlateauRow, JointSigmas
@@ -176,7 +176,7 @@ def _finding_sentence(plateaus: Sequence[JointPlateauRow]) -> str:
         return f"{where}: {finding.value}."
     rate = f"{1e3 * last.up_rate_dph:+.2f} ± {1e3 * last.up_rate_sigma_dph:.2f} · 10⁻³ deg/h"
     latitude = f"{last.latitude_error_arcmin:+.2f} ± {last.latitude_error_sigma_arcmin:.2f} arcmin"
-    p_value = _p_in_brackets(last.up_rate_p_value)
+    p_value = p_in_brackets(last.up_rate_p_value)
     text = f"{where} the half-difference is {rate}{p_value}: {finding.value}."
     if finding in (Finding.LATITUDE, Finding.LATITUDE_OFF, Finding.NOT_CONTRADICTED):
         text += f" Equivalent latitude error: {latitude}; joint_biases.csv also has the biases without it."
@@ -185,17 +185,11 @@ def _finding_sentence(plateaus: Sequence[JointPlateauRow]) -> str:
 
 def _misfits(plateaus: Sequence[JointPlateauRow]) -> list[str]:
     return [
-        f"At plateau {row.plateau} dwells disagree on shared parameters{_p_in_brackets(row.fit_p_value)}: "
+        f"At plateau {row.plateau} dwells disagree on shared parameters{p_in_brackets(row.fit_p_value)}: "
         + (_LATITUDE if row.any_north_p_value >= _WRONG_FIT_P else _NOT_TRUSTED)
         for row in plateaus
         if row.fit_p_value < _WRONG_FIT_P
     ]
-
-
-def _p_in_brackets(p_value: float) -> str:
-    """Text as " (p = 0.012)" or " (p <1e-9)"; empty for NaN."""
-    text = p_text(p_value)
-    return text and f" (p {text if text.startswith('<') else f'= {text}'})"
 
 
 def _gain_table(sigmas: _Sigmas) -> SectionTable:

@@ -70,6 +70,12 @@ def p_text(p_value: float) -> str:
     return f"{p_value:.3f}" if p_value >= _PLAIN_P else _exponential(p_value)
 
 
+def p_in_brackets(p_value: float) -> str:
+    """Text as " (p = 0.012)" or " (p <1e-9)"; empty for NaN."""
+    text = p_text(p_value)
+    return text and f" (p {text if text.startswith('<') else f'= {text}'})"
+
+
 def p_phrase(p_value: float) -> str:
     """Write a p-value in a sentence: "p = 0.02", "p < 1e-9"."""
     text = p_text(p_value)

@@ -18,7 +18,6 @@ from gyrobench.bench import __version__
 from gyrobench.bench.bias.bins import BiasBin, compare_positions
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.verdicts import Acceptance
-from gyrobench.bench.bias.vertical_pairs import Finding
 from gyrobench.bench.foundations.clock import parsed_utc
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import file_sha256, make_folder, write_whole
@@ -62,7 +61,7 @@ from gyrobench.bench.report.figures.bias import (
 from gyrobench.bench.report.figures.temperatures import DRAWN, Readings, temperature_figure
 from gyrobench.bench.report.journal_sections import Entry, durations_section, events_section
 from gyrobench.bench.report.page import Box, Section, SectionFigure, render_page, with_figure_files
-from gyrobench.bench.report.statements import VERDICT_COLOURS, latitude_sentence, signs_sentence
+from gyrobench.bench.report.statements import VERDICT_COLOURS, flags_sentence, setup_sentences, signs_sentence
 from gyrobench.bench.runs.folder import JOURNAL, RunFolder
 from gyrobench.bench.runs.provenance import DataHash, data_hashes, note_preparer
 from gyrobench.bench.runs.seal import keep_sealed
@@ -283,10 +282,9 @@ def verdict_boxes(content: RunContent) -> list[Box]:
         boxes.append(Box(VERDICT_COLOURS["marginal"], "Coefficients in doubt.", text))
     if found := budget_box(content.budget):
         boxes.append(found)
-    for last in content.joint_plateaus[-1:]:
-        finding, error = Finding[last.finding.upper()], last.latitude_error_arcmin
-        if text := latitude_sentence(finding, error, last.latitude_error_sigma_arcmin):
-            boxes.append(Box("failed", "Wrong latitude.", text))
+    if text := flags_sentence(content.dwells):
+        boxes.append(Box("failed", "Most dwells are flagged.", text))
+    boxes += [Box("failed", *each) for each in setup_sentences(content.joint_plateaus).items()]
     if text := signs_sentence(facts):
         boxes.append(Box(VERDICT_COLOURS["marginal"], "Signal map not tested.", text))
     return boxes

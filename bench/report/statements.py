@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from statistics import median
 from types import MappingProxyType
@@ -14,11 +15,15 @@ from gyrobench.bench.bias.verdicts import Acceptance, Judgement, RunVerdict
 from gyrobench.bench.bias.vertical_pairs import Finding
 from gyrobench.bench.foundations.text import counted, listed
 from gyrobench.bench.navigation.positions import AXES, gyro_label, position_label
-from gyrobench.bench.report.number_format import dph_with_sigma, p_text, temperature_ranges
+from gyrobench.bench.report.number_format import dph_with_sigma, p_in_brackets, p_text, temperature_ranges
 from gyrobench.bench.runs.journal import RunFacts
+from gyrobench.bench.runs.tables.joint_table import JointPlateauRow
 
 #: Result without positions to compare.
 NOTHING_TO_COMPARE = "Nothing to compare: no temperature bin has dwells in two positions."
+
+#: Dwells contradict one another below this probability; a rate Up is named from so many sigmas.
+_CONTRADICTION_P, _CLEAR_SIGMAS = 1e-3, 4.0
 
 #: Significance level of the differences between positions, per gyro.
 SIGNIFICANCE = 0.01
@@ -73,15 +78,47 @@ def scatter_sentence(bins: Iterable[BiasBin]) -> str:
     )
 
 
-def latitude_sentence(finding: Finding, error_arcmin: float, sigma_arcmin: float) -> str:
-    """The latitude error that the joint solution found, and what follows; empty if it is as declared."""
-    if finding is not Finding.LATITUDE_OFF:
+def setup_sentences(plateaus: Sequence[JointPlateauRow]) -> dict[str, str]:
+    """What the joint solution finds wrong with the bench, by title: the latitude, a rate Up, a contradiction.
+
+    ``plateaus``: the last one is all together, if there are several.
+    """
+    found = {}
+    for last in plateaus[-1:]:
+        if Finding[last.finding.upper()] is Finding.LATITUDE_OFF:
+            found["Wrong latitude."] = (
+                f"The latitude of the INS is {last.latitude_error_arcmin:+.2f} ± "
+                f"{last.latitude_error_sigma_arcmin:.2f} arcmin off, more than declared. The biases of "
+                "vertical gyros are corrected for it; correct the latitude in station file and INS."
+            )
+        is_clear = abs(last.up_rate_dph) > _CLEAR_SIGMAS * last.up_rate_sigma_dph
+        if Finding[last.finding.upper()] is Finding.NOT_LATITUDE and is_clear:
+            found["Rate Up."] = (
+                f"Vertical gyros up and down differ as by a rate Up of {1e3 * last.up_rate_dph:+.2f} ± "
+                f"{1e3 * last.up_rate_sigma_dph:.2f} · 10⁻³ deg/h, alike in all gyros, that no latitude "
+                "explains. Their biases contain it. Check that table, fixture and pier do not turn slowly; "
+                "biases that follow gravity alike in all gyros look the same."
+            )
+    wrong = [each for each in plateaus if max(each.fit_p_value, each.any_north_p_value) < _CONTRADICTION_P]
+    if wrong:
+        least = min(max(each.fit_p_value, each.any_north_p_value) for each in wrong)
+        found["Dwells contradict one another."] = (
+            f"At {counted(len(wrong), 'plateau')} they disagree on the accelerometer biases, misalignments "
+            f"and rates that they share{p_in_brackets(least)}: biases of positions may seem to differ. "
+            "Accelerometer biases that follow the temperature do that: soak longer, or measure on slower "
+            "ramps. See the joint solution in the report."
+        )
+    return found
+
+
+def flags_sentence(rows: Sequence[DwellRow]) -> str:
+    """The most frequent flag where flags keep half of the dwells out of the results; else empty."""
+    flags = Counter(row.flags for row in rows if row.flags)
+    if not rows or 2 * flags.total() < len(rows):
         return ""
-    return (
-        f"The latitude of the INS is {error_arcmin:+.2f} ± {sigma_arcmin:.2f} arcmin off, more than "
-        "declared. The biases of vertical gyros are corrected for it; correct the latitude in station file "
-        "and INS."
-    )
+    [(text, count)] = flags.most_common(1)
+    left_out = f"{flags.total()} of {counted(len(rows), 'dwell')}"
+    return f"Flagged, and not in the results: {left_out}. The most frequent flag ({count}): {text}"
 
 
 def signs_sentence(facts: RunFacts) -> str:

@@ -227,19 +227,37 @@ def _text(root: Path, seal: Seal, before: Mapping[str, SealedFile]) -> Iterator[
     yield b"}}"
 
 
-def keep_sealed(folder: RunFolder, known: Mapping[str, str] = MappingProxyType({})) -> None:
+def edited_tables(folder: RunFolder) -> list[str]:
+    """Names of the tables that are not as sealed, though nothing was measured since; empty without a seal."""
+    paths = sorted((folder.path / _SEALS).glob("*.jsonl"))
+    sealed = _read_seal(paths[-1], None).files if paths else {}
+    if JOURNAL not in sealed or _differs(folder.journal, sealed[JOURNAL]):
+        return []
+    tables = [path for path in sealed if "/" not in path and path.endswith((".csv", ".json"))]
+    return [path for path in tables if path not in _EVIDENCE and _differs(folder.path / path, sealed[path])]
+
+
+def _differs(path: Path, sealed: SealedFile) -> bool:
+    """Whether a file that is there differs from what was sealed."""
+    return path.is_file() and file_sha256(path) != sealed.sha256
+
+
+def keep_sealed(
+    folder: RunFolder, known: Mapping[str, str] = MappingProxyType({}), are_tables_new: bool = False
+) -> None:
     """Seal a run that has ended, with what was added to it; where the key can't be used, without signature.
 
-    Runs of versions without seals are left as they are. ``known``: hashes, by path, that a report states
-    which was just written: the seal holds the same. Raises RunFolderError if measured data or inputs have
-    changed since the last seal.
+    Runs of versions without seals are left as they are, and those with tables that are not as sealed, unless
+    these were computed again (``are_tables_new``). ``known``: hashes, by path, that a report states which was
+    just written: the seal holds the same. Raises RunFolderError if measured data or inputs have changed since
+    the last seal.
     """
     try:
         ended = facts_of(read_journal(folder.journal)).ended
     except RunFolderError:
         return  # damaged: a seal would confirm it
     is_due = (folder.path / _SEALS).exists() or is_linked(folder.journal)
-    if ended and is_due:
+    if ended and is_due and (are_tables_new or not edited_tables(folder)):
         _seal_folder(folder, None, accept_changes=False, known=known)
 
 

@@ -139,6 +139,10 @@ class CanIns:
         snapshot = self._newest.snapshot(now_s)
         return InsStatus(snapshot, self._newest.age_s(now_s), self.signal_map, self._signals)
 
+    def forget(self) -> None:
+        """Drop the newest frames: the state is unknown until others arrive."""
+        self._newest = NewestFrames(self.codec)
+
     def health(self) -> InsHealth:
         """Counts of frames and commands so far."""
         return InsHealth(self._frames, self._error_frames, self._sent, self._lost + _lost(self._bus))
