@@ -122,7 +122,7 @@ class StartingFile:
     def explained(self, schema: Schema) -> str:
         """Meaning of a key, permitted values, and keys below it."""
         below = self._resolved(schema, {})
-        keys = f" (keys: {', '.join(below['properties'])})" if "properties" in below else ""
+        keys = f" (keys: {', '.join(below['properties'])})" if below.get("properties") else ""
         return self._explained(schema) + keys
 
     def _explained(self, schema: Schema) -> str:
@@ -180,7 +180,10 @@ def _empty(schema: Schema) -> str:
 _EXAMPLE_STATION = "example_bench"
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,80}")
 _WORLD_NAME = re.compile(r"^world:.*$", re.MULTILINE)
-_HINT = "A line that begins with # and no space is optional and shows its default: remove the # to use it."
+_HINT = (
+    "A key after # without a space is optional, as are those within it after # and two spaces; they show the "
+    "defaults. To use them, remove the # before both."
+)
 
 
 def new_procedure(name: str, like: str, path: Path) -> str:
@@ -291,7 +294,7 @@ def _common_keys(section: str) -> set[str]:
 
 
 def _text(kind: FileKind, path: Path, *parts: Iterable[str]) -> str:
-    head = f"{editor_line(kind, path)}# {_HINT}\n\n"
+    head = editor_line(kind, path) + "\n".join(comment(_HINT)) + "\n\n"
     return head + "".join(f"{line}\n" for part in parts for line in part)
 
 

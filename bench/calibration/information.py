@@ -35,7 +35,7 @@ _LATITUDE_ERROR = 0.1
 #: An unknown is observed if sizes ten times as large let its uncertainty grow by less than this.
 _MAX_GROWTH = 1.1
 #: The same for a direction of several unknowns: by how much one size of it changes the residuals.
-LEAST_LENGTH = float((_MAX_GROWTH**2 - 1.0) ** -0.5)
+MIN_SINGULAR_VALUE = float((_MAX_GROWTH**2 - 1.0) ** -0.5)
 #: Size of the accelerometers' scale factor errors where gravity stands in place of the vertical specific
 #: force: their mean is not observed, and affects the other coefficients in second order.
 FORCE_SCALE = 1e-4
@@ -183,8 +183,10 @@ class Information:
         residuals change along each direction over one size.
         """
         is_drift = np.arange(len(self.sizes)) >= len(self.sizes) - self.drifts
-        _, lengths, directions = np.linalg.svd(np.vstack([self.root[:, :-2] * self.sizes, np.diag(is_drift)]))
-        known = directions[: len(lengths)][lengths > least]
+        _, singular, directions = np.linalg.svd(
+            np.vstack([self.root[:, :-2] * self.sizes, np.diag(is_drift)])
+        )
+        known = directions[: len(singular)][singular > least]
         return np.asarray(self.sizes * (known.T @ (known @ (step / self.sizes))))
 
     def latitude_correction(self) -> tuple[float, float]:

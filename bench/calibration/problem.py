@@ -17,7 +17,7 @@ from gyrobench.bench.calibration.coefficients import BESIDE, COEFFICIENTS, COUNT
 from gyrobench.bench.calibration.information import (
     BIAS_DRIFT,
     IS_GYRO_SCALE,
-    LEAST_LENGTH,
+    MIN_SINGULAR_VALUE,
     CalibrationOptions,
     Information,
     integrated_sections,
@@ -84,6 +84,24 @@ class Solution:
 
 
 @dataclass(frozen=True, eq=False)
+class _Point:
+    """Where a problem is linearised."""
+
+    values: FloatArray  #: Of all unknowns; attitudes are corrections to the ``starts``, and zero.
+    starts: list[FloatArray]  #: Attitudes (3, 3) at the start of each section.
+    origin: FloatArray  #: What the data leave open stays near it.
+
+    def moved(self, step: FloatArray, first: int) -> _Point:
+        """A step further; attitudes are from number ``first`` on."""
+        turns = slice(first, first + 3 * len(self.starts))
+        values, origin = self.values + step, self.origin.copy()
+        values[turns] = 0.0
+        origin[turns] -= step[turns]
+        attitudes = rotation_matrices(step[turns].reshape(-1, 3))
+        return _Point(values, [turn @ C for turn, C in zip(attitudes, self.starts, strict=True)], origin)
+
+
+@dataclass(frozen=True, eq=False)
 class CalibrationProblem:
     """What the coefficients are estimated from."""
 
@@ -95,40 +113,32 @@ class CalibrationProblem:
 
     def solve(self) -> Solution:
         """Estimate all unknowns. Raises MeasurementError if that does not converge."""
-        used = self.options.columns
-        common, first = np.zeros(UNKNOWNS), SensorErrors(gyro_bias=self.bias)
+        used, first = self.options.columns, SensorErrors(gyro_bias=self.bias)
+        common = np.zeros(UNKNOWNS)
         common[:COUNT] = first.vector()
-        starts = [each.aligned(first) for each in self.sections]
         beside = 6 if self.options.bias_drift else 3
-        origin = np.concatenate([common[used], np.zeros(beside * len(starts))])
-        turns = slice(len(used), len(used) + 3 * len(starts))
-        here, lowest, left, least = origin.copy(), np.inf, np.inf, LEAST_LENGTH
-        trial, trial_starts, trial_origin = here, starts, origin
+        begin = np.concatenate([common[used], np.zeros(beside * len(self.sections))])
+        point = trial = _Point(begin, [each.aligned(first) for each in self.sections], begin)
+        lowest, left, least = np.inf, np.inf, MIN_SINGULAR_VALUE
         for _ in range(_MAX_ROUNDS):
-            common[used] = trial[: len(used)]
-            tried = integrated_sections(self.sections, trial_starts, common, self.site, self.options)
+            common[used] = trial.values[: len(used)]
+            tried = integrated_sections(self.sections, trial.starts, common, self.site, self.options)
             linear = Information.of(self.sections, tried, common, self.noise, self.site, self.options)
-            if (chi2 := linear.chi2(trial)) < _WORSE * lowest:
-                here, starts, origin, lowest = trial, trial_starts, trial_origin, chi2
-                found, trajectories = linear, tried
-                values, covariance, is_observed = found.solve(origin)
+            if (chi2 := linear.chi2(trial.values)) < _WORSE * lowest:
+                point, found, trajectories, lowest = trial, linear, tried, chi2
+                values, covariance, is_observed = found.solve(point.origin)
             else:
                 least *= _FEWER
-            step = found.shown(values - here, least)
-            trial, trial_origin = here + step, origin.copy()
-            before, left = left, found.chi2(trial)
-            excess = max(1.0, left / sum(map(len, found.blocks)))
-            trial[turns] = 0.0
-            trial_origin[turns] -= step[turns]
-            attitudes = rotation_matrices(step[turns].reshape(-1, 3))
-            trial_starts = [turn @ start for turn, start in zip(attitudes, starts, strict=True)]
+            step = found.shown(values - point.values, least)
+            trial, before, left = point.moved(step, len(used)), left, found.chi2(point.values + step)
             # Sizes count in units of the residuals where these exceed the noise.
+            excess = max(1.0, left / sum(map(len, found.blocks)))
             is_still = np.abs(step) < _MAX_STEP * np.sqrt(excess * np.diag(covariance))
             if abs(left - before) < _CONVERGED * excess and is_still[is_observed].all():
-                common[used] = trial[: len(used)]
+                common[used] = trial.values[: len(used)]
                 fit = _test_fit(values, covariance, found.blocks)
                 return Solution(
-                    values, covariance, is_observed, common, trial_starts, fit, found, trajectories
+                    values, covariance, is_observed, common, trial.starts, fit, found, trajectories
                 )
         raise MeasurementError(
             f"the estimate does not converge in {_MAX_ROUNDS} rounds: the increments do not follow from "

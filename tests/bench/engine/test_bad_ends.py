@@ -235,6 +235,27 @@ def test_only_two_dwells_in_a_row_contradict_a_signal_map_that_agreed_before(
     assert [entry["why"] for entry in given_up] == ["velocity_north has the wrong sign"]
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        ("mounting: {x: east, y: north", "mounting: {x: north, y: west", "disagree by 90.0 deg"),
+        ("latitude_deg: 36.4", "latitude_deg: 36.5", "the INS uses a latitude of 36.4000 deg"),
+    ],
+)
+def test_a_wrong_mounting_and_another_latitude_end_a_run_at_once(tmp_path, old, new, reason):
+    right = find_document("stations", "emulated").read_text()
+    station = tmp_path / "mine.yaml"
+    station.write_text(right.replace(old, new))
+    job = prepare_job("ten_minute_check", str(station), Emulation("gyro_a", 1))
+    folder, outcome = run_job(job, tmp_path / "run", RunObserver(), ConsentingOperator())
+    assert outcome.ended == "failed"
+    assert outcome.is_station_wrong
+    assert reason in outcome.reason
+    folder.station.write_text(right)
+    _, outcome = resume_run(prepare_resumption(folder.path), RunObserver(), ConsentingOperator())
+    assert outcome.ended == "finished"
+
+
 def test_a_run_with_a_wrong_signal_map_resumes_with_its_corrected_copy(tmp_path):
     """Dwells that were measured with the wrong map have biases then."""
     right = find_document("stations", "emulated").read_text()

@@ -177,6 +177,9 @@ def test_a_dwell_that_stays_invalid_is_flagged_after_its_repeats_and_the_run_con
     folder, outcome, _ = consent(tmp_path, "align", lambda bench, clock: None, two)
     assert outcome.ended == "finished", outcome.reason
     assert len(events(folder, "dwell_given_up")) == 4
+    # Switching it off and on for a repeat is no restart without a command.
+    assert len(events(folder, "powered_on")) == 4
+    assert not any("has restarted" in entry["text"] for entry in events(folder, "note"))
     rows = read_dwells(folder.dwells)
     assert [row.dwell for row in rows] == [1, 2]
     assert all("did not end within 100 s" in row.flags for row in rows)

@@ -14,6 +14,7 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal
 from gyrobench.bench.runs.seal import (
     KEY_VARIABLE,
+    edited_tables,
     keep_sealed,
     new_key,
     require_sealed_inputs,
@@ -212,6 +213,26 @@ def test_a_run_whose_measured_data_changed_is_not_sealed_again(folder, changed):
     with pytest.raises(RunFolderError, match=f"{path.name} changed since seal 1"):
         keep_sealed(folder)
     assert not verify_seals(folder.path).is_intact
+
+
+def test_an_edited_table_is_named_and_sealed_only_where_it_was_computed_again(folder):
+    keep_sealed(folder)
+    assert edited_tables(folder) == []
+    folder.dwells.write_text(folder.dwells.read_text().replace("0.0200", "0.0500"))
+    assert edited_tables(folder) == ["dwells.csv"]
+    keep_sealed(folder)
+    assert [finding.path for finding in verify_seals(folder.path).findings] == ["dwells.csv"]
+    keep_sealed(folder, are_tables_new=True)
+    assert edited_tables(folder) == []
+    assert not verify_seals(folder.path).findings
+
+
+def test_a_table_of_a_run_that_was_resumed_since_its_seal_is_not_edited(folder):
+    keep_sealed(folder)
+    with Journal(folder.journal, VirtualClock()) as journal:
+        journal.record("run_resumed")
+    folder.dwells.write_text("dwell\n")
+    assert edited_tables(folder) == []
 
 
 def test_a_resumed_run_is_sealed_again_with_what_was_added(folder):
