@@ -117,7 +117,8 @@ class StateSpaceEstimate(BiasEstimate):
     steady_p_value: float
     #: Most significant step of the biases in the dwell; None in very short windows, or if not searched for.
     step: BiasStep | None
-    damping: Damping  #: None in an INS that is free inertial, as the biases presume.
+    #: Of the velocities, as estimated; the biases presume that there is none, as in a free inertial INS.
+    damping: Damping
     #: latitude_error, latitude_sigma: Of the latitude that the INS uses, rad, by these data alone.
     latitude_error: float
     latitude_sigma: float

@@ -105,10 +105,8 @@ class JointFit:
     #: of the m dwells.
     unknowns: FloatArray
     covariance: FloatArray
-    #: chi2, dof, p_value: Test that the dwells agree on what they share, with any accelerometer biases and
-    #: misalignments: a unit with larger ones than declared contradicts the declaration, not its dwells.
-    chi2: float
-    dof: int
+    #: Test that the dwells agree on what they share, with any accelerometer biases and misalignments: a unit
+    #: with larger ones than declared contradicts the declaration, not its dwells.
     p_value: float
 
     @property
@@ -178,7 +176,7 @@ def solve_together(dwells: Sequence[JointInformation], shared_root: FloatArray) 
     unknowns, covariance = solve(rows, data, prior_root)
     free, free_covariance = solve(*_system(dwells, free_root(shared_root, gyro_scale_factors=False)))
     test = chi2_test(data - rows @ free, rows, free_covariance)
-    return JointFit(unknowns, covariance, test.chi2, test.dof, test.p_value)
+    return JointFit(unknowns, covariance, test.p_value)
 
 
 def _system(

@@ -20,10 +20,9 @@ from gyrobench.bench.closure.quantity import GYRO_BIAS, Quantity
 from gyrobench.bench.closure.selection import NotAccepted
 from gyrobench.bench.closure.uncertainty import Draws, bound_of
 from gyrobench.bench.closure.validation import MEDIAN, LackOfFit, measured_minus
-from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms_of_known
+from gyrobench.bench.foundations.arrays import S_PER_H, BoolArray, FloatArray, rms_of_known
 from gyrobench.bench.foundations.text import decimals_of, plain_name, with_sigma
 
-_S_PER_H = 3600.0
 _UNITS = {"c": "degC"}
 #: An interval is stated in place of a standard uncertainty if its middle is off by this share of its length.
 _ASYMMETRY = 0.125
@@ -256,7 +255,7 @@ class Closure:
         names = np.array(campaign.position)[searched]
         position = max(sorted(set(names)), key=lambda name: float(squares[names == name].mean()))
         low_c, high_c = _worst_span(campaign.gyro_c[searched].mean(axis=1), squares)
-        low_h, high_h = _worst_span(campaign.middle_s[searched] / _S_PER_H, squares)
+        low_h, high_h = _worst_span(campaign.middle_s[searched] / S_PER_H, squares)
         return (
             f"The residual is {rms_of_known(residual):.2g} {self.quantity.unit} rms, "
             f"{self.after.noise_ratio:.1f} times the noise, and follows {self.after.follows}. It is largest "
@@ -276,8 +275,8 @@ def _parameter_text(parameter: Parameter, value: float, sigma: float, interval: 
     """Name, value and uncertainty with their unit; the interval where it is not symmetric, or at a bound."""
     words, _, unit = parameter.name.replace("_", " ").rpartition(" ")
     factor = 1.0
-    if unit == "s" and abs(value) >= _S_PER_H:
-        factor, unit = _S_PER_H, "h"
+    if unit == "s" and abs(value) >= S_PER_H:
+        factor, unit = S_PER_H, "h"
     unit = _UNITS.get(unit, unit)
     low, high = interval
     end = bound_of(parameter, value)

@@ -26,10 +26,9 @@ from gyrobench.bench.closure.problem import DEGREE, Problem, declared_problem, p
 from gyrobench.bench.closure.search import Search
 from gyrobench.bench.closure.separability import searched_dwells
 from gyrobench.bench.closure.thermal_course import UnitThermal
-from gyrobench.bench.foundations.arrays import BoolArray
+from gyrobench.bench.foundations.arrays import S_PER_H, BoolArray
 from gyrobench.bench.procedure.estimate import ThermalEstimate
 
-_S_PER_H = 3600.0
 _SMALLEST, _MAX_LOG_ODDS = 1e-150, 345.0
 #: Draws of the noise of a plan.
 _DRAWS = 5
@@ -41,7 +40,7 @@ def measured_properties(closure: Closure, estimate: ThermalEstimate) -> UnitProp
     ``estimate`` is of a typical unit: it stands for what was not measured.
     """
     campaign = closure.campaign
-    hours = (campaign.end_s - campaign.start_s)[:, np.newaxis] / _S_PER_H
+    hours = (campaign.end_s - campaign.start_s)[:, np.newaxis] / S_PER_H
     variance = (closure.noise_scale * campaign.sigma_dph) ** 2 * hours
     return UnitProperties(
         np.sqrt(variance[closure.searched].mean(axis=0)),

@@ -12,7 +12,7 @@ import numpy as np
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.temperatures import TemperatureRecord, lag
 from gyrobench.bench.closure.thermal_course import Course, UnitThermal
-from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.arrays import S_PER_H, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.procedure.plan import DwellPurpose, Plan, PlannedStep
@@ -23,7 +23,6 @@ _MAX_STEP_S = 60.0
 _MAX_STEPS = 20_000
 #: Angle random walk of a ring laser gyro of navigation grade, deg/sqrt(h), where the station declares none.
 TYPICAL_RANDOM_WALK = 0.001
-_S_PER_H = 3600.0
 
 
 @dataclass(frozen=True)
@@ -88,7 +87,7 @@ def planned_campaign(plan: Plan, unit: UnitProperties) -> Campaign:
     )
     length_s = (end_s - start_s)[:, np.newaxis]
     walk = np.broadcast_to(unit.angle_random_walk_deg_per_sqrt_h, 3)
-    sigma_dph = walk / np.sqrt(gather("navigation_s") / _S_PER_H)[:, np.newaxis]
+    sigma_dph = walk / np.sqrt(gather("navigation_s") / S_PER_H)[:, np.newaxis]
     return Campaign(
         run_names=tuple(f"power-on {number + 1}" for number in range(navigations[-1].run + 1)),
         position=tuple(each.position for each in navigations),
@@ -103,7 +102,7 @@ def planned_campaign(plan: Plan, unit: UnitProperties) -> Campaign:
         air_c=mean_of(forecast.air_c),
         case_c=mean_of(forecast.case_c, measured=unit.has_case),
         gyro_c=mean_of(forecast.optics_c),
-        rate_c_per_h=_S_PER_H * (last_c - first_c) / length_s,
+        rate_c_per_h=S_PER_H * (last_c - first_c) / length_s,
         board_c=mean_of(forecast.electronics_c, measured=unit.has_boards),
         bias_dph=np.zeros((len(navigations), 3)),
         sigma_dph=sigma_dph,

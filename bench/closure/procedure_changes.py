@@ -15,6 +15,7 @@ from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.closure.outlook import tie_outlooks
 from gyrobench.bench.closure.planned_campaign import UnitProperties, planned_campaign
 from gyrobench.bench.closure.separability import Separability, searched_dwells, separability
+from gyrobench.bench.foundations.arrays import S_PER_H
 from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.navigation.positions import POSITIONS
@@ -281,7 +282,6 @@ def _ramp_variables(entries: Steps) -> set[str]:
 #: Checks and plans a changed procedure for the same station.
 Planner = Callable[[Document], Plan]
 
-_S_PER_H = 3600.0
 _SENSORS = ("measure the temperature of each gyro's electronics",)
 
 
@@ -383,7 +383,7 @@ def _changed(
             changed = planner(replace(document, data=document.data | {"steps": steps}))
         except DocumentError:  # the station can't run it
             continue
-        result.append((change.what, (changed.duration_s - plan.duration_s) / _S_PER_H, changed, unit))
+        result.append((change.what, (changed.duration_s - plan.duration_s) / S_PER_H, changed, unit))
     if not unit.has_boards:
         result.append((_SENSORS, 0.0, plan, replace(unit, has_boards=True)))
     return sorted(result, key=lambda each: each[1])

@@ -9,11 +9,10 @@ from functools import cache
 
 import numpy as np
 
-from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
+from gyrobench.bench.foundations.arrays import S_PER_H, BoolArray, FloatArray, IntArray
 
 _STEPS_A_DWELL = 6
 _MAX_STEPS = 20_000
-_S_PER_H = 3600.0
 #: Iterations that match the means of the smooth course to the measured ones.
 _ITERATIONS = 3
 #: Of a lag, a share of the past below this is neglected.
@@ -169,7 +168,7 @@ def record_of_dwells(
     time_s = first_s + step_s * steps
     if len(middle_s) == 1:
         return TemperatureRecord(time_s, np.repeat(gyro_c[index], len(time_s), axis=0))
-    rates = rate_c_per_h[index] / _S_PER_H
+    rates = rate_c_per_h[index] / S_PER_H
     nodes_c, means_c = gyro_c[index].copy(), gyro_c[index]
     record = _through(time_s, middle_s, nodes_c, rates)
     means = record.means_over(start_s[index], end_s[index])

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, b_splines
+from gyrobench.bench.foundations.arrays import S_PER_H, BoolArray, FloatArray, b_splines
 from gyrobench.bench.foundations.kernels import compiled
 
 _STEPS_A_DWELL = 10
@@ -28,7 +28,6 @@ _SPLINE_DEGREE = 5
 #: Longer pauses, as a share of the next dwell, separate segments; minimum mean number of dwells in one.
 _MAX_PAUSE = 0.05
 _MIN_DWELLS = 10
-_S_PER_H = 3600.0
 #: Parameters, each with the lower bound, start, upper bound and scale of its fit; hours and kelvin.
 _PARAMETERS = (
     ("optics by flow", 0.01, 0.5, 10.0, 0.2),
@@ -142,7 +141,7 @@ class _Segment:
         part: slice,
     ) -> _Segment:
         """Interpolate the case temperature by a spline of its integral, which keeps the dwells' means."""
-        edges_h = np.append(start_s, end_s[-1]) / _S_PER_H
+        edges_h = np.append(start_s, end_s[-1]) / S_PER_H
         lengths_h = np.diff(edges_h)
         sums = np.concatenate([[0.0], np.cumsum(case_c * lengths_h)])
         step_h = lengths_h / _STEPS_A_DWELL

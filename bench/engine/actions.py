@@ -58,7 +58,7 @@ _POSITION_TOLERANCE_DEG = 0.002
 #: A servo may overshoot this long after its profile is complete.
 _OVERSHOOT_S = 10.0
 #: A bus on which the INS stays silent for this long after power-on is reopened.
-_BUS_SILENCE_S = 15.0
+_REOPEN_AFTER_S = 15.0
 _POWER_CYCLE_S = 5.0
 #: Period of the estimates of the dwell in progress.
 _ESTIMATE_PERIOD_S = 30.0
@@ -114,7 +114,7 @@ def _sending(unit: MeasuredUnit, bench: LiveBench) -> Ticks:
     """Wait until the INS sends."""
     reopened_s = bench.clock.now()
     while not unit.live.has_started():
-        if bench.clock.now() - reopened_s > _BUS_SILENCE_S:
+        if bench.clock.now() - reopened_s > _REOPEN_AFTER_S:
             reopened_s = bench.clock.now()
             bench.reopen(unit.live.name)
         yield

@@ -12,6 +12,8 @@ IntArray = NDArray[np.int64]
 
 #: Gravity by definition, m/s^2: the g of specifications in ug.
 STANDARD_GRAVITY = 9.80665
+#: Seconds of an hour, and of a day.
+S_PER_H, S_PER_DAY = 3600.0, 86_400.0
 #: One degree per hour in rad/s.
 DPH_TO_RADPS = np.pi / 180.0 / 3600.0
 #: One rad/s in degrees per hour.

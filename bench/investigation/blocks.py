@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.foundations.arrays import S_PER_H
 from gyrobench.bench.investigation.external_bench import (
     AnyStep,
     BlockPlan,
@@ -21,7 +22,6 @@ from gyrobench.bench.investigation.external_bench import (
 from gyrobench.bench.investigation.forecast import chamber_c
 from gyrobench.bench.navigation.positions import POSITIONS
 
-_S_PER_H = 3600.0
 _SWITCH_S = 60.0
 #: Time off for a power-on that only begins a block.
 _SHORTLY_OFF_H = 5.0 / 3600.0
@@ -122,13 +122,13 @@ class Timeline:
             self.start_s = self.now_s = self.start.time_s
             self._power_ons = self.start.power_ons
             at_c = self.start.state.chamber_c
-            span_s = 0.0 if at_c is None else abs(self.chamber_c - at_c) / self.times.ramp_c_per_h * _S_PER_H
+            span_s = 0.0 if at_c is None else abs(self.chamber_c - at_c) / self.times.ramp_c_per_h * S_PER_H
             self._to(self.chamber_c, self.times.ramp_c_per_h, span_s)
 
     def off_and_on(self, hours: float | None = None) -> None:
         """Switch the unit off, let it cool, and switch it on: a new run."""
         self._is_ready = True
-        self._add(PowerStep(on=False, **self._span((hours or self.times.off_h) * _S_PER_H)))
+        self._add(PowerStep(on=False, **self._span((hours or self.times.off_h) * S_PER_H)))
         self._power_ons += 1
         self.run = f"{self.rows[-1].run.rsplit('-', 1)[0]}-{self._power_ons}"
         self.dissipation(1.0)
@@ -143,13 +143,13 @@ class Timeline:
         rate_c_per_h = relative * self.times.ramp_c_per_h
         self._switch_on()
         if abs(to_c - self.chamber_c) > _SAME_C:
-            span_s = abs(to_c - self.chamber_c) / rate_c_per_h * _S_PER_H
+            span_s = abs(to_c - self.chamber_c) / rate_c_per_h * S_PER_H
             self._to(to_c, rate_c_per_h, span_s)
 
     def soak(self, hours: float | None = None) -> None:
         """Wait."""
         self._switch_on()
-        self._add(SoakStep(**self._span((hours or self.times.soak_h) * _S_PER_H)))
+        self._add(SoakStep(**self._span((hours or self.times.soak_h) * S_PER_H)))
 
     def dwells(self, positions: Iterable[str], azimuth_deg: float = 0.0, length: float = 1.0) -> None:
         """Measure dwells, each ``length`` times as long as those of the table."""
@@ -181,7 +181,7 @@ class Timeline:
         if self.start is not None:
             return self._plan(self.start.state)
         warm = [row for row in self.rows if np.isfinite([*row.gyro_c, *row.gyro_rate_c_per_h]).all()][-1]
-        rise_c = np.array(warm.gyro_rate_c_per_h) * 0.5 * (warm.end_s - warm.start_s) / _S_PER_H
+        rise_c = np.array(warm.gyro_rate_c_per_h) * 0.5 * (warm.end_s - warm.start_s) / S_PER_H
         x_c, y_c, z_c = (np.array(warm.gyro_c) + rise_c).tolist()
         state = StartState(
             chamber_c=last.chamber_c if np.isfinite(last.chamber_c) else None,
@@ -245,7 +245,7 @@ def _kinds(rows: Sequence[DwellRow], times: BlockTimes) -> list[BlockKind]:
         def add(timeline: Timeline) -> None:
             to_c = low_c if abs(timeline.chamber_c - low_c) > abs(timeline.chamber_c - high_c) else high_c
             rate_c_per_h = relative * timeline.times.ramp_c_per_h
-            step_c = np.sign(to_c - timeline.chamber_c) * rate_c_per_h * timeline.dwell_s / _S_PER_H
+            step_c = np.sign(to_c - timeline.chamber_c) * rate_c_per_h * timeline.dwell_s / S_PER_H
             for position in every:
                 if abs(to_c - timeline.chamber_c) > abs(step_c):
                     timeline.ramp(timeline.chamber_c + float(step_c), relative)

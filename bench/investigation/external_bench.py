@@ -20,7 +20,7 @@ from pydantic import Field
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
 from gyrobench.bench.closure.campaign import Campaign, campaign_of
 from gyrobench.bench.closure.plausibility import implausible
-from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.arrays import S_PER_H, FloatArray
 from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError
 from gyrobench.bench.foundations.files import write_whole
@@ -32,7 +32,6 @@ _SHOWN_CHARACTERS = 500
 _TIMEOUT_FACTOR, _TIMEOUT_MARGIN_S = 1.5, 600.0
 #: Time for a command that is ended to switch its bench off.
 _TERMINATION_S = 10.0
-_S_PER_H = 3600.0
 _Block = TypeVar("_Block")
 #: Sigmas this many times those of the first table, or a fraction of them, are wrong.
 _MAX_SIGMA_RATIO = 5.0
@@ -114,7 +113,7 @@ class BlockPlan(StrictModel):
     @property
     def duration_h(self) -> float:
         """Time on the bench."""
-        return (self.steps[-1].end_s - self.start_s) / _S_PER_H
+        return (self.steps[-1].end_s - self.start_s) / S_PER_H
 
     def text(self) -> str:
         """JSON text."""
@@ -137,7 +136,7 @@ class AfterLastDwell:
     @property
     def campaign_h(self) -> float:
         """Hours from the first of these dwells to the last."""
-        return (max(row.end_s for row in self.rows) - min(row.start_s for row in self.rows)) / _S_PER_H
+        return (max(row.end_s for row in self.rows) - min(row.start_s for row in self.rows)) / S_PER_H
 
     def campaign(self, rows: Sequence[DwellRow]) -> Campaign:
         """Dwells as they are searched."""
@@ -193,7 +192,7 @@ class ExternalBench(AfterLastDwell):
             )
         answered.unlink(missing_ok=True)
         write_whole(asked, plan.text().encode())
-        limit_s = self.time_limit_s or _TIMEOUT_FACTOR * plan.duration_h * _S_PER_H + _TIMEOUT_MARGIN_S
+        limit_s = self.time_limit_s or _TIMEOUT_FACTOR * plan.duration_h * S_PER_H + _TIMEOUT_MARGIN_S
         code = self._run([str(asked), str(answered)], limit_s, log)
         message = log.read_text(encoding="utf-8", errors="replace").strip()[-_SHOWN_CHARACTERS:]
         if code:

@@ -11,14 +11,13 @@ import numpy as np
 from gyrobench.bench.bias.dwell_table import DwellRow, Triple, triple
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.thermal_course import ELECTRONICS_ABOVE_OPTICS_K, Course, UnitThermal
-from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.arrays import S_PER_H, FloatArray
 from gyrobench.bench.investigation.external_bench import BlockPlan, ChamberStep, DwellStep, PowerStep
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.procedure.estimate import ThermalEstimate
 
 _STEP_S = 60.0
 _MAX_STEPS = 20_000
-_S_PER_H = 3600.0
 #: Other column of the power of the supply.
 _SUPPLY_W = "supply_w"
 
@@ -98,7 +97,7 @@ class Forecast:
             np.stack([np.interp(each, course.time_s, optics) for optics in course.optics_c.T], axis=1)
             for each in edges_s
         )
-        rate_c_per_h = (last_c - first_c) / (edges_s[1] - edges_s[0])[:, np.newaxis] * _S_PER_H
+        rate_c_per_h = (last_c - first_c) / (edges_s[1] - edges_s[0])[:, np.newaxis] * S_PER_H
         factors = course.means(power, *edges_s)
         set_c, air_c, case_c = (
             means(values, like).tolist()
@@ -141,7 +140,7 @@ def chamber_c(rows: Sequence[DwellRow]) -> FloatArray:
     lag = ThermalEstimate()
     gyro_c = np.array([row.gyro_c for row in rows]).mean(axis=1)
     rate_c_per_h = np.array([row.gyro_rate_c_per_h for row in rows]).mean(axis=1)
-    followed = gyro_c + rate_c_per_h * lag.time_constant_s / _S_PER_H
+    followed = gyro_c + rate_c_per_h * lag.time_constant_s / S_PER_H
     known = np.array([[row.chamber_set_c, row.chamber_c] for row in rows])
     known = np.column_stack([known, followed - lag.self_heating_c])
     found = known[np.arange(len(rows)), np.argmax(np.isfinite(known), axis=1)]

@@ -17,6 +17,7 @@ from gyrobench.bench.closure.loop import composed
 from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.closure.posterior import CLEAN, RIVAL
 from gyrobench.bench.closure.search import MAX_EFFECTS
+from gyrobench.bench.foundations.arrays import S_PER_H
 from gyrobench.bench.foundations.clock import Clock
 from gyrobench.bench.foundations.errors import GyrobenchError, RunFolderError
 from gyrobench.bench.foundations.files import make_folder, write_whole
@@ -75,7 +76,6 @@ PATIENCE = 3
 #: Ends after which an adaptive campaign still determines biases.
 _CONCLUSIVE = ("settled", "nothing_found", "not_on_list", "refuted")
 _ONE_SLOW_LAW = "Not on the list of effects: ageing and a drift together imitate one slow law of time."
-_S_PER_H = 3600.0
 
 
 class Bench(BlockPlanner, Protocol):
@@ -417,7 +417,7 @@ class Investigator:
         scale, both = stage.closure.noise_scale, stage.confirmed
         outcome = outcome_of(forecast, proposal, rows, stage.rivals, scale)
         confirmation = outcome_of(forecast, proposal, rows, both, scale) if both[0].names else None
-        hours = (max(row.end_s for row in rows) - proposal.block.plan.start_s) / _S_PER_H
+        hours = (max(row.end_s for row in rows) - proposal.block.plan.start_s) / S_PER_H
         self._flagged = [] if outcome else [*self._flagged, proposal.block.kinds]
         self._rows += rows
         self._spent_h += hours

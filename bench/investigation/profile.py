@@ -12,14 +12,13 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.closure.planned_campaign import UnitProperties, planned_campaign
-from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.arrays import S_PER_H, FloatArray
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.investigation.blocks import BlockKind, BlockStart, Timeline
 from gyrobench.bench.investigation.choice import Rival
 from gyrobench.bench.investigation.external_bench import BlockPlan
 from gyrobench.bench.procedure.plan import Plan
 
-_S_PER_H = 3600.0
 #: Dwells of a block at one temperature, in those of the table.
 _LONG = 2.0
 
@@ -49,7 +48,7 @@ class Profile:
         Raises DocumentError if it has fewer than two temperatures, and MeasurementError without dwells.
         """
         campaign = planned_campaign(plan, UnitProperties())
-        waits_h = (campaign.start_s - np.append(0.0, campaign.end_s[:-1])) / _S_PER_H
+        waits_h = (campaign.start_s - np.append(0.0, campaign.end_s[:-1])) / S_PER_H
         visits = []
         places = zip(campaign.cycle.tolist(), campaign.set_c.tolist(), range(len(campaign)), strict=True)
         for (_, set_c), members in groupby(places, key=lambda each: each[:2]):
@@ -60,9 +59,7 @@ class Profile:
                 f"{plan.procedure.procedure}: has fewer than two temperatures. Leave --adaptive out"
             )
         ramps = [each.after.ramp_c_per_s for each in plan.steps]
-        return cls(
-            tuple(visits), max(ramps) * _S_PER_H, plan.duration_s / _S_PER_H, float(np.median(waits_h))
-        )
+        return cls(tuple(visits), max(ramps) * S_PER_H, plan.duration_s / S_PER_H, float(np.median(waits_h)))
 
     @property
     def set_points_c(self) -> list[float]:
@@ -121,7 +118,7 @@ class Profile:
         for visit in self.visits:
             before_s = timeline.now_s
             timeline.ramp(visit.set_c, self.ramp_c_per_h / timeline.times.ramp_c_per_h)
-            spent_h = (timeline.now_s - before_s) / _S_PER_H
+            spent_h = (timeline.now_s - before_s) / S_PER_H
             timeline.soak(max(visit.wait_h - spent_h, self.pause_h))
             for position in visit.positions:
                 timeline.dwells([position])

@@ -8,11 +8,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
+from gyrobench.bench.foundations.arrays import S_PER_H, BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.text import plain_name
 
-_S_PER_H = 3600.0
 _MAX_TIME_S = 1e7
 
 
@@ -182,7 +181,7 @@ def fixed(*values: float) -> Callable[[Campaign], FloatArray]:
 def searched_length_s(campaign: Campaign) -> float:
     """Time from the first to the last dwell that is not held out, at least an hour: bounds time constants."""
     seen = ~campaign.held_out if not campaign.held_out.all() else slice(None)
-    return max(float(campaign.end_s[seen].max() - campaign.start_s[seen].min()), _S_PER_H)
+    return max(float(campaign.end_s[seen].max() - campaign.start_s[seen].min()), S_PER_H)
 
 
 def time_constant(low_s: float, *starts_s: float, lengths: float = 1.0) -> Parameter:

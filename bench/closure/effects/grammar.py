@@ -30,10 +30,9 @@ from gyrobench.bench.closure.effects.effect import (
     needs_positions,
 )
 from gyrobench.bench.closure.temperatures import lag
-from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.arrays import S_PER_DAY, S_PER_H, FloatArray
 from gyrobench.bench.navigation.positions import AXES
 
-_S_PER_H, _S_PER_DAY = 3600.0, 86_400.0
 #: Degree of the polynomial in temperature that an INS subtracts in place of a shape.
 _INS_DEGREE = 5
 
@@ -249,13 +248,11 @@ DRIVERS: Mapping[str, Driver] = MappingProxyType(
             lambda of: _of_column(of, "room_c"),
             "a logged thermometer in the room (column room_c)",
         ),
-        "time_days": Driver(
-            "time", "days", lambda of: _of_gyros((of.middle_s - of.middle_s[0]) / _S_PER_DAY)
-        ),
+        "time_days": Driver("time", "days", lambda of: _of_gyros((of.middle_s - of.middle_s[0]) / S_PER_DAY)),
         "since_power_on_h": Driver(
             "time since power-on",
             "h",
-            lambda of: _of_gyros((of.since_power_on_s + 0.5 * (of.end_s - of.start_s)) / _S_PER_H),
+            lambda of: _of_gyros((of.since_power_on_s + 0.5 * (of.end_s - of.start_s)) / S_PER_H),
         ),
         "constant": Driver("", "", lambda of: np.ones_like(of.gyro_c)),
     }

@@ -23,13 +23,12 @@ from gyrobench.bench.closure.effects.effect import (
     time_constant,
 )
 from gyrobench.bench.closure.effects.grammar import MEMORIES, Law, effect_of, form_of, ins_terms, mean_decay
-from gyrobench.bench.foundations.arrays import FloatArray, rms
+from gyrobench.bench.foundations.arrays import S_PER_DAY, S_PER_H, FloatArray, rms
 
 _LAG_TAU = time_constant(1.0, 300.0, 900.0, 2700.0, 7200.0)
 _HALF_WIDTH = Parameter("half_width_c", 0.3, 40.0, fixed(1.0, 2.0, 4.0, 7.0, 12.0, 20.0))
 _WARM_UP_TAU = time_constant(300.0, 900.0, 2700.0, 7200.0, 21_600.0, 64_800.0)
-_S_PER_H, _S_PER_DAY = 3600.0, 86_400.0
-_TWO_DAYS_S = 2.0 * _S_PER_DAY
+_TWO_DAYS_S = 2.0 * S_PER_DAY
 
 TEMPERATURE_RATE = effect_of(
     Law("gyro_rate_c_per_h"),
@@ -54,7 +53,7 @@ _FIRST_LAG = Parameter("lag_at_first_dwell", 0.0, 1.0, fixed(0.0), is_place=True
 def _lag_underway(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
     """Sensor ahead of a temperature that lags at the first dwell already, K: (n, 3, 1)."""
     tau_s, share = values
-    first_k = share * campaign.whole.rate_c_per_h[0] * tau_s / _S_PER_H
+    first_k = share * campaign.whole.rate_c_per_h[0] * tau_s / S_PER_H
     decay = mean_decay(campaign, campaign.whole.start_s[:1], tau_s)
     return np.asarray(_LAG.columns(campaign, (tau_s,)) + (decay[:, np.newaxis] * first_k)[:, :, np.newaxis])
 
@@ -245,10 +244,10 @@ def _log_time(campaign: Campaign, values: tuple[float, ...]) -> FloatArray:
 
 
 _EXPONENTIAL = _Ageing(
-    "start", memory="decay", parameters=(time_constant(_S_PER_DAY, _S_PER_DAY, 3.0 * _S_PER_DAY),)
+    "start", memory="decay", parameters=(time_constant(S_PER_DAY, S_PER_DAY, 3.0 * S_PER_DAY),)
 )
 #: That of a logarithm is how long the INS had aged before the first dwell, which no campaign limits.
-_LOG_TAU = time_constant(0.5 * _S_PER_DAY, _S_PER_DAY, 3.0 * _S_PER_DAY, lengths=3.0)
+_LOG_TAU = time_constant(0.5 * S_PER_DAY, S_PER_DAY, 3.0 * S_PER_DAY, lengths=3.0)
 #: Stress that relaxes by many processes at once follows the logarithm of time, as crystals age.
 AGEING = Effect(
     name="ageing",

@@ -16,12 +16,11 @@ from gyrobench.bench.closure.posterior import CLEAN, EXPLAINED, RIVAL
 from gyrobench.bench.closure.problem import Solution
 from gyrobench.bench.closure.search import SIGNIFICANCE
 from gyrobench.bench.closure.validation import LACK_OF_FIT_P, measured_minus
-from gyrobench.bench.foundations.arrays import FloatArray, rms_of_known
+from gyrobench.bench.foundations.arrays import S_PER_H, FloatArray, rms_of_known
 from gyrobench.bench.foundations.text import counted, decimals_of, listed, probability_number, with_sigma
 from gyrobench.bench.report.number_format import BiasScale, odds_text, p_phrase, share_text, size_text
 
 _VISIBLE_NOISE_SCALE = 1.005
-_S_PER_H = 3600.0
 #: Twice the logarithm of odds of two to one.
 _EVEN = 2.0 * math.log(2.0)
 #: Largest probability that is written, and the smallest of an effect that a sentence names.
@@ -94,7 +93,7 @@ def table_texts(closure: Closure) -> list[str]:
     campaign = closure.campaign
     first_s = campaign.tables[0].start_s
     return [
-        f"{cycles_text(closure, table.cycles)}, from {(table.start_s - first_s) / _S_PER_H:.1f} h"
+        f"{cycles_text(closure, table.cycles)}, from {(table.start_s - first_s) / S_PER_H:.1f} h"
         f"{f' ({table.placed})' if table.placed else ''}"
         for table in campaign.tables
     ]
