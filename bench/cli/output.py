@@ -148,7 +148,13 @@ def print_end(
     Exits with an error if it did not finish, or is what ``fail_on`` says.
     """
     from gyrobench.bench.foundations.memory import free_memory
-    from gyrobench.bench.report.statements import flags_sentence, setup_sentences, signs_sentence
+    from gyrobench.bench.report.statements import (
+        flags_sentence,
+        heading_sentence,
+        setup_sentences,
+        signs_sentence,
+        temperatures_sentence,
+    )
     from gyrobench.bench.runs.tables.joint_table import read_joint_plateaus
 
     is_finished, resume = outcome.ended == "finished", _resume_text(folder, outcome)
@@ -159,7 +165,10 @@ def print_end(
         console.print(safe_state, soft_wrap=True)
     record = _end_record(folder, outcome)
     shortcoming = outcome.shortcoming(fail_on)
-    flags = flags_sentence([dwell.row for dwell in outcome.results.dwells])
+    rows = [dwell.row for dwell in outcome.results.dwells]
+    noise = outcome.results.noise
+    doubts = flags_sentence(rows), temperatures_sentence(rows), heading_sentence(noise)
+    del rows, noise
     outcome.release()
     free_memory()  # which the modules that are imported now use again
 
@@ -178,7 +187,7 @@ def print_end(
     if word := watermark_of(folder.path):
         console.print(f"{word}: {_EMULATED_BENCH}", soft_wrap=True, style="bold yellow")
     plateaus = read_joint_plateaus(folder.joint) if folder.joint.exists() else []
-    for text in filter(None, (flags, *setup_sentences(plateaus).values())):
+    for text in filter(None, (*doubts, *setup_sentences(plateaus).values())):
         console.print(text, soft_wrap=True, style="bold red")
     for number in outcome.units or [""]:
         journal = folder.unit(number).journal

@@ -8,8 +8,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from statistics import median
 from types import MappingProxyType
 
+import numpy as np
+
+from gyrobench.bench.bias.allan import RANDOM_WALK
 from gyrobench.bench.bias.bins import BiasBin, PositionComparison
 from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.noise_estimate import NoiseEstimate
 from gyrobench.bench.bias.statistics import uniformity_p_value
 from gyrobench.bench.bias.verdicts import Acceptance, Judgement, RunVerdict
 from gyrobench.bench.bias.vertical_pairs import Finding
@@ -22,6 +26,12 @@ from gyrobench.bench.runs.tables.joint_table import JointPlateauRow
 #: Result without positions to compare.
 NOTHING_TO_COMPARE = "Nothing to compare: no temperature bin has dwells in two positions."
 
+#: A heading of which the random walk, as a square, is less than this part of the gyros' does not follow them.
+_HELD = 0.1
+#: Rate, K/h, below which the temperature of a gyro has settled, number and range of settled dwells that are
+#: needed, and the change of a gyro's temperature for each kelvin of the chamber in a unit: 0.86 to 1.06 in
+#: simulated ones.
+_SETTLED_C_PER_H, _MIN_SETTLED, _MIN_RANGE_K, _FOLLOWING = 12.0, 4, 20.0, (0.7, 1.3)
 #: Dwells contradict one another below this probability; a rate Up is named from so many sigmas.
 _CONTRADICTION_P, _CLEAR_SIGMAS = 1e-3, 4.0
 
@@ -119,6 +129,54 @@ def flags_sentence(rows: Sequence[DwellRow]) -> str:
     [(text, count)] = flags.most_common(1)
     left_out = f"{flags.total()} of {counted(len(rows), 'dwell')}"
     return f"Flagged, and not in the results: {left_out}. The most frequent flag ({count}): {text}"
+
+
+def temperatures_sentence(rows: Iterable[DwellRow]) -> str:
+    """That a gyro's temperature does not follow the chamber's as one in a settled unit does; else empty."""
+    settled = [
+        (row.chamber_c, *row.gyro_c)
+        for row in rows
+        if math.isfinite(row.chamber_c) and np.abs(row.gyro_rate_c_per_h).max() < _SETTLED_C_PER_H
+    ]
+    if len(settled) < _MIN_SETTLED or np.ptp([chamber_c for chamber_c, *_ in settled]) < _MIN_RANGE_K:
+        return ""
+    chamber_c, *of_gyros = np.array(settled).T
+    slopes = [float(np.polyfit(chamber_c, gyro_c, 1)[0]) for gyro_c in of_gyros]
+    least, most = _FOLLOWING
+    wrong = [
+        f"that of the {axis} gyro by {slope:.2f} K"
+        for axis, slope in zip(AXES, slopes, strict=True)
+        if not least < slope < most
+    ]
+    if not wrong:
+        return ""
+    return (
+        f"In settled dwells temperatures change for each kelvin of the chamber: {listed(wrong)}. Check scale "
+        "and unit of the temperature signals in the DBC file: bins and plateaus are at wrong temperatures"
+    )
+
+
+def heading_sentence(noise: NoiseEstimate | None) -> str:
+    """That the heading walks at random far less than the gyros do: it is held or aided; else empty."""
+    if noise is None:
+        return ""
+    heading, gyros = noise.heading.parameter(RANDOM_WALK), noise.angle_random_walk
+    if gyros.square is None or not gyros.is_found:
+        return ""
+    # None where its steps hide it, as those of a heading that is held exactly.
+    limit = (
+        heading.limit
+        if heading.square is None
+        else math.sqrt(max(heading.square, 0.0) + _CLEAR_SIGMAS * heading.square_sigma)
+    )
+    if limit is None or limit**2 > _HELD * gyros.square:
+        return ""
+    ratio = limit / math.sqrt(gyros.square)
+    return (
+        f"The heading walks at random at most {ratio:.2g} times as much as the angles about the gyros' axes do: "
+        "the INS seems to hold or aid it, and then biases of vertical gyros do not show. Switch that off, and "
+        "measure again"
+    )
 
 
 def signs_sentence(facts: RunFacts) -> str:

@@ -9,13 +9,21 @@ import pytest
 
 from gyrobench.bench.bias.bins import BiasBin, PositionComparison, compare_positions, paper_bins
 from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.noise_estimate import estimate_noise
+from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vector_enu
 from gyrobench.bench.report.statements import (
     agreement_sentence,
     differing,
     equality_sentence,
     fit_sentence,
+    flags_sentence,
+    heading_sentence,
     scatter_sentence,
+    setup_sentences,
+    temperatures_sentence,
 )
+from gyrobench.bench.runs.tables.joint_table import JointPlateauRow
+from tests.bench.bias.test_noise_estimate import GRAVITY, simulated
 
 COMPARISON = PositionComparison(
     gyro="x",
@@ -143,3 +151,63 @@ def test_verdict_seldom_blames_chance() -> None:
     runs = [[replace(row, fit_ratio=1.0, fit_p_value=p) for p in random.uniform(size=60)] for _ in range(300)]
     blamed = sum("explain the data" not in fit_sentence(run) for run in runs)
     assert blamed <= 9  # 3 are expected
+
+
+def test_the_flag_that_keeps_half_of_the_dwells_out_is_stated(dwells: list[DwellRow]) -> None:
+    assert flags_sentence(dwells) == ""
+    assert flags_sentence([]) == ""
+    half = [replace(row, flags="no signal" if number % 2 else "") for number, row in enumerate(dwells)]
+    assert f"{len(half) // 2} of {len(half)} dwells" in flags_sentence(half)
+    assert flags_sentence(half).endswith(": no signal")
+
+
+@pytest.mark.parametrize(("factor", "offset_c", "is_named"), [(1.0, 0.0, 0), (0.5, 0.0, 1), (1.8, 32.0, 1)])
+def test_temperatures_in_a_wrong_scale_are_named(
+    dwells: list[DwellRow], factor: float, offset_c: float, is_named: bool
+) -> None:
+    settled = [
+        replace(
+            row,
+            chamber_c=10.0 * number,
+            gyro_c=(factor * (10.0 * number + 8.0) + offset_c,) * 3,
+            gyro_rate_c_per_h=(1.0,) * 3,
+        )
+        for number, row in enumerate(dwells)
+    ]
+    assert ("temperature signals" in temperatures_sentence(settled)) == is_named
+    assert temperatures_sentence(settled[:3]) == ""
+    assert temperatures_sentence([replace(row, gyro_rate_c_per_h=(60.0,) * 3) for row in settled]) == ""
+
+
+@pytest.mark.parametrize(
+    ("finding", "p_values", "titles"),
+    [
+        ("latitude", (0.3, 0.3), []),
+        ("latitude_off", (1e-9, 0.3), ["Wrong latitude."]),
+        ("not_latitude", (0.3, 0.3), ["Rate Up."]),
+        ("not_contradicted", (1e-9, 1e-5), ["Dwells contradict one another."]),
+    ],
+)
+def test_what_the_joint_solution_finds_wrong_with_the_bench_is_stated(
+    finding: str, p_values: tuple[float, float], titles: list[str]
+) -> None:
+    numbers = [0.0] * 6 + [0.0, 0.001, 0.006, 0.001, 10.0, 0.1, 0.5]
+    row = JointPlateauRow(1, 1, 6, 25.0, *numbers, finding, *p_values)
+    assert list(setup_sentences([row])) == titles
+    assert setup_sentences([]) == {}
+
+
+def test_a_heading_that_the_ins_holds_is_named() -> None:
+    windows = [window for position in ("z_up", "x_up") for window in simulated(position=position)]
+    random = np.random.default_rng(3)
+
+    def held(C_nb: np.ndarray, noise_rad: float) -> np.ndarray:
+        turned = rotation_vector_enu(C_nb, C_nb[0]) * [0.0, 0.0, 1.0]
+        noise = np.outer(random.normal(0.0, noise_rad, len(C_nb)), [0.0, 0.0, 1.0])
+        return rotation_matrices(noise - turned) @ C_nb
+
+    assert heading_sentence(estimate_noise(windows, GRAVITY)) == ""
+    for noise_rad in (0.0, 5e-7):
+        aided = [replace(window, C_nb=held(window.C_nb, noise_rad)) for window in windows]
+        assert "seems to hold or aid it" in heading_sentence(estimate_noise(aided, GRAVITY))
+    assert heading_sentence(None) == ""
