@@ -173,9 +173,9 @@ def heading_sentence(noise: NoiseEstimate | None) -> str:
         return ""
     ratio = limit / math.sqrt(gyros.square)
     return (
-        f"The heading walks at random at most {ratio:.2g} times as much as the angles about the gyros' axes do: "
-        "the INS seems to hold or aid it, and then biases of vertical gyros do not show. Switch that off, and "
-        "measure again"
+        f"The heading walks at random at most {ratio:.2g} times as much as the angles about the gyros' axes "
+        "do: the INS seems to hold or aid it, and then biases of vertical gyros do not show. Switch it off, "
+        "and measure again"
     )
 
 
