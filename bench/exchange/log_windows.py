@@ -41,11 +41,29 @@ FORCES = tuple(f"force_{axis}" for axis in AXES)
 #: Larger values and times count as NaN: no sensor measures them, no log is as long.
 _MAX_VALUE, _MAX_TIME_S = 1e15, 1e12
 
+#: First bytes of logs of signals, by their format in an import map.
+_SIGNATURES = {"blf": b"LOGG", "parquet": b"PAR1", "mf4": b"MDF ", "px4": b"ULog"}
 _TO_DPH = {"rad/s": RADPS_TO_DPH, "deg/s": 3600.0, "dps": 3600.0, "deg/h": 1.0, "arcsec/s": 1.0}
 _PREFIXES = {"m": 1e-3, "u": 1e-6}
 _TO_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "iso8601": 1.0}
 #: A calendar time in float64 is rounded to less; a sample this close before a window belongs to it.
 _TIME_RESOLUTION_S = 1e-6
+
+
+def _check_kind(path: Path, expected: str) -> None:
+    """Raise DocumentError for a log of signals, by its first bytes, that the import map takes for another."""
+    try:
+        with path.open("rb") as file:
+            first = file.read(8)
+    except OSError:  # reading it says why
+        return
+    kind = next((name for name, begin in _SIGNATURES.items() if first.startswith(begin)), expected)
+    if kind != expected:
+        read_as = f"'signals: {{format: {expected}}}'" if expected else "text or records"
+        raise DocumentError(
+            f"{path}: is a log of format {kind}, which the import map reads as {read_as}. Choose the map of "
+            "this log with --map"
+        )
 
 
 class SampleReader:
@@ -70,6 +88,7 @@ class SampleReader:
         self._path = path
         self._map = log_map
         self._position = None if quantities else log_map.averages.position
+        _check_kind(path, log_map.signals.format if log_map.signals else "")
         self._log: RecordLog | SignalLog | TextLog
         if log_map.records:
             self._log = RecordLog(path, log_map.records)

@@ -154,6 +154,16 @@ def test_quiet_stretches_of_a_disturbed_record_give_the_earth_rate(tmp_path):
     assert walk == pytest.approx(0.0006, rel=0.3)
 
 
+def test_a_log_of_another_format_than_the_map_has_is_named(tmp_path):
+    (tmp_path / "part-00001.blf").write_bytes(b"LOGG" + bytes(500))
+    result = gyrobench("calibrate", "part-00001.blf", "--map", "ln100", cwd=tmp_path)
+    assert result.returncode == 2
+    assert "is a log of format blf, which the import map reads as text or records" in result.stderr
+    (tmp_path / "log.blf").write_bytes(b"PAR1" + bytes(500))
+    result = gyrobench("calibrate", "log.blf", "--map", "emulated_ins", cwd=tmp_path)
+    assert "format parquet, which the import map reads as 'signals: {format: blf}'" in result.stderr
+
+
 def test_missing_samples_divide_the_log(tmp_path):
     write_log(tmp_path, unit(rotations=(), dwell_s=200.0))
     lines = (tmp_path / "log.csv").read_text().splitlines()
