@@ -38,18 +38,5 @@ def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
         return
     terminal = console()
     print_tables(terminal, folder)
-    results = (
-        folder.bias_bins,
-        folder.budget,
-        folder.joint,
-        folder.joint_biases,
-        folder.coefficients,
-        folder.correlations,
-        folder.noise,
-        folder.characteristics,
-        folder.calibration_check,
-        folder.acceptance,
-    )
-    tables = [path.name for path in (folder.dwells, *results) if path.exists()]
-    terminal.print(f"Tables   {', '.join(tables)}")
+    terminal.print(f"Tables   {', '.join(path.name for path in folder.tables)}")
     terminal.print(f"Report   {write_report(folder)}\nFolder   {folder.path}", soft_wrap=True)

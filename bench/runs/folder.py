@@ -90,6 +90,24 @@ class RunFolder:
     report = PathInside("report.html")  #: The report.
     units = PathInside(UNITS)  #: Folder of the run folders of its units, where it has several.
 
+    @property
+    def tables(self) -> list[Path]:
+        """Tables that are computed from the data, and are there."""
+        computed = (
+            self.dwells,
+            self.bias_bins,
+            self.budget,
+            self.joint,
+            self.joint_biases,
+            self.coefficients,
+            self.correlations,
+            self.noise,
+            self.characteristics,
+            self.calibration_check,
+            self.acceptance,
+        )
+        return [path for path in computed if path.exists()]
+
     def unit(self, number: str) -> RunFolder:
         """Run folder of a unit; that of a single unit, without a number, is this one."""
         return RunFolder(self.units / number) if number else self

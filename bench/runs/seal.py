@@ -233,13 +233,11 @@ def edited_tables(folder: RunFolder) -> list[str]:
     sealed = _read_seal(paths[-1], None).files if paths else {}
     if JOURNAL not in sealed or _differs(folder.journal, sealed[JOURNAL]):
         return []
-    tables = [path for path in sealed if "/" not in path and path.endswith((".csv", ".json"))]
-    return [path for path in tables if path not in _EVIDENCE and _differs(folder.path / path, sealed[path])]
+    return [each.name for each in folder.tables if each.name in sealed and _differs(each, sealed[each.name])]
 
 
 def _differs(path: Path, sealed: SealedFile) -> bool:
-    """Whether a file that is there differs from what was sealed."""
-    return path.is_file() and file_sha256(path) != sealed.sha256
+    return not path.is_file() or file_sha256(path) != sealed.sha256
 
 
 def keep_sealed(

@@ -227,6 +227,16 @@ def test_an_edited_table_is_named_and_sealed_only_where_it_was_computed_again(fo
     assert not verify_seals(folder.path).findings
 
 
+def test_what_is_no_table_may_change_and_is_sealed(folder):
+    """As the name of who prepares the report."""
+    folder.provenance.write_text("{}")
+    keep_sealed(folder)
+    folder.provenance.write_text('{"prepared_by": "A. Smith"}')
+    assert edited_tables(folder) == []
+    keep_sealed(folder)
+    assert not verify_seals(folder.path).findings
+
+
 def test_a_table_of_a_run_that_was_resumed_since_its_seal_is_not_edited(folder):
     keep_sealed(folder)
     with Journal(folder.journal, VirtualClock()) as journal:
