@@ -147,8 +147,10 @@ def print_end(
 
     Exits with an error if it did not finish, or is what ``fail_on`` says.
     """
+    from gyrobench.bench.foundations.documents import read_document
     from gyrobench.bench.foundations.memory import free_memory
     from gyrobench.bench.report.statements import (
+        accelerometers_sentence,
         flags_sentence,
         heading_sentence,
         setup_sentences,
@@ -167,7 +169,13 @@ def print_end(
     shortcoming = outcome.shortcoming(fail_on)
     rows = [dwell.row for dwell in outcome.results.dwells]
     noise = outcome.results.noise
-    doubts = flags_sentence(rows), temperatures_sentence(rows), heading_sentence(noise)
+    station = read_document(folder.station).data if rows else {}
+    doubts = (
+        flags_sentence(rows),
+        temperatures_sentence(rows),
+        accelerometers_sentence(rows, station),
+        heading_sentence(noise),
+    )
     del rows, noise
     outcome.release()
     free_memory()  # which the modules that are imported now use again

@@ -63,6 +63,7 @@ from gyrobench.bench.report.journal_sections import Entry, durations_section, ev
 from gyrobench.bench.report.page import Box, Section, SectionFigure, render_page, with_figure_files
 from gyrobench.bench.report.statements import (
     VERDICT_COLOURS,
+    accelerometers_sentence,
     flags_sentence,
     heading_sentence,
     setup_sentences,
@@ -293,6 +294,8 @@ def verdict_boxes(content: RunContent) -> list[Box]:
         boxes.append(Box("failed", "Most dwells are flagged.", text))
     if text := temperatures_sentence(content.dwells):
         boxes.append(Box("failed", "Temperatures of the gyros.", text))
+    if text := accelerometers_sentence(content.dwells, content.station):
+        boxes.append(Box("failed", "Drifting accelerometers.", text))
     if text := heading_sentence(content.noise):
         boxes.append(Box("failed", "The heading.", text))
     boxes += [Box("failed", *each) for each in setup_sentences(content.joint_plateaus).items()]

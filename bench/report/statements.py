@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from statistics import median
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -26,6 +27,9 @@ from gyrobench.bench.runs.tables.joint_table import JointPlateauRow
 #: Result without positions to compare.
 NOTHING_TO_COMPARE = "Nothing to compare: no temperature bin has dwells in two positions."
 
+#: Key of the station file, its default, and by how much more certain biases of level accelerometers are than
+#: of vertical ones, at least.
+_DRIFT, _USUAL_DRIFT_UG_PER_H, _LEVEL = "accelerometer_drift_ug_per_h", 20.0, 5.0
 #: A heading of which the random walk, as a square, is less than this part of the gyros' does not follow them.
 _HELD = 0.1
 #: Rate, K/h, below which the temperature of a gyro has settled, number and range of settled dwells that are
@@ -153,6 +157,43 @@ def temperatures_sentence(rows: Iterable[DwellRow]) -> str:
     return (
         f"In settled dwells temperatures change for each kelvin of the chamber: {listed(wrong)}. Check scale "
         "and unit of the temperature signals in the DBC file: bins and plateaus are at wrong temperatures"
+    )
+
+
+def accelerometers_sentence(rows: Iterable[DwellRow], station: Mapping[str, Any]) -> str:
+    """That accelerometer biases which follow the temperature drift more than declared; else empty.
+
+    ``station``: content of the station file. A drift of a level accelerometer looks like a gyro bias.
+    """
+    declared = station.get("ins", {}).get("uncertainty", {}).get(_DRIFT, _USUAL_DRIFT_UG_PER_H)
+    slopes, drifts, known = [], [], list(rows)
+    for index, axis in enumerate(AXES):
+        fields = ("gyro_c", "accelerometer_ug", "accelerometer_sigma_ug")
+        of_axis = np.array([[getattr(row, name)[index] for name in fields] for row in known]).reshape(-1, 3)
+        of_axis = of_axis[np.isfinite(of_axis).all(axis=1)]
+        # That of a vertical accelerometer is what was known beforehand.
+        is_level = of_axis[:, 2] < _LEVEL * of_axis[:, 2].min(initial=np.inf)
+        at_c, bias_ug, sigma_ug = of_axis[is_level].T
+        if len(at_c) < _MIN_SETTLED or np.ptp(at_c) < _MIN_RANGE_K:
+            continue
+        columns = np.column_stack([np.ones_like(at_c), at_c]) / sigma_ug[:, np.newaxis]
+        found, left, *_ = np.linalg.lstsq(columns, bias_ug / sigma_ug)
+        scatter = max(1.0, float(left.sum()) / (len(at_c) - 2))
+        sigma = math.sqrt(scatter * float(np.linalg.inv(columns.T @ columns)[1, 1]))
+        if abs(found[1]) > _CLEAR_SIGMAS * sigma:
+            slopes.append(f"{axis} {found[1]:+.2f} ± {sigma:.2f} ug/K")
+            drifts.append([abs(found[1] * row.gyro_rate_c_per_h[index]) for row in known])
+    of_dwells = np.nan_to_num(np.max(drifts, axis=0)) if drifts else np.zeros(0)
+    count = int(np.count_nonzero(of_dwells > 2.0 * declared))
+    if not count:
+        return ""
+    most_ug_per_h, dwells = float(of_dwells.max()), counted(count, "dwell")
+    bias_dph = math.degrees(1e-6 * most_ug_per_h)
+    return (
+        f"Accelerometer biases follow the temperature: {listed(slopes)}. In {dwells} that is a drift of up "
+        f"to {most_ug_per_h:.0f} ug/h, which looks like {bias_dph:.3f} deg/h of a level gyro; "
+        f"ins.uncertainty.{_DRIFT} allows for {declared:g}. Measure where the temperature has settled, or "
+        "declare that drift"
     )
 
 

@@ -12,6 +12,7 @@ from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.noise_estimate import estimate_noise
 from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vector_enu
 from gyrobench.bench.report.statements import (
+    accelerometers_sentence,
     agreement_sentence,
     differing,
     equality_sentence,
@@ -211,3 +212,28 @@ def test_a_heading_that_the_ins_holds_is_named() -> None:
         aided = [replace(window, C_nb=held(window.C_nb, noise_rad)) for window in windows]
         assert "seems to hold or aid it" in heading_sentence(estimate_noise(aided, GRAVITY))
     assert heading_sentence(None) == ""
+
+
+@pytest.mark.parametrize(
+    ("ug_per_k", "declared_ug_per_h", "count"), [(0.0, 20.0, 0), (1.0, 20.0, 6), (1.0, 200.0, 0)]
+)
+def test_accelerometers_that_follow_the_temperature_more_than_declared_are_named(
+    dwells: list[DwellRow], ug_per_k: float, declared_ug_per_h: float, count: int
+) -> None:
+    random = np.random.default_rng(5)
+    rows = [
+        replace(
+            row,
+            gyro_c=(8.0 * number,) * 3,
+            gyro_rate_c_per_h=(100.0 if number < 6 else 1.0,) * 3,
+            accelerometer_ug=tuple(30.0 + ug_per_k * 8.0 * number + random.normal(0.0, 2.0, 3)),
+            accelerometer_sigma_ug=(2.0, 2.0, 800.0),
+        )
+        for number, row in enumerate(dwells)
+    ]
+    station = {"ins": {"uncertainty": {"accelerometer_drift_ug_per_h": declared_ug_per_h}}}
+    text = accelerometers_sentence(rows, station)
+    assert (f"In {count} dwells that is a drift of up to" in text) == bool(count)
+    assert not count or "looks like 0.006 deg/h of a level gyro" in text
+    unknown = [replace(row, accelerometer_ug=(np.nan,) * 3) for row in rows]
+    assert accelerometers_sentence(unknown, station) == accelerometers_sentence([], {}) == ""
