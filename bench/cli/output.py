@@ -149,14 +149,7 @@ def print_end(
     """
     from gyrobench.bench.foundations.documents import read_document
     from gyrobench.bench.foundations.memory import free_memory
-    from gyrobench.bench.report.statements import (
-        accelerometers_sentence,
-        flags_sentence,
-        heading_sentence,
-        setup_sentences,
-        signs_sentence,
-        temperatures_sentence,
-    )
+    from gyrobench.bench.report.statements import run_findings, signs_sentence
     from gyrobench.bench.runs.tables.joint_table import read_joint_plateaus
 
     is_finished, resume = outcome.ended == "finished", _resume_text(folder, outcome)
@@ -168,15 +161,10 @@ def print_end(
     record = _end_record(folder, outcome)
     shortcoming = outcome.shortcoming(fail_on)
     rows = [dwell.row for dwell in outcome.results.dwells]
-    noise = outcome.results.noise
     station = read_document(folder.station).data if rows else {}
-    doubts = (
-        flags_sentence(rows),
-        temperatures_sentence(rows),
-        accelerometers_sentence(rows, station),
-        heading_sentence(noise),
-    )
-    del rows, noise
+    plateaus = read_joint_plateaus(folder.joint) if folder.joint.exists() else []
+    findings = run_findings(rows, station, outcome.results.noise, plateaus)
+    del rows
     outcome.release()
     free_memory()  # which the modules that are imported now use again
 
@@ -194,8 +182,7 @@ def print_end(
         print_tables(console, folder)
     if word := watermark_of(folder.path):
         console.print(f"{word}: {_EMULATED_BENCH}", soft_wrap=True, style="bold yellow")
-    plateaus = read_joint_plateaus(folder.joint) if folder.joint.exists() else []
-    for text in filter(None, (*doubts, *setup_sentences(plateaus).values())):
+    for text in findings.values():
         console.print(text, soft_wrap=True, style="bold red")
     for number in outcome.units or [""]:
         journal = folder.unit(number).journal

@@ -61,15 +61,7 @@ from gyrobench.bench.report.figures.bias import (
 from gyrobench.bench.report.figures.temperatures import DRAWN, Readings, temperature_figure
 from gyrobench.bench.report.journal_sections import Entry, durations_section, events_section
 from gyrobench.bench.report.page import Box, Section, SectionFigure, render_page, with_figure_files
-from gyrobench.bench.report.statements import (
-    VERDICT_COLOURS,
-    accelerometers_sentence,
-    flags_sentence,
-    heading_sentence,
-    setup_sentences,
-    signs_sentence,
-    temperatures_sentence,
-)
+from gyrobench.bench.report.statements import VERDICT_COLOURS, run_findings, signs_sentence
 from gyrobench.bench.runs.folder import JOURNAL, RunFolder
 from gyrobench.bench.runs.provenance import DataHash, data_hashes, note_preparer
 from gyrobench.bench.runs.seal import keep_sealed
@@ -290,15 +282,8 @@ def verdict_boxes(content: RunContent) -> list[Box]:
         boxes.append(Box(VERDICT_COLOURS["marginal"], "Coefficients in doubt.", text))
     if found := budget_box(content.budget):
         boxes.append(found)
-    if text := flags_sentence(content.dwells):
-        boxes.append(Box("failed", "Most dwells are flagged.", text))
-    if text := temperatures_sentence(content.dwells):
-        boxes.append(Box("failed", "Temperatures of the gyros.", text))
-    if text := accelerometers_sentence(content.dwells, content.station):
-        boxes.append(Box("failed", "Drifting accelerometers.", text))
-    if text := heading_sentence(content.noise):
-        boxes.append(Box("failed", "The heading.", text))
-    boxes += [Box("failed", *each) for each in setup_sentences(content.joint_plateaus).items()]
+    findings = run_findings(content.dwells, content.station, content.noise, content.joint_plateaus)
+    boxes += [Box("failed", title, text) for title, text in findings.items()]
     if text := signs_sentence(facts):
         boxes.append(Box(VERDICT_COLOURS["marginal"], "Signal map not tested.", text))
     return boxes

@@ -125,6 +125,26 @@ def setup_sentences(plateaus: Sequence[JointPlateauRow]) -> dict[str, str]:
     return found
 
 
+def run_findings(
+    rows: Sequence[DwellRow],
+    station: Mapping[str, Any],
+    noise: NoiseEstimate | None,
+    plateaus: Sequence[JointPlateauRow],
+) -> dict[str, str]:
+    """What makes the results of a run doubtful, by title: see the sentences of this module.
+
+    ``station``: content of the station file. ``plateaus``: as for :func:`setup_sentences`.
+    """
+    found = {
+        "Most dwells are flagged.": flags_sentence(rows),
+        "Temperatures of the gyros.": temperatures_sentence(rows),
+        "Drifting accelerometers.": accelerometers_sentence(rows, station),
+        "The heading.": heading_sentence(noise),
+        **setup_sentences(plateaus),
+    }
+    return {title: text for title, text in found.items() if text}
+
+
 def flags_sentence(rows: Sequence[DwellRow]) -> str:
     """The most frequent flag where flags keep half of the dwells out of the results; else empty."""
     flags = Counter(row.flags for row in rows if row.flags)
