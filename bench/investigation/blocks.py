@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -110,7 +111,12 @@ class Timeline:
     def __post_init__(self) -> None:
         last = self.rows[-1]
         self.start_s = self.now_s = last.end_s
-        self.chamber_c = float(chamber_c(self.rows)[-1])
+        chambers_c = chamber_c(self.rows)
+        self.low_c, self.middle_c, self.high_c = np.quantile(chambers_c, [0.0, 0.5, 1.0]).tolist()
+        self.chamber_c = float(chambers_c[-1])
+        self.measured = [name for name in POSITIONS if any(row.position == name for row in self.rows)]
+        vertical = [name for name in ("z_up", "z_down") if name in self.measured]
+        self.pair = vertical or self.measured[:2]  #: Positions for comparisons.
         self.run = last.run
         self.dwell_s = float(np.median([row.end_s - row.start_s for row in self.rows]))
         self._next_dwell = self.next_dwell = 1 + max(row.dwell for row in self.rows)
@@ -151,7 +157,9 @@ class Timeline:
         self._switch_on()
         self._add(SoakStep(**self._span((hours or self.times.soak_h) * S_PER_H)))
 
-    def dwells(self, positions: Iterable[str], azimuth_deg: float = 0.0, length: float = 1.0) -> None:
+    def dwells(
+        self, positions: Iterable[str] = tuple(POSITIONS), azimuth_deg: float = 0.0, length: float = 1.0
+    ) -> None:
         """Measure dwells, each ``length`` times as long as those of the table."""
         self._switch_on()
         for position in positions:
@@ -221,134 +229,122 @@ class BlockKind:
     add: Callable[[Timeline], None]
 
 
-def _kinds(rows: Sequence[DwellRow], times: BlockTimes) -> list[BlockKind]:
-    off = f"switch the unit off for {_span(times.off_h)}"
-    low_c, middle_c, high_c = np.quantile(chamber_c(rows), [0.0, 0.5, 1.0]).tolist()
-    measured = [name for name in POSITIONS if any(row.position == name for row in rows)]
-    pair = [name for name in ("z_up", "z_down") if name in measured] or measured[:2]
-    every = list(POSITIONS)
+def _settled(timeline: Timeline, at_c: float) -> None:
+    timeline.ramp(at_c)
+    timeline.soak()
+    timeline.dwells()
 
-    def from_side(start_c: float) -> Callable[[Timeline], None]:
-        def add(timeline: Timeline) -> None:
-            timeline.ramp(start_c)
-            timeline.soak(0.5 * timeline.times.soak_h)
-            timeline.dwells(pair[:1])  # the table alone shows how far the temperature went
-            timeline.ramp(middle_c)
-            timeline.soak()
-            timeline.dwells(every)
 
-        return add
+def _soak_from(timeline: Timeline, from_c: float) -> None:
+    timeline.ramp(from_c)
+    timeline.soak(0.5 * timeline.times.soak_h)
+    timeline.dwells(timeline.pair[:1])  # the table alone shows how far the temperature went
+    _settled(timeline, timeline.middle_c)
 
-    def on_ramp(relative: float) -> Callable[[Timeline], None]:
-        """Dwells without a pause while the chamber ramps in steps of one dwell."""
 
-        def add(timeline: Timeline) -> None:
-            to_c = low_c if abs(timeline.chamber_c - low_c) > abs(timeline.chamber_c - high_c) else high_c
-            rate_c_per_h = relative * timeline.times.ramp_c_per_h
-            step_c = np.sign(to_c - timeline.chamber_c) * rate_c_per_h * timeline.dwell_s / S_PER_H
-            for position in every:
-                if abs(to_c - timeline.chamber_c) > abs(step_c):
-                    timeline.ramp(timeline.chamber_c + float(step_c), relative)
-                timeline.dwells([position])
+def _on_ramp(timeline: Timeline, relative: float) -> None:
+    """Dwells without a pause while the chamber ramps in steps of one dwell."""
+    to_c = max(timeline.high_c, timeline.low_c, key=lambda end_c: abs(timeline.chamber_c - end_c))
+    rate_c_per_h = relative * timeline.times.ramp_c_per_h
+    step_c = np.sign(to_c - timeline.chamber_c) * rate_c_per_h * timeline.dwell_s / S_PER_H
+    for position in POSITIONS:
+        if abs(to_c - timeline.chamber_c) > abs(step_c):
+            timeline.ramp(timeline.chamber_c + float(step_c), relative)
+        timeline.dwells([position])
 
-        return add
 
-    def reversal(timeline: Timeline) -> None:
-        timeline.ramp(middle_c)
-        timeline.soak()
-        timeline.dwells(pair)
-        away_c = min(middle_c + _REVERSAL_C, high_c)
-        timeline.ramp(away_c)
-        timeline.dwells(pair[:1])
-        timeline.ramp(middle_c)
-        timeline.soak(0.5 * timeline.times.soak_h)
-        timeline.dwells(pair)
+def _reversal(timeline: Timeline) -> None:
+    timeline.ramp(timeline.middle_c)
+    timeline.soak()
+    timeline.dwells(timeline.pair)
+    timeline.ramp(min(timeline.middle_c + _REVERSAL_C, timeline.high_c))
+    timeline.dwells(timeline.pair[:1])
+    timeline.ramp(timeline.middle_c)
+    timeline.soak(0.5 * timeline.times.soak_h)
+    timeline.dwells(timeline.pair)
 
-    def power_cycle(timeline: Timeline) -> None:
-        timeline.off_and_on()
-        timeline.dwells(every)
 
-    def power_cycle_then_long(timeline: Timeline) -> None:
-        timeline.off_and_on()
-        timeline.dwells(pair)
-        timeline.soak(timeline.times.long_wait_h)
-        timeline.dwells(pair)
+def _power_cycle(timeline: Timeline) -> None:
+    timeline.off_and_on()
+    timeline.dwells()
 
-    def less_power(timeline: Timeline) -> None:
-        timeline.dissipation(_LESS_POWER)
-        timeline.soak()
-        timeline.dwells(every)
-        timeline.dissipation(1.0)
 
-    def headings(position: str) -> Callable[[Timeline], None]:
-        def add(timeline: Timeline) -> None:
-            for azimuth_deg in (0.0, 90.0, 180.0, 270.0):
-                timeline.dwells([position], azimuth_deg)
+def _power_cycle_and_wait(timeline: Timeline) -> None:
+    timeline.off_and_on()
+    timeline.dwells(timeline.pair)
+    timeline.soak(timeline.times.long_wait_h)
+    timeline.dwells(timeline.pair)
 
-        return add
 
-    def inverted(at_c: float) -> Callable[[Timeline], None]:
-        def add(timeline: Timeline) -> None:
-            timeline.ramp(at_c)
-            timeline.soak()
-            timeline.dwells(every)
+def _power_step(timeline: Timeline) -> None:
+    timeline.dissipation(_LESS_POWER)
+    timeline.soak()
+    timeline.dwells()
+    timeline.dissipation(1.0)
 
-        return add
 
-    def after_hours(timeline: Timeline) -> None:
-        timeline.soak(timeline.times.wait_h)
-        timeline.dwells(every)
+def _headings(timeline: Timeline, position: str) -> None:
+    for azimuth_deg in (0.0, 90.0, 180.0, 270.0):
+        timeline.dwells([position], azimuth_deg)
 
-    def longer(timeline: Timeline) -> None:
-        timeline.dwells(pair, length=3.0)
 
-    def new_cycle(timeline: Timeline) -> None:
-        timeline.off_and_on()
-        for to_c in (middle_c, high_c, low_c):
-            timeline.ramp(to_c)
-            timeline.soak()
-            timeline.dwells(every)
+def _after_hours(timeline: Timeline) -> None:
+    timeline.soak(timeline.times.wait_h)
+    timeline.dwells()
 
-    return [
-        BlockKind(
-            "soak from above",
-            "heat, return to the middle temperature and measure after a soak",
-            from_side(high_c),
-        ),
-        BlockKind(
-            "soak from below",
-            "cool, return to the middle temperature and measure after a soak",
-            from_side(low_c),
-        ),
-        BlockKind("slow ramp", "measure while the temperature changes slowly", on_ramp(_SLOW)),
-        BlockKind("fast ramp", "measure while the temperature changes fast", on_ramp(_FAST)),
-        BlockKind(
-            "reversal", "leave the middle temperature, return to it, and measure before and after", reversal
-        ),
-        BlockKind("power cycle", f"{off}, then measure from power-on", power_cycle),
-        BlockKind(
+
+def _longer_dwells(timeline: Timeline) -> None:
+    timeline.dwells(timeline.pair, length=3.0)
+
+
+def _new_cycle(timeline: Timeline) -> None:
+    timeline.off_and_on()
+    for at_c in (timeline.middle_c, timeline.high_c, timeline.low_c):
+        _settled(timeline, at_c)
+
+
+def _kinds(at: Timeline) -> list[BlockKind]:
+    """The usual kinds, for blocks that begin where ``at`` begins."""
+    off, wait, long_wait = map(_span, (at.times.off_h, at.times.wait_h, at.times.long_wait_h))
+    off, again = f"switch the unit off for {off}", "return to the middle temperature and measure after a soak"
+    on_side = [name for name in at.measured if name[0] != at.pair[0][0]]
+    kinds: list[tuple[str, str, Callable[[Timeline], None]]] = [
+        ("soak from above", f"heat, {again}", partial(_soak_from, from_c=at.high_c)),
+        ("soak from below", f"cool, {again}", partial(_soak_from, from_c=at.low_c)),
+        ("slow ramp", "measure while the temperature changes slowly", partial(_on_ramp, relative=_SLOW)),
+        ("fast ramp", "measure while the temperature changes fast", partial(_on_ramp, relative=_FAST)),
+        ("reversal", "leave the middle temperature, return to it, and measure before and after", _reversal),
+        ("power cycle", f"{off}, then measure from power-on", _power_cycle),
+        (
             "power cycle and long wait",
-            f"{off}, measure from power-on and again {_span(times.long_wait_h)} later",
-            power_cycle_then_long,
+            f"{off}, measure from power-on and again {long_wait} later",
+            _power_cycle_and_wait,
         ),
-        BlockKind("power step", "reduce the unit's dissipation and measure after a soak", less_power),
-        BlockKind("four headings", "measure one position at four headings", headings(pair[0])),
+        ("power step", "reduce the unit's dissipation and measure after a soak", _power_step),
+        ("four headings", "measure one position at four headings", partial(_headings, position=at.pair[0])),
         *(
-            BlockKind(
-                "four headings on the side", "measure another position at four headings", headings(position)
+            (
+                "four headings on the side",
+                "measure another position at four headings",
+                partial(_headings, position=each),
             )
-            for position in [name for name in measured if name[0] != pair[0][0]][:1]
+            for each in on_side[:1]
         ),
-        BlockKind("cold, six positions", "measure all positions at the lowest temperature", inverted(low_c)),
-        BlockKind("hot, six positions", "measure all positions at the highest temperature", inverted(high_c)),
-        BlockKind(
-            "repeat after hours",
-            f"wait for {_span(times.wait_h)}, then measure all positions again",
-            after_hours,
+        (
+            "cold, six positions",
+            "measure all positions at the lowest temperature",
+            partial(_settled, at_c=at.low_c),
         ),
-        BlockKind("longer dwells", "measure two positions in long dwells", longer),
-        BlockKind(NEW_CYCLE, f"{off}, then measure all positions at three temperatures", new_cycle),
+        (
+            "hot, six positions",
+            "measure all positions at the highest temperature",
+            partial(_settled, at_c=at.high_c),
+        ),
+        ("repeat after hours", f"wait for {wait}, then measure all positions again", _after_hours),
+        ("longer dwells", "measure two positions in long dwells", _longer_dwells),
+        (NEW_CYCLE, f"{off}, then measure all positions at three temperatures", _new_cycle),
     ]
+    return [BlockKind(*each) for each in kinds]
 
 
 def _span(hours: float) -> str:
@@ -366,7 +362,7 @@ def catalogue(
     ``sequences``: names of kinds, one after the other; by default each kind alone. ``more``: kinds beside the
     usual ones.
     """
-    kinds = {each.name: each for each in (*_kinds(rows, start.times if start else BlockTimes()), *more)}
+    kinds = {each.name: each for each in (*_kinds(Timeline(rows, start=start)), *more)}
     blocks = []
     for names in ((name,) for name in kinds) if sequences is None else sequences:
         timeline, sequence = Timeline(rows, start=start), [kinds[name] for name in names]
