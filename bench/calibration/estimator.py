@@ -31,7 +31,7 @@ from gyrobench.bench.calibration.coefficients import (
     SensorErrors,
 )
 from gyrobench.bench.calibration.information import IS_FORCE_SCALE, CalibrationOptions, Information
-from gyrobench.bench.calibration.problem import GYRO_SCALES, MIN_P_VALUE, CalibrationProblem
+from gyrobench.bench.calibration.problem import GYRO_SCALES, MIN_P_VALUE, CalibrationProblem, Solution
 from gyrobench.bench.calibration.recording import (
     IncrementRecording,
     RecordedRotation,
@@ -104,7 +104,6 @@ def calibrate(
             "Calibrate recordings of one rate together"
         )
     rests = [find_rests(each) for each in recordings] if rests is None else rests
-    rotations = [find_rotations(*each) for each in zip(recordings, rests, strict=True)]
     noise = measure_noise(recordings, rests)
     if options.walks is not None:
         walk, velocity_walk = options.walks
@@ -112,29 +111,8 @@ def calibrate(
             noise, angle_random_walk=np.full(3, walk), velocity_random_walk=np.full(3, velocity_walk)
         )
     _check_force(recordings, rests, gravity)
-    bias = _first_bias(recordings, rests)
-
-    def problem_with(
-        rotations: Sequence[Sequence[RecordedRotation]], options: CalibrationOptions
-    ) -> CalibrationProblem:
-        sections = [
-            IncrementSection.between_rests(*each) for each in zip(recordings, rests, rotations, strict=True)
-        ]
-        return CalibrationProblem(sections, bias, noise, site, options)
-
-    if options.whole_turns is not None and any(
-        turn.is_long and not turn.is_spin for turns in rotations for turn in turns
-    ):
-        # Scale factors may be so wrong that whole turns seem to end elsewhere.
-        first = problem_with(rotations, replace(options, whole_turns=None)).solve()
-        errors = SensorErrors.from_vector(first.common[:COUNT])
-        rotations = [
-            find_rotations(each, its, errors.removed(each.angle, each.velocity, each.interval_s)[0])
-            for each, its in zip(recordings, rests, strict=True)
-        ]
-    problem = problem_with(rotations, options)
-    sections = problem.sections
-    found, findings, offset, note = problem.solve(), [], np.zeros(3), ""
+    rotations, problem = _problem(recordings, rests, noise, site, options)
+    found, note = problem.solve(), ""
     if options.g_sensitivity is None and found.fit.p_value < MIN_P_VALUE:
         problem, found, note = problem.with_g_sensitivity(found)
         options = problem.options
@@ -145,24 +123,11 @@ def calibrate(
         is_observed[:COUNT] &= ~np.array(IS_FORCE_SCALE)
     _check_size(found.values, is_observed)
     spun = sorted({turn.axis for turns in rotations for turn in turns if turn.is_spin})
+    offset, contradiction = np.zeros(3), ""
     if options.whole_turns is not None and spun:
         problem, found, offset, contradiction = problem.with_turns_checked(found, spun)
-        findings += [contradiction] * bool(contradiction)
-    covariance, test = found.covariance, found.fit
-    if test.p_value < MIN_P_VALUE:
-        problem.check_alternatives(found)
-        widening = float(np.sqrt(test.chi2 / test.dof))
-        if widening > _MAX_WIDENING and is_observed[:COUNT].any():
-            raise MeasurementError(
-                f"the residuals are {widening:.3g} times the noise, at most {_MAX_WIDENING:g} times is "
-                f"accepted. {problem.explanation(found)}"
-            )
-        covariance = covariance * widening**2
-        findings.append(
-            f"noise does not explain the velocity at rest (p = {test.p_value:.1g}); uncertainties are "
-            f"multiplied by {widening:.2f}. {problem.explanation(found)}"
-        )
-    covariance = covariance.copy()
+    widening, misfit = _widening(problem, found, is_observed)
+    covariance = found.covariance * widening**2
     covariance[GYRO_SCALES, GYRO_SCALES] += offset**2
     coefficients = tuple((*COEFFICIENTS, *BESIDE)[each] for each in options.columns)
     count = len(coefficients)
@@ -177,15 +142,65 @@ def calibrate(
         rests=tuple(map(tuple, rests)),
         rotations=tuple(map(tuple, rotations)),
         gravity=(gravity, options.gravity_sigma),
-        fit=test,
-        sections=tuple(sections),
+        fit=found.fit,
+        sections=tuple(problem.sections),
         starts=tuple(found.starts),
         unknowns=found.common,
         trajectories=tuple(found.trajectories),
         by_site=by_site,
-        findings=tuple(findings),
+        findings=tuple(filter(None, (contradiction, misfit))),
         options=options,
         notes=(note,) if note else (),
+    )
+
+
+def _problem(
+    recordings: Sequence[IncrementRecording],
+    rests: Sequence[Sequence[Rest]],
+    noise: SensorNoise,
+    site: Site,
+    options: CalibrationOptions,
+) -> tuple[list[list[RecordedRotation]], CalibrationProblem]:
+    """Rotations found in each recording, and the least-squares problem with them."""
+    bias = _first_bias(recordings, rests)
+
+    def problem(options: CalibrationOptions) -> CalibrationProblem:
+        known = zip(recordings, rests, rotations, strict=True)
+        sections = [IncrementSection.between_rests(*each) for each in known]
+        return CalibrationProblem(sections, bias, noise, site, options)
+
+    rotations = [find_rotations(*each) for each in zip(recordings, rests, strict=True)]
+    if options.whole_turns is not None and any(
+        turn.is_long and not turn.is_spin for turns in rotations for turn in turns
+    ):
+        # Scale factors may be so wrong that whole turns seem to end elsewhere.
+        first = problem(replace(options, whole_turns=None)).solve()
+        errors = SensorErrors.from_vector(first.common[:COUNT])
+        rotations = [
+            find_rotations(each, its, errors.removed(each.angle, each.velocity, each.interval_s)[0])
+            for each, its in zip(recordings, rests, strict=True)
+        ]
+    return rotations, problem(options)
+
+
+def _widening(problem: CalibrationProblem, found: Solution, is_observed: BoolArray) -> tuple[float, str]:
+    """Factor on the uncertainties by which the noise explains the residuals, and that as text; 1 and empty.
+
+    Raises MeasurementError if the factor is too large, or as
+    :meth:`~.problem.CalibrationProblem.check_alternatives`.
+    """
+    if found.fit.p_value >= MIN_P_VALUE:
+        return 1.0, ""
+    problem.check_alternatives(found)
+    factor = float(np.sqrt(found.fit.chi2 / found.fit.dof))
+    if factor > _MAX_WIDENING and is_observed[:COUNT].any():
+        raise MeasurementError(
+            f"the residuals are {factor:.3g} times the noise, at most {_MAX_WIDENING:g} times is "
+            f"accepted. {problem.explanation(found)}"
+        )
+    return factor, (
+        f"noise does not explain the velocity at rest (p = {found.fit.p_value:.1g}); uncertainties are "
+        f"multiplied by {factor:.2f}. {problem.explanation(found)}"
     )
 
 

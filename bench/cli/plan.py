@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from gyrobench.bench.cli.options import EMULATED, PROCEDURE_HELP, StationOption, complete_plan
-from gyrobench.bench.cli.output import JsonOption, console, print_json, print_result
+from gyrobench.bench.cli.output import JsonOption, console, print_result
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError, RunFolderError
 
 if TYPE_CHECKING:
@@ -87,37 +87,59 @@ def plan(
 
     Example: gyrobench plan six_position_fig7 --figure plan.png
     """
-    if target_dph is not None and not separability:
-        raise DocumentError("--target-dph has a meaning with --separability only. Add --separability")
+    for option, value, of, is_given in (
+        ("--target-dph", target_dph, "--separability", separability),
+        ("--closure", closure, "--separability", separability),
+        ("--reach", reach or None, "--observability", observability),
+        ("--whole-turns-arcsec", whole_turns_arcsec, "--observability", observability),
+    ):
+        if value is not None and not is_given:
+            raise DocumentError(f"{option} has a meaning with {of} only. Add {of}")
     if observability:
         _show_observability(procedure, station, whole_turns_arcsec, reach, as_json)
         return
-    if reach or whole_turns_arcsec is not None:
-        raise DocumentError("--reach and --whole-turns-arcsec have a meaning with --observability only")
+    if as_json and separability:
+        raise DocumentError("--separability prints text only: it can't be combined with --json")
+    job = _show_steps(procedure, station, figure, as_json)
+    if separability:
+        _print_separability(job, target_dph or _DEFAULT_TARGET_DPH, closure)
+
+
+def _show_steps(name: str, station_name: str, figure: Path | None, as_json: bool) -> Job:
     from gyrobench.bench.engine.job import prepare_job
     from gyrobench.bench.procedure.timeline import timeline_rows, unsettled_soaks
     from gyrobench.bench.report.figures.style import save_figure
     from gyrobench.bench.report.figures.temperatures import plan_figure
     from gyrobench.bench.report.terminal.tables import timeline_table
 
-    if as_json and separability:
-        raise DocumentError("--separability prints text only: it can't be combined with --json")
-    if closure and not separability:
-        raise DocumentError("--closure has a meaning with --separability only")
-    job = prepare_job(procedure, station)
-    path = figure or Path(f"plan_{job.plan.procedure.procedure}.png")
-    save_figure(plan_figure(job.plan), path)
-    if as_json:
-        print_json(_record(job, path))
-        return
-    console().print(timeline_table(timeline_rows(job.plan), job.plan.duration_s))
-    if soaks := unsettled_soaks(job.plan):
-        typer.echo("Soaks that will probably end by at_most_s before the gyros have settled:")
-        for each in soaks:
-            typer.echo(f"  {each}")
-    typer.echo(f"Figure   {path}")
-    if separability:
-        _print_separability(job, target_dph or _DEFAULT_TARGET_DPH, closure)
+    job = prepare_job(name, station_name)
+    plan, soaks = job.plan, unsettled_soaks(job.plan)
+    path = figure or Path(f"plan_{plan.procedure.procedure}.png")
+    save_figure(plan_figure(plan), path)
+    record = {
+        "procedure": plan.procedure.procedure,
+        "station": job.station.file.station,
+        "duration_s": plan.duration_s,
+        "dwells": plan.dwell_count,
+        "figure": path,
+        "unsettled_soaks": soaks,
+        "steps": [
+            {
+                "number": planned.number,
+                "step": planned.step.name,
+                "what": planned.step.describe(),
+                "start_s": planned.start_s,
+                "duration_s": planned.duration_s,
+                "dwell": planned.dwell or None,
+                "cycle": planned.cycle,
+            }
+            for planned in plan.steps
+        ],
+    }
+    heading = ["Soaks that will probably end by at_most_s before the gyros have settled:"] if soaks else []
+    lines = [*heading, *(f"  {each}" for each in soaks), f"Figure   {path}"]
+    print_result(record, as_json, timeline_table(timeline_rows(plan), plan.duration_s), *lines)
+    return job
 
 
 def _show_observability(
@@ -167,32 +189,6 @@ def _show_observability(
     }
     summary = expected_summary(rotations, found, noise, site_sigmas)
     print_result(record, as_json, summary, *(f"Written  {path}" for path in files))
-
-
-def _record(job: Job, figure: Path) -> dict[str, Any]:
-    from gyrobench.bench.procedure.timeline import unsettled_soaks
-
-    plan = job.plan
-    return {
-        "procedure": plan.procedure.procedure,
-        "station": job.station.file.station,
-        "duration_s": plan.duration_s,
-        "dwells": plan.dwell_count,
-        "figure": figure,
-        "unsettled_soaks": unsettled_soaks(plan),
-        "steps": [
-            {
-                "number": planned.number,
-                "step": planned.step.name,
-                "what": planned.step.describe(),
-                "start_s": planned.start_s,
-                "duration_s": planned.duration_s,
-                "dwell": planned.dwell or None,
-                "cycle": planned.cycle,
-            }
-            for planned in plan.steps
-        ],
-    }
 
 
 def _print_separability(job: Job, target_dph: float, folder: Path | None) -> None:

@@ -193,68 +193,73 @@ def _write_inputs(job: Job, clock: Clock, folder: RunFolder, instruments: Instru
 
 def _execute(start: _Start, observer: RunObserver, operator: Operator) -> tuple[RunFolder, RunOutcome]:
     """Run what is left of a job, and evaluate all of it."""
-    job, clock, outcome = start.job, start.clock, start.outcome
-    setup = measurement_setup(job.station.units[0])
-    if compiled_s := compile_estimator(setup):  # no tick may wait for a compiler
+    if compiled_s := compile_estimator(measurement_setup(start.job.station.units[0])):  # else a tick waits
         observer.noted(f"Compiled the estimators, once after installation, in {compiled_s:.1f} s.")
     with ExitStack() as opened:
-        commands = opened.enter_context(CommandQueue())
-        patience_s = _GUARD_TIME_S if start.state.last_s else 0.0
-        bench_lock = opened.enter_context(BenchLock(job.station, RUNS, clock, patience_s=patience_s))
-        instruments = opened.enter_context(
-            Instruments(job.station, clock, job.emulation, dropped=start.state.dropped)
-        )
-        instruments.require_no_profile()
-        folder = start.open_folder()
-        bench_lock.sign(folder.path)
-        run_lock = opened.enter_context(RunLock(folder.path, clock))
-        units = start.prepare(folder, instruments)
-        journal = opened.enter_context(Journal(folder.journal, clock))
-        running = [unit for unit in units if unit.number not in start.state.dropped]
-        journals = {
-            unit.number: opened.enter_context(Journal(unit.folder.journal, clock)) if unit.number else journal
-            for unit in running
-        }
-        journal.followers += [each for each in journals.values() if each is not journal]
-        outcome.units = {unit.number: unit.outcome for unit in units if unit.number}
-        _record_start(journal, folder, start, setup, observer)
-        for text in (*bench_lock.taken_over, *run_lock.taken_over):
-            journal.record("note", text=text)
-            observer.noted(text)
-        messenger = opened.enter_context(Messenger(job.station.file.messages, journal.record))
-        observers = ObserverGroup(observer, RunNotifier(messenger, job.plan, start.state))
-        guard = opened.enter_context(guard_for(job.station, folder.path, clock))
-        logs = [(CanLog(unit.folder.can), Telemetry(unit.folder.telemetry)) for unit in running]
-        telemetry = None if running[0].folder == folder else Telemetry(folder.telemetry)
-        opened.callback(_flush, logs, telemetry, outcome)
-        bench = LiveBench(job.station, instruments, clock, logs, partial(_record_failure, journal), telemetry)
-        observers.begun(folder, bench, outcome)
-        run = RunContext(
-            job=job,
-            bench=bench,
-            folder=folder,
-            journal=journal,
-            observers=observers,
-            operator=ObservedOperator(operator, observers),
-            commands=commands,
-            guard=guard,
-            state=start.state,
-            outcome=outcome,
-            units={unit.number: unit for unit in units},
-            unit_journals=journals,
-        )
+        run, messenger = _open(start, observer, operator, opened)
         Engine(run).run()
-        if outcome.is_safe:
-            guard.release()
+        if run.outcome.is_safe:
+            run.guard.release()
             messenger.patience_s = PATIENCE_S  # else the guard must not wait for the bench
-    observers.noted("evaluating the measurements")
-    for unit in units:
+    run.observers.noted("evaluating the measurements")
+    for unit in run.units.values():
         try:
-            _evaluate(unit, job)
+            _evaluate(unit, run.job)
         except GyrobenchError as error:
-            outcome.fail(unit.named(str(error)))
-            observers.ended(outcome)
-    return folder, outcome
+            run.outcome.fail(unit.named(str(error)))
+            run.observers.ended(run.outcome)
+    return run.folder, run.outcome
+
+
+def _open(
+    start: _Start, observer: RunObserver, operator: Operator, opened: ExitStack
+) -> tuple[RunContext, Messenger]:
+    """Bench, locks, files, guard and messages of a run; nothing has moved. ``opened`` closes them."""
+    job, clock, state, outcome = start.job, start.clock, start.state, start.outcome
+    commands = opened.enter_context(CommandQueue())
+    patience_s = _GUARD_TIME_S if state.last_s else 0.0
+    bench_lock = opened.enter_context(BenchLock(job.station, RUNS, clock, patience_s=patience_s))
+    instruments = opened.enter_context(Instruments(job.station, clock, job.emulation, dropped=state.dropped))
+    instruments.require_no_profile()
+    folder = start.open_folder()
+    bench_lock.sign(folder.path)
+    run_lock = opened.enter_context(RunLock(folder.path, clock))
+    units = start.prepare(folder, instruments)
+    journal = opened.enter_context(Journal(folder.journal, clock))
+    running = [unit for unit in units if unit.number not in state.dropped]
+    journals = {
+        unit.number: opened.enter_context(Journal(unit.folder.journal, clock)) if unit.number else journal
+        for unit in running
+    }
+    journal.followers += [each for each in journals.values() if each is not journal]
+    outcome.units = {unit.number: unit.outcome for unit in units if unit.number}
+    _record_start(journal, folder, start, units[0].setup, observer)
+    for text in (*bench_lock.taken_over, *run_lock.taken_over):
+        journal.record("note", text=text)
+        observer.noted(text)
+    messenger = opened.enter_context(Messenger(job.station.file.messages, journal.record))
+    observers = ObserverGroup(observer, RunNotifier(messenger, job.plan, state))
+    guard = opened.enter_context(guard_for(job.station, folder.path, clock))
+    logs = [(CanLog(unit.folder.can), Telemetry(unit.folder.telemetry)) for unit in running]
+    telemetry = None if running[0].folder == folder else Telemetry(folder.telemetry)
+    opened.callback(_flush, logs, telemetry, outcome)
+    bench = LiveBench(job.station, instruments, clock, logs, partial(_record_failure, journal), telemetry)
+    observers.begun(folder, bench, outcome)
+    run = RunContext(
+        job=job,
+        bench=bench,
+        folder=folder,
+        journal=journal,
+        observers=observers,
+        operator=ObservedOperator(operator, observers),
+        commands=commands,
+        guard=guard,
+        state=state,
+        outcome=outcome,
+        units={unit.number: unit for unit in units},
+        unit_journals=journals,
+    )
+    return run, messenger
 
 
 def _record_start(
