@@ -13,7 +13,7 @@ from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.errors import InstrumentError
 from gyrobench.bench.foundations.packages import CHAMBERS, EMULATORS, RATE_TABLES, load
 from gyrobench.drivers.chamber import Chamber, ChamberDialect
-from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
+from gyrobench.drivers.emulators.bench import BenchAddress, bench_at
 from gyrobench.drivers.emulators.dialect import ChamberEmulation, SerialInstrument, TableEmulation
 from gyrobench.drivers.emulators.world.table_axis import TableAxis
 from gyrobench.drivers.rate_table import RateTable, TableDialect
@@ -50,7 +50,7 @@ class UnderTest:
 
     def __init__(self, port: str) -> None:
         self.clock = VirtualClock()
-        self.bench = emulated_bench(BenchAddress(self.clock.name, _WORLD))
+        self.bench = bench_at(BenchAddress(self.clock.name, _WORLD))
         self._port = port
 
     def connect(self, emulator: SerialInstrument) -> None:

@@ -33,7 +33,7 @@ from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError
 from gyrobench.bench.foundations.shipped import shipped_folders
 from gyrobench.bench.foundations.text import counted, hours_minutes
 from gyrobench.bench.investigation.external_bench import BlockPlan
-from gyrobench.bench.procedure.checks import check
+from gyrobench.bench.procedure.checks import check_plan
 from gyrobench.bench.procedure.plan import expand
 from gyrobench.bench.procedure.procedure_file import (
     STEP_KINDS,
@@ -328,7 +328,7 @@ def _procedure(document: Document, station: Station | None) -> str:
     procedure = checked_procedure(document)
     if station is None:
         plan = expand(document, procedure)
-        check(document, plan)
+        check_plan(document, plan)
         steps = counted(len(plan.steps), "step")
         return f"{steps}. Limits of a station are not checked: add --station STATION"
     plan = station.plan(document, procedure)

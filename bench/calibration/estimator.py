@@ -31,7 +31,12 @@ from gyrobench.bench.calibration.coefficients import (
     SensorErrors,
 )
 from gyrobench.bench.calibration.information import IS_FORCE_SCALE, CalibrationOptions, Information
-from gyrobench.bench.calibration.problem import GYRO_SCALES, MIN_P_VALUE, CalibrationProblem, Solution
+from gyrobench.bench.calibration.problem import (
+    GYRO_SCALES,
+    UNEXPLAINED_P_VALUE,
+    CalibrationProblem,
+    Estimates,
+)
 from gyrobench.bench.calibration.recording import (
     IncrementRecording,
     RecordedRotation,
@@ -113,7 +118,7 @@ def calibrate(
     _check_force(recordings, rests, gravity)
     rotations, problem = _problem(recordings, rests, noise, site, options)
     found, note = problem.solve(), ""
-    if options.g_sensitivity is None and found.fit.p_value < MIN_P_VALUE:
+    if options.g_sensitivity is None and found.fit.p_value < UNEXPLAINED_P_VALUE:
         problem, found, note = problem.with_g_sensitivity(found)
         options = problem.options
     is_observed = found.is_observed
@@ -183,13 +188,13 @@ def _problem(
     return rotations, problem(options)
 
 
-def _widening(problem: CalibrationProblem, found: Solution, is_observed: BoolArray) -> tuple[float, str]:
+def _widening(problem: CalibrationProblem, found: Estimates, is_observed: BoolArray) -> tuple[float, str]:
     """Factor on the uncertainties by which the noise explains the residuals, and that as text; 1 and empty.
 
     Raises MeasurementError if the factor is too large, or as
     :meth:`~.problem.CalibrationProblem.check_alternatives`.
     """
-    if found.fit.p_value >= MIN_P_VALUE:
+    if found.fit.p_value >= UNEXPLAINED_P_VALUE:
         return 1.0, ""
     problem.check_alternatives(found)
     factor = float(np.sqrt(found.fit.chi2 / found.fit.dof))

@@ -16,7 +16,7 @@ from gyrobench.bench.calibration.strapdown import (
     ATTITUDE,
     DELAY,
     DRIFT,
-    G_SENSITIVITY,
+    G_SENSITIVITIES,
     LATITUDE,
     LEVER_ARMS,
     QUADRATIC,
@@ -84,7 +84,7 @@ class CalibrationOptions:
         """Which columns are common to all recordings; the x accelerometer's place is the origin."""
         arms = range(LEVER_ARMS.start + 3, LEVER_ARMS.stop) if self.lever_arms else ()
         squares = range(QUADRATIC.start, QUADRATIC.stop) if self.quadratic else ()
-        by_force = range(G_SENSITIVITY.start, G_SENSITIVITY.stop) if self.g_sensitivity else ()
+        by_force = range(G_SENSITIVITIES.start, G_SENSITIVITIES.stop) if self.g_sensitivity else ()
         return [*range(COUNT), *arms, *([DELAY] if self.delay else []), *squares, *by_force]
 
 

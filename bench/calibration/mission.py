@@ -63,7 +63,7 @@ def mission_error(
     ``values`` (21,), ``covariance`` (21, 21): of :data:`~.coefficients.COEFFICIENTS`, SI.
     """
     time_s, responses = _responses(site, scheme)
-    stated = np.hypot(*navigate(SensorErrors.from_vector(values), site, scheme)[1])
+    stated = np.hypot(*navigate_mission(SensorErrors.from_vector(values), site, scheme)[1])
     draws = np.random.default_rng(0).multivariate_normal(values, covariance, _DRAWS, method="eigh")
     drawn = np.hypot(*np.moveaxis(np.tensordot(draws, responses, axes=1), 1, 0))
     ends = [int(np.searchsorted(time_s, hours * _S_PER_H)) + 1 for hours in HOURS]
@@ -77,7 +77,7 @@ def mission_error(
     )
 
 
-def navigate(
+def navigate_mission(
     errors: SensorErrors, site: Site, scheme: RotationScheme = RETRACED_HALF_TURNS, hours: float = HOURS[-1]
 ) -> tuple[FloatArray, FloatArray]:
     """Navigate with sensors that have errors: times (n,), every minute, and error East, North (2, n), m."""
@@ -99,11 +99,14 @@ def navigate(
 @lru_cache(maxsize=4)
 def _responses(site: Site, scheme: RotationScheme) -> tuple[FloatArray, FloatArray]:
     """Times (n,), and error East and North per unit of each coefficient, m: shape (21, 2, n)."""
-    time_s, none_m = navigate(SensorErrors(), site, scheme)
+    time_s, none_m = navigate_mission(SensorErrors(), site, scheme)
     sizes = _SMALL * np.array([each.size for each in COEFFICIENTS])
     alone = [SensorErrors.from_vector(row) for row in np.eye(COUNT) * sizes]
     return time_s, np.array(
-        [(navigate(each, site, scheme)[1] - none_m) / size for each, size in zip(alone, sizes, strict=True)]
+        [
+            (navigate_mission(each, site, scheme)[1] - none_m) / size
+            for each, size in zip(alone, sizes, strict=True)
+        ]
     )
 
 

@@ -24,7 +24,7 @@ from gyrobench.bench.calibration.information import (
 )
 from gyrobench.bench.calibration.recording import SensorNoise
 from gyrobench.bench.calibration.section import IncrementSection
-from gyrobench.bench.calibration.strapdown import G_SENSITIVITY, UNKNOWNS, Trajectory
+from gyrobench.bench.calibration.strapdown import G_SENSITIVITIES, UNKNOWNS, Trajectory
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, STANDARD_GRAVITY, BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import rotation_matrices
@@ -40,7 +40,7 @@ _WORSE, _FEWER = 2.0, 10.0
 #: Something else explains the residuals where it reduces chi2 to this part.
 _EXPLAINED = 0.1
 #: Below this probability the noise alone does not explain the residuals.
-MIN_P_VALUE = 1e-3
+UNEXPLAINED_P_VALUE = 1e-3
 #: Smallest relative error of the time that is looked for.
 _MIN_TIME_ERROR = 3e-4
 #: Largest sensitivity of a ring laser gyro to the specific force, s/m: 0.5 deg/h/g. What needs more is a
@@ -48,7 +48,7 @@ _MIN_TIME_ERROR = 3e-4
 _MAX_G_SENSITIVITY = 0.5 * DPH_TO_RADPS / STANDARD_GRAVITY
 #: Standard uncertainties from which a sensitivity is named, and from which it may be a rate Up.
 _NAMED_SIGMAS, _CLEAR_SIGMAS = 3.0, 4.0
-_SENSITIVITIES = BESIDE[G_SENSITIVITY.start - COUNT : G_SENSITIVITY.stop - COUNT]
+_SENSITIVITIES = BESIDE[G_SENSITIVITIES.start - COUNT : G_SENSITIVITIES.stop - COUNT]
 #: Least eigenvalue of a correlation matrix, above rounding.
 _MIN_EIGENVALUE = 1e-9
 #: Options that may explain a misfit, with the option of ``gyrobench calibrate``.
@@ -66,7 +66,7 @@ _FIT_EPOCHS = 60
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class Estimates:
     """Estimates of all unknowns of a problem, and how they fit.
 
     Unknowns: the coefficients, what is estimated beside them, attitudes at the starts, drifts of the biases.
@@ -111,7 +111,7 @@ class CalibrationProblem:
     site: Site
     options: CalibrationOptions
 
-    def solve(self) -> Solution:
+    def solve(self) -> Estimates:
         """Estimate all unknowns. Raises MeasurementError if that does not converge."""
         used, first = self.options.columns, SensorErrors(gyro_bias=self.bias)
         common = np.zeros(UNKNOWNS)
@@ -137,7 +137,7 @@ class CalibrationProblem:
             if abs(left - before) < _CONVERGED * excess and is_still[is_observed].all():
                 common[used] = trial.values[: len(used)]
                 fit = _test_fit(values, covariance, found.blocks)
-                return Solution(
+                return Estimates(
                     values, covariance, is_observed, common, trial.starts, fit, found, trajectories
                 )
         raise MeasurementError(
@@ -145,7 +145,7 @@ class CalibrationProblem:
             "rotations between rests at one place. Check signs, axes and units in the import map"
         )
 
-    def with_g_sensitivity(self, found: Solution) -> tuple[CalibrationProblem, Solution, str]:
+    def with_g_sensitivity(self, found: Estimates) -> tuple[CalibrationProblem, Estimates, str]:
         """The same problem, and its solution, with gyro biases that follow the specific force; these as text.
 
         Unchanged, without text, where these do not explain the residuals, noise or another latitude may, or
@@ -154,15 +154,15 @@ class CalibrationProblem:
         """
         wider = replace(self, options=replace(self.options, g_sensitivity=True))
         other = _explaining(wider, found)
-        if other is None or other.fit.p_value < MIN_P_VALUE:
+        if other is None or other.fit.p_value < UNEXPLAINED_P_VALUE:
             return self, found, ""
-        values, columns = other.common[G_SENSITIVITY], wider.options.columns
-        places = [columns.index(each) for each in range(G_SENSITIVITY.start, G_SENSITIVITY.stop)]
+        values, columns = other.common[G_SENSITIVITIES], wider.options.columns
+        places = [columns.index(each) for each in range(G_SENSITIVITIES.start, G_SENSITIVITIES.stop)]
         covariance = other.covariance[np.ix_(places, places)]
         # As an F-test: larger noise makes nine more unknowns gain as much more.
         gain = (found.fit.chi2 - other.fit.chi2) * other.fit.dof / other.fit.chi2
         is_doubtful = (
-            chi2_p_value(len(places), gain) >= MIN_P_VALUE
+            chi2_p_value(len(places), gain) >= UNEXPLAINED_P_VALUE
             or np.abs(values).max() > _MAX_G_SENSITIVITY
             or self._is_rate_up(other, values, covariance)
         )
@@ -185,7 +185,7 @@ class CalibrationProblem:
         )
         return wider, other, text
 
-    def _is_rate_up(self, other: Solution, values: FloatArray, covariance: FloatArray) -> bool:
+    def _is_rate_up(self, other: Estimates, values: FloatArray, covariance: FloatArray) -> bool:
         """Whether sensitivities (9,) may stand for an error of the latitude, or a bias that lags attitude.
 
         An equal sensitivity of all gyros along their own axes is a rate Up. It stands for such an error where
@@ -200,8 +200,8 @@ class CalibrationProblem:
         )
 
     def with_turns_checked(
-        self, found: Solution, spun: Sequence[int]
-    ) -> tuple[CalibrationProblem, Solution, FloatArray, str]:
+        self, found: Estimates, spun: Sequence[int]
+    ) -> tuple[CalibrationProblem, Estimates, FloatArray, str]:
         """The same problem, and its solution, with whole turns as uncertain as rotations and noise show.
 
         Also by how much the scale factors of whole turns contradict the others (3,), zero where they do not,
@@ -210,7 +210,7 @@ class CalibrationProblem:
         elsewhere. ``spun``: the gyros that were spun.
         """
         offset, text = self._contradiction(found, spun)
-        if not text and found.fit.p_value >= MIN_P_VALUE:
+        if not text and found.fit.p_value >= UNEXPLAINED_P_VALUE:
             return self, found, offset, ""
         alone = replace(self, options=replace(self.options, whole_turns=None)).solve()
         spins = [
@@ -218,7 +218,7 @@ class CalibrationProblem:
             for section, start in zip(self.sections, alone.starts, strict=True)
             for spin in section.spin_errors(start, alone.common, self.site)
         ]
-        if not spins or not (text or alone.fit.p_value >= MIN_P_VALUE):
+        if not spins or not (text or alone.fit.p_value >= UNEXPLAINED_P_VALUE):
             return self, found, offset, ""
         left = []
         for axis in {spin.axis for spin in spins}:
@@ -228,7 +228,7 @@ class CalibrationProblem:
         widened = replace(self, options=replace(self.options, whole_turns=turns))
         return widened, widened.solve(), offset, text
 
-    def _contradiction(self, found: Solution, spun: Sequence[int]) -> tuple[FloatArray, str]:
+    def _contradiction(self, found: Estimates, spun: Sequence[int]) -> tuple[FloatArray, str]:
         """Scale factors (3,) of whole turns less the others, and that as text; zero where noise explains it.
 
         The covariance of the difference is that of a part of the data less that of all (Hausman 1978).
@@ -249,7 +249,7 @@ class CalibrationProblem:
         squares, directions = np.linalg.eigh(covariance / np.outer(scales, scales))
         parts = (directions.T @ (difference / scales)) ** 2 / np.maximum(squares, _MIN_EIGENVALUE)
         p_value = chi2_p_value(len(places), float(parts.sum()))
-        if p_value >= MIN_P_VALUE:
+        if p_value >= UNEXPLAINED_P_VALUE:
             return offset, ""
         # All data are a weighted mean of both.
         share = 1.0 - np.diag(found.covariance)[places] / np.diag(others_covariance)[places]
@@ -261,7 +261,7 @@ class CalibrationProblem:
             "to where it was, and whether the scale factors depend on the rate"
         )
 
-    def explanation(self, found: Solution) -> str:
+    def explanation(self, found: Estimates) -> str:
         """What would explain a misfit, as advice."""
         alternatives = [
             (replace(self, options=replace(self.options, **chosen)), what)
@@ -288,14 +288,14 @@ class CalibrationProblem:
             f"moves at rest or has biases that follow attitude{others * self.options.are_explained}"
         )
 
-    def _at_another_latitude(self, found: Solution) -> CalibrationProblem | None:
+    def _at_another_latitude(self, found: Estimates) -> CalibrationProblem | None:
         """The same problem at the latitude that the data show, if there is one."""
         latitude = self.site.latitude + found.information.latitude_correction()[0]
         if abs(latitude) >= 0.5 * np.pi:
             return None
         return replace(self, site=replace(self.site, latitude=latitude))
 
-    def check_alternatives(self, found: Solution) -> None:
+    def check_alternatives(self, found: Estimates) -> None:
         """Raise MeasurementError if a mistake in the map explains what the noise does not."""
         opposite = replace(self.site, latitude=-self.site.latitude)
         alternatives = [
@@ -326,13 +326,13 @@ class CalibrationProblem:
                 raise MeasurementError(f"chi2 is {found.fit.chi2:.3g}, and {other.fit.chi2:.3g} {text}")
 
 
-def _explaining(problem: CalibrationProblem, found: Solution) -> Solution | None:
+def _explaining(problem: CalibrationProblem, found: Estimates) -> Estimates | None:
     """The solution of another problem with the same data, if it explains what ``found`` does not."""
     try:
         other = problem.solve()
     except MeasurementError:
         return None
-    is_better = other.fit.p_value >= MIN_P_VALUE or other.fit.chi2 < _EXPLAINED * found.fit.chi2
+    is_better = other.fit.p_value >= UNEXPLAINED_P_VALUE or other.fit.chi2 < _EXPLAINED * found.fit.chi2
     return other if is_better else None
 
 

@@ -23,7 +23,7 @@ from gyrobench.bench.calibration.information import (
     integrated_sections,
 )
 from gyrobench.bench.calibration.recording import SensorNoise
-from gyrobench.bench.calibration.section import EPOCH_S, IncrementSection
+from gyrobench.bench.calibration.section import REST_EPOCH_S, IncrementSection
 from gyrobench.bench.calibration.strapdown import UNKNOWNS, IncrementEpochs
 from gyrobench.bench.foundations.arrays import (
     DEG_PER_SQRT_H_TO_SI,
@@ -156,7 +156,7 @@ def expected_uncertainties(rotations: RotationList, setup: RotationSetup) -> Exp
     _check(rotations, table, start, setup.max_rate_dps)
     attitude, at_rest, spins = motion(rotations, table, start)
     angle, velocity = ideal_increments(attitude, site)
-    size = round(EPOCH_S / STEP_S)
+    size = round(REST_EPOCH_S / STEP_S)
     ends = np.arange(size, len(angle) + 1, size, dtype=np.int64)
     turns = [(first // size, -(-last // size), np.eye(3)) for first, last in spins]
     section = IncrementSection(

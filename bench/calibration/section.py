@@ -12,7 +12,7 @@ from gyrobench.bench.calibration.recording import IncrementRecording, RecordedRo
 from gyrobench.bench.calibration.strapdown import (
     ATTITUDE,
     DELAY,
-    G_SENSITIVITY,
+    G_SENSITIVITIES,
     LEVER_ARMS,
     QUADRATIC,
     IncrementEpochs,
@@ -25,7 +25,7 @@ from gyrobench.bench.navigation.attitude import rotation_vectors
 from gyrobench.bench.navigation.error_model import Site
 
 #: Time between two velocities at rest, s: closer ones would average noise of the output alone.
-EPOCH_S = 1.0
+REST_EPOCH_S = 1.0
 #: Least share of a spin along one gyro.
 _MIN_ALONG = 0.99
 #: Least share of Up along which a rotation leaves it. Those about other axes show no heading unless the
@@ -60,7 +60,7 @@ class IncrementSection:
         cls, recording: IncrementRecording, rests: Sequence[Rest], rotations: Sequence[RecordedRotation]
     ) -> IncrementSection:
         """From a recording, with what was found in it."""
-        offset, size = rests[0].begin, max(1, round(EPOCH_S / recording.interval_s))
+        offset, size = rests[0].begin, max(1, round(REST_EPOCH_S / recording.interval_s))
         ends = np.arange(size, rests[-1].end - offset + 1, size, dtype=np.int64)
         at_rest = np.zeros(len(ends), bool)
         for rest in rests:
@@ -99,7 +99,7 @@ class IncrementSection:
                 velocity[:, sensor] -= moved[:, sensor]
             velocity += common[DELAY] * np.cross(velocity, rate)
             velocity -= common[QUADRATIC] * velocity**2 / interval_s
-            angle -= velocity @ common[G_SENSITIVITY].reshape(3, 3).T
+            angle -= velocity @ common[G_SENSITIVITIES].reshape(3, 3).T
         return angle, velocity
 
     def integrated(

@@ -42,7 +42,7 @@ from gyrobench.bench.navigation.earth import earth_rate_enu
 #: s/m; initial attitude error, rad; drift of the gyro biases about those at half time, rad/s^2; latitude,
 #: rad.
 LEVER_ARMS, DELAY, QUADRATIC = slice(COUNT, COUNT + 9), COUNT + 9, slice(COUNT + 10, COUNT + 13)
-G_SENSITIVITY = slice(COUNT + 13, COUNT + 22)
+G_SENSITIVITIES = slice(COUNT + 13, COUNT + 22)
 UNKNOWNS = COUNT + len(BESIDE)
 ATTITUDE, DRIFT = slice(UNKNOWNS, UNKNOWNS + 3), slice(UNKNOWNS + 3, UNKNOWNS + 6)
 LATITUDE = UNKNOWNS + 6

@@ -29,7 +29,7 @@ from itertools import combinations
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.characteristics.results import Coefficient, Curve, TestResult, interval
+from gyrobench.bench.characteristics.results import Coefficient, Curve, TestResult, from_draws
 from gyrobench.bench.foundations.arrays import FloatArray, IntArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.positions import AXES
@@ -163,7 +163,7 @@ def thermal_sensitivity(rows: Sequence[DwellRow], reference_c: float | None, deg
             ("hysteresis", "deg/h", degree + 1),
         )
         coefficients += [
-            interval(gyro, name, unit, fit.coefficients[index], fit.draws[:, index])
+            from_draws(gyro, name, unit, fit.coefficients[index], fit.draws[:, index])
             for name, unit, index in names
         ]
         correlation = float(np.corrcoef(fit.draws[:, degree], fit.draws[:, degree + 1])[0, 1])
@@ -291,9 +291,9 @@ def _of_gyro(
     larger = np.argmax(np.abs(decays), axis=1)[:, np.newaxis]
     tau_s = np.take_along_axis(taus, larger, axis=1)[:, 0]
     found = [
-        interval(gyro, "first bias less final bias", "deg/h", drop[0], drop[1:]),
-        interval(gyro, "time constant", "s", tau_s[0], tau_s[1:]),
-        interval(gyro, f"time until within {within_dph:g} deg/h", "s", settled_s[0], settled_s[1:]),
+        from_draws(gyro, "first bias less final bias", "deg/h", drop[0], drop[1:]),
+        from_draws(gyro, "time constant", "s", tau_s[0], tau_s[1:]),
+        from_draws(gyro, f"time until within {within_dph:g} deg/h", "s", settled_s[0], settled_s[1:]),
     ]
     drop_low, drop_high = found[0].low, found[0].high
     if drop_low is not None and drop_high is not None and drop_low <= 0.0 <= drop_high:

@@ -79,7 +79,7 @@ class Characteristics(StrictModel):
     tests: list[TestResult] = Field(default_factory=list)
 
 
-def interval(gyro: str, name: str, unit: str, value: float, draws: FloatArray) -> Coefficient:
+def from_draws(gyro: str, name: str, unit: str, value: float, draws: FloatArray) -> Coefficient:
     """Coefficient with the interval that holds 95 % of ``draws`` (n,); infinite draws set no limit."""
     low, high = np.quantile(draws, [0.025, 0.975], method="nearest")
     return coefficient(gyro, name, unit, value, float(low), float(high))

@@ -63,12 +63,12 @@ def check(
     from gyrobench.bench.report.terminal.tables import preflight_report
     from gyrobench.bench.runs.folder import create_run_folder
     from gyrobench.bench.station.instruments import Emulation
-    from gyrobench.bench.station.preflight_check import Verdict
+    from gyrobench.bench.station.preflight_check import CheckVerdict
 
     terminal, emulation = console(as_json), Emulation.of(station, world, seed, faults)
 
     def is_fit() -> bool:
-        return all(each.verdict is not Verdict.FAIL for each in checks)
+        return all(each.verdict is not CheckVerdict.FAIL for each in checks)
 
     checks = check_bench(station, procedure, emulation, out, acknowledged=acknowledge or ())
     if signs and is_fit():

@@ -14,7 +14,7 @@ import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.effects.effect import Effect, Form
-from gyrobench.bench.closure.problem import Problem, Solution, solve
+from gyrobench.bench.closure.problem import Problem, Solution, solve_terms
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 
 _MAX_EVALUATIONS = 60
@@ -111,7 +111,7 @@ def bic_penalty(problem: Problem) -> float:
     return float(np.log(problem.searched.sum()))
 
 
-def evaluate(problem: Problem, candidates: Sequence[Candidate]) -> Hypothesis:
+def fit_hypothesis(problem: Problem, candidates: Sequence[Candidate]) -> Hypothesis:
     """Hypothesis of candidates, without the terms that do not lower the BIC.
 
     ``problem`` has the declared model alone; the parameters of the candidates are fitted.
@@ -239,7 +239,7 @@ def stack(candidates: Sequence[Candidate], campaign: Campaign) -> tuple[FloatArr
 
 def solve_with(problem: Problem, candidates: Sequence[Candidate]) -> Solution:
     """Fit the declared model with the terms that candidates keep."""
-    return solve(problem, [(each.columns(problem.campaign), each.kept) for each in candidates])
+    return solve_terms(problem, [(each.columns(problem.campaign), each.kept) for each in candidates])
 
 
 def _terms(form: Form, campaign: Campaign, values: tuple[float, ...]) -> FloatArray:

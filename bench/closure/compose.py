@@ -21,7 +21,7 @@ from gyrobench.bench.closure.candidates import (
     Hypothesis,
     best_start,
     bic_penalty,
-    evaluate,
+    fit_hypothesis,
     refine,
     solve_with,
     stack,
@@ -98,9 +98,9 @@ def compose(problem: Problem, effects_found: Sequence[Candidate]) -> Composed:
     fitted = []
     for file, start in chosen:
         [candidate] = refine(beside, [start])
-        fitted.append((file, evaluate(problem, [*found, candidate])))
+        fitted.append((file, fit_hypothesis(problem, [*found, candidate])))
     effects = [*(each.effect for each in found), *(file.build() for file in files)]
-    none = evaluate(problem, found) if found else Hypothesis((), problem.chi2, problem.chi2)
+    none = fit_hypothesis(problem, found) if found else Hypothesis((), problem.chi2, problem.chi2)
     best: dict[str, tuple[EffectFile, Hypothesis]] = {}
     for file, each in fitted:
         if file.effect not in best or each.is_better_than(best[file.effect][1]):

@@ -39,7 +39,7 @@ SAME_MAGNITUDE = 0.8
 #: Stated uncertainties are right to 7 %, or too small by 1 to 1.7.
 NOISE_PRIOR = ((0.9, 52.0, 51.0), (0.1, 4.0, 6.0))
 #: Probability with which a remainder of a detectable size would have been the most probable hypothesis.
-POWER = 0.9
+REMAINDER_POWER = 0.9
 #: Logarithm of odds that do not change a sum.
 _NEGLIGIBLE = 12.0
 #: A term of an effect with several terms is absent from a gyro with this probability.
@@ -341,10 +341,10 @@ def prior_width(problem: Problem, parameter: Parameter, value: float) -> float:
 
 
 def detectable_dph(problem: Problem) -> dict[str, float]:
-    """Smallest remainder that the data would show with probability ``POWER``, by what it follows: rms, deg/h.
+    """Smallest remainder that the data would show, by what it follows: rms, deg/h.
 
-    ``problem`` has the effects found as columns. Shown is what makes a remainder more probable than none; its
-    size is the same in all gyros.
+    ``problem`` has the effects found as columns. Shown, with probability ``REMAINDER_POWER``, is what makes a
+    remainder more probable than none; its size is the same in all gyros.
     """
     remainder = remainder_of(problem)
     chi2 = np.random.default_rng(0).chisquare(1.0, (_DRAWS, remainder.powers[:, 0].size))
@@ -354,7 +354,7 @@ def detectable_dph(problem: Problem) -> dict[str, float]:
     for name, powers in zip(remainder.names, np.moveaxis(remainder.powers, 1, 0), strict=True):
         variances = sizes[:, np.newaxis] ** 2 * powers.ravel()
         log_odds = 0.5 * (variances @ chi2.T - np.sum(np.log1p(variances), axis=1, keepdims=True))
-        shown = np.mean(log_odds > prior_odds, axis=1) >= POWER
+        shown = np.mean(log_odds > prior_odds, axis=1) >= REMAINDER_POWER
         found[name] = float(sizes[np.argmax(shown)]) if shown.any() else math.inf
     # Of a remainder as large in all dwells; an outlier with its large deviation does not count.
     precisions = 1.0 / problem.campaign.known_sigma_dph[problem.searched]

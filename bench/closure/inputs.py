@@ -12,7 +12,7 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
 from gyrobench.bench.closure.campaign import Campaign, Table, campaign_of
-from gyrobench.bench.closure.joined_tables import TableToJoin, joined
+from gyrobench.bench.closure.joined_tables import TableToJoin, join_tables
 from gyrobench.bench.closure.quantity import GYRO_BIAS, Quantity
 from gyrobench.bench.closure.temperatures import TemperatureRecord
 from gyrobench.bench.foundations.arrays import FloatArray
@@ -35,15 +35,14 @@ def read_campaign(*paths: Path, quantity: Quantity = GYRO_BIAS) -> Campaign:
     """Read the dwells of tables and runs of one unit, of runs with the temperatures between dwells too.
 
     ``paths``: dwell tables or run folders, at least one; several are joined on one time axis, see
-    :func:`gyrobench.bench.closure.joined_tables.joined`. ``quantity``: the coefficients to take in the place
-    of the gyro biases, from the columns :func:`coefficient_columns`. Raises DocumentError if there is no
-    dwell table, or it is wrong. Raises RunFolderError if a folder is not a run folder, or its telemetry can't
-    be read. Raises MeasurementError if there are no good dwells, dwells of several units, or tables that
-    can't be joined.
+    :func:`~.joined_tables.join_tables`. ``quantity``: the coefficients to take in the place of the gyro
+    biases, from the columns :func:`coefficient_columns`. Raises DocumentError if there is no dwell table, or
+    it is wrong. Raises RunFolderError if a folder is not a run folder, or its telemetry can't be read. Raises
+    MeasurementError if there are no good dwells, dwells of several units, or tables that can't be joined.
     """
     sources = [_source(path, quantity) for path in paths]
     if len(sources) > 1:
-        return joined(sources)
+        return join_tables(sources)
     [source] = sources
     cycles = tuple(np.unique(source.campaign.whole.cycle).tolist())
     table = Table(source.name, cycles)

@@ -53,7 +53,7 @@ class TableToJoin:
         return not self.is_run and self.start_s >= other.end_s - 1e-3 and bool(begins)
 
 
-def joined(sources: Sequence[TableToJoin]) -> Campaign:
+def join_tables(sources: Sequence[TableToJoin]) -> Campaign:
     """Join tables of one unit on one time axis, with unique numbers of dwells and cycles.
 
     Runs with a calendar time are placed by it. A table that continues the one before on its clock stays

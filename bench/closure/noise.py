@@ -61,7 +61,7 @@ def outliers_text(outliers: Sequence[Outlier]) -> str:
 
 
 @dataclass(frozen=True)
-class Noise:
+class CampaignNoise:
     """Noise of the measured biases of a campaign."""
 
     scale: float  #: Ratio of the noise to the stated uncertainties; at least 1.
@@ -70,7 +70,7 @@ class Noise:
     factors: FloatArray
 
     @classmethod
-    def stated(cls, campaign: Campaign) -> Noise:
+    def stated(cls, campaign: Campaign) -> CampaignNoise:
         """As stated, without outliers."""
         return cls(1.0, (), np.ones_like(campaign.sigma_dph))
 
@@ -114,23 +114,23 @@ class Noise:
         """
         return bic + 3 * dwells * 2.0 * math.log(self.scale) + _OUTLIER_COST * len(self.outliers)
 
-    def beside_none(self, campaign: Campaign, searched: BoolArray) -> Noise:
+    def beside_none(self, campaign: Campaign, searched: BoolArray) -> CampaignNoise:
         """The same outliers with the scale that the dwells searched show beside the declared model alone."""
         alone = replace(self, scale=1.0)
         return replace(self, scale=_scale(lack_of_fit(alone.problem(campaign, searched), 0)))
 
-    def is_like(self, other: Noise) -> bool:
+    def is_like(self, other: CampaignNoise) -> bool:
         """Whether the scales are about equal and the outliers are the same."""
         return self.has_outliers_of(other) and abs(self.scale / other.scale - 1.0) < _SAME
 
-    def has_outliers_of(self, other: Noise) -> bool:
+    def has_outliers_of(self, other: CampaignNoise) -> bool:
         """Whether the outliers are the same."""
         return np.array_equal(self.factors > 1.0, other.factors > 1.0)
 
 
-def estimate_noise(
+def estimate_campaign_noise(
     campaign: Campaign, searched: BoolArray, effects: Sequence[Candidate] = (), *, smooth: bool = False
-) -> Noise:
+) -> CampaignNoise:
     """Noise of the dwells searched, beside the declared model and effects.
 
     ``campaign`` has the stated uncertainties. Where the residual of the declared model alone has structure,
@@ -140,7 +140,7 @@ def estimate_noise(
     extra: list[tuple[FloatArray, BoolArray | None]] = [(_smooth(campaign), None)] if smooth else []
     if effects:
         extra.append(stack(effects, campaign))
-    stated = noise = Noise.stated(campaign)
+    stated = noise = CampaignNoise.stated(campaign)
     is_settled = False
     for _ in range(_ROUNDS):
         after = _fitted(noise, campaign, searched, extra)
@@ -159,13 +159,13 @@ def estimate_noise(
     return replace(noise, scale=_scale(test))
 
 
-def outweighing_dwell(campaign: Campaign, searched: BoolArray) -> Noise:
+def outweighing_dwell(campaign: Campaign, searched: BoolArray) -> CampaignNoise:
     """Noise as stated, with the dwell as outlier without which chi2 is less than half, if there is one.
 
     Where several are, the one without which it is least. A gyro with little of the reduction is none: it
     may only stand beside an outlier.
     """
-    problem = Noise.stated(campaign).problem(campaign, searched)
+    problem = CampaignNoise.stated(campaign).problem(campaign, searched)
     off = problem.residuals / np.sqrt(_shares_left(problem))
     reductions = off**2  # of chi2, without each dwell
     first = int(np.argmax(reductions.sum(axis=1)))
@@ -182,7 +182,7 @@ def _scale(test: LackOfFit) -> float:
 
 
 def _fitted(
-    noise: Noise,
+    noise: CampaignNoise,
     campaign: Campaign,
     searched: BoolArray,
     extra: Sequence[tuple[FloatArray, BoolArray | None]],
@@ -202,7 +202,7 @@ def _smooth(campaign: Campaign) -> FloatArray:
     return np.concatenate([common, by_attitude, campaign.rate_c_per_h[:, :, np.newaxis]], axis=2)
 
 
-def _with_outliers(noise: Noise, after: Problem) -> Noise:
+def _with_outliers(noise: CampaignNoise, after: Problem) -> CampaignNoise:
     """Same noise with the outliers of the residuals of a problem that has it."""
     searched = after.searched
     shares = _shares_left(after)
@@ -221,7 +221,7 @@ def _shares_left(after: Problem) -> FloatArray:
     return np.maximum(1.0 - leverage, _MIN_SHARE)
 
 
-def _of_outliers(problem: Problem, off: FloatArray, is_outlier: BoolArray) -> Noise:
+def _of_outliers(problem: Problem, off: FloatArray, is_outlier: BoolArray) -> CampaignNoise:
     """Noise with outliers among the dwells searched, which are this far off (m, 3), in sigma."""
     campaign, searched = problem.campaign, problem.searched
     factors = np.ones((len(campaign), 3))
@@ -230,4 +230,4 @@ def _of_outliers(problem: Problem, off: FloatArray, is_outlier: BoolArray) -> No
         Outlier(int(campaign.dwell[searched][dwell]), campaign.quantity.axes[gyro], float(off[dwell, gyro]))
         for dwell, gyro in np.argwhere(is_outlier)
     ]
-    return Noise(1.0, tuple(sorted(outliers, key=lambda each: -abs(each.residual_sigma))), factors)
+    return CampaignNoise(1.0, tuple(sorted(outliers, key=lambda each: -abs(each.residual_sigma))), factors)

@@ -13,7 +13,7 @@ from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate
 from gyrobench.bench.closure.compose import Composed
 from gyrobench.bench.closure.effects.effect import Effect, Parameter
-from gyrobench.bench.closure.noise import MAX_OUTLIERS, OUTLIER_SIGMA, Noise, Outlier
+from gyrobench.bench.closure.noise import MAX_OUTLIERS, OUTLIER_SIGMA, CampaignNoise, Outlier
 from gyrobench.bench.closure.posterior import Posterior
 from gyrobench.bench.closure.problem import Solution
 from gyrobench.bench.closure.quantity import GYRO_BIAS, Quantity
@@ -159,7 +159,7 @@ class Closure:
     model: Solution
     noise_dph: float  #: Noise of a measured bias, rms.
     confounding: tuple[str, ...]  #: What the dwells searched can't distinguish, one sentence each.
-    noise: Noise  #: Its ratio to the stated uncertainties, and the outliers.
+    noise: CampaignNoise  #: Its ratio to the stated uncertainties, and the outliers.
     #: error_before_dph, error_after_dph: Rms of measured minus predicted bias in the held-out dwells; NaN
     #: where none are, as in a campaign of one cycle.
     error_before_dph: float

@@ -15,10 +15,10 @@ from functools import partial
 import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.candidates import Candidate, Hypothesis, evaluate, refine, solve_with
+from gyrobench.bench.closure.candidates import Candidate, Hypothesis, fit_hypothesis, refine, solve_with
 from gyrobench.bench.closure.effects.effect import Effect
 from gyrobench.bench.closure.evidence import Evidences
-from gyrobench.bench.closure.joined_tables import TableToJoin, joined
+from gyrobench.bench.closure.joined_tables import TableToJoin, join_tables
 from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.closure.planned_campaign import UnitProperties
 from gyrobench.bench.closure.posterior import TIE_ODDS
@@ -83,7 +83,7 @@ def tie_outlooks(closure: Closure, planned: Campaign) -> list[TieOutlook]:
     seen = replace(problem.campaign.part(closure.searched), tables=(), part_of=None)
     seen = replace(seen, sigma_dph=seen.sigma_dph * closure.noise_scale)
     planned = replace(planned, unit=seen.unit)
-    together = joined([TableToJoin("measured", seen), TableToJoin("planned", planned, is_run=True)])
+    together = join_tables([TableToJoin("measured", seen), TableToJoin("planned", planned, is_run=True)])
     whole, alone = (
         partial(
             _odds, problem=problem, is_predicted=is_predicted, campaign=campaign, effects=[*effects.values()]
@@ -121,7 +121,7 @@ def _alternative(problem: Problem, others: Sequence[Candidate], effect: Effect) 
     if effect.missing_input(problem.campaign):
         return None
     search = Search(problem, (effect,))
-    return search.add(evaluate(problem, others), search.effects[0])
+    return search.add(fit_hypothesis(problem, others), search.effects[0])
 
 
 def _odds(
@@ -153,13 +153,13 @@ def _odds(
         drawn_dph = predicted_dph + campaign.sigma_dph * draw.standard_normal(predicted_dph.shape)
         bias_dph = np.where(is_predicted[:, np.newaxis], drawn_dph, campaign.bias_dph)
         after = declared_problem(replace(campaign, bias_dph=bias_dph), np.ones(len(campaign), dtype=bool))
-        own = evaluate(after, refine(after, present))
+        own = fit_hypothesis(after, refine(after, present))
         rivals = [_alternative(after, shared, new if isinstance(new, Effect) else new.effect)]
         if isinstance(new, Candidate):
-            rivals.append(evaluate(after, refine(after, [*shared, new])))
+            rivals.append(fit_hypothesis(after, refine(after, [*shared, new])))
         evidences = Evidences(after, effects)
         # What is not significant is as probable as nothing.
-        fitted = [each for each in rivals if each is not None] or [evaluate(after, shared)]
+        fitted = [each for each in rivals if each is not None] or [fit_hypothesis(after, shared)]
         logarithms.append(0.5 * min(evidences.log_odds(own, each) for each in fitted))
     return math.exp(float(np.clip(np.mean(logarithms), -_MAX_LOG_ODDS, _MAX_LOG_ODDS)))
 

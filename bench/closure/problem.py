@@ -174,7 +174,7 @@ class Solution:
     bias_dph: FloatArray  #: Shape (n, 3). The model in all dwells of the campaign.
 
 
-def solve(problem: Problem, terms: Sequence[tuple[FloatArray, BoolArray]]) -> Solution:
+def solve_terms(problem: Problem, terms: Sequence[tuple[FloatArray, BoolArray]]) -> Solution:
     """Fit the declared model with terms: pairs of columns (n, 3, k) and terms kept per gyro (3, k)."""
     campaign, searched = problem.campaign, problem.searched
     declared = np.full((3, DEGREE + len(campaign.run_names)), np.nan)

@@ -34,8 +34,8 @@ from gyrobench.bench.procedure.steps import (
 )
 
 #: A step or loop: its name alone, or ``{name: {key: value}}``.
-Entry = Any
-Steps = list[Entry]
+_Entry = Any
+Steps = list[_Entry]
 
 _REPEAT = "repeat"
 _OFF_S, _LEFT_ON_S = 3600, 43_200
@@ -224,7 +224,7 @@ CHANGES: tuple[ProcedureChange, ...] = (
 )
 
 
-def _name(entry: Entry) -> str:
+def _name(entry: _Entry) -> str:
     return entry if isinstance(entry, str) else str(next(iter(entry)))
 
 
@@ -236,18 +236,18 @@ def _loops(entries: Steps) -> Iterator[dict[str, Any]]:
             yield from _loops(entry[_REPEAT]["steps"])
 
 
-def _measures(entry: Entry) -> bool:
+def _measures(entry: _Entry) -> bool:
     inside = [entry, *(step for loop in _loops([entry]) for step in loop["steps"])]
     return any(_name(step) == Navigate.name for step in inside)
 
 
-def _cycle(entry: Entry) -> int | None:
+def _cycle(entry: _Entry) -> int | None:
     """Cycle of a loop over a single cycle."""
     cycles = entry[_REPEAT]["over"].get("cycle", []) if _name(entry) == _REPEAT else []
     return int(cycles[0]) if len(cycles) == 1 else None
 
 
-def _by_cycle(steps: Steps) -> Iterator[Entry]:
+def _by_cycle(steps: Steps) -> Iterator[_Entry]:
     """Steps with one loop per cycle in place of each loop whose outermost variable is the cycle."""
     for entry in steps:
         over = entry[_REPEAT]["over"] if _name(entry) == _REPEAT else {}
@@ -260,12 +260,12 @@ def _by_cycle(steps: Steps) -> Iterator[Entry]:
             yield entry
 
 
-def _positions(entry: Entry) -> list[str]:
+def _positions(entry: _Entry) -> list[str]:
     over = entry[_REPEAT]["over"] if _name(entry) == _REPEAT else {}
     return over.get("position", []) if _measures(entry) else []
 
 
-def _temperature_variable(entry: Entry) -> str | None:
+def _temperature_variable(entry: _Entry) -> str | None:
     """Variable of a loop that sets the chamber temperature."""
     for step in entry[_REPEAT]["steps"]:
         if _name(step) == SetChamber.name:

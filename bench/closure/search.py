@@ -14,7 +14,7 @@ from gyrobench.bench.closure.candidates import (
     Candidate,
     Hypothesis,
     best_start,
-    evaluate,
+    fit_hypothesis,
     hypothesis,
     ranked,
     refine,
@@ -28,7 +28,7 @@ from gyrobench.bench.closure.problem import Problem, declared_problem
 from gyrobench.bench.foundations.text import listed
 
 #: An effect is found if its p-value, corrected for all candidate fits, is below this.
-SIGNIFICANCE = 1e-3
+EFFECT_SIGNIFICANCE = 1e-3
 MAX_EFFECTS = 3
 #: Hypotheses that are extended in each step.
 _BEAM_WIDTH = 3
@@ -61,7 +61,7 @@ class Search:
     def __init__(self, problem: Problem, effects: Sequence[Effect]) -> None:
         self.problem = problem
         self.effects = tuple(each.bounded(problem.campaign) for each in effects)
-        self.declared = evaluate(problem, ())
+        self.declared = fit_hypothesis(problem, ())
         self._known: dict[tuple[object, ...], Hypothesis | None] = {}
         self._insignificant: dict[frozenset[str], Hypothesis] = {}
         self._by_forms: dict[frozenset[tuple[str, str]], Hypothesis] = {}
@@ -109,29 +109,29 @@ class Search:
     def objection(self, of: Hypothesis, index: int) -> str:
         """Why one effect of a hypothesis is not accepted; empty if it is."""
         one, p_value = of.candidates[index], self.p_value(of, index)
-        if p_value >= SIGNIFICANCE:
+        if p_value >= EFFECT_SIGNIFICANCE:
             labels = [each.effect.display_name for each in of.without(one)]
             beside = f" beside {listed(labels)}" if labels else ""
-            return f"{NOT_SIGNIFICANT}{beside} (p = {p_value:.2g}, required below {SIGNIFICANCE:g})"
+            return f"{NOT_SIGNIFICANT}{beside} (p = {p_value:.2g}, required below {EFFECT_SIGNIFICANCE:g})"
         if not self._excludes_beyond(of, index):
             return "a parameter is at its upper bound, where the effect becomes another one"
         dwell, p_without = self._without_largest_dwell(of, index)
-        if p_without >= SIGNIFICANCE:
+        if p_without >= EFFECT_SIGNIFICANCE:
             return f"{RESTS_ON_DWELL} {dwell} alone (p = {p_without:.2g} without it)"
         return ""
 
     def without_lacks(self, of: Hypothesis) -> Hypothesis:
         """A hypothesis without the effects that may be what the laws of the others lack."""
         p_values = [self._p_beside_inexact(of, index) for index in range(len(of.candidates))]
-        if max(p_values, default=0.0) < SIGNIFICANCE:
+        if max(p_values, default=0.0) < EFFECT_SIGNIFICANCE:
             return of
-        fewer = evaluate(self.problem, of.without(of.candidates[int(np.argmax(p_values))]))
+        fewer = fit_hypothesis(self.problem, of.without(of.candidates[int(np.argmax(p_values))]))
         return self.without_lacks(self._fitted(fewer)[fewer.names])
 
     def lack(self, of: Hypothesis, index: int) -> str:
         """Why one effect of a hypothesis may be what the laws of the others lack; empty if it is not."""
         p_value = self._p_beside_inexact(of, index)
-        if p_value < SIGNIFICANCE:
+        if p_value < EFFECT_SIGNIFICANCE:
             return ""
         return f"{MAY_BE_LACK} (p = {p_value:.2g} beside them with other scales and a delay)"
 
@@ -144,7 +144,7 @@ class Search:
             for gyro in range(3)
         ]
         p_values = [chi2_p_value(max(rank, 1), reduction) for reduction, rank in gyros]
-        return [p_value < SIGNIFICANCE or p_value == min(p_values) for p_value in p_values]
+        return [p_value < EFFECT_SIGNIFICANCE or p_value == min(p_values) for p_value in p_values]
 
     @cached_property
     def evidences(self) -> Evidences:
@@ -201,7 +201,7 @@ class Search:
 
     def _fit_similar(self, to: Hypothesis) -> None:
         """Fit all sets with one effect more, and all with one exchanged."""
-        fewer = [evaluate(self.problem, to.without(each)) for each in to.candidates]
+        fewer = [fit_hypothesis(self.problem, to.without(each)) for each in to.candidates]
         for each in [*fewer, to] if len(to.candidates) < MAX_EFFECTS else fewer:
             for effect in self.effects:
                 self.add(each, effect)
@@ -235,17 +235,17 @@ class Search:
                 continue
             start = best_start(beside, effect, form)
             reduction, rank = beside.chi2_reduction(start.columns(campaign))
-            if chi2_p_value(rank + len(start.values), _MAX_REFINEMENT * reduction) >= SIGNIFICANCE:
+            if chi2_p_value(rank + len(start.values), _MAX_REFINEMENT * reduction) >= EFFECT_SIGNIFICANCE:
                 failed.append(start)
                 continue
             [candidate] = refine(beside, [start])
             reduction, rank = beside.chi2_reduction(candidate.columns(campaign))
-            if chi2_p_value(rank + len(candidate.values), reduction) < SIGNIFICANCE:
+            if chi2_p_value(rank + len(candidate.values), reduction) < EFFECT_SIGNIFICANCE:
                 whole = [replace(each, kept=np.ones_like(each.kept)) for each in (*to.candidates, candidate)]
-                found.append(evaluate(problem, refine(problem, whole) if to.candidates else whole))
+                found.append(fit_hypothesis(problem, refine(problem, whole) if to.candidates else whole))
             elif rank:
                 failed.append(candidate)
-        weak = [] if found else [evaluate(problem, [*to.candidates, each]) for each in failed]
+        weak = [] if found else [fit_hypothesis(problem, [*to.candidates, each]) for each in failed]
         if weak:
             best = ranked(weak)[0]
             known = self._insignificant.get(best.names, best)
@@ -257,7 +257,7 @@ class Search:
     def _exchanged(self, best: Hypothesis) -> Hypothesis:
         """Exchange effects as long as that is better: an early one may stand in for several."""
         for _ in range(_MAX_EXCHANGES if len(best.candidates) > 1 else 0):
-            fewer = [evaluate(self.problem, best.without(one)) for one in best.candidates]
+            fewer = [fit_hypothesis(self.problem, best.without(one)) for one in best.candidates]
             others = [effect for effect in self.effects if effect.name not in best.names]
             found = [self.add(each, effect) for each in fewer for effect in others]
             better = [

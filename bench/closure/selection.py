@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.candidates import Hypothesis, evaluate, refine, stack
+from gyrobench.bench.closure.candidates import Hypothesis, fit_hypothesis, refine, stack
 from gyrobench.bench.closure.effects.effect import Effect
-from gyrobench.bench.closure.noise import Noise, estimate_noise, outweighing_dwell
+from gyrobench.bench.closure.noise import CampaignNoise, estimate_campaign_noise, outweighing_dwell
 from gyrobench.bench.closure.posterior import Posterior
 from gyrobench.bench.closure.problem import Problem
-from gyrobench.bench.closure.search import NOT_SIGNIFICANT, SIGNIFICANCE, Search
+from gyrobench.bench.closure.search import EFFECT_SIGNIFICANCE, NOT_SIGNIFICANT, Search
 from gyrobench.bench.closure.validation import LackOfFit, lack_of_fit
 from gyrobench.bench.foundations.arrays import BoolArray
 from gyrobench.bench.foundations.text import listed, plain_name
@@ -35,7 +35,7 @@ class NotAccepted:
 class Selected:
     """The hypothesis that stands."""
 
-    noise: Noise  #: Of the search.
+    noise: CampaignNoise  #: Of the search.
     search: Search
     best: Hypothesis  #: The most probable one without an objection.
     posterior: Posterior  #: Probabilities of all sets of effects.
@@ -58,7 +58,7 @@ class Selected:
 
     @property
     def cost(self) -> float:
-        """See :meth:`~.noise.Noise.cost`."""
+        """See :meth:`~.noise.CampaignNoise.cost`."""
         return self.noise.cost(self.best.bic, int(self.search.problem.searched.sum()))
 
     @property
@@ -76,7 +76,7 @@ class Selected:
         """Why an effect that is significant alone, or not improbable, is not found; empty for all others."""
         search, found = self.search, self.found
         alone = search.alone.get(effect.name)
-        is_shown = alone is not None and search.p_value(alone, 0) < SIGNIFICANCE
+        is_shown = alone is not None and search.p_value(alone, 0) < EFFECT_SIGNIFICANCE
         if effect.name in found.names or not (is_shown or effect.name in self.posterior.rivals(found.names)):
             return ""
         for names in itertools.takewhile(lambda each: each != found.names, self.posterior.sets):
@@ -100,7 +100,7 @@ class Selected:
     def _objections(self, names: frozenset[str]) -> dict[str, str]:
         """The objection to each effect of a set of the posterior; empty if there is none."""
         fits = [each.candidates for each in self.posterior.hypotheses if each.names == names]
-        fitted = evaluate(self.search.problem, fits[0])
+        fitted = fit_hypothesis(self.search.problem, fits[0])
         return {
             each.effect.name: self.search.objection(fitted, index) or self.search.lack(fitted, index)
             for index, each in enumerate(fitted.candidates)
@@ -118,25 +118,27 @@ def select(campaign: Campaign, searched: BoolArray, effects: Sequence[Effect]) -
     would be fitted to it. An effect must not rest on one dwell: it is found without this one too, and then
     fitted to it, which shows whether the dwell is an outlier.
     """
-    stated, alone = Noise.stated(campaign), estimate_noise(campaign, searched)
+    stated, alone = CampaignNoise.stated(campaign), estimate_campaign_noise(campaign, searched)
     first = outweighing_dwell(campaign, searched)
     settled = [_settled(campaign, searched, effects, first)]
     found = settled[0].best.candidates
     if first.outliers and found:
         fitted = refine(stated.problem(campaign, searched), found)
-        beside = estimate_noise(campaign, searched, fitted)
+        beside = estimate_campaign_noise(campaign, searched, fitted)
         if not beside.is_like(settled[0].noise):
             settled.append(_settled(campaign, searched, effects, beside))
     if not (alone.is_like(stated) or alone.is_like(first)):
         settled.append(_settled(campaign, searched, effects, alone))
     if all(each.after.is_significant for each in settled):
-        smooth = estimate_noise(campaign, searched, smooth=True)
+        smooth = estimate_campaign_noise(campaign, searched, smooth=True)
         if smooth.outliers and not smooth.has_outliers_of(first):
             settled.append(_settled(campaign, searched, effects, smooth))
     return min(settled, key=lambda each: each.cost)
 
 
-def _settled(campaign: Campaign, searched: BoolArray, effects: Sequence[Effect], noise: Noise) -> Selected:
+def _settled(
+    campaign: Campaign, searched: BoolArray, effects: Sequence[Effect], noise: CampaignNoise
+) -> Selected:
     """Search again as long as the noise beside what is found is another one than that of the search."""
     is_last = False
     for _ in range(_MAX_SEARCHES):
@@ -149,7 +151,7 @@ def _settled(campaign: Campaign, searched: BoolArray, effects: Sequence[Effect],
                 break
             is_last = True
             continue
-        noise = estimate_noise(campaign, searched, selected.best.candidates)
+        noise = estimate_campaign_noise(campaign, searched, selected.best.candidates)
         if is_last or noise.is_like(selected.noise):
             break
         # Scatter that has structure beside another set of effects is not noise.

@@ -28,12 +28,10 @@ from gyrobench.bench.closure.candidates import bic_penalty, start_count
 from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter
 from gyrobench.bench.closure.outcome import FoundEffect
 from gyrobench.bench.closure.posterior import TIE_ODDS
-from gyrobench.bench.closure.problem import Problem, declared_problem
-from gyrobench.bench.closure.search import SAME_SHARE, SIGNIFICANCE
+from gyrobench.bench.closure.problem import MIN_SHARE, Problem, declared_problem
+from gyrobench.bench.closure.search import EFFECT_SIGNIFICANCE, SAME_SHARE
 from gyrobench.bench.foundations.arrays import FloatArray, rms
 
-#: Terms below this share of their own length, or of an effect's length, are not independent.
-MIN_SHARE = 1e-5
 #: Values of an alternative's parameters, all combinations together.
 _ALTERNATIVE_VALUES = 80
 #: Parameters whose bounds have at least this ratio are spaced geometrically.
@@ -157,7 +155,7 @@ def _grid(parameter: Parameter, campaign: Campaign, count: int) -> list[float]:
 
 
 #: Probability of finding an effect of the smallest size stated.
-POWER = 0.9
+EFFECT_POWER = 0.9
 _DIFFERENT_DWELLS = "dwells with a larger variation of what the effect follows"
 #: Odds at which effects are tied, as a difference of BIC.
 _TIE_MARGIN = 2.0 * math.log(TIE_ODDS)
@@ -172,8 +170,8 @@ class Detection:
     effect: Effect  #: The effect.
     #: The input without which the campaign can't show it; then the rest is infinite.
     missing_input: str | None = None
-    #: typical_dph, largest_dph: Smallest size found with probability :data:`POWER`, for the middle starting
-    #: values of its parameters and for the worst ones.
+    #: typical_dph, largest_dph: Smallest size found with probability :data:`EFFECT_POWER`, for the middle
+    #: starting values of its parameters and for the worst ones.
     typical_dph: float = np.inf
     largest_dph: float = np.inf
     #: Variance inflation factor of its size if all other effects are fitted beside it.
@@ -305,16 +303,18 @@ def _detection(
 
 
 def _found_dph(present: AssumedEffect, candidate_fits: int) -> float:
-    """Smallest size that is significant with probability :data:`POWER`."""
+    """Smallest size that is significant with probability :data:`EFFECT_POWER`."""
     return float(np.sqrt(_noncentrality(present.parameter_count, candidate_fits) / present.information))
 
 
 @cache
 def _noncentrality(parameters: int, candidate_fits: int) -> float:
     """Non-centrality of a reduction of chi2 that the search finds significant; see its p_value."""
-    limit = float(chdtri(parameters, SIGNIFICANCE / candidate_fits))
+    limit = float(chdtri(parameters, EFFECT_SIGNIFICANCE / candidate_fits))
     highest = 4.0 * limit + 100.0
-    return float(brentq(lambda value: 1.0 - float(chndtr(limit, parameters, value)) - POWER, 1e-3, highest))
+    return float(
+        brentq(lambda value: 1.0 - float(chndtr(limit, parameters, value)) - EFFECT_POWER, 1e-3, highest)
+    )
 
 
 def _inflation(typical: Mapping[str, AssumedEffect], name: str) -> float:

@@ -20,7 +20,7 @@ from gyrobench.bench.foundations.errors import (
 from gyrobench.bench.foundations.text import hours_minutes, listed, run_ending
 from gyrobench.bench.procedure.approach import end_of_dwell
 from gyrobench.bench.procedure.plan import Plan
-from gyrobench.bench.runs.folder import UNITS, RunFolder, open_run_folder
+from gyrobench.bench.runs.folder import UNITS_FOLDER, RunFolder, open_run_folder
 from gyrobench.bench.runs.journal import MAX_RUN_S
 from gyrobench.bench.runs.provenance import start_of, started_utc
 from gyrobench.bench.runs.seal import require_sealed_inputs
@@ -336,7 +336,7 @@ def prepare_resumption(path: Path, anyway: bool = False) -> Resumption:
     Raises DocumentError if its procedure, station or DBC file is wrong.
     """
     folder = open_run_folder(path, may_have_units=True)
-    if folder.path.absolute().parent.name == UNITS:
+    if folder.path.absolute().parent.name == UNITS_FOLDER:
         raise RunFolderError(
             f"{path}: is a unit of the run {folder.path.absolute().parents[1]}. Resume that run instead"
         )

@@ -273,7 +273,7 @@ def _word(text: str) -> str:
 #: Into how many blocks a window may be cut, whose means show the noise; each half of the one before.
 BLOCKS = (40, 20, 10, 5)
 #: Samples that a window needs.
-MIN_SAMPLES = 10
+MIN_WINDOW_SAMPLES = 10
 #: Smallest step that is no rounding error, relative to the largest value.
 _ROUNDING = 1e-9
 
@@ -311,9 +311,9 @@ class Window:
 
 
 def cut_windows(batches: Iterable[Samples], window_s: float, skip_s: float) -> Iterator[Window]:
-    """Cut a log into windows; those with fewer than :data:`MIN_SAMPLES` valid samples have NaN for all means.
+    """Cut a log into windows; those with too few valid samples have NaN for all means.
 
-    No more than a batch and a window are held at a time.
+    Too few are less than :data:`MIN_WINDOW_SAMPLES`. No more than a batch and a window are held at a time.
     """
     rest: Samples = {}
     before_s = np.nan
@@ -360,7 +360,7 @@ def _window(samples: Samples, window_s: float, skip_s: float, before_s: float) -
     for name, values in samples.items():
         if name.endswith("_c") or name in ("position", "cycle"):
             means[name], slopes[name], smallest[name], spans[name] = _trend(time_s, values)
-    enough = len(rates) >= MIN_SAMPLES
+    enough = len(rates) >= MIN_WINDOW_SAMPLES
     nothing = np.full(3, np.nan)
     return Window(
         start_s=skip_s + number * window_s,

@@ -45,7 +45,7 @@ from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.runs.compensation_file import write_compensation
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.provenance import started_utc
-from gyrobench.bench.runs.telemetry import COLUMNS, read_telemetry
+from gyrobench.bench.runs.telemetry import TELEMETRY_COLUMNS, read_telemetry
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.ins.command_map import NUMBERS, TERMS, Compensation
 
@@ -145,7 +145,7 @@ def read_table(path: Path) -> pa.Table:
     return table.cast(pa.schema([field_of(column) for column in table.column_names]))
 
 
-_SCHEMA = pa.schema([UTC_FIELD, *(field_of(name) for name in COLUMNS)])
+_SCHEMA = pa.schema([UTC_FIELD, *(field_of(name) for name in TELEMETRY_COLUMNS)])
 
 
 def _export_telemetry(folder: RunFolder, began: datetime, name: str, destination: ExportFolder) -> None:

@@ -12,7 +12,7 @@ from scipy.optimize import nnls
 
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.exchange.import_map import EarthRate, LogMap
-from gyrobench.bench.exchange.log_windows import BLOCKS, MIN_SAMPLES, Window, full_scale_dph
+from gyrobench.bench.exchange.log_windows import BLOCKS, MIN_WINDOW_SAMPLES, Window, full_scale_dph
 from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.earth import earth_rate_enu
@@ -138,13 +138,13 @@ def temperature_warnings(rows: Sequence[DwellRow], windows: Sequence[Window], lo
 
 def _reason_of_samples(window: Window, log_map: LogMap, interval_s: float, gap_s: float) -> str:
     total = window.samples + window.dropped
-    if total < MIN_SAMPLES:
-        return f"fewer than {MIN_SAMPLES} samples (are 'window_s' and the unit of time right?)"
+    if total < MIN_WINDOW_SAMPLES:
+        return f"fewer than {MIN_WINDOW_SAMPLES} samples (are 'window_s' and the unit of time right?)"
     if window.covered_s + interval_s < _MIN_PART * log_map.averages.window_s:
         return "not recorded to the end"
     if window.max_step_s > gap_s:
         return f"over a gap of more than {gap_s:.3g} s"
-    if window.samples < max(_MIN_PART * total, MIN_SAMPLES):
+    if window.samples < max(_MIN_PART * total, MIN_WINDOW_SAMPLES):
         return "too many samples without a valid rate"
     return ""
 

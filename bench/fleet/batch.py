@@ -42,13 +42,11 @@ from gyrobench.bench.bias.statistics import (
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.text import plain_name
-from gyrobench.bench.runs.index.run_biases import LEVEL, BiasQuantity, RunBias, read_run_biases
+from gyrobench.bench.runs.index.run_biases import FALSE_ALARM, LEVEL, BiasQuantity, RunBias, read_run_biases
 from gyrobench.bench.runs.index.run_index import RunIndex
 
 #: Least number of units for an estimate of their spread.
 MIN_UNITS = 4
-#: Family-wise false-alarm probability of all comparisons of a batch.
-FALSE_ALARM = 0.01
 #: Significance of the test for a common variance of several quantities.
 _COMMON_VARIANCE_P = 0.05
 

@@ -14,14 +14,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from gyrobench.bench.fleet.batch import FALSE_ALARM, EffectSize, QuantityStatistics, UnitStatistics, outliers
+from gyrobench.bench.fleet.batch import EffectSize, QuantityStatistics, UnitStatistics, outliers
 from gyrobench.bench.foundations.files import make_folder, write_whole
 from gyrobench.bench.foundations.text import bin_label, counted, listed
 from gyrobench.bench.navigation.positions import AXES, gyro_label, position_label
 from gyrobench.bench.report.figures.style import BARS, common_legend, fitted_figure, house_style, say_empty
 from gyrobench.bench.report.number_format import BiasScale, dph_with_sigma, p_text
 from gyrobench.bench.report.page import Box, Findings, Section, SectionFigure, SectionTable, write_findings
-from gyrobench.bench.runs.index.run_biases import LEVEL, BiasQuantity
+from gyrobench.bench.runs.index.run_biases import FALSE_ALARM, LEVEL, BiasQuantity
 
 
 def batch_sentence(batch: Sequence[QuantityStatistics]) -> str:

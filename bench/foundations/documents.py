@@ -29,7 +29,7 @@ from gyrobench.bench.foundations.text import did_you_mean
 Schema = dict[str, Any]
 
 #: Keys and indices that lead from the top of a document to one of its values.
-Location = tuple[str | int, ...]
+KeyPath = tuple[str | int, ...]
 
 _SCHEMA_DIALECT = "https://json-schema.org/draft/2020-12/schema"
 MAX_DOCUMENT_BYTES = 1_000_000
@@ -97,7 +97,7 @@ class StrictModel(BaseModel):
 class DocumentProblem:
     """A mistake at one place of a document."""
 
-    location: Location
+    location: KeyPath
     message: str
 
 
@@ -109,11 +109,11 @@ class Document:
     text: str
     data: Any
     #: (line, column), both from 1, of every key and item.
-    places: dict[Location, tuple[int, int]] = field(repr=False)
+    places: dict[KeyPath, tuple[int, int]] = field(repr=False)
 
     def place(self, location: Sequence[str | int]) -> str:
         """``file:line:column`` of the deepest part of ``location`` that the file contains."""
-        known: Location = ()
+        known: KeyPath = ()
         for part in location:
             if (*known, part) in self.places:
                 known = (*known, part)
@@ -187,7 +187,7 @@ def validate(document: Document, model: type[ModelT], further: Sequence[Document
                     _log_once(f"{document.place(location)}: '{old}' is an old name. Write '{new}'.")
 
 
-def problems_of(error: ValidationError, at: Location = ()) -> list[DocumentProblem]:
+def problems_of(error: ValidationError, at: KeyPath = ()) -> list[DocumentProblem]:
     """Translate a validation error of a value at ``at`` into problems."""
     problems = []
     for detail in error.errors():
@@ -279,10 +279,10 @@ class _NodeReader:
     """Turns YAML nodes into plain data and remembers where each stood."""
 
     def __init__(self) -> None:
-        self.places: dict[Location, tuple[int, int]] = {}
+        self.places: dict[KeyPath, tuple[int, int]] = {}
         self.problems: list[DocumentProblem] = []
 
-    def plain(self, node: yaml.Node, location: Location) -> Any:
+    def plain(self, node: yaml.Node, location: KeyPath) -> Any:
         self.places.setdefault(location, (node.start_mark.line + 1, node.start_mark.column + 1))
         if len(self.places) > _MAX_VALUES or len(location) > _MAX_DEPTH:
             raise _TooMuchError
@@ -295,7 +295,7 @@ class _NodeReader:
             return self._mapping(node, location)
         return [self.plain(item, (*location, index)) for index, item in enumerate(node.value)]
 
-    def _mapping(self, node: yaml.MappingNode, location: Location) -> dict[str, Any]:
+    def _mapping(self, node: yaml.MappingNode, location: KeyPath) -> dict[str, Any]:
         result: dict[str, Any] = {}
         for key_node, value_node in node.value:
             if not isinstance(key_node, yaml.ScalarNode):
@@ -312,7 +312,7 @@ class _NodeReader:
             result[key] = self.plain(value_node, here)
         return result
 
-    def _scalar(self, node: yaml.Node, location: Location) -> Any:
+    def _scalar(self, node: yaml.Node, location: KeyPath) -> Any:
         kind = node.tag.removeprefix("tag:yaml.org,2002:")
         text = str(node.value)
         if kind == "str":
@@ -395,7 +395,7 @@ def _rewritten(detail: Any, model: type[BaseModel], old_keys: Mapping[str, str])
     return InitErrorDetails(type=PydanticCustomError(kind, message), loc=location, input=detail.get("input"))
 
 
-def _wrong_kind(detail: Any, location: Location) -> tuple[str, str, Location]:
+def _wrong_kind(detail: Any, location: KeyPath) -> tuple[str, str, KeyPath]:
     """What is wrong with the key that the kind of an entry is recognised by, and its place."""
     key = detail["ctx"]["discriminator"].strip("'")
     if detail["type"] == "union_tag_not_found":

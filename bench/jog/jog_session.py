@@ -20,7 +20,7 @@ from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.foundations.text import did_you_mean
 from gyrobench.bench.guard.process import guard_for
 from gyrobench.bench.jog.manual_control import ManualControl, limit_lines, readings
-from gyrobench.bench.jog.manual_limits import AXES, manual_limits
+from gyrobench.bench.jog.manual_limits import TABLE_AXES, manual_limits
 from gyrobench.bench.jog.terminal import (
     CommandError,
     Display,
@@ -293,7 +293,7 @@ class Shell:
         angles_deg = station.table.angles(POSITIONS[name].C_nb(np.deg2rad(azimuth_deg)))
         names = self._control.limits.axes
         self._control.move(
-            {axis: each for axis, each in zip(AXES, angles_deg, strict=True) if axis in names}, rate_dps
+            {axis: each for axis, each in zip(TABLE_AXES, angles_deg, strict=True) if axis in names}, rate_dps
         )
 
     def _home(self, words: list[str]) -> None:
@@ -382,7 +382,7 @@ def _number(word: str, what: str) -> float:
 
 def _axis(words: list[str]) -> str:
     axis = _next(words)
-    if axis not in AXES:
+    if axis not in TABLE_AXES:
         raise _UsageError(f"'{axis}' is not an axis; the axes are outer and inner")
     return axis
 

@@ -13,7 +13,7 @@ from gyrobench.bench.engine.interlocks.watch import TrippedError
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import FaultError, GyrobenchError, InstrumentError, RefusedError
-from gyrobench.bench.jog.manual_limits import AXES, ManualLimits
+from gyrobench.bench.jog.manual_limits import TABLE_AXES, ManualLimits
 from gyrobench.bench.jog.terminal import CommandError, Display, Interruptions
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.station.safe_state import RAMP_PERIOD_S, SafeAction, finish_ramp
@@ -339,7 +339,7 @@ class ManualControl:
         return min(_DEFAULT_RATE_DPS, *(axis.rate_dps for axis in self.limits.axes.values()))
 
     def _angle_deg(self, axis: str) -> float:
-        return self.bench.table_angles()[AXES.index(axis)]
+        return self.bench.table_angles()[TABLE_AXES.index(axis)]
 
     def _by_number(self, angles_deg: Mapping[str, float]) -> dict[int, float]:
         section = self.bench.station.file.rate_table

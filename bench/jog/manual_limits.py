@@ -11,7 +11,7 @@ from gyrobench.drivers.chamber import Chamber
 from gyrobench.drivers.rate_table import RateTable
 
 #: The axes of the table, in the order of their angles.
-AXES = ("outer", "inner")
+TABLE_AXES = ("outer", "inner")
 #: Time until a stop takes effect, for ticks and exchanges.
 _STOP_DELAY_S = 1.0
 
@@ -89,7 +89,7 @@ def manual_limits(station: Station, table: RateTable, chamber: Chamber) -> Manua
     section, air = station.file.rate_table, station.file.chamber.limits
     limits = section.limits
     ranges = {"outer": section.outer_limits_deg, "inner": section.inner_limits_deg}
-    names = AXES[1:] if section.is_single_axis else AXES
+    names = TABLE_AXES[1:] if section.is_single_axis else TABLE_AXES
     axes = {name: AxisRange(*ranges[name], limits.rate_dps) for name in names}
     acceleration_dps2 = limits.acceleration_dps2
     try:

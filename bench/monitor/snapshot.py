@@ -23,10 +23,10 @@ from gyrobench.bench.navigation.positions import AXES
 Number = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
 Series = tuple[Number, ...]
 #: Values of the x, y and z gyro.
-Triple = tuple[Number, Number, Number]
+NumberTriple = tuple[Number, Number, Number]
 
 
-def mean_known(values: Triple) -> float:
+def mean_known(values: NumberTriple) -> float:
     """Mean of the known values; NaN if there is none."""
     known = [value for value in values if not math.isnan(value)]
     return sum(known) / len(known) if known else math.nan
@@ -87,8 +87,8 @@ class BenchReadings(StrictRecord):
     chamber_set_c: Number
     chamber_c: Number
     #: gyro_c, electronics_c, case_c: Temperatures reported by the INS.
-    gyro_c: Triple
-    electronics_c: Triple
+    gyro_c: NumberTriple
+    electronics_c: NumberTriple
     case_c: Number
     #: outer_deg, inner_deg, outer_rate_dps, inner_rate_dps: Table axes.
     outer_deg: Number
@@ -115,7 +115,7 @@ class Attitude(StrictRecord):
     position: str  #: Commanded position, as in the procedure; empty before the first and after rotations.
     azimuth_deg: Number  #: Commanded turn about Up from the position's azimuth 0.
     #: Direction cosines from the table's angles: row East, North, Up; column body x, y, z.
-    body_in_enu: tuple[Triple, Triple, Triple]
+    body_in_enu: tuple[NumberTriple, NumberTriple, NumberTriple]
 
     def directions(self) -> str:
         """Directions of the body axes: "x East, y South, z Down", or "x East-North" in between."""
@@ -164,8 +164,8 @@ class LiveBias(StrictRecord):
     """Estimate of the current dwell at one moment; triples are x, y, z."""
 
     time_s: float
-    bias_dph: Triple
-    sigma_dph: Triple
+    bias_dph: NumberTriple
+    sigma_dph: NumberTriple
 
 
 @dataclass(frozen=True)
@@ -191,9 +191,9 @@ class SnapshotDwell(StrictRecord):
     number: int
     cycle: int
     position: str
-    gyro_c: Triple
-    bias_dph: Triple
-    sigma_dph: Triple
+    gyro_c: NumberTriple
+    bias_dph: NumberTriple
+    sigma_dph: NumberTriple
     flags: str
 
 
@@ -232,11 +232,11 @@ class UnitStatus(StrictRecord):
 
     number: str  #: serial number
     ins_mode: str  #: as in :class:`BenchReadings`; empty for a unit that is not measured
-    gyro_c: Triple  #: optics temperatures of the gyros
+    gyro_c: NumberTriple  #: optics temperatures of the gyros
     dwells: int  #: completed dwells
     #: bias_dph, sigma_dph, flags: of the newest dwell; NaN and empty before the first.
-    bias_dph: Triple
-    sigma_dph: Triple
+    bias_dph: NumberTriple
+    sigma_dph: NumberTriple
     flags: str
     dropped: str = ""  #: why it is left out of the rest of the run; empty where it is not
     position: str = ""  #: of the newest dwell

@@ -37,13 +37,13 @@ from gyrobench.bench.monitor.snapshot import (
     LiveBin,
     MeasuredProfile,
     Note,
+    NumberTriple,
     PlannedProfile,
     PositionSpan,
     Question,
     RunSnapshot,
     RunState,
     SnapshotDwell,
-    Triple,
     UnitStatus,
     WindowTrace,
 )
@@ -173,7 +173,7 @@ def _alarms_of(bench: LiveBench) -> tuple[Alarm, ...]:
     return (*tripped, *silent)
 
 
-_UNKNOWN: Triple = (math.nan, math.nan, math.nan)
+_UNKNOWN: NumberTriple = (math.nan, math.nan, math.nan)
 
 
 def _unit_status(bench: LiveBench, number: str, outcome: RunOutcome, bins: tuple[LiveBin, ...]) -> UnitStatus:

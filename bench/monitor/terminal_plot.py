@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from rich.text import Text
 
-from gyrobench.bench.monitor.snapshot import Attitude, Triple
+from gyrobench.bench.monitor.snapshot import Attitude, NumberTriple
 
 #: Bit of each dot of a braille character, by row from the top and column.
 _BRAILLE = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
@@ -196,7 +196,7 @@ _TURN_RAD, _RAISE_RAD = math.radians(25.0), math.radians(25.0)
 _ASPECT = 2.0
 
 
-def axes_drawing(attitude: Attitude, width: int, height: int, is_ascii: bool) -> list[Text]:
+def attitude_lines(attitude: Attitude, width: int, height: int, is_ascii: bool) -> list[Text]:
     """Draw the body axes in so many characters."""
     canvas = Canvas(width, height, is_ascii)
     reach = min(0.5, 0.5 * height * _ASPECT / width) * 0.9
@@ -211,7 +211,7 @@ def axes_drawing(attitude: Attitude, width: int, height: int, is_ascii: bool) ->
     return canvas.rows()
 
 
-def _seen(cosines: Triple) -> Point:
+def _seen(cosines: NumberTriple) -> Point:
     """Where a unit vector (East, North, Up) ends on the snapshot."""
     east, north, up = cosines
     right = east * math.cos(_TURN_RAD) + north * math.sin(_TURN_RAD)
@@ -219,7 +219,7 @@ def _seen(cosines: Triple) -> Point:
     return right, up * math.cos(_RAISE_RAD) + ahead * math.sin(_RAISE_RAD)
 
 
-def _depth(cosines: Triple) -> float:
+def _depth(cosines: NumberTriple) -> float:
     east, north, up = cosines
     ahead = north * math.cos(_TURN_RAD) - east * math.sin(_TURN_RAD)
     return ahead * math.cos(_RAISE_RAD) - up * math.sin(_RAISE_RAD)

@@ -13,14 +13,14 @@ from gyrobench.bench.monitor.snapshot import (
     BenchReadings,
     LiveBias,
     LiveBin,
+    NumberTriple,
     RunSnapshot,
     RunState,
-    Triple,
     UnitStatus,
     WindowTrace,
     mean_known,
 )
-from gyrobench.bench.monitor.terminal_plot import PlotCurve, axes_drawing, plot
+from gyrobench.bench.monitor.terminal_plot import PlotCurve, attitude_lines, plot
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
 _STATE_STYLES = {
@@ -242,7 +242,7 @@ def _bins_table(snapshot: RunSnapshot, height: int, plus_minus: str) -> list[Tex
     ]
 
 
-def _filled_tables(snapshot: RunSnapshot) -> list[tuple[str, Triple, list[LiveBin]]]:
+def _filled_tables(snapshot: RunSnapshot) -> list[tuple[str, NumberTriple, list[LiveBin]]]:
     """Name, present temperatures and bins with a dwell, of each unit that is measured and has such bins."""
     gyro_c = snapshot.bench.gyro_c if snapshot.bench else (math.nan,) * 3
     tables = [(unit.number, unit.gyro_c, unit.bins) for unit in snapshot.units if not unit.dropped]
@@ -291,7 +291,7 @@ def _position(snapshot: RunSnapshot, height: int, is_ascii: bool) -> list[Text]:
     if snapshot.bench and height > _WITHOUT_ANGLES:
         angles = f"{snapshot.bench.outer_deg:.2f}, {snapshot.bench.inner_deg:.2f}"
         below.append(Text(f"table {angles}", "dim"))
-    drawing = axes_drawing(attitude, _AXES_WIDTH, height - 1 - len(below), is_ascii)
+    drawing = attitude_lines(attitude, _AXES_WIDTH, height - 1 - len(below), is_ascii)
     return [title, *drawing, *below]
 
 

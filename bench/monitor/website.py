@@ -53,7 +53,7 @@ from gyrobench.bench.monitor.snapshot import Attitude, RunSnapshot
 from gyrobench.bench.navigation.positions import POSITIONS, position_label
 from gyrobench.bench.report.number_format import true_minus
 from gyrobench.bench.report.page import page_templates
-from gyrobench.bench.runs.folder import UNITS, RunFolder
+from gyrobench.bench.runs.folder import UNITS_FOLDER, RunFolder
 
 
 def run_fragment(
@@ -83,7 +83,7 @@ def run_fragment(
         records=records,
         home=home,
         home_label="All units" if is_of_unit else "All runs",
-        units_at="../" if is_of_unit else f"{UNITS}/",
+        units_at="../" if is_of_unit else f"{UNITS_FOLDER}/",
         top=headline(snapshot, verdict),
         step_label=_step_label(snapshot),
         profile=profile_chart(snapshot),
@@ -207,7 +207,7 @@ class Website:
         if rest in records_of(run):
             return _record(run / rest)
         match rest.split("/", maxsplit=2):
-            case [str(folder), number, within] if folder == UNITS:
+            case [str(folder), number, within] if folder == UNITS_FOLDER:
                 return self._of_unit(run, number, within)
         return _not_found()
 

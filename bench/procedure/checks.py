@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
-from gyrobench.bench.foundations.documents import Document, DocumentProblem, Location
+from gyrobench.bench.foundations.documents import Document, DocumentProblem, KeyPath
 from gyrobench.bench.navigation.positions import POSITIONS, half_turn_pairs
 from gyrobench.bench.navigation.table_axes import TurnOrMove, turn_text
 from gyrobench.bench.procedure.plan import (
@@ -51,7 +51,7 @@ class StationLimits:
     gyro_high_c: float = math.inf
 
 
-def check(document: Document, plan: Plan, limits: StationLimits | None = None) -> None:
+def check_plan(document: Document, plan: Plan, limits: StationLimits | None = None) -> None:
     """Refuse a plan that can't be run: a DocumentError lists all problems with their places in the file.
 
     Without the limits of a station only the order of the steps and their times are checked.
@@ -62,7 +62,7 @@ def check(document: Document, plan: Plan, limits: StationLimits | None = None) -
 
 
 def find_problems(plan: Plan, limits: StationLimits | None = None) -> list[DocumentProblem]:
-    """All problems of a plan; see :func:`check`."""
+    """All problems of a plan; see :func:`check_plan`."""
     if limits is not None:  # a long plan asks for the same few attitudes again and again
         limits = replace(limits, reachable=cache(limits.reachable))
     problems = [*_find_dwell_problems(plan)]
@@ -380,11 +380,11 @@ def _find_reach_problems(
             return
 
 
-def _turn_place(planned: PlannedStep) -> Location:
+def _turn_place(planned: PlannedStep) -> KeyPath:
     return planned.place_of("angle_deg") if isinstance(planned.step, Turn) else planned.location
 
 
-def _place(planned: PlannedStep, step: GoTo, limits: StationLimits) -> Location:
+def _place(planned: PlannedStep, step: GoTo, limits: StationLimits) -> KeyPath:
     another_would_do = "azimuth_deg" in step.model_fields_set and _azimuths_deg(step.position, limits)
     return planned.place_of("azimuth_deg" if another_would_do else "position")
 

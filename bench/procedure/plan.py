@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from types import MappingProxyType
 
-from gyrobench.bench.foundations.documents import Document, Location
+from gyrobench.bench.foundations.documents import Document, KeyPath
 from gyrobench.bench.navigation.table_axes import TurnOrMove
 from gyrobench.bench.procedure.estimate import BenchEstimate
 from gyrobench.bench.procedure.procedure_file import Procedure, ResolvedStep, resolve
@@ -57,7 +57,7 @@ class PlannedStep:
     """A step with its place in time."""
 
     number: int  #: From 1, in the order of the plan.
-    location: Location  #: Place of the step's keys in the procedure file.
+    location: KeyPath  #: Place of the step's keys in the procedure file.
     step: Step
     cycle: int  #: Pass of the temperature profile: the loop variable ``cycle``, or 1.
     plateau: str  #: "cycle 1, 60 degC".
@@ -74,7 +74,7 @@ class PlannedStep:
     window: int | None = None
     purpose: DwellPurpose = DwellPurpose.CALIBRATION  #: Of its dwell.
     #: Places of the values that came from loop variables, by their keys.
-    value_places: Mapping[Location, Location] = field(default_factory=dict, repr=False)
+    value_places: Mapping[KeyPath, KeyPath] = field(default_factory=dict, repr=False)
 
     @property
     def end_s(self) -> float:
@@ -97,7 +97,7 @@ class PlannedStep:
         """Whether the step belongs to one position rather than to the temperature as a whole."""
         return self.step.at_position or self.dwell is not None
 
-    def place_of(self, *keys: str) -> Location:
+    def place_of(self, *keys: str) -> KeyPath:
         """Place of the value at some keys: in the step, or in the list of its loop."""
         return self.value_places.get(keys, (*self.location, *keys))
 

@@ -24,7 +24,7 @@ from gyrobench.bench.characteristics.tests import CharacteristicTests
 from gyrobench.bench.foundations.documents import (
     Document,
     DocumentProblem,
-    Location,
+    KeyPath,
     StrictModel,
     problems_of,
     read_document,
@@ -79,7 +79,7 @@ class StepTemplate:
     kind: type[Step]
     values: Mapping[str, Any]
 
-    def variables(self) -> dict[Location, str]:
+    def variables(self) -> dict[KeyPath, str]:
         """Names of the variables by their keys, such as ``("until", "bias_sigma_below_dph")``."""
         return dict(_variables_below(self.values, ()))
 
@@ -101,7 +101,7 @@ class Repeat(StrictModel):
         Annotated[str, Field(pattern="^[a-z][a-z0-9_]*$")],
         Annotated[list[Annotated[Value, PlainValidator(_checked_value)]], Field(min_length=1)],
     ] = Field(min_length=1, description="values of each loop variable")
-    steps: list[Entry] = Field(min_length=1, description="what to do with them")
+    steps: list[_Entry] = Field(min_length=1, description="what to do with them")
 
 
 class Procedure(StrictModel):
@@ -141,7 +141,7 @@ class Procedure(StrictModel):
     max_repeats_total: int = Field(
         default=12, ge=0, le=10_000, description="how many dwells are repeated in the whole run"
     )
-    steps: list[Entry] = Field(min_length=1, description="what to do, in order")
+    steps: list[_Entry] = Field(min_length=1, description="what to do, in order")
 
 
 def _checked_entry(entry: Any) -> StepTemplate | Repeat:
@@ -196,7 +196,7 @@ def _error_below(key: str, details: Sequence[ErrorDetails]) -> ValidationError:
     return ValidationError.from_exception_data(key, lines)
 
 
-Entry = Annotated[StepTemplate | Repeat, PlainValidator(_checked_entry)]
+_Entry = Annotated[StepTemplate | Repeat, PlainValidator(_checked_entry)]
 Repeat.model_rebuild()
 Procedure.model_rebuild()
 
@@ -222,13 +222,13 @@ def variable_in(value: Any) -> str | None:
     return match[1] if match else None
 
 
-def _entry_location(entry: StepTemplate | Repeat, at: Location) -> Location:
+def _entry_location(entry: StepTemplate | Repeat, at: KeyPath) -> KeyPath:
     """Place of the keys of the entry at ``at``."""
     return (*at, "repeat" if isinstance(entry, Repeat) else entry.kind.name)
 
 
 def _scope_problems(
-    entries: Sequence[StepTemplate | Repeat], at: Location, scope: tuple[str, ...]
+    entries: Sequence[StepTemplate | Repeat], at: KeyPath, scope: tuple[str, ...]
 ) -> Iterator[DocumentProblem]:
     for index, entry in enumerate(entries):
         here = _entry_location(entry, (*at, index))
@@ -244,7 +244,7 @@ def _scope_problems(
                 )
 
 
-def _loop_problems(loop: Repeat, at: Location, scope: tuple[str, ...]) -> Iterator[DocumentProblem]:
+def _loop_problems(loop: Repeat, at: KeyPath, scope: tuple[str, ...]) -> Iterator[DocumentProblem]:
     used = _variables_in(loop.steps)
     for name, values in loop.over.items():
         if name in scope:
@@ -272,7 +272,7 @@ def _loop_problems(loop: Repeat, at: Location, scope: tuple[str, ...]) -> Iterat
                 )
 
 
-def _variables_below(values: Mapping[str, Any], at: Location) -> Iterator[tuple[Location, str]]:
+def _variables_below(values: Mapping[str, Any], at: KeyPath) -> Iterator[tuple[KeyPath, str]]:
     for key, value in values.items():
         name = variable_in(value)
         if name is not None:
@@ -296,18 +296,18 @@ class _Bound:
     """The value of a loop variable and its place."""
 
     value: Value
-    place: Location
+    place: KeyPath
 
 
 @dataclass(frozen=True, slots=True)
 class ResolvedStep:
     """A step with values in place of variables."""
 
-    location: Location  #: Place of the step's keys in the procedure file.
+    location: KeyPath  #: Place of the step's keys in the procedure file.
     step: Step
     cycle: int | None  #: Loop variable ``cycle``, if there is one.
     #: Places of the values that came from loop variables, by their keys.
-    value_places: Mapping[Location, Location]
+    value_places: Mapping[KeyPath, KeyPath]
 
 
 def resolve(document: Document, procedure: Procedure) -> list[ResolvedStep]:
@@ -340,7 +340,7 @@ def _count(entries: Sequence[StepTemplate | Repeat]) -> int:
 
 def _resolve(
     entries: Sequence[StepTemplate | Repeat],
-    at: Location,
+    at: KeyPath,
     scope: Mapping[str, _Bound],
     known: dict[tuple[type[Step], str], Step],
     problems: list[DocumentProblem],
@@ -358,7 +358,7 @@ def _resolve(
             problems += _traced(error, entry, here, scope)
 
 
-def _combinations(loop: Repeat, at: Location) -> Iterator[dict[str, _Bound]]:
+def _combinations(loop: Repeat, at: KeyPath) -> Iterator[dict[str, _Bound]]:
     bound = [
         [_Bound(value, (*at, name, index)) for index, value in enumerate(values)]
         for name, values in loop.over.items()
@@ -368,7 +368,7 @@ def _combinations(loop: Repeat, at: Location) -> Iterator[dict[str, _Bound]]:
 
 
 def _step(
-    entry: StepTemplate, at: Location, scope: Mapping[str, _Bound], known: dict[tuple[type[Step], str], Step]
+    entry: StepTemplate, at: KeyPath, scope: Mapping[str, _Bound], known: dict[tuple[type[Step], str], Step]
 ) -> ResolvedStep:
     values = _filled(entry.values, scope)
     key = entry.kind, repr(values)
@@ -387,7 +387,7 @@ def _filled(value: Any, scope: Mapping[str, _Bound]) -> Any:
 
 
 def _traced(
-    error: ValidationError, entry: StepTemplate, at: Location, scope: Mapping[str, _Bound]
+    error: ValidationError, entry: StepTemplate, at: KeyPath, scope: Mapping[str, _Bound]
 ) -> Iterator[DocumentProblem]:
     """Place problems of a value that came from a loop at that value."""
     variables = entry.variables()

@@ -35,7 +35,7 @@ from gyrobench.drivers.recording.recording_file import (
     Call,
     RecordingFile,
     RecordingHeader,
-    joined,
+    join_transfers,
     read_recording,
     recording_lines,
     recording_text,
@@ -301,7 +301,7 @@ def _write_recording(path: Path, part: Path, calls: list[Call]) -> None:
     identity = calls[0].gives or "" if calls else ""
     header = recorded.header.model_copy(update={"calls": calls, "identity": identity.strip("'")})
     make_folder(path.parent)
-    write_whole(path, recording_text(header, joined(recorded.transfers)).encode())
+    write_whole(path, recording_text(header, join_transfers(recorded.transfers)).encode())
 
 
 def _log_frames(ins: CanIns, path: Path, clock: Clock, duration_s: float) -> str:

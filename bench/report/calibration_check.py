@@ -9,7 +9,7 @@ from gyrobench.bench.foundations.text import counted
 from gyrobench.bench.navigation.positions import gyro_label, position_label
 from gyrobench.bench.report.number_format import BiasScale, dph_with_sigma
 from gyrobench.bench.report.page import Section, SectionTable
-from gyrobench.bench.report.statements import SIGNIFICANCE
+from gyrobench.bench.report.statements import POSITION_SIGNIFICANCE
 from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow
 
 _METHODS = (
@@ -135,10 +135,10 @@ def _agreement(compared: Sequence[CalibrationCheckRow]) -> str:
     if different:
         verb = "differs" if different == 1 else "differ"
         which = f"{different} of {count} biases {verb}" if count > 1 else "The bias differs"
-        found = f"{which} from the calibration (p < {SIGNIFICANCE:g}, {corrected})."
+        found = f"{which} from the calibration (p < {POSITION_SIGNIFICANCE:g}, {corrected})."
     else:
         which = f"All {count} biases agree" if count > 1 else "The bias agrees"
-        found = f"{which} with the calibration (no p < {SIGNIFICANCE:g}, {corrected})."
+        found = f"{which} with the calibration (no p < {POSITION_SIGNIFICANCE:g}, {corrected})."
     worst = max(compared, key=lambda row: abs(row.difference_dph))
     return (
         f"{found} The largest difference, measured minus calibrated, is "
@@ -151,7 +151,7 @@ def _agreement(compared: Sequence[CalibrationCheckRow]) -> str:
 def _differing(rows: Sequence[CalibrationCheckRow]) -> list[CalibrationCheckRow]:
     """Rows with a significant difference, corrected for the number of comparisons (Bonferroni)."""
     compared = [row for row in rows if row.is_compared]
-    return [row for row in compared if row.p_value < SIGNIFICANCE / len(compared)]
+    return [row for row in compared if row.p_value < POSITION_SIGNIFICANCE / len(compared)]
 
 
 def _sigmas(row: CalibrationCheckRow) -> float:

@@ -25,7 +25,7 @@ from gyrobench.bench.report.figures.estimators import (
 )
 from gyrobench.bench.report.number_format import NO_PAPER, BiasScale, p_in_brackets, p_text
 from gyrobench.bench.report.page import Section, SectionFigure, SectionTable
-from gyrobench.bench.report.statements import SIGNIFICANCE, fit_sentence
+from gyrobench.bench.report.statements import POSITION_SIGNIFICANCE, fit_sentence
 from gyrobench.bench.runs.tables.joint_table import JointPlateauRow, JointSigmas
 
 _STATE_SPACE = (
@@ -58,7 +58,7 @@ _FIT_SIZES = "Residuals of each dwell relative to the expected size; 1 if model 
 _FIT_P_VALUES = (
     f"Left: {_FIT_SIZES[0].lower()}{_FIT_SIZES[1:]} Right: cumulative distribution of the p-values, "
     "with its expectation if model and noise are correct, and the band that it leaves with a probability of "
-    f"{100 * SIGNIFICANCE:.0f} %."
+    f"{100 * POSITION_SIGNIFICANCE:.0f} %."
 )
 
 

@@ -58,7 +58,7 @@ from gyrobench.bench.report.figures.bias import (
     position_difference_figure,
     position_pair_figure,
 )
-from gyrobench.bench.report.figures.temperatures import DRAWN, Readings, temperature_figure
+from gyrobench.bench.report.figures.temperatures import DRAWN, TelemetryValues, temperature_figure
 from gyrobench.bench.report.journal_sections import Entry, durations_section, events_section
 from gyrobench.bench.report.page import Box, Section, SectionFigure, render_page, with_figure_files
 from gyrobench.bench.report.statements import VERDICT_COLOURS, run_findings, signs_sentence
@@ -439,7 +439,7 @@ def figures_of(content: RunContent) -> Iterator[tuple[str, Callable[[], Figure]]
 
 
 def run_figures(
-    readings: Callable[[], Readings] | None,
+    readings: Callable[[], TelemetryValues] | None,
     dwells: Sequence[DwellRow],
     bins: Sequence[BiasBin],
     acceptance: Acceptance | None = None,

@@ -40,7 +40,7 @@ _SETTLED_C_PER_H, _MIN_SETTLED, _MIN_RANGE_K, _FOLLOWING = 12.0, 4, 20.0, (0.7, 
 _CONTRADICTION_P, _CLEAR_SIGMAS = 1e-3, 4.0
 
 #: Significance level of the differences between positions, per gyro.
-SIGNIFICANCE = 0.01
+POSITION_SIGNIFICANCE = 0.01
 
 _AS_EXPECTED = "Error model and noise explain the data."
 _TOO_SMALL = (
@@ -53,7 +53,7 @@ def differing(comparisons: Iterable[PositionComparison]) -> list[PositionCompari
     """Comparisons with a significant difference, corrected for the bins of the gyro (Bonferroni)."""
     comparisons = list(comparisons)
     gyros = [each.gyro for each in comparisons]
-    return [each for each in comparisons if each.p_value < SIGNIFICANCE / gyros.count(each.gyro)]
+    return [each for each in comparisons if each.p_value < POSITION_SIGNIFICANCE / gyros.count(each.gyro)]
 
 
 def equality_sentence(comparisons: Sequence[PositionComparison]) -> str:
@@ -66,7 +66,7 @@ def equality_sentence(comparisons: Sequence[PositionComparison]) -> str:
     if not different:
         where = temperature_ranges(comparisons)
         return (
-            f"No significant difference between positions from {where} (no p < {SIGNIFICANCE:g}, "
+            f"No significant difference between positions from {where} (no p < {POSITION_SIGNIFICANCE:g}, "
             f"{corrected})."
         )
     worst = max(different, key=lambda each: each.largest_difference_dph)
@@ -74,15 +74,15 @@ def equality_sentence(comparisons: Sequence[PositionComparison]) -> str:
     difference = dph_with_sigma(worst.largest_difference_dph, worst.largest_difference_sigma_dph)
     return (
         f"The bias differs between positions in {len(different)} of {count} bins: from "
-        f"{temperature_ranges(different)} (p < {SIGNIFICANCE:g}, {corrected}). Largest difference from "
-        f"{temperature_ranges([worst])}: {high} above {low} by {difference}."
+        f"{temperature_ranges(different)} (p < {POSITION_SIGNIFICANCE:g}, {corrected}). Largest difference "
+        f"from {temperature_ranges([worst])}: {high} above {low} by {difference}."
     )
 
 
 def scatter_sentence(bins: Iterable[BiasBin]) -> str:
     """Where dwells of one position scatter more than their uncertainties explain; empty if nowhere."""
     tested = [each for each in bins if each.count > 1]
-    wide = [each for each in tested if each.spread_p_value < SIGNIFICANCE / len(tested)]
+    wide = [each for each in tested if each.spread_p_value < POSITION_SIGNIFICANCE / len(tested)]
     if not wide:
         return ""
     places = ", ".join(f"{position_label(each.position)} {temperature_ranges([each])}" for each in wide)
@@ -274,7 +274,7 @@ def fit_sentence(rows: Iterable[DwellRow]) -> str:
         return ""
     p_values = [row.fit_p_value for row in tested]
     chance = uniformity_p_value(p_values)
-    if chance < SIGNIFICANCE:
+    if chance < POSITION_SIGNIFICANCE:
         size, verdict = ("too small", _TOO_SMALL) if median(p_values) < 0.5 else ("too large", _TOO_LARGE)
     else:
         size, verdict = "as expected", f"{_AS_EXPECTED}{_outlier_sentence(tested)}"
@@ -290,7 +290,7 @@ def fit_sentence(rows: Iterable[DwellRow]) -> str:
 
 
 def _outlier_sentence(rows: Sequence[DwellRow]) -> str:
-    outliers = [row for row in rows if row.fit_p_value < SIGNIFICANCE / len(rows)]
+    outliers = [row for row in rows if row.fit_p_value < POSITION_SIGNIFICANCE / len(rows)]
     if not outliers:
         return ""
     which = f"dwell{'s' if len(outliers) > 1 else ''} {listed([str(row.dwell) for row in outliers])}"

@@ -38,7 +38,7 @@ RUNS = Path("runs")
 LOCK = ".lock"
 #: Names of files and folders, which are all that is known of a run in an object store.
 PROCEDURE, PROVENANCE, JOURNAL = "procedure.yaml", "provenance.json", "journal.jsonl"
-UNITS = "units"
+UNITS_FOLDER = "units"
 DWELLS, BIAS_BINS = "dwells.csv", "bias_bins.csv"
 ACCEPTANCE, COMPENSATION, CLOSURE = "acceptance.json", "compensation.yaml", "closure"
 #: Files that a run writes before its journal.
@@ -88,7 +88,7 @@ class RunFolder:
     verify = PathInside("verify")  #: Folder of the verification of a compensation.
     figures = PathInside("figures")  #: Folder of the figures.
     report = PathInside("report.html")  #: The report.
-    units = PathInside(UNITS)  #: Folder of the run folders of its units, where it has several.
+    units = PathInside(UNITS_FOLDER)  #: Folder of the run folders of its units, where it has several.
 
     @property
     def tables(self) -> list[Path]:
@@ -117,7 +117,7 @@ class RunFolder:
         """Name of this folder; in the folder of one of several units, name of their run's folder."""
         path = self.path.resolve()
         run = path.parents[1] if len(path.parents) > 1 else path
-        return run.name if path.parent.name == UNITS and (run / JOURNAL).exists() else path.name
+        return run.name if path.parent.name == UNITS_FOLDER and (run / JOURNAL).exists() else path.name
 
     @property
     def unit_folders(self) -> list[RunFolder]:
@@ -176,7 +176,7 @@ def open_run_folder(path: Path, may_have_units: bool = False) -> RunFolder:
         "export",
         "seals",
         "certificate",
-        UNITS,
+        UNITS_FOLDER,
     ):
         inner = path / name
         if not inner.resolve().is_relative_to(path.resolve()):

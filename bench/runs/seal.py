@@ -43,7 +43,7 @@ from gyrobench.bench.foundations.operator_name import login_name, operator_name
 from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.foundations.text import counted, listed
 from gyrobench.bench.runs.fingerprint import find_change, fingerprint_of
-from gyrobench.bench.runs.folder import JOURNAL, UNITS, RunFolder
+from gyrobench.bench.runs.folder import JOURNAL, UNITS_FOLDER, RunFolder
 from gyrobench.bench.runs.journal import broken_links, facts_of, is_linked, journal_lines, read_journal
 
 if TYPE_CHECKING:
@@ -304,7 +304,7 @@ def verify_seals(folder: Path, trusted_key: Path | None = None) -> SealCheck:
     for unit in RunFolder(folder).unit_folders:
         if not (unit.path / _SEALS).exists():
             continue  # its files are among those of this folder
-        check, within = verify_seals(unit.path, trusted_key), f"{UNITS}/{unit.path.name}/"
+        check, within = verify_seals(unit.path, trusted_key), f"{UNITS_FOLDER}/{unit.path.name}/"
         files |= {f"{within}{path}": sealed for path, sealed in check.files.items()}
         findings += [replace(each, path=f"{within}{each.path}") for each in check.findings]
         chained = {f"{within}{seal.where}" for seal in check.seals}
@@ -363,7 +363,7 @@ def _paths(root: Path, below: str = "") -> Iterator[str]:
             yield path
         elif is_evidence or not (each / _SEALS).exists():
             yield from _paths(root, f"{path}/")
-        elif below == f"{UNITS}/":
+        elif below == f"{UNITS_FOLDER}/":
             yield from (f"{path}/{_SEALS}/{seal.name}" for seal in sorted((each / _SEALS).glob("*.jsonl")))
         # Other runs in the folder have their own seals.
 

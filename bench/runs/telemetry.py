@@ -21,7 +21,7 @@ from gyrobench.bench.foundations.files import make_folder, read_limited, write_w
 from gyrobench.bench.runs.folder import find_parts, part_path
 
 #: Columns, in order; all are 64-bit floats, NaN where a value is not known.
-COLUMNS = (
+TELEMETRY_COLUMNS = (
     "time_s",
     "chamber_set_c",
     "chamber_c",
@@ -61,17 +61,17 @@ class Telemetry:
         parts = find_parts(folder, _SUFFIX)
         self._number = 1 + max(parts, default=0)
         #: The present part, column by column, and how many of its rows are filled, and written.
-        self._values = np.empty((len(COLUMNS), _ROWS_PER_PART + 1))
+        self._values = np.empty((len(TELEMETRY_COLUMNS), _ROWS_PER_PART + 1))
         self._rows = self._written_rows = 0
         self._gap = bool(parts)
 
     def add(self, row: tuple[float, ...]) -> None:
-        """Add one row with the values of :data:`COLUMNS`."""
+        """Add one row with the values of :data:`TELEMETRY_COLUMNS`."""
         if self._rows >= _ROWS_PER_PART:
             self.flush()  # the last try failed
         if self._gap:
             self._gap = False
-            self._append((row[0], *[math.nan] * (len(COLUMNS) - 1)))
+            self._append((row[0], *[math.nan] * (len(TELEMETRY_COLUMNS) - 1)))
         self._append(row)
         unwritten_s = row[0] - self._values[0, self._written_rows]
         if unwritten_s >= _MAX_UNWRITTEN_S or self._rows >= _ROWS_PER_PART:
@@ -91,7 +91,7 @@ class Telemetry:
             for each in self._values
         ]
         buffer = io.BytesIO()
-        table = pa.Table.from_arrays(columns, COLUMNS)
+        table = pa.Table.from_arrays(columns, TELEMETRY_COLUMNS)
         pq.write_table(table, buffer, use_dictionary=False, write_statistics=False)
         write_whole(part_path(self._folder, self._number, _SUFFIX), buffer.getvalue())
         self._written_rows = self._rows
@@ -107,7 +107,9 @@ def read_telemetry(folder: Path) -> dict[str, FloatArray]:
     """
     parts = [_read_part(path) for path in find_parts(folder, _SUFFIX).values()]
     # Columns leave the parts one by one, or the readings were in the memory twice.
-    return {name: np.concatenate([np.empty(0), *(part.pop(name) for part in parts)]) for name in COLUMNS}
+    return {
+        name: np.concatenate([np.empty(0), *(part.pop(name) for part in parts)]) for name in TELEMETRY_COLUMNS
+    }
 
 
 def damaged_telemetry(folder: Path) -> dict[Path, str]:
@@ -145,8 +147,8 @@ def _read_part(path: Path) -> dict[str, FloatArray]:
         # Damaged bytes could request gigabytes.
         if part.metadata.num_rows > _MAX_PART_ROWS:
             raise RunFolderError(f"{path}: {part.metadata.num_rows} rows; a part has up to {_ROWS_PER_PART}")
-        table = part.read(columns=list(COLUMNS), use_threads=False)  # their start takes longer
-        return {name: _floats(table.column(name)) for name in COLUMNS}
+        table = part.read(columns=list(TELEMETRY_COLUMNS), use_threads=False)  # their start takes longer
+        return {name: _floats(table.column(name)) for name in TELEMETRY_COLUMNS}
     except (OSError, KeyError, ValueError, pa.ArrowException) as error:
         if isinstance(error, RunFolderError):
             raise

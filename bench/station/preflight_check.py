@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 
-class Verdict(StrEnum):
+class CheckVerdict(StrEnum):
     """Result; skipped where the check was not possible."""
 
     PASS = "pass"  # noqa: S105 - no password
@@ -21,7 +21,7 @@ class Check:
     #: subject, what: Instrument or part of the bench, and what was checked, in a few words.
     subject: str
     what: str
-    verdict: Verdict
+    verdict: CheckVerdict
     #: found, advice: What was found, or why the check was not possible; what to do, empty if nothing.
     found: str
     advice: str = ""
@@ -30,10 +30,10 @@ class Check:
     def of(cls, subject: str, what: str, is_good: bool, found: str, advice: str) -> Check:
         """A check that passes or fails; only a failed one keeps the advice."""
         if is_good:
-            return cls(subject, what, Verdict.PASS, found)
-        return cls(subject, what, Verdict.FAIL, found, advice)
+            return cls(subject, what, CheckVerdict.PASS, found)
+        return cls(subject, what, CheckVerdict.FAIL, found, advice)
 
     @classmethod
     def skipped(cls, subject: str, what: str, why: str, advice: str = "") -> Check:
         """A check that was not possible."""
-        return cls(subject, what, Verdict.SKIPPED, why, advice)
+        return cls(subject, what, CheckVerdict.SKIPPED, why, advice)

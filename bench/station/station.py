@@ -21,7 +21,7 @@ from gyrobench.bench.navigation.earth import gravity_uncertainty
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import POSITIONS, PositionName
 from gyrobench.bench.navigation.table_axes import Angles, SingleAxisTable, TurnOrMove, TwoAxisTable
-from gyrobench.bench.procedure.checks import StationLimits, check
+from gyrobench.bench.procedure.checks import StationLimits, check_plan
 from gyrobench.bench.procedure.estimate import BenchEstimate, ThermalEstimate
 from gyrobench.bench.procedure.plan import Plan, expand
 from gyrobench.bench.procedure.procedure_file import Procedure, checked_procedure
@@ -198,7 +198,7 @@ class Station:
         is_moved = self.file.rate_table.reference_mounting is not None
         adapt = self._in_unit_position if is_moved else None
         plan = expand(document, procedure, bench or self.bench_at_rest(), adapt)
-        check(document, plan, self.limits())
+        check_plan(document, plan, self.limits())
         return plan
 
     def plan_document(self, document: Document) -> Plan:

@@ -20,7 +20,7 @@ from gyrobench.bench.verification.paired_plateaus import PlateauPlace, pair_plac
 from gyrobench.drivers.ins.command_map import CORRECTION_DEGREE, Correction
 
 _NAMES = tuple(f"{each.name}_{each.axis}" for each in COEFFICIENTS)
-COLUMNS = ("compensation", "coefficient", "unit", "plateaus", "rms", "noise")
+_COLUMNS = ("compensation", "coefficient", "unit", "plateaus", "rms", "noise")
 MISSION_COLUMNS = (
     "compensation", "plateau", "gyro_c", "hours", "position_nmi", "position_median_nmi", "position_95_nmi",
 )  # fmt: skip
@@ -207,7 +207,7 @@ def write_coefficient_tables(folder: Path, results: Sequence[CoefficientResult])
         )
     ]
     for name, columns, lines in (
-        ("coefficient_comparison.csv", COLUMNS, rows),
+        ("coefficient_comparison.csv", _COLUMNS, rows),
         ("mission.csv", MISSION_COLUMNS, missions),
     ):
         write_text(

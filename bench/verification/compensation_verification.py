@@ -234,19 +234,21 @@ def is_worse(after: VerificationRow, before: VerificationRow) -> bool:
 
 
 #: Columns of the table; the number of the plateau is in ``stop``.
-COLUMNS = tuple("stop" if each.name == "plateau" else each.name for each in fields(VerificationRow))
+VERIFICATION_COLUMNS = tuple(
+    "stop" if each.name == "plateau" else each.name for each in fields(VerificationRow)
+)
 
 
 def table_records(results: Iterable[CompensationResult]) -> list[dict[str, str | float | None]]:
     """Rows of the table by column: the plateaus of each compensation, then all of them together."""
     rows = [row for each in results for row in (*each.rows, each.total)]
-    return [dict(zip(COLUMNS, astuple(row), strict=True)) for row in rows]
+    return [dict(zip(VERIFICATION_COLUMNS, astuple(row), strict=True)) for row in rows]
 
 
 def write_verification_table(path: Path, results: Iterable[CompensationResult]) -> None:
     """Write the table. Raises RunFolderError if the file can't be written."""
     rows = [map(format_cell, record.values()) for record in table_records(results)]
-    write_text(path, format_csv(COLUMNS, map(list, rows)))
+    write_text(path, format_csv(VERIFICATION_COLUMNS, map(list, rows)))
 
 
 def _varying(rows: Sequence[DwellRow], bias_dph: FloatArray, counts: BoolArray) -> FloatArray:

@@ -55,7 +55,7 @@ def refuse_if(condition: bool, code: ErrorCode = ErrorCode.PARAMETER_OUT_OF_RANG
         raise AclError(code)
 
 
-class Mode(IntEnum):
+class ServoMode(IntEnum):
     """What the servo follows."""
 
     OFF = 0
@@ -66,8 +66,8 @@ class Mode(IntEnum):
     TRACK = 5
 
 
-_RATE_MODES = (Mode.RATE, Mode.ARATE)
-_MODES_NOT_EMULATED = (Mode.SYNTHESIS, Mode.TRACK)
+_RATE_MODES = (ServoMode.RATE, ServoMode.ARATE)
+_MODES_NOT_EMULATED = (ServoMode.SYNTHESIS, ServoMode.TRACK)
 
 
 class SoftwareFault(IntEnum):
@@ -102,7 +102,7 @@ class AclAxis:
 
     Attributes
     ----------
-    limits, trip_rates_dps : dict by Mode
+    limits, trip_rates_dps : dict by ServoMode
         Limits, and the rate at which the axis trips, of each mode.
     """
 
@@ -115,10 +115,10 @@ class AclAxis:
         self._set_defaults()
 
     def _set_defaults(self) -> None:
-        self.limits = dict.fromkeys(Mode, self.absolute_limits)
-        self.trip_rates_dps = dict.fromkeys(Mode, _RATE_TRIP_FACTOR * self.absolute_limits.rate_dps)
+        self.limits = dict.fromkeys(ServoMode, self.absolute_limits)
+        self.trip_rates_dps = dict.fromkeys(ServoMode, _RATE_TRIP_FACTOR * self.absolute_limits.rate_dps)
         self.tracking_error_limit_deg = _TRACKING_ERROR_LIMIT_DEG
-        self.mode = Mode.OFF
+        self.mode = ServoMode.OFF
         self.closed = False
         self.software_faults = 0
         self.latched_interlocks = self.open_interlocks
@@ -155,16 +155,16 @@ class AclAxis:
         refuse_if(self.faulted, ErrorCode.CANNOT_SERVO)
         if not self.closed:
             self.closed = True
-            self.mode = Mode.OFF
+            self.mode = ServoMode.OFF
             self.demands = Demands(self.physics.rest_position_deg)
 
     def open(self) -> None:
         """Open the servo; the brake stops the axis."""
         if self.closed:
-            self._apply_limits(Mode.OFF)
+            self._apply_limits(ServoMode.OFF)
             self.physics.release(self._now_s)
         self.closed = False
-        self.mode = Mode.OFF
+        self.mode = ServoMode.OFF
 
     def reset(self) -> None:
         """Clear latched faults, unless the axis is servoed or the condition persists."""
@@ -192,16 +192,16 @@ class AclAxis:
         self.open()
         self._set_defaults()
 
-    def set_mode(self, mode: Mode) -> None:
+    def set_mode(self, mode: ServoMode) -> None:
         """Change the mode and execute the demand that waits for it; without one, stop."""
         refuse_if(mode in _MODES_NOT_EMULATED, ErrorCode.NOT_AVAILABLE)
         if not self.closed:
-            refuse_if(mode is not Mode.OFF, ErrorCode.NOT_SERVOED)
+            refuse_if(mode is not ServoMode.OFF, ErrorCode.NOT_SERVOED)
             return
-        if mode is self.mode and mode is not Mode.OFF:
+        if mode is self.mode and mode is not ServoMode.OFF:
             return
         self.mode = mode
-        if mode is Mode.POSITION and self.demands.position_waits:
+        if mode is ServoMode.POSITION and self.demands.position_waits:
             self._move()
         elif mode in _RATE_MODES and self.demands.rate_waits:
             self._turn()
@@ -212,15 +212,15 @@ class AclAxis:
         """Move to zero in position mode."""
         refuse_if(not self.closed, ErrorCode.NOT_SERVOED)
         self.demand_position(0.0)
-        self.set_mode(Mode.POSITION)
+        self.set_mode(ServoMode.POSITION)
 
     def demand_position(self, position_deg: float) -> None:
         """Move there in position mode; in another mode, store the demand."""
-        limits = self.limits[Mode.POSITION]
+        limits = self.limits[ServoMode.POSITION]
         refuse_if(not limits.low_deg <= position_deg <= limits.high_deg)
         self.demands.position_deg = position_deg
         self.demands.position_waits = True
-        if self.closed and self.mode is Mode.POSITION:
+        if self.closed and self.mode is ServoMode.POSITION:
             self._move()
 
     def demand_delta(self, delta_deg: float) -> None:
@@ -245,7 +245,7 @@ class AclAxis:
 
     def _move(self) -> None:
         self.demands.position_waits = False
-        self._apply_limits(Mode.POSITION)
+        self._apply_limits(ServoMode.POSITION)
         self.physics.move_to(self.demands.position_deg, self._now_s)
 
     def _turn(self) -> None:
@@ -259,10 +259,10 @@ class AclAxis:
         self.physics.stop(self._now_s)
         self.demands.position_deg = self.physics.rest_position_deg
 
-    def _apply_limits(self, mode: Mode) -> None:
+    def _apply_limits(self, mode: ServoMode) -> None:
         self.physics.limits = self.limits[mode]
 
-    def set_limits(self, mode: Mode, **bounds: float) -> None:
+    def set_limits(self, mode: ServoMode, **bounds: float) -> None:
         """Change limits of one mode, within the absolute ones; ``bounds`` are fields of AxisLimits."""
         limits, absolute = replace(self.limits[mode], **bounds), self.absolute_limits
         allowed = (
@@ -274,7 +274,7 @@ class AclAxis:
         refuse_if(not allowed)
         self.limits[mode] = limits
 
-    def set_trip_rate(self, mode: Mode, rate_dps: float) -> None:
+    def set_trip_rate(self, mode: ServoMode, rate_dps: float) -> None:
         """Change the rate at which the axis trips in one mode."""
         refuse_if(rate_dps <= 0.0)
         self.trip_rates_dps[mode] = rate_dps
@@ -295,7 +295,7 @@ class AclAxis:
         value = (turning and rate_dps > limits.rate_dps) << 4 | (turning and rate_dps < -limits.rate_dps) << 5
         value |= (position_deg > limits.high_deg - _AT_LIMIT_DEG) << 6
         value |= (position_deg < limits.low_deg + _AT_LIMIT_DEG) << 7
-        return value | (complete and self.mode is Mode.POSITION) << 8 | (complete and turning) << 9
+        return value | (complete and self.mode is ServoMode.POSITION) << 8 | (complete and turning) << 9
 
     def legacy_register(self) -> int:
         """Status word of earlier controllers (``Status:ECP n,2``)."""

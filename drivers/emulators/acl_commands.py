@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import lru_cache, partial
 from typing import NamedTuple
 
-from gyrobench.drivers.emulators.acl_axis import AclAxis, AclError, ErrorCode, Mode, refuse_if
+from gyrobench.drivers.emulators.acl_axis import AclAxis, AclError, ErrorCode, ServoMode, refuse_if
 
 MAX_MESSAGE_CHARACTERS = 32768
 _MAX_NUMBER_CHARACTERS = 28
@@ -112,7 +112,7 @@ def _parse_argument(word: str) -> Argument:
     return word.upper()
 
 
-def format_number(value: float, decimals: int) -> str:
+def format_nr2(value: float, decimals: int) -> str:
     """Write a number in NR2: fixed point, no exponent, no plus sign, no negative zero."""
     return f"{value:z.{decimals}f}"
 
@@ -154,7 +154,9 @@ class AxisCommands:
             "INTERLOCK RESET": self._reset,
             "MODE": self._set_mode,
             "MODE HOME": self._each(0, AclAxis.home),
-            **{f"MODE {mode.name}": self._each(0, partial(AclAxis.set_mode, mode=mode)) for mode in Mode},
+            **{
+                f"MODE {mode.name}": self._each(0, partial(AclAxis.set_mode, mode=mode)) for mode in ServoMode
+            },
             "DEMAND POSITION": self._each(1, AclAxis.demand_position),
             "DEMAND RATE": self._each(1, AclAxis.demand_rate),
             "DEMAND ACCELERATION": self._each(1, AclAxis.demand_acceleration),
@@ -227,9 +229,7 @@ class AxisCommands:
         return query
 
     def _ask_numbers(self, values: Callable[[AclAxis], Iterable[float]]) -> Handler:
-        return self._ask(
-            lambda axis: ";".join([format_number(value, self._decimals) for value in values(axis)])
-        )
+        return self._ask(lambda axis: ";".join([format_nr2(value, self._decimals) for value in values(axis)]))
 
     def _reset(self, arguments: Arguments) -> str:
         """Reset all axes; some clients name an axis, which has no effect."""
@@ -260,7 +260,7 @@ class AxisCommands:
         limits = self._one(arguments[0]).limits[_mode(arguments[1])]
         return _limit_values(limits.rate_dps, limits.acceleration_dps2, limits.jerk_dps3)
 
-    def _limit_setter(self, act: Callable[[AclAxis, Mode, float], None]) -> Handler:
+    def _limit_setter(self, act: Callable[[AclAxis, ServoMode, float], None]) -> Handler:
         """Command with a mode, an axis or ALL, and a number."""
 
         def command(arguments: Arguments) -> str:
@@ -271,7 +271,7 @@ class AxisCommands:
 
         return command
 
-    def _limit_query(self, value: Callable[[AclAxis, Mode], float]) -> Handler:
+    def _limit_query(self, value: Callable[[AclAxis, ServoMode], float]) -> Handler:
         """Query of one axis in one mode."""
 
         def query(arguments: Arguments) -> str:
@@ -296,7 +296,7 @@ class AxisCommands:
             176: state.acceleration_dps2,
         }
         refuse_if(variable not in values)
-        return format_number(values[variable], self._decimals)
+        return format_nr2(values[variable], self._decimals)
 
     def _status_register(self, arguments: Arguments) -> str:
         expect(arguments, 1, 2)
@@ -332,23 +332,23 @@ class AxisCommands:
         return str(int(axis.mode) if word == 1 else axis.legacy_register())
 
 
-def _mode(argument: Argument) -> Mode:
-    name = _find_keyword(str(argument), tuple(Mode.__members__))
+def _mode(argument: Argument) -> ServoMode:
+    name = _find_keyword(str(argument), tuple(ServoMode.__members__))
     if name is None:
         raise AclError(ErrorCode.PARAMETER_OUT_OF_RANGE)
-    return Mode[name]
+    return ServoMode[name]
 
 
-def _set_bound(bound: str, axis: AclAxis, mode: Mode, value: float) -> None:
+def _set_bound(bound: str, axis: AclAxis, mode: ServoMode, value: float) -> None:
     axis.set_limits(mode, **{bound: value})
 
 
-def _bound(bound: str, axis: AclAxis, mode: Mode) -> float:
+def _bound(bound: str, axis: AclAxis, mode: ServoMode) -> float:
     return float(getattr(axis.limits[mode], bound))
 
 
 def _limit_values(*values: float) -> str:
-    return ";".join(format_number(value, _LIMIT_DECIMALS) for value in values)
+    return ";".join(format_nr2(value, _LIMIT_DECIMALS) for value in values)
 
 
 def _absolute_limits(axis: AclAxis) -> str:
@@ -361,7 +361,7 @@ def _set_global_limits(
     axis: AclAxis, low_deg: float, high_deg: float, trip_dps: float, tracking_error_deg: float
 ) -> None:
     refuse_if(tracking_error_deg <= 0.0)
-    for mode in Mode:
+    for mode in ServoMode:
         axis.set_limits(mode, low_deg=low_deg, high_deg=high_deg)
         axis.set_trip_rate(mode, trip_dps)
     axis.tracking_error_limit_deg = tracking_error_deg

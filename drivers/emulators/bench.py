@@ -229,7 +229,7 @@ def compile_world() -> None:
 _wall_clocks: dict[str, WallClock] = {}
 
 
-def emulated_bench(address: BenchAddress) -> EmulatedBench:
+def bench_at(address: BenchAddress) -> EmulatedBench:
     """Find the bench of that address, or create it.
 
     Raises DocumentError if the world file or the list of faults is wrong or missing, the seed is negative, no

@@ -10,7 +10,7 @@ from typing import Any
 import can
 
 from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError
-from gyrobench.drivers.emulators.bench import ADDRESS_KEYS, BenchAddress, emulated_bench
+from gyrobench.drivers.emulators.bench import ADDRESS_KEYS, BenchAddress, bench_at
 from gyrobench.drivers.emulators.can_ins import CanChannel
 from gyrobench.drivers.frames import FrameBlock, concatenate
 
@@ -51,7 +51,7 @@ class EmulatorBus(can.BusABC):
             )
         number = int(matched[1] or 1) if unit is None else unit
         try:
-            self._bench = emulated_bench(address)
+            self._bench = bench_at(address)
             self._bench.advance()
             self._bench.has_units(number)
             self._unit = self._bench.units[number - 1]

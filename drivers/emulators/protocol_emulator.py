@@ -11,7 +11,7 @@ from serial.serialutil import PortNotOpenError, SerialException
 
 from gyrobench.bench.foundations.errors import GyrobenchError
 from gyrobench.drivers.clocked_port import ClockedPort
-from gyrobench.drivers.emulators.bench import EmulatedBench, emulated_bench, parse_address
+from gyrobench.drivers.emulators.bench import EmulatedBench, bench_at, parse_address
 from gyrobench.drivers.emulators.dialect import Connection, SerialInstrument
 
 
@@ -28,7 +28,7 @@ class Serial(ClockedPort):  # the name that pyserial looks for
             raise SerialException("Port is already open.")
         try:
             name, address = parse_address(self.portstr or "")
-            self._bench = emulated_bench(address)
+            self._bench = bench_at(address)
             self._bench.advance()
         except GyrobenchError as error:
             raise SerialException(str(error)) from error

@@ -37,7 +37,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
-from gyrobench.bench.foundations.documents import DocumentProblem, Location, StrictModel
+from gyrobench.bench.foundations.documents import DocumentProblem, KeyPath, StrictModel
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError
 from gyrobench.drivers.frames import EXTENDED_ID
 from gyrobench.drivers.ins.attitude import EulerSequence
@@ -415,7 +415,7 @@ _GIVEN = {
 }
 
 
-def check_commands(commands: CommandMap, codec: DbcCodec, at: Location = ()) -> list[DocumentProblem]:
+def check_commands(commands: CommandMap, codec: DbcCodec, at: KeyPath = ()) -> list[DocumentProblem]:
     """Problems with the DBC of a map that is at ``at`` in its file."""
     problems = []
     for name in CommandMap.model_fields:

@@ -18,7 +18,7 @@ from cantools.database.can import Signal
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from gyrobench.bench.foundations.arrays import FloatArray
-from gyrobench.bench.foundations.documents import DocumentProblem, Location, StrictModel
+from gyrobench.bench.foundations.documents import DocumentProblem, KeyPath, StrictModel
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.drivers.ins.dbc_codec import DbcCodec
 from gyrobench.drivers.ins.units import UNITS, Dimension
@@ -192,7 +192,7 @@ class IncrementsMap(StrictModel):
 class MappedQuantity:
     """A mapped quantity with its location in the map."""
 
-    location: Location
+    location: KeyPath
     source: SignalSource
     dimension: Dimension
 
@@ -404,7 +404,7 @@ def bind_signals(signal_map: SignalMap, codec: DbcCodec) -> dict[str, BoundSigna
     return bound
 
 
-def check_signals(signal_map: SignalMap, codec: DbcCodec, at: Location = ()) -> list[DocumentProblem]:
+def check_signals(signal_map: SignalMap, codec: DbcCodec, at: KeyPath = ()) -> list[DocumentProblem]:
     """Problems that :func:`bind_signals` would raise, with the map at ``at`` in its file."""
     return [DocumentProblem((*at, *found.location), found.message) for found in _bind(signal_map, codec)[1]]
 

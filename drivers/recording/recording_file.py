@@ -86,7 +86,7 @@ class Recording:
     transfers: tuple[Transfer, ...]
 
 
-def joined(transfers: Iterable[Transfer]) -> list[Transfer]:
+def join_transfers(transfers: Iterable[Transfer]) -> list[Transfer]:
     """Join transfers that belong together, such as a reply whose length is read before its text."""
     whole: list[Transfer] = []
     for transfer in transfers:

@@ -15,7 +15,7 @@ from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.monitor.terminal_view import LinesView
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.station.instruments import Emulation
-from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
+from gyrobench.drivers.emulators.bench import BenchAddress, bench_at
 from tests.bench.runs.index.sample_runs import emulated_run
 
 
@@ -45,7 +45,7 @@ class Watcher(LinesView):
         super().ticked(bench, left_s)
         if self._navigates and self._emulation:
             world = str(find_document("worlds", self._emulation.world))
-            emulated = emulated_bench(BenchAddress(bench.clock.name, world, self._emulation.seed))
+            emulated = bench_at(BenchAddress(bench.clock.name, world, self._emulation.seed))
             self._true.append(emulated.world.true_gyro_bias() * RADPS_TO_DPH)
 
     def estimable(self, estimate):

@@ -5,7 +5,7 @@ import time
 import can
 
 from gyrobench.bench.foundations.clock import VirtualClock
-from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
+from gyrobench.drivers.emulators.bench import BenchAddress, bench_at
 
 SECONDS, REPEATS = 100, 20
 
@@ -24,7 +24,7 @@ def least_us_per_s(bus, clock):
 
 def test_emulated_second():
     clock = VirtualClock()
-    bench = emulated_bench(BenchAddress(clock.name, "gyro_a", 0))
+    bench = bench_at(BenchAddress(clock.name, "gyro_a", 0))
     print(f"\n{'mode of the INS':<18}{'us per s':>9}{'frames/s':>10}")
     with can.Bus(interface="emulator", channel="ins", clock=clock.name, ignore_config=True) as bus:
         bench.world.power_unit(True)

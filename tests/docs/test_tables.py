@@ -20,7 +20,7 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.tables import calibration_check_table
 from gyrobench.bench.runs.tables.budget_table import ANY_POWER_CYCLE, COMBINED, BudgetRow
 from gyrobench.bench.runs.tables.joint_table import JointBiasRow, JointPlateauRow, columns
-from gyrobench.bench.verification.compensation_verification import COLUMNS
+from gyrobench.bench.verification.compensation_verification import VERIFICATION_COLUMNS
 from tests.bench.report.made_up_closure import explained
 
 TEXT = (Path(__file__).parents[2] / "docs" / "tables.md").read_text(encoding="utf-8")
@@ -53,10 +53,10 @@ def values_of_findings():
         ("budget.csv", names(BudgetRow) | set(SOURCES) | {COMBINED, ANY_POWER_CYCLE}),
         ("joint.csv", set(columns(JointPlateauRow)) | {"finding"} | values_of_findings()),
         ("joint_biases.csv", set(columns(JointBiasRow))),
-        ("verification.csv", set(calibration_check_table.COLUMNS)),
+        ("verification.csv", set(calibration_check_table.CHECK_COLUMNS)),
         ("noise.json", names(NoiseEstimate) | names(ChannelNoise)),
         ("predictions.csv", set(prediction_columns(GYRO_BIAS))),
-        ("comparison.csv", set(COLUMNS)),
+        ("comparison.csv", set(VERIFICATION_COLUMNS)),
     ],
 )
 def test_the_page_names_the_columns_that_a_table_has_and_no_others(title, expected):

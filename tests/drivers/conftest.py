@@ -5,7 +5,7 @@ from functools import cache
 import pytest
 
 from gyrobench.bench.foundations.clock import VirtualClock
-from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
+from gyrobench.drivers.emulators.bench import BenchAddress, bench_at
 from gyrobench.drivers.serial_line import SerialLine
 
 
@@ -67,7 +67,7 @@ class Rig:
 
     def __init__(self):
         self.clock = VirtualClock()
-        self.bench = emulated_bench(BenchAddress(self.clock.name, "ideal"))
+        self.bench = bench_at(BenchAddress(self.clock.name, "ideal"))
         self.air, self.axis = self.bench.world.air, self.bench.world.axes[2]
 
     def line(self, name, instrument):

@@ -30,11 +30,10 @@ from gyrobench.bench.report.content import read_run
 from gyrobench.bench.report.estimator_sections import noise_section
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
-from gyrobench.bench.runs.tables.calibration_check_table import COLUMNS as VERIFICATION_COLUMNS
-from gyrobench.bench.runs.tables.calibration_check_table import read_calibration_check
+from gyrobench.bench.runs.tables.calibration_check_table import CHECK_COLUMNS, read_calibration_check
 from gyrobench.bench.runs.tables.joint_table import read_joint_biases, read_joint_plateaus
 from gyrobench.bench.runs.tables.noise_file import read_noise
-from gyrobench.bench.runs.telemetry import COLUMNS, read_telemetry
+from gyrobench.bench.runs.telemetry import TELEMETRY_COLUMNS, read_telemetry
 from gyrobench.bench.station.instruments import Emulation
 from tests.fuzz.checks import WrongResultError, cells_of, check_cell, written
 
@@ -126,7 +125,7 @@ def use_telemetry(run: Path) -> Callable[[Path, bytes], None]:
         (copy / "telemetry/part-00001.parquet").write_bytes(data)
         read_run(RunFolder(copy))
         readings = read_telemetry(copy / "telemetry")
-        if any(len(readings[name]) != len(expected[name]) for name in COLUMNS):
+        if any(len(readings[name]) != len(expected[name]) for name in TELEMETRY_COLUMNS):
             raise WrongResultError("the telemetry has another length")
         read_campaign(copy)
 
@@ -212,7 +211,7 @@ def use_verification_table(run: Path) -> Callable[[Path, bytes], None]:
             raise WrongResultError(f"{len(rows)} rows instead of {len(cells)}")
         for row, line in zip(rows, cells, strict=True):
             for name, cell in line.items():
-                if name in VERIFICATION_COLUMNS:
+                if name in CHECK_COLUMNS:
                     check_cell(getattr(row, name), cell)
         calibration_check_section(rows)
 

@@ -14,7 +14,7 @@ from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.observers import RunObserver
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS
 from gyrobench.bench.procedure.plan import PlannedStep
-from gyrobench.drivers.emulators.bench import BenchAddress, EmulatedBench, emulated_bench
+from gyrobench.drivers.emulators.bench import BenchAddress, EmulatedBench, bench_at
 from gyrobench.drivers.emulators.world.sensor_errors import gyro_errors
 from gyrobench.drivers.emulators.world.world_file import load_world
 
@@ -102,7 +102,7 @@ class TruthWatcher(RunObserver):
         """Look at the world."""
         emulation = self._emulation
         address = BenchAddress(bench.clock.name, emulation.world, emulation.seed, emulation.faults)
-        self.bench = emulated_bench(address)
+        self.bench = bench_at(address)
         if self.step == "navigate":
             world = self.bench.world
             self._seen.append((world.true_gyro_bias() / DPH_TO_RADPS, world.thermal.optics_c.copy()))

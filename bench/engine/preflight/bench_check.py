@@ -23,10 +23,10 @@ from gyrobench.bench.messages.delivery import read_secret
 from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.runs.folder import RunFolder
-from gyrobench.bench.runs.telemetry import COLUMNS
+from gyrobench.bench.runs.telemetry import TELEMETRY_COLUMNS
 from gyrobench.bench.station.instruments import Emulation, Outputs, open_ins
 from gyrobench.bench.station.locks import BenchLock
-from gyrobench.bench.station.preflight_check import Check, Verdict
+from gyrobench.bench.station.preflight_check import Check, CheckVerdict
 from gyrobench.bench.station.receivers import Receiver
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.ins.can_ins import CanIns
@@ -128,7 +128,7 @@ def signal_map_checks(outcome: RunOutcome, folder: RunFolder) -> Iterator[Check]
 
 def no_instrument_answers(checks: Iterable[Check]) -> bool:
     """Whether none of the instruments answered."""
-    return all(check.verdict is not Verdict.PASS for check in checks if check.what == ANSWERS)
+    return all(check.verdict is not CheckVerdict.PASS for check in checks if check.what == ANSWERS)
 
 
 def _plan(station: Station, procedure: str | None) -> tuple[Plan | None, Check]:
@@ -149,7 +149,7 @@ def disk_check(station: Station, folder: Path, plan: Plan | None, frames_per_s: 
     subject, what = "disk", "free space"
     if math.isnan(frames_per_s):
         return Check.skipped(subject, what, "the data rate is unknown: nothing was received from the CAN bus")
-    telemetry_per_s = len(COLUMNS) * _BYTES_PER_VALUE / station.file.instruments_period_s
+    telemetry_per_s = len(TELEMETRY_COLUMNS) * _BYTES_PER_VALUE / station.file.instruments_period_s
     per_h = 3600.0 * (frames_per_s * _BYTES_PER_FRAME + telemetry_per_s)
     existing = next(each for each in (folder.absolute(), *folder.absolute().parents) if each.exists())
     free = shutil.disk_usage(existing).free

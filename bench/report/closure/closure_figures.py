@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gyrobench.bench.closure.outcome import Closure, FoundEffect
-from gyrobench.bench.closure.search import SIGNIFICANCE
+from gyrobench.bench.closure.search import EFFECT_SIGNIFICANCE
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms_of_known
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, position_label
 from gyrobench.bench.report.closure.closure_text import (
@@ -157,7 +157,7 @@ def closure_evidence_figure(closure: Closure) -> Figure:
     axes.set_ylim(len(closure.evidence) - 0.4, -0.6)
     axes.grid(visible=False, axis="y")
     if by_p_value:
-        axes.axvline(-math.log10(SIGNIFICANCE), color="#444444", linestyle="--", linewidth=0.9)
+        axes.axvline(-math.log10(EFFECT_SIGNIFICANCE), color="#444444", linestyle="--", linewidth=0.9)
         axes.set(
             title="Significance of each effect alone", xlabel="-log10(p); found to the right of the line"
         )

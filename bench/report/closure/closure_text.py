@@ -9,12 +9,12 @@ from statistics import NormalDist
 import numpy as np
 
 from gyrobench.bench.closure.candidates import start_count
-from gyrobench.bench.closure.evidence import POWER
+from gyrobench.bench.closure.evidence import REMAINDER_POWER
 from gyrobench.bench.closure.noise import OUTLIER_SIGMA, outliers_text
 from gyrobench.bench.closure.outcome import CandidateResult, Closure, FoundEffect
 from gyrobench.bench.closure.posterior import CLEAN, EXPLAINED, RIVAL
 from gyrobench.bench.closure.problem import Solution
-from gyrobench.bench.closure.search import SIGNIFICANCE
+from gyrobench.bench.closure.search import EFFECT_SIGNIFICANCE
 from gyrobench.bench.closure.validation import LACK_OF_FIT_P, measured_minus
 from gyrobench.bench.foundations.arrays import S_PER_H, FloatArray, rms_of_known
 from gyrobench.bench.foundations.text import counted, decimals_of, listed, probability_number, with_sigma
@@ -57,7 +57,7 @@ def smallest_visible_dph(closure: Closure) -> float:
     number of dwells searched times the square of its size over the noise.
     """
     counts = [start_count(each.effect, closure.campaign) for each in closure.evidence]
-    reduction = NormalDist().inv_cdf(0.5 * SIGNIFICANCE / (min(counts) * len(counts))) ** 2
+    reduction = NormalDist().inv_cdf(0.5 * EFFECT_SIGNIFICANCE / (min(counts) * len(counts))) ** 2
     return closure.noise_dph * float(np.sqrt(reduction / closure.searched.sum()))
 
 
@@ -281,8 +281,8 @@ def power_sentence(closure: Closure) -> str:
     on = "" if least == most else f" if it follows {low}, one of {most} {unit} or more if it follows {high}"
     effect = "A further effect" if closure.effects else "An effect"
     return (
-        f"{effect} of {least} {unit} rms or more would have been detected with {100.0 * POWER:.0f} % "
-        f"probability{on}; smaller ones are not excluded."
+        f"{effect} of {least} {unit} rms or more would have been detected with "
+        f"{100.0 * REMAINDER_POWER:.0f} % probability{on}; smaller ones are not excluded."
     )
 
 

@@ -33,7 +33,7 @@ from gyrobench.bench.report.figures.style import (
     say_empty,
 )
 from gyrobench.bench.report.number_format import PAPER, STATE_SPACE, BiasScale, scale_of_bins
-from gyrobench.bench.report.statements import SIGNIFICANCE, differing
+from gyrobench.bench.report.statements import POSITION_SIGNIFICANCE, differing
 
 #: Title of legends: what bars and numbers are.
 _BARS = f"{BARS}; numbers: dwells"
@@ -316,7 +316,7 @@ def _draw_differences(
         return
     gyro = comparisons[0].gyro
     colour, _, marker = GYRO_STYLES[gyro]
-    verdict = f"p < {SIGNIFICANCE:g}" if is_found else "not significant"
+    verdict = f"p < {POSITION_SIGNIFICANCE:g}" if is_found else "not significant"
     widths = [each.bin_high_c - each.bin_low_c for each in comparisons]
     axes.errorbar(
         [0.5 * (c.bin_low_c + c.bin_high_c) + shift * w for c, w in zip(comparisons, widths, strict=True)],

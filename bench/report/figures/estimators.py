@@ -36,7 +36,7 @@ from gyrobench.bench.report.figures.style import (
     text_width_in,
 )
 from gyrobench.bench.report.number_format import PAPER, STATE_SPACE, BiasScale
-from gyrobench.bench.report.statements import SIGNIFICANCE
+from gyrobench.bench.report.statements import POSITION_SIGNIFICANCE
 
 _DODGE = 0.012  # of the range of temperatures, between neighbouring positions
 
@@ -108,7 +108,7 @@ def _draw_estimator_differences(
 
 
 #: Probability of the band, matching the significance level of the test.
-_BAND = 1.0 - SIGNIFICANCE
+_BAND = 1.0 - POSITION_SIGNIFICANCE
 #: Least number of p-values for a distribution.
 _MIN_FOR_DISTRIBUTION = 5
 #: Minimum range of the residuals' axis.

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from gyrobench.bench.procedure.plan import Plan
 
 #: Column name to values, as :func:`gyrobench.bench.runs.telemetry.read_telemetry` gives them.
-Readings = Mapping[str, FloatArray]
+TelemetryValues = Mapping[str, FloatArray]
 #: The columns that are drawn.
 DRAWN = (
     *("time_s", "chamber_set_c", "chamber_c"),
@@ -61,7 +61,7 @@ class _Band:
 
 @house_style
 def temperature_figure(
-    telemetry: Readings, dwells: Iterable[DwellRow], marked_c: Sequence[float] = ()
+    telemetry: TelemetryValues, dwells: Iterable[DwellRow], marked_c: Sequence[float] = ()
 ) -> Figure:
     """Draw the measured temperatures and dwells of a run over time, as planned in the paper's Fig. 7.
 

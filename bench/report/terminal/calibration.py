@@ -11,7 +11,7 @@ from rich.text import Text
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT
 from gyrobench.bench.calibration.estimator import Calibration
-from gyrobench.bench.calibration.problem import MIN_P_VALUE
+from gyrobench.bench.calibration.problem import UNEXPLAINED_P_VALUE
 from gyrobench.bench.calibration.recording import SensorNoise
 from gyrobench.bench.calibration.results import (
     NOT_OBSERVABLE,
@@ -195,7 +195,7 @@ def _fit_sentence(calibration: Calibration) -> str:
     if fit.dof == 0:
         return "not tested: the rests are too short"
     test = f"chi2 {fit.chi2:.0f} for {fit.dof} degrees of freedom, p {p_text(fit.p_value)}"
-    if fit.p_value >= MIN_P_VALUE:
+    if fit.p_value >= UNEXPLAINED_P_VALUE:
         return f"noise explains the velocity at rest ({test})"
     return f"{test}: see Check"
 

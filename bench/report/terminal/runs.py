@@ -11,7 +11,7 @@ from rich.text import Text
 from gyrobench.bench.foundations.text import bin_label, counted, listed
 from gyrobench.bench.report.number_format import BiasScale, p_text
 from gyrobench.bench.report.terminal.tables import plain_table
-from gyrobench.bench.runs.folder import UNITS
+from gyrobench.bench.runs.folder import UNITS_FOLDER
 from gyrobench.bench.runs.index.recalibration import MAX_MONTHS, Recalibration
 from gyrobench.bench.runs.index.run_biases import FALSE_ALARM, Trend
 from gyrobench.bench.runs.index.run_index import QueryResult
@@ -26,7 +26,7 @@ def runs_table(runs: Sequence[Mapping[str, Any]], most: int) -> RenderableType:
     for run in runs[:most]:
         verdict = run["verdict"] if run["ended"] == _FINISHED else run["ended"]
         day = run["started_utc"].date().isoformat()
-        path = run["path"].removesuffix(f"/{UNITS}/{run['unit']}")
+        path = run["path"].removesuffix(f"/{UNITS_FOLDER}/{run['unit']}")
         cells = (path, day, run["unit"], run["batch"], run["station"], verdict, run["acceptance"])
         rows.append([str(cell or "") for cell in cells])
     table = plain_table(("run", "start", "unit", "batch", "bench", "verdict", "acceptance"), 7, rows)

@@ -16,7 +16,7 @@ from gyrobench.bench.closure.outlook import TieOutlook
 from gyrobench.bench.closure.planned_campaign import UnitProperties
 from gyrobench.bench.closure.posterior import TIE_ODDS
 from gyrobench.bench.closure.procedure_changes import Advice
-from gyrobench.bench.closure.separability import POWER, Detection, Separability
+from gyrobench.bench.closure.separability import EFFECT_POWER, Detection, Separability
 from gyrobench.bench.foundations.arrays import rms
 from gyrobench.bench.foundations.text import counted, listed
 from gyrobench.bench.report.number_format import odds_text
@@ -26,7 +26,7 @@ _MAX_INFLATION = 1000.0
 #: A larger effect would not have to be searched for.
 _MAX_SIZE_DPH = 1.0
 _COLUMNS = (
-    f"found: smallest size found with {POWER:.0%} probability, for the middle values of the effect's "
+    f"found: smallest size found with {EFFECT_POWER:.0%} probability, for the middle values of the effect's "
     "parameters; worst: for the worst values. VIF: variance inflation by the other effects, fitted beside "
     "it. distinct: smallest size at which it is distinguished from its nearest alternative."
 )

@@ -16,7 +16,7 @@ from rich.text import Text
 
 from gyrobench.bench.foundations.text import hours_minutes
 from gyrobench.bench.report.page import Mark, Section, SectionTable
-from gyrobench.bench.station.preflight_check import Check, Verdict
+from gyrobench.bench.station.preflight_check import Check, CheckVerdict
 
 if TYPE_CHECKING:
     from gyrobench.bench.procedure.timeline import TimelineRow
@@ -135,7 +135,7 @@ def titled_table(title: str | None = None, *, show_footer: bool = False) -> Tabl
     )
 
 
-_STYLES = {Verdict.PASS: "green", Verdict.FAIL: "bold red", Verdict.SKIPPED: "yellow"}
+_STYLES = {CheckVerdict.PASS: "green", CheckVerdict.FAIL: "bold red", CheckVerdict.SKIPPED: "yellow"}
 
 
 def preflight_report(checks: Sequence[Check]) -> RenderableType:
@@ -161,11 +161,8 @@ def _check_table(checks: Sequence[Check]) -> Table:
 
 def _sum(checks: Sequence[Check]) -> Text:
     counts = Counter(check.verdict for check in checks)
-    numbers = (
-        f"{counts[Verdict.PASS]} passed, {counts[Verdict.FAIL]} failed, {counts[Verdict.SKIPPED]} skipped"
-    )
-    if counts[Verdict.FAIL]:
+    passed, failed, skipped = (counts[verdict] for verdict in CheckVerdict)
+    numbers = f"{passed} passed, {failed} failed, {skipped} skipped"
+    if failed:
         return Text(f"{numbers}: not ready for a run.", style="bold red")
-    return Text(
-        f"{numbers}: ready for a run{' as far as checked' if counts[Verdict.SKIPPED] else ''}.", style="bold"
-    )
+    return Text(f"{numbers}: ready for a run{' as far as checked' if skipped else ''}.", style="bold")

@@ -128,7 +128,7 @@ def _combined(rows: Sequence[Mapping[str, Any]], weights: np.ndarray[Any, np.dty
 MONTH_DAYS = 365.2425 / 12.0
 #: Least number of runs at different times for a line with uncertainty.
 MIN_RUNS = 3
-#: Family-wise false-alarm probability of all comparisons of a trend.
+#: Family-wise false-alarm probability of all comparisons of a trend or a batch.
 FALSE_ALARM = 0.01
 
 _DAY_S = 86400.0

@@ -20,8 +20,8 @@ from gyrobench.bench.runs.folder import (
     DWELLS,
     JOURNAL,
     PROVENANCE,
+    UNITS_FOLDER,
 )
-from gyrobench.bench.runs.folder import UNITS as UNIT_FOLDERS
 
 if TYPE_CHECKING:
     from fsspec.spec import AbstractFileSystem
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 #: Result of a search for effects.
 CLOSURE_FILE = f"{CLOSURE}/closure.json"
 #: Table of the units, in the root of the runs.
-UNITS = "units.csv"
+UNITS_TABLE = "units.csv"
 
 #: Page of that search as data, with the hash of the dwells searched.
 CLOSURE_FINDINGS = f"{CLOSURE}/findings.json"
@@ -79,7 +79,7 @@ class RunStore:
         """
         for folder, inner, files in self._walk():
             is_run = JOURNAL in files and _OF_AN_INVESTIGATION not in files
-            if is_run and UNIT_FOLDERS not in inner:
+            if is_run and UNITS_FOLDER not in inner:
                 found = {name: _tag(files[name]) for name in _OF_A_RUN if name in files}
                 if CLOSURE in inner:
                     found |= self._closure(folder)
@@ -87,7 +87,7 @@ class RunStore:
                 yield RunFiles(folder.removeprefix(self.root).strip("/") or ".", found)
             else:
                 # In place: sets the order of the walk.
-                ordered = [(UNIT_FOLDERS, inner[UNIT_FOLDERS])] if is_run else sorted(inner.items())
+                ordered = [(UNITS_FOLDER, inner[UNITS_FOLDER])] if is_run else sorted(inner.items())
                 inner.clear()
                 inner.update(ordered)
 
@@ -173,7 +173,7 @@ def _named(name: str) -> Iterator[Path]:
 
 
 def _below(place: Path) -> Iterator[Path]:
-    if (place / JOURNAL).is_file() and not (place / UNIT_FOLDERS).is_dir():
+    if (place / JOURNAL).is_file() and not (place / UNITS_FOLDER).is_dir():
         yield place
     elif place.is_dir():
         yield from (place / run.path for run in open_store(str(place)).runs())

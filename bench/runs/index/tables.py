@@ -310,7 +310,7 @@ def arrow_table(name: str, rows: Iterable[Mapping[str, Any]]) -> pa.Table:
     return pa.Table.from_pylist([_without_nan(row) for row in rows], schema=SCHEMAS[name])
 
 
-def rows_of(records: Sequence[RunRecord]) -> dict[str, list[dict[str, Any]]]:
+def rows_by_table(records: Sequence[RunRecord]) -> dict[str, list[dict[str, Any]]]:
     """Rows by table that some runs have."""
     return {
         "runs": [asdict(record.row) for record in records],

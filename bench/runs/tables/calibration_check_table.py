@@ -63,14 +63,14 @@ class CalibrationCheckRow:
 
 
 #: Columns that a table is written with.
-COLUMNS = tuple(field.name for field in fields(CalibrationCheckRow))
+CHECK_COLUMNS = tuple(field.name for field in fields(CalibrationCheckRow))
 
 _MEASURED = ("bias_dph", "sigma_dph", "accelerometer_ug", "accelerometer_sigma_ug")
 
 
 def write_calibration_check(path: Path, rows: Iterable[CalibrationCheckRow]) -> None:
     """Write the table of a calibration check. Raises RunFolderError if the file can't be written."""
-    write_text(path, format_rows(COLUMNS, rows))
+    write_text(path, format_rows(CHECK_COLUMNS, rows))
 
 
 def read_calibration_check(path: Path) -> list[CalibrationCheckRow]:

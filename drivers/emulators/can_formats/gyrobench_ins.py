@@ -19,7 +19,7 @@ from gyrobench.bench.foundations.arrays import FloatArray, IntArray
 from gyrobench.bench.foundations.kernels import compiled
 from gyrobench.drivers.emulators.can_formats import FRAME_S, CanFormat, execute_command
 from gyrobench.drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs, Mode
-from gyrobench.drivers.emulators.world.ins_compensation import COEFFICIENTS, checksum
+from gyrobench.drivers.emulators.world.ins_compensation import COEFFICIENTS, table_checksum
 from gyrobench.drivers.emulators.world.strapdown import euler_output
 from gyrobench.drivers.frames import FRAME_DTYPE, FrameBlock
 
@@ -97,7 +97,7 @@ class GyrobenchFormat(CanFormat):
         unit, file = self._world.unit, self._world.file
         applied, table = unit.compensation, unit.loaded_table.tobytes()
         if table != self._table:
-            self._table, self._checksum = table, checksum(unit.loaded_table)
+            self._table, self._checksum = table, table_checksum(unit.loaded_table)
         data = _SLOW_DATA.pack(
             0, 0,
             max(_INT32_MIN, min(_INT32_MAX, round(file.height_m * 1e4))), 0,

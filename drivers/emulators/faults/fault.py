@@ -109,7 +109,7 @@ Count = Annotated[int, Field(ge=1)]
 #: Mean spacing in s; the minimum bounds the work of a run.
 Spacing = Annotated[float, Field(ge=1.0)]
 #: Phase of the emulated bench, derived from the world's state.
-Phase = Literal["power_on", "align", "navigate", "turn", "ramp"]
+BenchPhase = Literal["power_on", "align", "navigate", "turn", "ramp"]
 #: Ends a fault; None where nothing is to be done.
 End = Callable[[], None] | None
 
@@ -132,7 +132,7 @@ class Timing(StrictModel):
     at_s: NotNegative | None = Field(None, description="time on the bench's clock, s")
     every_s: Spacing | None = Field(None, description="mean spacing of random times, from the seed, s")
     from_s: NotNegative = Field(0.0, description="with every_s: not before this time, s")
-    during: Phase | None = Field(None, description="phase of the bench")
+    during: BenchPhase | None = Field(None, description="phase of the bench")
     after_s: NotNegative = Field(0.0, description="with during: delay from the start of the phase, s")
     nth: Count = Field(1, description="with during: the first such phase that counts")
     times: Count | None = Field(

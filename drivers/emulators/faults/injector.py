@@ -27,10 +27,10 @@ from gyrobench.drivers.emulators.faults import (
 )
 from gyrobench.drivers.emulators.faults.fault import (
     BenchParts,
+    BenchPhase,
     End,
     Fault,
     Occurrence,
-    Phase,
     Timing,
     UnsupportedFaultError,
 )
@@ -264,10 +264,10 @@ class _PlannedFault:
         self.end: End = None
 
 
-def _active_phases(world: World, now_s: float) -> set[Phase]:
+def _active_phases(world: World, now_s: float) -> set[BenchPhase]:
     """All phases of the bench at ``now_s``, the time of the world."""
     unit, air = world.unit, world.air
-    active: dict[Phase, bool] = {
+    active: dict[BenchPhase, bool] = {
         "power_on": unit.powered,
         "align": unit.mode is Mode.ALIGN,
         "navigate": unit.mode is Mode.NAVIGATE,

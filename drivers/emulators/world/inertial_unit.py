@@ -41,7 +41,7 @@ class Mode(IntEnum):
     NAVIGATE = 3
 
 
-class Alignment(IntEnum):
+class AlignmentQuality(IntEnum):
     """Quality of the alignment so far."""
 
     INVALID = 0
@@ -55,7 +55,7 @@ class Epochs(NamedTuple):
     sample: IntArray  #: Shape (n,). Sample index since the world began (time = sample / 100 s).
     states: FloatArray  #: Shape (n, 8). Quaternion body to ENU, velocity east and north, latitude, longitude.
     mode: Mode
-    alignment: Alignment
+    alignment: AlignmentQuality
     #: align_time_s, read_c: Shapes (k,), (k, 7). Time at rest used by the alignment, and readings of the
     #: temperature sensors, at the k epochs that are whole seconds.
     align_time_s: FloatArray
@@ -109,9 +109,9 @@ class InertialUnit:
         return self.powered and (self.mode is Mode.OFF or self.compensation is not None)
 
     @property
-    def alignment(self) -> Alignment:
+    def alignment(self) -> AlignmentQuality:
         """Quality of the present alignment."""
-        return Alignment(self._counts[_ALIGNMENT])
+        return AlignmentQuality(self._counts[_ALIGNMENT])
 
     @property
     def align_time_s(self) -> float:
@@ -143,7 +143,7 @@ class InertialUnit:
 
     def navigate(self) -> None:
         """Switch from alignment to navigation; ignored before coarse alignment is complete."""
-        if self.mode is Mode.ALIGN and self.alignment >= Alignment.COARSE:
+        if self.mode is Mode.ALIGN and self.alignment >= AlignmentQuality.COARSE:
             self.mode = Mode.NAVIGATE
 
     def clear_compensation(self) -> None:
@@ -212,7 +212,7 @@ class InertialUnit:
             seconds = (first_sample + n) // SAMPLE_RATE_HZ - first_sample // SAMPLE_RATE_HZ
             align_time_s = np.full(seconds, self.align_time_s)
         samples = np.arange(first_sample + 1 + first, first_sample + 1 + n, self._every)
-        epochs = Epochs(samples, states, self.mode, Alignment(alignment), align_time_s, taken=n)
+        epochs = Epochs(samples, states, self.mode, AlignmentQuality(alignment), align_time_s, taken=n)
         if self.sends_increments and self.mode is Mode.NAVIGATE:
             return epochs._replace(increments=(first_sample, rotation, velocity))
         return epochs
@@ -224,7 +224,7 @@ class InertialUnit:
 #: Places of the samples of the second under way, those still to be left out, those used by the alignment, and
 #: its quality.
 _SECOND, _LEVELLING, _ALIGNED, _ALIGNMENT = range(4)
-_COARSE, _FINE = int(Alignment.COARSE), int(Alignment.FINE)
+_COARSE, _FINE = int(AlignmentQuality.COARSE), int(AlignmentQuality.FINE)
 
 
 @compiled

@@ -25,8 +25,8 @@ from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.kernels import compiled
 
 
-class Coefficient(IntEnum):
-    """Place of a coefficient in a gyro's row; vectors and the polynomial take several places."""
+class Slot(IntEnum):
+    """Slot of a coefficient in a gyro's row; vectors and the polynomial take several places."""
 
     POLYNOMIAL = 0
     LOW_C = 6
@@ -68,12 +68,12 @@ _FILTER_S = 120.0
 def empty_table() -> FloatArray:
     """A table (3, 84) that subtracts nothing."""
     table = np.zeros((3, COEFFICIENTS))
-    table[:, Coefficient.LOW_C] = -100.0
-    table[:, Coefficient.HIGH_C] = 150.0
+    table[:, Slot.LOW_C] = -100.0
+    table[:, Slot.HIGH_C] = 150.0
     return table
 
 
-def checksum(table: FloatArray) -> int:
+def table_checksum(table: FloatArray) -> int:
     """CRC-32 of a table as little-endian 32-bit floats, by axis; of the biases alone if all else is 0."""
     table = table if table[:, _OF_BIAS:].any() else table[:, :_OF_BIAS]
     return zlib.crc32(table.astype("<f4").tobytes())
@@ -116,7 +116,7 @@ class InsCompensation:
     Parameters
     ----------
     table : ndarray, shape (3, 84)
-        One row for each axis, laid out by :class:`Coefficient`.
+        One row for each axis, laid out by :class:`Slot`.
     history : TemperatureHistory
         Readings since power-on; the play starts there.
 
@@ -127,12 +127,12 @@ class InsCompensation:
     """
 
     def __init__(self, table: FloatArray, history: TemperatureHistory, up_body: FloatArray) -> None:
-        self.checksum = checksum(table)  #: Checksum of the table.
+        self.checksum = table_checksum(table)  #: Checksum of the table.
         self._table = table.copy()
         self._others: FloatArray | None = None
         record_c = history.record_c
         first_c = record_c[0] if len(record_c) else history.optics_c
-        self._play_c = np.clip(first_c, table[:, Coefficient.LOW_C], table[:, Coefficient.HIGH_C])
+        self._play_c = np.clip(first_c, table[:, Slot.LOW_C], table[:, Slot.HIGH_C])
         for optics_c in record_c:
             _follow(self._play_c, optics_c, self._table)
         self.update(history, up_body)
@@ -153,9 +153,7 @@ class InsCompensation:
 
     def _inputs(self, history: TemperatureHistory, up_body: FloatArray) -> FloatArray:
         """What the eight numbers of each coefficient are multiplied by, shape (3, 8, 1)."""
-        low_c, high_c, limit = self._table[
-            :, [Coefficient.LOW_C, Coefficient.HIGH_C, Coefficient.RATE_LIMIT]
-        ].T
+        low_c, high_c, limit = self._table[:, [Slot.LOW_C, Slot.HIGH_C, Slot.RATE_LIMIT]].T
         powers = np.clip(history.optics_c, low_c, high_c)[:, np.newaxis] ** np.arange(_DEGREES)
         rate = np.clip(history.rate_c_per_h, -np.abs(limit), np.abs(limit))[:, np.newaxis]
         return np.hstack([powers, rate, np.tile(up_body, (3, 1))])[..., np.newaxis]
@@ -193,10 +191,7 @@ def _clamped(value: float, low: float, high: float) -> float:
 def _follow(play_c: FloatArray, optics_c: FloatArray, table: FloatArray) -> None:
     for i in range(3):
         row = table[i]
-        at_c, slack_c = (
-            _clamped(optics_c[i], row[Coefficient.LOW_C], row[Coefficient.HIGH_C]),
-            abs(row[Coefficient.HALF_WIDTH]),
-        )
+        at_c, slack_c = (_clamped(optics_c[i], row[Slot.LOW_C], row[Slot.HIGH_C]), abs(row[Slot.HALF_WIDTH]))
         play_c[i] = _clamped(play_c[i], at_c - slack_c, at_c + slack_c)
 
 
@@ -208,30 +203,28 @@ def _bias_dph(
     bias = np.zeros(3)
     for i in range(3):
         row = table[i]
-        at_c = _clamped(optics_c[i], row[Coefficient.LOW_C], row[Coefficient.HIGH_C])
-        rate = _clamped(rate_c_per_h[i], -abs(row[Coefficient.RATE_LIMIT]), abs(row[Coefficient.RATE_LIMIT]))
+        at_c = _clamped(optics_c[i], row[Slot.LOW_C], row[Slot.HIGH_C])
+        rate = _clamped(rate_c_per_h[i], -abs(row[Slot.RATE_LIMIT]), abs(row[Slot.RATE_LIMIT]))
         hotter_k = _clamped(
-            electronics_c[i] - optics_c[i], row[Coefficient.DIFFERENCE_LOW], row[Coefficient.DIFFERENCE_HIGH]
+            electronics_c[i] - optics_c[i], row[Slot.DIFFERENCE_LOW], row[Slot.DIFFERENCE_HIGH]
         )
-        cold = _clamped(
-            (row[Coefficient.ONSET_C] - at_c) / max(row[Coefficient.ONSET_WIDTH], _MIN_WIDTH_C), -500.0, 500.0
-        )
+        cold = _clamped((row[Slot.ONSET_C] - at_c) / max(row[Slot.ONSET_WIDTH], _MIN_WIDTH_C), -500.0, 500.0)
         saturated, grown = 1.0 / (1.0 + math.exp(-cold)), math.log1p(math.exp(cold))
         attitude = gravity = polynomial = 0.0
         for axis in range(3):
-            attitude += row[Coefficient.SATURATING + axis] * saturated * up_body[axis]
-            attitude += row[Coefficient.GROWING + axis] * grown * up_body[axis]
-            gravity += row[Coefficient.GRAVITY + axis] * up_body[axis]
+            attitude += row[Slot.SATURATING + axis] * saturated * up_body[axis]
+            attitude += row[Slot.GROWING + axis] * grown * up_body[axis]
+            gravity += row[Slot.GRAVITY + axis] * up_body[axis]
         for degree in range(_LAST_COEFFICIENT, -1, -1):
-            polynomial = polynomial * at_c + row[Coefficient.POLYNOMIAL + degree]
-        warm_up = row[Coefficient.WARM_UP] * math.exp(-on_s / max(row[Coefficient.WARM_UP_TIME], _MIN_TIME_S))
+            polynomial = polynomial * at_c + row[Slot.POLYNOMIAL + degree]
+        warm_up = row[Slot.WARM_UP] * math.exp(-on_s / max(row[Slot.WARM_UP_TIME], _MIN_TIME_S))
         total = (
             polynomial
-            + row[Coefficient.RATE] * rate
-            + (row[Coefficient.GRADIENT] + attitude) * hotter_k
+            + row[Slot.RATE] * rate
+            + (row[Slot.GRADIENT] + attitude) * hotter_k
             + gravity
             + warm_up
-            + row[Coefficient.HYSTERESIS] * (play_c[i] - at_c)
+            + row[Slot.HYSTERESIS] * (play_c[i] - at_c)
         )
         bias[i] = _clamped(total, -_MAX_BIAS_DPH, _MAX_BIAS_DPH)
     return bias

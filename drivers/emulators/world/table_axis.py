@@ -28,7 +28,7 @@ _SAME_POSITION_DEG = 1e-10
 
 
 @dataclass(frozen=True)
-class AxisLimits:
+class MotionLimits:
     """Bounds of a motion; those of position may be infinite."""
 
     rate_dps: float
@@ -86,7 +86,7 @@ class Settling:
         )
 
 
-def change_rate(start: AxisState, rate_dps: float, limits: AxisLimits) -> list[Piece]:
+def change_rate(start: AxisState, rate_dps: float, limits: MotionLimits) -> list[Piece]:
     """Fastest profile to a constant rate: build up acceleration, hold it, reduce it to zero."""
     jerk = limits.jerk_dps3
     # the final rate if the present acceleration is only reduced to zero
@@ -104,13 +104,13 @@ def change_rate(start: AxisState, rate_dps: float, limits: AxisLimits) -> list[P
     return [ramp_up, Piece(0.0, hold_s), ramp_down]
 
 
-def rest_position(start: AxisState, limits: AxisLimits) -> float:
+def rest_position(start: AxisState, limits: MotionLimits) -> float:
     """Position of rest after an immediate stop."""
     return _end(start, change_rate(start, 0.0, limits)).position_deg
 
 
 def move(
-    start: AxisState, target_deg: float, limits: AxisLimits
+    start: AxisState, target_deg: float, limits: MotionLimits
 ) -> tuple[list[Piece], list[Piece], list[Piece]]:
     """Fastest profile to rest at a target: pieces up to the peak rate, at that rate, and down to rest.
 
@@ -256,10 +256,10 @@ class AxisParameters:
     settling_amplitude_arcsec: float = 20.0
 
     @property
-    def limits(self) -> AxisLimits:
+    def limits(self) -> MotionLimits:
         """Limits that the axis can't exceed."""
         dynamic = (self.rate_limit_dps, self.acceleration_limit_dps2, self.jerk_limit_dps3)
-        return AxisLimits(*dynamic, self.position_low_deg, self.position_high_deg)
+        return MotionLimits(*dynamic, self.position_low_deg, self.position_high_deg)
 
 
 class TableAxis:

@@ -22,9 +22,9 @@ from gyrobench.bench.foundations.documents import StrictModel
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 #: One value for each body axis.
-Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+BodyVector = Annotated[list[float], Field(min_length=3, max_length=3)]
 #: Three rows of three values, in body axes.
-Matrix = Annotated[list[Vector], Field(min_length=3, max_length=3)]
+Matrix = Annotated[list[BodyVector], Field(min_length=3, max_length=3)]
 
 _HOUR_S, _DAY_S, _ROOM_C = 3600.0, 86_400.0, 25.0
 
@@ -53,7 +53,7 @@ class Conditions(NamedTuple):
 AddedBias = Callable[[Conditions], FloatArray]
 
 
-class Effect(StrictModel):
+class _Effect(StrictModel):
     """An effect as the world file describes it."""
 
     def start(self) -> AddedBias:
@@ -76,11 +76,11 @@ class Effect(StrictModel):
         raise NotImplementedError(f"{type(self).__name__} defines neither _added_dph nor start")
 
 
-class TemperatureRate(Effect):
+class TemperatureRate(_Effect):
     """The bias follows the rate of temperature of each gyro's optics."""
 
     kind: Literal["temperature_rate"] = Field(description="name of the effect")
-    sensitivity_dph_per_c_per_h: Vector = Field(
+    sensitivity_dph_per_c_per_h: BodyVector = Field(
         description="bias of each gyro per rate of its optics, deg/h per K/h"
     )
 
@@ -88,11 +88,11 @@ class TemperatureRate(Effect):
         return np.array(self.sensitivity_dph_per_c_per_h) * now.optics_rate_c_per_h
 
 
-class ScaleFactorRate(Effect):
+class ScaleFactorRate(_Effect):
     """The scale factor of each gyro follows the rate of temperature of its optics."""
 
     kind: Literal["scale_factor_rate"] = Field(description="name of the effect")
-    sensitivity_ppm_per_c_per_h: Vector = Field(
+    sensitivity_ppm_per_c_per_h: BodyVector = Field(
         description="scale factor of each gyro per rate of its optics, ppm per K/h"
     )
 
@@ -104,12 +104,12 @@ class ScaleFactorRate(Effect):
         return np.zeros(now.optics_c.shape)
 
 
-class ScaleFactorDrift(Effect):
+class ScaleFactorDrift(_Effect):
     """The scale factor of each gyro drifts after power-on, and swings with the time since."""
 
     kind: Literal["scale_factor_drift"] = Field(description="name of the effect")
-    drift_ppm_per_h: Vector = Field(description="drift of each gyro's scale factor, ppm/h")
-    swing_ppm: Vector = Field([0.0, 0.0, 0.0], description="amplitude of each gyro's swing, ppm")
+    drift_ppm_per_h: BodyVector = Field(description="drift of each gyro's scale factor, ppm/h")
+    swing_ppm: BodyVector = Field([0.0, 0.0, 0.0], description="amplitude of each gyro's swing, ppm")
     period_h: Positive = Field(1.0, description="period of the swing, h")
 
     @override
@@ -122,11 +122,11 @@ class ScaleFactorDrift(Effect):
         return np.zeros(now.optics_c.shape)
 
 
-class ThermalGradient(Effect):
+class ThermalGradient(_Effect):
     """The bias follows the difference between electronics and optics temperature of each gyro."""
 
     kind: Literal["thermal_gradient"] = Field(description="name of the effect")
-    sensitivity_dph_per_c: Vector = Field(
+    sensitivity_dph_per_c: BodyVector = Field(
         description="bias of each gyro per kelvin of electronics above optics, deg/h/K"
     )
 
@@ -134,7 +134,7 @@ class ThermalGradient(Effect):
         return np.array(self.sensitivity_dph_per_c) * (now.electronics_c - now.optics_c)
 
 
-class AttitudeThermal(Effect):
+class AttitudeThermal(_Effect):
     """Convection carries heat from the electronics to one side of the optics.
 
     The bias follows the part of that heat flow that depends on the direction of gravity, and grows as
@@ -142,7 +142,7 @@ class AttitudeThermal(Effect):
     """
 
     kind: Literal["attitude_thermal"] = Field(description="name of the effect")
-    sensitivity_dph_per_w: Vector = Field(
+    sensitivity_dph_per_w: BodyVector = Field(
         description="bias of each gyro per watt of heat that depends on attitude, deg/h/W"
     )
     onset_c: Positive = Field(50.0, description="below this the effect grows, degC")
@@ -154,7 +154,7 @@ class AttitudeThermal(Effect):
         return np.asarray(self.sensitivity_dph_per_w * (now.convected_w * softened))
 
 
-class ThermalHysteresis(Effect):
+class ThermalHysteresis(_Effect):
     """A part with friction follows the temperature of each gyro's optics with play.
 
     The bias follows the lead of that part over the temperature: plus the half width after enough cooling,
@@ -163,7 +163,9 @@ class ThermalHysteresis(Effect):
 
     kind: Literal["thermal_hysteresis"] = Field(description="name of the effect")
     half_width_c: Positive = Field(description="half of the play, K")
-    sensitivity_dph_per_c: Vector = Field(description="bias of each gyro per kelvin of play used, deg/h/K")
+    sensitivity_dph_per_c: BodyVector = Field(
+        description="bias of each gyro per kelvin of play used, deg/h/K"
+    )
 
     @override
     def start(self) -> AddedBias:
@@ -183,43 +185,43 @@ class ThermalHysteresis(Effect):
         return added_dph
 
 
-class WarmUp(Effect):
+class WarmUp(_Effect):
     """A bias that decays after each power-on."""
 
     kind: Literal["warm_up"] = Field(description="name of the effect")
-    bias_dph: Vector = Field(description="bias at power-on of each gyro, deg/h")
+    bias_dph: BodyVector = Field(description="bias at power-on of each gyro, deg/h")
     time_constant_s: Positive = Field(description="time in which it falls to 37 %, s")
 
     def _added_dph(self, now: Conditions) -> FloatArray:
         return np.array(self.bias_dph) * np.exp(-now.since_power_on_s / self.time_constant_s)
 
 
-class TimeDrift(Effect):
+class TimeDrift(_Effect):
     """Biases that drift at a constant rate from the start of the world, as the gyros age."""
 
     kind: Literal["time_drift"] = Field(description="name of the effect")
-    drift_dph_per_day: Vector = Field(description="drift of each gyro, deg/h per day")
+    drift_dph_per_day: BodyVector = Field(description="drift of each gyro, deg/h per day")
 
     def _added_dph(self, now: Conditions) -> FloatArray:
         return np.array(self.drift_dph_per_day) * now.time_s / _DAY_S
 
 
-class BiasJump(Effect):
+class BiasJump(_Effect):
     """Biases that change once, at a time counted from the start of the world."""
 
     kind: Literal["bias_jump"] = Field(description="name of the effect")
-    bias_dph: Vector = Field(description="jump of each gyro, deg/h")
+    bias_dph: BodyVector = Field(description="jump of each gyro, deg/h")
     at_h: NotNegative = Field(description="time of the jump since the start of the world, h")
 
     def _added_dph(self, now: Conditions) -> FloatArray:
         return np.array(self.bias_dph) * (now.time_s >= self.at_h * _HOUR_S)
 
 
-class SupplyRipple(Effect):
+class SupplyRipple(_Effect):
     """Biases that follow the mains supply, which varies with a building's load over hours."""
 
     kind: Literal["supply_ripple"] = Field(description="name of the effect")
-    amplitude_dph: Vector = Field(description="amplitude of each gyro, deg/h")
+    amplitude_dph: BodyVector = Field(description="amplitude of each gyro, deg/h")
     period_h: Positive = Field(description="period, h")
     phase_deg: float = Field(0.0, description="phase at the start of the world, deg")
 
@@ -234,11 +236,11 @@ def _shape(value: Any) -> str:
 
 #: The shape is decided first, so that a mistake in one is not reported for the other as well.
 _VectorOrMatrix = Annotated[
-    Annotated[Vector, Tag("vector")] | Annotated[Matrix, Tag("matrix")], Discriminator(_shape)
+    Annotated[BodyVector, Tag("vector")] | Annotated[Matrix, Tag("matrix")], Discriminator(_shape)
 ]
 
 
-class GSensitivity(Effect):
+class GSensitivity(_Effect):
     """Block and dither springs bend under their own weight: biases linear in the direction of gravity.
 
     Three values are the sensitivity of each gyro to Up along its own axis; of a matrix, row i
@@ -256,7 +258,7 @@ class GSensitivity(Effect):
         return np.asarray((matrix @ now.up_body[..., np.newaxis])[..., 0])
 
 
-class AccelerometerGravity(Effect):
+class AccelerometerGravity(_Effect):
     """The mounts of the accelerometers bend under their weight: biases that follow Up in body axes.
 
     Row i column j is accelerometer i to Up along axis j, or to its square. Without the squares the biases
@@ -279,24 +281,24 @@ class AccelerometerGravity(Effect):
         return np.zeros(now.optics_c.shape)
 
 
-class ChamberState(Effect):
+class ChamberState(_Effect):
     """Vibration of the chamber's compressor: a bias in proportion to the compressor's duty cycle."""
 
     kind: Literal["chamber_state"] = Field(description="name of the effect")
-    bias_dph: Vector = Field(description="bias of each gyro while the compressor runs, deg/h")
+    bias_dph: BodyVector = Field(description="bias of each gyro while the compressor runs, deg/h")
 
     def _added_dph(self, now: Conditions) -> FloatArray:
         return np.array(self.bias_dph) * now.compressor_duty
 
 
-class NeighbouringUnit(Effect):
+class NeighbouringUnit(_Effect):
     """The heat of the units beside it warms one side of the case: a bias in proportion to what it adds.
 
     The key ``neighbour_heating`` says which unit heats which.
     """
 
     kind: Literal["neighbouring_unit"] = Field(description="name of the effect")
-    sensitivity_dph_per_k: Vector = Field(
+    sensitivity_dph_per_k: BodyVector = Field(
         description="bias of each gyro per kelvin that the neighbours add to the air around it, deg/h/K"
     )
 
@@ -304,7 +306,7 @@ class NeighbouringUnit(Effect):
         return np.array(self.sensitivity_dph_per_k) * now.neighbours_k
 
 
-class ModeHop(Effect):
+class ModeHop(_Effect):
     """The path length control moves its mirrors back by one mode at fixed temperature intervals.
 
     Modes of even and odd number see the mirrors differently: the bias acts in every second mode,
@@ -312,7 +314,7 @@ class ModeHop(Effect):
     """
 
     kind: Literal["mode_hop"] = Field(description="name of the effect")
-    bias_dph: Vector = Field(description="bias of each gyro in every second mode, deg/h")
+    bias_dph: BodyVector = Field(description="bias of each gyro in every second mode, deg/h")
     first_reset_c: float = Field(description="temperature of the first change of mode, degC")
     reset_every_c: Positive = Field(description="kelvin between changes of mode")
 
@@ -321,11 +323,11 @@ class ModeHop(Effect):
         return np.asarray(np.array(self.bias_dph) * (mode % 2.0 == 0.0))
 
 
-class LooseClamp(Effect):
+class LooseClamp(_Effect):
     """A clamp of the block comes free above one temperature: from there the bias grows with temperature."""
 
     kind: Literal["loose_clamp"] = Field(description="name of the effect")
-    sensitivity_dph_per_c: Vector = Field(
+    sensitivity_dph_per_c: BodyVector = Field(
         description="bias of each gyro per kelvin above the temperature, deg/h/K"
     )
     free_above_c: float = Field(description="temperature of the optics above which the clamp is free, degC")
@@ -341,7 +343,7 @@ def _two_gyros(names: list[str]) -> list[str]:
     return names
 
 
-class DitherCrossing(Effect):
+class DitherCrossing(_Effect):
     """At one temperature two gyros dither at the same frequency and drive each other.
 
     The frequencies separate in proportion to the mean temperature of both gyros' optics, so the biases
@@ -368,22 +370,22 @@ class DitherCrossing(Effect):
 
 
 if TYPE_CHECKING:
-    UndeclaredEffect = Effect
+    UndeclaredEffect = _Effect
 else:
     #: One entry of a world file's ``undeclared_effects``: each class above is a kind.
     UndeclaredEffect = Annotated[
-        functools.reduce(operator.or_, Effect.__subclasses__()), Field(discriminator="kind")
+        functools.reduce(operator.or_, _Effect.__subclasses__()), Field(discriminator="kind")
     ]
 
 
 class UndeclaredBias:
     """The sum of all undeclared effects of a world."""
 
-    def __init__(self, effects: Sequence[Effect]) -> None:
+    def __init__(self, effects: Sequence[_Effect]) -> None:
         self._effects = [effect.start() for effect in effects]
-        none = Effect.added_scale_factor_ppm
+        none = _Effect.added_scale_factor_ppm
         self._scaling = [each for each in effects if type(each).added_scale_factor_ppm is not none]
-        self._of_force = [each for each in effects if type(each).added_ug is not Effect.added_ug]
+        self._of_force = [each for each in effects if type(each).added_ug is not _Effect.added_ug]
 
     def added_dph(self, now: Conditions) -> FloatArray:
         """Sum of all effects, deg/h, shape (n, 3); to be called for all seconds in order of time."""

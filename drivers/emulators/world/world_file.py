@@ -11,10 +11,10 @@ from pydantic import AfterValidator, Field, model_validator
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.documents import StrictModel, read_document, validate
 from gyrobench.drivers.emulators.world.undeclared_effects import (
+    BodyVector,
     NotNegative,
     Positive,
     UndeclaredEffect,
-    Vector,
 )
 
 # These bounds keep the thermal network's steps of one second stable.
@@ -77,11 +77,11 @@ class GyroErrors(StrictModel):
     scale_factor_repeatability_ppm: NotNegative = Field(
         0.0, description="standard deviation of the scale factor over power-ons, ppm"
     )
-    scale_factor_asymmetry_ppm: Vector = Field(
+    scale_factor_asymmetry_ppm: BodyVector = Field(
         [0.0, 0.0, 0.0],
         description="scale factor of each gyro in positive direction less that in negative, ppm",
     )
-    scale_factor_ppm_per_dps: Vector = Field(
+    scale_factor_ppm_per_dps: BodyVector = Field(
         [0.0, 0.0, 0.0],
         description="change of each gyro's scale factor with the size of its rate, ppm per deg/s",
     )
@@ -120,7 +120,7 @@ class GyroThermal(StrictModel):
         0.6, description="share of the convection that depends on gravity"
     )
 
-    heat_path: Annotated[Vector, AfterValidator(_is_direction)] = Field(
+    heat_path: Annotated[BodyVector, AfterValidator(_is_direction)] = Field(
         description="body direction from electronics to optics, the path of the rising warm air"
     )
 
@@ -184,11 +184,11 @@ class TableGeometry(StrictModel):
     """Installation of the table in the laboratory and of the unit on the table."""
 
     outer_axis: Literal["east", "up"] = Field("east", description="direction of the outer axis")
-    tilt_arcsec: Vector = Field([0.0, 0.0, 0.0], description="tilt about East, North and Up, arcsec")
+    tilt_arcsec: BodyVector = Field([0.0, 0.0, 0.0], description="tilt about East, North and Up, arcsec")
     mounting: Mounting = Field(
         Mounting(x="east", y="north", z="up"), description="direction of the unit's axes at zero"
     )
-    mounting_error_arcsec: Vector = Field(
+    mounting_error_arcsec: BodyVector = Field(
         [0.0, 0.0, 0.0], description="rotation of the unit about x, y, z, arcsec"
     )
     position_error_arcsec: NotNegative = Field(1.0, description="bound of an axis's error, arcsec")
@@ -216,7 +216,7 @@ class FurtherUnit(StrictModel):
         None, description="chamber event output that powers it; default: its number plus one"
     )
     mounting: Mounting | None = Field(None, description="direction of the unit's axes at zero")
-    mounting_error_arcsec: Vector | None = Field(
+    mounting_error_arcsec: BodyVector | None = Field(
         None, description="rotation of the unit about x, y, z, arcsec"
     )
     gyro: GyroErrors | None = Field(None, description="errors of its gyros")

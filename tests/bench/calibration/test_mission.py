@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, SensorErrors
-from gyrobench.bench.calibration.mission import mission_error, navigate
+from gyrobench.bench.calibration.mission import mission_error, navigate_mission
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.rotational_ins import (
@@ -38,14 +38,14 @@ SCHEMES_AT_SITES = [
 
 @pytest.mark.parametrize(("site", "scheme"), SCHEMES_AT_SITES)
 def test_sensors_without_error_stay_within_a_metre_for_a_day(site, scheme):
-    _, error_m = navigate(SensorErrors(), site, scheme)
+    _, error_m = navigate_mission(SensorErrors(), site, scheme)
     assert np.abs(error_m).max() < 1.0
 
 
 @pytest.mark.parametrize("site", SITES)
 def test_constant_biases_err_as_by_the_linear_error_model(site):
     bias_dph = np.array([0.01, -0.02, 0.015])
-    time_s, error_m = navigate(SensorErrors(gyro_bias=bias_dph * DPH_TO_RADPS), site, SIX_POSITIONS)
+    time_s, error_m = navigate_mission(SensorErrors(gyro_bias=bias_dph * DPH_TO_RADPS), site, SIX_POSITIONS)
     linear = rotate_for(86400.0, SIX_POSITIONS, lambda at_s, _: np.tile(bias_dph, (len(at_s), 1)), site)
     expected_m = [np.interp(time_s, linear.time_s, each) for each in (linear.east_m, linear.north_m)]
     assert np.abs(error_m - expected_m).max() < 0.05 * np.abs(expected_m).max()
@@ -56,7 +56,7 @@ def test_a_scheme_that_retraces_its_turns_cancels_misalignments():
         gyro_matrix=np.radians(1.0 / 3600.0) * np.array([[0, 0, 1.0], [0, 0, 0], [0, 0, 0]])
     )
     day_m = {
-        scheme: np.hypot(*navigate(tilted, SITES[1], scheme)[1]).max()
+        scheme: np.hypot(*navigate_mission(tilted, SITES[1], scheme)[1]).max()
         for scheme in (HALF_TURNS, RETRACED_HALF_TURNS)
     }
     assert day_m[RETRACED_HALF_TURNS] < 0.1 * day_m[HALF_TURNS]
@@ -68,11 +68,14 @@ def test_the_distribution_is_that_of_missions_with_drawn_coefficients():
     error = mission_error(values, roots @ roots, site)
     draws = values + np.random.default_rng(3).standard_normal((30, COUNT)) @ roots
     full_nmi = np.array(
-        [np.hypot(*navigate(SensorErrors.from_vector(each), site)[1]).max() / 1852.0 for each in draws]
+        [
+            np.hypot(*navigate_mission(SensorErrors.from_vector(each), site)[1]).max() / 1852.0
+            for each in draws
+        ]
     )
     assert error.median_nmi[-1] == pytest.approx(np.median(full_nmi), rel=0.25)
     assert np.mean(full_nmi < error.high_nmi[-1]) > 0.85
-    stated_nmi = np.hypot(*navigate(SensorErrors.from_vector(values), site)[1]).max() / 1852.0
+    stated_nmi = np.hypot(*navigate_mission(SensorErrors.from_vector(values), site)[1]).max() / 1852.0
     assert error.stated_nmi[-1] == pytest.approx(stated_nmi)
     known = mission_error(values, np.zeros((COUNT, COUNT)), site)
     np.testing.assert_allclose(known.median_nmi, known.stated_nmi, rtol=0.01)

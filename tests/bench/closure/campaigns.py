@@ -16,7 +16,7 @@ from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.monitor.terminal_view import LinesView
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.station.instruments import Emulation
-from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
+from gyrobench.drivers.emulators.bench import BenchAddress, bench_at
 
 PROCEDURE, STATION, WORLD = "quick_campaign", "quick", "quick"
 
@@ -61,7 +61,7 @@ class TruthRecorder(LinesView):
         super().step_started(planned, bench)
         if self._world is None:
             address = BenchAddress(bench.clock.name, self._emulation.world, self._emulation.seed)
-            self._world = emulated_bench(address).world
+            self._world = bench_at(address).world
         self._navigates = planned.step.name == "navigate"
 
     def ticked(self, bench, left_s):

@@ -6,12 +6,12 @@ import pytest
 from gyrobench.bench.bias.dwell_table import write_dwells
 from gyrobench.bench.closure.inputs import read_campaign, temperature_record
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError, RunFolderError
-from gyrobench.bench.runs.telemetry import COLUMNS, Telemetry
+from gyrobench.bench.runs.telemetry import TELEMETRY_COLUMNS, Telemetry
 from tests.bench.report.made_up_closure import made_up_rows
 
 
 def readings(count=200, step_s=10.0):
-    values = {name: np.zeros(count) for name in COLUMNS}
+    values = {name: np.zeros(count) for name in TELEMETRY_COLUMNS}
     values["time_s"] = step_s * np.arange(count)
     for axis, name in enumerate(("gyro_x_c", "gyro_y_c", "gyro_z_c")):
         values[name] = 20.0 + axis + 0.01 * values["time_s"]
@@ -22,7 +22,7 @@ def write_run(folder, values):
     (folder / "journal.jsonl").write_text("")
     write_dwells(folder / "dwells.csv", made_up_rows())
     telemetry = Telemetry(folder / "telemetry")
-    for row in zip(*(values[name] for name in COLUMNS), strict=True):
+    for row in zip(*(values[name] for name in TELEMETRY_COLUMNS), strict=True):
         telemetry.add(row)
     telemetry.flush()
 
@@ -41,7 +41,7 @@ def test_a_run_gives_its_temperatures_between_the_dwells_too(tmp_path):
 
 
 def test_a_run_without_readings_falls_back_on_its_dwells(tmp_path):
-    write_run(tmp_path, {name: np.empty(0) for name in COLUMNS})
+    write_run(tmp_path, {name: np.empty(0) for name in TELEMETRY_COLUMNS})
     record = read_campaign(tmp_path).record
     assert record.time_s[-1] == pytest.approx(made_up_rows()[-1].end_s)
 

@@ -8,7 +8,7 @@ import pytest
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.effects import bias_jump
 from gyrobench.bench.closure.effects.laws import THERMAL_LAG, TIME_DRIFT, WARM_UP
-from gyrobench.bench.closure.joined_tables import ASSUMED_PAUSE_S, TableToJoin, joined
+from gyrobench.bench.closure.joined_tables import ASSUMED_PAUSE_S, TableToJoin, join_tables
 from gyrobench.bench.closure.loop import close_loop, hold_out_each
 from gyrobench.bench.closure.temperatures import TemperatureRecord
 from gyrobench.bench.foundations.errors import MeasurementError
@@ -43,7 +43,7 @@ def same(one, other):
 def test_a_table_cut_in_two_is_the_same_campaign_in_any_order(rows, halves):
     first, second = (source(name, part) for name, part in zip("ab", halves, strict=True))
     for given in ([first, second], [second, first]):
-        campaign = joined(given)
+        campaign = join_tables(given)
         same(campaign, campaign_of(rows))
         assert [table.name for table in campaign.tables] == ["a", "b"]
         assert campaign.tables[1].placed == "on the clock of a"
@@ -51,7 +51,7 @@ def test_a_table_cut_in_two_is_the_same_campaign_in_any_order(rows, halves):
 
 
 def test_a_cut_within_a_power_cycle_leaves_one_constant(rows):
-    campaign = joined([source("a", rows[:20]), source("b", rows[20:])])
+    campaign = join_tables([source("a", rows[:20]), source("b", rows[20:])])
     assert campaign.run_names == campaign_of(rows).run_names
     same(campaign, campaign_of(rows))
 
@@ -63,7 +63,7 @@ def test_a_table_with_its_own_clock_comes_after_the_one_before_it_with_unique_nu
         replace(row, dwell=index + 1, cycle=row.cycle - 1)
         for index, row in enumerate(moved(second, shift_s, run=first[0].run))
     ]
-    campaign = joined([source("a", first), source("b", again)])
+    campaign = join_tables([source("a", first), source("b", again)])
     begins_s = campaign.start_s[len(first)]
     assert begins_s == pytest.approx(first[-1].end_s + ASSUMED_PAUSE_S + second[0].since_power_on_s, abs=1e-6)
     assert len(set(campaign.dwell.tolist())) == len(campaign)
@@ -83,7 +83,7 @@ def test_runs_are_placed_by_their_calendar_time_in_any_order(halves):
     a = source("a", first, is_run=True, began_s=5e5)
     b = source("b", zero, is_run=True, began_s=5e5 + 3e5)
     for given in ([a, b], [b, a]):
-        campaign = joined(given)
+        campaign = join_tables(given)
         assert campaign.start_s[len(first)] - campaign.start_s[0] == pytest.approx(3e5)
         assert campaign.tables[1].placed == "by its calendar time"
 
@@ -92,15 +92,17 @@ def test_runs_that_overlap_are_refused_by_name(halves):
     first, second = halves
     zero = moved(second, first[0].start_s - second[0].start_s)
     with pytest.raises(MeasurementError, match=r"^b starts 17\..* h before a ends"):
-        joined([source("a", first, is_run=True, began_s=0.0), source("b", zero, is_run=True, began_s=3600.0)])
+        join_tables(
+            [source("a", first, is_run=True, began_s=0.0), source("b", zero, is_run=True, began_s=3600.0)]
+        )
 
 
 def test_other_units_and_dwells_given_twice_are_refused_by_name(rows, halves):
     other = [replace(row, unit="other") for row in halves[1]]
     with pytest.raises(MeasurementError, match="b is of unit other, a of unit"):
-        joined([source("a", halves[0]), source("b", other)])
+        join_tables([source("a", halves[0]), source("b", other)])
     with pytest.raises(MeasurementError, match="b: 20 of its dwells, the first is number 1, are also in a"):
-        joined([source("a", rows[:20]), source("b", rows)])
+        join_tables([source("a", rows[:20]), source("b", rows)])
 
 
 def test_effects_with_a_memory_are_those_of_each_table_alone(halves):
@@ -108,7 +110,7 @@ def test_effects_with_a_memory_are_those_of_each_table_alone(halves):
     first, second = (source(name, part) for name, part in zip("ab", halves, strict=True))
     weeks_s = 3e6
     later = source("b", moved(halves[1], weeks_s))
-    campaign = joined([first, later])
+    campaign = join_tables([first, later])
     lag, decay = THERMAL_LAG.forms[0], WARM_UP.forms[0]
     for form, tolerance in ((lag, 0.02), (decay, 1e-9)):
         columns = form.columns(campaign, (3600.0,))
@@ -127,7 +129,7 @@ def test_a_recorded_course_is_kept_and_one_of_dwells_does_not_see_what_is_held_o
     hot = [replace(row, gyro_c=tuple(np.add(row.gyro_c, 40.0 * (row.cycle == 3)))) for row in second]
     records = []
     for part in (second, hot):
-        campaign = joined([source("a", first, measured), source("b", part)]).holding_out([3])
+        campaign = join_tables([source("a", first, measured), source("b", part)]).holding_out([3])
         records.append(campaign.record)
         inside = campaign.record.time_s < first[-1].end_s
         np.testing.assert_array_equal(campaign.record.gyro_c[inside], measured.gyro_c[:-1])
@@ -140,9 +142,9 @@ def test_a_recorded_course_is_kept_and_one_of_dwells_does_not_see_what_is_held_o
 
 def test_the_cycle_held_out_is_the_last_one_of_the_first_table_with_several(rows):
     parts = [[row for row in rows if row.cycle < 3], [row for row in rows if row.cycle == 3]]
-    campaign = joined([source("a", parts[0]), source("b", parts[1])])
+    campaign = join_tables([source("a", parts[0]), source("b", parts[1])])
     assert campaign.last_cycle == 2
-    assert joined([source("b", parts[1]), source("a", moved(parts[0], 1e6))]).last_cycle == 5
+    assert join_tables([source("b", parts[1]), source("a", moved(parts[0], 1e6))]).last_cycle == 5
     assert campaign.cycles_of("b") == [3]
     with pytest.raises(
         MeasurementError, match=r"c can't be held out: it is not searched\. Name one of a and b"
@@ -161,7 +163,7 @@ def test_what_one_power_cycle_leaves_tied_a_second_table_settles():
     two = measure({warm: 2.5}, cycles=2, sensors=("set",), seed=5).rows
     alone = close_loop(campaign_of(one), effects=effects)
     assert alone.verdict == "ambiguous"
-    together = close_loop(joined([source("a", one), source("b", two, is_run=True)]), effects=effects)
+    together = close_loop(join_tables([source("a", one), source("b", two, is_run=True)]), effects=effects)
     assert [found.effect.name for found in together.effects] == ["warm_up"]
     assert together.effects[0].tied_with == ()
 

@@ -9,7 +9,7 @@ from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.effects import bias_jump
 from gyrobench.bench.closure.effects.laws import AGEING, TEMPERATURE_RATE, THERMAL_LAG, TIME_DRIFT, WARM_UP
 from gyrobench.bench.closure.loop import close_loop, without_search
-from gyrobench.bench.closure.noise import OUTLIER_SIGMA, estimate_noise, outweighing_dwell
+from gyrobench.bench.closure.noise import OUTLIER_SIGMA, estimate_campaign_noise, outweighing_dwell
 from gyrobench.bench.report.closure.closure_text import error_sentence
 from tests.bench.closure.thermal_bench import measure
 from tests.benchmarks.closure_units import make_unit
@@ -40,7 +40,7 @@ def test_clean_units_with_noise_larger_than_stated_or_outliers_are_called_clean(
 @pytest.mark.parametrize("scale", [1.2, 1.4, 1.6])
 def test_the_scale_is_that_of_the_noise(scale):
     campaign = campaign_of(measure(noise=scale).rows)
-    noise = estimate_noise(campaign, np.ones(len(campaign), dtype=bool))
+    noise = estimate_campaign_noise(campaign, np.ones(len(campaign), dtype=bool))
     assert noise.scale == pytest.approx(scale, rel=0.08)
     assert noise.outliers == ()
     assert np.all(noise.factors == 1.0)
@@ -49,13 +49,13 @@ def test_the_scale_is_that_of_the_noise(scale):
 @pytest.mark.parametrize("effect", ["g_sensitivity", "time_drift", "sinusoid"])
 def test_an_effect_is_no_noise(effect):
     campaign = campaign_of(measure({effect: 1.5}).rows)
-    noise = estimate_noise(campaign, np.ones(len(campaign), dtype=bool))
+    noise = estimate_campaign_noise(campaign, np.ones(len(campaign), dtype=bool))
     assert noise.scale == 1.0
     assert noise.outliers == ()
 
 
 def test_noise_as_stated_has_no_scale_and_no_outliers():
-    noises = [estimate_noise(c, np.ones(len(c), dtype=bool))
+    noises = [estimate_campaign_noise(c, np.ones(len(c), dtype=bool))
               for c in (campaign_of(measure(seed=seed).rows) for seed in range(20))]  # fmt: skip
     assert sum(each.scale > 1.0 for each in noises) <= 2
     assert all(each.outliers == () for each in noises)
@@ -64,7 +64,7 @@ def test_noise_as_stated_has_no_scale_and_no_outliers():
 def test_an_outlier_is_off_by_more_than_five_standard_deviations_and_counts_as_one():
     rows, truth = make_unit(13, noise="outliers")
     campaign = campaign_of(rows)
-    noise = estimate_noise(campaign, np.ones(len(campaign), dtype=bool))
+    noise = estimate_campaign_noise(campaign, np.ones(len(campaign), dtype=bool))
     assert {each.dwell for each in noise.outliers} <= set(truth.outliers)
     off = [abs(each.residual_sigma) for each in noise.outliers]
     assert off == sorted(off, reverse=True)
@@ -89,7 +89,7 @@ def with_bias_times_1000(rows, dwell, gyros):
 def test_a_dwell_that_is_thousands_of_sigmas_off_is_the_only_outlier_and_counts_as_one(dwell, gyros):
     campaign = campaign_of(with_bias_times_1000(measure(seed=1).rows, dwell, gyros))
     searched = np.ones(len(campaign), dtype=bool)
-    noise = estimate_noise(campaign, searched)
+    noise = estimate_campaign_noise(campaign, searched)
     assert {(each.dwell, each.gyro) for each in noise.outliers} == {(dwell, gyro) for gyro in gyros}
     residuals = noise.problem(campaign, searched).residuals
     assert np.abs(residuals[noise.factors > 1.0]).max() < 1.3
@@ -185,7 +185,7 @@ def test_where_too_many_biases_are_off_none_is_an_outlier(share):
         for index, row in enumerate(rows)
     ]
     campaign = campaign_of(rows)
-    assert estimate_noise(campaign, np.ones(len(campaign), dtype=bool)).outliers == ()
+    assert estimate_campaign_noise(campaign, np.ones(len(campaign), dtype=bool)).outliers == ()
 
 
 @pytest.mark.parametrize("options", [{}, {"power_on_each_cycle": True}], ids=["one run", "a run each cycle"])
@@ -236,7 +236,7 @@ def test_the_stated_noise_is_that_of_dwells_without_outliers():
 def test_rows_get_the_standard_deviations_of_the_search():
     rows, _ = make_unit(13, noise="outliers")
     campaign = campaign_of(rows)
-    noise = estimate_noise(campaign, np.ones(len(campaign), dtype=bool))
+    noise = estimate_campaign_noise(campaign, np.ones(len(campaign), dtype=bool))
     assert noise.outliers
     weighted = campaign_of(noise.weighted(rows))
     np.testing.assert_allclose(weighted.sigma_dph, campaign.sigma_dph * noise.factors)

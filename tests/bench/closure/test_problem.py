@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.problem import DEGREE, declared_columns, declared_problem, solve
+from gyrobench.bench.closure.problem import DEGREE, declared_columns, declared_problem, solve_terms
 from tests.bench.closure.thermal_bench import CUBIC_DPH, SIGMA_DPH, measure
 
 ALL = np.ones((3, 2), dtype=bool)
@@ -125,21 +125,21 @@ def test_share_left_is_nothing_of_a_case_and_all_of_something_else(one, terms):
 
 def test_the_declared_model_is_recovered_without_noise():
     campaign = campaign_of(measure(noise=0.0).rows)
-    fitted = solve(declared_problem(campaign, campaign.cycle < 3), [])
+    fitted = solve_terms(declared_problem(campaign, campaign.cycle < 3), [])
     np.testing.assert_allclose(fitted.declared[:, :DEGREE], CUBIC_DPH, atol=5e-4)
     np.testing.assert_allclose(fitted.bias_dph, campaign.bias_dph, atol=1e-4)
 
 
 def test_the_solution_leaves_the_sum_of_squares_of_its_problem(one, terms):
     kept = np.array([[True, False], [True, True], [False, True]])
-    fitted = solve(one, [(terms, kept)])
+    fitted = solve_terms(one, [(terms, kept)])
     rest = (one.campaign.bias_dph - fitted.bias_dph)[one.searched] / one.sigma_dph
     assert np.sum(rest**2) == pytest.approx(left_by_least_squares(one, terms, kept))
     np.testing.assert_array_equal(fitted.sizes[0] != 0.0, kept)
 
 
 def test_a_run_that_was_not_searched_has_the_mean_constant_of_the_others(one):
-    fitted = solve(one, [])
+    fitted = solve_terms(one, [])
     assert np.isnan(fitted.declared[:, DEGREE + 2]).all()
     held_out = ~one.searched
     for gyro in range(3):

@@ -3,13 +3,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrobench.bench.closure.candidates import evaluate
+from gyrobench.bench.closure.candidates import fit_hypothesis
 from gyrobench.bench.closure.effects import all_effects, bias_jump
 from gyrobench.bench.closure.effects.effect import Effect, Form
 from gyrobench.bench.closure.effects.laws import TEMPERATURE_RATE, THERMAL_HYSTERESIS, THERMAL_LAG, TIME_DRIFT
 from gyrobench.bench.closure.posterior import TIE_ODDS
 from gyrobench.bench.closure.problem import declared_problem
-from gyrobench.bench.closure.search import MAY_BE_LACK, SIGNIFICANCE, Search
+from gyrobench.bench.closure.search import EFFECT_SIGNIFICANCE, MAY_BE_LACK, Search
 from tests.bench.closure.conftest import EQUIPPED
 from tests.bench.closure.thermal_bench import SIGMA_DPH
 
@@ -103,7 +103,7 @@ def test_three_effects_are_found_together(search):
 def test_no_effect_of_the_best_set_has_a_better_one_in_its_place(search):
     one, best = search({"g_sensitivity": 4.0, "bias_jump": 4.0, "thermal_hysteresis": 4.0}, cycles=2, seed=7)
     for left_out in best.candidates:
-        others = evaluate(one.problem, [each for each in best.candidates if each is not left_out])
+        others = fit_hypothesis(one.problem, [each for each in best.candidates if each is not left_out])
         for effect in one.effects:
             instead = None if effect.name in best.names else one.add(others, effect)
             assert instead is None or instead.bic > best.bic
@@ -128,7 +128,7 @@ def test_what_one_width_lacks_of_a_hysteresis_of_many_is_no_second_effect(proble
     searching = Search(searched, [replace(THERMAL_HYSTERESIS, forms=(width,)), effect])
     both = searching.add(searching.alone["thermal_hysteresis"], effect)
     place = [each.effect.name for each in both.candidates].index(effect.name)
-    assert searching.p_value(both, place) < SIGNIFICANCE
+    assert searching.p_value(both, place) < EFFECT_SIGNIFICANCE
     assert searching.lack(both, place).startswith(MAY_BE_LACK) == (drift == 0.0)
 
 
@@ -138,7 +138,7 @@ def test_an_effect_in_one_dwell_is_not_found(problem):
     bias_dph[20] += 10.0 * SIGMA_DPH
     searched = declared_problem(replace(one.campaign, bias_dph=bias_dph), one.searched)
     searching = Search(searched, [bias_jump.EFFECT, following_dwell(20)])
-    assert searching.p_value(searching.alone["dwells"], 0) < SIGNIFICANCE
+    assert searching.p_value(searching.alone["dwells"], 0) < EFFECT_SIGNIFICANCE
     assert "dwells" not in searching.best().names
 
 
@@ -276,7 +276,7 @@ def test_an_effect_in_the_set_is_not_added_twice(search):
 
 def test_each_effect_of_the_best_set_is_significant(search):
     one, best = search({"warm_up": 4.0, "time_drift": 6.0}, seed=7, sensors=())
-    assert all(one.p_value(best, index) < SIGNIFICANCE for index in range(len(best.candidates)))
+    assert all(one.p_value(best, index) < EFFECT_SIGNIFICANCE for index in range(len(best.candidates)))
 
 
 def test_effects_with_missing_inputs_are_not_fitted(search):

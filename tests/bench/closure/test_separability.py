@@ -10,7 +10,7 @@ from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.effect import Effect, Form, Parameter, fixed
 from gyrobench.bench.closure.planned_campaign import planned_campaign
 from gyrobench.bench.closure.problem import declared_problem
-from gyrobench.bench.closure.search import SIGNIFICANCE, Search
+from gyrobench.bench.closure.search import EFFECT_SIGNIFICANCE, Search
 from gyrobench.bench.closure.separability import searched_dwells, separability, unit_parts
 from tests.bench.closure.plans import shipped, station
 
@@ -60,7 +60,7 @@ def share_found(campaign, name, size_dph, repeats=60):
     for seed in range(repeats):
         search = searched(campaign, name, size_dph, seed)
         alone = search.alone.get(name)
-        found += alone is not None and search.p_value(alone, 0) * len(EFFECTS) < SIGNIFICANCE
+        found += alone is not None and search.p_value(alone, 0) * len(EFFECTS) < EFFECT_SIGNIFICANCE
     return found / repeats
 
 

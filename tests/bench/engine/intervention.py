@@ -6,7 +6,7 @@ from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.instruments import Emulation
-from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
+from gyrobench.drivers.emulators.bench import BenchAddress, bench_at
 
 TWO_TEMPERATURES = """procedure: two_temperatures
 steps:
@@ -51,7 +51,7 @@ class Intervention(RunObserver):
     def ticked(self, live, left_s):
         clock = live.clock
         world = str(find_document("worlds", "ideal"))
-        self.bench = emulated_bench(BenchAddress(clock.name, world, 0))
+        self.bench = bench_at(BenchAddress(clock.name, world, 0))
         if self.now == self.kind and self.left == 0 and not self.done:
             self.done = True
             self.bench.advance()

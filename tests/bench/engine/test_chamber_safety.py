@@ -14,7 +14,7 @@ from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.runs.telemetry import read_telemetry
 from gyrobench.bench.station.instruments import Emulation
-from gyrobench.bench.station.preflight_check import Verdict
+from gyrobench.bench.station.preflight_check import CheckVerdict
 from gyrobench.drivers.chamber.watlow_f4 import WatlowF4
 from gyrobench.drivers.emulators.watlow_f4 import WatlowF4Emulator
 from tests.bench.engine.intervention import RefusingOperator
@@ -123,10 +123,10 @@ def checked(tmp_path, prepared, fault, **options):
 
 def test_the_preflight_check_tries_a_set_point_and_names_who_ramps(tmp_path, prepared):
     found = checked(tmp_path, prepared, "fault: no_set_point_ramp, at_s: 0")["set point"]
-    assert found.verdict is Verdict.PASS
+    assert found.verdict is CheckVerdict.PASS
     assert found.found.endswith("the controller does not ramp, so the bench moves it in steps")
     refused = checked(tmp_path, prepared, "fault: exception_code, at_s: 0, for_s: 100000")["answers"]
-    assert refused.verdict is Verdict.FAIL
+    assert refused.verdict is CheckVerdict.FAIL
 
 
 class UnreadableSwitch:
@@ -145,8 +145,8 @@ class UnreadableSwitch:
 @pytest.mark.parametrize(
     ("air_c", "verdict", "found"),
     [
-        (60.0, Verdict.SKIPPED, "is not tried while the chamber changes its temperature"),
-        (23.0, Verdict.PASS, "the controller ramps and keeps 10 degC/min as its ramp"),
+        (60.0, CheckVerdict.SKIPPED, "is not tried while the chamber changes its temperature"),
+        (23.0, CheckVerdict.PASS, "the controller ramps and keeps 10 degC/min as its ramp"),
     ],
 )
 def test_the_preflight_check_writes_nothing_to_a_chamber_that_may_change_its_temperature(
@@ -162,17 +162,17 @@ def test_the_preflight_check_writes_nothing_to_a_chamber_that_may_change_its_tem
     }
     assert (checks["set point"].verdict, found in checks["set point"].found) == (verdict, True)
     writes = [request for request in heard.requests if request[1] == 6]  # Modbus function
-    assert bool(writes) == (verdict is Verdict.PASS)
+    assert bool(writes) == (verdict is CheckVerdict.PASS)
 
 
 def test_the_preflight_check_sees_a_profile_and_leaves_it(tmp_path, prepared):
     fault = "fault: profile_started_at_panel, at_s: 0, to_c: 60"
     found = checked(tmp_path, prepared, fault)
-    assert found["no profile"].verdict is Verdict.FAIL
+    assert found["no profile"].verdict is CheckVerdict.FAIL
     assert "register 200 reads 2" in found["no profile"].found
-    assert found["set point"].verdict is Verdict.SKIPPED
+    assert found["set point"].verdict is CheckVerdict.SKIPPED
     found = checked(tmp_path, prepared, fault, replaced=END_PROFILES)
-    assert found["no profile"].verdict is Verdict.PASS
+    assert found["no profile"].verdict is CheckVerdict.PASS
     assert found["no profile"].found.endswith("a run ends it")
 
 

@@ -8,7 +8,7 @@ from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.station.instruments import Emulation
-from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
+from gyrobench.drivers.emulators.bench import BenchAddress, bench_at
 from tests.bench.engine.test_resumption import Watcher
 
 MOVE = """procedure: move
@@ -36,7 +36,7 @@ class Observer(Watcher):
     def beat(self, bench):
         now_s = bench.clock.now()
         world = str(find_document("worlds", "quick"))
-        emulated = emulated_bench(BenchAddress(bench.clock.name, world, 0, self.faults))
+        emulated = bench_at(BenchAddress(bench.clock.name, world, 0, self.faults))
         moves = any(abs(axis.encoder(now_s).rate_dps) > 0.01 for axis in emulated.world.axes.values())
         self.moved_s += (now_s - self.last_s) * (self.is_held and moves)
         self.last_s = now_s

@@ -18,7 +18,7 @@ from gyrobench.bench.monitor.snapshot_recorder import SnapshotRecorder, Thinned
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.drivers.emulators.acl_axis import SoftwareFault
-from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
+from gyrobench.drivers.emulators.bench import BenchAddress, bench_at
 from tests.bench.monitor.conftest import recorded_run
 
 
@@ -264,7 +264,7 @@ def test_time_and_readings_continue_in_a_hold(witnessed):
 def test_a_trip_waits_for_the_operator_and_says_why_when_its_cause_is_over(witnessed):
     def trip_table(bench):
         world = str(find_document("worlds", "ideal"))
-        emulated = emulated_bench(BenchAddress(bench.clock.name, world, 0))
+        emulated = bench_at(BenchAddress(bench.clock.name, world, 0))
         emulated.serial["table"].trip(1, SoftwareFault.RATE_TRIP, bench.clock.now())
 
     seen, last = witnessed("navigate", trip_table, refuses="The run holds")

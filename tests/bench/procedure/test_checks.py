@@ -6,7 +6,7 @@ import pytest
 
 from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.procedure.checks import StationLimits, check, find_problems
+from gyrobench.bench.procedure.checks import StationLimits, check_plan, find_problems
 from gyrobench.bench.procedure.plan import Plan, expand
 from gyrobench.bench.procedure.procedure_file import load_procedure
 
@@ -86,7 +86,7 @@ def test_what_cannot_work_is_named_with_its_place(
 ) -> None:
     document, plan = planned(steps)
     with pytest.raises(DocumentError, match=message) as caught:
-        check(document, plan, limits)
+        check_plan(document, plan, limits)
     assert str(caught.value).startswith(f"test.yaml:{place}: ")
     assert "\n" not in str(caught.value)
 
@@ -111,7 +111,7 @@ def test_everything_wrong_is_listed_at_once(planned: PlanOf, limits: StationLimi
         "- chamber: {temperature_c: 99, ramp_c_per_min: 9}\n" + ALIGN + "- navigate: {duration_s: 5}"
     )
     with pytest.raises(DocumentError) as caught:
-        check(document, plan, limits)
+        check_plan(document, plan, limits)
     lines = [line.split(": ")[0] for line in str(caught.value).splitlines()]
     assert lines == [
         "test.yaml:3:13", "test.yaml:3:32", "test.yaml:4:3", "test.yaml:4:3",
@@ -125,7 +125,7 @@ def test_a_mistake_in_a_loop_is_listed_once(planned: PlanOf, limits: StationLimi
         "steps: [{navigate: {duration_s: 600}}, {go_to: {position: z_up}}]}"
     )
     with pytest.raises(DocumentError) as caught:
-        check(document, plan, limits)
+        check_plan(document, plan, limits)
     assert len(str(caught.value).splitlines()) == 1
 
 
@@ -138,13 +138,13 @@ def test_a_bracketing_position_and_a_repeated_dwell_are_allowed(
         "- power_on\n- repeat:\n    over: {position: [z_up, y_up, z_up]}\n"
         f"    steps: [{{go_to: {{position: $position}}}}, {dwell}, {dwell}]\n"
     )
-    check(document, plan, limits)
+    check_plan(document, plan, limits)
     assert plan.dwell_count == 6
 
 
 def test_the_procedure_may_end_cold(planned: PlanOf, limits: StationLimits) -> None:
     document, plan = planned("- chamber: {temperature_c: -40, ramp_c_per_min: 5}")
-    check(document, plan, limits)
+    check_plan(document, plan, limits)
 
 
 @pytest.mark.parametrize(
@@ -152,7 +152,7 @@ def test_the_procedure_may_end_cold(planned: PlanOf, limits: StationLimits) -> N
 )
 def test_shipped_procedures_can_be_run(limits: StationLimits, shipped: Path, name: str) -> None:
     document, procedure = load_procedure(shipped / f"{name}.yaml")
-    check(
+    check_plan(
         document,
         expand(document, procedure),
         replace(limits, reachable=lambda position, azimuth_deg, turns_deg: None),
@@ -167,5 +167,5 @@ def test_a_temperature_at_which_an_interlock_would_trip_is_refused(
     )
     narrow = replace(limits, gyro_low_c=-60.0, gyro_high_c=65.0)
     with pytest.raises(DocumentError, match=r"test.yaml:4:15: the gyros would reach \d+ degC"):
-        check(document, plan, narrow)
-    check(document, plan, replace(limits, gyro_high_c=95.0))
+        check_plan(document, plan, narrow)
+    check_plan(document, plan, replace(limits, gyro_high_c=95.0))

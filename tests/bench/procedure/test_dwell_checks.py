@@ -4,7 +4,7 @@ import pytest
 
 from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.procedure.checks import check
+from gyrobench.bench.procedure.checks import check_plan
 from gyrobench.bench.procedure.plan import Plan
 
 PlanOf = Callable[[str], tuple[Document, Plan]]
@@ -76,7 +76,7 @@ def test_what_gives_no_bias_is_named_with_its_place(
 ) -> None:
     document, plan = planned(START + steps)
     with pytest.raises(DocumentError, match=message) as caught:
-        check(document, plan)
+        check_plan(document, plan)
     assert str(caught.value).startswith(f"test.yaml:{place}: ")
     assert "\n" not in str(caught.value)
 
@@ -84,7 +84,7 @@ def test_what_gives_no_bias_is_named_with_its_place(
 def test_a_dwell_that_is_interrupted_is_reported_on_both_sides(planned: PlanOf) -> None:
     document, plan = planned(START + WINDOW + "- soak: {for_s: 5}\n" + TURN + WINDOW)
     with pytest.raises(DocumentError) as caught:
-        check(document, plan)
+        check_plan(document, plan)
     first, second = str(caught.value).splitlines()
     assert first == f"test.yaml:6:3: {NO_TURN}"
     assert second.startswith("test.yaml:9:3: this navigation belongs to no dwell")
@@ -111,4 +111,4 @@ GOOD = {
 @pytest.mark.parametrize("steps", GOOD.values(), ids=GOOD)
 def test_what_gives_a_bias_or_verifies_one_is_allowed(planned: PlanOf, steps: str) -> None:
     document, plan = planned(START + steps)
-    check(document, plan)
+    check_plan(document, plan)

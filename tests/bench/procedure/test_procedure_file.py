@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from gyrobench.bench.foundations.documents import Document, parse_document
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.procedure.checks import StationLimits, check
+from gyrobench.bench.procedure.checks import StationLimits, check_plan
 from gyrobench.bench.procedure.plan import Plan, expand
 from gyrobench.bench.procedure.procedure_file import Repeat, checked_procedure, load_procedure
 from gyrobench.bench.procedure.timeline import position_spans, timeline_rows
@@ -339,7 +339,7 @@ def outcome(text: str) -> Plan | DocumentError:
     try:
         document = parse_document(text, Path("test.yaml"))
         plan = expand(document, checked_procedure(document))
-        check(document, plan, LIMITS)
+        check_plan(document, plan, LIMITS)
     except DocumentError as error:
         return error
     return plan

@@ -8,7 +8,7 @@ import pytest
 from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.navigation.positions import POSITIONS
-from gyrobench.bench.procedure.checks import StationLimits, check
+from gyrobench.bench.procedure.checks import StationLimits, check_plan
 from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.station.station import Station
 
@@ -48,7 +48,7 @@ def outer_axis_up(tmp_path_factory: pytest.TempPathFactory) -> StationLimits:
 def problem(planned: PlanOf, steps: str, limits: StationLimits) -> str:
     document, plan = planned(steps)
     with pytest.raises(DocumentError) as caught:
-        check(document, plan, limits)
+        check_plan(document, plan, limits)
     assert "\n" not in str(caught.value)
     return str(caught.value)
 
@@ -58,16 +58,16 @@ def problem(planned: PlanOf, steps: str, limits: StationLimits) -> str:
 def test_a_level_outer_axis_turns_every_position_by_180_deg_either_way(
     planned: PlanOf, level_outer_axis: StationLimits, position: str, angle_deg: float
 ) -> None:
-    check(*planned(dwell(position, [angle_deg])), level_outer_axis)
-    check(*planned(dwell(position, [angle_deg], azimuth_deg=180.0)), level_outer_axis)
+    check_plan(*planned(dwell(position, [angle_deg])), level_outer_axis)
+    check_plan(*planned(dwell(position, [angle_deg], azimuth_deg=180.0)), level_outer_axis)
 
 
 @pytest.mark.parametrize("angle_deg", [90.0, -90.0])
 def test_four_azimuths_are_planned_where_an_axis_of_the_table_is_vertical(
     planned: PlanOf, level_outer_axis: StationLimits, outer_axis_up: StationLimits, angle_deg: float
 ) -> None:
-    check(*planned(dwell("z_down", 3 * [angle_deg])), level_outer_axis)
-    check(*planned(dwell("y_up", 3 * [angle_deg], azimuth_deg=45.0)), outer_axis_up)
+    check_plan(*planned(dwell("z_down", 3 * [angle_deg])), level_outer_axis)
+    check_plan(*planned(dwell("y_up", 3 * [angle_deg], azimuth_deg=45.0)), outer_axis_up)
 
 
 def test_a_turn_out_of_reach_is_named_where_it_stands_with_what_can_be_reached(
@@ -104,8 +104,8 @@ def test_the_turn_that_leaves_the_range_of_an_axis_is_named(planned: PlanOf, lim
         return "beyond its limits" if max(angles_deg) - min(angles_deg) > 300.0 else None
 
     narrow = replace(limits, reachable=within_300_deg)
-    check(*planned(dwell("z_up", [90.0, 90.0, 90.0])), narrow)
-    check(*planned(dwell("z_up", [180.0, -180.0, 180.0])), narrow)
+    check_plan(*planned(dwell("z_up", [90.0, 90.0, 90.0])), narrow)
+    check_plan(*planned(dwell("z_up", [180.0, -180.0, 180.0])), narrow)
     message = problem(planned, dwell("z_up", [90.0, 90.0, 90.0, 90.0, -90.0]), narrow)
     assert message.startswith("test.yaml:13:10: z_up at azimuth 0, then turns of 90, 90, 90, 90 deg can't be")
     assert "beyond its limits" in message
@@ -115,7 +115,7 @@ def test_a_turn_of_a_second_alignment_in_the_same_place_counts_as_well(
     planned: PlanOf, level_outer_axis: StationLimits
 ) -> None:
     again = dwell("z_up", [180.0]).split("\n", 2)[2]
-    check(*planned(dwell("z_up", [180.0]) + again), level_outer_axis)
+    check_plan(*planned(dwell("z_up", [180.0]) + again), level_outer_axis)
     message = problem(planned, dwell("z_up", [180.0]) + again * 4, level_outer_axis)
     assert "then turns of 180, 180, 180, 180, 180 deg can't be reached" in message
     assert "limits" in message

@@ -4,7 +4,7 @@ import pytest
 
 from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.procedure.checks import check
+from gyrobench.bench.procedure.checks import check_plan
 from gyrobench.bench.procedure.plan import Plan
 
 PlanOf = Callable[[str], tuple[Document, Plan]]
@@ -67,7 +67,7 @@ def test_a_verification_without_one_half_a_turn_away_is_reported_with_what_to_ad
 ) -> None:
     document, plan = planned(POWER_ON + steps)
     with pytest.raises(DocumentError) as caught:
-        check(document, plan)
+        check_plan(document, plan)
     lines = str(caught.value).splitlines()
     for line, place_position_azimuth in zip(lines, expected, strict=True):
         place, position, azimuth_deg = place_position_azimuth.split()
@@ -96,4 +96,4 @@ PAIRED = {
 @pytest.mark.parametrize("steps", PAIRED.values(), ids=PAIRED)
 def test_verifications_in_pairs_half_a_turn_apart_are_allowed(planned: PlanOf, steps: str) -> None:
     document, plan = planned(POWER_ON + steps)
-    check(document, plan)
+    check_plan(document, plan)

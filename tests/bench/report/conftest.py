@@ -24,7 +24,7 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal
 from gyrobench.bench.runs.tables.joint_table import JointBiasRow, JointPlateauRow, write_joint
 from gyrobench.bench.runs.tables.noise_file import write_noise
-from gyrobench.bench.runs.telemetry import COLUMNS, Telemetry
+from gyrobench.bench.runs.telemetry import TELEMETRY_COLUMNS, Telemetry
 from tests.bench.report.made_up_noise import made_up_noise
 
 CHAMBER_C = (62.0, 47.0, 22.0, 5.0, -8.0, -36.0)
@@ -140,7 +140,7 @@ def made_up_telemetry(duration_s: float, step_s: float = 60.0) -> dict[str, np.n
         air_c += np.clip(goal - air_c, -step_s / 60.0, step_s / 60.0)
         gyro_c += (air_c + 14.0 - gyro_c) * step_s / 2400.0
         air[index], gyro[index] = air_c, gyro_c
-    columns = {name: np.zeros(len(time_s)) for name in COLUMNS}
+    columns = {name: np.zeros(len(time_s)) for name in TELEMETRY_COLUMNS}
     columns |= {"time_s": time_s, "chamber_set_c": set_c, "chamber_c": air, "case_c": gyro - 7.0}
     for number, axis in enumerate("xyz"):
         columns |= {f"gyro_{axis}_c": gyro + 0.4 * number, f"board_{axis}_c": gyro + 11.0 + 0.4 * number}
@@ -187,7 +187,7 @@ def write_run(folder: RunFolder, rows: list[DwellRow]) -> RunFolder:
     write_noise(folder.noise, made_up_noise())
     telemetry = Telemetry(folder.telemetry)
     columns = made_up_telemetry(max((row.end_s for row in rows), default=3600.0))
-    for values in zip(*(columns[name] for name in COLUMNS), strict=True):
+    for values in zip(*(columns[name] for name in TELEMETRY_COLUMNS), strict=True):
         telemetry.add(values)
     telemetry.flush()
     folder.procedure.write_text(

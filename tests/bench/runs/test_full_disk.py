@@ -10,7 +10,7 @@ from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import write_whole
 from gyrobench.bench.runs.can_log import CanLog, read_can_log
 from gyrobench.bench.runs.journal import Journal, read_journal
-from gyrobench.bench.runs.telemetry import COLUMNS, Telemetry, read_telemetry
+from gyrobench.bench.runs.telemetry import TELEMETRY_COLUMNS, Telemetry, read_telemetry
 from gyrobench.drivers.frames import FrameBlock
 
 
@@ -73,7 +73,7 @@ def test_telemetry_is_written_once_there_is_room_again(full_disk):
     telemetry = Telemetry(full_disk / "telemetry")
 
     def add(time_s):
-        telemetry.add((time_s, *range(1, len(COLUMNS))))
+        telemetry.add((time_s, *range(1, len(TELEMETRY_COLUMNS))))
 
     add(0.0)
     telemetry.flush()

@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.runs.telemetry import COLUMNS, Telemetry, last_reading_s, read_telemetry
+from gyrobench.bench.runs.telemetry import TELEMETRY_COLUMNS, Telemetry, last_reading_s, read_telemetry
 
 
 def row(time_s):
-    return (time_s, *range(1, len(COLUMNS)))
+    return (time_s, *range(1, len(TELEMETRY_COLUMNS)))
 
 
 def add(telemetry, times_s):
@@ -27,7 +27,7 @@ def test_pandas_opens_the_folder_as_one_table(tmp_path):
     telemetry.flush()
     table = pd.read_parquet(tmp_path)
     assert len(table) == 2000
-    assert list(table.columns) == list(COLUMNS)
+    assert list(table.columns) == list(TELEMETRY_COLUMNS)
     assert table.time_s.is_monotonic_increasing
 
 
@@ -66,7 +66,7 @@ def test_a_resumed_run_continues_in_a_new_part_after_a_row_that_says_nothing(tmp
         telemetry.flush()
     readings = read_telemetry(tmp_path)
     assert readings["time_s"].tolist() == [0, 1, 2, 500, 500, 501, 502]
-    for name in COLUMNS[1:]:
+    for name in TELEMETRY_COLUMNS[1:]:
         assert np.flatnonzero(np.isnan(readings[name])).tolist() == [3]
 
 
@@ -100,7 +100,7 @@ def test_a_damaged_part_is_an_error_with_its_name(tmp_path, content):
 
 def test_an_empty_folder_gives_empty_columns(tmp_path):
     assert {name: len(values) for name, values in read_telemetry(tmp_path).items()} == dict.fromkeys(
-        COLUMNS, 0
+        TELEMETRY_COLUMNS, 0
     )
 
 
@@ -108,7 +108,7 @@ def test_a_part_that_asks_for_far_more_rows_than_a_run_writes_is_refused(tmp_pat
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    table = pa.table({name: np.zeros(200_000) for name in COLUMNS})
+    table = pa.table({name: np.zeros(200_000) for name in TELEMETRY_COLUMNS})
     pq.write_table(table, tmp_path / "part-00001.parquet")
     with pytest.raises(RunFolderError, match=r"part-00001\.parquet: 200000 rows"):
         read_telemetry(tmp_path)
@@ -118,6 +118,6 @@ def test_a_part_with_text_in_the_place_of_numbers_is_refused(tmp_path):
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    pq.write_table(pa.table({name: ["x"] for name in COLUMNS}), tmp_path / "part-00001.parquet")
+    pq.write_table(pa.table({name: ["x"] for name in TELEMETRY_COLUMNS}), tmp_path / "part-00001.parquet")
     with pytest.raises(RunFolderError, match=r"part-00001\.parquet: can't be read"):
         read_telemetry(tmp_path)

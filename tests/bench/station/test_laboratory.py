@@ -8,7 +8,7 @@ from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.preflight.bench_check import calibration_checks
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document
-from gyrobench.bench.station.preflight_check import Verdict
+from gyrobench.bench.station.preflight_check import CheckVerdict
 from gyrobench.bench.station.station import Station
 
 SECTIONS = """
@@ -63,9 +63,9 @@ def test_a_run_with_an_instrument_past_due_needs_the_operators_acknowledgement(s
         prepare_job("ten_minute_check", str(station)).check_calibrations()
     prepare_job("ten_minute_check", str(station), acknowledged=["rate_table"]).check_calibrations()
     (check,) = calibration_checks(Station(station), [])
-    assert check.verdict is Verdict.FAIL
+    assert check.verdict is CheckVerdict.FAIL
     (check,) = calibration_checks(Station(station), ["rate_table"])
-    assert check.verdict is Verdict.PASS
+    assert check.verdict is CheckVerdict.PASS
     assert check.found.endswith("acknowledged by A. Smith")
 
 

@@ -10,7 +10,7 @@ from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.instruments import Emulation, Instruments, Outputs
 from gyrobench.bench.station.safe_state import RAMP_PERIOD_S, SafeAction, SafePart, finish_ramp, make_safe
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
+from gyrobench.drivers.emulators.bench import BenchAddress, bench_at
 from gyrobench.drivers.serial_line import SerialLine
 
 
@@ -26,7 +26,7 @@ def opened(request, tmp_path):
     station, clock = Station(path), VirtualClock()
     with Instruments(station, clock, Emulation("ideal", 0)) as instruments:
         world = str(find_document("worlds", "ideal"))
-        yield station, instruments, emulated_bench(BenchAddress(clock.name, world, 0))
+        yield station, instruments, bench_at(BenchAddress(clock.name, world, 0))
 
 
 def problems(actions):

@@ -8,7 +8,7 @@ from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.station.instruments import Emulation, Instruments
-from gyrobench.bench.station.preflight_check import Verdict
+from gyrobench.bench.station.preflight_check import CheckVerdict
 from gyrobench.bench.station.safe_state import make_safe
 from gyrobench.bench.station.station import Station
 
@@ -84,4 +84,4 @@ def test_the_preflight_check_covers_each_unit(tmp_path):
     checks = check_bench("four_units", None, Emulation("four_units"), tmp_path)
     answers = {check.subject: check.verdict for check in checks if check.what == "answers"}
     units = {name: verdict for name, verdict in answers.items() if name.startswith("INS")}
-    assert units == {f"INS {number}": Verdict.PASS for number in (1101, 1102, 1103, 1104)}
+    assert units == {f"INS {number}": CheckVerdict.PASS for number in (1101, 1102, 1103, 1104)}

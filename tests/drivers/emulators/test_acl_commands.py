@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gyrobench.drivers.emulators.acl_axis import AclError, ErrorCode
-from gyrobench.drivers.emulators.acl_commands import Unit, format_number, parse_message
+from gyrobench.drivers.emulators.acl_commands import Unit, format_nr2, parse_message
 
 
 @pytest.mark.parametrize(
@@ -81,7 +81,7 @@ def test_any_text_is_parsed_or_refused(text):
 
 @given(st.floats(-1e6, 1e6))
 def test_numbers_go_out_without_exponent_plus_sign_or_negative_zero(value):
-    text = format_number(value, 6)
+    text = format_nr2(value, 6)
     assert float(text) == pytest.approx(value, abs=5.1e-7)
     assert not set(text) & set("eE+")
     assert text != "-0.000000"

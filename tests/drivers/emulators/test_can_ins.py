@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 import gyrobench.drivers.ins
 from gyrobench.drivers.emulators.can_ins import CanInsEmulator
-from gyrobench.drivers.emulators.world.inertial_unit import Alignment, Epochs, Mode
+from gyrobench.drivers.emulators.world.inertial_unit import AlignmentQuality, Epochs, Mode
 from gyrobench.drivers.emulators.world.ins_compensation import COEFFICIENTS, empty_table
 
 DBC = cantools.database.load_file(Path(gyrobench.drivers.ins.__file__).with_name("gyrobench_ins.dbc"))
@@ -73,7 +73,7 @@ def bus(make_world):
     return Bus(make_world(ins=QUICK)).switch_on()
 
 
-def epochs_of(states, first_second=5, mode=Mode.NAVIGATE, alignment=Alignment.FINE):
+def epochs_of(states, first_second=5, mode=Mode.NAVIGATE, alignment=AlignmentQuality.FINE):
     samples = np.arange(100 * first_second, 100 * first_second + 10 * len(states), 10)
     seconds = np.count_nonzero(samples % 100 == 0)
     return Epochs(
@@ -153,14 +153,14 @@ def test_height_and_identity_are_those_of_the_world_file(make_world):
 
 
 @pytest.mark.parametrize("mode", [Mode.STANDBY, Mode.ALIGN, Mode.NAVIGATE])
-@pytest.mark.parametrize("alignment", list(Alignment))
+@pytest.mark.parametrize("alignment", list(AlignmentQuality))
 def test_mode_and_alignment_arrive_and_say_whether_the_attitude_is_valid(make_world, mode, alignment):
     bus = Bus(make_world())
     bus.world.on_epochs(epochs_of([state()], mode=mode, alignment=alignment))
     heading = bus.newest("HEADING")
     assert bus.newest("INS_STATUS")["MODE"] == mode
     assert heading["ALIGNMENT"] == alignment
-    assert heading["ATTITUDE_VALID"] == (mode is Mode.NAVIGATE or alignment is not Alignment.INVALID)
+    assert heading["ATTITUDE_VALID"] == (mode is Mode.NAVIGATE or alignment is not AlignmentQuality.INVALID)
 
 
 def test_an_unpowered_unit_sends_nothing(make_world):
@@ -236,7 +236,7 @@ def test_align_navigate_and_standby_commands_act(bus):
     bus.run(4.0)
     status, heading = bus.newest("INS_STATUS"), bus.newest("HEADING")
     assert status["ALIGN_TIME_S"] in (3, 4)
-    assert heading["ALIGNMENT"] in (Alignment.COARSE, Alignment.FINE)
+    assert heading["ALIGNMENT"] in (AlignmentQuality.COARSE, AlignmentQuality.FINE)
     assert heading["ATTITUDE_VALID"] == 1
     bus.command(3)
     bus.run(1.0)

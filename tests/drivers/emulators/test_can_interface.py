@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.foundations.clock import VirtualClock, WallClock
-from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
+from gyrobench.drivers.emulators.bench import BenchAddress, bench_at
 from gyrobench.drivers.emulators.can_interface import EmulatorBus
 from gyrobench.drivers.emulators.world.inertial_unit import Mode
 
@@ -22,7 +22,7 @@ def clock():
 
 @pytest.fixture
 def bench(clock):
-    return emulated_bench(BenchAddress(clock.name, "ideal", 0))
+    return bench_at(BenchAddress(clock.name, "ideal", 0))
 
 
 @pytest.fixture
@@ -226,10 +226,10 @@ def test_a_wrong_world_file_is_an_initialization_error_with_the_place(join, tmp_
 
 
 def test_another_seed_or_world_is_another_bench(clock, bench):
-    assert emulated_bench(BenchAddress(clock.name, "ideal", 0)) is bench
-    assert emulated_bench(BenchAddress(clock.name, "ideal", 1)) is not bench
-    assert emulated_bench(BenchAddress(clock.name, "gyro_b", 0)) is not bench
-    assert emulated_bench(BenchAddress(VirtualClock().name, "ideal", 0)) is not bench
+    assert bench_at(BenchAddress(clock.name, "ideal", 0)) is bench
+    assert bench_at(BenchAddress(clock.name, "ideal", 1)) is not bench
+    assert bench_at(BenchAddress(clock.name, "gyro_b", 0)) is not bench
+    assert bench_at(BenchAddress(VirtualClock().name, "ideal", 0)) is not bench
 
 
 # Several units on the table.
@@ -241,7 +241,7 @@ def serial_number(frames):
 
 def test_each_channel_is_a_unit_with_its_own_serial_number_and_noise(join, clock):
     first, second = join(world="quick"), join(world="quick", channel="ins-2")
-    quick = emulated_bench(BenchAddress(clock.name, "quick", 0))
+    quick = bench_at(BenchAddress(clock.name, "quick", 0))
     for unit in quick.units:
         unit.world.power_unit(True)
     clock.sleep(20.0)
@@ -257,7 +257,7 @@ def test_the_frames_of_the_first_unit_do_not_depend_on_the_others():
         clock = VirtualClock()
         bus = can.Bus(interface="emulator", channel="ins", clock=clock.name, world="quick", units=count,
                       ignore_config=True)  # fmt: skip
-        bench = emulated_bench(BenchAddress(clock.name, "quick"))
+        bench = bench_at(BenchAddress(clock.name, "quick"))
         for unit in bench.units:
             unit.world.power_unit(True)
         clock.sleep(8.0)
@@ -275,7 +275,7 @@ def test_units_on_one_bus_differ_by_their_identifiers(join, clock):
     address = BenchAddress(clock.name, "quick")
     first = join(world="quick")
     second = join(world="quick", unit=2, identifier_offset=0x100)
-    bench = emulated_bench(address)
+    bench = bench_at(address)
     for unit in bench.units:
         unit.world.power_unit(True)
     clock.sleep(8.0)
@@ -293,7 +293,7 @@ def test_a_unit_is_powered_by_its_event_output(join, clock):
     join(world="quick")
     join(world="quick", channel="ins-2")
     join(world="quick", channel="ins-3", power_event=2)
-    bench = emulated_bench(BenchAddress(clock.name, "quick"))
+    bench = bench_at(BenchAddress(clock.name, "quick"))
     bench.chamber_event(2, True)
     assert [unit.world.unit.powered for unit in bench.units] == [True, False, True]
     bench.chamber_event(3, True)

@@ -11,7 +11,7 @@ from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.station.instruments import Emulation, Instruments
 from gyrobench.bench.station.station import Station
-from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
+from gyrobench.drivers.emulators.bench import BenchAddress, bench_at
 from gyrobench.drivers.ins.command_map import Compensation, Correction
 from tests.drivers.ins.compensation_reference import Conditions, compensated_dph
 
@@ -55,7 +55,7 @@ class EmulatedIns:
         self.instruments = Instruments(station, self.clock, Emulation("ideal"))
         self.ins = self.instruments.ins
         address = BenchAddress(self.clock.name, str(find_document("worlds", "ideal")), 0)
-        self.world = emulated_bench(address).world
+        self.world = bench_at(address).world
         self._courses = []
         self._measured, self._forces = [], []
         self._feel_increments()

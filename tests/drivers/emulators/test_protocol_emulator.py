@@ -11,7 +11,7 @@ from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.drivers import serial_line
 from gyrobench.drivers.chamber.watlow_f4 import WatlowF4
-from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench, parse_address
+from gyrobench.drivers.emulators.bench import BenchAddress, bench_at, parse_address
 from gyrobench.drivers.rate_table.acutrol3000 import Acutrol3000
 
 READ_PV = bytes.fromhex("01 03 00 64 00 01 C5 D5")
@@ -198,7 +198,7 @@ def test_any_address_is_understood_or_refused(rest):
 
 def test_two_ports_of_one_address_share_one_world(open_port, clock):
     first, second = open_port("chamber"), open_port("chamber")
-    assert first._bench is second._bench is emulated_bench(BenchAddress(clock.name, "ideal", 0))
+    assert first._bench is second._bench is bench_at(BenchAddress(clock.name, "ideal", 0))
     first.write(bytes.fromhex("01 06 01 2C 03 52 C8 F2"))  # set point 85.0
     first.read(8)
     second.write(bytes.fromhex("01 03 01 2C 00 01 44 3F"))
@@ -212,7 +212,7 @@ def test_the_drivers_work_through_it(clock):
         return serial_line.SerialLine(name, url, clock)
 
     table, chamber = Acutrol3000(line("table")), WatlowF4(line("chamber"))
-    world = emulated_bench(BenchAddress(clock.name, "ideal", 0)).world
+    world = bench_at(BenchAddress(clock.name, "ideal", 0)).world
     table.prepare()
     table.move_to({1: 90.0, 2: -20.0}, 20.0)
     chamber.set_temperature(40.0, None)

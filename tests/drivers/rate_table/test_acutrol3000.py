@@ -20,7 +20,7 @@ from gyrobench.bench.foundations.errors import (
 )
 from gyrobench.drivers.emulators.acl_axis import SoftwareFault
 from gyrobench.drivers.emulators.acutrol3000 import Acutrol3000Emulator
-from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
+from gyrobench.drivers.emulators.bench import BenchAddress, bench_at
 from gyrobench.drivers.emulators.world.table_axis import AxisParameters, TableAxis
 from gyrobench.drivers.rate_table import RateTable, TableReading
 from gyrobench.drivers.rate_table.acutrol3000 import SOFTWARE_FAULTS, Acutrol3000, ReplyFraming, set_bits
@@ -348,7 +348,7 @@ def test_a_late_reply_is_not_taken_for_the_next_one(serve):
 
 def test_replies_that_come_far_too_late_end_in_no_reply_and_never_in_wrong_readings():
     clock = VirtualClock()
-    bench = emulated_bench(BenchAddress(clock.name, "ideal"))
+    bench = bench_at(BenchAddress(clock.name, "ideal"))
     line = SerialLine("rate table", f"emulator://table?clock={clock.name}&world=ideal", clock)
     table, emulator = Acutrol3000(line), bench.table
     table.prepare()

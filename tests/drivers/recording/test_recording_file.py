@@ -7,7 +7,7 @@ from gyrobench.drivers.recording.recording_file import (
     Call,
     RecordingHeader,
     Transfer,
-    joined,
+    join_transfers,
     read_recording,
     recording_text,
 )
@@ -90,4 +90,4 @@ def test_pieces_of_one_reply_are_joined_and_replies_are_not():
         Transfer(1.0102, False, b"ad"),
         Transfer(1.5, False, b"late"),
     ]
-    assert [t.data for t in joined(pieces)] == [b"?", b"head", b"late"]
+    assert [t.data for t in join_transfers(pieces)] == [b"?", b"head", b"late"]

@@ -11,11 +11,11 @@ from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.station.instruments import Emulation, Outputs, open_ins
-from gyrobench.bench.station.preflight_check import Verdict
+from gyrobench.bench.station.preflight_check import CheckVerdict
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers import ins
 from gyrobench.drivers.emulators import can_interface
-from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
+from gyrobench.drivers.emulators.bench import BenchAddress, bench_at
 
 
 @pytest.fixture
@@ -30,7 +30,7 @@ def failures_of(tmp_path):
         (tmp_path / "station.yaml").write_text(text)
         emulation = Emulation(world, 0, _faults_file(tmp_path, faults))
         checks = check_bench(str(tmp_path / "station.yaml"), procedure, emulation, tmp_path)
-        return {f"{each.subject}: {each.what}": each for each in checks if each.verdict is Verdict.FAIL}
+        return {f"{each.subject}: {each.what}": each for each in checks if each.verdict is CheckVerdict.FAIL}
 
     return check
 
@@ -45,9 +45,9 @@ def _faults_file(folder, faults):
 def test_a_bench_in_order_passes_everything_and_is_left_as_it_was(tmp_path):
     clock = VirtualClock()
     world = str(find_document("worlds", "gyro_a"))
-    bench = emulated_bench(BenchAddress(clock.name, world, 3))
+    bench = bench_at(BenchAddress(clock.name, world, 3))
     checks = check_bench("emulated", "six_position_fig7", Emulation("gyro_a", 3), tmp_path, clock)
-    assert [each for each in checks if each.verdict is not Verdict.PASS] == []
+    assert [each for each in checks if each.verdict is not CheckVerdict.PASS] == []
     assert {each.subject for each in checks} == {"procedure", "rate table", "chamber", "INS", "disk"}
     assert not any(axis.closed for axis in bench.table.axes.values())
     assert [axis.state.position_deg for axis in bench.table.axes.values()] == [0.0, 0.0]
@@ -58,7 +58,7 @@ def test_a_bench_in_order_passes_everything_and_is_left_as_it_was(tmp_path):
 
 def test_a_unit_that_is_on_stays_on(tmp_path):
     clock = VirtualClock()
-    bench = emulated_bench(BenchAddress(clock.name, str(find_document("worlds", "ideal")), 0))
+    bench = bench_at(BenchAddress(clock.name, str(find_document("worlds", "ideal")), 0))
     bench.chamber.feed(bytes.fromhex("01 06 07 DA 00 01 68 85"), 0.0)
     assert bench.world.unit.powered
     clock.sleep(60.0)
@@ -68,7 +68,7 @@ def test_a_unit_that_is_on_stays_on(tmp_path):
 
 def test_without_a_procedure_what_depends_on_it_is_skipped(tmp_path):
     checks = check_bench("emulated", None, Emulation("ideal"), tmp_path)
-    skipped = [each for each in checks if each.verdict is Verdict.SKIPPED]
+    skipped = [each for each in checks if each.verdict is CheckVerdict.SKIPPED]
     assert [each.subject for each in skipped] == ["procedure", "disk"]
     assert all("--procedure" in each.advice for each in skipped)
     assert "MB/h" in skipped[1].found
@@ -172,7 +172,7 @@ def test_a_silent_unit_that_the_operator_switches_is_skipped(tmp_path):
     (tmp_path / "station.yaml").write_text(text.replace("power: chamber_event", "power: operator"))
     checks = check_bench(str(tmp_path / "station.yaml"), None, Emulation("ideal"), tmp_path)
     (of_unit,) = [each for each in checks if each.subject == "INS"]
-    assert of_unit.verdict is Verdict.SKIPPED
+    assert of_unit.verdict is CheckVerdict.SKIPPED
     assert "Switch it on" in of_unit.advice
 
 
@@ -192,7 +192,7 @@ def test_a_bench_of_which_nothing_can_be_opened_fails_instrument_by_instrument(t
         text = text.replace(old, new)
     (tmp_path / "station.yaml").write_text(text)
     checks = check_bench(str(tmp_path / "station.yaml"), None, Emulation(), tmp_path)
-    failed = [each for each in checks if each.verdict is Verdict.FAIL]
+    failed = [each for each in checks if each.verdict is CheckVerdict.FAIL]
     assert [each.subject for each in failed] == ["rate table", "chamber", "INS"]
     assert "/dev/no_table" in failed[0].found
     assert no_instrument_answers(checks)
@@ -202,9 +202,9 @@ def test_a_run_that_does_not_fit_on_the_disk_fails(tmp_path):
     station = Station(find_document("stations", "emulated"))
     document, model = load_procedure(find_document("procedures", "six_position_fig7"))
     plan = station.plan(document, model)
-    assert disk_check(station, tmp_path / "not" / "there", plan, 40.0).verdict is Verdict.PASS
+    assert disk_check(station, tmp_path / "not" / "there", plan, 40.0).verdict is CheckVerdict.PASS
     check = disk_check(station, tmp_path / "not" / "there", plan, 1e9)
-    assert check.verdict is Verdict.FAIL
+    assert check.verdict is CheckVerdict.FAIL
     assert f"free at {tmp_path}" in check.found
     assert "44:59 h need" in check.found
 
@@ -215,7 +215,7 @@ def test_a_wrong_station_file_is_refused_before_anything_is_opened(tmp_path):
         check_bench(str(tmp_path / "station.yaml"), None, Emulation(), tmp_path)
 
 
-@pytest.mark.parametrize(("stalls", "verdict"), [(1, Verdict.PASS), (20, Verdict.FAIL)])
+@pytest.mark.parametrize(("stalls", "verdict"), [(1, CheckVerdict.PASS), (20, CheckVerdict.FAIL)])
 def test_one_late_epoch_is_no_fault_and_many_are(stalls, verdict):
     """A stall of this computer for 0.25 s delivers the frames of that time together at its end."""
     clock = VirtualClock()

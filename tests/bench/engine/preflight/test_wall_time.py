@@ -12,7 +12,7 @@ from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import BenchInUseError
 from gyrobench.bench.station.instruments import Emulation
 from gyrobench.bench.station.locks import BenchLock
-from gyrobench.bench.station.preflight_check import Verdict
+from gyrobench.bench.station.preflight_check import CheckVerdict
 from gyrobench.bench.station.station import Station
 from tests.bench.engine.test_wall_time import station_of
 
@@ -41,5 +41,5 @@ def test_a_bench_behind_real_ports_passes_and_one_that_a_run_holds_is_refused(tm
             check_bench(str(path), None, Emulation(), tmp_path)
         checks = check_bench(str(path), "ten_minute_check", Emulation(), tmp_path)
         server.terminate()
-    assert [each for each in checks if each.verdict is not Verdict.PASS] == []
+    assert [each for each in checks if each.verdict is not CheckVerdict.PASS] == []
     assert {each.subject for each in checks} == {"procedure", "rate table", "chamber", "INS", "disk"}

@@ -12,7 +12,7 @@ from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.statistics import uniformity_p_value
 from gyrobench.bench.report.figures.estimators import fit_figure, has_distribution
 from gyrobench.bench.report.figures.style import png_bytes
-from gyrobench.bench.report.statements import SIGNIFICANCE
+from gyrobench.bench.report.statements import POSITION_SIGNIFICANCE
 
 
 def ratios_by_label(axes: Axes) -> dict[str, dict[float, float]]:
@@ -49,7 +49,7 @@ def test_band_ends_where_the_test_of_the_text_rejects(dwells: list[DwellRow]) ->
     band = float(axes.collections[0].get_paths()[0].vertices[:, 1].max()) - 1.0
     # Six p-values whose distribution is nowhere below uniform, and above it by the band at most.
     at_the_edge = [max((number + 1) / 6 - band, 0.0) for number in range(6)]
-    assert uniformity_p_value(at_the_edge) == pytest.approx(SIGNIFICANCE, rel=1e-6)
+    assert uniformity_p_value(at_the_edge) == pytest.approx(POSITION_SIGNIFICANCE, rel=1e-6)
 
 
 @pytest.mark.parametrize("count", [1, 2, 4])

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 from gyrobench.bench.runs.tables.calibration_check_table import (
-    COLUMNS,
+    CHECK_COLUMNS,
     METHODS,
     CalibrationCheckRow,
     read_calibration_check,
@@ -95,12 +95,14 @@ def test_rows_survive_the_file(tmp_path):
     assert not second.is_compared
 
 
-@given(st.sampled_from(COLUMNS), st.text(max_size=10))
+@given(st.sampled_from(CHECK_COLUMNS), st.text(max_size=10))
 def test_any_cell_is_read_or_refused(tmp_path, column, text):
     path = tmp_path / "verification.csv"
     cells = text_of(path, [ROW]).splitlines()[1].split(",")
-    cells[COLUMNS.index(column)] = '"' + text.replace('"', '""') + '"'
-    path.write_text(",".join(COLUMNS) + "\n" + ",".join(cells) + "\n", encoding="utf-8", errors="replace")
+    cells[CHECK_COLUMNS.index(column)] = '"' + text.replace('"', '""') + '"'
+    path.write_text(
+        ",".join(CHECK_COLUMNS) + "\n" + ",".join(cells) + "\n", encoding="utf-8", errors="replace"
+    )
     with suppress(DocumentError):
         (row,) = read_calibration_check(path)
         assert row.gyro in AXES

@@ -10,7 +10,7 @@ from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.emulators.can_ins import CAN_FORMATS, CanInsEmulator
-from gyrobench.drivers.emulators.world.inertial_unit import Alignment, Epochs, Mode
+from gyrobench.drivers.emulators.world.inertial_unit import AlignmentQuality, Epochs, Mode
 from gyrobench.drivers.frames import FRAME_DTYPE
 from gyrobench.drivers.ins.attitude import EulerSequence
 from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
@@ -34,12 +34,12 @@ def states():
     return result, attitudes.as_matrix()
 
 
-def epochs_of(samples, result, mode=Mode.NAVIGATE, alignment=Alignment.FINE):
+def epochs_of(samples, result, mode=Mode.NAVIGATE, alignment=AlignmentQuality.FINE):
     seconds = np.count_nonzero(samples % 100 == 0)
     return Epochs(samples, result, mode, alignment, np.zeros(seconds), np.full((seconds, 7), 23.0))
 
 
-def sent(make_world, name, mode=Mode.NAVIGATE, alignment=Alignment.FINE):
+def sent(make_world, name, mode=Mode.NAVIGATE, alignment=AlignmentQuality.FINE):
     """The station of that name, the frames of some epochs, and the states behind them."""
     emulator = CanInsEmulator(make_world(), epoch_unix_s=0.0)
     emulator.use_format(name)

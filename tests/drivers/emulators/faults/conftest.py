@@ -6,7 +6,7 @@ import serial
 
 import gyrobench.drivers.serial_line  # noqa: F401  registers emulator:// with pyserial
 from gyrobench.bench.foundations.clock import VirtualClock
-from gyrobench.drivers.emulators.bench import BenchAddress, emulated_bench
+from gyrobench.drivers.emulators.bench import BenchAddress, bench_at
 
 
 class Rig:
@@ -16,7 +16,7 @@ class Rig:
         self.clock = VirtualClock()
         self.clock.sleep_until(start_s)
         self._address = BenchAddress(self.clock.name, world, seed, str(path))
-        self.bench = emulated_bench(self._address)
+        self.bench = bench_at(self._address)
         self.world = self.bench.world
 
     def port(self, name):

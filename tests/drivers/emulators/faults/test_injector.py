@@ -7,7 +7,7 @@ import pytest
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document
-from gyrobench.drivers.emulators.bench import BenchAddress, EmulatedBench, emulated_bench
+from gyrobench.drivers.emulators.bench import BenchAddress, EmulatedBench, bench_at
 
 QUICK = find_document("worlds", "quick")
 RANDOM = (
@@ -107,7 +107,7 @@ def test_addresses_with_the_same_list_mean_one_bench_and_without_it_another(rig)
     assert bench.port("table")._bench is bench.port("chamber")._bench is bench.bench
     with bench.bus() as bus:
         assert bus._bench is bench.bench
-    plain = emulated_bench(BenchAddress(bench.clock.name, "quick", 0))
+    plain = bench_at(BenchAddress(bench.clock.name, "quick", 0))
     assert plain is not bench.bench
     assert plain.serial["table"] is plain.table
 
@@ -134,7 +134,7 @@ def test_a_log_that_can_not_be_written_is_reported_at_the_start(tmp_path):
 def test_the_error_for_a_missing_list_names_the_shipped_ones():
     clock = VirtualClock()
     with pytest.raises(DocumentError, match=r"no such file or shipped name. Shipped faults: every_kind"):
-        emulated_bench(BenchAddress(clock.name, "quick", 0, "atlantis"))
+        bench_at(BenchAddress(clock.name, "quick", 0, "atlantis"))
 
 
 def test_a_restarted_bench_has_faults_that_still_last_and_default_settings(rig):

@@ -3,7 +3,7 @@ import struct
 import pytest
 
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.drivers.emulators.world.inertial_unit import Alignment, Mode
+from gyrobench.drivers.emulators.world.inertial_unit import AlignmentQuality, Mode
 
 VELOCITY_NE, ROLL_PITCH, HEADING, STATUS, OPTICS, ELECTRONICS = 0x004, 0x006, 0x007, 0x010, 0x020, 0x021
 INVALID, LARGEST = -(2**31), 2**31 - 1
@@ -73,9 +73,9 @@ def test_alignment_is_never_done_while_the_fault_lasts(rig):
     bench.until(5.0)
     bench.world.unit.align()
     bench.until(104.0)
-    assert bench.world.unit.alignment is Alignment.INVALID
+    assert bench.world.unit.alignment is AlignmentQuality.INVALID
     bench.until(110.0)
-    assert bench.world.unit.alignment is Alignment.FINE
+    assert bench.world.unit.alignment is AlignmentQuality.FINE
 
 
 def test_stuck_signals_keep_their_value_while_the_counter_continues(rig):

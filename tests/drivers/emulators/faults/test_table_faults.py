@@ -1,6 +1,6 @@
 import pytest
 
-from gyrobench.drivers.emulators.acl_axis import Mode, SoftwareFault
+from gyrobench.drivers.emulators.acl_axis import ServoMode, SoftwareFault
 
 OUTER, INNER = 1, 2
 
@@ -13,7 +13,7 @@ def servoed(rig):
         bench = rig(*entries)
         for axis in bench.bench.table.axes.values():
             axis.close()
-            axis.set_mode(Mode.POSITION)
+            axis.set_mode(ServoMode.POSITION)
         return bench
 
     return make
@@ -41,7 +41,7 @@ def test_an_axis_that_stalls_trips_on_its_tracking_error(servoed):
     assert look(bench).state.position_deg == axis.state.position_deg
     axis.reset()
     axis.close()
-    axis.set_mode(Mode.POSITION)
+    axis.set_mode(ServoMode.POSITION)
     axis.demand_position(90.0)
     bench.until(40.0)
     assert look(bench).state.position_deg == 90.0

@@ -5,8 +5,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS
-from gyrobench.drivers.emulators.world.inertial_unit import Alignment, InertialUnit, Mode
-from gyrobench.drivers.emulators.world.ins_compensation import Coefficient, empty_table
+from gyrobench.drivers.emulators.world.inertial_unit import AlignmentQuality, InertialUnit, Mode
+from gyrobench.drivers.emulators.world.ins_compensation import Slot, empty_table
 from gyrobench.drivers.emulators.world.sensor_errors import MICRO_G
 from gyrobench.drivers.emulators.world.strapdown import EARTH_RATE, matrix_of, normal_gravity
 from gyrobench.drivers.emulators.world.world_file import InsBehaviour
@@ -63,7 +63,7 @@ def test_it_boots_into_standby_and_hears_no_command_before():
     assert line.run(8) == [None] * 8
     (epochs,) = line.run(1)
     assert epochs.mode is Mode.STANDBY
-    assert epochs.alignment is Alignment.INVALID
+    assert epochs.alignment is AlignmentQuality.INVALID
 
 
 def test_epochs_come_at_whole_multiples_of_the_period():
@@ -75,8 +75,8 @@ def test_epochs_come_at_whole_multiples_of_the_period():
 def test_alignment_is_coarse_and_then_fine_after_levelling_and_their_times():
     line = Line(boot_s=0.0, levelling_s=10.0, coarse_alignment_s=30.0, fine_alignment_s=240.0).switch_on()
     alignments = [epochs.alignment for epochs in line.align(260)]
-    assert alignments.index(Alignment.COARSE) == 40
-    assert alignments.index(Alignment.FINE) == 250
+    assert alignments.index(AlignmentQuality.COARSE) == 40
+    assert alignments.index(AlignmentQuality.FINE) == 250
     assert alignments == sorted(alignments)
     assert line.unit.align_time_s == 249.0  # the second under way is not counted yet
 
@@ -92,28 +92,30 @@ def test_the_unit_outputs_no_attitude_before_coarse_alignment():
 def test_motion_restarts_the_alignment(rate_dps):
     line = Line(**QUICK).switch_on()
     line.align(9)
-    assert line.unit.alignment is Alignment.COARSE
+    assert line.unit.alignment is AlignmentQuality.COARSE
     line.run(1, np.radians(rate_dps) * UP)
     (epochs,) = line.run(1)
-    assert epochs.alignment is Alignment.INVALID
+    assert epochs.alignment is AlignmentQuality.INVALID
     assert line.unit.align_time_s == 0.0
     assert line.unit.mode is Mode.ALIGN
     alignments = [epochs.alignment for epochs in line.run(7)]
-    assert alignments == [Alignment.INVALID] * 6 + [Alignment.COARSE]
+    assert alignments == [AlignmentQuality.INVALID] * 6 + [AlignmentQuality.COARSE]
 
 
 def test_what_a_resting_table_does_is_no_motion():
     line = Line(**QUICK).switch_on()
     line.align(9)
     (epochs, _) = line.run(2, np.radians(0.01) * UP)
-    assert epochs.alignment is Alignment.COARSE
-    assert line.unit.alignment is Alignment.COARSE
+    assert epochs.alignment is AlignmentQuality.COARSE
+    assert line.unit.alignment is AlignmentQuality.COARSE
 
 
 def test_a_new_align_command_restarts_the_alignment():
     line = Line(**QUICK).switch_on()
     line.align(9)
-    assert [epochs.alignment for epochs in line.align(8)] == [Alignment.INVALID] * 7 + [Alignment.COARSE]
+    assert [epochs.alignment for epochs in line.align(8)] == [AlignmentQuality.INVALID] * 7 + [
+        AlignmentQuality.COARSE
+    ]
 
 
 def test_it_navigates_only_from_an_alignment_that_is_coarse_at_least():
@@ -127,7 +129,7 @@ def test_it_navigates_only_from_an_alignment_that_is_coarse_at_least():
     line.unit.navigate()
     (epochs,) = line.run(1)
     assert epochs.mode is line.unit.mode is Mode.NAVIGATE
-    assert epochs.alignment is Alignment.COARSE
+    assert epochs.alignment is AlignmentQuality.COARSE
 
 
 def test_navigation_at_rest_continues_from_the_alignment():
@@ -148,7 +150,7 @@ def test_standby_ends_navigation_and_its_attitude():
     line.unit.standby()
     (epochs,) = line.run(1)
     assert epochs.mode is Mode.STANDBY
-    assert epochs.alignment is Alignment.INVALID
+    assert epochs.alignment is AlignmentQuality.INVALID
     assert not line.unit.uses_sensors
 
 
@@ -245,7 +247,7 @@ def test_what_is_loaded_waits_until_it_is_applied():
 
 def along_up(line):
     """What a compensation that follows Up with a vector of 1, 2 and 3 deg/h/g subtracts."""
-    line.unit.loaded_table[:, Coefficient.GRAVITY : Coefficient.GRAVITY + 3] = np.diag([1.0, 2.0, 3.0])
+    line.unit.loaded_table[:, Slot.GRAVITY : Slot.GRAVITY + 3] = np.diag([1.0, 2.0, 3.0])
     line.unit.apply_compensation()
     line.unit.sense_temperatures(np.full((1, 3), 20.0), np.full((1, 3), 30.0))
     return line.unit.compensation.bias_dph
@@ -277,11 +279,11 @@ def test_power_off_loses_everything():
     unit.apply_compensation()
     unit.power(False)
     assert set(line.run(20)) == {None}
-    assert (unit.mode, unit.alignment) == (Mode.OFF, Alignment.INVALID)
+    assert (unit.mode, unit.alignment) == (Mode.OFF, AlignmentQuality.INVALID)
     unit.power(True)
     assert line.run(3) == [None] * 3
     (epochs,) = line.run(1)
-    assert (epochs.mode, epochs.alignment) == (Mode.STANDBY, Alignment.INVALID)
+    assert (epochs.mode, epochs.alignment) == (Mode.STANDBY, AlignmentQuality.INVALID)
     assert not unit.pitch_first
     assert unit.compensation is None
     assert np.array_equal(unit.loaded_table, empty_table())
@@ -293,4 +295,4 @@ def test_switching_on_what_is_on_already_changes_nothing():
     line = Line(**QUICK).switch_on()
     line.align(9)
     line.unit.power(True)
-    assert (line.unit.mode, line.unit.alignment) == (Mode.ALIGN, Alignment.COARSE)
+    assert (line.unit.mode, line.unit.alignment) == (Mode.ALIGN, AlignmentQuality.COARSE)

@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 
 from gyrobench.drivers.emulators.world.ins_compensation import (
     COEFFICIENTS,
-    Coefficient,
     InsCompensation,
+    Slot,
     TemperatureHistory,
-    checksum,
     empty_table,
+    table_checksum,
 )
 
 NO_UP = np.zeros(3)
@@ -22,7 +22,7 @@ def numbers_of(axis=1, **values):
     """A table with numbers of one gyro: ``rate=2.0`` or ``growing=[1.0, 0.0, 0.0]``."""
     numbers = empty_table()
     for name, value in values.items():
-        first = Coefficient[name.upper()]
+        first = Slot[name.upper()]
         numbers[axis, first : first + np.size(value)] = value
     return numbers
 
@@ -153,8 +153,8 @@ def test_the_checksum_distinguishes_tables_that_differ_in_one_number():
     for index in range(COEFFICIENTS):
         tables.append(empty_table())
         tables[-1][2, index] = 1.0
-    assert len({checksum(table) for table in tables}) == len(tables)
-    assert InsCompensation(tables[3], sensed(20.0), NO_UP).checksum == checksum(tables[3])
+    assert len({table_checksum(table) for table in tables}) == len(tables)
+    assert InsCompensation(tables[3], sensed(20.0), NO_UP).checksum == table_checksum(tables[3])
 
 
 @given(

@@ -6,21 +6,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gyrobench.drivers.emulators.world.table_axis import (
-    AxisLimits,
     AxisState,
     Motion,
+    MotionLimits,
     Settling,
     change_rate,
     move,
     rest_position,
 )
 
-LIMITS = AxisLimits(rate_dps=30.0, acceleration_dps2=30.0, jerk_dps3=60.0, low_deg=-400.0, high_deg=400.0)
+LIMITS = MotionLimits(rate_dps=30.0, acceleration_dps2=30.0, jerk_dps3=60.0, low_deg=-400.0, high_deg=400.0)
 NO_SETTLING = Settling(0.0, 0.3)
 
 rates = st.floats(-30.0, 30.0)
 limits = st.builds(
-    AxisLimits,
+    MotionLimits,
     rate_dps=st.floats(0.1, 200.0),
     acceleration_dps2=st.floats(0.1, 500.0),
     jerk_dps3=st.floats(1.0, 5000.0),
