@@ -78,7 +78,7 @@ class Calibration(CoefficientEstimate):
     fit: Chi2Test
     sections: tuple[IncrementSection, ...]  #: Of each recording, between rests.
     starts: tuple[FloatArray, ...]  #: Attitude ``C_nb`` (3, 3) at the start of each.
-    unknowns: FloatArray  #: Shape (43,). Values that the increments are freed of, observed or not.
+    unknowns: FloatArray  #: Shape (43,). Parameters common to all recordings, SI, observed or not.
     trajectories: tuple[Trajectory, ...]  #: Of the sections, at values close to these.
     #: Shapes (n, n). Parts of the covariance by the uncertainty of gravity, latitude and time.
     by_site: Mapping[str, FloatArray]

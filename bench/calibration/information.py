@@ -32,9 +32,9 @@ BIAS_DRIFT = 0.1 * DPH_TO_RADPS / 3600.0
 ATTITUDE_ERROR = 0.5
 #: Large error of the latitude, rad.
 _LATITUDE_ERROR = 0.1
-#: An unknown is observed if sizes ten times as large let its uncertainty grow by less than this.
+#: A parameter is observed if sizes ten times as large let its uncertainty grow by less than this.
 _MAX_GROWTH = 1.1
-#: The same for a direction of several unknowns: by how much one size of it changes the residuals.
+#: The same for a direction of several parameters: by how much one size of it changes the residuals.
 MIN_SINGULAR_VALUE = float((_MAX_GROWTH**2 - 1.0) ** -0.5)
 #: Size of the accelerometers' scale factor errors where gravity stands in place of the vertical specific
 #: force: their mean is not observed, and affects the other coefficients in second order.
@@ -104,14 +104,14 @@ def integrated_sections(
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """White rows as a function of the coefficients and of all other unknowns, at assumed values of them."""
+    """White rows as a function of the coefficients and of all other parameters, at assumed values of them."""
 
     #: Rows (m, 21 + k + 2) of each recording, SI: coefficients, what is estimated beside them, attitudes at
     #: the start, drifts of the biases; then an error of the latitude, and data. They give the values, of the
     #: attitudes corrections to those assumed.
     blocks: list[FloatArray]
-    sizes: FloatArray  #: Shape (21 + k,). Large values of the unknowns, SI.
-    drifts: int  #: How many of the unknowns, the last ones, are drifts of biases.
+    sizes: FloatArray  #: Shape (21 + k,). Large values of the parameters, SI.
+    drifts: int  #: How many of the parameters, the last ones, are drifts of biases.
 
     @classmethod
     def of(
@@ -172,11 +172,11 @@ class Information:
         return centre + values, covariance, np.asarray(growth < _MAX_GROWTH)
 
     def chi2(self, values: FloatArray) -> float:
-        """Sum of squared residuals at values of the unknowns (21 + k,)."""
+        """Sum of squared residuals at values of the parameters (21 + k,)."""
         return float(np.linalg.norm(self.root @ [*values, 0.0, -1.0]) ** 2)
 
     def shown(self, step: FloatArray, least: float) -> FloatArray:
-        """Part of a step of the unknowns (21 + k,) along what the data determine.
+        """Part of a step of the parameters (21 + k,) along what the data determine.
 
         Along what they leave open the sum of squares is a curved valley, such as a heading with a bias East
         and scale factors: a step along its tangent leaves it. ``least``: by how many standard deviations the
@@ -190,7 +190,7 @@ class Information:
         return np.asarray(self.sizes * (known.T @ (known @ (step / self.sizes))))
 
     def latitude_correction(self) -> tuple[float, float]:
-        """What the data would add to the latitude if it were an unknown, and its uncertainty, rad."""
+        """What the data would add to the latitude if it were a parameter, and its uncertainty, rad."""
         sizes = np.append(self.sizes, _LATITUDE_ERROR)
         values, covariance = solve(self.root[:, :-1], self.root[:, -1], np.diag(sizes))
         return float(values[-1]), float(np.sqrt(covariance[-1, -1]))

@@ -45,7 +45,7 @@ _EPOCH_S = 5.0
 #: Parts of the targets to search for, since the search is coarser than the expected uncertainties.
 _MARGINS = (1.0, 0.97, 0.9)
 _UNITS = {"deg/h": "dph", "ppm": "ppm", "arcsec": "arcsec", "ug": "ug"}
-#: Unknowns of a list.
+#: Parameters of a list.
 _COLUMNS = [*range(COUNT), *range(ATTITUDE.start, ATTITUDE.stop)]
 _SIZES = np.array([*(each.size for each in COEFFICIENTS), *[ATTITUDE_ERROR] * 3])
 
@@ -146,7 +146,7 @@ class _Partial:
     rotations: tuple[TableRotation, ...]
     angles: Angles
     #: state, covariance, information: Shapes (9, 24), (9, 9), (24, 24). Of the whitening filter: what it does
-    #: not know of psi, u and the psi before a spin, for each unknown; its covariance; white rows, squared.
+    #: not know of psi, u and the psi before a spin, for each parameter; its covariance; white rows, squared.
     state: FloatArray
     covariance: FloatArray
     information: FloatArray

@@ -24,7 +24,7 @@ from gyrobench.bench.calibration.information import (
 )
 from gyrobench.bench.calibration.recording import SensorNoise
 from gyrobench.bench.calibration.section import IncrementSection
-from gyrobench.bench.calibration.strapdown import G_SENSITIVITIES, UNKNOWNS, Trajectory
+from gyrobench.bench.calibration.strapdown import G_SENSITIVITIES, PARAMETER_COUNT, Trajectory
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, STANDARD_GRAVITY, BoolArray, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import rotation_matrices
@@ -32,7 +32,7 @@ from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import AXES
 
 #: Rounds of linearisation; the last one changes the weighted sum of squares by less than this, and each
-#: observed unknown by less than this part of its standard uncertainty.
+#: observed parameter by less than this part of its standard uncertainty.
 _MAX_ROUNDS, _CONVERGED, _MAX_STEP = 15, 0.1, 0.05
 #: After a step that makes the sum so many times larger, steps are along fewer directions: those that the data
 #: determine so many times better.
@@ -67,16 +67,16 @@ _FIT_EPOCHS = 60
 
 @dataclass(frozen=True, eq=False)
 class Estimates:
-    """Estimates of all unknowns of a problem, and how they fit.
+    """Estimates of all parameters of a problem, and how they fit.
 
-    Unknowns: the coefficients, what is estimated beside them, attitudes at the starts, drifts of the biases.
+    These are the coefficients, what is estimated beside them, attitudes at the starts, drifts of the biases.
     """
 
-    #: values, covariance, is_observed: Of all unknowns.
+    #: values, covariance, is_observed: Of all parameters.
     values: FloatArray
     covariance: FloatArray
     is_observed: BoolArray
-    common: FloatArray  #: Shape (43,). Values that the increments are freed of, SI.
+    common: FloatArray  #: Shape (43,). Parameters common to all recordings, SI.
     starts: list[FloatArray]  #: Attitudes (3, 3) at the start of each section.
     fit: Chi2Test
     information: Information
@@ -87,7 +87,7 @@ class Estimates:
 class _Point:
     """Where a problem is linearised."""
 
-    values: FloatArray  #: Of all unknowns; attitudes are corrections to the ``starts``, and zero.
+    values: FloatArray  #: Of all parameters; attitudes are corrections to the ``starts``, and zero.
     starts: list[FloatArray]  #: Attitudes (3, 3) at the start of each section.
     origin: FloatArray  #: What the data leave open stays near it.
 
@@ -112,9 +112,9 @@ class CalibrationProblem:
     options: CalibrationOptions
 
     def solve(self) -> Estimates:
-        """Estimate all unknowns. Raises MeasurementError if that does not converge."""
+        """Estimate all parameters. Raises MeasurementError if that does not converge."""
         used, first = self.options.columns, SensorErrors(gyro_bias=self.bias)
-        common = np.zeros(UNKNOWNS)
+        common = np.zeros(PARAMETER_COUNT)
         common[:COUNT] = first.vector()
         beside = 6 if self.options.bias_drift else 3
         begin = np.concatenate([common[used], np.zeros(beside * len(self.sections))])
@@ -159,7 +159,7 @@ class CalibrationProblem:
         values, columns = other.common[G_SENSITIVITIES], wider.options.columns
         places = [columns.index(each) for each in range(G_SENSITIVITIES.start, G_SENSITIVITIES.stop)]
         covariance = other.covariance[np.ix_(places, places)]
-        # As an F-test: larger noise makes nine more unknowns gain as much more.
+        # As an F-test: larger noise makes nine more parameters gain as much more.
         gain = (found.fit.chi2 - other.fit.chi2) * other.fit.dof / other.fit.chi2
         is_doubtful = (
             chi2_p_value(len(places), gain) >= UNEXPLAINED_P_VALUE

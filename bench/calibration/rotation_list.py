@@ -24,7 +24,7 @@ from gyrobench.bench.calibration.information import (
 )
 from gyrobench.bench.calibration.recording import SensorNoise
 from gyrobench.bench.calibration.section import REST_EPOCH_S, IncrementSection
-from gyrobench.bench.calibration.strapdown import UNKNOWNS, IncrementEpochs
+from gyrobench.bench.calibration.strapdown import PARAMETER_COUNT, IncrementEpochs
 from gyrobench.bench.foundations.arrays import (
     DEG_PER_SQRT_H_TO_SI,
     STANDARD_GRAVITY,
@@ -166,7 +166,7 @@ def expected_uncertainties(rotations: RotationList, setup: RotationSetup) -> Exp
     options = CalibrationOptions(
         whole_turns=whole_turns, gravity_sigma=gravity_sigma, latitude_sigma=latitude_sigma
     )
-    common = np.zeros(UNKNOWNS)
+    common = np.zeros(PARAMETER_COUNT)
     trajectories = integrated_sections([section], [attitude[0]], common, site, options)
     ideal = Information.of([section], trajectories, common, noise, site, options)
     _, covariance, is_observed = ideal.solve()

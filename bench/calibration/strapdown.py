@@ -43,9 +43,9 @@ from gyrobench.bench.navigation.earth import earth_rate_enu
 #: rad.
 LEVER_ARMS, DELAY, QUADRATIC = slice(COUNT, COUNT + 9), COUNT + 9, slice(COUNT + 10, COUNT + 13)
 G_SENSITIVITIES = slice(COUNT + 13, COUNT + 22)
-UNKNOWNS = COUNT + len(BESIDE)
-ATTITUDE, DRIFT = slice(UNKNOWNS, UNKNOWNS + 3), slice(UNKNOWNS + 3, UNKNOWNS + 6)
-LATITUDE = UNKNOWNS + 6
+PARAMETER_COUNT = COUNT + len(BESIDE)
+ATTITUDE, DRIFT = slice(PARAMETER_COUNT, PARAMETER_COUNT + 3), slice(PARAMETER_COUNT + 3, PARAMETER_COUNT + 6)
+LATITUDE = PARAMETER_COUNT + 6
 _ALL = tuple(range(LATITUDE))
 _ROWS, _COLUMNS = LOWER
 #: Rotations, rad, after which the attitude and the responses are brought up to date. Until then increments
@@ -155,7 +155,7 @@ def integrated(
     states = attitude, integral, response
     of_errors = (errors or SensorErrors()).removal(interval_s)
     removal = SensorErrors().removal(interval_s) if are_freed else of_errors
-    has_beside = any(COUNT <= each < UNKNOWNS for each in columns)
+    has_beside = any(COUNT <= each < PARAMETER_COUNT for each in columns)
     _integrate(
         angle, velocity, removal, of_errors, interval_s, ends, has_beside, *turns, gravity, which, *states
     )
@@ -250,7 +250,7 @@ def _integrate(
         # An error of a sensor is one of the true increments by way of all scale factors and misalignments.
         set_product(of_gyros, middle, of_errors[0])
         set_product(of_forces, middle, of_errors[1])
-        # At rest the specific force is gravity. As measured it lets unknowns explain its noise: a smaller
+        # At rest the specific force is gravity. As measured it lets parameters explain its noise: a smaller
         # scale factor makes it smaller, another heading turns it.
         lifted = gravity * length_s
         since_middle_s = (k + 1 - 0.5 * samples - 0.5 * ends[-1]) * interval_s
@@ -283,16 +283,16 @@ def _integrate(
                 sensor = c - DELAY - 1
                 for i in range(3):
                     response[3 + i, r] -= middle[i, sensor] * squares[sensor]
-            elif c < UNKNOWNS:
+            elif c < PARAMETER_COUNT:
                 sensor, along = (c - DELAY - 4) // 3, (c - DELAY - 4) % 3
                 for i in range(3):
                     response[i, r] -= middle[i, sensor] * middle[2, along] * lifted
             elif c == LATITUDE:
                 for i in range(3):
                     response[i, r] -= by_latitude[i] * length_s
-            elif c >= UNKNOWNS + 3:
+            elif c >= PARAMETER_COUNT + 3:
                 for i in range(3):
-                    response[i, r] -= of_gyros[i, c - UNKNOWNS - 3] * length_s * since_middle_s
+                    response[i, r] -= of_gyros[i, c - PARAMETER_COUNT - 3] * length_s * since_middle_s
             a, b, d = response[0, r], response[1, r], response[2, r]
             for i in range(3):
                 response[i, r] = step[i, 0] * a + step[i, 1] * b + step[i, 2] * d

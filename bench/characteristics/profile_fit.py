@@ -63,7 +63,7 @@ def profile_fit(
     dof = len(values) - designs.shape[2] - 1
     if dof < 1:
         raise MeasurementError(
-            f"{len(values)} dwells without flags are too few for {len(values) - dof} unknowns. "
+            f"{len(values)} dwells without flags are too few for {len(values) - dof} parameters. "
             "Measure more dwells"
         )
     white, target = designs / sigmas[:, np.newaxis], values / sigmas
@@ -255,7 +255,7 @@ def _fit(
     designs = np.array(
         [np.column_stack([shared, decays[i], none if j is None else decays[j]]) for i, j in pairs]
     )
-    # All pairs together weigh what all single ones do, but for the criterion's penalty of two more unknowns.
+    # All pairs together weigh what all single ones do, but for the penalty of two more parameters.
     for_pair = 2.0 * np.log(max(1, len(pairs) - len(grid)) / len(grid)) + 3.0 * np.log(len(bias))
     penalties = np.array([0.0 if j is None else for_pair for _, j in pairs])
     taus = np.array([(grid[i], np.inf if j is None else grid[j]) for i, j in pairs])

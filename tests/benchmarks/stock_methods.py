@@ -71,7 +71,7 @@ class Problem:
     def chi_squared(self, chosen: Sequence[Candidate]) -> float:
         return float(sum(each @ each for each in self.residuals(chosen)))
 
-    def unknowns(self, chosen: Sequence[Candidate]) -> int:
+    def parameters(self, chosen: Sequence[Candidate]) -> int:
         return sum(self._rank(self._design(axis, chosen)[self.searched]) for axis in range(3))
 
     def predictions(self, chosen: Sequence[Candidate]) -> np.ndarray:
@@ -116,7 +116,7 @@ def forward_bic(rows: Sequence[DwellRow], hold_out_cycle: int | None = None) -> 
 
     def criterion(chosen: Sequence[Candidate]) -> float:
         n = problem.measured
-        return n * np.log(problem.chi_squared(chosen) / n) + problem.unknowns(chosen) * np.log(n)
+        return n * np.log(problem.chi_squared(chosen) / n) + problem.parameters(chosen) * np.log(n)
 
     chosen: list[Candidate] = []
     while len(chosen) < MAX_CHOSEN:
@@ -135,8 +135,8 @@ def stepwise_f(rows: Sequence[DwellRow], hold_out_cycle: int | None = None) -> S
 
     def p_value(candidate: Candidate) -> float:
         before, after = problem.chi_squared(chosen), problem.chi_squared([*chosen, candidate])
-        k = problem.unknowns([*chosen, candidate]) - problem.unknowns(chosen)
-        free = problem.measured - problem.unknowns([*chosen, candidate])
+        k = problem.parameters([*chosen, candidate]) - problem.parameters(chosen)
+        free = problem.measured - problem.parameters([*chosen, candidate])
         return float(f_distribution.sf((before - after) / k / (after / free), k, free)) if k else 1.0
 
     def strength(candidate: Candidate) -> tuple[float, float]:
