@@ -22,7 +22,7 @@ from gyrobench.drivers.serial_line import SerialLine
 #: A frame ends with a silence of 3.5 characters, 4 ms at 9600 baud.
 PAUSE_AFTER_READ_S = 0.005
 #: Controllers store a written value before they receive again.
-PAUSE_AFTER_WRITE_S = 0.03
+_PAUSE_AFTER_WRITE_S = 0.03
 
 _READ, _WRITE = 3, 6
 _EXCEPTION_BIT = 0x80
@@ -90,7 +90,7 @@ class ModbusRtu:
     def write(self, register: int, value: int) -> None:
         """Write one register as a signed 16-bit number; raises what :meth:`read` raises."""
         request = struct.pack(">BBHh", self._address, _WRITE, register, value)
-        reply = self._exchange(request, request, len(request) + 2, PAUSE_AFTER_WRITE_S)
+        reply = self._exchange(request, request, len(request) + 2, _PAUSE_AFTER_WRITE_S)
         if reply[1] & _EXCEPTION_BIT:
             raise self._refused(reply, f"write {value} to {_label(register)}")
 

@@ -41,7 +41,7 @@ _BOUNDS = (
 )
 
 
-class StartingFile:
+class _StartingFile:
     """Writes files of one schema. The schema holds all it refers to in ``$defs``."""
 
     def __init__(self, schema: Schema) -> None:
@@ -75,7 +75,7 @@ class StartingFile:
             yield from self._commented(f"{indent}{key}:", _meaning(schema, below), indent)
             yield from self._section(below, value, f"{indent}  ")
         else:
-            yield from self._commented(f"{indent}{key}: {inline(value)}", self._explained(schema), indent)
+            yield from self._commented(f"{indent}{key}: {_inline(value)}", self._explained(schema), indent)
 
     def _left_out(self, key: str, schema: Schema, indent: str) -> Iterator[str]:
         below = self._resolved(schema, {})
@@ -86,7 +86,7 @@ class StartingFile:
                 # Keys begin after an even number of spaces, explanations after one.
                 yield f"{indent}{line}" if line.startswith("# ") else f"{indent}#  {line.removeprefix('#')}"
             return
-        default = inline(schema.get("default")) if "default" in schema else _empty(below)
+        default = _inline(schema.get("default")) if "default" in schema else _empty(below)
         yield from self._commented(f"{indent}#{key}: {default}", self.explained(schema), indent)
 
     def _commented(self, line: str, text: str, indent: str) -> Iterator[str]:
@@ -96,7 +96,7 @@ class StartingFile:
             yield together
             return
         if text not in self._explained_once:
-            yield from comment(text, f"{indent}# ")
+            yield from _comment(text, f"{indent}# ")
         self._explained_once.add(text)
         yield line
 
@@ -131,7 +131,7 @@ class StartingFile:
         return "; ".join(filter(None, (_meaning(schema, self._resolved(schema, None)), *allowed)))
 
 
-def inline(value: Any) -> str:
+def _inline(value: Any) -> str:
     """A value on one line of YAML."""
     text: str = yaml.safe_dump(
         value, default_flow_style=True, width=float("inf"), sort_keys=False, allow_unicode=True
@@ -139,7 +139,7 @@ def inline(value: Any) -> str:
     return text.removesuffix("\n...\n").removesuffix("\n")
 
 
-def comment(text: str, lead: str = "# ", then: str = "") -> list[str]:
+def _comment(text: str, lead: str = "# ", then: str = "") -> list[str]:
     """Lines of a comment, each with ``lead`` before it, all but the first with ``then`` too."""
     return textwrap.wrap(text, _WIDTH, initial_indent=lead, subsequent_indent=lead + then)
 
@@ -209,7 +209,7 @@ def new_procedure(name: str, like: str, path: Path) -> str:
     text = _text(
         PROCEDURE,
         path,
-        StartingFile(head).lines(values),
+        _StartingFile(head).lines(values),
         ["", "# What to do, in order. The kinds of step and their keys are at the end.", "steps:"],
         _steps(steps, "  "),
         ["", *_catalogue(schema)],
@@ -238,7 +238,7 @@ def new_station(name: str, path: Path, table: str | None = None, chamber: str | 
     for section, dialect in (("rate_table", table), ("chamber", chamber)):
         if dialect is not None and dialect != values[section]["dialect"]:
             values[section] = _of_dialect(values[section], dialect, section)
-    text = _text(STATION, path, StartingFile(schema_of(STATION)).lines(values))
+    text = _text(STATION, path, _StartingFile(schema_of(STATION)).lines(values))
     validate(parse_document(text, path), StationFile)
     return text
 
@@ -277,7 +277,7 @@ def new_effect(name: str, path: Path) -> str:
         "shape": "onset",
         "bounds": {"onset": [20.0, 70.0], "width": [1.0, 10.0]},
     }
-    text = _text(EFFECT, path, StartingFile(schema_of(EFFECT)).lines(values))
+    text = _text(EFFECT, path, _StartingFile(schema_of(EFFECT)).lines(values))
     validate(parse_document(text, path), EffectFile)
     return text
 
@@ -294,7 +294,7 @@ def _common_keys(section: str) -> set[str]:
 
 
 def _text(kind: FileKind, path: Path, *parts: Iterable[str]) -> str:
-    head = editor_line(kind, path) + "\n".join(comment(_HINT)) + "\n\n"
+    head = editor_line(kind, path) + "\n".join(_comment(_HINT)) + "\n\n"
     return head + "".join(f"{line}\n" for part in parts for line in part)
 
 
@@ -303,12 +303,12 @@ def _steps(entries: list[Any], indent: str) -> Iterator[str]:
         if isinstance(entry, dict) and "repeat" in entry:
             loop = entry["repeat"]
             yield f"{indent}- repeat:"
-            yield f"{indent}    over: {inline(loop['over'])}"
+            yield f"{indent}    over: {_inline(loop['over'])}"
             yield f"{indent}    steps:"
             yield from _steps(loop["steps"], f"{indent}      ")
         elif isinstance(entry, dict):
             [(name, keys)] = entry.items()
-            yield f"{indent}- {name}: {inline(keys)}"
+            yield f"{indent}- {name}: {_inline(keys)}"
         else:
             yield f"{indent}- {entry}"
 
@@ -321,17 +321,17 @@ def _catalogue(schema: Schema) -> Iterator[str]:
     yield from _keys(schema, kinds["wait"], only=common)
     for name, kind in kinds.items():
         yield "#"
-        yield from comment(f"{name}: {kind['description']}")
+        yield from _comment(f"{name}: {kind['description']}")
         yield from _keys(schema, kind, only=kind["properties"].keys() - common)
 
 
 def _keys(schema: Schema, kind: Schema, only: Collection[str]) -> Iterator[str]:
-    explained = StartingFile(schema).explained
+    explained = _StartingFile(schema).explained
     for key, each in kind["properties"].items():
         if key in only:
             said = [explained(each)]
             if each.get("default") is not None:
-                said.append(f"{inline(each['default'])} if not given")
+                said.append(f"{_inline(each['default'])} if not given")
             if key in kind.get("required", ()):
                 said.append("needed")
-            yield from comment(f"{key}: {'; '.join(said)}", "#   ", "  ")
+            yield from _comment(f"{key}: {'; '.join(said)}", "#   ", "  ")

@@ -85,7 +85,7 @@ def _coefficients(
 #: The 21 independent coefficients in the body frame of the accelerometers, in the order of vectors.
 COEFFICIENTS = _coefficients(_ALL, _LOWER)
 #: The same in the body frame of the gyros.
-GYRO_FRAME_COEFFICIENTS = _coefficients(_LOWER, _ALL)
+_GYRO_FRAME_COEFFICIENTS = _coefficients(_LOWER, _ALL)
 _DPH_PER_G = RADPS_TO_DPH * STANDARD_GRAVITY
 #: What may be estimated beside them: places of the accelerometers in the unit, their delay against the gyros,
 #: and their quadratic terms, ``K2 f^2``; biases of the gyros that follow the specific force, ``G f``, by
@@ -211,7 +211,7 @@ class CoefficientEstimate:
     @property
     def frame(self) -> str:
         """Sensors that the body frame is fixed to: "accelerometers" or "gyros"."""
-        return "gyros" if self.coefficients[:COUNT] == GYRO_FRAME_COEFFICIENTS else "accelerometers"
+        return "gyros" if self.coefficients[:COUNT] == _GYRO_FRAME_COEFFICIENTS else "accelerometers"
 
     @property
     def errors(self) -> SensorErrors:
@@ -239,7 +239,7 @@ class CoefficientEstimate:
             values=np.concatenate([_gyro_frame_vector(values), self.values[COUNT:]]),
             covariance=jacobian @ self.covariance @ jacobian.T,
             is_observed=np.concatenate([~rests_on_unseen, self.is_observed[COUNT:]]),
-            coefficients=(*GYRO_FRAME_COEFFICIENTS, *self.coefficients[COUNT:]),
+            coefficients=(*_GYRO_FRAME_COEFFICIENTS, *self.coefficients[COUNT:]),
             parts={name: jacobian @ part @ jacobian.T for name, part in self.parts.items()},
         )
 

@@ -16,13 +16,13 @@ from gyrobench.bench.navigation.attitude import rotation_vectors
 from gyrobench.bench.navigation.positions import AXES
 
 #: Time, s, over which increments are averaged to see motion.
-BLOCK_S = 0.5
+_BLOCK_S = 0.5
 #: Shortest rest, s, that counts; all rests of a recording are at least :data:`MIN_REST_TOTAL_S`.
-MIN_REST_S, MIN_REST_TOTAL_S = 5.0, 60.0
+_MIN_REST_S, MIN_REST_TOTAL_S = 5.0, 60.0
 #: Smallest net angle, rad, of a rotation between two rests; what turns less is a disturbance.
-MIN_ROTATION = np.deg2rad(1.0)
-#: A spin turns so far, rad, and returns to within :data:`MIN_ROTATION` of where it started.
-MIN_SPIN = np.deg2rad(350.0)
+_MIN_ROTATION = np.deg2rad(1.0)
+#: A spin turns so far, rad, and returns to within :data:`_MIN_ROTATION` of where it started.
+_MIN_SPIN = np.deg2rad(350.0)
 
 #: Rate, rad/s, and specific force, m/s^2, that may differ between resting blocks beyond their noise.
 _RATE_TOLERANCE, _FORCE_TOLERANCE = np.deg2rad(0.005), 2e-3
@@ -65,10 +65,10 @@ class IncrementRecording:
         for name, values in (("angle", self.angle), ("velocity", self.velocity)):
             if not np.isfinite(values).all():
                 raise MeasurementError(f"an increment of {name} is not a number. Cut the recording there")
-        if self.interval_s > BLOCK_S:
+        if self.interval_s > _BLOCK_S:
             raise MeasurementError(
-                f"samples are {self.interval_s:.3g} s apart; at most {BLOCK_S:g} s show motion. Check 'time' "
-                "in the import map"
+                f"samples are {self.interval_s:.3g} s apart; at most {_BLOCK_S:g} s show motion. Check "
+                "'time' in the import map"
             )
         if self.duration_s < MIN_REST_TOTAL_S:
             raise MeasurementError(
@@ -112,19 +112,19 @@ class RecordedRotation:
     @property
     def is_spin(self) -> bool:
         """Whether these are whole turns."""
-        return self.is_long and bool(np.linalg.norm(self.vector) < MIN_ROTATION)
+        return self.is_long and bool(np.linalg.norm(self.vector) < _MIN_ROTATION)
 
     @property
     def is_long(self) -> bool:
         """Whether it turned far enough for a whole turn."""
-        return bool(abs(self.path) > MIN_SPIN)
+        return bool(abs(self.path) > _MIN_SPIN)
 
     @property
     def kind(self) -> str:
         """``spin``, ``rotation`` or ``disturbance``: moved and not turned."""
         if self.is_spin:
             return "spin"
-        return "disturbance" if float(np.linalg.norm(self.vector)) < MIN_ROTATION else "rotation"
+        return "disturbance" if float(np.linalg.norm(self.vector)) < _MIN_ROTATION else "rotation"
 
 
 def find_rests(recording: IncrementRecording) -> list[Rest]:
@@ -134,7 +134,7 @@ def find_rests(recording: IncrementRecording) -> list[Rest]:
     those of its neighbours by more than their noise, and the rate is that of the other resting blocks: a
     steady spin is no rest. Raises MeasurementError if it rests for less than a minute in all.
     """
-    size = max(1, round(BLOCK_S / recording.interval_s))
+    size = max(1, round(_BLOCK_S / recording.interval_s))
     count = len(recording.angle) // size
     rate, force = (
         values[: count * size].reshape(count, size, 3).mean(axis=1) / recording.interval_s
@@ -150,7 +150,7 @@ def find_rests(recording: IncrementRecording) -> list[Rest]:
         # The Earth's rate turns with the unit: at most twice 15 deg/h.
         quiet &= away < 2.0 * _RATE_TOLERANCE + _SIGMAS * noise.max()
     edges = np.flatnonzero(np.diff(np.concatenate([[False], quiet, [False]]).astype(np.int8)))
-    least = round(MIN_REST_S / recording.interval_s)
+    least = round(_MIN_REST_S / recording.interval_s)
     # The blocks at the ends may hold a part of the motion.
     spans = [
         ((first + 1 + _settling(rate[first + 1 : last - 1], noise)) * size, (last - 1) * size)
@@ -177,7 +177,7 @@ def _settling(rate: FloatArray, noise: FloatArray) -> int:
     Whole turns would seem to end where a rest begins, and the scale factors be wrong by that. The angle that
     is left is compared with its ``noise`` (3,), that of a block.
     """
-    longest = min(round(_SETTLING_S / BLOCK_S), len(rate) // 2)
+    longest = min(round(_SETTLING_S / _BLOCK_S), len(rate) // 2)
     if not longest:
         return 0
     after = rate[longest : 3 * longest]

@@ -41,7 +41,7 @@ _TINY = 1e-300
 
 
 @dataclass(frozen=True, eq=False)
-class ProfileFit:
+class _ProfileFit:
     """The best of several linear fits to the same values, and draws over all of them."""
 
     best: int  #: Index of the best design.
@@ -52,9 +52,9 @@ class ProfileFit:
     draws: FloatArray  #: Shape (m, k). Coefficients of each draw.
 
 
-def profile_fit(
+def _profile_fit(
     values: FloatArray, sigmas: FloatArray, designs: FloatArray, penalties: FloatArray | None = None
-) -> ProfileFit:
+) -> _ProfileFit:
     """Fit values (n,) with standard uncertainties (n,) by each of the designs (d, n, k).
 
     A design lacks a coefficient whose column is zero. ``penalties`` (d,) are added to each design's chi2 in
@@ -96,7 +96,7 @@ def profile_fit(
         rows = chosen == index
         root = np.linalg.cholesky(inverse[index]) * shrink[index][:, None]
         draws[rows] = solved[index] + draws[rows] @ root.T
-    return ProfileFit(best, solved[best], designs[best] @ solved[best], scale, chosen, draws)
+    return _ProfileFit(best, solved[best], designs[best] @ solved[best], scale, chosen, draws)
 
 
 def indicators(groups: Sequence[object]) -> FloatArray:
@@ -155,7 +155,7 @@ def thermal_sensitivity(rows: Sequence[DwellRow], reference_c: float | None, deg
         path_c = temperature[:, np.newaxis] + rate[:, np.newaxis] / 3600.0 * away_s
         states = [_play_state(path_c.ravel(), each).reshape(path_c.shape).mean(axis=1) for each in widths]
         designs = np.array([np.column_stack([linear, 0.5 * state, constants]) for state in states])
-        fit = profile_fit(bias, sigma, designs)
+        fit = _profile_fit(bias, sigma, designs)
         zeros_c.append(zero_c)
         names = (
             ("temperature sensitivity", "deg/h/degC", 0),
@@ -240,7 +240,7 @@ def warm_up(rows: Sequence[DwellRow], within_dph: float) -> TestResult:
 
 def _fit(
     bias: FloatArray, sigma: FloatArray, shared: FloatArray, start_s: FloatArray, end_s: FloatArray
-) -> tuple[ProfileFit, FloatArray]:
+) -> tuple[_ProfileFit, FloatArray]:
     """Fit of one or two exponentials, and the time constants (g, 2) of its designs."""
     grid = (
         np.geomspace(_SHORTEST * max(start_s.min(), 30.0), _LONGEST * end_s.max(), _TIME_CONSTANTS)
@@ -259,7 +259,7 @@ def _fit(
     for_pair = 2.0 * np.log(max(1, len(pairs) - len(grid)) / len(grid)) + 3.0 * np.log(len(bias))
     penalties = np.array([0.0 if j is None else for_pair for _, j in pairs])
     taus = np.array([(grid[i], np.inf if j is None else grid[j]) for i, j in pairs])
-    return profile_fit(bias, sigma, designs, penalties), taus
+    return _profile_fit(bias, sigma, designs, penalties), taus
 
 
 def _mean_decay(start_s: FloatArray, end_s: FloatArray, tau_s: float | FloatArray) -> FloatArray:
@@ -270,7 +270,7 @@ def _mean_decay(start_s: FloatArray, end_s: FloatArray, tau_s: float | FloatArra
 
 def _of_gyro(
     gyro: str,
-    fit: ProfileFit,
+    fit: _ProfileFit,
     time_constants: FloatArray,
     skipped: int,
     start_s: FloatArray,

@@ -118,7 +118,7 @@ class _Commands(Mapping[str, Any]):
         return _command(name)
 
 
-class CommandGroups(TyperGroup):
+class _CommandGroups(TyperGroup):
     """Lists its commands group by group."""
 
     def __init__(self, **options: Any) -> None:
@@ -160,7 +160,7 @@ _GC_THRESHOLD = (50_000, 10, 10)
 
 app = typer.Typer(
     epilog=EXIT_CODES_HELP,
-    cls=CommandGroups,
+    cls=_CommandGroups,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     add_completion=True,

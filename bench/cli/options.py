@@ -14,10 +14,10 @@ from gyrobench.bench.foundations.shipped import DEFAULT_WORLD
 
 _MAX_RUNS = 200
 
-Completion = Callable[[str], list[str]]
+_Completion = Callable[[str], list[str]]
 
 
-def _shipped(kind: str) -> Completion:
+def _shipped(kind: str) -> _Completion:
     def complete(incomplete: str) -> list[str]:
         from gyrobench.bench.foundations.shipped import shipped_names
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from gyrobench.bench.monitor.terminal import RunConsole
     from gyrobench.bench.runs.folder import RunFolder
 
-Row = TypeVar("Row")
+_Row = TypeVar("_Row")
 
 #: The run did not finish, or a check failed.
 EXIT_NOT_FINISHED = 1
@@ -117,7 +117,7 @@ def print_tables(console: Console, folder: RunFolder) -> None:
     from gyrobench.bench.runs.tables.calibration_check_table import read_calibration_check
     from gyrobench.bench.runs.tables.coefficient_table import read_coefficients
 
-    def read(path: Path, reader: Callable[[Path], list[Row]]) -> list[Row]:
+    def read(path: Path, reader: Callable[[Path], list[_Row]]) -> list[_Row]:
         return reader(path) if path.exists() else []
 
     bins = read(folder.bias_bins, read_bins)

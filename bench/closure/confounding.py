@@ -11,7 +11,7 @@ from gyrobench.bench.closure.problem import declared_problem
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 
 #: Two sets of terms can't be distinguished if at most this share of the length of one is independent.
-CONFOUNDED_SHARE = 0.3
+_CONFOUNDED_SHARE = 0.3
 #: Degree of the slow course of time that attitudes are compared with, and times the time constant over the
 #: length of the campaign for the slow warm-up.
 _TIME_DEGREE, _SLOW = 3, 0.5
@@ -37,14 +37,14 @@ def confounding(campaign: Campaign, searched: BoolArray) -> tuple[str, ...]:
             "Each attitude was measured once, in one stretch of time: attitude cannot be distinguished from "
             "drift, except by the form assumed for the drift."
         )
-    elif _independent(campaign, searched, campaign.up_body, slow_time) < CONFOUNDED_SHARE:
+    elif _independent(campaign, searched, campaign.up_body, slow_time) < _CONFOUNDED_SHARE:
         sentences.append(
             "The attitudes follow each other as slowly as a drift: attitude cannot be distinguished from "
             "drift."
         )
     if len(set(seen.run.tolist())) == 1:
         decay = np.exp(-campaign.since_power_on_s / (_SLOW * max(float(np.ptp(seen.middle_s)), 1.0)))
-        if _independent(campaign, searched, decay[:, np.newaxis], slow_time) < CONFOUNDED_SHARE:
+        if _independent(campaign, searched, decay[:, np.newaxis], slow_time) < _CONFOUNDED_SHARE:
             sentences.append(
                 "All dwells searched are in one power cycle: a slow warm-up cannot be distinguished from "
                 "drift."

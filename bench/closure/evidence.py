@@ -29,12 +29,12 @@ EFFECT_COUNT_PRIOR = (0.4, 0.35, 0.15, 0.1)
 #: Prior probability of a remainder beside any set, shared equally by its processes; all of them together
 #: have a share of that of one.
 REMAINDER_PRIOR = 0.05
-TOGETHER_SHARE = 0.1
+_TOGETHER_SHARE = 0.1
 #: Magnitudes of a size, all equally probable: rms of a term in the dwells searched beside the
 #: declared model and the other effects, in units of the noise. An effect has about the same in all gyros,
 #: with this probability, or any smaller one in a gyro.
 MAGNITUDES = 0.5 * 4.0 ** np.arange(6)
-SAME_MAGNITUDE = 0.8
+_SAME_MAGNITUDE = 0.8
 #: Variance of the noise over the stated one, as inverse gamma distributions: probability, shape and scale.
 #: Stated uncertainties are right to 7 %, or too small by 1 to 1.7.
 NOISE_PRIOR = ((0.9, 52.0, 51.0), (0.1, 4.0, 6.0))
@@ -64,7 +64,7 @@ class Evidences:
         self._steps: dict[Form, tuple[FloatArray, FloatArray]] = {}
         self._dof = np.array([basis.shape[0] - basis.shape[1] for basis in problem.bases], dtype=np.float64)
         self._remainder = remainder_of(problem)
-        shares = np.array([TOGETHER_SHARE if name == TOGETHER else 1.0 for name in self.processes])
+        shares = np.array([_TOGETHER_SHARE if name == TOGETHER else 1.0 for name in self.processes])
         self._log_process_prior = np.log(REMAINDER_PRIOR * shares / shares.sum())
 
     @property
@@ -274,7 +274,7 @@ def _smaller() -> FloatArray:
     """Probability of a magnitude in one gyro (columns), given that of the effect (rows)."""
     count = len(MAGNITUDES)
     smaller = np.tril(np.ones((count, count))) / np.arange(1, count + 1)[:, np.newaxis]
-    return np.asarray(SAME_MAGNITUDE * np.eye(count) + (1.0 - SAME_MAGNITUDE) * smaller)
+    return np.asarray(_SAME_MAGNITUDE * np.eye(count) + (1.0 - _SAME_MAGNITUDE) * smaller)
 
 
 _SMALLER = _smaller()

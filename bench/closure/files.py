@@ -25,7 +25,7 @@ _T = TypeVar("_T")
 #: Name of the file with the outcome of a search.
 _CLOSURE_FILE = "closure.json"
 #: Effect file of the most probable composed law.
-COMPOSED_LAW = "composed_law.yaml"
+_COMPOSED_LAW = "composed_law.yaml"
 #: Most probable hypotheses in the document.
 _HYPOTHESES = 10
 _MAX_BYTES = 100_000_000
@@ -49,7 +49,7 @@ def write_closure(folder: Path, closure: Closure) -> None:
     write_text(folder / "predictions.csv", format_predictions(closure))
     write_text(folder / "model.yaml", yaml.safe_dump(model_document(closure), sort_keys=False))
     for law in closure.composed.laws[:1] if closure.composed else ():
-        write_text(folder / COMPOSED_LAW, law_text(law))
+        write_text(folder / _COMPOSED_LAW, law_text(law))
 
 
 def holds_search(folder: Path) -> bool:
@@ -188,7 +188,7 @@ def _document(closure: Closure) -> dict[str, Any]:
             }
             for table in closure.campaign.tables
         ],
-        "simulated": is_simulated(closure),
+        "simulated": _is_simulated(closure),
         "held_out_cycles": sorted(set(closure.campaign.cycle[~closure.searched].tolist())),
         "dwells_searched": int(closure.searched.sum()),
         "rotation": [
@@ -265,7 +265,7 @@ def format_predictions(closure: Closure) -> str:
     return format_csv(columns_written, rows)
 
 
-def is_simulated(closure: Closure) -> bool:
+def _is_simulated(closure: Closure) -> bool:
     """Whether a table is of a run with emulated instruments."""
     return bool(watermark_of(*(Path(table.name) for table in closure.campaign.tables)))
 
@@ -274,7 +274,7 @@ def model_document(closure: Closure) -> dict[str, Any]:
     """Content of ``model.yaml``: the declared model and the effects, complete for predictions."""
     draws, axes = closure.model_draws, closure.quantity.axes
     document = {
-        "simulated": is_simulated(closure),
+        "simulated": _is_simulated(closure),
         "degree": DEGREE,
         "scale_c": SCALE_C,
         "fitted_c": {

@@ -26,9 +26,9 @@ OUTLIER_SIGMA = 5.0
 #: With a larger share the outliers are no exceptions: all count in full.
 MAX_OUTLIERS = 0.1
 #: Scatter without structure is noise up to this ratio to the stated uncertainties.
-MAX_SCALE = 1.7
+_MAX_SCALE = 1.7
 #: p-values: below them, scatter is larger than stated, and has structure.
-LARGER_P, STRUCTURE_P = 1e-2, 1e-2
+_LARGER_P, _STRUCTURE_P = 1e-2, 1e-2
 #: Noises are the same if their scales differ by less than this share.
 _SAME = 0.03
 _ROUNDS = 30
@@ -154,7 +154,7 @@ def estimate_campaign_noise(
     if not is_settled:
         noise, after = stated, _fitted(stated, campaign, searched, extra)
     test = lack_of_fit(after, sum(len(each.values) for each in effects))
-    if test.p_any_structure < STRUCTURE_P and not extra:
+    if test.p_any_structure < _STRUCTURE_P and not extra:
         return stated
     return replace(noise, scale=_scale(test))
 
@@ -177,8 +177,8 @@ def outweighing_dwell(campaign: Campaign, searched: BoolArray) -> CampaignNoise:
 
 def _scale(test: LackOfFit) -> float:
     """Ratio of the noise to the stated uncertainties, where scatter without structure shows one."""
-    is_larger = test.p_noise < LARGER_P and 1.0 < test.noise_ratio < MAX_SCALE
-    return test.noise_ratio if is_larger and test.p_any_structure >= STRUCTURE_P else 1.0
+    is_larger = test.p_noise < _LARGER_P and 1.0 < test.noise_ratio < _MAX_SCALE
+    return test.noise_ratio if is_larger and test.p_any_structure >= _STRUCTURE_P else 1.0
 
 
 def _fitted(

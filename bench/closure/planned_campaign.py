@@ -22,7 +22,7 @@ _STEPS_A_LAG = 20
 _MAX_STEP_S = 60.0
 _MAX_STEPS = 20_000
 #: Angle random walk of a ring laser gyro of navigation grade, deg/sqrt(h), where the station declares none.
-TYPICAL_RANDOM_WALK = 0.001
+_TYPICAL_RANDOM_WALK = 0.001
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class UnitProperties:
     """Properties of a unit that determine the uncertainty of its dwells."""
 
     #: Angle random walk of each gyro; of all three, or shape (3,).
-    angle_random_walk_deg_per_sqrt_h: float | FloatArray = TYPICAL_RANDOM_WALK
+    angle_random_walk_deg_per_sqrt_h: float | FloatArray = _TYPICAL_RANDOM_WALK
     noise_source: str = "a typical value, none is declared"  #: Where it is from.
     #: has_boards, has_case: Whether the temperatures of the electronics and of the case are measured.
     has_boards: bool = True

@@ -15,7 +15,7 @@ from gyrobench.bench.closure.candidates import Candidate
 #: Effects are tied if the data and the prior prefer one by odds of less than this to 1.
 TIE_ODDS = 100.0
 #: Least probability of another form of an effect found that is stated.
-FORM_SHARE = 0.05
+_FORM_SHARE = 0.05
 #: Probability that all effects found are there, without a remainder, where they explain a residual.
 EXPLAINED = 0.99
 #: Probability of any other effect from which it is not settled that those found are all.
@@ -132,7 +132,7 @@ class Posterior:
     def other_forms(self, names: frozenset[str], one: Candidate) -> list[tuple[float, tuple[Candidate, ...]]]:
         """A set of effects with one of them in other forms, most probable first.
 
-        Each form that has FORM_SHARE of the probability of the set, with the set as fitted.
+        Each form that has ``_FORM_SHARE`` of the probability of the set, with the set as fitted.
         """
         found: dict[str, tuple[float, tuple[Candidate, ...]]] = {}
         for each in self.hypotheses:
@@ -141,7 +141,7 @@ class Posterior:
                 before, best = found.get(form, (0.0, candidates))
                 found[form] = before + share, best
         found.pop(one.form.name, None)
-        return sorted((each for each in found.values() if each[0] > FORM_SHARE), key=lambda each: -each[0])
+        return sorted((each for each in found.values() if each[0] > _FORM_SHARE), key=lambda each: -each[0])
 
     def tied_with(self, names: frozenset[str], one: str) -> tuple[str, ...]:
         """Effects that may take the place of one of a set, most probable first."""

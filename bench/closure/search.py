@@ -35,7 +35,7 @@ _BEAM_WIDTH = 3
 #: An effect is a special case of another one that reproduces its terms to this share of their length.
 SAME_SHARE = 0.05
 #: An effect is tested again without the dwell that has more than this share of its reduction of chi2.
-MAX_SHARE_OF_ONE_DWELL = 0.5
+_MAX_SHARE_OF_ONE_DWELL = 0.5
 #: Fitted parameters reduce chi2 by at most this factor more than the best starting values.
 _MAX_REFINEMENT = 3.0
 #: Sets are about equally probable below these odds.
@@ -284,7 +284,7 @@ class Search:
         explained = np.sum((beside.residuals - after.residuals) ** 2, axis=1)
         place = np.flatnonzero(problem.searched)[int(np.argmax(explained))]
         dwell = int(problem.campaign.dwell[place])
-        if explained.max() <= MAX_SHARE_OF_ONE_DWELL * explained.sum():
+        if explained.max() <= _MAX_SHARE_OF_ONE_DWELL * explained.sum():
             return dwell, 0.0
         rest = problem.searched & (np.arange(len(problem.searched)) != place)
         without = declared_problem(problem.campaign, rest, problem.noise_scale)

@@ -18,16 +18,16 @@ from gyrobench.bench.foundations.arrays import FloatArray, rms
 from gyrobench.bench.procedure.estimate import ThermalEstimate
 
 #: Of a typical unit: share of the gyros' lag behind the air that the case takes, and of their self-heating.
-CASE_LAG_SHARE = 0.2
-CASE_HEATING_SHARE = 0.35
+_CASE_LAG_SHARE = 0.2
+_CASE_HEATING_SHARE = 0.35
 #: Temperature of the electronics above the optics in a powered unit, and its lag.
 ELECTRONICS_ABOVE_OPTICS_K = 12.0
 _ELECTRONICS_LAG_SHARE = 0.25
 #: Share of the electronics' heat that flows to the case; the rest flows to the optics.
-CASE_SHARE_OF_ELECTRONICS = 0.7
+_CASE_SHARE_OF_ELECTRONICS = 0.7
 #: Relative reduction of that temperature by convection if the optics are directly above the electronics,
 #: and the directions from electronics to optics of the x, y and z gyro, perpendicular to its axis.
-CONVECTION_SHARE = 0.08
+_CONVECTION_SHARE = 0.08
 _TO_OPTICS_BODY = np.sqrt(0.5) * np.array([[0.0, 1.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 0.0]])
 #: Samples of a mean over a dwell.
 _INSTANTS = 21
@@ -79,14 +79,14 @@ class UnitThermal:
     @classmethod
     def typical(cls, thermal: ThermalEstimate) -> UnitThermal:
         """A navigation-grade unit with the lag and self-heating that a station states."""
-        case_lag_s = CASE_LAG_SHARE * thermal.time_constant_s
-        rise_k = np.hstack([np.ones((3, 1)), -CONVECTION_SHARE * _TO_OPTICS_BODY])
+        case_lag_s = _CASE_LAG_SHARE * thermal.time_constant_s
+        rise_k = np.hstack([np.ones((3, 1)), -_CONVECTION_SHARE * _TO_OPTICS_BODY])
         return cls(
             case_lag_s,
-            CASE_HEATING_SHARE * thermal.self_heating_c,
+            _CASE_HEATING_SHARE * thermal.self_heating_c,
             np.full(3, thermal.time_constant_s - case_lag_s),
             np.full(3, _ELECTRONICS_LAG_SHARE * thermal.time_constant_s),
-            np.outer(np.full(3, (1.0 - CASE_HEATING_SHARE) * thermal.self_heating_c), [1.0, 0.0, 0.0, 0.0]),
+            np.outer(np.full(3, (1.0 - _CASE_HEATING_SHARE) * thermal.self_heating_c), [1.0, 0.0, 0.0, 0.0]),
             ELECTRONICS_ABOVE_OPTICS_K * rise_k,
         )
 
@@ -229,7 +229,7 @@ def _followed(goal: FloatArray, time_s: FloatArray, lag_s: float, begun: float |
 
 def _around(optics_c: FloatArray, goal_c: FloatArray) -> FloatArray:
     """Temperature that the electronics would take without their power."""
-    return np.asarray(optics_c + CASE_SHARE_OF_ELECTRONICS * (goal_c - optics_c))
+    return np.asarray(optics_c + _CASE_SHARE_OF_ELECTRONICS * (goal_c - optics_c))
 
 
 def _means(time_s: FloatArray, values: FloatArray, start_s: FloatArray, end_s: FloatArray) -> FloatArray:

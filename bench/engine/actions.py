@@ -52,7 +52,7 @@ from gyrobench.drivers.ins.can_ins import POLL_PERIOD_S
 from gyrobench.drivers.ins.readout import Alignment, InsMode
 
 Ticks = Iterator[None]
-T = TypeVar("T")
+_T = TypeVar("_T")
 
 _POSITION_TOLERANCE_DEG = 0.002
 #: A servo may overshoot this long after its profile is complete.
@@ -96,7 +96,7 @@ def _power_on(step: PowerOn, context: StepContext) -> Ticks:
     for unit in context.units.running:
         unit.live.forget()
     excluded = context.units.dropped_events
-    yield from tried(context, lambda: bench.instruments.power_unit(True, excluded))
+    yield from _tried(context, lambda: bench.instruments.power_unit(True, excluded))
     switched_s = bench.clock.now()
     yield
     yield from context.units.each(lambda unit: _sending(unit, bench))
@@ -122,7 +122,7 @@ def _sending(unit: MeasuredUnit, bench: LiveBench) -> Ticks:
 
 def _switched_off(context: StepContext) -> Ticks:
     context.bench.units_switched_off()
-    yield from tried(context, lambda: context.bench.instruments.power_unit(False))
+    yield from _tried(context, lambda: context.bench.instruments.power_unit(False))
 
 
 @perform.register
@@ -138,10 +138,10 @@ def _chamber(step: SetChamber, context: StepContext) -> Ticks:
     bench = context.bench
     bench.state.chamber_state_unknown()
     # Each driver is looked up when it is used: a port that was reopened has a new one.
-    yield from tried(
+    yield from _tried(
         context, lambda: bench.instruments.chamber.set_temperature(step.temperature_c, step.ramp_c_per_min)
     )
-    yield from tried(context, lambda: bench.instruments.chamber.switch(True))
+    yield from _tried(context, lambda: bench.instruments.chamber.switch(True))
     bench.state.chamber_commanded(step.temperature_c)
     commanded_s = bench.clock.now()
     yield
@@ -157,7 +157,7 @@ def _chamber(step: SetChamber, context: StepContext) -> Ticks:
 def _chamber_off(step: ChamberOff, context: StepContext) -> Ticks:  # noqa: ARG001
     bench = context.bench
     bench.state.chamber_switching(False)
-    yield from tried(context, lambda: bench.instruments.chamber.switch(False))
+    yield from _tried(context, lambda: bench.instruments.chamber.switch(False))
     bench.state.chamber_switched(False)
     yield
 
@@ -382,7 +382,7 @@ def _rotating(step: RotatingStep, context: StepContext) -> Ticks:
 def _increments_sent(context: StepContext, on: bool) -> Ticks:
     def sent(unit: MeasuredUnit) -> Ticks:
         if unit.live.ins.supports("send_increments"):
-            yield from tried(context, lambda: unit.live.ins.send_increments(on))
+            yield from _tried(context, lambda: unit.live.ins.send_increments(on))
 
     yield from context.units.each(sent)
 
@@ -435,13 +435,13 @@ class _OffPositionError(FaultError):
 
 def _sent(context: StepContext, angles: Angles, rate_dps: float) -> Ticks:
     station, instruments = context.bench.station, context.bench.instruments
-    yield from tried(context, lambda: instruments.table.move_to(station.by_axis_number(angles), rate_dps))
+    yield from _tried(context, lambda: instruments.table.move_to(station.by_axis_number(angles), rate_dps))
     yield
-    while not (yield from tried(context, lambda: instruments.table.in_position())):
+    while not (yield from _tried(context, lambda: instruments.table.in_position())):
         yield
     complete_s = context.bench.clock.now()
     while True:
-        reading = yield from tried(context, lambda: instruments.table.read())
+        reading = yield from _tried(context, lambda: instruments.table.read())
         reached = station.table_axes_of(reading.position_deg)
         if np.allclose(reached, angles, rtol=0.0, atol=_POSITION_TOLERANCE_DEG):
             return
@@ -454,7 +454,7 @@ def _sent(context: StepContext, angles: Angles, rate_dps: float) -> Ticks:
         yield
 
 
-def tried(context: StepContext, exchange: Callable[[], T]) -> Generator[None, None, T]:
+def _tried(context: StepContext, exchange: Callable[[], _T]) -> Generator[None, None, _T]:
     """Exchange something with an instrument; a failed exchange is tried again as often as the step allows.
 
     Every command of the drivers may be repeated: it gives the final state, not a change.

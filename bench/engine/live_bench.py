@@ -38,7 +38,7 @@ _REACHED_C = 2.0
 #: Bins of lateness are evenly wide in the logarithm; below the first edge a tick counts as on time.
 _LOWEST_S, _DECADES, _PER_DECADE = 1e-5, 8, 50
 
-T = TypeVar("T")
+_T = TypeVar("_T")
 
 
 class TickLateness:
@@ -142,7 +142,7 @@ class LiveBench:
         for unit, ins in zip(self.units, found, strict=True):
             unit.begin(replace(self.readings, ins=ins))
 
-    def _first(self, ask: Callable[[], T]) -> T:
+    def _first(self, ask: Callable[[], _T]) -> _T:
         for _ in range(_FIRST_TRIES - 1):
             try:
                 return ask()
@@ -220,7 +220,7 @@ class LiveBench:
         """Reopen the port of an instrument; a failure is reported."""
         self.asked(instrument, lambda: self.instruments.reopen(instrument))
 
-    def asked(self, instrument: str, ask: Callable[[], T]) -> T | None:
+    def asked(self, instrument: str, ask: Callable[[], _T]) -> _T | None:
         """Return an instrument's answer; None where it fails, which is reported."""
         try:
             answer = ask()

@@ -33,7 +33,7 @@ BUS_SILENCE_S = 4.0
 #: Frames of an INS that has started are not older than this.
 _FRESH_S = 2.0
 
-T = TypeVar("T")
+_T = TypeVar("_T")
 
 
 @dataclass
@@ -70,7 +70,7 @@ class Polled(Protocol):
 
     clock: Clock
 
-    def asked(self, instrument: str, ask: Callable[[], T]) -> T | None:
+    def asked(self, instrument: str, ask: Callable[[], _T]) -> _T | None:
         """Return an instrument's answer; None where it fails, which is reported."""
 
     def failed(self, error: InstrumentError) -> None:

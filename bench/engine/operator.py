@@ -44,7 +44,7 @@ COMMAND_MEANINGS: Mapping[RunCommand, str] = MappingProxyType(
 
 #: Signals that give a command, the preferred one first. Ctrl-Z pauses: a stopped process would leave the
 #: bench without control.
-COMMAND_SIGNALS: Mapping[signal.Signals, RunCommand] = MappingProxyType(
+_COMMAND_SIGNALS: Mapping[signal.Signals, RunCommand] = MappingProxyType(
     {
         signal.SIGTERM: RunCommand.ABORT,
         signal.SIGINT: RunCommand.ABORT,
@@ -73,7 +73,7 @@ def send_command(run_folder: Path, command: RunCommand, pid: int, sender: str) -
 
     Raises OSError if the process can't be signalled, and RunFolderError if the name can't be written.
     """
-    number = next(number for number, each in COMMAND_SIGNALS.items() if each is command)
+    number = next(number for number, each in _COMMAND_SIGNALS.items() if each is command)
     write_whole(_sender_file(run_folder, command), json.dumps({"pid": pid, "operator": sender}).encode())
     os.kill(pid, number)
 
@@ -115,7 +115,7 @@ class CommandQueue:
         self._previous = {}
         if threading.current_thread() is threading.main_thread():
             # A signal that is ignored, as SIGHUP under nohup, stays ignored.
-            caught = [number for number in COMMAND_SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
+            caught = [number for number in _COMMAND_SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
             self._previous = {number: signal.signal(number, self._caught) for number in caught}
             # The terminal must not stop a run in the background that reads from it or writes to it.
             for number in _TERMINAL_SIGNALS:
@@ -128,7 +128,7 @@ class CommandQueue:
 
     def _caught(self, number: int, frame: FrameType | None) -> None:  # noqa: ARG002
         name = signal.Signals(number)
-        self.give(COMMAND_SIGNALS[name], name.name)
+        self.give(_COMMAND_SIGNALS[name], name.name)
 
     def give(self, command: RunCommand, by: str) -> None:
         """Add a command; ``by`` is its source, for the journal."""

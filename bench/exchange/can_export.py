@@ -114,7 +114,7 @@ _MEASURED = (
     "case_c",
 )
 _WHOLE = ("part", "dwell", "segment", "mode")
-SCHEMA = pa.schema(
+_SCHEMA = pa.schema(
     [UTC_FIELD, *(field_of(name) for name in _MEASURED), *(pa.field(name, pa.int64()) for name in _WHOLE)]
 )
 
@@ -127,7 +127,7 @@ def export_navigation(
     Raises RunFolderError if the log can't be read, there is no such dwell, or the file can't be written.
     """
     batches = _batches(folder, setup, dwell)
-    destination.table(name, SCHEMA, batches, source=folder.can.name, attitude=_ATTITUDE)
+    destination.table(name, _SCHEMA, batches, source=folder.can.name, attitude=_ATTITUDE)
 
 
 def _batches(folder: RunFolder, setup: MeasurementSetup, dwell: int | None) -> Iterator[pa.Table]:
@@ -156,7 +156,7 @@ def _table(part: TimedPart, setup: MeasurementSetup, marks: DwellMarks | None, b
         "mode": data.mode.astype(np.int64),
     }
     utc = calendar_times(_EPOCH, data.timestamp_s)
-    return pa.table({UTC_FIELD.name: utc, **columns, **whole}).select(SCHEMA.names)
+    return pa.table({UTC_FIELD.name: utc, **columns, **whole}).select(_SCHEMA.names)
 
 
 def _measured(data: NavigationData, began_s: float) -> list[FloatArray]:

@@ -114,7 +114,7 @@ def data_origin(folder: RunFolder) -> dict[str, Any]:
 
 
 #: Record beside the exported files.
-ABOUT = "export.json"
+_ABOUT = "export.json"
 _MAX_ABOUT_BYTES = 10_000_000
 
 
@@ -192,7 +192,7 @@ class ExportFolder:
         """
         if not self.written:
             return
-        path = self.folder / ABOUT
+        path = self.folder / _ABOUT
         content = {"origin": self.origin, "files": self._earlier_entries(path) | self._about}
         write_whole(path, (json.dumps(content, indent=2, default=str) + "\n").encode())
         self.written.append(path)

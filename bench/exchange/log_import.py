@@ -83,7 +83,7 @@ def import_logs(logs: Sequence[Path], mapping: str) -> LogImport:
         )
     with _named(logs):
         noise_dph = noise_of_means([log.valid_windows for log in read])
-    rows = dwell_rows(read, noise_dph, log_map)
+    rows = _dwell_rows(read, noise_dph, log_map)
     warnings = [*_log_warnings(read), *_map_warnings(log_map, rows)]
     with _named(logs):
         warnings += temperature_warnings(rows, windows, log_map)
@@ -111,7 +111,7 @@ def _named(logs: Sequence[Path]) -> Iterator[None]:
         raise MeasurementError(f"{', '.join(map(str, logs))}: {error}") from error
 
 
-def _log_warnings(logs: Sequence[ReadLog]) -> list[str]:
+def _log_warnings(logs: Sequence[_ReadLog]) -> list[str]:
     warnings = []
     for log in logs:
         if log.reader.truncated:
@@ -147,7 +147,7 @@ def _map_warnings(log_map: LogMap, rows: Sequence[DwellRow]) -> list[str]:
 
 
 def _origin(
-    logs: Sequence[ReadLog], windows: Sequence[Window], map_path: Path, log_map: LogMap
+    logs: Sequence[_ReadLog], windows: Sequence[Window], map_path: Path, log_map: LogMap
 ) -> dict[str, Any]:
     resolutions = {
         f"gyro_{axis}": temperature_resolution_c(windows, f"gyro_{axis}_c")
@@ -199,7 +199,7 @@ def cycle_numbers(temperatures_c: Sequence[float], min_turn_c: float) -> list[in
 
 
 @dataclass(frozen=True, eq=False)
-class ReadLog:
+class _ReadLog:
     """Windows of one log, with the reason why each is left out, empty for a valid window.
 
     ``missing`` counts the windows without any sample between the first and the last.
@@ -217,7 +217,7 @@ class ReadLog:
         return [each for each, reason in zip(self.windows, self.reasons, strict=True) if not reason]
 
 
-def _read_log(path: Path, log_map: LogMap) -> ReadLog:
+def _read_log(path: Path, log_map: LogMap) -> _ReadLog:
     """Cut one log into windows and judge them.
 
     Raises DocumentError if the import map does not match the log, or it can't be read. Raises
@@ -227,10 +227,10 @@ def _read_log(path: Path, log_map: LogMap) -> ReadLog:
     windows = list(cut_windows(reader.batches(), log_map.averages.window_s, log_map.skip_s))
     expected = round((windows[-1].end_s - windows[0].start_s) / log_map.averages.window_s) if windows else 0
     reasons = reasons_against(windows, log_map) if windows else []
-    return ReadLog(path, reader, windows, reasons, expected - len(windows))
+    return _ReadLog(path, reader, windows, reasons, expected - len(windows))
 
 
-def dwell_rows(logs: Sequence[ReadLog], sigma_dph: FloatArray, log_map: LogMap) -> list[DwellRow]:
+def _dwell_rows(logs: Sequence[_ReadLog], sigma_dph: FloatArray, log_map: LogMap) -> list[DwellRow]:
     """One row for each valid window of the logs, which are in the order of time.
 
     ``sigma_dph`` (3,) is the standard uncertainty of a window's mean rates.
@@ -272,7 +272,7 @@ def dwell_rows(logs: Sequence[ReadLog], sigma_dph: FloatArray, log_map: LogMap) 
     return rows
 
 
-def _offsets_s(logs: Sequence[ReadLog], log_map: LogMap) -> list[float]:
+def _offsets_s(logs: Sequence[_ReadLog], log_map: LogMap) -> list[float]:
     """Time of each log's first sample on the table's clock.
 
     Logs of one power-on share a clock; those of several are laid one behind the other. Raises

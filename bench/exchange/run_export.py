@@ -116,7 +116,7 @@ def _export_csv(path: Path, name: str, destination: ExportFolder) -> None:
     Raises DocumentError if the table can't be read. Raises RunFolderError if the file can't be written.
     """
     about = {"source": path.name, "source_sha256": file_sha256(path)}
-    table = read_table(path)
+    table = _read_table(path)
     if name.endswith(".parquet"):
         destination.table(name, table.schema, iter([table]), **about)
         return
@@ -125,7 +125,7 @@ def _export_csv(path: Path, name: str, destination: ExportFolder) -> None:
         copy.write_text(read_text(path), encoding="utf-8", newline="")
 
 
-def read_table(path: Path) -> pa.Table:
+def _read_table(path: Path) -> pa.Table:
     """Read a CSV table; an empty cell is null, except in text columns.
 
     Raises DocumentError if it is not a table, or a cell does not match its column's type.

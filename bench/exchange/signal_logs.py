@@ -26,7 +26,7 @@ from gyrobench.drivers.frames import EXTENDED_ID, MAX_LENGTH, FrameBlock, concat
 from gyrobench.drivers.ins.dbc_codec import DbcCodec, load_dbc
 
 #: In place of a column: the times of the samples, s.
-TIME_COLUMN = "time_s"
+_TIME_COLUMN = "time_s"
 _S_PER_US = 1e-6
 #: Name that the standard of ASAM gives data frames of a CAN bus.
 _FRAMES = "CAN_DataFrame"
@@ -96,14 +96,14 @@ class SignalLog:
             raise DocumentError(f"{path}: holds no signal. Was the logger running?")
 
     def batches(self, numbers: Sequence[Column], texts: Sequence[Column]) -> Iterator[Batch]:
-        """Read columns, all in one batch; :data:`TIME_COLUMN` stands for the times of the first one.
+        """Read columns, all in one batch; :data:`_TIME_COLUMN` stands for the times of the first one.
 
         Raises DocumentError if there is no such signal, or one among ``numbers`` holds text.
         """
-        base = next(self._signal(column)[0] for column in numbers if column != TIME_COLUMN)
+        base = next(self._signal(column)[0] for column in numbers if column != _TIME_COLUMN)
         batch: Batch = {}
         for column in (*numbers, *texts):
-            if column == TIME_COLUMN and column not in self._signals:
+            if column == _TIME_COLUMN and column not in self._signals:
                 batch[column] = base.time_s
                 continue
             stamps, values = self._signal(column)

@@ -46,7 +46,7 @@ from gyrobench.bench.runs.index.run_biases import FALSE_ALARM, LEVEL, BiasQuanti
 from gyrobench.bench.runs.index.run_index import RunIndex
 
 #: Least number of units for an estimate of their spread.
-MIN_UNITS = 4
+_MIN_UNITS = 4
 #: Significance of the test for a common variance of several quantities.
 _COMMON_VARIANCE_P = 0.05
 
@@ -108,17 +108,17 @@ class QuantityStatistics:
 
 
 def fit_batch(values: Mapping[BatchQuantity, Sequence[RunBias]]) -> list[QuantityStatistics]:
-    """Fit the model to each quantity measured on at least :data:`MIN_UNITS` units, in the order given.
+    """Fit the model to each quantity measured on at least :data:`_MIN_UNITS` units, in the order given.
 
     Raises MeasurementError if there is no such quantity.
     """
     families: dict[object, list[_UnitMeans]] = defaultdict(list)
     for quantity, runs in values.items():
-        if len({run.unit for run in runs}) >= MIN_UNITS:
+        if len({run.unit for run in runs}) >= _MIN_UNITS:
             families[_family(quantity)].append(_unit_means(quantity, runs))
     if not families:
         raise MeasurementError(
-            f"no gyro was measured in the same bin and positions on at least {MIN_UNITS} units. Select more "
+            f"no gyro was measured in the same bin and positions on at least {_MIN_UNITS} units. Select more "
             "runs"
         )
     order = list(values)

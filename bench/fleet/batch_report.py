@@ -24,7 +24,7 @@ from gyrobench.bench.report.page import Box, Findings, Section, SectionFigure, S
 from gyrobench.bench.runs.index.run_biases import FALSE_ALARM, LEVEL, BiasQuantity
 
 
-def batch_sentence(batch: Sequence[QuantityStatistics]) -> str:
+def _batch_sentence(batch: Sequence[QuantityStatistics]) -> str:
     """Name the outlying units."""
     comparisons = sum(len(stats.units) for stats in batch)
     corrected = f"p < {FALSE_ALARM:g}, corrected for {counted(comparisons, 'comparison')}"
@@ -47,7 +47,7 @@ def batch_sentence(batch: Sequence[QuantityStatistics]) -> str:
 
 
 def _outlier_table(batch: Sequence[QuantityStatistics]) -> SectionTable:
-    scale = batch_scale(batch)
+    scale = _batch_scale(batch)
     rows = [
         [
             unit.unit,
@@ -68,7 +68,7 @@ def _outlier_table(batch: Sequence[QuantityStatistics]) -> SectionTable:
 
 
 def _spread_table(batch: Sequence[QuantityStatistics]) -> SectionTable:
-    scale = batch_scale(batch)
+    scale = _batch_scale(batch)
     rows = [
         [
             stats.quantity.label,
@@ -88,9 +88,9 @@ def _spread_table(batch: Sequence[QuantityStatistics]) -> SectionTable:
     return SectionTable(caption, header, rows)
 
 
-def unit_rows(stats: QuantityStatistics) -> list[list[str]]:
+def _unit_rows(stats: QuantityStatistics) -> list[list[str]]:
     """One row for each unit in one quantity: measured, shrunken, p."""
-    scale = batch_scale([stats])
+    scale = _batch_scale([stats])
     return [
         [
             unit.unit,
@@ -104,7 +104,7 @@ def unit_rows(stats: QuantityStatistics) -> list[list[str]]:
     ]
 
 
-def batch_scale(batch: Sequence[QuantityStatistics]) -> BiasScale:
+def _batch_scale(batch: Sequence[QuantityStatistics]) -> BiasScale:
     """Choose the unit and the number of decimals for a batch."""
     units: list[UnitStatistics] = [unit for stats in batch for unit in stats.units]
     return BiasScale.of(
@@ -112,7 +112,7 @@ def batch_scale(batch: Sequence[QuantityStatistics]) -> BiasScale:
     )
 
 
-def levels(batch: Sequence[QuantityStatistics]) -> list[QuantityStatistics]:
+def _levels(batch: Sequence[QuantityStatistics]) -> list[QuantityStatistics]:
     """Quantities that are levels of gyros or sizes of effects."""
     return [
         stats for stats in batch if isinstance(stats.quantity, EffectSize) or stats.quantity.name == LEVEL
@@ -133,7 +133,7 @@ def batch_figure(batch: Sequence[QuantityStatistics], *, of_positions: bool) -> 
     panels = figure.subplots(len(AXES), 1, sharex=False)
     out = list(dict.fromkeys(unit.unit for _, unit in outliers(batch)))[: len(_COLOURS)]
     colours = dict(zip(out, _COLOURS, strict=False))
-    scale = batch_scale(batch)
+    scale = _batch_scale(batch)
     for gyro, panel in zip(AXES, panels, strict=True):
         mine = [
             stats
@@ -261,7 +261,7 @@ def write_batch(
         if out
         else f"no outlier in {counted(len(units), 'unit')}",
         colour="stopped" if out else "finished",
-        sentence=batch_sentence(batch),
+        sentence=_batch_sentence(batch),
         facts={"units": ", ".join(sorted(units)), "quantities": str(len(batch))},
         sections=_sections(batch),
         watermark=watermark,
@@ -271,13 +271,13 @@ def write_batch(
 
 def batch_summary(name: str, batch: Sequence[QuantityStatistics]) -> Section:
     """Outliers, and the spread of the units, without figures."""
-    box = Box("open", f"Batch {name}." if name else "", batch_sentence(batch))
+    box = Box("open", f"Batch {name}." if name else "", _batch_sentence(batch))
     return Section("", boxes=[box], sections=_spread_sections(batch))
 
 
 def _spread_sections(batch: Sequence[QuantityStatistics]) -> list[Section]:
     sections = [Section("Outliers", tables=[_outlier_table(batch)])] if outliers(batch) else []
-    return [*sections, Section("Spread between units", tables=[_spread_table(levels(batch))])]
+    return [*sections, Section("Spread between units", tables=[_spread_table(_levels(batch))])]
 
 
 def _sections(batch: Sequence[QuantityStatistics]) -> list[Section]:
@@ -289,12 +289,12 @@ def _sections(batch: Sequence[QuantityStatistics]) -> list[Section]:
         figure = partial(batch_figure, batch, of_positions=of_positions)
         name = "batch_positions" if of_positions else "batch_levels"
         sections.append(Section(title, figures=[SectionFigure(name, f"{what} {_BAND}", figure)]))
-    positions = [stats for stats in batch if stats not in levels(batch)]
+    positions = [stats for stats in batch if stats not in _levels(batch)]
     sections.append(Section("Spread of the position differences", tables=[_spread_table(positions)]))
     header = ("unit", "runs", "mean of its runs", "shrunk to the batch", "p", "p corrected")
     tables = [
-        SectionTable(f"{stats.quantity.label}, {batch_scale([stats]).unit}", header, unit_rows(stats))
-        for stats in levels(batch)
+        SectionTable(f"{stats.quantity.label}, {_batch_scale([stats]).unit}", header, _unit_rows(stats))
+        for stats in _levels(batch)
     ]
     sections.append(Section("Units", tables=tables))
     return sections

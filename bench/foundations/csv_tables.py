@@ -19,12 +19,12 @@ from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.files import read_limited, read_lines, write_whole
 from gyrobench.bench.foundations.text import format_cell
 
-RowT = TypeVar("RowT")
+_RowT = TypeVar("_RowT")
 
 #: Some hundred thousand dwells.
-MAX_TABLE_BYTES = 100_000_000
+_MAX_TABLE_BYTES = 100_000_000
 #: Beyond anything measured; squares and sums of values within stay finite.
-LARGEST_NUMBER, SMALLEST_UNCERTAINTY = 1e30, 1e-30
+_LARGEST_NUMBER, _SMALLEST_UNCERTAINTY = 1e30, 1e-30
 #: Beyond any gyro; much larger temperatures would fill the memory with empty bins.
 COLDEST_C, HOTTEST_C = -273.15, 1000.0
 _SHOWN_PROBLEMS = 20
@@ -94,7 +94,7 @@ class CsvTable:
         """Whether a column has numbers and nothing else but empty cells."""
         texts = {self.text(index, column).lower() for index in range(len(self))} - {"", "nan"}
         return bool(texts) and all(
-            _NUMBER.fullmatch(text) and abs(float(text)) <= LARGEST_NUMBER for text in texts
+            _NUMBER.fullmatch(text) and abs(float(text)) <= _LARGEST_NUMBER for text in texts
         )
 
     def text(self, index: int, column: str) -> str:
@@ -135,9 +135,9 @@ class CsvTable:
         text = self.text(index, column)
         if text and _NUMBER.fullmatch(text):
             value = float(text)
-            if abs(value) <= LARGEST_NUMBER:
+            if abs(value) <= _LARGEST_NUMBER:
                 return value
-            self.problem(index, column, f"{value:g} is beyond {LARGEST_NUMBER:g}")
+            self.problem(index, column, f"{value:g} is beyond {_LARGEST_NUMBER:g}")
         elif not (may_be_empty and text.lower() in ("", "nan")):
             self.problem(index, column, f"expected a number; found '{text}'")
         return math.nan
@@ -145,7 +145,7 @@ class CsvTable:
     def uncertainty(self, index: int, column: str, may_be_empty: bool = False) -> float:
         """Read a standard uncertainty, which is above zero."""
         value = self.number(index, column, may_be_empty)
-        if value < SMALLEST_UNCERTAINTY:
+        if value < _SMALLEST_UNCERTAINTY:
             self.problem(index, column, f"an uncertainty must be above zero; found {value:g}")
         return value
 
@@ -160,7 +160,7 @@ class CsvTable:
             )
         return value_c
 
-    def rows(self, read: Callable[[int], RowT]) -> list[RowT]:
+    def rows(self, read: Callable[[int], _RowT]) -> list[_RowT]:
         """Read each row by its index. Raises DocumentError that lists the recorded problems."""
         rows = [read(index) for index in range(len(self))]
         self.raise_problems()
@@ -258,10 +258,10 @@ def one_of(allowed: Collection[str]) -> CellReader:
 
 def read_rows(
     path: Path,
-    kind: type[RowT],
+    kind: type[_RowT],
     readers: Mapping[str, CellReader] = MappingProxyType({}),
     columns: Mapping[str, str] = MappingProxyType({}),
-) -> list[RowT]:
+) -> list[_RowT]:
     """Read instances of a data class, whose fields of type str, int or float, or None, are the columns.
 
     ``readers``: of fields that are read otherwise. ``columns``: names of columns that are not those of their
@@ -273,16 +273,16 @@ def read_rows(
 
 def each_row(
     path: Path,
-    kind: type[RowT],
+    kind: type[_RowT],
     readers: Mapping[str, CellReader] = MappingProxyType({}),
     columns: Mapping[str, str] = MappingProxyType({}),
-) -> Iterator[RowT]:
+) -> Iterator[_RowT]:
     """The same one after the other, of a table that is larger than what is made of it.
 
     Raises DocumentError at the first part of the file that is wrong.
     """
     names = {each.name: columns.get(each.name, each.name) for each in fields(kind)}  # type: ignore[arg-type]
-    lines = read_lines(path, MAX_TABLE_BYTES, DocumentError)
+    lines = read_lines(path, _MAX_TABLE_BYTES, DocumentError)
     header, left_out = next(lines, b""), 0
     while (part := list(islice(lines, _PART_LINES))) or not left_out:
         while sum(line.count(b'"') for line in part) % 2 and (line := next(lines, b"")):
@@ -293,8 +293,8 @@ def each_row(
 
 
 def _read(
-    table: CsvTable, kind: type[RowT], readers: Mapping[str, CellReader], names: Mapping[str, str]
-) -> list[RowT]:
+    table: CsvTable, kind: type[_RowT], readers: Mapping[str, CellReader], names: Mapping[str, str]
+) -> list[_RowT]:
     known = fields(kind)  # type: ignore[arg-type]
     cells = [
         (each.name, readers.get(each.name) or _READERS[str(each.type)], names[each.name]) for each in known
@@ -309,7 +309,7 @@ def read_text(path: Path) -> str:
 
     Raises DocumentError if the file can't be read, is too large, or is not UTF-8.
     """
-    return _decoded(path, read_limited(path, MAX_TABLE_BYTES, DocumentError))
+    return _decoded(path, read_limited(path, _MAX_TABLE_BYTES, DocumentError))
 
 
 def _decoded(path: Path, content: bytes) -> str:

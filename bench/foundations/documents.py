@@ -64,7 +64,7 @@ _PLAIN_WORDS = tuple(
     )
 )
 
-ModelT = TypeVar("ModelT", bound="StrictModel")
+_ModelT = TypeVar("_ModelT", bound="StrictModel")
 
 
 class StrictModel(BaseModel):
@@ -162,7 +162,7 @@ def parse_document(text: str, path: Path) -> Document:
     return document
 
 
-def validate(document: Document, model: type[ModelT], further: Sequence[DocumentProblem] = ()) -> ModelT:
+def validate(document: Document, model: type[_ModelT], further: Sequence[DocumentProblem] = ()) -> _ModelT:
     """Turn a document into its model.
 
     ``further`` problems, which the model does not know of, are reported with its own if there are any.

@@ -34,7 +34,7 @@ _EXTRAS = {
     **dict.fromkeys(("cryptography", "lxml", "pkcs11", "pyhanko", "signxml"), "certificate"),
 }
 
-ObjectT = TypeVar("ObjectT")
+_ObjectT = TypeVar("_ObjectT")
 
 
 def require(module: str) -> Any:
@@ -59,7 +59,7 @@ def installed(group: str) -> list[str]:
     return sorted({entry.name for entry in _entries(group)})
 
 
-def load(group: str, name: str, kind: type[ObjectT]) -> ObjectT:
+def load(group: str, name: str, kind: type[_ObjectT]) -> _ObjectT:
     """Import the object of one entry.
 
     Raises DocumentError if no package or several packages provide the name, the object can't be imported, or

@@ -23,7 +23,7 @@ from gyrobench.bench.station.safe_state import RAMP_PERIOD_S, SafeAction, finish
 from gyrobench.bench.station.station import Station
 
 #: Pauses between attempts, s: a quarter of an hour in all.
-PAUSES_S = (0.0, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0, *[60.0] * 14)
+_PAUSES_S = (0.0, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0, *[60.0] * 14)
 
 _KILL_TIME_S = 10.0
 _LOCK_PERIOD_S = 0.2
@@ -60,7 +60,7 @@ class Rescue:
 
     def _act(self, end: EngineEnd, messenger: Messenger) -> None:
         left: list[str] | None = None
-        for pause_s in PAUSES_S:
+        for pause_s in _PAUSES_S:
             self._clock.sleep(pause_s)
             try:
                 with self._lock(), Outputs(self._station, self._clock) as outputs:

@@ -27,7 +27,7 @@ from gyrobench.bench.foundations.files import write_whole
 from gyrobench.bench.navigation.positions import AXES
 
 #: Exit code of a bench that can't do the block.
-REFUSED = 3
+_REFUSED = 3
 _SHOWN_CHARACTERS = 500
 _TIMEOUT_FACTOR, _TIMEOUT_MARGIN_S = 1.5, 600.0
 #: Time for a command that is ended to switch its bench off.
@@ -199,7 +199,7 @@ class ExternalBench(AfterLastDwell):
             # A table of a command that failed is no measurement.
             answered.unlink(missing_ok=True)
             log.unlink()
-        if code == REFUSED:
+        if code == _REFUSED:
             raise BlockRefusedError(message or "no reason was given")
         if code:
             raise GyrobenchError(

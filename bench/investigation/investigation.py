@@ -159,7 +159,10 @@ class Investigator:
                 stage = self._searched()
                 ratio = stage.calibration and stage.calibration.ratio
                 journal.record(
-                    "searched", spent_h=stage.spent_h, uncertainty_ratio=ratio, **probabilities(stage.closure)
+                    "searched",
+                    spent_h=stage.spent_h,
+                    uncertainty_ratio=ratio,
+                    **_probabilities(stage.closure),
                 )
                 ended = self._end(stage)
                 if ended is None:
@@ -440,7 +443,7 @@ class Investigator:
         return replace(stage, proposal=proposal, outcome=outcome, confirmation=confirmation)
 
 
-def probabilities(closure: Closure) -> dict[str, Any]:
+def _probabilities(closure: Closure) -> dict[str, Any]:
     """What a search found, for the journal."""
     return {
         "verdict": closure.verdict,

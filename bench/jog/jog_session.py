@@ -104,7 +104,7 @@ class _Session:
     ) -> None:
         self._control = control
         self._display = display
-        self._shell = Shell(control, display)
+        self._shell = _Shell(control, display)
         self._leave = leave
         self._is_typed = not commands and sys.stdin.isatty()
         self._lines = iter(commands) if commands else self._typed_lines()
@@ -119,7 +119,7 @@ class _Session:
             try:
                 self._control.idle()  # interlocks are checked between commands that follow each other at once
                 line = next(self._lines, None)
-                if line is None or line.lower() in END_COMMANDS:
+                if line is None or line.lower() in _END_COMMANDS:
                     self._leave = self._leave or (line or "").lower() == "leave"
                     return all_done
                 if not self._is_typed and line and not line.startswith("#"):
@@ -182,27 +182,27 @@ _WATCH_S = 60.0
 _MAX_WATCH_S = 604_800.0
 _END_USAGES = {"quit": "end; the bench goes to its safe state", "leave": "end; only the table is stopped"}
 #: Commands that end a session; "leave" without the safe state.
-END_COMMANDS = ("quit", "exit", "q", "leave")
+_END_COMMANDS = ("quit", "exit", "q", "leave")
 
 
 @dataclass(frozen=True)
-class JogCommand:
+class _JogCommand:
     """One command: each way to type it with its meaning, and the function that executes it."""
 
     usages: Mapping[str, str]
     execute: Callable[[list[str]], None]
 
 
-class Shell:
+class _Shell:
     """Parses commands and executes them."""
 
     def __init__(self, control: ManualControl, display: Display) -> None:
         self._control = control
         self._display = display
-        self._commands: Mapping[str, JogCommand] = {
-            "show": JogCommand({"show": "all readings"}, self._show),
-            "watch": JogCommand({"watch [S]": "readings for S seconds, default 60"}, self._watch),
-            "table": JogCommand(
+        self._commands: Mapping[str, _JogCommand] = {
+            "show": _JogCommand({"show": "all readings"}, self._show),
+            "watch": _JogCommand({"watch [S]": "readings for S seconds, default 60"}, self._watch),
+            "table": _JogCommand(
                 {
                     "table outer|inner ANGLE [at RATE]": "move one axis; deg, deg/s",
                     "table to POSITION [AZIMUTH] [at RATE]": "go to z_up, x_down, ...",
@@ -210,28 +210,28 @@ class Shell:
                 },
                 self._table,
             ),
-            "stop": JogCommand(
+            "stop": _JogCommand(
                 {"stop": "stop the table"}, lambda words: _without_arguments(words, control.stop)
             ),
-            "home": JogCommand({"home [at RATE]": "all axes to zero"}, self._home),
-            "servo": JogCommand({"servo on|off": "close or open the table's servos"}, self._servo),
-            "chamber": JogCommand(
+            "home": _JogCommand({"home [at RATE]": "all axes to zero"}, self._home),
+            "servo": _JogCommand({"servo on|off": "close or open the table's servos"}, self._servo),
+            "chamber": _JogCommand(
                 {
                     "chamber TEMPERATURE [at RAMP]": "set point; degC, degC/min",
                     "chamber on|off": "switch temperature control",
                 },
                 self._chamber,
             ),
-            "unit": JogCommand({"unit on|off": "switch the power of the INS"}, self._unit),
-            "ins": JogCommand({"ins align|navigate|standby": "command the INS"}, self._ins),
-            "faults": JogCommand({"faults": "faults, alarms, tripped interlocks"}, self._faults),
-            "clear": JogCommand(
+            "unit": _JogCommand({"unit on|off": "switch the power of the INS"}, self._unit),
+            "ins": _JogCommand({"ins align|navigate|standby": "command the INS"}, self._ins),
+            "faults": _JogCommand({"faults": "faults, alarms, tripped interlocks"}, self._faults),
+            "clear": _JogCommand(
                 {"clear": "clear the chamber's alarms"},
                 lambda words: _without_arguments(words, control.clear),
             ),
-            "events": JogCommand({"events": "the chamber's event outputs"}, self._events),
-            "limits": JogCommand({"limits": "limits of angle, rate, temperature"}, self._limits),
-            "help": JogCommand({"help": "this list"}, self._help),
+            "events": _JogCommand({"events": "the chamber's event outputs"}, self._events),
+            "limits": _JogCommand({"limits": "limits of angle, rate, temperature"}, self._limits),
+            "help": _JogCommand({"help": "this list"}, self._help),
         }
 
     def execute(self, line: str) -> None:

@@ -32,7 +32,7 @@ _STOP_TICKS, _REST_DPS = 60, 0.01
 _TABLE_TRIPS = {"table_silence", "table_rate", "table_acceleration"}
 _CHAMBER_TRIPS = {"chamber_silence", "chamber_alarm"}
 
-T = TypeVar("T")
+_T = TypeVar("_T")
 
 
 class ManualControl:
@@ -324,7 +324,7 @@ class ManualControl:
                 self.bench.instruments.table.stop()
             raise
 
-    def _retry(self, exchange: Callable[[], T]) -> T:
+    def _retry(self, exchange: Callable[[], _T]) -> _T:
         """Repeat an exchange with an instrument that is lost on the line."""
         for _ in range(_TRIES - 1):
             try:

@@ -41,14 +41,14 @@ class Quota:
 
 
 #: Pauses between attempts.
-PAUSES_S = (5.0, 15.0, 60.0, 300.0, 600.0)
+_PAUSES_S = (5.0, 15.0, 60.0, 300.0, 600.0)
 #: Over some twelve hours.
 _MAX_ATTEMPTS = 75
 #: Pause between attempts while the process waits to end.
 _LAST_PAUSE_S = 1.0
 
 
-class Sender:
+class _Sender:
     """Delivers messages to one receiver in order, with repeated attempts, by a daemon thread.
 
     A message stays in the queue until it is delivered, so that the journal can name those that were not.
@@ -58,7 +58,7 @@ class Sender:
     """
 
     def __init__(
-        self, receiver: Receiver, record: Callable[..., None], pauses_s: Sequence[float] = PAUSES_S
+        self, receiver: Receiver, record: Callable[..., None], pauses_s: Sequence[float] = _PAUSES_S
     ) -> None:
         self._receiver = receiver
         self._pauses_s = pauses_s
@@ -161,7 +161,7 @@ class Messenger:
         receivers: Sequence[Receiver],
         record: Callable[..., None],
         patience_s: float = 0.0,
-        pauses_s: Sequence[float] = PAUSES_S,
+        pauses_s: Sequence[float] = _PAUSES_S,
     ) -> None:
         self._record = record
         self.patience_s = patience_s
@@ -169,7 +169,7 @@ class Messenger:
         self._is_left = False
         self._clock: Clock = WallClock()  # real time, on a virtual run too
         self._sendings = [
-            (each, Quota(each.max_per_hour), Sender(each, self._record_once, pauses_s)) for each in receivers
+            (each, Quota(each.max_per_hour), _Sender(each, self._record_once, pauses_s)) for each in receivers
         ]
 
     def __enter__(self) -> Messenger:

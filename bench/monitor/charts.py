@@ -1,7 +1,7 @@
 """Charts of the page, as numbers that a template draws, and the unit's axes in perspective.
 
 A chart has axes with ticks, and curves as SVG paths. It has no size: positions of ticks are percentages of
-the plot, and curves are drawn in a square of :data:`SIDE` units that the browser stretches to the plot, so
+the plot, and curves are drawn in a square of :data:`_SIDE` units that the browser stretches to the plot, so
 that text keeps its size on any screen.
 """
 
@@ -28,7 +28,7 @@ from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, po
 from gyrobench.bench.report.number_format import BiasScale, true_minus
 
 #: Width and height of the square in which curves are drawn.
-SIDE = 1000
+_SIDE = 1000
 HOUR_S, MINUTE_S = 3600.0, 60.0
 
 _USUAL_STEPS = (1.0, 2.0, 5.0, 10.0)
@@ -143,7 +143,7 @@ def band(x: Axis, y: Axis, x_values: Sequence[float], low: Sequence[float], high
 
 
 def _place(x: Axis, y: Axis, x_value: float, y_value: float) -> str:
-    per_percent = SIDE / 100.0
+    per_percent = _SIDE / 100.0
     return f"{x.percent(x_value) * per_percent:.1f} {y.percent(y_value) * per_percent:.1f}"
 
 

@@ -23,7 +23,7 @@ from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, po
 from gyrobench.bench.report.number_format import BiasScale, by_temperature, true_minus
 
 #: A run writes every two seconds; a busy run takes longer.
-SILENT_AFTER_S = 20.0
+_SILENT_AFTER_S = 20.0
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Freshness:
 def freshness_of(state: RunState, updated_utc: str, now: datetime) -> Freshness:
     """Age of a snapshot from its state and time, empty if unknown, and the host's calendar."""
     age_s = _age_s(updated_utc, now)
-    if state.is_over or age_s < SILENT_AFTER_S:
+    if state.is_over or age_s < _SILENT_AFTER_S:
         return Freshness(age_s, state.is_over, "")
     why = "The run's process exists but writes no snapshot. Check whether it is stuck or the disk is full."
     return Freshness(age_s, False, f"No update for {age_text(age_s)}. {why}")

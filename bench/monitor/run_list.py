@@ -241,7 +241,7 @@ def _message_of(entry: Mapping[str, Any]) -> str:
 
 
 #: Self-contained pages in a run folder, and their titles.
-RECORDS = {
+_RECORDS = {
     "report.html": "Report",
     "investigation.html": "Investigation",
     "closure/closure.html": "Search for effects",
@@ -315,7 +315,7 @@ def signature_of(folder: Path) -> Hashable:
 
 def records_of(folder: Path) -> dict[str, str]:
     """Pages in a run folder, and their titles."""
-    return {name: title for name, title in RECORDS.items() if _is_inside(folder / name, folder)}
+    return {name: title for name, title in _RECORDS.items() if _is_inside(folder / name, folder)}
 
 
 def _is_inside(path: Path, folder: Path) -> bool:
@@ -371,23 +371,23 @@ def _of_journal(folder: RunFolder) -> RunSummary:
     )
 
 
-Value = TypeVar("Value")
+_Value = TypeVar("_Value")
 
 
-class FolderCache(Generic[Value]):
+class FolderCache(Generic[_Value]):
     """Values computed from folders, recomputed when the signature of a folder changes; thread-safe.
 
     At most ``max_values`` are kept; the least recently used is dropped first.
     """
 
     def __init__(
-        self, make: Callable[[Path], Value], signature: Callable[[Path], Hashable], max_values: int
+        self, make: Callable[[Path], _Value], signature: Callable[[Path], Hashable], max_values: int
     ) -> None:
         self._make, self._signature, self._max_values = make, signature, max_values
-        self._values: OrderedDict[Path, tuple[Hashable, Value]] = OrderedDict()
+        self._values: OrderedDict[Path, tuple[Hashable, _Value]] = OrderedDict()
         self._lock = threading.Lock()
 
-    def of(self, folder: Path) -> Value:
+    def of(self, folder: Path) -> _Value:
         """Value of a folder; errors of ``make`` are raised."""
         with self._lock:
             signature = self._signature(folder)

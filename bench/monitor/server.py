@@ -16,12 +16,12 @@ from typing import Any
 from gyrobench.bench.foundations.errors import GyrobenchError
 
 #: For plain answers.
-BARE_POLICY = "default-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+_BARE_POLICY = "default-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 #: For pages of a run folder: images and style inside, no scripts.
-RECORD_POLICY = f"{BARE_POLICY}; img-src data:; style-src 'unsafe-inline'; sandbox allow-popups"
+RECORD_POLICY = f"{_BARE_POLICY}; img-src data:; style-src 'unsafe-inline'; sandbox allow-popups"
 
 HTML = "text/html; charset=utf-8"
-PLAIN = "text/plain; charset=utf-8"
+_PLAIN = "text/plain; charset=utf-8"
 
 
 @dataclass(frozen=True)
@@ -31,23 +31,23 @@ class Response:
     status: HTTPStatus
     body: bytes
     content_type: str = HTML
-    policy: str = BARE_POLICY
+    policy: str = _BARE_POLICY
     headers: dict[str, str] = field(default_factory=dict)
 
 
 def page_policy(nonce: str) -> str:
     """Policy of the monitor's pages: a style and a script with the nonce, which connects to this server."""
-    return f"{BARE_POLICY}; style-src 'nonce-{nonce}'; script-src 'nonce-{nonce}'; connect-src 'self'"
+    return f"{_BARE_POLICY}; style-src 'nonce-{nonce}'; script-src 'nonce-{nonce}'; connect-src 'self'"
 
 
 def refusal(status: HTTPStatus, text: str, **headers: str) -> Response:
     """Reject a request with a reason in plain text."""
-    return Response(status, f"{text}\n".encode(), PLAIN, headers=headers)
+    return Response(status, f"{text}\n".encode(), _PLAIN, headers=headers)
 
 
-LOOPBACK = "127.0.0.1"
+_LOOPBACK = "127.0.0.1"
 #: Allowed Host headers: another name comes from a page that rebound its own name to this address.
-_HOST_NAMES = {LOOPBACK, "localhost"}
+_HOST_NAMES = {_LOOPBACK, "localhost"}
 _MAX_THREADS = 16
 _SOCKET_TIMEOUT_S = 10.0
 _MAX_REQUEST_S = 20.0
@@ -80,17 +80,17 @@ class MonitorServer(ThreadingHTTPServer):
         self._free_threads = threading.BoundedSemaphore(_MAX_THREADS)
         self._waiting: dict[socket.socket, None] = {}  # connections without a whole request, oldest first
         try:
-            super().__init__((LOOPBACK, port), _Handler)
+            super().__init__((_LOOPBACK, port), _Handler)
         except (OSError, OverflowError) as error:
             raise GyrobenchError(
-                f"port {port} of {LOOPBACK} is not available: {error}. "
+                f"port {port} of {_LOOPBACK} is not available: {error}. "
                 "Choose another --port, or 0 for any free port."
             ) from error
 
     @property
     def url(self) -> str:
         """Address of the first page."""
-        return f"http://{LOOPBACK}:{self.server_port}/"
+        return f"http://{_LOOPBACK}:{self.server_port}/"
 
     def process_request(self, request: Any, client_address: Any) -> None:
         """Answer in a separate thread; of too many connections the one that waits longest is cut off.

@@ -54,20 +54,20 @@ from gyrobench.bench.procedure.timeline import position_spans, temperature_profi
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.drivers.ins.ins_status import InsStatus
 
-T = TypeVar("T")
+_T = TypeVar("_T")
 
 
-class Thinned(Generic[T]):
+class Thinned(Generic[_T]):
     """Keeps at most ``max_rows`` rows: every n-th and the newest; n doubles when they are too many."""
 
     def __init__(self, max_rows: int) -> None:
         self._max_rows = max_rows
-        self._kept: list[T] = []
-        self._newest: T | None = None
+        self._kept: list[_T] = []
+        self._newest: _T | None = None
         self._count = 0
         self._every = 1
 
-    def add(self, row: T) -> None:
+    def add(self, row: _T) -> None:
         """Add the next row."""
         if self._count % self._every == 0:
             self._kept.append(row)
@@ -77,7 +77,7 @@ class Thinned(Generic[T]):
             self._kept = self._kept[::2]
             self._every *= 2
 
-    def rows(self) -> list[T]:
+    def rows(self) -> list[_T]:
         """Rows in order."""
         if self._newest is None or self._kept[-1] is self._newest:
             return list(self._kept)

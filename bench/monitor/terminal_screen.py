@@ -40,7 +40,7 @@ _MAX_LINES = 3
 _STALE_S = 30.0
 
 
-def headline(snapshot: RunSnapshot, width: int) -> Text:
+def _headline(snapshot: RunSnapshot, width: int) -> Text:
     """Name, unit or number of units, state, and time remaining."""
     unit = f", unit {snapshot.unit}" if snapshot.unit else ""
     if snapshot.units:
@@ -330,7 +330,7 @@ def screen(snapshot: RunSnapshot, width: int, height: int, is_ascii: bool) -> li
     readings, live bias and units, the profile, the dwell with its position, the bins, and messages.
     """
     plus_minus = "+-" if is_ascii else "±"
-    top = [headline(snapshot, width), *_attention(snapshot, width)]
+    top = [_headline(snapshot, width), *_attention(snapshot, width)]
     lines = [_step_line(snapshot)]
     if snapshot.bench:
         lines.append(_readings_line(snapshot.bench))

@@ -40,7 +40,7 @@ from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.provenance import emulated_bench_text
 
 
-class TerminalOperator:
+class _TerminalOperator:
     """Takes answers and commands from the keyboard without waiting for them."""
 
     #: Commands that are executed.
@@ -81,7 +81,7 @@ class TerminalOperator:
         return None
 
 
-class VirtualTimeOperator(TerminalOperator):
+class _VirtualTimeOperator(_TerminalOperator):
     """Takes commands from the keyboard, and consents to every question: no operator can be waited for."""
 
     commands = (RunCommand.SKIP, RunCommand.ABORT)
@@ -216,7 +216,7 @@ _MIN_HEIGHT = 4
 _SNAPSHOT_EVERY_S, _KEYS_EVERY_S = 1.0, 0.1
 
 
-class TerminalView(RunObserver):
+class _TerminalView(RunObserver):
     """Shows the newest snapshot and the keys being typed; lines printed to the console scroll above the view.
 
     The snapshot is taken in the thread of the run and drawn in a separate thread, when ``can_draw`` says that
@@ -243,7 +243,7 @@ class TerminalView(RunObserver):
         self._live = Live(console=console, auto_refresh=False, transient=True)
         self._thread = threading.Thread(target=self._draw_until_over, daemon=True)
 
-    def __enter__(self) -> TerminalView:
+    def __enter__(self) -> _TerminalView:
         self._keyboard.__enter__()
         self._live.start()
         self._thread.start()
@@ -319,7 +319,7 @@ def observe_in_terminal(
     consent.
     """
     keyboard = Keyboard()
-    operator = (VirtualTimeOperator if job.is_virtual else TerminalOperator)(console, keyboard)
+    operator = (_VirtualTimeOperator if job.is_virtual else _TerminalOperator)(console, keyboard)
     is_live = wants_live and console.is_terminal and not console.is_dumb_terminal and is_in_foreground()
     recorder = SnapshotRecorder(job.plan)
     with ExitStack() as shown:
@@ -327,7 +327,7 @@ def observe_in_terminal(
         lines = shown.enter_context(LinesView(console, job.plan, has_status=not is_live))
         watchers: list[RunObserver] = [recorder, lines]
         if is_live:
-            view = TerminalView(console, recorder, keyboard, operator.commands, lambda: not stream.is_behind)
+            view = _TerminalView(console, recorder, keyboard, operator.commands, lambda: not stream.is_behind)
             watchers.append(shown.enter_context(view))
         yield ObserverGroup(*watchers), operator
 

@@ -9,20 +9,20 @@ from gyrobench.bench.foundations.arrays import FloatArray
 #: Rotation rate of the Earth, rad/s.
 EARTH_RATE = 7.292115e-5
 #: Semi-major axis of the ellipsoid, m.
-SEMI_MAJOR_AXIS = 6378137.0
+_SEMI_MAJOR_AXIS = 6378137.0
 #: Flattening of the ellipsoid.
-FLATTENING = 1.0 / 298.257223563
+_FLATTENING = 1.0 / 298.257223563
 #: Square of the first eccentricity of the ellipsoid.
-ECCENTRICITY_SQUARED = FLATTENING * (2.0 - FLATTENING)
+_ECCENTRICITY_SQUARED = _FLATTENING * (2.0 - _FLATTENING)
 #: Mean radius of the Earth, m, where the difference between North and East does not matter.
 MEAN_RADIUS = 6371008.8
 #: Normal gravity at the equator, m/s^2.
-EQUATOR_GRAVITY = 9.7803253359
+_EQUATOR_GRAVITY = 9.7803253359
 #: Normal gravity at the poles, m/s^2.
-POLE_GRAVITY = 9.8321849378
+_POLE_GRAVITY = 9.8321849378
 
 _CENTRIFUGAL_RATIO = 0.00344978650684  # rate^2 a^2 b / GM
-_SOMIGLIANA = (1.0 - FLATTENING) * POLE_GRAVITY / EQUATOR_GRAVITY - 1.0
+_SOMIGLIANA = (1.0 - _FLATTENING) * _POLE_GRAVITY / _EQUATOR_GRAVITY - 1.0
 
 
 def earth_rate_enu(latitude: float) -> FloatArray:
@@ -51,16 +51,16 @@ def gravity(latitude: float, height: float = 0.0) -> float:
     ``latitude``: geodetic latitude, rad. ``height``: height above the ellipsoid, m.
     """
     sine_squared = float(np.sin(latitude)) ** 2
-    surface = EQUATOR_GRAVITY * (1.0 + _SOMIGLIANA * sine_squared)
-    surface /= float(np.sqrt(1.0 - ECCENTRICITY_SQUARED * sine_squared))
-    relative = height / SEMI_MAJOR_AXIS
-    slope = 1.0 + FLATTENING + _CENTRIFUGAL_RATIO - 2.0 * FLATTENING * sine_squared
+    surface = _EQUATOR_GRAVITY * (1.0 + _SOMIGLIANA * sine_squared)
+    surface /= float(np.sqrt(1.0 - _ECCENTRICITY_SQUARED * sine_squared))
+    relative = height / _SEMI_MAJOR_AXIS
+    slope = 1.0 + _FLATTENING + _CENTRIFUGAL_RATIO - 2.0 * _FLATTENING * sine_squared
     return surface * (1.0 - 2.0 * slope * relative + 3.0 * relative**2)
 
 
 def curvature_radii(latitude: float, height: float = 0.0) -> tuple[float, float]:
     """Compute the radii of curvature along the meridian (North) and across it (East), m."""
-    shrink = 1.0 - ECCENTRICITY_SQUARED * float(np.sin(latitude)) ** 2
-    east = SEMI_MAJOR_AXIS / float(np.sqrt(shrink))
-    north = east * (1.0 - ECCENTRICITY_SQUARED) / shrink
+    shrink = 1.0 - _ECCENTRICITY_SQUARED * float(np.sin(latitude)) ** 2
+    east = _SEMI_MAJOR_AXIS / float(np.sqrt(shrink))
+    north = east * (1.0 - _ECCENTRICITY_SQUARED) / shrink
     return north + height, east + height

@@ -26,7 +26,7 @@ PositionName = Literal["z_up", "z_down", "y_up", "y_down", "x_up", "x_down"]
 AXES = ("x", "y", "z")
 _HALF_TURN_TOLERANCE_DEG = 0.5
 
-PlacedT = TypeVar("PlacedT")
+_PlacedT = TypeVar("_PlacedT")
 
 _DIRECTIONS = {
     "E": (1.0, 0.0, 0.0),
@@ -88,13 +88,13 @@ def gyro_label(gyro: str) -> str:
 
 
 def half_turn_pairs(
-    placed: Iterable[PlacedT],
-    azimuth_deg: Callable[[PlacedT], float],
-    fit: Callable[[PlacedT, PlacedT], bool] = lambda _one, _other: True,
-) -> list[tuple[PlacedT, PlacedT | None]]:
+    placed: Iterable[_PlacedT],
+    azimuth_deg: Callable[[_PlacedT], float],
+    fit: Callable[[_PlacedT, _PlacedT], bool] = lambda _one, _other: True,
+) -> list[tuple[_PlacedT, _PlacedT | None]]:
     """Pair each with the first unpaired one half a turn from it that fits; None for those left over."""
-    pairs: list[tuple[PlacedT, PlacedT | None]] = []
-    unpaired: list[PlacedT] = []
+    pairs: list[tuple[_PlacedT, _PlacedT | None]] = []
+    unpaired: list[_PlacedT] = []
     for each in placed:
         for other in unpaired:
             away_deg = (azimuth_deg(each) - azimuth_deg(other)) % 360.0 - 180.0

@@ -27,7 +27,7 @@ Angles = tuple[float, float]
 TurnOrMove = float | Angles
 
 #: Range of an axis with slip rings.
-UNLIMITED = (-np.inf, np.inf)
+_UNLIMITED = (-np.inf, np.inf)
 
 _TOLERANCE = 1e-6
 _ANGLE_DECIMALS = 9
@@ -48,8 +48,8 @@ class TwoAxisTable:
     inner_axis_enu: FloatArray
     C_mount: FloatArray  #: Shape (3, 3). Attitude ``C_nb`` of the unit with both angles at zero.
     #: outer_limits_deg, inner_limits_deg: Lowest and highest angle of each axis.
-    outer_limits_deg: tuple[float, float] = UNLIMITED
-    inner_limits_deg: tuple[float, float] = UNLIMITED
+    outer_limits_deg: tuple[float, float] = _UNLIMITED
+    inner_limits_deg: tuple[float, float] = _UNLIMITED
 
     def __post_init__(self) -> None:
         axes = np.stack([self.outer_axis_enu, self.inner_axis_enu])

@@ -27,7 +27,7 @@ from gyrobench.bench.station.station_file import StationFile
 from gyrobench.drivers import ins
 
 #: The emulated chamber controller's output that powers the INS.
-UNIT_POWER_EVENT = 2
+_UNIT_POWER_EVENT = 2
 
 #: python-can's wait for a restarting adapter; this one is running.
 _SLCAN_OPTIONS = {"sleep_after_open": 0.05}
@@ -123,7 +123,7 @@ def guide(urls: Mapping[str, str], file: StationFile, speed: float, station_path
         *_entry("Chamber", f"{chamber}  {file.chamber.dialect}", *_chamber_clients(file, chamber)),
     ]
     for number, url in units:
-        event = events.get(number, UNIT_POWER_EVENT + number - 1)
+        event = events.get(number, _UNIT_POWER_EVENT + number - 1)
         lines += [
             *_entry(
                 f"INS {number}" if len(units) > 1 else "INS", f"{url}  {file.ins.dbc}", *_can_clients(url)

@@ -46,7 +46,7 @@ from gyrobench.drivers.served_ports import Port, PseudoTerminal, TcpPort
 Instrument = Literal["table", "chamber", "ins"]
 
 #: CAN logs that stay readable after a kill.
-CAN_LOG_SUFFIXES = (".log", ".asc", ".blf")
+_CAN_LOG_SUFFIXES = (".log", ".asc", ".blf")
 
 _DEFAULT_CAN_LOG_S = 10.0
 #: Time within which an INS that is on sends a frame, and one that was just switched on.
@@ -176,9 +176,9 @@ class Recorder:
 
     def _record_can(self, path: Path, clock: Clock, duration_s: float) -> str:
         """Log frames, with an INS that is off switched on meanwhile; returns what was recorded, in words."""
-        if path.suffix not in CAN_LOG_SUFFIXES:
+        if path.suffix not in _CAN_LOG_SUFFIXES:
             raise DocumentError(
-                f"{path}: a CAN log is named {', '.join(f'*{suffix}' for suffix in CAN_LOG_SUFFIXES)}"
+                f"{path}: a CAN log is named {', '.join(f'*{suffix}' for suffix in _CAN_LOG_SUFFIXES)}"
             )
         make_folder(path.parent)
         with (

@@ -39,7 +39,7 @@ from gyrobench.bench.runs.tables.joint_table import (
 from gyrobench.bench.runs.tables.noise_file import read_noise
 from gyrobench.bench.runs.telemetry import read_telemetry
 
-T = TypeVar("T")
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +142,7 @@ class _Files:
         self.problems = problems
         self.errors: dict[Path, Exception] = {}
 
-    def read(self, path: Path, reader: Callable[[Path], T], missing: T, *, is_optional: bool = False) -> T:
+    def read(self, path: Path, reader: Callable[[Path], _T], missing: _T, *, is_optional: bool = False) -> _T:
         if not path.exists():
             self.problems += [] if is_optional else [f"{path.name} is missing."]
             return missing

@@ -10,7 +10,7 @@ from typing import TypeVar
 from gyrobench.bench.bias.bins import BiasBin, PositionComparison
 from gyrobench.bench.foundations.text import bin_label, decimals_of, listed, with_sigma
 
-BinT = TypeVar("BinT")
+_BinT = TypeVar("_BinT")
 
 #: Names of the estimators.
 STATE_SPACE, PAPER = "state-space estimator", "paper's method"
@@ -109,17 +109,17 @@ def bins_by_temperature(bins: Iterable[BiasBin]) -> list[tuple[float, float, lis
 
 
 def by_temperature(
-    bins: Iterable[BinT], ends_c: Callable[[BinT], tuple[float, float]], is_filled: Callable[[BinT], bool]
-) -> list[tuple[float, float, list[BinT]]]:
+    bins: Iterable[_BinT], ends_c: Callable[[_BinT], tuple[float, float]], is_filled: Callable[[_BinT], bool]
+) -> list[tuple[float, float, list[_BinT]]]:
     """Lower and upper end of each bin of one gyro, the coldest first, and its positions.
 
     Neighbours that are empty in all positions come as one range without positions. ``ends_c`` gives the ends
     of a bin, ``is_filled`` whether anything was measured in it.
     """
-    groups: dict[tuple[float, float], list[BinT]] = {}
+    groups: dict[tuple[float, float], list[_BinT]] = {}
     for each in sorted(bins, key=ends_c):
         groups.setdefault(ends_c(each), []).append(each)
-    result: list[tuple[float, float, list[BinT]]] = []
+    result: list[tuple[float, float, list[_BinT]]] = []
     for (low, high), members in groups.items():
         if any(map(is_filled, members)):
             result.append((low, high, members))

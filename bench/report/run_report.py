@@ -267,7 +267,7 @@ def verdict_boxes(content: RunContent) -> list[Box]:
     if JOURNAL in content.damage:  # the entries before the damage do not give the end
         return [*boxes, Box("failed", content.ending, ""), *_not_judged(content)]
     is_safe = not any(action.get("problem") for action in facts.safe_state)
-    notes = [f"Unfinished step: {open_step_of(content)}."] if open_step_of(content) else []
+    notes = [f"Unfinished step: {_open_step_of(content)}."] if _open_step_of(content) else []
     notes += [
         f"Past due: {each.get('found')}; acknowledged by {each.get('operator')}."
         for each in content.entries("past_due")
@@ -410,7 +410,7 @@ def _both_times(begun: datetime | None, after_s: float, provenance: Entry) -> st
     return f"{text}, {local.strftime(_TIME)} local time ({local.tzname()})"
 
 
-def open_step_of(content: RunContent) -> str:
+def _open_step_of(content: RunContent) -> str:
     """Step that had started and not finished when the run ended; empty if none."""
     if content.facts.ended == "finished":
         return ""

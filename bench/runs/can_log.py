@@ -256,7 +256,7 @@ def _by_python_can(content: bytes) -> tuple[FrameBlock, bool]:
 
 _SUFFIX = ".blf"
 #: A dwell of some hours on a bus that is never idle.
-MAX_PART_BYTES = 1_000_000_000
+_MAX_PART_BYTES = 1_000_000_000
 #: Frames that are written together, or what comes in so many seconds: the maximum loss after a kill.
 _FRAMES_AT_ONCE, _SECONDS_AT_ONCE = 340, 10.0
 
@@ -379,5 +379,5 @@ def read_can_log(folder: Path, numbers: Container[int] | None = None) -> Iterato
     for number, path in parts.items():
         if numbers is not None and number not in numbers:
             continue
-        content = read_limited(path, MAX_PART_BYTES, RunFolderError)
+        content = read_limited(path, _MAX_PART_BYTES, RunFolderError)
         yield number, read_blf(content)[0]

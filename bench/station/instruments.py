@@ -35,17 +35,17 @@ from gyrobench.drivers.serial_line import LineDefaults, SerialLine
 
 _POLL_S = 0.25
 
-ResultT = TypeVar("ResultT")
+_ResultT = TypeVar("_ResultT")
 
 
 def within(
     clock: Clock,
     limit_s: float,
     instrument: str,
-    action: Callable[[], ResultT],
-    discard: Callable[[ResultT], None] = lambda _: None,
+    action: Callable[[], _ResultT],
+    discard: Callable[[_ResultT], None] = lambda _: None,
     meanwhile: Callable[[], object] = lambda: None,
-) -> ResultT:
+) -> _ResultT:
     """Call ``action`` with a time limit and return its result.
 
     On a wall clock it runs in a separate thread, which is abandoned at the limit. In virtual time nothing can
@@ -55,7 +55,7 @@ def within(
     """
     if clock.is_virtual:
         return action()
-    outcome: Future[ResultT] = Future()
+    outcome: Future[_ResultT] = Future()
 
     def perform() -> None:
         try:
@@ -89,7 +89,7 @@ _OPENING_TIME_S = 15.0
 _LATE_REPLY_S = 1.0
 
 
-DriverT = TypeVar("DriverT", RateTable, Chamber, CanIns)
+_DriverT = TypeVar("_DriverT", RateTable, Chamber, CanIns)
 
 
 @dataclass(frozen=True)
@@ -194,14 +194,14 @@ class Outputs:
             if driver is not None:
                 driver.close()
 
-    def _opened(self, instrument: str, open_it: Callable[[Station, Clock, Emulation], DriverT]) -> DriverT:
+    def _opened(self, instrument: str, open_it: Callable[[Station, Clock, Emulation], _DriverT]) -> _DriverT:
         action = partial(open_it, self._station, self.clock, self._emulation)
         return within(self.clock, _opening_time_s(self.clock), instrument, action, lambda late: late.close())
 
     def _reopened(
-        self, instrument: str, old: DriverT | None, open_it: Callable[[Station, Clock, Emulation], DriverT]
-    ) -> DriverT:
-        def reopened(station: Station, clock: Clock, emulation: Emulation) -> DriverT:
+        self, instrument: str, old: _DriverT | None, open_it: Callable[[Station, Clock, Emulation], _DriverT]
+    ) -> _DriverT:
+        def reopened(station: Station, clock: Clock, emulation: Emulation) -> _DriverT:
             if old is not None:
                 old.close()
             return open_it(station, clock, emulation)

@@ -94,7 +94,7 @@ class Station:
         """Position and azimuth, deg, of its unit where a procedure has these: mountings may differ."""
         reference = self.file.rate_table.reference_mounting
         at_zero = POSITIONS[position].C_nb()
-        C_nb = at_zero if reference is None else at_zero @ mounted(reference).T @ self.table.C_mount
+        C_nb = at_zero if reference is None else at_zero @ _mounted(reference).T @ self.table.C_mount
         for name, each in POSITIONS.items():
             turned = C_nb @ each.C_nb().T
             if np.isclose(turned[2, 2], 1.0):
@@ -262,7 +262,7 @@ class Station:
 
     def _table(self) -> TwoAxisTable:
         section = self.file.rate_table
-        C_mount = mounted(section.mounting)
+        C_mount = _mounted(section.mounting)
         inner_axis = _vector(section.inner_axis)
         if section.outer_axis is None:
             return SingleAxisTable.about(inner_axis, C_mount, section.inner_limits_deg)
@@ -275,7 +275,7 @@ class Station:
         )
 
 
-def mounted(mounting: Mounting) -> FloatArray:
+def _mounted(mounting: Mounting) -> FloatArray:
     """Attitude ``C_nb``, shape (3, 3), of a unit with this mounting, both angles of the table at zero."""
     return np.stack([_vector(axis) for axis in (mounting.x, mounting.y, mounting.z)], axis=1)
 

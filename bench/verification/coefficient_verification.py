@@ -21,7 +21,7 @@ from gyrobench.drivers.ins.command_map import CORRECTION_DEGREE, Correction
 
 _NAMES = tuple(f"{each.name}_{each.axis}" for each in COEFFICIENTS)
 _COLUMNS = ("compensation", "coefficient", "unit", "plateaus", "rms", "noise")
-MISSION_COLUMNS = (
+_MISSION_COLUMNS = (
     "compensation", "plateau", "gyro_c", "hours", "position_nmi", "position_median_nmi", "position_95_nmi",
 )  # fmt: skip
 
@@ -208,7 +208,7 @@ def write_coefficient_tables(folder: Path, results: Sequence[CoefficientResult])
     ]
     for name, columns, lines in (
         ("coefficient_comparison.csv", _COLUMNS, rows),
-        ("mission.csv", MISSION_COLUMNS, missions),
+        ("mission.csv", _MISSION_COLUMNS, missions),
     ):
         write_text(
             folder / name, format_csv(columns, [[format_cell(cell) for cell in line] for line in lines])

@@ -34,9 +34,9 @@ NONE, DECLARED, EFFECT = "none", "declared", "effect"
 #: A run with each of them, in a sentence.
 IN_WORDS = {NONE: "without compensation", DECLARED: "with the declared model", EFFECT: "with the effects"}
 #: Largest difference from a fitted dwell at which a gyro temperature counts as fitted, K.
-FITTED_WITHIN_K = 2.5
+_FITTED_WITHIN_K = 2.5
 #: Number of the row for all plateaus.
-ALL_PLATEAUS = 0
+_ALL_PLATEAUS = 0
 
 
 @dataclass(frozen=True)
@@ -330,7 +330,7 @@ def _total(
     dof = varying.size - varying.shape[1] * len({row.run for row in compared})
     return VerificationRow(
         compensation=compensation,
-        plateau=ALL_PLATEAUS,
+        plateau=_ALL_PLATEAUS,
         cycle=None,
         chamber_set_c=None,
         gyro_c=None,
@@ -393,6 +393,6 @@ def _with_largest(
 
 def _fit(gyro_c: float, fitted_c: FloatArray) -> str:
     means_c = fitted_c.mean(axis=1)
-    if np.abs(means_c - gyro_c).min() <= FITTED_WITHIN_K:
+    if np.abs(means_c - gyro_c).min() <= _FITTED_WITHIN_K:
         return "fitted"
     return "between" if means_c.min() < gyro_c < means_c.max() else "outside"

@@ -12,7 +12,7 @@ from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.errors import RefusedError
 from gyrobench.drivers.serial_line import LineDefaults, SerialLine
 
-OptionsT = TypeVar("OptionsT", bound=StrictModel)
+_OptionsT = TypeVar("_OptionsT", bound=StrictModel)
 
 
 @dataclass(frozen=True)
@@ -125,10 +125,10 @@ def switch_output(chamber: Chamber, output: int, on: bool, end_profiles: bool, i
 
 
 @dataclass(frozen=True)
-class ChamberDialect(Generic[OptionsT]):
+class ChamberDialect(Generic[_OptionsT]):
     """One dialect; offered as an entry point of the group ``gyrobench.chambers``."""
 
     #: Makes the driver from the line to the controller and the options; the driver closes the line.
-    open: Callable[[SerialLine, OptionsT], Chamber]
-    options: type[OptionsT]  #: Additional keys in the station file's section ``chamber``.
+    open: Callable[[SerialLine, _OptionsT], Chamber]
+    options: type[_OptionsT]  #: Additional keys in the station file's section ``chamber``.
     line: LineDefaults = field(default_factory=LineDefaults)  #: Usual settings of such a controller's line.

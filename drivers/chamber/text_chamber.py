@@ -12,7 +12,7 @@ from gyrobench.drivers.serial_line import SerialLine
 from gyrobench.drivers.text_line import TextLine
 
 #: Decimals of numbers in commands.
-DECIMALS = 3
+_DECIMALS = 3
 _MAX_NUMBER = 99_999.0
 
 #: Controllers may answer a query before they have executed the command before it.
@@ -49,7 +49,7 @@ class TextChamber(ABC):
         Raises RefusedError: a value is not a number that can be commanded, the controller runs a profile or
         works in another unit, or it does not keep the value.
         """
-        if rate_c_per_min is not None and not _MAX_NUMBER > round(rate_c_per_min, DECIMALS) > 0.0:
+        if rate_c_per_min is not None and not _MAX_NUMBER > round(rate_c_per_min, _DECIMALS) > 0.0:
             raise self._refused(f"a ramp of {rate_c_per_min} °C/min can't be commanded")
         if not abs(temperature_c) < _MAX_NUMBER:
             raise self._refused(f"a set point of {temperature_c} °C can't be commanded")
@@ -90,7 +90,7 @@ class TextChamber(ABC):
         require_no_profile(self, self._line.instrument, self.end_profiles)
 
     def _format(self, value: float) -> str:
-        return f"{value:.{DECIMALS}f}"
+        return f"{value:.{_DECIMALS}f}"
 
     def _ask(self, query: str) -> bytes:
         return self._text.ask(query)

@@ -32,7 +32,7 @@ _PROFILE_RUNS = 2
 _INT16_MIN, _INT16_MAX = -32768, 32767
 
 
-class Register(IntEnum):
+class _Register(IntEnum):
     """Holding registers; their names appear in error messages."""
 
     MODEL_NUMBER = 0
@@ -61,7 +61,7 @@ class Register(IntEnum):
     EVENT_8 = 2070
 
 
-_EVENTS = [register for register in Register if register.name.startswith("EVENT_")]
+_EVENTS = [register for register in _Register if register.name.startswith("EVENT_")]
 
 
 def to_register(value: float, decimals: int) -> int | None:
@@ -96,19 +96,19 @@ class WatlowF4:
         self._chamber_event = chamber_event
         self._end_profiles = end_profiles
         self._modbus = ModbusRtu(line, address, reply_timeout_s)
-        (self._decimals,) = self._modbus.read(Register.INPUT_1_DECIMALS)
+        (self._decimals,) = self._modbus.read(_Register.INPUT_1_DECIMALS)
         if not 0 <= self._decimals <= _MAX_DECIMALS:
             raise ReplyError(
                 line.instrument, f"register 606 reads {self._decimals} decimals; is it a Watlow F4?"
             )
-        self._unit = self._optional(Register.TEMPERATURE_UNIT)
+        self._unit = self._optional(_Register.TEMPERATURE_UNIT)
         if self._unit == _FAHRENHEIT:
             raise self._refused("the controller works in °F; set it to °C in its setup menu")
-        self.can_ramp = self._optional(Register.RAMP_MODE) is not None  #: The model F4P alone does.
+        self.can_ramp = self._optional(_Register.RAMP_MODE) is not None  #: The model F4P alone does.
 
     def identify(self) -> str:
         """Model number, Modbus address and kind of ramps."""
-        (model,) = self._modbus.read(Register.MODEL_NUMBER)
+        (model,) = self._modbus.read(_Register.MODEL_NUMBER)
         ramps = "ramps to set points" if self.can_ramp else "ramps by profiles only"
         return f"Watlow F4, model number {model}, Modbus address {self._address}, {ramps}"
 
@@ -117,7 +117,7 @@ class WatlowF4:
 
         Raises FaultError: the temperature sensor is faulty.
         """
-        value, error = self._modbus.read(Register.PROCESS_VALUE_1, 2)
+        value, error = self._modbus.read(_Register.PROCESS_VALUE_1, 2)
         if error:
             raise FaultError(self._line.instrument, f"{_sensor_error(error)}; check the temperature sensor")
         is_on = self.is_event_on(self._chamber_event)
@@ -125,22 +125,22 @@ class WatlowF4:
 
     def alarms(self) -> list[str]:
         """Active alarms and sensor errors (registers 101, 102, 106)."""
-        error, alarm_1 = self._modbus.read(Register.INPUT_1_ERROR, 2)
-        (alarm_2,) = self._modbus.read(Register.ALARM_2)
+        error, alarm_1 = self._modbus.read(_Register.INPUT_1_ERROR, 2)
+        (alarm_2,) = self._modbus.read(_Register.ALARM_2)
         active = [_sensor_error(error)] if error else []
-        for register, status in ((Register.ALARM_1, alarm_1), (Register.ALARM_2, alarm_2)):
+        for register, status in ((_Register.ALARM_1, alarm_1), (_Register.ALARM_2, alarm_2)):
             if status:
                 active.append(f"alarm {register.name[-1]} (register {int(register)} reads {status})")
         return active
 
     def clear_alarms(self) -> None:
         """Clear latched sensor errors and alarms (registers 311, 312)."""
-        self._modbus.write(Register.CLEAR_INPUT_ERROR, 1)
-        self._modbus.write(Register.CLEAR_ALARM, 1)
+        self._modbus.write(_Register.CLEAR_INPUT_ERROR, 1)
+        self._modbus.write(_Register.CLEAR_ALARM, 1)
 
     def limits_c(self) -> tuple[float, float]:
         """Lowest and highest set point (registers 602, 603)."""
-        low, high = self._modbus.read(Register.SET_POINT_LOW_LIMIT, 2)
+        low, high = self._modbus.read(_Register.SET_POINT_LOW_LIMIT, 2)
         return from_register(low, self._decimals), from_register(high, self._decimals)
 
     def set_temperature(self, temperature_c: float, rate_c_per_min: float | None) -> None:
@@ -162,22 +162,22 @@ class WatlowF4:
                 f"a set point of {temperature_c} °C is outside the controller's limits, "
                 f"{low_c} to {high_c} °C (registers 602, 603)"
             )
-        for register, number in (*settings, (Register.SET_POINT_1, set_point)):
+        for register, number in (*settings, (_Register.SET_POINT_1, set_point)):
             self._write(register, number)
 
     def set_point_c(self) -> float:
         """Temperature last commanded (register 300)."""
-        (number,) = self._modbus.read(Register.SET_POINT_1)
+        (number,) = self._modbus.read(_Register.SET_POINT_1)
         return from_register(number, self._decimals)
 
     def running_profile(self) -> str:
         """Describe a profile that runs or is held (register 200)."""
-        mode = self._optional(Register.OPERATION_MODE) or 0
+        mode = self._optional(_Register.OPERATION_MODE) or 0
         return f"a profile (register 200 reads {mode})" if mode >= _PROFILE_RUNS else ""
 
     def end_profile(self) -> None:
         """Terminate the profile (register 1217)."""
-        self._modbus.write(Register.TERMINATE_PROFILE, 1)
+        self._modbus.write(_Register.TERMINATE_PROFILE, 1)
 
     def switch(self, on: bool) -> None:
         """Switch the chamber's event output.
@@ -204,8 +204,8 @@ class WatlowF4:
 
     def _require_same_numbers(self) -> None:
         """Raise RefusedError, with the chamber switched off, if decimals or unit were changed."""
-        (decimals,) = self._modbus.read(Register.INPUT_1_DECIMALS)
-        unit = None if self._unit is None else self._modbus.read(Register.TEMPERATURE_UNIT)[0]
+        (decimals,) = self._modbus.read(_Register.INPUT_1_DECIMALS)
+        unit = None if self._unit is None else self._modbus.read(_Register.TEMPERATURE_UNIT)[0]
         if (decimals, unit) == (self._decimals, self._unit):
             return
         self.switch_event(self._chamber_event, False)
@@ -216,10 +216,10 @@ class WatlowF4:
         )
         raise self._refused(f"{changed}, so the chamber was switched off. Change it back at the panel.")
 
-    def _ramp_settings(self, rate_c_per_min: float | None) -> list[tuple[Register, int]]:
+    def _ramp_settings(self, rate_c_per_min: float | None) -> list[tuple[_Register, int]]:
         """Values of the ramp registers, in the scale that is closer to the rate."""
         if rate_c_per_min is None:
-            return [(Register.RAMP_MODE, _RAMP_OFF)] if self.can_ramp else []
+            return [(_Register.RAMP_MODE, _RAMP_OFF)] if self.can_ramp else []
         if not self.can_ramp:
             raise self._refused(
                 f"no ramp of {rate_c_per_min} °C/min: this controller ramps by profiles only; "
@@ -236,17 +236,17 @@ class WatlowF4:
         _, scale, number = min(settings)
         # The mode is last, so that no ramp starts at an old rate.
         return [
-            (Register.RAMP_RATE, number),
-            (Register.RAMP_SCALE, scale),
-            (Register.RAMP_MODE, _RAMP_AT_EVERY_CHANGE),
+            (_Register.RAMP_RATE, number),
+            (_Register.RAMP_SCALE, scale),
+            (_Register.RAMP_MODE, _RAMP_AT_EVERY_CHANGE),
         ]
 
-    def _event(self, number: int) -> Register:
+    def _event(self, number: int) -> _Register:
         if not 1 <= number <= len(_EVENTS):
             raise self._refused(f"there is no event output {number}, only 1 to {len(_EVENTS)}")
         return _EVENTS[number - 1]
 
-    def _write(self, register: Register, number: int) -> None:
+    def _write(self, register: _Register, number: int) -> None:
         self._modbus.write(register, number)
         (held,) = self._modbus.read(register)
         if held != number:
@@ -254,7 +254,7 @@ class WatlowF4:
                 f"register {int(register)} holds {held} although {number} was written and accepted"
             )
 
-    def _optional(self, register: Register) -> int | None:
+    def _optional(self, register: _Register) -> int | None:
         """Read a register that not every model has."""
         try:
             (number,) = self._modbus.read(register)

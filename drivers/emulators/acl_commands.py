@@ -22,7 +22,7 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII)
 _HEADER = re.compile(r"(\*[A-Za-z]+|:?[A-Za-z]+(:[A-Za-z]+)*)(\??)", re.ASCII)
 
 #: The keywords, in the order in which an abbreviation is searched for.
-KEYWORDS: dict[str, tuple[str, ...]] = {
+_KEYWORDS: dict[str, tuple[str, ...]] = {
     "INTERLOCK": ("CLOSE", "OPEN", "RESET"),
     "MODE": ("POSITION", "RATE", "ARATE", "SYNTHESIS", "TRACK", "OFF", "HOME"),
     "DEMAND": ("POSITION", "RATE", "ACCELERATION", "DELTAPOSITION", "SHORTVECTOR", "VECTOR"),
@@ -90,7 +90,7 @@ def _written_out(header: str, node: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _keyword(word: str, path: tuple[str, ...]) -> str:
-    known = KEYWORDS if not path else KEYWORDS[path[0]] if len(path) == 1 else ()
+    known = _KEYWORDS if not path else _KEYWORDS[path[0]] if len(path) == 1 else ()
     found = _find_keyword(word, tuple(known))
     if found is None:
         raise AclError(ErrorCode.UNKNOWN_COMMAND)
@@ -117,7 +117,7 @@ def format_nr2(value: float, decimals: int) -> str:
     return f"{value:z.{decimals}f}"
 
 
-def number(argument: Argument) -> float:
+def _number(argument: Argument) -> float:
     """Take an argument as a number."""
     if isinstance(argument, str):
         raise AclError(ErrorCode.WRONG_PARAMETER_TYPE)
@@ -126,7 +126,7 @@ def number(argument: Argument) -> float:
 
 def whole_number(argument: Argument) -> int:
     """Take an argument as a whole number."""
-    value = number(argument)
+    value = _number(argument)
     refuse_if(not value.is_integer())
     return int(value)
 
@@ -212,7 +212,7 @@ class AxisCommands:
 
         def command(arguments: Arguments) -> str:
             expect(arguments, count + 1)
-            values = [number(argument) for argument in arguments[1:]]
+            values = [_number(argument) for argument in arguments[1:]]
             for axis in self._several(arguments[0]):
                 act(axis, *values)
             return ""
@@ -249,7 +249,7 @@ class AxisCommands:
 
     def _set_mode_limits(self, arguments: Arguments) -> str:
         expect(arguments, 5)
-        values = [number(argument) for argument in arguments[2:]]
+        values = [_number(argument) for argument in arguments[2:]]
         bounds = dict(zip(("rate_dps", "acceleration_dps2", "jerk_dps3"), values, strict=True))
         for axis in self._several(arguments[0]):
             axis.set_limits(_mode(arguments[1]), **bounds)
@@ -266,7 +266,7 @@ class AxisCommands:
         def command(arguments: Arguments) -> str:
             expect(arguments, 3)
             for axis in self._several(arguments[1]):
-                act(axis, _mode(arguments[0]), number(arguments[2]))
+                act(axis, _mode(arguments[0]), _number(arguments[2]))
             return ""
 
         return command
@@ -310,7 +310,7 @@ class AxisCommands:
     def _find_register(self, name: str) -> Callable[[], int]:
         """Find what reads a status register; ACP, SUP and RI are always zero."""
         if name == "SI":
-            return lambda: sum(axis.faulted << number - 1 for number, axis in self._axes.items())
+            return lambda: sum(axis.faulted << _number - 1 for _number, axis in self._axes.items())
         if name in ("ACP", "SUP", "RI"):
             return lambda: 0
         match = _REGISTER.fullmatch(name)

@@ -25,7 +25,7 @@ from gyrobench.drivers.frames import FrameBlock, concatenate
 CAN_FORMATS: MappingProxyType[str, Callable[[World, float], CanFormat]] = MappingProxyType(
     {"gyrobench_ins": GyrobenchFormat, "sbg": SbgFormat, "canaerospace": CanaerospaceFormat}
 )
-DEFAULT_FORMAT = "gyrobench_ins"
+_DEFAULT_FORMAT = "gyrobench_ins"
 
 
 class CanNode(Protocol):
@@ -48,7 +48,7 @@ class CanInsEmulator:
         self._world = world
         self._epoch_unix_s = epoch_unix_s
         self.listeners: list[Callable[[FrameBlock], None]] = []
-        self.use_format(DEFAULT_FORMAT)
+        self.use_format(_DEFAULT_FORMAT)
         world.on_epochs = self._send_epochs
 
     def use_format(self, name: str) -> None:

@@ -20,7 +20,7 @@ from gyrobench.drivers.emulators.dialect import TableEmulation, TextInstrument, 
 from gyrobench.drivers.emulators.world.table_axis import TableAxis
 
 #: The axis of the world that such a table has.
-AXIS = 2
+_AXIS = 2
 _PROMPT = b">"
 _COMMAND = re.compile(r"([A-Z]{3}|P(?=[-+.\d]))(.*)")
 _DEFAULT_TOLERANCE_DEG = 0.01
@@ -76,7 +76,7 @@ class IdealAerosmithEmulator(TextInstrument):
 
     def is_servoed(self, axis: int) -> bool:
         """Whether the motor is switched on."""
-        if axis != AXIS:
+        if axis != _AXIS:
             raise KeyError(axis)
         return self._servo
 
@@ -178,4 +178,4 @@ class IdealAerosmithEmulator(TextInstrument):
         return str(self._done if is_done else 1 - self._done).encode("ascii")
 
 
-DIALECT = TableEmulation(lambda axes: IdealAerosmithEmulator(axes[AXIS]))
+DIALECT = TableEmulation(lambda axes: IdealAerosmithEmulator(axes[_AXIS]))

@@ -24,7 +24,7 @@ from pymodbus.pdu.register_message import (
 
 #: A silence longer than this ends a frame: the 3.5 characters of the standard, and the latency of a
 #: computer's serial port.
-SILENT_INTERVAL_S = 0.05
+_SILENT_INTERVAL_S = 0.05
 
 _BROADCAST = 0
 _EXCEPTION_BIT = 0x80
@@ -105,7 +105,7 @@ class ModbusRtuDevice:
 
     def feed(self, data: bytes, now_s: float) -> bytes:
         """Take bytes from the line at time ``now_s`` and return the reply, if one is due."""
-        if now_s - self._received_s > SILENT_INTERVAL_S:
+        if now_s - self._received_s > _SILENT_INTERVAL_S:
             self._received.clear()
         self._received_s = now_s
         self._received += data

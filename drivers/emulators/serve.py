@@ -38,7 +38,7 @@ _PERIOD_S = 0.01
 _MAX_BACKLOG = 65536
 
 
-class Server:
+class _Server:
     """The instruments of an emulated bench at ports: table, chamber and the INS of each unit.
 
     ``make_port`` makes a port from the name of its instrument. With ``socketcand`` each INS uses that instead
@@ -221,7 +221,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         signal.signal(signal.SIGTERM, _end)
         try:
             daemon_port = int(options.ins_port) if options.ins_port.isdecimal() else 0
-            server = Server(bench, _port_maker(opened, options), options.can == "socketcand", daemon_port)
+            server = _Server(bench, _port_maker(opened, options), options.can == "socketcand", daemon_port)
         except OSError as error:
             parser.exit(2, f"gyrobench emulate: can't open a port: {error}. Choose another port or path.\n")
         opened.callback(server.close)

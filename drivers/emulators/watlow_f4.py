@@ -16,7 +16,7 @@ from gyrobench.drivers.emulators.modbus_rtu import HoldingRegister, ModbusRtuDev
 from gyrobench.drivers.emulators.watlow_loop import MAX_RAMP, OUTPUTS, RampAction, WatlowLoop
 from gyrobench.drivers.emulators.world.thermal import ChamberAir
 
-MODEL_NUMBER = 5270
+_MODEL_NUMBER = 5270
 
 _ALARM_1_LOW, _ALARM_1_HIGH = 302, 303
 _SET_POINT_LOW, _SET_POINT_HIGH = 602, 603
@@ -146,7 +146,7 @@ class WatlowF4Emulator:
 
     def _registers(self) -> dict[int, HoldingRegister]:
         read_only = {
-            0: lambda: MODEL_NUMBER,
+            0: lambda: _MODEL_NUMBER,
             100: lambda: self._temperature(self.air.air_c),
             101: lambda: self.sensor_error,
             102: lambda: self.alarm_1,

@@ -8,7 +8,7 @@ from gyrobench.drivers.emulators.dialect import OnEvent
 from gyrobench.drivers.emulators.world.thermal import ChamberAir
 
 #: The output that switches the chamber.
-CHAMBER_OUTPUT = 1
+_CHAMBER_OUTPUT = 1
 OUTPUTS = range(1, 9)
 MAX_RAMP = 999.0
 
@@ -27,7 +27,7 @@ class WatlowLoop:
     def __init__(self, air: ChamberAir, on_event: OnEvent | None, ramp_rate: float) -> None:
         self.air = air
         #: State of each output.
-        self.outputs = {number: air.running and number == CHAMBER_OUTPUT for number in OUTPUTS}
+        self.outputs = {number: air.running and number == _CHAMBER_OUTPUT for number in OUTPUTS}
         self.action = RampAction.OFF  #: When the set point ramps.
         self.ramp_rate = ramp_rate  #: Ramp rate in degrees per minute, or per hour with ``per_hour``.
         self.per_hour = False
@@ -50,7 +50,7 @@ class WatlowLoop:
         """Start a profile with one step, which switches the chamber on."""
         self._static_c, self.is_held = self.set_point_c, False
         self.air.set_point_c = to_c
-        self.switch(CHAMBER_OUTPUT, True)
+        self.switch(_CHAMBER_OUTPUT, True)
 
     def end_profile(self) -> None:
         """End the profile; the set point has effect again."""
@@ -63,7 +63,7 @@ class WatlowLoop:
         if on == self.outputs[number]:
             return
         self.outputs[number] = on
-        if number == CHAMBER_OUTPUT:
+        if number == _CHAMBER_OUTPUT:
             self.air.running = on
             if on and self.action is RampAction.AT_START:
                 self.air.ramp_rate_c_per_min = self._ramp_c_per_min

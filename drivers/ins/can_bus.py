@@ -299,7 +299,7 @@ class _TextBus(can.BusABC):
         super().shutdown()
 
 
-class SlcanBus(_TextBus, slcanBus):
+class _SlcanBus(_TextBus, slcanBus):
     """An slcan adapter on a serial port, or on an address such as ``socket://HOST:PORT``.
 
     Takes the options of python-can's own class. Frames are stamped by ``clock`` when their bytes are read.
@@ -329,7 +329,7 @@ class SlcanBus(_TextBus, slcanBus):
             self.serialPortOrig.close()
 
 
-class SocketcandBus(_TextBus):
+class _SocketcandBus(_TextBus):
     """A bus that a socketcand server offers; takes the options of python-can's own class."""
 
     _format = _SOCKETCAND
@@ -392,7 +392,7 @@ class SocketcandBus(_TextBus):
 INSTRUMENT = "INS"
 
 #: Adapters that are read in blocks from their bytes.
-_TEXT_BUSES: dict[str, Callable[..., can.BusABC]] = {"slcan": SlcanBus, "socketcand": SocketcandBus}
+_TEXT_BUSES: dict[str, Callable[..., can.BusABC]] = {"slcan": _SlcanBus, "socketcand": _SocketcandBus}
 
 #: Frames taken at once; a bus of 1 Mbit/s carries fewer than 10,000 in a second.
 _MAX_FRAMES = 100_000

@@ -29,7 +29,7 @@ from gyrobench.drivers.ins.readout import InsMode
 from gyrobench.drivers.ins.signal_map import SignalMap, bind_signals
 
 #: The status is sent about once a second, and the INS needs time for a command.
-REPLY_TIMEOUT_S = 5.0
+_REPLY_TIMEOUT_S = 5.0
 _SEND_TIMEOUT_S = 1.0
 #: Period at which a confirmation is looked for.
 POLL_PERIOD_S = 0.05
@@ -147,14 +147,14 @@ class CanIns:
         """Counts of frames and commands so far."""
         return InsHealth(self._frames, self._error_frames, self._sent, self._lost + _lost(self._bus))
 
-    def identity(self, timeout_s: float = REPLY_TIMEOUT_S) -> dict[str, int]:
+    def identity(self, timeout_s: float = _REPLY_TIMEOUT_S) -> dict[str, int]:
         """Wait for the numbers that identify the INS, none if the map has none; raises NoReplyError."""
         self._wait(
             lambda status: len(status.identity) == len(self.signal_map.identity), "identity", timeout_s
         )
         return self.status().identity
 
-    def identify(self, timeout_s: float = REPLY_TIMEOUT_S) -> str:
+    def identify(self, timeout_s: float = _REPLY_TIMEOUT_S) -> str:
         """Identification of the INS, in words; raises as :meth:`identity`."""
         numbers = self.identity(timeout_s)
         if not numbers:
@@ -165,7 +165,7 @@ class CanIns:
         """Whether the station file defines a command."""
         return getattr(self._commands, command) is not None
 
-    def align(self, timeout_s: float = REPLY_TIMEOUT_S) -> None:
+    def align(self, timeout_s: float = _REPLY_TIMEOUT_S) -> None:
         """Begin self-alignment, and wait until the INS confirms it.
 
         Where the map has no signal that confirms it, the command is sent without confirmation. Raises
@@ -174,33 +174,33 @@ class CanIns:
         """
         self._complete(self.aligning(timeout_s))
 
-    def aligning(self, timeout_s: float = REPLY_TIMEOUT_S) -> Iterator[None]:
+    def aligning(self, timeout_s: float = _REPLY_TIMEOUT_S) -> Iterator[None]:
         """:meth:`align` in steps: yields until the INS confirms it, for several INS at once.
 
         :data:`POLL_PERIOD_S` is to be waited at each yield.
         """
         return self._commanding("align", "mode", lambda status: status.mode is InsMode.ALIGN, timeout_s)
 
-    def navigate(self, timeout_s: float = REPLY_TIMEOUT_S) -> None:
+    def navigate(self, timeout_s: float = _REPLY_TIMEOUT_S) -> None:
         """Begin to navigate; waits and raises as :meth:`align`."""
         self._complete(self.navigating(timeout_s))
 
-    def navigating(self, timeout_s: float = REPLY_TIMEOUT_S) -> Iterator[None]:
+    def navigating(self, timeout_s: float = _REPLY_TIMEOUT_S) -> Iterator[None]:
         """:meth:`navigate` in steps, as :meth:`aligning`."""
         return self._commanding("navigate", "mode", lambda status: status.mode is InsMode.NAVIGATE, timeout_s)
 
-    def standby(self, timeout_s: float = REPLY_TIMEOUT_S) -> None:
+    def standby(self, timeout_s: float = _REPLY_TIMEOUT_S) -> None:
         """Stop aligning or navigating; waits and raises as :meth:`align`."""
         self._complete(
             self._commanding("standby", "mode", lambda status: status.mode is InsMode.STANDBY, timeout_s)
         )
 
-    def set_euler_sequence(self, sequence: EulerSequence, timeout_s: float = REPLY_TIMEOUT_S) -> None:
+    def set_euler_sequence(self, sequence: EulerSequence, timeout_s: float = _REPLY_TIMEOUT_S) -> None:
         """Choose the sequence of the Euler angles; waits and raises as :meth:`align`."""
         self._complete(self.setting_euler_sequence(sequence, timeout_s))
 
     def setting_euler_sequence(
-        self, sequence: EulerSequence, timeout_s: float = REPLY_TIMEOUT_S
+        self, sequence: EulerSequence, timeout_s: float = _REPLY_TIMEOUT_S
     ) -> Iterator[None]:
         """:meth:`set_euler_sequence` in steps, as :meth:`aligning`."""
         command = self._commands.set_euler_sequence
@@ -214,7 +214,7 @@ class CanIns:
         """Begin or stop to send increments, without confirmation; raises as :meth:`align`."""
         self._complete(self._commanding("send_increments", "", lambda _: True, 0.0, {"$on": float(on)}))
 
-    def clear_compensation(self, timeout_s: float = REPLY_TIMEOUT_S) -> None:
+    def clear_compensation(self, timeout_s: float = _REPLY_TIMEOUT_S) -> None:
         """Erase the compensation in the INS; waits and raises as :meth:`align`."""
         self._complete(
             self._commanding(
@@ -222,7 +222,7 @@ class CanIns:
             )
         )
 
-    def load_compensation(self, compensation: Compensation, timeout_s: float = REPLY_TIMEOUT_S) -> int:
+    def load_compensation(self, compensation: Compensation, timeout_s: float = _REPLY_TIMEOUT_S) -> int:
         """Load a compensation, for :meth:`apply_compensation` to put into use; returns its checksum.
 
         Sends all numbers, also zeros, in the units of the DBC. Waits until the INS reports the checksum, if
@@ -254,7 +254,7 @@ class CanIns:
             )
         return expected
 
-    def apply_compensation(self, timeout_s: float = REPLY_TIMEOUT_S) -> None:
+    def apply_compensation(self, timeout_s: float = _REPLY_TIMEOUT_S) -> None:
         """Put the loaded compensation into use; waits and raises as :meth:`align`.
 
         Where the map has a signal for the checksum in use, that confirms it too.

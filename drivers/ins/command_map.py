@@ -70,7 +70,7 @@ _VECTORS = ("saturating_dph_per_k", "growing_dph_per_k", "gravity_dph_per_g")
 
 #: Highest degree of the polynomials of :class:`Correction`, and their numbers in an INS.
 CORRECTION_DEGREE = 3
-CORRECTION_NUMBERS = CORRECTION_DEGREE + 5
+_CORRECTION_NUMBERS = CORRECTION_DEGREE + 5
 
 
 def _zeros() -> FloatArray:
@@ -386,7 +386,7 @@ class CoefficientCommand(Command):
     @staticmethod
     def _indices_of_others(others: CorrectionIndices) -> list[int]:
         firsts = (*others.gyro, others.accelerometer_bias, *others.accelerometer)
-        return [first + place for first in firsts for place in range(CORRECTION_NUMBERS)]
+        return [first + place for first in firsts for place in range(_CORRECTION_NUMBERS)]
 
 
 class CommandMap(StrictModel):

@@ -265,7 +265,7 @@ _FLOATS: dict[int, tuple[type[np.unsignedinteger[Any]], type[np.floating[Any]]]]
 }
 
 #: Numbers of bits that a floating-point signal may have.
-FLOAT_LENGTHS = frozenset(_FLOATS)
+_FLOAT_LENGTHS = frozenset(_FLOATS)
 
 
 class Payloads:
@@ -423,7 +423,7 @@ def _undecodable(database: Database) -> Iterator[str]:
     for message in database.messages:
         for signal in message.signals if message.length <= MAX_LENGTH else ():
             name = f"{message.name}.{signal.name}"
-            if signal.conversion.is_float and signal.length not in FLOAT_LENGTHS:
+            if signal.conversion.is_float and signal.length not in _FLOAT_LENGTHS:
                 yield f"{name}: a floating-point number of {signal.length} bits"
             if signal.scale == 0 or not math.isfinite(signal.scale) or not math.isfinite(signal.offset):
                 yield f"{name}: scale {signal.scale} and offset {signal.offset}"

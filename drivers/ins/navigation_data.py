@@ -123,7 +123,7 @@ def decode_increments(block: FrameBlock, signal_map: SignalMap, codec: DbcCodec)
     return Increments(rows, angle, velocity, follows, mapped.period_s)
 
 
-def _temperatures(reader: BlockReader, readout: Readout, epochs: Epochs) -> Temperatures:
+def _temperatures(reader: BlockReader, readout: Readout, epochs: _Epochs) -> Temperatures:
     """One row for each frame of the temperature message with the highest identifier."""
     messages = {b.message for path, b in readout.signals.items() if path.startswith(_TEMPERATURES)}
     rows = np.zeros(0, np.int64)
@@ -174,7 +174,7 @@ class EpochCounts:
 
 
 @dataclass(frozen=True, eq=False)
-class Epochs:
+class _Epochs:
     """Complete epochs in order of arrival."""
 
     rows: IntArray  #: Shape (n,). Row of each epoch's last frame in the block.
@@ -185,8 +185,8 @@ class Epochs:
     counts: EpochCounts
 
 
-def _find_epochs(reader: BlockReader, readout: Readout) -> Epochs:
-    """Find the epochs and their times; see :class:`Epochs`."""
+def _find_epochs(reader: BlockReader, readout: Readout) -> _Epochs:
+    """Find the epochs and their times; see :class:`_Epochs`."""
     groups, incomplete = _group_frames(reader, readout)
     period_s = readout.map.epoch_period_s
     if readout.map.epoch_counter is not None:
@@ -196,7 +196,7 @@ def _find_epochs(reader: BlockReader, readout: Readout) -> Epochs:
     else:
         times_s = np.round(groups.arrival_s, _STAMP_DECIMALS)
         one_segment = np.zeros(len(times_s), np.int64)
-        return Epochs(groups.rows, groups.arrival_s, times_s, one_segment, EpochCounts(lost=incomplete))
+        return _Epochs(groups.rows, groups.arrival_s, times_s, one_segment, EpochCounts(lost=incomplete))
     finite = np.isfinite(numbers)
     numbers, groups = numbers[finite], groups.take(finite)
     steps, jumped = _follow(numbers, modulus, np.diff(groups.arrival_s) / period_s)
@@ -217,7 +217,7 @@ def _find_epochs(reader: BlockReader, readout: Readout) -> Epochs:
         untimed=int(np.sum(~timed)),
         contradicted=contradicted,
     )
-    return Epochs(groups.rows, groups.arrival_s, times_s, segment, counts)
+    return _Epochs(groups.rows, groups.arrival_s, times_s, segment, counts)
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.errors import FaultError, NoReplyError, ReplyError
 from gyrobench.drivers.serial_line import LineDefaults, SerialLine
 
-OptionsT = TypeVar("OptionsT", bound=StrictModel)
+_OptionsT = TypeVar("_OptionsT", bound=StrictModel)
 
 #: Time allowed to come to rest after a stop.
 MAX_STOP_S = 30.0
@@ -105,13 +105,13 @@ class NoOptions(StrictModel):
 
 
 @dataclass(frozen=True)
-class TableDialect(Generic[OptionsT]):
+class TableDialect(Generic[_OptionsT]):
     """One dialect; offered as an entry point of the group ``gyrobench.rate_tables``."""
 
     #: Makes the driver from the line to the controller, the numbers of the axes in use in ascending order,
     #: and the options; the driver closes the line.
-    open: Callable[[SerialLine, Sequence[int], OptionsT], RateTable]
-    options: type[OptionsT]  #: Additional keys in the station file's section ``rate_table``.
+    open: Callable[[SerialLine, Sequence[int], _OptionsT], RateTable]
+    options: type[_OptionsT]  #: Additional keys in the station file's section ``rate_table``.
     line: LineDefaults = field(default_factory=LineDefaults)  #: Usual settings of such a controller's line.
     max_axes: int = 9  #: Largest number of axes of such a controller.
 

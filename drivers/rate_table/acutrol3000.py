@@ -32,7 +32,7 @@ from gyrobench.drivers.rate_table import (
 )
 from gyrobench.drivers.serial_line import LineDefaults, SerialLine
 
-ReplyT = TypeVar("ReplyT")
+_ReplyT = TypeVar("_ReplyT")
 
 _REGISTERS = re.compile(r"\d{1,10}(;\d{1,10})*", re.ASCII)
 #: Modes whose limits bound the motions of this driver: Off (controlled stop), Position, Rate.
@@ -48,16 +48,16 @@ _MAX_SKIP = 6
 _MARKS = range(31, 64)
 
 
-PREFIX_BYTES = 8
+_PREFIX_BYTES = 8
 #: Longest message: of a nonzero length read in both byte orders, one always exceeds it.
 _MAX_MESSAGE_BYTES = 32768
 _WORDS = {"little": struct.Struct("<II"), "big": struct.Struct(">II")}
 
-STATE_SERVOED = 1 << 4
-DYNAMICS_POSITION_COMPLETE = 1 << 8
+_STATE_SERVOED = 1 << 4
+_DYNAMICS_POSITION_COMPLETE = 1 << 8
 
 #: Bits of ``AnSTATE`` for an abort.
-ABORTS = {6: "software abort", 7: "hardware abort"}
+_ABORTS = {6: "software abort", 7: "hardware abort"}
 #: Bits of ``AnSWFLT``.
 SOFTWARE_FAULTS = {
     0: "software abort",
@@ -71,7 +71,7 @@ SOFTWARE_FAULTS = {
     9: "self test failed",
 }
 #: Bits of ``AnINTLK``.
-INTERLOCKS = {
+_INTERLOCKS = {
     0: "user interlock 1",
     1: "user interlock 2",
     2: "user interlock 3",
@@ -153,9 +153,9 @@ class Acutrol3000:
     def in_position(self) -> bool:
         """Whether the position profile of every axis last moved is complete."""
         values = self._registers(self._done_query, 2)
-        if not all(state & STATE_SERVOED for state, _ in values.values()):
+        if not all(state & _STATE_SERVOED for state, _ in values.values()):
             raise self._no_servo()
-        return all(values[n][1] & DYNAMICS_POSITION_COMPLETE for n in self._moved)
+        return all(values[n][1] & _DYNAMICS_POSITION_COMPLETE for n in self._moved)
 
     def turn_at(self, axis: int, rate_dps: float) -> None:
         """Turn one axis at a constant rate until the next command."""
@@ -165,7 +165,7 @@ class Acutrol3000:
         """Position, rate and servo state of all axes in one servo frame."""
         values = self._numbers(self._read_query, 3)
         motion, states = values[: 2 * len(self._axes)], values[2 * len(self._axes) :]
-        is_servoed = all(int(state) & STATE_SERVOED for state in states)
+        is_servoed = all(int(state) & _STATE_SERVOED for state in states)
         return TableReading(motion[0::2], motion[1::2], is_servoed)
 
     def faults(self) -> list[str]:
@@ -173,8 +173,8 @@ class Acutrol3000:
         words = []
         for axis, (state, software, interlock) in self._registers(self._fault_query, 3).items():
             found = set_bits(software, SOFTWARE_FAULTS, "software fault")
-            found += set_bits(interlock, INTERLOCKS, "interlock")
-            found = found or [name for bit, name in ABORTS.items() if state >> bit & 1]
+            found += set_bits(interlock, _INTERLOCKS, "interlock")
+            found = found or [name for bit, name in _ABORTS.items() if state >> bit & 1]
             words += [f"axis {axis}: {fault}" for fault in found]
         return words
 
@@ -213,7 +213,7 @@ class Acutrol3000:
     def _await_servo(self) -> None:
         clock = self._line.clock
         deadline = Deadline(clock, _MAX_SERVO_CLOSE_S)
-        while not all(state & STATE_SERVOED for state, _ in self._registers(self._done_query, 2).values()):
+        while not all(state & _STATE_SERVOED for state, _ in self._registers(self._done_query, 2).values()):
             if deadline.expired():
                 raise self._no_servo()
             clock.sleep(_POLL_S)
@@ -237,7 +237,7 @@ class Acutrol3000:
     def _command(self, message: str) -> None:
         self._exchange(message, _acknowledgement)
 
-    def _exchange(self, message: str, parse: Callable[[str], ReplyT]) -> ReplyT:
+    def _exchange(self, message: str, parse: Callable[[str], _ReplyT]) -> _ReplyT:
         """Send a message and return its parsed reply; the first message is sent twice if it fails.
 
         The program that used the line before may have left half a message in the controller, or a
@@ -251,7 +251,7 @@ class Acutrol3000:
                 self._out_of_step = True
         return self._exchange_once(message, parse)
 
-    def _exchange_once(self, message: str, parse: Callable[[str], ReplyT]) -> ReplyT:
+    def _exchange_once(self, message: str, parse: Callable[[str], _ReplyT]) -> _ReplyT:
         line = self._line
         problem = self._skip_late_replies() if self._out_of_step else ""
         line.discard_input()
@@ -276,7 +276,7 @@ class Acutrol3000:
         """Error code and text of the next reply."""
         line, deadline = self._line, Deadline(self._line.clock, self._reply_timeout_s)
         try:
-            prefix = line.read(PREFIX_BYTES, deadline)
+            prefix = line.read(_PREFIX_BYTES, deadline)
             decoded = self._framing.decode(prefix)
             if decoded is None:
                 raise self._unexpected(message, prefix.hex(" "))

@@ -48,7 +48,7 @@ class Serial(ClockedPort):
             raise SerialException(f"no clock is named {names[0]!r}") from None
         except DocumentError as error:
             raise SerialException(str(error)) from error
-        self._script = ReplayScript(recording, self.clock.now())
+        self._script = _ReplayScript(recording, self.clock.now())
         self._arrived = bytearray()
         self.is_open = True
 
@@ -72,7 +72,7 @@ class Serial(ClockedPort):
         self._arrived += self._script.arrived(self.clock.now())
 
 
-class ReplayScript:
+class _ReplayScript:
     """The transfers of a recording that are still to come.
 
     A reply arrives as long after its request as recorded. ``now_s`` is the time at which the line is opened,

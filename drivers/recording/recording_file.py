@@ -17,7 +17,7 @@ from gyrobench.bench.foundations.documents import Document, StrictModel, parse_d
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.files import cant_be_written, make_folder, read_limited
 
-MAX_RECORDING_BYTES = 200_000_000
+_MAX_RECORDING_BYTES = 200_000_000
 _END_OF_HEADER = "---\n"
 _TRANSFER = re.compile(r"\s*(\d+(?:\.\d+)?)\s*([<>])((?:\s+[0-9A-Fa-f]{2})+)\s*(?:\|.*)?")
 _COLUMN_HEADS = "#   time s    bytes and text\n"
@@ -122,7 +122,7 @@ def read_recording(path: Path) -> Recording:
             f"{path}: is a folder. Give a recording, a file that `gyrobench record` wrote (*.rec)"
         )
     try:
-        text = read_limited(path, MAX_RECORDING_BYTES, DocumentError).decode("utf-8")
+        text = read_limited(path, _MAX_RECORDING_BYTES, DocumentError).decode("utf-8")
     except UnicodeDecodeError as error:
         raise DocumentError(f"{path}: is not UTF-8 text: {error.reason} at byte {error.start}") from error
     head, end, body = text.partition(f"\n{_END_OF_HEADER}")

@@ -16,7 +16,7 @@ from gyrobench.bench.foundations.documents import StrictModel, read_document, va
 from gyrobench.bench.foundations.text import listed
 
 #: Folder of effect files: beside a table, in a run or beside it, and in the working directory.
-FOLDER = "effects"
+_FOLDER = "effects"
 _STARTS = {0: 1, 1: 6, 2: 4}
 #: Bounds of at least this ratio have starting values at equal ratios.
 _WIDE = 8.0
@@ -148,7 +148,7 @@ def effect_folders(sources: Iterable[Path]) -> list[Path]:
         for source in sources
         for place in ((source, source.parent) if source.is_dir() else (source.parent,))
     ]
-    folders = [(place / FOLDER).resolve() for place in (*places, Path())]
+    folders = [(place / _FOLDER).resolve() for place in (*places, Path())]
     return [folder for folder in dict.fromkeys(folders) if folder.is_dir()]
 
 

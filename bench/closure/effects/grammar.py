@@ -44,7 +44,7 @@ class Law:
     driver: str  #: Key of :data:`DRIVERS`, or a column of the dwell table; ``{axis}`` stands for the gyro's.
     shape: str = "linear"  #: Key of :data:`SHAPES`.
     memory: str = "none"  #: ``none`` or a key of :data:`MEMORIES`.
-    factor: str = "none"  #: Key of :data:`FACTORS`.
+    factor: str = "none"  #: Key of :data:`_FACTORS`.
     degree: int = 1  #: Of a polynomial.
     parameters: tuple[Parameter, ...] = ()  #: Of the shape, then of the memory.
 
@@ -64,7 +64,7 @@ class Law:
             state = MEMORIES[self.memory](course_of(self.driver, campaign), record.time_s, *values[count:])
             terms = [campaign.means_over_dwells(each) for each in shaped(state)]
         stacked = np.stack(terms, axis=2)
-        axes = FACTORS[self.factor]
+        axes = _FACTORS[self.factor]
         if not axes:
             return stacked
         product = stacked[:, :, :, np.newaxis] * campaign.up_body[:, np.newaxis, np.newaxis, list(axes)]
@@ -72,7 +72,7 @@ class Law:
 
     def missing_input(self, campaign: Campaign) -> str | None:
         """The input that a campaign does not have; None if it has all."""
-        missing = needs_positions(campaign) if FACTORS[self.factor] else None
+        missing = needs_positions(campaign) if _FACTORS[self.factor] else None
         if missing is None and self.driver not in EVENTS:
             missing = _missing_driver(self.driver, campaign)
         return missing
@@ -86,7 +86,7 @@ class Law:
             shaped = [f"{name}, power {power}" for power in range(1, self.degree + 1)]
         else:
             shaped = [f"{word}{name}" for word in SHAPES[self.shape].terms]
-        axes = FACTORS[self.factor]
+        axes = _FACTORS[self.factor]
         return tuple(f"{each} by gravity along {AXES[axis]}" for each in shaped for axis in axes) or (
             *shaped,
         )
@@ -197,7 +197,7 @@ MEMORIES: Mapping[str, Callable[..., FloatArray]] = MappingProxyType(
 )
 _MEMORY_WORDS = {"lag": "lagging", "play": "play behind the", "decay": "decaying changes of the"}
 #: Axes whose component of Up multiplies the terms.
-FACTORS: Mapping[str, tuple[int, ...]] = MappingProxyType(
+_FACTORS: Mapping[str, tuple[int, ...]] = MappingProxyType(
     {"none": (), "up": (0, 1, 2), "up_x": (0,), "up_y": (1,), "up_z": (2,)}
 )
 
@@ -355,7 +355,7 @@ def ins_terms(laws: Mapping[str, Law], fitted: FittedForm) -> InsTerms:
             return InsTerms({"warm_up_dph": sizes[:, 0], "warm_up_s": fitted.values[0] * same})
         case "constant", "linear", "none", _:
             vectors = np.zeros((3, 3))
-            vectors[:, list(FACTORS[law.factor])] = sizes
+            vectors[:, list(_FACTORS[law.factor])] = sizes
             return InsTerms({"gravity_dph_per_g": vectors})
         case "time_days" | "start", _, _, "none":
             return constant_at_end(fitted)

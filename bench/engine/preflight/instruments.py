@@ -20,7 +20,7 @@ _LIMITS = "limits"
 _ARRIVED_C = 2.0
 _FIND_CAUSE = "Find the cause and clear it at the controller."
 
-DriverT = TypeVar("DriverT", RateTable, Chamber)
+_DriverT = TypeVar("_DriverT", RateTable, Chamber)
 
 
 def answered(subject: str, identification: str, expected: str) -> Check:
@@ -72,9 +72,9 @@ def chamber_checks(station: Station, chamber: Callable[[], Chamber]) -> Iterator
 def _checks(
     subject: str,
     station: Station,
-    driver: Callable[[], DriverT],
+    driver: Callable[[], _DriverT],
     identity: str,
-    checks: Iterable[tuple[str, Callable[[Station, DriverT], tuple[bool, str, str]]]],
+    checks: Iterable[tuple[str, Callable[[Station, _DriverT], tuple[bool, str, str]]]],
 ) -> Iterator[Check]:
     """Make each check from whether it passes, what was found, and the advice."""
     try:

@@ -35,10 +35,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 #: Bars before and after; candidates that are found, tied, or neither.
-BEFORE_COLOUR, AFTER_COLOUR = "#AAAAAA", "#0072B2"
-FOUND_COLOUR, TIED_COLOUR, OTHER_COLOUR = "#0072B2", "#E69F00", "#CCCCCC"
-_KIND_COLOURS = {"found": FOUND_COLOUR, "tied": TIED_COLOUR, "others": OTHER_COLOUR}
-NOTE_COLOUR, NOISE_COLOUR, BAND_COLOUR = "#666666", "#222222", "#E3E3E3"
+_BEFORE_COLOUR, _AFTER_COLOUR = "#AAAAAA", "#0072B2"
+_FOUND_COLOUR, _TIED_COLOUR, _OTHER_COLOUR = "#0072B2", "#E69F00", "#CCCCCC"
+_KIND_COLOURS = {"found": _FOUND_COLOUR, "tied": _TIED_COLOUR, "others": _OTHER_COLOUR}
+_NOTE_COLOUR, _NOISE_COLOUR, _BAND_COLOUR = "#666666", "#222222", "#E3E3E3"
 _NOISE_LABEL = "± noise (k = 1)"
 _HELD_OUT_COLOUR = "#D55E00"
 _S_PER_H, _PERCENT = 3600.0, 100.0
@@ -95,7 +95,11 @@ def closure_residual_figure(closure: Closure, gyro: str) -> Figure:
         for axes, along in zip(row, against.values(), strict=True):
             _draw_dwells(axes, along, values_dph * scale.factor, closure.searched, gyro, size=_POINT_SIZE)
             axes.axhspan(
-                -noise * scale.factor, noise * scale.factor, color=BAND_COLOUR, zorder=0.5, label=_NOISE_LABEL
+                -noise * scale.factor,
+                noise * scale.factor,
+                color=_BAND_COLOUR,
+                zorder=0.5,
+                label=_NOISE_LABEL,
             )
     for axes, label in zip(grid[-1], against, strict=True):
         axes.set_xlabel(label, fontsize=8)
@@ -153,7 +157,7 @@ def closure_evidence_figure(closure: Closure) -> Figure:
             _note(axes, 0.0, place, fill(f"not fitted; missing: {each.missing_input}", _NOTE_WIDTH))
     axes.set_yticks(range(len(names)), names)
     for label, each in zip(axes.get_yticklabels(), closure.evidence, strict=True):
-        label.set_color(NOTE_COLOUR if each.missing_input else "black")
+        label.set_color(_NOTE_COLOUR if each.missing_input else "black")
     axes.set_ylim(len(closure.evidence) - 0.4, -0.6)
     axes.grid(visible=False, axis="y")
     if by_p_value:
@@ -174,7 +178,7 @@ def closure_evidence_figure(closure: Closure) -> Figure:
 
 def _note(axes: Axes, length: float, place: int, text: str) -> None:
     axes.annotate(
-        text, (length, place), (4, 0), textcoords="offset points", va="center", fontsize=7, color=NOTE_COLOUR
+        text, (length, place), (4, 0), textcoords="offset points", va="center", fontsize=7, color=_NOTE_COLOUR
     )
 
 
@@ -239,7 +243,7 @@ def _draw(
     along, line = main.along[order], main.bias_dph[order] * scale.factor
     band = noise_dph * scale.factor
     axes.fill_between(
-        along, line - band, line + band, color=BAND_COLOUR, zorder=0.5, linewidth=0, label=_NOISE_LABEL
+        along, line - band, line + band, color=_BAND_COLOUR, zorder=0.5, linewidth=0, label=_NOISE_LABEL
     )
     _draw_dwells(axes, main.along, values, searched, gyro)
     axes.plot(along, line, color="black", linewidth=1.0, label="fit")
@@ -293,12 +297,12 @@ def _bars(axes: Axes, closure: Closure, groups: dict[str, BoolArray], scale: Bia
     models = models_of(closure)
     places = np.arange(len(groups))
     width = 0.8 / len(models)
-    colours = (BEFORE_COLOUR, AFTER_COLOUR)
+    colours = (_BEFORE_COLOUR, _AFTER_COLOUR)
     for number, ((label, model), colour) in enumerate(zip(models.items(), colours, strict=False)):
         errors_dph = residuals_dph(closure, model)
         heights = [rms_of_known(errors_dph[chosen]) * scale.factor for chosen in groups.values()]
         axes.bar(places - 0.4 + (number + 0.5) * width, heights, width, color=colour, label=label)
     noise = [rms_of_known(noise_dph(closure)[chosen]) * scale.factor for chosen in groups.values()]
-    axes.hlines(noise, places - 0.45, places + 0.45, color=NOISE_COLOUR, linewidth=1.4, label="noise")
+    axes.hlines(noise, places - 0.45, places + 0.45, color=_NOISE_COLOUR, linewidth=1.4, label="noise")
     axes.set_xticks(places, list(groups), fontsize=7)
     axes.grid(visible=False, axis="x")

@@ -50,7 +50,7 @@ from gyrobench.bench.verification.compensation_verification import (
 )
 
 #: Colour and line of each compensation.
-STYLES = {NONE: ("#AAAAAA", ":"), DECLARED: ("#E69F00", "--"), EFFECT: ("#0072B2", "-")}
+_STYLES = {NONE: ("#AAAAAA", ":"), DECLARED: ("#E69F00", "--"), EFFECT: ("#0072B2", "-")}
 _NOISE_COLOUR = "#222222"
 _GROUP_WIDTH = 0.8
 #: More labels of plateaus than these stand on end.
@@ -101,7 +101,7 @@ def day_figure(result: VerificationResult) -> Figure:
     panels = figure.subplots(len(plateaus), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     for axes, plateau in zip(panels, plateaus, strict=True):
         for each, check in zip(result.results, plateau.checks, strict=True):
-            colour, line = STYLES[each.compensation]
+            colour, line = _STYLES[each.compensation]
             error = check.day.error if check is not None and check.day is not None else None
             # A run that lacks the day has an empty line, which keeps the order of the legend.
             axes.plot(
@@ -141,7 +141,7 @@ def _bars(axes: Axes, result: VerificationResult, size: str, noise: str, factor:
             places + offset,
             values,
             0.92 * width,
-            color=STYLES[each.compensation][0],
+            color=_STYLES[each.compensation][0],
             label=LABELS[each.compensation],
         )
     noises = [factor * getattr(plateau.noise_row(size), noise) for plateau in plateaus]
@@ -272,7 +272,7 @@ def _coefficient_figure(result: VerificationResult) -> Figure:
                 linestyle="none",
                 marker=_MARKERS[each.compensation],
                 markersize=4,
-                color=STYLES[each.compensation][0],
+                color=_STYLES[each.compensation][0],
                 label=LABELS[each.compensation],
             )
         places = np.arange(len(mine))
@@ -294,7 +294,7 @@ def _mission_figure(result: VerificationResult) -> Figure:
     axes = figure.subplots()
     for each in result.coefficients:
         error = each.worst.error
-        colour, label = STYLES[each.compensation][0], LABELS[each.compensation]
+        colour, label = _STYLES[each.compensation][0], LABELS[each.compensation]
         axes.plot(error.time_s / 3600.0, error.distance_nmi, color=colour, linewidth=1.0, label=label)
         ends = [0.0, *HOURS]
         high = [error.high_nmi[0], *error.high_nmi]

@@ -127,7 +127,7 @@ def _combined(rows: Sequence[Mapping[str, Any]], weights: np.ndarray[Any, np.dty
 #: Mean length of a month, days.
 MONTH_DAYS = 365.2425 / 12.0
 #: Least number of runs at different times for a line with uncertainty.
-MIN_RUNS = 3
+_MIN_RUNS = 3
 #: Family-wise false-alarm probability of all comparisons of a trend or a batch.
 FALSE_ALARM = 0.01
 
@@ -193,7 +193,7 @@ def _fitted(quantity: BiasQuantity, runs: Sequence[RunBias]) -> Trend:
     constant = np.ones((len(runs), 1))
     slope = slope_sigma = p_value = math.nan
     design = constant
-    if len(np.unique(months)) >= MIN_RUNS:
+    if len(np.unique(months)) >= _MIN_RUNS:
         design = np.column_stack([constant, months - months.mean()])
     between = excess_variance(values, variances, design)
     fit = weighted_fit(values, variances + between, design)

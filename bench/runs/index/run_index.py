@@ -37,7 +37,7 @@ from gyrobench.bench.runs.provenance import SIMULATED
 if TYPE_CHECKING:
     import duckdb
 
-INDEX = "index.duckdb"
+_INDEX = "index.duckdb"
 
 #: Runs per transaction; complete transactions survive an interruption.
 _RUNS_PER_TRANSACTION = 100
@@ -233,7 +233,7 @@ class RunIndex:
 
 def _default_path(store: RunStore) -> Path:
     if store.is_local:
-        return Path(store.root) / INDEX
+        return Path(store.root) / _INDEX
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     name = hashlib.sha256(store.url.encode()).hexdigest()[:16]
     return cache / "gyrobench" / f"index-{name}.duckdb"

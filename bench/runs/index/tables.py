@@ -66,11 +66,11 @@ def parse_units(text: str, name: str) -> list[UnitRow]:
 
 
 #: State of a run whose journal has no end: killed, or still running.
-NOT_ENDED = "not ended"
+_NOT_ENDED = "not ended"
 #: Verdict of a search on dwells that have been re-evaluated since.
-STALE = "stale"
+_STALE = "stale"
 
-ModelT = TypeVar("ModelT", bound=BaseModel)
+_ModelT = TypeVar("_ModelT", bound=BaseModel)
 
 
 class _Provenance(BaseModel):
@@ -133,7 +133,7 @@ class RunRow:
     world: str
     started_utc: datetime  #: Start, UTC without time zone.
     duration_h: float  #: From its journal.
-    #: ended, reason: From its journal; or :data:`NOT_ENDED`.
+    #: ended, reason: From its journal; or :data:`_NOT_ENDED`.
     ended: str
     reason: str
     #: dwells, flagged: Number of dwells measured, and flagged.
@@ -196,7 +196,7 @@ def read_run_record(files: RunFiles, read: Callable[[str], bytes]) -> RunRecord:
         station=facts.station,
         procedure=facts.procedure,
         duration_h=facts.last_s / 3600.0,
-        ended=facts.ended or NOT_ENDED,
+        ended=facts.ended or _NOT_ENDED,
         reason=facts.reason,
     )
     return RunRecord(row, dwells, bins, closure.effects)
@@ -209,7 +209,7 @@ def _search_of(folder: _Folder) -> _Closure:
     if not closure.verdict or not seen or DWELLS not in folder.files.files:
         return closure
     is_same = hashlib.sha256(folder.read(folder.path(DWELLS))).hexdigest() == seen
-    return closure if is_same else _Closure(verdict=STALE)
+    return closure if is_same else _Closure(verdict=_STALE)
 
 
 @dataclass(frozen=True)
@@ -230,7 +230,7 @@ class _Folder:
         except UnicodeDecodeError as error:
             raise RunFolderError(f"{path}: not UTF-8 text: {error.reason} at byte {error.start}") from error
 
-    def document(self, name: str, model: type[ModelT]) -> ModelT:
+    def document(self, name: str, model: type[_ModelT]) -> _ModelT:
         """Content of a JSON document; the model's defaults if it does not exist."""
         if name not in self.files.files:
             return model()

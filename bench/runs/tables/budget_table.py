@@ -63,7 +63,7 @@ def budget_rows(budgets: Iterable[BiasBudget]) -> list[BudgetRow]:
     return [
         row
         for each in budgets
-        for row in rows_of(
+        for row in _rows_of(
             each.budget,
             "deg/h",
             result="bin" if each.dwell is None else "dwell",
@@ -84,7 +84,7 @@ def coefficient_budget_rows(
     return [
         row
         for coefficient, budget in budgets
-        for row in rows_of(
+        for row in _rows_of(
             budget,
             coefficient.unit,
             result="coefficient",
@@ -95,7 +95,7 @@ def coefficient_budget_rows(
     ]
 
 
-def rows_of(budget: Budget, unit: str, **result: Any) -> Iterator[BudgetRow]:
+def _rows_of(budget: Budget, unit: str, **result: Any) -> Iterator[BudgetRow]:
     """Rows of one budget in a unit; ``result`` is the fields that say of what."""
     stated = budget.stated
     for each in budget.contributions:

@@ -98,7 +98,7 @@ class JointPlateauRow:
     any_north_p_value: float
 
 
-Row = TypeVar("Row", JointBiasRow, JointPlateauRow)
+_Row = TypeVar("_Row", JointBiasRow, JointPlateauRow)
 
 
 def joint_bias_rows(solutions: Sequence[JointSolution], up_rate: UpRate | None) -> list[JointBiasRow]:
@@ -114,12 +114,12 @@ def joint_plateau_rows(solutions: Sequence[JointSolution], up_rate: UpRate | Non
     return rows
 
 
-def columns(kind: type[Row]) -> list[str]:
+def columns(kind: type[_Row]) -> list[str]:
     """Columns of the file with rows of a kind."""
     return [_COLUMNS.get(field.name, field.name) for field in fields(kind)]
 
 
-def write_joint(path: Path, rows: Iterable[Row], kind: type[Row]) -> None:
+def write_joint(path: Path, rows: Iterable[_Row], kind: type[_Row]) -> None:
     """Write rows of one kind as CSV. Raises RunFolderError if the file can't be written."""
     write_text(path, format_rows(columns(kind), rows))
 

@@ -113,7 +113,7 @@ BenchPhase = Literal["power_on", "align", "navigate", "turn", "ramp"]
 #: Ends a fault; None where nothing is to be done.
 End = Callable[[], None] | None
 
-CapabilityT = TypeVar("CapabilityT")
+_CapabilityT = TypeVar("_CapabilityT")
 
 
 class Persistence(Enum):
@@ -188,7 +188,7 @@ class BenchParts:
     bus: FaultyCan
     dialects: Mapping[str, str] = field(default_factory=dict)  #: Their dialects.
 
-    def capable(self, name: str, capability: type[CapabilityT]) -> CapabilityT:
+    def capable(self, name: str, capability: type[_CapabilityT]) -> _CapabilityT:
         """Table or chamber as an instrument with the capability that a fault needs.
 
         Raises UnsupportedFaultError if the emulator of this dialect lacks it.

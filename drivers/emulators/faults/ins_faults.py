@@ -94,7 +94,7 @@ class AlignmentNeverDone(Fault):
         return partial(setattr, unit, "never_aligns", False)
 
 
-class OutputFault(Fault):
+class _OutputFault(Fault):
     """Signals of the navigation output are wrong, while counters continue."""
 
     immediate = False
@@ -123,7 +123,7 @@ class OutputFault(Fault):
         return filter_while(bench.bus, replaced)
 
 
-class StuckOutput(OutputFault):
+class StuckOutput(_OutputFault):
     """Signals keep their last value."""
 
     fault: Literal["stuck_output"]
@@ -132,7 +132,7 @@ class StuckOutput(OutputFault):
         return first
 
 
-class InvalidOutput(OutputFault):
+class InvalidOutput(_OutputFault):
     """Signals hold the number for an invalid value: -2^31."""
 
     fault: Literal["invalid_output"]
@@ -141,7 +141,7 @@ class InvalidOutput(OutputFault):
         return _INVALID
 
 
-class SaturatedOutput(OutputFault):
+class SaturatedOutput(_OutputFault):
     """Signals hold the largest number: 2^31 - 1."""
 
     fault: Literal["saturated_output"]

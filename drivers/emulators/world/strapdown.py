@@ -18,9 +18,9 @@ from gyrobench.bench.foundations.kernels import compiled, set_product
 #: Rotation rate of the Earth, rad/s.
 EARTH_RATE = 7.292115e-5
 #: Semi-major axis of the WGS-84 ellipsoid, m.
-SEMI_MAJOR_AXIS = 6378137.0
+_SEMI_MAJOR_AXIS = 6378137.0
 #: First eccentricity squared of the ellipsoid.
-ECCENTRICITY_SQUARED = 6.69437999014e-3
+_ECCENTRICITY_SQUARED = 6.69437999014e-3
 _EQUATOR_GRAVITY = 9.7803253359
 _SOMIGLIANA_K = 1.93185265241e-3
 #: Layout of the navigation state: quaternion body to ENU (w, x, y, z), velocity east and north
@@ -39,16 +39,16 @@ _Quaternion = tuple[float, float, float, float]
 def normal_gravity(latitude: float, height: float) -> float:
     """Gravity in m/s2 at geodetic latitude (rad) and height (m), Somigliana with free air term."""
     sin2 = math.sin(latitude) ** 2
-    surface = _EQUATOR_GRAVITY * (1.0 + _SOMIGLIANA_K * sin2) / math.sqrt(1.0 - ECCENTRICITY_SQUARED * sin2)
-    return surface * (1.0 - 2.0 * height / SEMI_MAJOR_AXIS)
+    surface = _EQUATOR_GRAVITY * (1.0 + _SOMIGLIANA_K * sin2) / math.sqrt(1.0 - _ECCENTRICITY_SQUARED * sin2)
+    return surface * (1.0 - 2.0 * height / _SEMI_MAJOR_AXIS)
 
 
 @compiled
-def principal_radii(latitude: float) -> tuple[float, float]:
+def _principal_radii(latitude: float) -> tuple[float, float]:
     """Radii of curvature in m at a latitude in rad: along the meridian, and across it."""
-    root = 1.0 - ECCENTRICITY_SQUARED * math.sin(latitude) ** 2
-    across = SEMI_MAJOR_AXIS / math.sqrt(root)
-    return across * (1.0 - ECCENTRICITY_SQUARED) / root, across
+    root = 1.0 - _ECCENTRICITY_SQUARED * math.sin(latitude) ** 2
+    across = _SEMI_MAJOR_AXIS / math.sqrt(root)
+    return across * (1.0 - _ECCENTRICITY_SQUARED) / root, across
 
 
 @compiled
@@ -252,7 +252,7 @@ def navigate(
             number = np.rint(latitude * _PER_RAD)
             place = number / _PER_RAD
             place_sine, place_cosine = math.sin(place), math.cos(place)
-            meridian, across = principal_radii(place)
+            meridian, across = _principal_radii(place)
             per_meridian, per_across = 1.0 / (meridian + height), 1.0 / (across + height)
         moved = latitude - place
         sine, cosine = place_sine + moved * place_cosine, place_cosine - moved * place_sine
