@@ -42,7 +42,7 @@ from gyrobench.bench.foundations.kernels import compiled
 WHITE_ANGLE, RANDOM_WALK, RATE_WALK, BIAS_INSTABILITY = range(4)
 #: Averaging times in a decade.
 PER_DECADE = 8
-#: The longest segment holds the longest averaging time at least so many times.
+#: The longest segment holds the longest averaging time at least this number of times.
 MIN_REPEATS = 6
 #: Fewest equivalent degrees of freedom of an averaging time that takes part in a fit.
 MIN_EDF = 8.0

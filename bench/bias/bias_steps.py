@@ -23,7 +23,7 @@ MIN_STEP_P_VALUE = 4e-3
 #: Epochs between the times that are tried, and fewest epochs of a window before and after a step: the
 #: biases of the windows are compared elsewhere.
 _EVERY, _MARGIN = 10, 60
-#: So many independent tests are about as likely to give a false alarm as all times and gyros together.
+#: This number of independent tests is about as likely to give a false alarm as all times and gyros together.
 _TESTS = 60.0
 _GYROS = 3
 

@@ -22,7 +22,7 @@ MAX_GAP_EPOCHS, MAX_GAP_S = 5.5, 2.0
 _SLOT_TOLERANCE = 1e-3
 #: Largest angle between the attitude of the INS and that of the table, rad.
 MAX_ATTITUDE_DISAGREEMENT = np.deg2rad(5.0)
-#: So far axes are off right angles at most where the mounting is wrong, rad.
+#: Largest deviation of axes from right angles where the mounting is wrong, rad.
 _RIGHT_ANGLE_TOLERANCE = np.deg2rad(2.0)
 #: Largest change of the attitude of the INS within a window, rad: 3 deg/h for 10 min.
 MAX_MOVEMENT = np.deg2rad(0.5)

@@ -50,11 +50,11 @@ from gyrobench.bench.navigation.positions import AXES
 
 #: One-sided 95 % point of the normal distribution.
 _LIMIT_SIGMAS = 1.645
-#: A term below so many sigmas is reported as an upper limit.
+#: A term below this number of sigmas is reported as an upper limit.
 _FOUND_SIGMAS = 2.0
 #: A declared value further away than this is not consistent.
 _CONSISTENT_SIGMAS = 3.0
-#: One that the data exceed by so much is replaced: dwells are many.
+#: One that the data exceed by this number of sigmas is replaced: dwells are many.
 _EXCEEDING_SIGMAS = 4.0
 #: Intervals between epochs that count as equal, relative.
 _SAME_INTERVAL = 0.01

@@ -34,8 +34,8 @@ MIN_SAMPLES = 100
 MAX_GAP_SAMPLES = 1.5
 #: Angles and forces averaged over this time, s, are compared to see motion.
 MOTION_BLOCK_S = 1.0
-#: Second differences of these averages are motion above so many robust standard deviations, and
-#: above 5 arcsec and 0.5 mm/s^2: at most 0.03 deg/h over 300 s.
+#: Second differences of these averages are motion above this number of robust standard deviations,
+#: and above 5 arcsec and 0.5 mm/s^2: at most 0.03 deg/h over 300 s.
 MOTION_SIGMAS = 8.0
 MOTION_RAD = np.deg2rad(5.0 / 3600.0)
 MOTION_MPS2 = 5e-4

@@ -219,7 +219,7 @@ def weighted_mean(values: Sequence[float], sigmas: Sequence[float]) -> WeightedM
 
 #: Twice the likelihood that a 95 % interval of one number leaves on either side.
 _DROP = 3.841
-#: Variances are searched up to so many times the values' own.
+#: Variances are searched up to this multiple of the values' own.
 _MAX_SHARE = 1e3
 
 
@@ -353,7 +353,7 @@ def uniformity_p_value(p_values: Sequence[float]) -> float:
 
 
 def uniformity_band(count: int, probability: float = 0.95) -> float:
-    """How far the distribution of so many p-values strays from uniform, with this probability at most."""
+    """How far the distribution of ``count`` p-values strays from uniform, with this probability at most."""
     low, high = 0.0, 1.0
     while (middle := 0.5 * (low + high)) not in (low, high):
         if _smirnov(count, middle) > 0.5 * (1.0 - probability):
@@ -364,7 +364,7 @@ def uniformity_band(count: int, probability: float = 0.95) -> float:
 
 
 def _smirnov(count: int, distance: float) -> float:
-    """Probability that so many uniform values lead by a distance in 0 to 1 (Birnbaum and Tingey, 1951)."""
+    """Probability that ``count`` uniform values lead by a distance in 0 to 1 (Birnbaum and Tingey, 1951)."""
     if not 0.0 < distance < 1.0:
         return float(distance <= 0.0)
     above = np.arange(math.floor(count * (1.0 - distance)) + 1)

@@ -30,7 +30,7 @@ MIN_P_VALUE = 0.01
 
 # How many sigmas from nothing a rate North must lie, if there is one, to confirm a latitude error.
 _MIN_SIGNIFICANCE = 3.0
-# A latitude is off if its error is so many sigmas from nothing, and so many times what is declared.
+# A latitude is off if its error exceeds this number of sigmas, and this multiple of the declared one.
 _MIN_ERROR_SIGMAS, _MAX_DECLARED = 4.0, 2.0
 
 

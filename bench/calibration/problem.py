@@ -34,8 +34,8 @@ from gyrobench.bench.navigation.positions import AXES
 #: Rounds of linearisation; the last one changes the weighted sum of squares by less than this, and each
 #: observed parameter by less than this part of its standard uncertainty.
 _MAX_ROUNDS, _CONVERGED, _MAX_STEP = 15, 0.1, 0.05
-#: After a step that makes the sum so many times larger, steps are along fewer directions: those that the data
-#: determine so many times better.
+#: After a step that multiplies the sum by more than this, steps are along fewer directions: those that the
+#: data determine better by this factor.
 _WORSE, _FEWER = 2.0, 10.0
 #: Something else explains the residuals where it reduces chi2 to this part.
 _EXPLAINED = 0.1

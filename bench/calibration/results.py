@@ -116,7 +116,7 @@ def rest_rates(calibration: Calibration) -> list[RestRate]:
 def strongest_correlations(
     calibration: Calibration, least: float
 ) -> list[tuple[SensorCoefficient, SensorCoefficient, float]]:
-    """Pairs of observed coefficients whose correlation is at least so large, strongest first."""
+    """Pairs of observed coefficients whose correlation is at least ``least``, strongest first."""
     correlations = calibration.correlations
     seen = np.flatnonzero(calibration.is_observed)
     pairs = [

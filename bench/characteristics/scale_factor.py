@@ -166,7 +166,7 @@ def _is_same(rate_dps: float, other_dps: float) -> bool:
 
 
 def _one_of(count: int) -> float:
-    """Level of a quantile at which so many intervals hold at once."""
+    """Level of a quantile at which ``count`` intervals hold at once."""
     return 1.0 - 0.5 * (1.0 - _LEVEL) / count
 
 

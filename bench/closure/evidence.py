@@ -24,7 +24,7 @@ from gyrobench.bench.closure.remainder import TOGETHER, remainder_of
 from gyrobench.bench.closure.terms import Terms
 from gyrobench.bench.foundations.arrays import FloatArray, rms_of_known
 
-#: Prior probability of so many effects; all sets of as many are equally probable.
+#: Prior probability of 0, 1, 2 and 3 effects; all sets of one size are equally probable.
 EFFECT_COUNT_PRIOR = (0.4, 0.35, 0.15, 0.1)
 #: Prior probability of a remainder beside any set, shared equally by its processes; all of them together
 #: have a share of that of one.

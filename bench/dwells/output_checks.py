@@ -23,24 +23,24 @@ from gyrobench.bench.navigation.earth import EARTH_RATE, MEAN_RADIUS
 #: A value this many robust standard deviations and steps of the output away from its neighbours jumps.
 _JUMP_SIGMAS, _JUMP_STEPS = 10.0, 4.0
 _MAD_TO_SIGMA = 1.4826
-#: Neither does one within so much white noise: pulses without dither are still most of the time.
+#: Neither does one within this number of sigmas of white noise: pulses without dither are mostly still.
 _WHITE_SIGMAS = 5.5
 #: More jumps than this in a window are steps of the output.
 _MANY_JUMPS = 30
-#: Times, s, within which a slope may not change by so many standard deviations, and how often a window
-#: holds them.
+#: Times, s, within which a slope may not change by this number of standard deviations, and how often
+#: a window holds them.
 _BEND_LAGS_S, _BEND_SIGMAS, _MIN_LAGS = (10.0, 30.0), 6.5, 3.0
 #: What the error model may do to a channel is fitted down to this share of it.
 _MIN_SHARE = 1e-6
-#: A random walk stays within a step of the output for so many times the time in which it goes that far
-#: once in ten thousand million times.
+#: A random walk stays within a step of the output longer than this multiple of the time in which it
+#: goes that far once in ten thousand million times.
 _STILL_TIMES = 6.0
-#: Nothing counts as hanging before so many epochs and so long, s.
+#: Nothing counts as hanging before this number of epochs and this time, s.
 _STILL_EPOCHS, _STILL_S = 30, 10.0
 #: An INS is as noisy as declared if its attitude moves by this share of what that leads to expect, over
 #: this time, s. A better one may well keep a velocity for minutes.
 _NOISY_SHARE, _NOISY_OVER_S = 0.5, 10.0
-#: It is noisier than declared if it moves by so much more, mean square.
+#: It is noisier than declared if its mean square motion exceeds the expected one by this factor.
 _NOISIER = 1.25
 _VELOCITIES = ("velocity East", "velocity North")
 _ATTITUDE = ("attitude about East", "attitude about North", "heading")

@@ -20,8 +20,8 @@ from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.runs.marks import DwellMarks
 from gyrobench.drivers.frames import FrameBlock, concatenate
 
-#: Longest segments of a noise record are thinned to so many samples: the integral of the rate loses nothing
-#: between them.
+#: Longest segments of a noise record are thinned to this number of samples: the integral of the rate loses
+#: nothing between them.
 _MAX_NOISE_SAMPLES = 50_000
 
 

@@ -37,8 +37,8 @@ from gyrobench.bench.navigation.attitude import rotation_vector_enu
 from gyrobench.bench.navigation.earth import EARTH_RATE
 from gyrobench.bench.navigation.error_model import Site
 
-#: A scale is wrong if it is so many standard uncertainties off, one in a hundred thousand good units, and by
-#: more than this.
+#: A scale is wrong if it is off by more than this many standard uncertainties, as one in a hundred thousand
+#: good units is, and by more than this share.
 _MIN_SIGMAS, _MIN_SCALE_ERROR = 4.4, 0.03
 #: Largest share of the tilt's moment that noise of the attitude may have.
 _MAX_NOISE_SHARE = 0.1
@@ -51,7 +51,7 @@ _MIN_CHI2_GAIN, _MAX_CHI2_PER_DATUM = 30.0, 1.5
 #: Latitudes of INS and station differ by more than an INS drifts while it navigates on the bench, rad.
 _MAX_LATITUDE_APART = math.radians(0.05)
 _VELOCITIES = ("ins.signals.velocity_east", "ins.signals.velocity_north")
-#: What makes a velocity so many times as large as it is.
+#: What multiplies a velocity by each factor.
 _UNITS = {
     0.5: "half the scale", 2.0: "twice the scale", 10.0: "ten times the scale", 0.1: "a tenth of the scale",
     1.0 / 0.514444: "knots taken for m/s", 0.514444: "m/s taken for knots",

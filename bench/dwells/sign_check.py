@@ -38,8 +38,8 @@ from gyrobench.drivers.ins.signal_map import EulerMap, QuaternionMap, SignalMap
 #: different speeds; a wrong sense is off by 90 deg half way.
 _MAX_OFF_PATH = np.deg2rad(30.0)
 _PATH_POINTS = 37
-#: The declared velocities contradict the tilt if they are so many times as far off as others, and off by so
-#: many steps of the output.
+#: The declared velocities contradict the tilt if they are off by this multiple of what others are, and by
+#: this number of steps of the output.
 _CONTRADICTS, _MIN_STEPS = 3.0, 3.0
 #: Others agree with the tilt if they are as near as this many times the nearest.
 _AGREES = 2.0

@@ -18,7 +18,7 @@ from gyrobench.drivers.frames import FrameBlock, concatenate
 _STILL_DEG = 0.001
 #: A creep of this size from the first third of a window's readings to the last biases the result by sigmas.
 _CREEP_DEG = 1e-4
-#: A creep also has to exceed the scatter of the readings by so many standard deviations.
+#: A creep also has to exceed the scatter of the readings by this number of standard deviations.
 _CREEP_SIGMAS = 5.0
 
 

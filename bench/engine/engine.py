@@ -29,7 +29,7 @@ from gyrobench.bench.procedure.steps import Align, GoTo, PowerOn
 from gyrobench.bench.station.interlocks import PassingRule
 from gyrobench.bench.station.safe_state import RAMP_PERIOD_S, SafeAction, SafePart, finish_ramp
 
-#: A dwell that was repeated so often is tried with the INS switched off and on.
+#: A dwell that was repeated this number of times is tried with the INS switched off and on.
 _REPEATS_UNTIL_POWER_CYCLE = 2
 #: After these trips the INS may have been off, regardless of what it reports.
 _INS_TRIPS = {"ins_silence", "ins_fault"}

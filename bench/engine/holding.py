@@ -15,7 +15,7 @@ from gyrobench.bench.foundations.errors import InstrumentError, RunStoppedError
 from gyrobench.bench.foundations.operator_name import TERMINAL, operator_name, source_in_words
 from gyrobench.bench.foundations.text import listed
 
-#: A calendar that differs by so much more than before was set, or corrected over a long time.
+#: A calendar that differs by this much more than before, s, was set, or corrected over a long time.
 _CALENDAR_STEP_S = 1.0
 #: The operator who continued before everything was good is asked again after this time.
 _ASK_AGAIN_S = 60.0

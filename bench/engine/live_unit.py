@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 #: An INS whose count of epochs is off by more than this has restarted, or lost its count.
 _EPOCH_COUNT_TOLERANCE_S = 3.0
-#: Two counts are at the same other rate if they differ by less than this share, and if it is at most so many
-#: times the declared one. A count over so many times the tolerance that matches shows the declared rate.
+#: Two counts are at the same other rate if they differ by less than this share, and the period is at most
+#: this multiple of the declared one. A match over this multiple of the tolerance shows the declared rate.
 _SAME_PERIOD, _MAX_PERIOD_RATIO, _CLEAR = 0.03, 20.0, 4.0
 #: A CAN bus that is silent for this long may have been disconnected without an error.
 BUS_SILENCE_S = 4.0

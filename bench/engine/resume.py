@@ -30,7 +30,7 @@ from gyrobench.bench.station.locks import BenchLock, RunLock
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.chamber import running_profile
 
-#: After so many resumes in a row without a finished step the cause has to be found first.
+#: After this number of resumes in a row without a finished step the cause has to be found first.
 MAX_RESUMES_WITHOUT_PROGRESS = 5
 #: In the journal, the source of a continuation without an operator.
 ITSELF = "itself"

@@ -19,7 +19,7 @@ from gyrobench.bench.closure.search import MAY_BE_LACK, NOT_SIGNIFICANT, RESTS_O
 from gyrobench.bench.investigation.choice import Rival
 from gyrobench.bench.investigation.proposal import SETTLED
 
-#: Hypotheses less probable than this, and more than so many, are not predicted.
+#: Hypotheses less probable than this are not predicted, and at most this number is.
 _MIN_PROBABILITY = 1e-3
 _MAX_RIVALS = 6
 #: Ageing is a hypothesis of dwells over more than this: its shortest time constant is a day.

@@ -71,7 +71,7 @@ _PLAN, _DONE = "plan.json", "dwells.csv"
 _MAX_FLAGGED = 2
 #: Blocks that are measured to confirm one cause while none is clear.
 MAX_TESTS = 4
-#: After so many blocks that distinguished, what is not shown beside a cause does not keep it open.
+#: After this number of blocks that distinguished, what is not shown beside a cause does not keep it open.
 PATIENCE = 3
 #: Ends after which an adaptive campaign still determines biases.
 _CONCLUSIVE = ("settled", "nothing_found", "not_on_list", "refuted")

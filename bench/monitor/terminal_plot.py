@@ -35,7 +35,7 @@ class Canvas:
     def line(self, points: Sequence[Point], style: str = _NO_STYLE, every: int = 1) -> None:
         """Join points by lines, broken at unknown points.
 
-        With ``every`` above 1 only each so many columns of dots has one: the line is dotted.
+        With ``every`` above 1, only every such column of dots has one: the line is dotted.
         """
         before: tuple[int, int] | None = None
         for point in points:
@@ -197,7 +197,7 @@ _ASPECT = 2.0
 
 
 def attitude_lines(attitude: Attitude, width: int, height: int, is_ascii: bool) -> list[Text]:
-    """Draw the body axes in so many characters."""
+    """Draw the body axes in ``width`` by ``height`` characters."""
     canvas = Canvas(width, height, is_ascii)
     reach = min(0.5, 0.5 * height * _ASPECT / width) * 0.9
     middle: Point = (0.5, 0.5)

@@ -173,7 +173,7 @@ def _old(age_s: float) -> str:
 
 _CHAMBER, _GYRO, _NORTH = "cyan", "yellow", "magenta"
 _AXES_WIDTH = 24
-#: Up to so many rows the drawing of the axes needs for itself.
+#: A drawing of the axes with at most this number of rows leaves no room for the angles.
 _WITHOUT_ANGLES = 8
 _ARCSEC = 3600.0
 _BIN_LABEL_WIDTH, _BIN_WIDTH = 11, 11

@@ -36,7 +36,7 @@ _HELD = 0.1
 #: needed, and the change of a gyro's temperature for each kelvin of the chamber in a unit: 0.86 to 1.06 in
 #: simulated ones.
 _SETTLED_C_PER_H, _MIN_SETTLED, _MIN_RANGE_K, _FOLLOWING = 12.0, 4, 20.0, (0.7, 1.3)
-#: Dwells contradict one another below this probability; a rate Up is named from so many sigmas.
+#: Dwells contradict one another below this probability; a rate Up is named above this number of sigmas.
 _CONTRADICTION_P, _CLEAR_SIGMAS = 1e-3, 4.0
 
 #: Significance level of the differences between positions, per gyro.

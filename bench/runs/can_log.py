@@ -257,7 +257,7 @@ def _by_python_can(content: bytes) -> tuple[FrameBlock, bool]:
 _SUFFIX = ".blf"
 #: A dwell of some hours on a bus that is never idle.
 _MAX_PART_BYTES = 1_000_000_000
-#: Frames that are written together, or what comes in so many seconds: the maximum loss after a kill.
+#: Frames that are written together, or what comes within this time, s: the maximum loss after a kill.
 _FRAMES_AT_ONCE, _SECONDS_AT_ONCE = 340, 10.0
 
 

@@ -256,7 +256,7 @@ class GuardSection(StrictModel):
         60.0,
         ge=5.0,
         le=600.0,
-        description="after so long without a sign of life the engine is killed and the bench made safe, s; "
+        description="the engine is killed and the bench made safe after this time without a sign of life, s; "
         "normal operation causes up to 20 s of silence",
     )
 

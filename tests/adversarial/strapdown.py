@@ -313,7 +313,7 @@ def _navigate(
     height: float,
     damping_s: float,
 ) -> Floats:
-    """States (m, 14) after every so many steps; ``state`` is changed in place."""
+    """States (m, 14) after each ``every`` steps; ``state`` is changed in place."""
     count = rotation.shape[0]
     result = np.empty((count // every, 14))
     C, middle, after = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))

@@ -58,7 +58,7 @@ def run(procedure, out, *options):
 
 
 def many_dwells(path, dwells):
-    """A procedure of so many dwells of two minutes at one temperature."""
+    """A procedure of ``dwells`` dwells of two minutes at one temperature."""
     procedure = yaml.safe_load(SHORT_DWELLS.read_text(encoding="utf-8"))
     first, *_ = (step for step in procedure["steps"] if "repeat" in step)
     first["repeat"]["over"] = {"cycle": list(range(1, dwells // 5 + 1)), "temperature_c": [35]}
@@ -79,7 +79,7 @@ def first_cycle(path):
 
 
 def limits_s(samples, frames, folder):
-    """Processor time in s of what no implementation can leave out, for so many samples and frames."""
+    """Processor time in s of what no implementation can leave out, for numbers of samples and frames."""
     program = folder / "strapdown"
     source = Path(__file__).with_name("strapdown.c")
     subprocess.run(["cc", "-O2", "-o", str(program), str(source), "-lm"], check=True)

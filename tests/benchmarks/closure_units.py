@@ -75,7 +75,7 @@ def make_unit(
     noise : str
         Of :data:`NOISES`.
     looks : int
-        The same unit with so many times the data: the campaign measured so often, and averaged.
+        The same unit with this multiple of the data: the average of this number of campaigns.
     candidates_own : bool
         Effects that have a candidate follow its own law, so that its sizes and parameters have true values.
     """

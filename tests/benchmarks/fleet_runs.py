@@ -65,7 +65,7 @@ def _make_run(folder, unit, repetition, seed, outlying_dph):
 
 
 def _world(unit, days, outlying_dph):
-    """World of one unit so many days after the first run."""
+    """World of one unit ``days`` after the first run."""
     world = yaml.safe_load(WORLD.read_text())
     world["ins"]["serial_number"] = 2000 + unit
     own_dph = np.random.default_rng(unit).normal(0.0, SPREAD_DPH, 3)

@@ -35,7 +35,7 @@ steps:
   - turn: {angle_deg: 180, rate_dps: 30, settle_s: 1}
   - navigate: {duration_s: 60}
 """
-#: After so many ticks of the first attempt the run is stopped, to be resumed on the other calendar.
+#: After this number of ticks of the first attempt the run is stopped, to be resumed on the other calendar.
 _STOP_TICKS = 40
 _EVERY_TICKS = 6
 

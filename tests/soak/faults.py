@@ -42,7 +42,7 @@ ENDED, HELD, REPEATED, FLAGGED, RETRIED, NONE = OUTCOMES
 _EVERY_S = 180.0
 #: Two of them wait in real time for a while.
 _WORKERS = 4
-#: So often a run is resumed before it counts as lost.
+#: A run counts as lost after this number of resumes.
 _MAX_RESUMES = 40
 SAFE_C = 23.0
 

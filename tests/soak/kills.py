@@ -42,12 +42,12 @@ from tests.soak.truth import WORLD, Agreement, TruthWatcher, true_bias_dph
 PROCEDURE = Path(__file__).with_name("kills.yaml")
 _GYROBENCH = str(Path(sys.executable).with_name("gyrobench"))
 _LOOK_PERIOD_S = 0.0005
-#: A run is killed so often before it is left alone.
+#: A run is left alone after this number of kills.
 _KILLS_PER_RUN = 12
-#: One kill in so many, the folder is looked at by a separate process as well.
+#: At one kill in this number, a separate process looks at the folder as well.
 _LOOKS_BY_PROCESS = 5
 _MAX_DURATION_S = 600.0
-#: So far ahead it is aimed, and so near the end at what comes after it.
+#: A kill is aimed at one of the next steps, this many; with at most this many left, at what follows them.
 _NEXT_STEPS, _LAST_STEPS = 20, 8
 START, RESULTS, BETWEEN, BACK = "start-up", "results and report", "between two steps", "way back: "
 

@@ -19,7 +19,7 @@ from tests.soak.results import PartResult, PartTable, counts, machine
 from tests.soak.truth import TruthWatcher
 
 PROCEDURE = Path(__file__).with_name("long.yaml")
-#: A cycle of the procedure lasts so long with soaks of this length; a run that is shorter has shorter soaks.
+#: Length of a cycle of the procedure with soaks of this length; a run that is shorter has shorter soaks.
 _CYCLE_H, _SOAK_S = 9.2, 7200.0
 _MAX_PERIOD_S, _MIN_SAMPLES = 3600.0, 20
 #: Share of the run in which the program still grows to its size.

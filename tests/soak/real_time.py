@@ -51,7 +51,7 @@ class Usage:
 
 
 def procedure_text(minutes: float) -> str:
-    """Dwells in three positions that last so long together."""
+    """Dwells in three positions that last ``minutes`` together."""
     navigate_s = max(61.0, (60.0 * minutes - _BEGIN_AND_END_S) / (2 * len(_POSITIONS)) - _AROUND_S / 2.0)
     return (
         "procedure: soak_real_time\nsteps:\n  - power_on\n  - repeat:\n"
@@ -80,7 +80,7 @@ def station_text(urls: Mapping[str, str], bus: str) -> str:
 
 
 def real_time(folder: Path, minutes: float, seed: int) -> PartResult:
-    """Run for so many minutes of real time on each kind of bus, side by side."""
+    """Run for ``minutes`` of real time on each kind of bus, side by side."""
     with ThreadPoolExecutor(len(_BUSES)) as pool:
         runs = list(pool.map(lambda bus: _one(folder / bus, bus, minutes, seed), _BUSES))
     names = list(dict.fromkeys(name for figures, _ in runs for name in figures))

@@ -185,7 +185,7 @@ def searched_length_s(campaign: Campaign) -> float:
 
 
 def time_constant(low_s: float, *starts_s: float, lengths: float = 1.0) -> Parameter:
-    """Time constant ``tau_s``, at most so many campaigns long: beyond that the effect becomes another one."""
+    """Time constant ``tau_s``, at most ``lengths`` campaigns long; a longer one is another effect."""
 
     def limit(campaign: Campaign) -> float:
         return lengths * searched_length_s(campaign)

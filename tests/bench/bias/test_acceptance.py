@@ -16,7 +16,7 @@ SIGMA_DPH = 0.001
 POSITIONS_IN_ORDER = tuple(POSITIONS)
 PLATEAUS_C = (60.0, 20.0, -10.0)
 DRAWS = 80
-#: Errors in so many draws with a chance of 5 % each, with three standard deviations of luck.
+#: Errors in ``DRAWS`` draws with a chance of 5 % each, with three standard deviations of luck.
 MOST = DRAWS * 0.05 + 3 * math.sqrt(DRAWS * 0.05 * 0.95)
 
 

@@ -17,7 +17,7 @@ LIMITS = AcceptanceLimits(position_difference_dph=LIMIT_DPH)
 SIGMA_DPH = 0.0011
 PLATEAUS_C = (72.5, 32.5, 2.5, -22.5)
 DRAWS = 60
-#: Errors in so many draws with a chance of 5 % each, with three standard deviations of luck.
+#: Errors in ``DRAWS`` draws with a chance of 5 % each, with three standard deviations of luck.
 MOST = DRAWS * 0.05 + 3 * math.sqrt(DRAWS * 0.05 * 0.95)
 
 

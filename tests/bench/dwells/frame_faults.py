@@ -76,7 +76,7 @@ class Recording:
         return replace(doubled, frames=doubled.frames.with_fields(data=payload))
 
     def with_foreign_frames(self, each):
-        """So many frames of other nodes after each frame."""
+        """``each`` frames of other nodes after each frame."""
         foreign = np.repeat(np.arange(len(self.frames)), 1 + each)
         loaded = self.arriving(foreign)
         identifiers = loaded.frames.arbitration_id.copy()

@@ -41,7 +41,7 @@ print(results, hits, misses, "numba.np.arraymath" in sys.modules, bool(optimized
 
 
 def used(folder, count, processes=1):
-    """What new processes print that use so many of the kernels at the same time."""
+    """What new processes print that use ``count`` of the kernels at the same time."""
     environment = os.environ | {"NUMBA_CACHE_DIR": str(folder / "cache")}
     command = [sys.executable, str(folder / "kernels_to_use.py"), str(count)]
     with ExitStack() as started:

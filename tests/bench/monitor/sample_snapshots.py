@@ -71,7 +71,7 @@ def window(until_s, drift=1.0):
 
 
 def measured_dwells(count):
-    """So many dwells in order, the fifth with a flag."""
+    """Dwells in order, the fifth with a flag."""
     done = []
     for index in range(count):
         position, gyro_c = POSITIONS[index % 6], STOPS_C[index // 6] + 13.0

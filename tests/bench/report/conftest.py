@@ -37,7 +37,7 @@ NOTHING: Triple = (math.nan, math.nan, math.nan)
 
 
 def made_up_dwells(parting_dph: float = 0.008, cycles: int = 2) -> list[DwellRow]:
-    """Six temperatures in each cycle, six positions at each; the biases part below 50 degC by so much."""
+    """Six temperatures in each cycle, six positions at each; below 50 degC the biases part."""
     random, paper_random = np.random.default_rng(1), np.random.default_rng(2)
     rows = []
     for cycle in range(1, cycles + 1):

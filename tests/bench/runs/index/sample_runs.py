@@ -16,7 +16,7 @@ def emulated_run(folder):
 
 
 def copy_run(source, path, unit="1001", started="2026-01-05T08:00:00+00:00", x_dph=0.0):
-    """Copy a run as one of another unit at another time, whose x gyro has so much more bias."""
+    """Copy a run as one of another unit at another time, with ``x_dph`` added to the bias of the x gyro."""
     shutil.copytree(source, path, ignore=shutil.ignore_patterns("closure"))
     folder = RunFolder(path)
     rows = [
