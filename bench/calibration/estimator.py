@@ -189,10 +189,9 @@ def _problem(
 
 
 def _widening(problem: CalibrationProblem, found: Estimates, is_observed: BoolArray) -> tuple[float, str]:
-    """Factor on the uncertainties by which the noise explains the residuals, and that as text; 1 and empty.
+    """Factor on the uncertainties with which the noise explains the residuals, and that as text.
 
-    Raises MeasurementError if the factor is too large, or as
-    :meth:`~.problem.CalibrationProblem.check_alternatives`.
+    Raises MeasurementError if it is too large, or as :meth:`CalibrationProblem.check_alternatives`.
     """
     if found.fit.p_value >= UNEXPLAINED_P_VALUE:
         return 1.0, ""

@@ -280,7 +280,7 @@ def _ramp_variables(entries: Steps) -> set[str]:
 
 
 #: Checks and plans a changed procedure for the same station.
-Planner = Callable[[Document], Plan]
+ProcedurePlanner = Callable[[Document], Plan]
 
 _SENSORS = ("measure the temperature of each gyro's electronics",)
 
@@ -301,7 +301,7 @@ class Advice:
 def advise(
     document: Document,
     plan: Plan,
-    planner: Planner,
+    planner: ProcedurePlanner,
     unit: UnitProperties,
     present: Separability,
     target_dph: float,
@@ -347,7 +347,7 @@ def advise(
 
 
 def advise_ties(
-    document: Document, plan: Plan, planner: Planner, unit: UnitProperties, closure: Closure
+    document: Document, plan: Plan, planner: ProcedurePlanner, unit: UnitProperties, closure: Closure
 ) -> list[Advice]:
     """Find the smallest change after which each tie of a closure is expected to be settled.
 
@@ -371,7 +371,7 @@ def advise_ties(
 
 
 def _changed(
-    document: Document, plan: Plan, planner: Planner, unit: UnitProperties
+    document: Document, plan: Plan, planner: ProcedurePlanner, unit: UnitProperties
 ) -> list[tuple[tuple[str, ...], float, Plan, UnitProperties]]:
     """Instructions, added time, plan and unit of each change, shortest added time first."""
     result = []

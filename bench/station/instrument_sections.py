@@ -61,7 +61,7 @@ def without_password(address: str) -> str:
 
 
 Range = Annotated[list[float], Field(min_length=2, max_length=2), AfterValidator(_low_first)]
-Port = Annotated[
+SerialPort = Annotated[
     str, Field(min_length=1, description="serial device or pyserial URL"), AfterValidator(without_password)
 ]
 Identity = Annotated[
@@ -90,7 +90,7 @@ class DialectSection(StrictModel):
 
     dialect: str = Field(description="command language")
     identity: Identity = ""
-    port: Port
+    port: SerialPort
     baudrate: int | None = Field(
         None, gt=0, description="bit/s of a serial device; by default that of the dialect"
     )

@@ -276,7 +276,7 @@ class SequenceCommand(Command):
         return self.rpy_321 if sequence is EulerSequence.RPY_321 else self.pry_231
 
 
-Vector = Annotated[list[int], Field(min_length=3, max_length=3)]
+IntVector = Annotated[list[int], Field(min_length=3, max_length=3)]
 
 
 class TermIndices(StrictModel):
@@ -287,15 +287,15 @@ class TermIndices(StrictModel):
     gradient_dph_per_k: int | None = Field(None, description="index: electronics above optics")
     difference_low_k: int | None = Field(None, description="index: lowest difference used")
     difference_high_k: int | None = Field(None, description="index: highest difference used")
-    saturating_dph_per_k: Vector | None = Field(
+    saturating_dph_per_k: IntVector | None = Field(
         None, description="indices: difference along Up, below the onset"
     )
-    growing_dph_per_k: Vector | None = Field(
+    growing_dph_per_k: IntVector | None = Field(
         None, description="indices: difference along Up, the more the colder"
     )
     onset_c: int | None = Field(None, description="index: temperature of the onset")
     onset_width_c: int | None = Field(None, description="index: width of the onset")
-    gravity_dph_per_g: Vector | None = Field(None, description="indices: gravity along x, y, z")
+    gravity_dph_per_g: IntVector | None = Field(None, description="indices: gravity along x, y, z")
     warm_up_dph: int | None = Field(None, description="index: bias at power-on")
     warm_up_s: int | None = Field(None, description="index: time constant of the warm-up")
     hysteresis_dph_per_k: int | None = Field(None, description="index: play of the temperature")
@@ -321,9 +321,9 @@ _REQUIRED_WITH = {
 class CorrectionIndices(StrictModel):
     """First of the eight indices of each other coefficient of a sensor: see :meth:`Correction.numbers`."""
 
-    gyro: Vector = Field(description="first indices: how much the gyro senses of rates about x, y, z")
+    gyro: IntVector = Field(description="first indices: how much the gyro senses of rates about x, y, z")
     accelerometer_bias: int = Field(description="first index: bias of the accelerometer")
-    accelerometer: Vector = Field(
+    accelerometer: IntVector = Field(
         description="first indices: how much the accelerometer senses of forces along x, y, z"
     )
 

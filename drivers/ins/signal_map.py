@@ -21,7 +21,7 @@ from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.documents import DocumentProblem, KeyPath, StrictModel
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.drivers.ins.dbc_codec import DbcCodec
-from gyrobench.drivers.ins.units import UNITS, Dimension
+from gyrobench.drivers.ins.units import SPELLINGS, Dimension
 
 
 def _is_signal_name(value: str) -> str:
@@ -488,7 +488,7 @@ _MAX_SPLIT_BITS = 52
 
 
 def _conversion(quantity: MappedQuantity, signal: Signal) -> tuple[float, float]:
-    allowed = UNITS.get(quantity.dimension)
+    allowed = SPELLINGS.get(quantity.dimension)
     if allowed is None:
         return 1.0, 0.0
     unit = quantity.source.unit if quantity.source.unit is not None else (signal.unit or "")

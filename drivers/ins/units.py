@@ -27,7 +27,7 @@ _DEGREE_RAD = np.pi / 180.0
 _ZERO_C_IN_K = 273.15
 
 #: Spellings of the units of each dimension: (gain, offset) to its SI unit or degrees Celsius.
-UNITS: MappingProxyType[Dimension, dict[str, tuple[float, float]]] = MappingProxyType(
+SPELLINGS: MappingProxyType[Dimension, dict[str, tuple[float, float]]] = MappingProxyType(
     {
         Dimension.TIME: {
             **dict.fromkeys(("s", "sec"), (1.0, 0.0)),

@@ -21,7 +21,7 @@ from gyrobench.bench.foundations.files import make_folder
 from gyrobench.bench.foundations.packages import require
 from gyrobench.bench.foundations.text import counted
 from gyrobench.bench.runs.index.selection import Selection
-from gyrobench.bench.runs.index.store import UNITS_TABLE, RunFiles, RunStore, open_store
+from gyrobench.bench.runs.index.store import UNITS, RunFiles, RunStore, open_store
 from gyrobench.bench.runs.index.tables import (
     RUN_TABLES,
     SCHEMAS,
@@ -101,14 +101,14 @@ class RunIndex:
         Raises DocumentError if the table of units is wrong.
         """
         found = {run.path: run for run in self._store.runs()}
-        units_tag = self._store.tag(UNITS_TABLE)
+        units_tag = self._store.tag(UNITS)
         is_new = rebuild or not self._is_usable()
         if is_new:
             self._remove()
         known = self._fingerprints()
         changed = [run for path, run in found.items() if known.get(path) != run.fingerprint]
-        gone = [path for path in known if path not in found and path != UNITS_TABLE]
-        if changed or gone or known.get(UNITS_TABLE) != units_tag or is_new:
+        gone = [path for path in known if path not in found and path != UNITS]
+        if changed or gone or known.get(UNITS) != units_tag or is_new:
             make_folder(self.path.parent)
             with self._connect(read_only=False) as connection:
                 if is_new:
@@ -158,16 +158,12 @@ class RunIndex:
                     progress(first + len(runs), len(changed))
 
     def _read_units(self, connection: duckdb.DuckDBPyConnection, tag: str) -> None:
-        units = (
-            parse_units(self._store.read(UNITS_TABLE).decode("utf-8-sig", "replace"), UNITS_TABLE)
-            if tag
-            else []
-        )
+        units = parse_units(self._store.read(UNITS).decode("utf-8-sig", "replace"), UNITS) if tag else []
         connection.begin()
         connection.execute("DELETE FROM units")
-        connection.execute("DELETE FROM files WHERE path = ?", [UNITS_TABLE])
+        connection.execute("DELETE FROM files WHERE path = ?", [UNITS])
         _insert(connection, "units", [asdict(unit) for unit in units])
-        _insert(connection, "files", [{"path": UNITS_TABLE, "fingerprint": tag, "problem": ""}])
+        _insert(connection, "files", [{"path": UNITS, "fingerprint": tag, "problem": ""}])
         connection.execute("UPDATE runs SET batch = '', hardware = ''")
         connection.execute(
             "UPDATE runs SET batch = units.batch, hardware = units.hardware FROM units "

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 #: Result of a search for effects.
 CLOSURE_FILE = f"{CLOSURE}/closure.json"
 #: Table of the units, in the root of the runs.
-UNITS_TABLE = "units.csv"
+UNITS = "units.csv"
 
 #: Page of that search as data, with the hash of the dwells searched.
 CLOSURE_FINDINGS = f"{CLOSURE}/findings.json"

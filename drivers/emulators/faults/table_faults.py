@@ -22,7 +22,7 @@ from gyrobench.drivers.emulators.world.table_axis import TableAxis
 from gyrobench.drivers.emulators.world.undeclared_effects import Positive
 from gyrobench.drivers.emulators.world.world import INNER, OUTER
 
-Trip = Literal["rate_trip", "tracking_error", "frame_time", "fine_feedback_loss", "coarse_feedback_loss"]
+TableTrip = Literal["rate_trip", "tracking_error", "frame_time", "fine_feedback_loss", "coarse_feedback_loss"]
 
 
 class AxisFault(Fault):
@@ -104,7 +104,7 @@ class TableTrips(AxisFault):
 
     requires = ("table", Acutrol3000Emulator)
     fault: Literal["table_trips"]
-    trip: Trip = Field("rate_trip", description="the detected fault")
+    trip: TableTrip = Field("rate_trip", description="the detected fault")
 
     def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
         bench.capable("table", Acutrol3000Emulator).trip(
