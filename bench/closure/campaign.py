@@ -298,7 +298,9 @@ def campaign_of(
         return np.array([getattr(row, name) for row in warm], dtype=np.float64)
 
     start_s, end_s, gyro_c, rate_c_per_h = map(gather, ("start_s", "end_s", "gyro_c", "gyro_rate_c_per_h"))
-    boards = gather("board_c").T
+    bias_dph, sigma_dph, boards = gather("bias_dph"), gather("sigma_dph"), gather("board_c").T
+    if not quantity.is_gyro_bias:
+        bias_dph[~is_known], sigma_dph[~is_known] = 0.0, np.inf
     whole = Campaign(
         run_names=tuple(names),
         position=tuple(row.position for row in warm),
@@ -315,10 +317,8 @@ def campaign_of(
         gyro_c=gyro_c,
         rate_c_per_h=rate_c_per_h,
         board_c=np.stack([_interpolated(start_s, board_c) for board_c in boards], axis=1),
-        bias_dph=gather("bias_dph") if quantity.is_gyro_bias else np.where(is_known, gather("bias_dph"), 0.0),
-        sigma_dph=gather("sigma_dph")
-        if quantity.is_gyro_bias
-        else np.where(is_known, gather("sigma_dph"), np.inf),
+        bias_dph=bias_dph,
+        sigma_dph=sigma_dph,
         record=record or record_of_dwells(start_s, end_s, gyro_c, rate_c_per_h),
         unit=units[0],
         held_out=np.zeros(len(warm), dtype=bool),
