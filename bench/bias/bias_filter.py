@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -49,6 +50,8 @@ _WIDE_ACCELERATION, _MAX_TRANSIENT_P_VALUE = 0.1, 0.01
 class Damping:
     """Rate at which an INS damps its velocity, with its standard uncertainty, 1/s."""
 
+    FLAG: ClassVar = "the INS damps its velocity"
+
     rate: float
     sigma: float
 
@@ -65,7 +68,7 @@ class Damping:
     def text(self) -> str:
         """Message for an INS that damps its velocity."""
         return (
-            f"the INS damps its velocity with a time constant of {1.0 / self.rate:.0f} s, so that the biases "
+            f"{self.FLAG} with a time constant of {1.0 / self.rate:.0f} s, so that the biases "
             "of the level gyros are wrong. Switch it to free inertial navigation"
         )
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, overload
 
 from gyrobench.bench.foundations.csv_tables import CsvTable, format_csv, read_text, write_text
-from gyrobench.bench.foundations.text import format_number
+from gyrobench.bench.foundations.text import flag_text, format_number
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
 #: Values of the x, y and z gyro.
@@ -114,7 +114,7 @@ class DwellRow:
     other: tuple[tuple[str, float], ...] = ()
     #: What was wrong with the dwell; empty where nothing was. A dwell with flags may be without result: NaN
     #: for its biases, their uncertainties and the gyros' temperatures.
-    flags: str = ""
+    flags: tuple[str, ...] = ()
 
 
 class PackedDwells(Sequence[DwellRow]):
@@ -224,7 +224,7 @@ def _numbers(row: DwellRow) -> Iterator[float]:
 
 def _cells(row: DwellRow) -> list[str]:
     names = [row.unit, row.run, str(row.dwell), str(row.cycle), row.position]
-    return [*names, *map(format_number, _numbers(row)), row.flags]
+    return [*names, *map(format_number, _numbers(row)), flag_text(row.flags)]
 
 
 def _row(table: CsvTable, index: int, other: Sequence[str]) -> DwellRow:
@@ -247,7 +247,7 @@ def _row(table: CsvTable, index: int, other: Sequence[str]) -> DwellRow:
         cycle=table.integer(index, "cycle"),
         position=table.choice(index, "position", POSITIONS),
         other=tuple((name, table.number(index, name, may_be_empty=True)) for name in other),
-        flags=table.text(index, "flags"),
+        flags=table.flags(index, "flags"),
         **values,
     )
     if row.end_s < row.start_s:

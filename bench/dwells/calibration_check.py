@@ -21,6 +21,7 @@ from gyrobench.bench.dwells.check_dwell import CheckDwell
 from gyrobench.bench.dwells.earlier_calibration import EarlierCalibration
 from gyrobench.bench.dwells.measure_dwell import MeasurementSetup
 from gyrobench.bench.foundations.arrays import UG_TO_MPS2, FloatArray
+from gyrobench.bench.foundations.text import flag_text
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, half_turn_pairs
 from gyrobench.bench.runs.marks import DwellMarks
 from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow
@@ -62,7 +63,7 @@ def calibration_check_rows(
 def _velocity_row(
     each: CheckDwell, calibration: EarlierCalibration, setup: MeasurementSetup
 ) -> CalibrationCheckRow:
-    row = _empty_row(each.marks, "velocity", _NORTH, [each.flags])
+    row = _empty_row(each.marks, "velocity", _NORTH, each.flags)
     if each.navigation is None:
         return row
     dwell, noise = each.navigation.dwell, each.navigation.noise
@@ -79,8 +80,8 @@ def _alignment_row(
     if second is None:
         opposite_deg = (first.marks.azimuth_deg + 180.0) % 360.0
         alone = f"no alignment at azimuth {opposite_deg:g} deg: a single one contains the table's error too"
-        return _empty_row(first.marks, "alignment", _EAST, [first.flags, alone])
-    flags = [f"dwell {each.marks.dwell}: {each.flags}" for each in (first, second) if each.flags]
+        return _empty_row(first.marks, "alignment", _EAST, (*first.flags, alone))
+    flags = [f"dwell {each.dwell}: {flag_text(each.flags)}" for each in (first, second) if each.flags]
     row = replace(_empty_row(first.marks, "alignment", _EAST, flags), turned_dwell=second.marks.dwell)
     if first.navigation is None or second.navigation is None:
         return row
@@ -118,7 +119,7 @@ def _empty_row(
         azimuth_deg=marks.azimuth_deg,
         gyro=AXES[int(np.argmax(np.abs(along)))],
         method=method,
-        flags="; ".join(flag for flag in flags if flag),
+        flags=tuple(flags),
     )
 
 
@@ -135,7 +136,7 @@ def _compared(
     along = bias.direction[axis]
     if (angle_deg := math.degrees(math.acos(min(abs(along), 1.0)))) > _MAX_ANGLE_DEG:
         oblique = f"the {row.gyro} gyro is {angle_deg:.0f} deg off: check at azimuth 0, 90, 180 or 270 deg"
-        return replace(row, flags="; ".join(flag for flag in (row.flags, oblique) if flag))
+        return replace(row, flags=(*row.flags, oblique))
     sign = math.copysign(1.0, along)
     row = replace(
         row,

@@ -42,7 +42,7 @@ class CheckDwell:
     temperatures: DwellTemperatures  #: Of the navigation.
     aligning_c: Triple  #: Mean temperatures of the gyros over the alignment.
     counts: EpochCounts  #: How the frames came.
-    flags: str  #: What was wrong; empty where nothing was.
+    flags: tuple[str, ...]  #: What was wrong; empty where nothing was.
     setup_fault: str = ""  #: What of signal map or latitude is wrong.
     are_signs_tested: bool = False  #: Whether wrong signs or axes of the velocities would have shown in it.
 
@@ -105,9 +105,8 @@ def measure_check_dwell(marks: DwellMarks, frames: FrameBlock, setup: Measuremen
     except MeasurementError as error:
         flags.append(str(error))
         setup_fault = str(error) if isinstance(error, SignalMapError) else ""
-    text = "; ".join(flags)
     return CheckDwell(
-        marks, navigation, temperatures, aligning_c, counts, text, setup_fault, are_signs_tested
+        marks, navigation, temperatures, aligning_c, counts, tuple(flags), setup_fault, are_signs_tested
     )
 
 

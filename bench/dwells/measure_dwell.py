@@ -160,14 +160,18 @@ class MeasuredDwell:
     are_signs_tested: bool = False  #: Whether wrong signs or axes of the velocities would have shown in it.
 
     @property
-    def flags(self) -> str:
+    def flags(self) -> tuple[str, ...]:
         """What was wrong; empty where nothing was."""
         return self.row.flags
 
     @property
     def is_disturbed(self) -> bool:
         """Whether a fault disturbed it, so that a repeated dwell may be better; larger noise is none."""
-        return self.estimate is None or self.flags not in ("", "; ".join(self.doubts))
+        return self.estimate is None or not set(self.flags).issubset(self.doubts)
+
+    def flagged(self, flag: str) -> MeasuredDwell:
+        """The same with one flag more."""
+        return replace(self, row=replace(self.row, flags=(*self.flags, flag)))
 
 
 def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) -> MeasuredDwell:
@@ -426,7 +430,7 @@ def _row(
         fit_ratio=estimate.fit.ratio if estimate else math.nan,
         fit_p_value=estimate.fit.p_value if estimate else math.nan,
         other=() if marks.neighbours_on is None else ((NEIGHBOURS_ON, marks.neighbours_on),),
-        flags="; ".join(flags),
+        flags=tuple(flags),
     )
 
 

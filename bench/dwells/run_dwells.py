@@ -24,10 +24,8 @@ def add_dwell(dwells: list[MeasuredDwell], measured: MeasuredDwell) -> None:
     """
     dwells.append(replace(measured, paper=None))  # the row has its results
     for index, flag in stuck_sensors([each.row for each in dwells]):
-        row = dwells[index].row
-        if flag not in row.flags:
-            flags = "; ".join(text for text in (row.flags, flag) if text)
-            dwells[index] = replace(dwells[index], row=replace(row, flags=flags))
+        if flag not in dwells[index].flags:
+            dwells[index] = dwells[index].flagged(flag)
     _flag_damping(dwells)
     _flag_setup(dwells)
     _keep_navigation_of_some(dwells)
@@ -44,11 +42,8 @@ def _flag_damping(dwells: list[MeasuredDwell]) -> None:
     if damping is None or not damping.shows(_MIN_DAMPING_P_VALUE):
         return
     for index, dwell in enumerate(dwells):
-        if dwell.estimate and "damps its velocity" not in dwell.row.flags:
-            flags = "; ".join(text for text in (dwell.row.flags, damping.text) if text)
-            dwells[index] = replace(
-                dwell, row=replace(dwell.row, flags=flags), doubts=(*dwell.doubts, damping.text)
-            )
+        if dwell.estimate and not any(flag.startswith(Damping.FLAG) for flag in dwell.flags):
+            dwells[index] = replace(dwell.flagged(damping.text), doubts=(*dwell.doubts, damping.text))
 
 
 def _flag_setup(dwells: list[MeasuredDwell]) -> None:
@@ -58,8 +53,7 @@ def _flag_setup(dwells: list[MeasuredDwell]) -> None:
         return
     for index, dwell in enumerate(dwells):
         if not dwell.setup_fault:
-            flags = "; ".join(text for text in (dwell.row.flags, fault) if text)
-            dwells[index] = replace(dwell, row=replace(dwell.row, flags=flags), setup_fault=fault)
+            dwells[index] = replace(dwell.flagged(fault), setup_fault=fault)
 
 
 def _keep_navigation_of_some(dwells: list[MeasuredDwell]) -> None:

@@ -242,10 +242,7 @@ def _with_latitude(
     numbers = {dwell.number for solution in solutions for dwell in solution.dwells}
     if not flag:
         return list(dwells)
-    return [
-        replace(each, row=replace(each.row, flags=flag)) if each.row.dwell in numbers else each
-        for each in dwells
-    ]
+    return [each.flagged(flag) if each.row.dwell in numbers else each for each in dwells]
 
 
 def _with_latitude_found(setup: MeasurementSetup, rate: UpRate | None) -> MeasurementSetup:

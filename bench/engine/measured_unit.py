@@ -12,6 +12,7 @@ from gyrobench.bench.engine.dwell_recorder import DwellRecorder
 from gyrobench.bench.engine.live_unit import LiveUnit
 from gyrobench.bench.engine.run_context import RunContext
 from gyrobench.bench.foundations.errors import SignalMapError
+from gyrobench.bench.foundations.text import flag_text
 from gyrobench.bench.procedure.plan import DwellPurpose
 from gyrobench.bench.procedure.rotations import counted_moves
 from gyrobench.bench.runs.marks import DwellMarks
@@ -53,16 +54,17 @@ class MeasuredUnit:
             return self._finish_recorded(marks, frames)
         measure = measure_check_dwell if marks.purpose is DwellPurpose.CALIBRATION_CHECK else measure_dwell
         measured = measure(marks, frames, self.run.setup)
+        flags = flag_text(measured.flags)
         is_map_wrong = bool(measured.setup_fault) and (self._contradicted or not self._has_agreed())
         self._contradicted = bool(measured.setup_fault)
         if measured.is_disturbed and not is_map_wrong and self.may_repeat(marks.dwell):
-            self.repeat_dwell(marks.dwell, measured.flags)
+            self.repeat_dwell(marks.dwell, flags)
             return False
         has_result = measured.estimate if isinstance(measured, MeasuredDwell) else measured.navigation
         self.journal.record(
             "dwell_finished",
             marks=marks.to_json(),
-            flags=measured.flags,
+            flags=flags,
             epochs=asdict(measured.counts),
             **({"signs_tested": measured.are_signs_tested} if has_result else {}),
         )
@@ -76,14 +78,14 @@ class MeasuredUnit:
                 raise SignalMapError(dwells[-1].setup_fault)
         else:
             outcome.check_dwells.append(measured)
-            text = measured.flags or "measured for the calibration check"
+            text = flags or "measured for the calibration check"
             self._noted(f"{self._named(marks)} at {marks.azimuth_deg:g} deg: {text}")
         if is_map_wrong:
             raise SignalMapError(measured.setup_fault)
         return True
 
     def _finish_recorded(self, marks: DwellMarks, frames: FrameBlock) -> bool:
-        flags = "; ".join(marks.disturbances)
+        flags = flag_text(marks.disturbances)
         if flags and self.may_repeat(marks.dwell):
             self.repeat_dwell(marks.dwell, flags)
             return False

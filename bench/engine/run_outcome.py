@@ -9,7 +9,7 @@ from gyrobench.bench.dwells.check_dwell import CheckDwell
 from gyrobench.bench.dwells.measure_dwell import MeasuredDwell
 from gyrobench.bench.dwells.rotations import RunRotations
 from gyrobench.bench.dwells.run_results import RunResults
-from gyrobench.bench.foundations.text import run_ending
+from gyrobench.bench.foundations.text import flag_text, run_ending
 from gyrobench.bench.station.safe_state import SafeAction
 
 #: What makes a finished run fail for the caller.
@@ -57,7 +57,7 @@ class RunOutcome:
         if fail_on and self.results.acceptance.verdict == "rejected":
             return "The unit is rejected: acceptance.json has the judgements."
         if fail_on == "flagged" and flagged:
-            names = "; ".join(f"dwell {row.dwell}: {row.flags}" for row in flagged[:3])
+            names = "; ".join(f"dwell {row.dwell}: {flag_text(row.flags)}" for row in flagged[:3])
             flags = f"{len(flagged)} of {len(self.dwells)} dwells are flagged: {names}"
             return f"{flags}. dwells.csv has all of them."
         return ""

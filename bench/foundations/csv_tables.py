@@ -115,6 +115,11 @@ class CsvTable:
             )
         return sys.intern(text)  # kept once, not once for each row
 
+    def flags(self, index: int, column: str) -> tuple[str, ...]:
+        """Read what :func:`gyrobench.bench.foundations.text.flag_text` writes; empty for an empty cell."""
+        text = self.text(index, column)
+        return tuple(text.split("; ")) if text else ()
+
     def choice(self, index: int, column: str, allowed: Collection[str]) -> str:
         """Read one of the allowed words."""
         text = self.text(index, column)
@@ -247,6 +252,7 @@ _READERS: Mapping[str, CellReader] = {
     "str": lambda table, index, name: sys.intern(table.text(index, name)),  # mostly a few words
     "int": CsvTable.integer,
     "int | None": lambda table, index, name: table.integer(index, name) if table.text(index, name) else None,
+    "tuple[str, ...]": CsvTable.flags,
     "float": partial(CsvTable.number, may_be_empty=True),
 }
 
@@ -262,7 +268,7 @@ def read_rows(
     readers: Mapping[str, CellReader] = MappingProxyType({}),
     columns: Mapping[str, str] = MappingProxyType({}),
 ) -> list[_RowT]:
-    """Read instances of a data class, whose fields of type str, int or float, or None, are the columns.
+    """Read instances of a data class, whose fields of type str, int, float, flags or None are the columns.
 
     ``readers``: of fields that are read otherwise. ``columns``: names of columns that are not those of their
     fields. Raises DocumentError if the file can't be read or is wrong; the message lists all problems.

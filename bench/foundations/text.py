@@ -82,10 +82,17 @@ def probability_number(probability: float) -> str:
     return f"{probability:.{2 if 0.1 <= probability <= 0.9 else 3}f}"
 
 
-def format_cell(value: str | float | None) -> str:
-    """A number by :func:`format_number`, empty for None, anything else as it is."""
+def flag_text(flags: Sequence[str]) -> str:
+    """Flags as one text, as a table has them: "door opened; the INS left navigation"."""
+    return "; ".join(flags)
+
+
+def format_cell(value: str | float | tuple[str, ...] | None) -> str:
+    """A number by :func:`format_number`, flags by :func:`flag_text`, empty for None, else as it is."""
     if value is None:
         return ""
+    if isinstance(value, tuple):
+        return flag_text(value)
     return format_number(value) if isinstance(value, float) else str(value)
 
 

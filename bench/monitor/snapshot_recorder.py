@@ -22,6 +22,7 @@ from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import write_whole
+from gyrobench.bench.foundations.text import flag_text
 from gyrobench.bench.monitor.snapshot import (
     MAX_ESTIMATES,
     MAX_MEASURED,
@@ -115,7 +116,9 @@ def _evenly_thinned(values: FloatArray, max_count: int) -> tuple[float, ...]:
 def snapshot_dwells(rows: Sequence[DwellRow]) -> tuple[SnapshotDwell, ...]:
     """Summary of each dwell."""
     return tuple(
-        SnapshotDwell(row.dwell, row.cycle, row.position, row.gyro_c, row.bias_dph, row.sigma_dph, row.flags)
+        SnapshotDwell(
+            row.dwell, row.cycle, row.position, row.gyro_c, row.bias_dph, row.sigma_dph, flag_text(row.flags)
+        )
         for row in rows
     )
 
@@ -189,7 +192,7 @@ def _unit_status(bench: LiveBench, number: str, outcome: RunOutcome, bins: tuple
         dwells=len(outcome.finished),
         bias_dph=newest[0].bias_dph if newest else _UNKNOWN,
         sigma_dph=newest[0].sigma_dph if newest else _UNKNOWN,
-        flags=newest[0].flags if newest else "",
+        flags=flag_text(newest[0].flags) if newest else "",
         dropped=outcome.reason if outcome.ended == "failed" else "",
         position=newest[0].position if newest else "",
         flagged=sum(bool(dwell.row.flags) for dwell in outcome.dwells),

@@ -22,7 +22,7 @@ from gyrobench.bench.engine.observers import ObserverGroup, RunObserver
 from gyrobench.bench.engine.operator import ConsentingOperator, Operator, RunCommand
 from gyrobench.bench.engine.run_outcome import RunOutcome
 from gyrobench.bench.foundations.clock import WallClock
-from gyrobench.bench.foundations.text import counted, hours_minutes
+from gyrobench.bench.foundations.text import counted, flag_text, hours_minutes
 from gyrobench.bench.monitor.snapshot import RunSnapshot
 from gyrobench.bench.monitor.snapshot_recorder import SnapshotRecorder
 from gyrobench.bench.monitor.terminal import (
@@ -199,7 +199,7 @@ class LinesView(RunObserver):
         head = f"{number} {row.cycle:5d}  {row.position:<7s} {row.gyro_c[0]:6.1f}"
         if row.flags:
             self._console.print(f"{head}  flagged", highlight=False)
-            self._console.print(Padding(Text(row.flags), (0, 0, 0, _INDENT), expand=False))
+            self._console.print(Padding(Text(flag_text(row.flags)), (0, 0, 0, _INDENT), expand=False))
             return
         values = " ".join(
             f"{bias * 1e3:+z7.2f} ±{sigma * 1e3:<4.2f}"

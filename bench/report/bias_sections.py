@@ -12,7 +12,7 @@ from types import MappingProxyType
 from gyrobench.bench.bias.bins import BiasBin, PositionComparison, compare_positions, paper_bins
 from gyrobench.bench.bias.dwell_table import DwellRow, paper_rows
 from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits, Judgement, Verdict
-from gyrobench.bench.foundations.text import bin_label, hours_minutes, listed
+from gyrobench.bench.foundations.text import bin_label, flag_text, hours_minutes, listed
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.report.content import RunContent
 from gyrobench.bench.report.figures.bias import before_after_figure
@@ -243,7 +243,7 @@ def dwells_section(rows: Sequence[DwellRow], empty: str) -> Section:
         lines.append(_dwell_cells(row, scale))
         marks.append("doubtful" if row.flags else "")
         if row.flags:
-            lines.append(["", f"flagged: {row.flags}"])
+            lines.append(["", f"flagged: {flag_text(row.flags)}"])
             marks.append("doubtful")
     header = ["position", "dwell", "cycle", "start", "chamber set", *(f"{gyro_label(gyro)}" for gyro in AXES)]
     header += [*(f"{gyro.upper()} bias" for gyro in AXES), "fit p"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from gyrobench.bench.foundations.text import counted
+from gyrobench.bench.foundations.text import counted, flag_text
 from gyrobench.bench.navigation.positions import gyro_label, position_label
 from gyrobench.bench.report.number_format import BiasScale, dph_with_sigma
 from gyrobench.bench.report.page import Section, SectionTable
@@ -122,7 +122,7 @@ def _flag_lines(rows: Sequence[CalibrationCheckRow]) -> list[tuple[str, str]]:
         (
             f"dwell {row.dwell}, {position_label(row.position)} at {row.azimuth_deg:g} deg, "
             f"{gyro_label(row.gyro)} by {row.method}",
-            row.flags,
+            flag_text(row.flags),
         )
         for row in rows
         if row.flags

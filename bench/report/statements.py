@@ -18,7 +18,7 @@ from gyrobench.bench.bias.noise_estimate import NoiseEstimate
 from gyrobench.bench.bias.statistics import uniformity_p_value
 from gyrobench.bench.bias.verdicts import Acceptance, Judgement, RunVerdict
 from gyrobench.bench.bias.vertical_pairs import Finding
-from gyrobench.bench.foundations.text import counted, listed
+from gyrobench.bench.foundations.text import counted, flag_text, listed
 from gyrobench.bench.navigation.positions import AXES, gyro_label, position_label
 from gyrobench.bench.report.number_format import dph_with_sigma, p_in_brackets, p_text, temperature_ranges
 from gyrobench.bench.runs.journal import RunFacts
@@ -147,7 +147,7 @@ def run_findings(
 
 def flags_sentence(rows: Sequence[DwellRow]) -> str:
     """The most frequent flag where flags keep half of the dwells out of the results; else empty."""
-    flags = Counter(row.flags for row in rows if row.flags)
+    flags = Counter(flag_text(row.flags) for row in rows if row.flags)
     if not rows or 2 * flags.total() < len(rows):
         return ""
     [(text, count)] = flags.most_common(1)

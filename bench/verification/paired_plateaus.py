@@ -30,7 +30,7 @@ class NumberedDwell(PlateauMember, Protocol):
         """Number of the dwell in the plan."""
 
     @property
-    def flags(self) -> str:
+    def flags(self) -> tuple[str, ...]:
         """What was wrong; empty where nothing was."""
 
 

@@ -35,6 +35,7 @@ from gyrobench.bench.dwells.measure_dwell import (
 from gyrobench.bench.dwells.run_dwells import add_dwell
 from gyrobench.bench.dwells.run_results import evaluate
 from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN
+from gyrobench.bench.foundations.text import flag_text
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.station.station import Station
 from tests.adversarial.frames import dwell_frames
@@ -177,7 +178,7 @@ def measure_run(case: Case, random: np.random.Generator) -> MeasuredRun:
     vertical = [POSITIONS[dwell.row.position].up_axis for dwell in dwells]
     return MeasuredRun(
         error_dph / sigma_dph,
-        [dwell.row.flags for dwell in dwells],
+        [flag_text(dwell.flags) for dwell in dwells],
         np.arange(3) != np.array(vertical)[:, np.newaxis],
         error_dph,
         noted,

@@ -85,7 +85,7 @@ def test_an_injection_has_the_gravest_outcome_before_the_next():
     assert outcomes_of([], entries) == []
 
 
-def row(bias_dph, flags=""):
+def row(bias_dph, flags=()):
     return DwellRow(
         unit="1", run="1", dwell=1, cycle=1, position="z_up", start_s=0.0, end_s=1.0, since_power_on_s=0.0,
         gyro_c=(20.0,) * 3, gyro_rate_c_per_h=(0.0,) * 3,

@@ -18,7 +18,7 @@ from gyrobench.bench.foundations.clock import Clock, WallClock
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.operator_name import operator_name
 from gyrobench.bench.foundations.shipped import find_document
-from gyrobench.bench.foundations.text import hours_minutes, listed, plain_name
+from gyrobench.bench.foundations.text import flag_text, hours_minutes, listed, plain_name
 from gyrobench.bench.messages.delivery import read_secret
 from gyrobench.bench.procedure.plan import Plan
 from gyrobench.bench.procedure.procedure_file import load_procedure
@@ -122,7 +122,7 @@ def signal_map_checks(outcome: RunOutcome, folder: RunFolder) -> Iterator[Check]
                 scale, sigma = measured_scale([dwell.evidence])
                 found += f"; scale of the velocities {scale:.2f} ± {sigma:.2f}"
         else:
-            found = (dwell.flags if dwell else "") or unit.reason or outcome.reason
+            found = (flag_text(dwell.flags) if dwell else "") or unit.reason or outcome.reason
         yield Check.of(f"INS {number}".strip(), "signs and axes", is_good, f"{found} ({folder.path})", "")
 
 

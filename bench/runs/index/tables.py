@@ -17,6 +17,7 @@ from gyrobench.bench.bias.bins import BiasBin, parse_bins
 from gyrobench.bench.bias.dwell_table import DwellRow, parse_dwells
 from gyrobench.bench.foundations.csv_tables import CsvTable
 from gyrobench.bench.foundations.errors import RunFolderError
+from gyrobench.bench.foundations.text import flag_text
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.bench.runs.folder import (
     ACCEPTANCE,
@@ -335,8 +336,9 @@ def _dwell_values(path: str, row: DwellRow) -> dict[str, Any]:
         for name, column in _DWELL_TRIPLES.items()
         for axis, value in zip(AXES, getattr(row, name), strict=True)
     }
-    names = ("run", "dwell", "cycle", "position", *_DWELL_SCALARS, "fit_p_value", "flags")
-    return {"path": path, **{name: getattr(row, name) for name in names}, **triples}
+    names = ("run", "dwell", "cycle", "position", *_DWELL_SCALARS, "fit_p_value")
+    plain = {name: getattr(row, name) for name in names}
+    return {"path": path, **plain, **triples, "flags": flag_text(row.flags)}
 
 
 def _without_nan(row: Mapping[str, Any]) -> dict[str, Any]:

@@ -54,7 +54,8 @@ class CalibrationCheckRow:
     difference_dph: float = math.nan
     difference_sigma_dph: float = math.nan
     p_value: float = math.nan
-    flags: str = ""  #: What was wrong; empty where nothing was. A row with flags may be without numbers.
+    #: What was wrong; empty where nothing was. A row with flags may be without numbers.
+    flags: tuple[str, ...] = ()
 
     @property
     def is_compared(self) -> bool:

@@ -21,7 +21,7 @@ MOST = DRAWS * 0.05 + 3 * math.sqrt(DRAWS * 0.05 * 0.95)
 
 
 def dwell(
-    number, position, chamber_c, bias_dph, sigma_dph=SIGMA_DPH, gyro_c=None, flags="", cycle=1, run="1"
+    number, position, chamber_c, bias_dph, sigma_dph=SIGMA_DPH, gyro_c=None, flags=(), cycle=1, run="1"
 ):
     nothing = (math.nan, math.nan, math.nan)
     gyro_c = chamber_c + 12.0 if gyro_c is None else gyro_c
@@ -145,7 +145,7 @@ def test_a_run_cut_short_is_rejected_for_what_it_shows():
 
 def test_a_flagged_dwell_counts_as_not_measured():
     rows = campaign()
-    rows[2] = dwell(3, "y_up", PLATEAUS_C[0], (0.0,) * 3, flags="the INS fell silent")
+    rows[2] = dwell(3, "y_up", PLATEAUS_C[0], (0.0,) * 3, flags=("the INS fell silent",))
     (lacking, *_) = judged(rows).not_measured
     assert (lacking.chamber_set_c, lacking.position) == (60.0, "y_up")
 
@@ -153,7 +153,7 @@ def test_a_flagged_dwell_counts_as_not_measured():
 def test_a_flagged_dwell_without_temperatures_does_not_part_its_stop():
     nothing = math.nan
     rows = campaign()
-    rows[2] = replace(rows[2], chamber_set_c=nothing, gyro_c=(nothing,) * 3, flags="the INS fell silent")
+    rows[2] = replace(rows[2], chamber_set_c=nothing, gyro_c=(nothing,) * 3, flags=("the INS fell silent",))
     assert {each.position for each in judged(rows).not_measured} == {"y_up"}
 
 
@@ -170,7 +170,7 @@ def test_a_dwell_that_one_cycle_lacks_is_reported_although_another_has_it():
     again = [replace(row, dwell=row.dwell + len(rows), cycle=2) for row in rows]
     planned = plan_of([*rows, *again])
     assert judged([*rows, *again], planned=planned).verdict == "accepted"
-    again[2] = replace(again[2], flags="the INS fell silent")
+    again[2] = replace(again[2], flags=("the INS fell silent",))
     result = judged([*rows, *again], planned=planned)
     assert result.verdict == "not judged"
     assert {(each.cycle, each.position) for each in result.not_measured} == {(2, "y_up")}

@@ -138,7 +138,7 @@ def test_common_errors_of_opposite_sign_cancel_in_a_bin():
 
 def test_flagged_dwells_have_a_budget_and_are_in_no_bin():
     good, flagged = dwells_of({"angle_random_walk": part(1e-3)})
-    flagged = replace(flagged, row=replace(flagged.row, flags="the table moved"))
+    flagged = replace(flagged, row=replace(flagged.row, flags=("the table moved",)))
     found = budgets([good, flagged])
     assert [each.dwell for each in found if each.gyro == "x"] == [0, 1, None]
     assert contribution(found[-1].budget, "angle_random_walk").sigma == pytest.approx(1e-3)

@@ -45,7 +45,7 @@ def test_values_that_scatter_less_than_their_uncertainties_leave_room_for_a_scat
 def test_a_power_cycle_with_a_flagged_dwell_is_left_out() -> None:
     random = np.random.default_rng(3)
     rows = power_cycles(random, 8, 0.001, 0.001)
-    rows[3] = replace(rows[3], flags="disturbed", bias_dph=(9.0, 9.0, 9.0))
+    rows[3] = replace(rows[3], flags=("disturbed",), bias_dph=(9.0, 9.0, 9.0))
     result = turn_on_repeatability(rows)
     assert result.notes[0].startswith("1 power cycle left out")
     assert max(each.value for each in result.coefficients) < 0.1

@@ -16,17 +16,17 @@ class Measured:
 @pytest.mark.parametrize(
     ("verdict", "flags", "fail_on", "reason"),
     [
-        ("accepted", "", "flagged", ""),
-        ("rejected", "", None, ""),
-        ("rejected", "", "rejected", "The unit is rejected"),
-        ("rejected", "", "flagged", "The unit is rejected"),
-        ("accepted", "moved", "rejected", ""),
-        ("accepted", "moved", "flagged", "1 of 2 dwells are flagged: dwell 7: moved."),
+        ("accepted", (), "flagged", ""),
+        ("rejected", (), None, ""),
+        ("rejected", (), "rejected", "The unit is rejected"),
+        ("rejected", (), "flagged", "The unit is rejected"),
+        ("accepted", ("moved",), "rejected", ""),
+        ("accepted", ("moved",), "flagged", "1 of 2 dwells are flagged: dwell 7: moved."),
     ],
 )
 def test_a_finished_run_falls_short_of_what_its_caller_asks(verdict, flags, fail_on, reason):
     outcome = RunOutcome(
-        dwells=[Measured(""), Measured(flags)], results=RunResults(acceptance=Acceptance(verdict=verdict))
+        dwells=[Measured(()), Measured(flags)], results=RunResults(acceptance=Acceptance(verdict=verdict))
     )
     assert outcome.shortcoming(fail_on).startswith(reason)
     assert bool(outcome.shortcoming(fail_on)) == bool(reason)

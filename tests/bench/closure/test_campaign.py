@@ -30,14 +30,14 @@ def test_up_points_along_the_axis_that_the_position_names(rows):
 
 
 def test_dwells_with_flags_are_left_out(rows):
-    flagged = [replace(row, flags="vibration") if row.dwell in (3, 4) else row for row in rows]
+    flagged = [replace(row, flags=("vibration",)) if row.dwell in (3, 4) else row for row in rows]
     assert {3, 4}.isdisjoint(campaign_of(flagged).dwell)
     assert len(campaign_of(flagged)) == len(rows) - 2
 
 
 def test_a_table_of_flagged_dwells_is_refused(rows):
     with pytest.raises(MeasurementError, match="has a result without flags"):
-        campaign_of([replace(row, flags="vibration") for row in rows])
+        campaign_of([replace(row, flags=("vibration",)) for row in rows])
 
 
 def test_dwells_of_two_units_are_not_mixed(rows):
@@ -47,7 +47,7 @@ def test_dwells_of_two_units_are_not_mixed(rows):
 
 def test_a_flagged_dwell_of_another_unit_is_not_mixed_in_either(rows):
     with pytest.raises(MeasurementError, match="2 units"):
-        campaign_of([replace(rows[0], unit="T2", flags="aborted"), *rows[1:]])
+        campaign_of([replace(rows[0], unit="T2", flags=("aborted",)), *rows[1:]])
 
 
 def test_a_dwell_of_another_unit_without_temperatures_does_not_count(rows):
@@ -65,7 +65,7 @@ def test_dwells_without_a_gyros_temperature_are_named(rows):
     blind = [
         replace(row, gyro_c=(row.gyro_c[0], np.nan, row.gyro_c[2])) if row.dwell == 9 else row for row in rows
     ]
-    blind[3] = replace(blind[3], gyro_rate_c_per_h=(np.nan,) * 3, flags="aborted")
+    blind[3] = replace(blind[3], gyro_rate_c_per_h=(np.nan,) * 3, flags=("aborted",))
     campaign = campaign_of(blind)
     assert campaign.without_temperatures == (4, 9)
     assert {4, 9}.isdisjoint(campaign.whole.dwell)
@@ -79,7 +79,7 @@ def test_a_table_with_good_dwells_alone_is_whole(rows):
 
 def test_flagged_dwells_contribute_to_the_course_of_temperatures(rows):
     # One of them is the dwell with the power-on, and one the first of the second cycle.
-    flagged = [replace(row, flags="vibration") if row.dwell in (7, 38, 39) else row for row in rows]
+    flagged = [replace(row, flags=("vibration",)) if row.dwell in (7, 38, 39) else row for row in rows]
     campaign, undisturbed = campaign_of(flagged), campaign_of(rows)
     good = np.array([not row.flags for row in flagged])
     whole, chosen = campaign.part_of

@@ -98,7 +98,7 @@ def test_every_dwell_has_its_predictions_held_out_ones_too(explained):
 
 def test_dwells_without_a_result_are_predicted_too_and_those_without_temperatures_have_empty_cells():
     rows = measure({"g_sensitivity": 4.0}, cycles=2).rows
-    rows[4] = replace(rows[4], flags="vibration", bias_dph=(np.nan,) * 3)
+    rows[4] = replace(rows[4], flags=("vibration",), bias_dph=(np.nan,) * 3)
     rows[8] = replace(rows[8], gyro_c=(np.nan,) * 3)
     closure = close_loop(campaign_of(rows), effects=[G_SENSITIVITY])
     predicted = {int(row.pop("dwell")): [*row.values()] for row in predictions(closure)}

@@ -162,7 +162,7 @@ def test_a_tied_effect_is_loaded_with_a_note():
 
 def test_a_heat_flow_unknown_in_flagged_dwells_is_left_out():
     rows = [
-        replace(row, flags="vibration", board_c=(np.nan,) * 3) if row.dwell % 7 == 0 else row
+        replace(row, flags=("vibration",), board_c=(np.nan,) * 3) if row.dwell % 7 == 0 else row
         for row in measure({"attitude_thermal": 5.0}).rows
     ]
     closure = close_loop(campaign_of(rows), effects=[attitude_thermal.EFFECT])

@@ -51,7 +51,7 @@ def test_pauses_leave_the_sensors_alone_to_say_it():
 
 def test_flagged_dwells_in_between_are_no_pauses():
     rows = measure(cycles=2, attitude_convection=0.3, sensors=("case",)).rows
-    flagged = [replace(row, flags="vibration") if row.dwell % 7 == 0 else row for row in rows]
+    flagged = [replace(row, flags=("vibration",)) if row.dwell % 7 == 0 else row for row in rows]
     good = np.array([not row.flags for row in flagged])
     np.testing.assert_array_equal(campaign_of(flagged).above_optics_c, campaign_of(rows).above_optics_c[good])
 

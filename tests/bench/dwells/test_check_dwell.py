@@ -28,7 +28,7 @@ def recorded(short_run):
 def test_one_navigation_is_taken_with_temperatures_of_both_its_parts(recorded):
     marks, frames, setup, _ = recorded
     verified = measure_check_dwell(marks, frames, setup)
-    assert verified.flags == ""
+    assert verified.flags == ()
     (window,) = verified.navigation.dwell.windows
     np.testing.assert_allclose(np.diff(window.time_s), 1.0, atol=1e-6)
     assert verified.navigation.noise == setup.noise
@@ -41,7 +41,7 @@ def test_one_navigation_is_taken_with_temperatures_of_both_its_parts(recorded):
 def test_noise_that_is_not_declared_is_estimated_from_all_epochs(recorded):
     marks, frames, setup, _ = recorded
     verified = measure_check_dwell(marks, frames, replace(setup, noise=None))
-    assert verified.flags == ""
+    assert verified.flags == ()
     assert verified.navigation.noise.angle_random_walk == pytest.approx(
         setup.noise.angle_random_walk, rel=0.5
     )
@@ -52,21 +52,21 @@ def test_an_alignment_in_the_window_is_no_navigation(recorded):
     early = replace(marks, windows=(replace(marks.windows[0], first_frame=0),))
     verified = measure_check_dwell(early, frames, setup)
     assert verified.navigation is None
-    assert "left navigation" in verified.flags
+    assert "left navigation" in str(verified.flags)
 
 
 def test_without_frames_there_is_nothing_and_the_flag_says_why(recorded):
     marks, frames, setup, _ = recorded
     verified = measure_check_dwell(marks, frames.take(slice(0, 0)), setup)
     assert verified.navigation is None
-    assert "no navigation frames" in verified.flags
+    assert "no navigation frames" in str(verified.flags)
 
 
 def test_two_navigations_are_no_verification(recorded):
     _, frames, setup, both = recorded
     verified = measure_check_dwell(both, frames, setup)
     assert verified.navigation is None
-    assert "2 navigations; a calibration check has one" in verified.flags
+    assert "2 navigations; a calibration check has one" in str(verified.flags)
 
 
 def test_an_ins_that_is_silent_while_it_aligns_has_the_temperatures_of_the_navigation(recorded):
@@ -76,14 +76,14 @@ def test_an_ins_that_is_silent_while_it_aligns_has_the_temperatures_of_the_navig
     silent = frames.take(slice(first - 40, None))
     shifted = replace(marks, windows=(replace(marks.windows[0], first_frame=40, end_frame=end - first + 40),))
     verified = measure_check_dwell(shifted, silent, setup)
-    assert verified.flags == ""
+    assert verified.flags == ()
     assert verified.aligning_c == verified.temperatures.gyro_c
 
 
 def test_disturbances_stay_and_what_is_there_is_taken(recorded):
     marks, frames, setup, _ = recorded
     verified = measure_check_dwell(replace(marks, disturbances=("door opened",)), frames, setup)
-    assert verified.flags == "door opened"
+    assert verified.flags == ("door opened",)
     assert verified.navigation is not None
 
 
@@ -94,4 +94,4 @@ def test_one_wild_velocity_is_flagged(recorded):
     velocity_rows = np.flatnonzero(frames.arbitration_id[inside] == 0x004) + inside.start
     data[velocity_rows[100]] = 0x11  # an epoch that falls on a whole second
     verified = measure_check_dwell(marks, frames.with_fields(data=data), setup)
-    assert "times as large as the noise explains" in verified.flags
+    assert "times as large as the noise explains" in str(verified.flags)

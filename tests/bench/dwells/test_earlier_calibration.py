@@ -90,7 +90,7 @@ def test_each_gyro_is_read_at_its_own_temperature():
 
 
 def test_dwells_with_flags_are_left_out():
-    good, bad = row(bias_dph=0.001), row(bias_dph=0.05, accelerometer_ug=9e3, flags="door opened")
+    good, bad = row(bias_dph=0.001), row(bias_dph=0.05, accelerometer_ug=9e3, flags=("door opened",))
     assert EarlierCalibration([good, bad], PRIOR).gyro_dph("z_up", 0, 20.0) == pytest.approx(
         (0.001, SIGMA_DPH)
     )
@@ -249,7 +249,7 @@ def test_any_points_give_a_certain_value_or_none(points, temperature_c):
         assert 0.0 < sigma < math.inf
 
 
-ROWS = [calibrated(dwell=1), calibrated("y_up", dwell=2, flags="door opened")]
+ROWS = [calibrated(dwell=1), calibrated("y_up", dwell=2, flags=("door opened",))]
 
 
 @pytest.fixture
@@ -261,8 +261,8 @@ def table(tmp_path):
 def test_a_run_folder_and_its_table_give_the_same_dwells(table):
     rows = read_calibration(table)
     assert [(row.dwell, row.position, row.flags) for row in rows] == [
-        (1, "z_up", ""),
-        (2, "y_up", "door opened"),
+        (1, "z_up", ()),
+        (2, "y_up", ("door opened",)),
     ]
     assert rows[0].accelerometer_ug == (60.0, -40.0, 50.0)
     assert read_calibration(table.parent) == rows

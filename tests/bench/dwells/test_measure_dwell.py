@@ -41,7 +41,7 @@ def test_the_row_has_the_number_of_other_units_on(recorded):
 def test_a_dwell_has_both_estimates_its_windows_and_temperatures(recorded):
     measured = measure_dwell(*recorded)
     row = measured.row
-    assert row.flags == ""
+    assert row.flags == ()
     assert row.bias_dph == tuple(measured.estimate.bias_dph)
     assert row.sigma_dph == tuple(measured.estimate.sigma_dph)
     assert row.paper_bias_dph == tuple(measured.paper.bias_dph)
@@ -56,7 +56,7 @@ def test_a_dwell_has_both_estimates_its_windows_and_temperatures(recorded):
 def test_output_that_moves_in_finer_steps_than_its_coarsest_is_not_stuck(recorded):
     marks, frames, setup = recorded
     floating = replace(setup, heading_lsb_rad=np.deg2rad(1.5e-5))  # of 180 deg in single precision
-    assert measure_dwell(marks, frames, floating).row.flags == ""
+    assert measure_dwell(marks, frames, floating).row.flags == ()
 
 
 def test_a_dwell_whose_ins_fell_back_to_alignment_has_no_bias_and_says_why(recorded):
@@ -64,14 +64,14 @@ def test_a_dwell_whose_ins_fell_back_to_alignment_has_no_bias_and_says_why(recor
     early = replace(marks.windows[0], first_frame=0)
     row = measure_dwell(replace(marks, windows=(early, marks.windows[1])), frames, setup).row
     assert has_no_numbers(row)
-    assert "left navigation" in row.flags
+    assert "left navigation" in str(row.flags)
 
 
 def test_a_dwell_without_frames_has_no_bias_and_says_why(recorded):
     marks, frames, setup = recorded
     row = measure_dwell(marks, frames.take(slice(0, 0)), setup).row
     assert has_no_numbers(row)
-    assert "no navigation frames" in row.flags
+    assert "no navigation frames" in str(row.flags)
 
 
 def test_frames_that_stopped_flag_the_dwell(recorded):
@@ -79,15 +79,15 @@ def test_frames_that_stopped_flag_the_dwell(recorded):
     second = marks.windows[1]
     row = measure_dwell(marks, frames.take(slice(0, second.first_frame + 38 * 40)), setup).row
     assert has_no_numbers(row)
-    assert "the window lasts 39.9 s" in row.flags
+    assert "the window lasts 39.9 s" in str(row.flags)
 
 
 def test_an_ins_that_uses_another_latitude_than_the_station_contradicts_the_set_up(recorded):
     marks, frames, setup = recorded
     measured = measure_dwell(marks, frames, replace(setup, site=Site(np.deg2rad(63.4), 60.0)))
     assert has_no_numbers(measured.row)
-    assert measured.setup_fault == measured.flags
-    assert measured.flags.startswith("the INS uses a latitude of 36.4000 deg, location.latitude_deg is 63.4")
+    assert (measured.setup_fault,) == measured.flags
+    assert measured.flags[0].startswith("the INS uses a latitude of 36.4000 deg, location.latitude_deg is 6")
     near = replace(setup, site=Site(np.deg2rad(36.44), 60.0))  # shows in the data of several dwells
     assert measure_dwell(marks, frames, near).setup_fault == ""
 
@@ -105,7 +105,7 @@ def test_a_gap_of_some_seconds_flags_the_dwell(recorded):
         end_frame=marks.windows[1].end_frame - gap,
     )
     measured = measure_dwell(replace(marks, windows=(before, after)), frames.take(kept), setup)
-    assert "nothing from the INS for 3" in measured.row.flags
+    assert "nothing from the INS for 3" in str(measured.row.flags)
     assert measured.counts.lost in (29, 30, 31)
 
 
@@ -114,7 +114,7 @@ def test_three_windows_give_a_bias_that_is_not_the_papers(recorded):
     whole = measure_dwell(marks, frames, setup).estimate
     three = (marks.windows[0], *halved(marks.windows[1], gap_frames=37 * 5))
     measured = measure_dwell(replace(marks, windows=three), frames, setup)
-    assert measured.row.flags == ""
+    assert measured.row.flags == ()
     assert measured.paper is None
     assert np.isnan([measured.row.paper_bias_dph, measured.row.paper_sigma_dph]).all()
     # A jump of the attitude between two windows costs a little of what they say.
@@ -127,14 +127,14 @@ def test_one_window_can_not_show_the_biases(recorded):
     marks, frames, setup = recorded
     row = measure_dwell(replace(marks, windows=marks.windows[:1]), frames, setup).row
     assert has_no_numbers(row)
-    assert "no navigation after a turn" in row.flags
+    assert "no navigation after a turn" in str(row.flags)
 
 
 def test_windows_that_overlap_flag_the_dwell(recorded):
     marks, frames, setup = recorded
     row = measure_dwell(replace(marks, windows=(*marks.windows, marks.windows[1])), frames, setup).row
     assert has_no_numbers(row)
-    assert "before the previous one ends" in row.flags
+    assert "before the previous one ends" in str(row.flags)
 
 
 def test_a_table_that_stood_elsewhere_flags_the_dwell(recorded):
@@ -142,13 +142,13 @@ def test_a_table_that_stood_elsewhere_flags_the_dwell(recorded):
     turned = replace(marks.windows[1], inner_deg=marks.windows[1].inner_deg - 90.0)
     row = measure_dwell(replace(marks, windows=(marks.windows[0], turned)), frames, setup).row
     assert has_no_numbers(row)
-    assert "INS and table in window 2 disagree by 90.0 deg" in row.flags
+    assert "INS and table in window 2 disagree by 90.0 deg" in str(row.flags)
 
 
 def test_a_disturbed_dwell_keeps_its_flag_and_its_numbers(recorded):
     marks, frames, setup = recorded
     row = measure_dwell(replace(marks, disturbances=("door opened",)), frames, setup).row
-    assert row.flags == "door opened"
+    assert row.flags == ("door opened",)
     assert np.isfinite(row.bias_dph).all()
 
 
@@ -168,7 +168,7 @@ def test_one_wild_velocity_flags_the_dwell(recorded):
     velocity_rows = np.flatnonzero(frames.arbitration_id[inside] == 0x004) + inside.start
     data[velocity_rows[100]] = 0x11
     row = measure_dwell(marks, frames.with_fields(data=data), setup).row
-    assert "times as large as the noise explains" in row.flags
+    assert "times as large as the noise explains" in str(row.flags)
 
 
 @pytest.mark.parametrize(("factor", "ratio"), [(0.2, 1.0), (5.0, 0.2)])
@@ -177,7 +177,7 @@ def test_the_uncertainty_follows_noise_that_is_larger_than_declared_alone(record
     known = measure_dwell(marks, frames, setup).row
     declared = [factor * value for value in dataclasses.astuple(setup.noise)[:4]]
     row = measure_dwell(marks, frames, replace(setup, noise=type(setup.noise)(*declared))).row
-    assert row.flags == ""
+    assert row.flags == ()
     assert row.fit_ratio == pytest.approx(ratio, rel=0.2)
     if factor < 1.0:
         assert row.sigma_dph == pytest.approx(known.sigma_dph, rel=0.1)

@@ -62,7 +62,7 @@ def results(measured):
 
 
 def flagged(dwell):
-    return replace(dwell, row=replace(dwell.row, flags="door opened"))
+    return dwell.flagged("door opened")
 
 
 def counted(bins):
@@ -184,14 +184,12 @@ def test_noise_is_estimated_from_dwells_that_the_declared_one_does_not_explain(m
     dwells, setup = measured
     flags = [lack_of_fit_text(dwell.estimate.fit) for dwell in dwells]
     unexplained = [
-        replace(dwell, row=replace(dwell.row, flags=flag), doubts=(flag,))
-        for dwell, flag in zip(dwells, flags, strict=True)
+        replace(dwell.flagged(flag), doubts=(flag,)) for dwell, flag in zip(dwells, flags, strict=True)
     ]
     found = evaluate(unexplained, setup, 5.0)
     assert (found.bins, found.joint, found.up_rate) == ([], [], None)
     assert found.noise.angle_random_walk == results.noise.angle_random_walk
-    row = replace(dwells[0].row, flags=f"door opened; {unexplained[0].row.flags}")
-    disturbed = evaluate([replace(dwells[0], row=row), *unexplained[1:]], setup, 5.0)
+    disturbed = evaluate([unexplained[0].flagged("door opened"), *unexplained[1:]], setup, 5.0)
     assert disturbed.noise.duration_s == pytest.approx(22 * 300.0, abs=30.0)
 
 

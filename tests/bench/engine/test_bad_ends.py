@@ -179,7 +179,7 @@ def test_a_velocity_mapped_with_the_wrong_sign_ends_the_run_after_its_first_dwel
     assert outcome.ended == "failed"
     assert outcome.reason.startswith("ins.signals.velocity_north has the wrong sign")
     (dwell,) = outcome.check_dwells
-    assert dwell.flags == outcome.reason
+    assert dwell.flags == (outcome.reason,)
     assert [action.problem for action in outcome.safe_state] == [""] * len(outcome.safe_state)
     assert "dwell_given_up" not in [entry["event"] for entry in read_journal(folder.journal)]
 
@@ -267,11 +267,11 @@ def test_a_run_with_a_wrong_signal_map_resumes_with_its_corrected_copy(tmp_path)
     assert outcome.ended == "failed"
     assert outcome.is_station_wrong
     assert outcome.reason.endswith("Correct the station file")
-    assert "exchanged" in outcome.dwells[0].row.flags
+    assert "exchanged" in str(outcome.dwells[0].row.flags)
     folder.station.write_text(right)
     folder, outcome = resume_run(prepare_resumption(folder.path), RunObserver(), ConsentingOperator())
     assert outcome.ended == "finished"
-    assert outcome.dwells[0].row.flags == ""
+    assert outcome.dwells[0].row.flags == ()
     notes = [entry["text"] for entry in read_journal(folder.journal) if entry["event"] == "note"]
     assert "Changed since the run began: station.yaml. All dwells are evaluated with it." in notes
     assert read_provenance(folder)["files_sha256"]["station.yaml"] == file_sha256(folder.station)

@@ -86,7 +86,7 @@ def test_each_position_shows_the_gyros_that_point_east_and_north(one_run):
 def test_without_noise_the_biases_are_those_of_the_world_and_of_the_calibration(one_run):
     for row in one_run[1].results.calibration_check:
         truth_dph = BIAS_DPH[AXES.index(row.gyro)]
-        assert row.flags == ""
+        assert row.flags == ()
         assert row.bias_dph == pytest.approx(truth_dph, abs=2e-4)
         # The windows of the calibration are short: what the output resolves shows.
         assert row.calibrated_dph == pytest.approx(truth_dph, abs=5e-4)
@@ -137,7 +137,7 @@ def test_a_later_run_is_held_against_the_calibration_of_an_earlier_one(one_run, 
     _, outcome = later_run
     assert outcome.dwells == []
     rows = outcome.results.calibration_check
-    assert [row.flags for row in rows] == [""] * 6
+    assert [row.flags for row in rows] == [()] * 6
     calibrated = [row for row in rows if row.is_compared]
     # The later run is as warm as the earlier one was at its beginning.
     assert {row.position for row in calibrated} >= {"z_up"}

@@ -87,7 +87,7 @@ def test_damage_is_named_and_given_up_only_on_command(run, tmp_path, damages, lo
     rows = read_dwells(run / "dwells.csv")
     assert sorted(row.dwell for row in rows) == [1, 2, 3, 4]
     assert [row.start_s for row in rows] == sorted(row.start_s for row in rows)
-    assert all(row.flags == "" for row in rows)
+    assert all(row.flags == () for row in rows)
     again = [row.dwell for row in rows if row.run.endswith("-1")]
     assert again == sorted({1, 2} - set(lost))
     entries = list(read_journal(run / "journal.jsonl"))

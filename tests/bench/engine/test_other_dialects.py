@@ -69,7 +69,7 @@ def run_on(tmp_path):
 def test_a_procedure_runs_as_on_any_other_bench(run_on, bench):
     _, outcome = run_on(**bench)
     assert outcome.ended == "finished", outcome.reason
-    assert [dwell.row.flags for dwell in outcome.dwells] == ["", ""]
+    assert [dwell.row.flags for dwell in outcome.dwells] == [(), ()]
     np.testing.assert_allclose([dwell.row.chamber_c for dwell in outcome.dwells], [30.0, 20.0], atol=1.0)
 
 

@@ -27,7 +27,7 @@ def finished(request, tmp_path_factory):
 def test_the_biases_are_the_true_ones_within_what_the_resolution_allows(finished):
     _, folder, _ = finished
     [row] = read_dwells(folder.dwells)
-    assert row.flags == ""
+    assert row.flags == ()
     for bias_dph, true_dph, sigma_dph in zip(row.bias_dph, TRUE_DPH, row.sigma_dph, strict=True):
         assert abs(bias_dph - true_dph) < 2.0 * sigma_dph
 

@@ -89,7 +89,7 @@ def resumed(path):
 def assert_agree(rows, others):
     assert [(row.dwell, row.position) for row in rows] == [(row.dwell, row.position) for row in others]
     for row, other in zip(rows, others, strict=True):
-        assert row.flags == ""
+        assert row.flags == ()
         for bias, sigma, bias_2, sigma_2 in zip(
             row.bias_dph, row.sigma_dph, other.bias_dph, other.sigma_dph, strict=True
         ):

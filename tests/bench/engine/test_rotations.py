@@ -85,7 +85,7 @@ def job(tmp_path):
 def assert_recorded(folder, job):
     """Two dwells, of which the second has every rest and rotation, its frames in the log."""
     (row,) = read_dwells(folder.dwells)
-    assert (row.dwell, row.position, row.flags) == (1, "z_up", "")
+    assert (row.dwell, row.position, row.flags) == (1, "z_up", ())
     _, marks = finished_marks(folder)
     assert (marks.dwell, marks.position, marks.purpose) == (2, "y_up", DwellPurpose.ROTATIONS)
     assert marks.disturbances == ()

@@ -91,7 +91,7 @@ def test_each_unit_has_its_dwells_in_its_run_folder(whole):
     assert list(outcome.units) == NUMBERS == [unit.path.name for unit in folder.unit_folders]
     for number in NUMBERS:
         rows = read_dwells(folder.unit(number).dwells)
-        assert [(row.dwell, row.unit, row.flags) for row in rows] == [(n, number, "") for n in range(1, 5)]
+        assert [(row.dwell, row.unit, row.flags) for row in rows] == [(n, number, ()) for n in range(1, 5)]
     assert not folder.dwells.exists()
 
 
@@ -153,7 +153,7 @@ def test_a_killed_run_resumes_with_all_units(files, whole, tmp_path):
         rows, others = (read_dwells(each.unit(number).dwells) for each in (folder, whole[0]))
         assert rows[:2] == others[:2]
         for row, other in zip(rows[2:], others[2:], strict=True):
-            assert (row.dwell, row.position, row.flags) == (other.dwell, other.position, "")
+            assert (row.dwell, row.position, row.flags) == (other.dwell, other.position, ())
             for bias, sigma, bias_2, sigma_2 in zip(
                 row.bias_dph, row.sigma_dph, other.bias_dph, other.sigma_dph, strict=True
             ):

@@ -70,7 +70,7 @@ def test_a_dwell_in_real_time_gives_the_bias_through_real_ports(run_procedure, s
     folder, outcome, _ = run_procedure(procedure, tmp_path / "run", station=served_station)
     assert outcome.ended == "finished", outcome.reason
     (row,) = read_dwells(folder.dwells)
-    assert row.flags == ""
+    assert row.flags == ()
     assert row.unit == "1000"
     # One minute on each side: steps of 1e-4 m/s alone are worth some thousandths of a degree per hour.
     for measured, true in zip(row.bias_dph, (0.003, -0.002, 0.004), strict=True):

@@ -27,7 +27,7 @@ def test_every_dwell_is_measured_without_a_flag(shift_runs, world):
     assert outcome.ended == "finished", outcome.reason
     rows = read_dwells(folder.dwells)
     assert [row.dwell for row in rows] == list(range(1, 13))
-    assert [row.flags for row in rows] == [""] * 12
+    assert [row.flags for row in rows] == [()] * 12
     assert {row.position for row in rows} == {"z_up", "z_down", "y_up", "y_down"}
 
 

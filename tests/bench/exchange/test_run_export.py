@@ -10,6 +10,7 @@ import pytest
 from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.exchange.run_export import DataKind, ExportSelection, Format, export_run
 from gyrobench.bench.foundations.errors import DocumentError, RunFolderError
+from gyrobench.bench.foundations.text import flag_text
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.telemetry import read_telemetry
 
@@ -41,7 +42,7 @@ def test_dwells_are_read_back_by_pandas_with_types(usual, two_dwells):
     assert table["unit"].tolist() == [row.unit for row in rows]
     assert table["position"].tolist() == ["z_up", "x_up"]
     assert table["bias_x_dph"].tolist() == [row.bias_dph[0] for row in rows]
-    assert table["flags"].tolist() == [row.flags for row in rows]
+    assert table["flags"].tolist() == [flag_text(row.flags) for row in rows]
 
 
 def test_columns_say_their_units_and_files_where_they_came_from(usual, two_dwells):

@@ -49,7 +49,7 @@ def test_a_dwell_is_one_line_under_its_heads_within_80_columns():
 
 
 def test_a_flagged_dwell_shows_its_reason_and_no_number():
-    flagged = replace(ROW, bias_dph=(math.nan,) * 3, flags="the INS left navigation")
+    flagged = replace(ROW, bias_dph=(math.nan,) * 3, flags=("the INS left navigation",))
     line, reason = printed(flagged)[-2:]
     assert line.endswith("flagged")
     assert reason.rstrip() == "        the INS left navigation"
@@ -58,7 +58,7 @@ def test_a_flagged_dwell_shows_its_reason_and_no_number():
 
 def test_a_long_reason_is_folded_and_stays_indented():
     reason = "the INS left navigation at 12.3 s; " * 6
-    lines = printed(replace(ROW, flags=reason.strip()))
+    lines = printed(replace(ROW, flags=(reason.strip(),)))
     below = lines[next(n for n, line in enumerate(lines) if line.endswith("flagged")) + 1 :]
     assert len(below) > 2
     assert all(line.startswith(" " * 8) and len(line) <= 80 for line in below)

@@ -89,7 +89,7 @@ def without_paper(row: DwellRow) -> DwellRow:
 def flagged(row: DwellRow, reason: str) -> DwellRow:
     """Make the dwell one that gave no bias."""
     nothing = {"bias_dph": NOTHING, "sigma_dph": NOTHING, "fit_ratio": math.nan, "fit_p_value": math.nan}
-    return replace(without_paper(row), **nothing, flags=reason)
+    return replace(without_paper(row), **nothing, flags=(reason,))
 
 
 def made_up_joint(rows: list[DwellRow]) -> tuple[list[JointBiasRow], list[JointPlateauRow]]:

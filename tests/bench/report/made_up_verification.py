@@ -81,7 +81,7 @@ def compare(closure, residual_dph, notes=(), lost=()):
 
 
 def _with_flags(rows, name, lost):
-    flags = {True: "the table moved", False: ""}
+    flags = {True: ("the table moved",), False: ()}
     return [replace(row, flags=flags[(name, row.dwell) in lost]) for row in rows]
 
 

@@ -50,7 +50,7 @@ UNCALIBRATED = replace(
     p_value=NOTHING,
 )
 FLAGGED = CalibrationCheckRow(
-    "U7", "R2", 5, None, 1, "z_up", 180.0, "y", "velocity", flags="the INS left navigation"
+    "U7", "R2", 5, None, 1, "z_up", 180.0, "y", "velocity", flags=("the INS left navigation",)
 )
 
 

@@ -20,7 +20,7 @@ def test_what_comes_from_files_is_text_in_the_report(run_folder, tmp_path):
     shutil.copytree(run_folder.path, folder.path, ignore=shutil.ignore_patterns("seals"))
     hostile = json.dumps(SCRIPT + IMAGE)
     rows = read_dwells(folder.dwells)[:6]
-    rows[0] = replace(rows[0], unit=SCRIPT + IMAGE, run=SCRIPT, flags=SCRIPT + IMAGE)
+    rows[0] = replace(rows[0], unit=SCRIPT + IMAGE, run=SCRIPT, flags=(SCRIPT + IMAGE,))
     write_dwells(folder.dwells, rows)
     for path in (folder.procedure, folder.station):
         path.write_text(f"{path.stem}: {hostile}\ndescription: {hostile}\nassumptions: [{hostile}]\n")

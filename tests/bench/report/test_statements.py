@@ -157,7 +157,7 @@ def test_verdict_seldom_blames_chance() -> None:
 def test_the_flag_that_keeps_half_of_the_dwells_out_is_stated(dwells: list[DwellRow]) -> None:
     assert flags_sentence(dwells) == ""
     assert flags_sentence([]) == ""
-    half = [replace(row, flags="no signal" if number % 2 else "") for number, row in enumerate(dwells)]
+    half = [replace(row, flags=("no signal",) if number % 2 else ()) for number, row in enumerate(dwells)]
     assert f"{len(half) // 2} of {len(half)} dwells" in flags_sentence(half)
     assert flags_sentence(half).endswith(": no signal")
 

@@ -68,7 +68,7 @@ def test_each_plateau_has_its_position_relative_to_the_fit():
 
 def test_dwells_with_flags_are_left_out():
     rows = rows_of(0.0)
-    rows[3] = replace(rows[3], flags="the table moved", bias_dph=(9.0, 9.0, 9.0))
+    rows[3] = replace(rows[3], flags=("the table moved",), bias_dph=(9.0, 9.0, 9.0))
     total = compensation_result("none", rows, [], SITE, FITTED_C).total
     assert total.dwells == 13
     assert total.bias_rms_dph < 0.01

@@ -45,7 +45,7 @@ def test_dwells_on_a_ramp_are_grouped_alike_though_one_is_missing():
     """Alone, the second run would group 4 K and 9 K below the first dwell together, not 0 K and 4 K."""
     ramp = at(rows_of(0.0)[:3], d1=45.0, d2=41.0, d3=36.5)
     assert numbers(pair_dwells([ramp, ramp[1:]])) == [[[1, 2], [2]], [[3], [3]]]
-    flagged = [replace(ramp[0], flags="the table moved", gyro_c=(np.nan,) * 3), *ramp[1:]]
+    flagged = [replace(ramp[0], flags=("the table moved",), gyro_c=(np.nan,) * 3), *ramp[1:]]
     assert numbers(pair_dwells([ramp, flagged])) == [[[1, 2], [2]], [[3], [3]]]
 
 
@@ -53,7 +53,7 @@ def test_a_set_point_that_a_cycle_visits_twice_stays_two_plateaus_without_the_on
     first, between, second = rows_of(0.0)[0], rows_of(0.0)[6], rows_of(0.0)[9]
     second = replace(second, gyro_c=first.gyro_c, chamber_set_c=first.chamber_set_c)
     whole = [first, between, second]
-    without = [first, replace(between, flags="the table moved"), second]
+    without = [first, replace(between, flags=("the table moved",)), second]
     assert numbers(pair_dwells([whole, without])) == [[[1], [1]], [[7], []], [[10], [10]]]
     assert numbers(pair_dwells([whole, [second]]))[0] == [[1], []]
 
@@ -72,7 +72,7 @@ def test_a_power_cycle_in_one_run_divides_the_plateau_of_all():
 
 
 def test_numbers_of_plateaus_are_the_same_in_all_runs():
-    lost = [replace(row, flags="the table moved" if row.cycle == 2 else "") for row in rows_of(0.02)]
+    lost = [replace(row, flags=("the table moved",) if row.cycle == 2 else ()) for row in rows_of(0.02)]
     none, declared = compare(rows_of(0.02), lost)
     assert [row.plateau for row in none.rows] == [1, 2, 3]
     assert [row.plateau for row in declared.rows] == [1, 3]
@@ -84,7 +84,7 @@ def test_a_dwell_that_one_run_lost_counts_in_none():
     """One run measured 9 deg/h in a dwell that the other lost: it changes neither rms nor spread."""
     large = rows_of(0.0)
     large[2] = replace(large[2], bias_dph=(9.0, 9.0, 9.0))
-    lost = [replace(row, flags="the table moved" if row.dwell == 3 else "") for row in rows_of(0.0)]
+    lost = [replace(row, flags=("the table moved",) if row.dwell == 3 else ()) for row in rows_of(0.0)]
     one, other = compare(large, lost)
     for result in (one, other):
         assert result.total.dwells == 13

@@ -105,7 +105,7 @@ SITE = Site(np.deg2rad(36.4), 60.0)
 EQUAL = dict.fromkeys(POSITIONS, (0.003, -0.002, 0.004))
 
 
-def rows_of(biases_dph, sigma_dph=0.001, flags=""):
+def rows_of(biases_dph, sigma_dph=0.001, flags=()):
     return [
         DwellRow(
             unit="1001",
@@ -152,7 +152,7 @@ def test_several_dwells_in_a_position_are_averaged_and_flagged_ones_left_out():
     assert day_of_navigation(rows_of(twice) + rows_of(nothing), SITE).error.max_nmi == pytest.approx(
         0.0, abs=1e-9
     )
-    flagged = rows_of(twice) + rows_of(nothing, flags="the table moved")
+    flagged = rows_of(twice) + rows_of(nothing, flags=("the table moved",))
     alone = day_of_navigation(rows_of(twice), SITE)
     assert day_of_navigation(flagged, SITE).error.max_nmi == alone.error.max_nmi > 0.5
     assert day_of_navigation(rows_of(twice) * 4, SITE).noise_nmi == pytest.approx(0.5 * alone.noise_nmi)

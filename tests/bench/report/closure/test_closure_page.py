@@ -52,7 +52,7 @@ def test_no_number_is_missing(written):
 
 def test_the_dwells_searched_are_reported_beside_those_of_the_table(tmp_path):
     rows = made_up_rows()
-    rows[5] = replace(rows[5], flags="vibration")
+    rows[5] = replace(rows[5], flags=("vibration",))
     rows[6] = replace(rows[6], gyro_c=(np.nan,) * 3)
     page = write_closure_page(tmp_path, close_loop(campaign_of(rows), effects=[]), "dwells.csv")
     assert "142 of 144" in page.read_text(encoding="utf-8")

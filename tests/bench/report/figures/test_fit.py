@@ -31,7 +31,7 @@ def test_ratio_of_every_tested_dwell_is_drawn_in_the_style_of_its_position(dwell
 
 
 def test_tested_dwell_with_a_flag_is_crossed_out(dwells: list[DwellRow]) -> None:
-    bad = replace(dwells[3], flags="the model does not fit", fit_ratio=4.0)
+    bad = replace(dwells[3], flags=("the model does not fit",), fit_ratio=4.0)
     shown = ratios_by_label(fit_figure([*dwells[:3], bad]).axes[0])
     assert shown["flagged"] == {4: 4.0}
     assert shown["Y-Down"] == {4: 4.0}

@@ -38,9 +38,9 @@ ROW = CalibrationCheckRow(
     difference_dph=-0.0004,
     difference_sigma_dph=0.0013,
     p_value=0.75,
-    flags="",
+    flags=(),
 )
-FLAGGED = CalibrationCheckRow("U7", "R1-1", 5, None, 1, "z_up", 0.0, "x", "velocity", flags="gap, of 6 s")
+FLAGGED = CalibrationCheckRow("U7", "R1-1", 5, None, 1, "z_up", 0.0, "x", "velocity", flags=("gap, of 6 s",))
 
 numbers = st.floats(-1e6, 1e6)
 maybe = numbers | st.just(math.nan)
@@ -70,7 +70,7 @@ rows = st.builds(
     difference_dph=maybe,
     difference_sigma_dph=maybe_sigmas,
     p_value=maybe,
-    flags=texts,
+    flags=st.lists(texts.filter(bool), max_size=2).map(tuple),
 )
 
 
@@ -90,7 +90,7 @@ def test_rows_survive_the_file(tmp_path):
     write_calibration_check(path, [ROW, FLAGGED])
     first, second = read_calibration_check(path)
     assert first == ROW
-    assert (second.dwell, second.turned_dwell, second.flags) == (5, None, "gap, of 6 s")
+    assert (second.dwell, second.turned_dwell, second.flags) == (5, None, ("gap, of 6 s",))
     assert math.isnan(second.bias_dph)
     assert not second.is_compared
 
