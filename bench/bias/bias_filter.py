@@ -153,6 +153,7 @@ class BiasFilter:
         self._site, self._noise, self._prior = site, noise, prior
         self._earth_rate = earth_rate_enu(site.latitude)
         self._windows: list[WindowFilter] = []
+        self._prior_root = parameters.prior_root(prior, 0, self._earth_rate)
         self._expansions: list[FloatArray] = []
         self._changes: list[WindowChange] = []
         self._reference_c: FloatArray | None = None
@@ -196,6 +197,7 @@ class BiasFilter:
         state[:3, count - parameters.PER_WINDOW :][:, parameters.ATTITUDE] = np.eye(3)
         self._windows.append(WindowFilter(self._site, self._noise, time_s, C_nb, known, covariance))
         self._expansions.append(_expansion(state, C_nb, self._earth_rate))
+        self._prior_root = parameters.prior_root(self._prior, len(self._windows), self._earth_rate)
 
     def add(
         self,
@@ -273,8 +275,8 @@ class BiasFilter:
         covariance: FloatArray,
     ) -> ErrorParts:
         at_mean, gain = information.bias_at_mean, covariance @ information.bias_at_mean.T
-        prior_root = parameters.prior_root(self._prior, len(self._windows), self._earth_rate)
-        by_prior = at_mean @ prior_root - gain.T @ information.rows.T @ information.rows @ prior_root
+        at_gain = gain.T @ information.rows.T @ information.rows
+        by_prior = at_mean @ self._prior_root - at_gain @ self._prior_root
         noise = noise_parts(self._windows, self._changes, expansions, gain, self._site, self._noise)
         return ErrorParts(noise | prior_parts(by_prior, self._prior, shown, len(self._windows)))
 
@@ -288,12 +290,10 @@ class BiasFilter:
     def chi2(self) -> float:
         """Sum of squares that model and prior knowledge leave of what has been added."""
         information = self.information()
-        prior_root = parameters.prior_root(self._prior, len(self._windows), self._earth_rate)
-        return least_chi2(information.rows, information.data, prior_root)
+        return least_chi2(information.rows, information.data, self._prior_root)
 
     def _solved(self, information: DwellInformation) -> tuple[FloatArray, FloatArray]:
-        prior_root = parameters.prior_root(self._prior, len(self._windows), self._earth_rate)
-        return solve(information.rows, information.data, prior_root)
+        return solve(information.rows, information.data, self._prior_root)
 
     def _steady_p_value(self, information: DwellInformation) -> float:
         """Give each window after the first its own biases, and see whether any differs from those of all.
@@ -302,14 +302,14 @@ class BiasFilter:
         """
         changes = [window.root[:, window_filter.INPUT :][:, :3] @ window.C_nb for window in self._windows]
         rows = np.hstack([information.rows, block_diagonal(*changes)[:, 3:]])
-        prior_root = parameters.prior_root(self._prior, len(self._windows), self._earth_rate)
-        count, wide = len(prior_root), np.eye(rows.shape[1] - len(prior_root)) * parameters.WIDE_GYRO_BIAS
-        unknowns, covariance = solve(rows, information.data, block_diagonal(prior_root, wide))
+        count = len(self._prior_root)
+        wide = np.eye(rows.shape[1] - count) * parameters.WIDE_GYRO_BIAS
+        unknowns, covariance = solve(rows, information.data, block_diagonal(self._prior_root, wide))
         away = np.abs(unknowns[count:]) / np.sqrt(np.diag(covariance)[count:])
         return min(1.0, len(away) * math.erfc(away.max() / math.sqrt(2.0)))
 
     def _damping(self, information: DwellInformation) -> Damping:
-        prior_root = parameters.prior_root(self._prior, len(self._windows), self._earth_rate)
+        prior_root = self._prior_root.copy()
         prior_root[parameters.DAMPING, parameters.DAMPING] = _WIDE_DAMPING
         unknowns, covariance = solve(information.rows, information.data, prior_root)
         variance = float(covariance[parameters.DAMPING, parameters.DAMPING])
@@ -372,7 +372,7 @@ class BiasFilter:
         return replace(information, rows=information.rows * shown), shown
 
     def _transient_p_value(self, information: DwellInformation, settling: IntArray) -> float:
-        prior_root = parameters.prior_root(self._prior, len(self._windows), self._earth_rate)
+        prior_root = self._prior_root.copy()
         prior_root[settling, settling] = _WIDE_ACCELERATION
         unknowns, covariance = solve(information.rows, information.data, prior_root)
         size, covariance = unknowns[settling], covariance[np.ix_(settling, settling)]
