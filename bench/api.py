@@ -330,7 +330,7 @@ def estimate_bias(
     at_rest: tuple[FloatArray, ...] = tuple(window.C_nb[0] for window in windows)
     dwell = Dwell(position, float(np.deg2rad(azimuth_deg)), windows, at_rest, turns)
     noise = NoiseModel.from_datasheet(arw_deg_per_sqrt_h, vrw_ug_per_sqrt_hz, *lsb).at_least(
-        *rounding([(each.time_s, each.velocity_enu_mps, each.C_nb) for each in windows], *lsb)
+        *rounding(windows, *lsb)
     )
     site = Site(float(np.deg2rad(latitude_deg)), height_m)
     return estimate_state_space(dwell, site, noise, prior or PriorKnowledge())

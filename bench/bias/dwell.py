@@ -34,16 +34,25 @@ def slots(time_s: FloatArray, first_s: float, interval_s: float) -> IntArray:
 
 
 @dataclass(frozen=True, eq=False)
-class NavigationWindow:
-    """Output of the INS while the table holds its position.
-
-    Raises MeasurementError for too few epochs, too short a time, a gap, times that do not increase, NaN.
-    """
+class RestOutput:
+    """Output of the INS while the table holds its position."""
 
     time_s: FloatArray  #: Shape (n,). Time of each epoch on the clock of the INS, increasing.
     velocity_enu_mps: FloatArray  #: Shape (n, 3). Velocity East, North, Up; at rest all of it is error.
     C_nb: FloatArray  #: Shape (n, 3, 3). Attitude that the INS computed.
     gyro_c: FloatArray | None = None  #: Shape (n, 3), optional. Temperature of each gyro at each epoch.
+
+    def checked(self) -> NavigationWindow:
+        """The same as a window, with its errors."""
+        return NavigationWindow(self.time_s, self.velocity_enu_mps, self.C_nb, self.gyro_c)
+
+
+@dataclass(frozen=True, eq=False)
+class NavigationWindow(RestOutput):
+    """Output that the estimators can use.
+
+    Raises MeasurementError for too few epochs, too short a time, a gap, times that do not increase, NaN.
+    """
 
     def __post_init__(self) -> None:
         count = len(self.time_s)

@@ -13,7 +13,8 @@ from gyrobench.bench.bias.window_filter import EPOCH_S
 from gyrobench.bench.dwells.measure_dwell import (
     MIN_FIT_P_VALUE,
     MeasurementSetup,
-    checked_navigation,
+    check_signal_map,
+    decoded_navigation,
     dwell_at_rest,
     lack_of_fit_text,
 )
@@ -87,7 +88,9 @@ def measure_check_dwell(marks: DwellMarks, frames: FrameBlock, setup: Measuremen
     temperatures, aligning_c, setup_fault = DwellTemperatures(), NOT_MEASURED, ""
     are_signs_tested = False
     try:
-        data, are_signs_tested = checked_navigation(marks, frames, setup, flags)
+        data, decoding_flags = decoded_navigation(marks, frames, setup)
+        flags += decoding_flags
+        are_signs_tested = check_signal_map(marks, frames, data, setup)
         counts = data.counts
         first_frame, end_frame = marks.windows[0].first_frame, marks.windows[-1].end_frame
         temperatures = dwell_temperatures(data, first_frame, end_frame)

@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 
 from gyrobench.bench.bias.bias_filter import BiasFilter, StateSpaceEstimate
-from gyrobench.bench.bias.dwell import NavigationWindow
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.window_filter import whiten
 from gyrobench.bench.dwells.measure_dwell import MeasurementSetup, rest_output
@@ -84,9 +83,9 @@ class LiveEstimate:
         """Declared, or that of all windows so far but for one that has only just begun."""
         if self._setup.noise is not None:
             return self._setup.noise
-        windows = [NavigationWindow(*rest_output(navigation, mark)) for mark in marks[:-1]]
+        windows = [rest_output(navigation, mark).checked() for mark in marks[:-1]]
         with suppress(MeasurementError):
-            windows.append(NavigationWindow(*rest_output(navigation, marks[-1])))
+            windows.append(rest_output(navigation, marks[-1]).checked())
         return self._setup.noise_in(tuple(windows))
 
     def _take(
@@ -99,11 +98,11 @@ class LiveEstimate:
     ) -> None:
         begin = max(mark.first_frame, self._next_frame)
         new = replace(mark, first_frame=begin - first_frame, end_frame=mark.end_frame - first_frame)
-        time_s, velocity, C_nb, gyro_c = rest_output(navigation, new)
-        if not len(time_s):
+        rest = rest_output(navigation, new)
+        if not len(rest.time_s):
             return
         if number == len(self._begun):
             turn = self._setup.turn(self._begun[-1], mark, navigation, first_frame) if self._begun else None
-            bias_filter.begin_window(time_s[0], C_nb[0], turn)
+            bias_filter.begin_window(rest.time_s[0], rest.C_nb[0], turn)
             self._begun.append(mark)
-        bias_filter.add(time_s, velocity[:, :2], C_nb, gyro_c)
+        bias_filter.add(rest.time_s, rest.velocity_enu_mps[:, :2], rest.C_nb, rest.gyro_c)

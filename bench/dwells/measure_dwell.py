@@ -12,7 +12,7 @@ import numpy as np
 
 from gyrobench.bench.bias.bias_filter import StateSpaceEstimate, estimate_state_space
 from gyrobench.bench.bias.budget import BudgetInputs
-from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, TurnPath
+from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, RestOutput, TurnPath
 from gyrobench.bench.bias.dwell_table import NEIGHBOURS_ON, NOT_MEASURED, DwellRow, triple
 from gyrobench.bench.bias.error_split import ErrorParts
 from gyrobench.bench.bias.joint_solution import JointInformation
@@ -37,8 +37,9 @@ from gyrobench.bench.dwells.temperatures import (
     gyro_temperatures_at,
     valid_temperatures,
 )
-from gyrobench.bench.foundations.arrays import ARCSEC_TO_RAD, UG_TO_MPS2, BoolArray, FloatArray
+from gyrobench.bench.foundations.arrays import ARCSEC_TO_RAD, UG_TO_MPS2, BoolArray
 from gyrobench.bench.foundations.errors import MeasurementError, SignalMapError
+from gyrobench.bench.foundations.text import flag_text
 from gyrobench.bench.navigation.earth import NORMAL_GRAVITY_SIGMA, earth_rate_enu
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import AXES
@@ -129,10 +130,9 @@ class MeasurementSetup:
             noise = estimate_noise(windows, self.site.gravity).noise_model()
         elif exceeds_noise(windows, noise, self.site.gravity, *self._steps):
             noise = estimate_noise(windows, self.site.gravity).exceeding(noise)
-        rests = [(each.time_s, each.velocity_enu_mps, each.C_nb) for each in windows]
-        return noise.at_least(*self.rounding(rests))
+        return noise.at_least(*self.rounding(windows))
 
-    def rounding(self, rests: Sequence[tuple[FloatArray, FloatArray, FloatArray]]) -> tuple[float, float]:
+    def rounding(self, rests: Sequence[RestOutput]) -> tuple[float, float]:
         """See :func:`gyrobench.bench.dwells.output_checks.rounding`."""
         return rounding(rests, *self._steps)
 
@@ -152,7 +152,9 @@ class MeasuredDwell:
     #: :mod:`gyrobench.bench.dwells.run_dwells` does not keep it.
     windows: tuple[RestMotion, ...]
     counts: EpochCounts  #: How the frames came.
-    doubts: tuple[str, ...]  #: Those flags that noise larger than declared would explain.
+    #: Those flags that a repeated dwell would have as well: noise larger than declared explains them, or the
+    #: INS is at fault.
+    persistent_flags: tuple[str, ...]
     #: What of signal map or latitude is wrong; every further dwell would be invalid too.
     setup_fault: str = ""
     #: What it shows of scale and latitude; None where the output jumps.
@@ -166,8 +168,8 @@ class MeasuredDwell:
 
     @property
     def is_disturbed(self) -> bool:
-        """Whether a fault disturbed it, so that a repeated dwell may be better; larger noise is none."""
-        return self.estimate is None or not set(self.flags).issubset(self.doubts)
+        """Whether something disturbed it, so that a repeated dwell may be better."""
+        return self.estimate is None or not set(self.flags).issubset(self.persistent_flags)
 
     def flagged(self, flag: str) -> MeasuredDwell:
         """The same with one flag more."""
@@ -181,13 +183,15 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
     """
     flags = list(marks.disturbances)
     estimate, paper, joint_information = None, None, None
-    doubts: tuple[str, ...] = ()
+    persistent_flags: tuple[str, ...] = ()
     windows: tuple[RestMotion, ...] = ()
-    counts, temperatures, fault = EpochCounts(), DwellTemperatures(), ""
+    counts, temperatures, setup_fault = EpochCounts(), DwellTemperatures(), ""
     evidence: SetupEvidence | None = None
     are_signs_tested = False
     try:
-        navigation, are_signs_tested = checked_navigation(marks, frames, setup, flags)
+        navigation, decoding_flags = decoded_navigation(marks, frames, setup)
+        flags += decoding_flags
+        are_signs_tested = check_signal_map(marks, frames, navigation, setup)
         counts = navigation.counts
         temperatures = dwell_temperatures(
             navigation, marks.windows[0].first_frame, marks.windows[-1].end_frame
@@ -198,54 +202,66 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
         evidence = None if flags else setup.evidence(dwell, noise, faults)
         raise_setup_fault(evidence)
         paper = _paper(dwell, setup.site, noise)
-        estimate, found, doubts = estimate_dwell(dwell, setup, noise, faults)
+        estimated = estimate_dwell(dwell, setup, noise, faults)
+        estimate, persistent_flags = estimated.estimate, estimated.persistent_flags
         if estimate.information:
             joint_information = JointInformation.of(estimate.information, dwell.position, setup.prior)
             estimate = replace(estimate, information=None)
-        flags += found
+        flags += estimated.disturbances
         if not flags:
             windows = tuple(RestMotion.of(window.thinned(EPOCH_S)) for window in dwell.windows)
-        flags += doubts
+        flags += persistent_flags
     except MeasurementError as error:
         flags.append(str(error))
-        fault = str(error) if isinstance(error, SignalMapError) else ""
+        setup_fault = str(error) if isinstance(error, SignalMapError) else ""
     row = _row(marks, temperatures, estimate, paper, flags)
     return MeasuredDwell(
-        row, estimate, paper, joint_information, windows, counts, doubts, fault, evidence, are_signs_tested
+        row,
+        estimate,
+        paper,
+        joint_information,
+        windows,
+        counts,
+        persistent_flags,
+        setup_fault,
+        evidence,
+        are_signs_tested,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class EstimatedDwell:
+    """Biases of a dwell, and its flags."""
+
+    estimate: StateSpaceEstimate
+    disturbances: tuple[str, ...]  #: What disturbed it.
+    persistent_flags: tuple[str, ...]  #: See :class:`MeasuredDwell`.
 
 
 def estimate_dwell(
     dwell: Dwell, setup: MeasurementSetup, noise: NoiseModel, faults: Sequence[OutputFault] | None = None
-) -> tuple[StateSpaceEstimate, list[str], tuple[str, ...]]:
-    """Estimate the biases of a dwell; ``faults``: of its output, where they are known.
-
-    Returns
-    -------
-    estimate : StateSpaceEstimate
-        The biases.
-    flags : list of str
-        What disturbed the dwell.
-    doubts : tuple of str
-        What another dwell would show as well: larger noise would explain it, or the INS is at fault.
-    """
+) -> EstimatedDwell:
+    """Estimate the biases of a dwell; ``faults``: of its output, where they are known."""
     estimate = _estimate(dwell, setup, noise)
     faults = setup.output_faults(dwell.windows, noise) if faults is None else faults
-    flags, doubts = [fault.text for fault in faults if not fault.may_be_noise], _doubts(estimate)
+    disturbances = [fault.text for fault in faults if not fault.may_be_noise]
+    persistent_flags = _contradictions(estimate)
     pulse_rad = math.sqrt(12.0) * noise.heading_white
-    if (flags or doubts) and setup.noise and noise.heading_white > _COARSER * setup.noise.heading_white:
-        doubts.insert(
+    is_flagged = bool(disturbances or persistent_flags)
+    if is_flagged and setup.noise and noise.heading_white > _COARSER * setup.noise.heading_white:
+        persistent_flags.insert(
             0,
             f"the resolution of the gyros limits this dwell: the attitude moves in steps of about "
             f"{math.degrees(pulse_rad) * 3600.0:.2g} arcsec. Measure with dithered gyros or finer pulses",
         )
     if step := estimate.probable_step:
-        flags.append(
+        disturbances.append(
             f"a bias is not constant: that of the {AXES[step.gyro]} gyro seems to step by "
             f"{step.size_dph:.2g} deg/h at {step.time_s:.0f} s on the clock of the INS (p = "
             f"{step.p_value:.1g}, corrected for the search). Measure the dwell again"
         )
-    return estimate, flags, (*(fault.text for fault in faults if fault.may_be_noise), *doubts)
+    by_noise = [fault.text for fault in faults if fault.may_be_noise]
+    return EstimatedDwell(estimate, tuple(disturbances), (*by_noise, *persistent_flags))
 
 
 def _estimate(dwell: Dwell, setup: MeasurementSetup, noise: NoiseModel) -> StateSpaceEstimate:
@@ -255,11 +271,11 @@ def _estimate(dwell: Dwell, setup: MeasurementSetup, noise: NoiseModel) -> State
     """
     estimate = estimate_state_space(dwell, setup.site, noise, setup.prior)
     error, prior = abs(estimate.latitude_error), setup.prior
-    is_sound = not (_doubts(estimate) or estimate.probable_step)
+    is_sound = not (_contradictions(estimate) or estimate.probable_step)
     if is_sound or not exceeds_declared(error, estimate.latitude_sigma, prior.latitude):
         return estimate
     other = estimate_state_space(dwell, setup.site, noise, replace(prior, latitude=error))
-    if _doubts(other) or other.probable_step:
+    if _contradictions(other) or other.probable_step:
         return estimate
     _, north_rate, _ = earth_rate_enu(setup.site.latitude)
     up_radps = error * north_rate * dwell.windows[0].C_nb[0, 2]
@@ -272,40 +288,45 @@ def _estimate(dwell: Dwell, setup: MeasurementSetup, noise: NoiseModel) -> State
     )
 
 
-def checked_navigation(
-    marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup, flags: list[str]
-) -> tuple[NavigationData, bool]:
-    """Decode a dwell; what frames and temperature sensors do wrong is added to ``flags``.
+def decoded_navigation(
+    marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
+) -> tuple[NavigationData, list[str]]:
+    """Decode a dwell, and flag what frames and temperature sensors do wrong.
 
-    Returns also whether wrong signs or axes of the velocities would have shown. Raises MeasurementError if
-    the dwell never came to a window, SignalMapError if it contradicts the latitude, or the signs or axes of
-    the signal map.
+    Raises MeasurementError if the dwell never came to a window.
     """
     if not marks.windows:
         raise MeasurementError("the INS never navigated at rest in this dwell")
-    navigation, faults = valid_temperatures(
+    navigation, sensor_flags = valid_temperatures(
         setup.decode(frames), marks.windows[0].first_frame, marks.windows[-1].end_frame
     )
-    flags += faults
+    flags = list(sensor_flags)
     if navigation.counts.contradicted:
         flags.append(
             f"{navigation.counts.contradicted} frames of the INS contradict those of the same epoch: does a "
             "second node send with its identifiers? Check the bus"
         )
+    return navigation, flags
+
+
+def check_signal_map(
+    marks: DwellMarks, frames: FrameBlock, navigation: NavigationData, setup: MeasurementSetup
+) -> bool:
+    """Check latitude, signs and axes; returns whether wrong signs or axes of the velocities would have shown.
+
+    Raises SignalMapError if the dwell contradicts them, MeasurementError if a jump of its output does.
+    """
     if fault := latitude_fault(navigation.latitude, setup.site):
         raise SignalMapError(fault)
-    are_signs_tested = False
-    if setup.signs is not None:
-        try:
-            are_signs_tested = setup.signs.check(marks, frames, navigation)
-        except SignalMapError:
-            # A jump of the output parts tilt and velocity as a wrong sign does.
-            windows = tuple(NavigationWindow(*rest_output(navigation, mark)) for mark in marks.windows)
-            found = setup.output_faults(windows, setup.noise_in(windows))
-            if jumps := [fault.text for fault in found if not fault.may_be_noise]:
-                raise MeasurementError("; ".join(jumps)) from None
-            raise
-    return navigation, are_signs_tested
+    try:
+        return setup.signs is not None and setup.signs.check(marks, frames, navigation)
+    except SignalMapError:
+        # A jump of the output parts tilt and velocity as a wrong sign does.
+        windows = _windows(marks, navigation)
+        faults = setup.output_faults(windows, setup.noise_in(windows))
+        if jumps := [fault.text for fault in faults if not fault.may_be_noise]:
+            raise MeasurementError(flag_text(jumps)) from None
+        raise
 
 
 def dwell_at_rest(marks: DwellMarks, navigation: NavigationData, setup: MeasurementSetup) -> Dwell:
@@ -321,25 +342,29 @@ def dwell_at_rest(marks: DwellMarks, navigation: NavigationData, setup: Measurem
     return Dwell(
         position_name=marks.position,
         azimuth_rad=math.radians(marks.azimuth_deg),
-        windows=tuple(NavigationWindow(*rest_output(navigation, mark)) for mark in marks.windows),
+        windows=_windows(marks, navigation),
         C_nb_table=tuple(setup.table.attitude(mark.outer_deg, mark.inner_deg) for mark in marks.windows),
         turns=tuple(setup.turn(*pair, navigation) for pair in itertools.pairwise(marks.windows)),
     )
 
 
-def _doubts(estimate: StateSpaceEstimate) -> list[str]:
+def _windows(marks: DwellMarks, navigation: NavigationData) -> tuple[NavigationWindow, ...]:
+    return tuple(rest_output(navigation, mark).checked() for mark in marks.windows)
+
+
+def _contradictions(estimate: StateSpaceEstimate) -> list[str]:
     """What contradicts the estimate; noise larger than declared would explain it too."""
-    doubts = []
+    flags = []
     if estimate.damping.shows(_MIN_STEADY_P_VALUE):
-        doubts.append(estimate.damping.text)
+        flags.append(estimate.damping.text)
     if estimate.fit.p_value < MIN_FIT_P_VALUE:
-        doubts.append(lack_of_fit_text(estimate.fit))
+        flags.append(lack_of_fit_text(estimate.fit))
     if estimate.steady_p_value < _MIN_STEADY_P_VALUE:
-        doubts.append(
+        flags.append(
             f"the biases of the windows differ (p = {estimate.steady_p_value:.1g}): the table was turned "
             "slowly, or a bias jumped. Check the table and its base"
         )
-    return doubts
+    return flags
 
 
 def _paper(dwell: Dwell, site: Site, noise: NoiseModel) -> BiasEstimate | None:
@@ -358,10 +383,8 @@ def lack_of_fit_text(fit: GoodnessOfFit) -> str:
     )
 
 
-def rest_output(
-    navigation: NavigationData, mark: WindowMark
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray | None]:
-    """Times (n,), velocities (n, 3), attitudes (n, 3, 3) and gyro temperatures (n, 3) of one window.
+def rest_output(navigation: NavigationData, mark: WindowMark) -> RestOutput:
+    """Output in one window.
 
     Raises MeasurementError if the INS was not navigating all the time, or restarted.
     """
@@ -370,12 +393,8 @@ def rest_output(
     time_s = navigation.ins_time_s[inside]
     velocity = navigation.velocity_enu_mps[inside].copy()
     velocity[:, 2] = np.nan_to_num(velocity[:, 2])  # not every INS sends it, and no estimate needs it
-    return (
-        time_s,
-        velocity,
-        navigation.attitude[inside],
-        gyro_temperatures_at(time_s, navigation.temperatures),
-    )
+    gyro_c = gyro_temperatures_at(time_s, navigation.temperatures)
+    return RestOutput(time_s, velocity, navigation.attitude[inside], gyro_c)
 
 
 def _check_navigating(navigation: NavigationData, inside: BoolArray) -> None:

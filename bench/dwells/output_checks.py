@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrobench.bench.bias.dwell import NavigationWindow
+from gyrobench.bench.bias.dwell import NavigationWindow, RestOutput
 from gyrobench.bench.bias.noise_model import NoiseModel, rounding_sigma
 from gyrobench.bench.bias.window_filter import EPOCH_S
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
@@ -204,20 +204,15 @@ def exceeds_noise(
 
 
 def rounding(
-    rests: Sequence[tuple[FloatArray, FloatArray, FloatArray]],
-    velocity_step_mps: float,
-    heading_step_rad: float,
+    rests: Sequence[RestOutput], velocity_step_mps: float, heading_step_rad: float
 ) -> tuple[float, float]:
-    """Standard uncertainties, m/s and rad, of velocity and heading by rounding, at an epoch a second.
-
-    ``rests``: times (n,), velocities (n, 3) and attitudes (n, 3, 3) of each.
-    """
+    """Standard uncertainties, m/s and rad, of velocity and heading by rounding, at an epoch a second."""
     velocities, headings = [], []
-    for time_s, velocity, C_nb in rests:
-        if len(time_s) > 1:
-            every = max(1, round(EPOCH_S / float(np.median(np.diff(time_s)))))
-            velocities += [*velocity[::every, :2].T]
-            headings.append(rotation_vector_enu(C_nb[::every], C_nb[0])[:, 2])
+    for rest in rests:
+        if len(rest.time_s) > 1:
+            every = max(1, round(EPOCH_S / float(np.median(np.diff(rest.time_s)))))
+            velocities += [*rest.velocity_enu_mps[::every, :2].T]
+            headings.append(rotation_vector_enu(rest.C_nb[::every], rest.C_nb[0])[:, 2])
     found = []
     for channels, step in ((velocities, velocity_step_mps), (headings, heading_step_rad)):
         changes = sum(1 + np.count_nonzero(np.abs(np.diff(each)) > _ARITHMETIC) for each in channels)

@@ -13,7 +13,12 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell_table import Triple
 from gyrobench.bench.calibration.recording import MIN_REST_TOTAL_S, IncrementRecording, Rest
-from gyrobench.bench.dwells.measure_dwell import MeasurementSetup, checked_navigation, rest_output
+from gyrobench.bench.dwells.measure_dwell import (
+    MeasurementSetup,
+    check_signal_map,
+    decoded_navigation,
+    rest_output,
+)
 from gyrobench.bench.dwells.temperatures import dwell_temperatures
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
@@ -59,7 +64,8 @@ def measure_rotations(marks: DwellMarks, frames: FrameBlock, setup: MeasurementS
 
     Raises MeasurementError if what the INS sent can't be used.
     """
-    navigation, _ = checked_navigation(marks, frames, setup, [])
+    navigation, _ = decoded_navigation(marks, frames, setup)
+    check_signal_map(marks, frames, navigation, setup)
     first, end = marks.windows[0].first_frame, marks.windows[-1].end_frame
     temperatures = dwell_temperatures(navigation, first, end)
     increments = setup.decode_increments(frames)
@@ -68,7 +74,7 @@ def measure_rotations(marks: DwellMarks, frames: FrameBlock, setup: MeasurementS
         increments = navigated_increments(navigation, setup.site)
     else:
         _check_axes(increments, navigated_increments(navigation, setup.site, _CHECKED_S), marks)
-    at_rest = [] if is_sent else [rest_output(navigation, mark)[:3] for mark in marks.windows]
+    at_rest = [] if is_sent else [rest_output(navigation, mark) for mark in marks.windows]
     velocity_rounding, angle_rounding = setup.rounding(at_rest)
     begin, stop = np.searchsorted(increments.row, [first, end])
     gaps = begin + 1 + np.flatnonzero(~increments.follows[begin + 1 : stop])

@@ -43,7 +43,8 @@ def _flag_damping(dwells: list[MeasuredDwell]) -> None:
         return
     for index, dwell in enumerate(dwells):
         if dwell.estimate and not any(flag.startswith(Damping.FLAG) for flag in dwell.flags):
-            dwells[index] = replace(dwell.flagged(damping.text), doubts=(*dwell.doubts, damping.text))
+            persistent = (*dwell.persistent_flags, damping.text)
+            dwells[index] = replace(dwell.flagged(damping.text), persistent_flags=persistent)
 
 
 def _flag_setup(dwells: list[MeasuredDwell]) -> None:

@@ -93,7 +93,7 @@ def evaluate(
 ) -> RunResults:
     """Evaluate the dwells of one run; those with flags are left out.
 
-    The noise is an exception: dwells whose flags larger noise would explain count for it.
+    The noise is an exception: dwells whose flags are persistent count for it.
 
     Parameters
     ----------

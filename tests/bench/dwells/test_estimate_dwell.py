@@ -9,6 +9,7 @@ from gyrobench.bench.bias.bias_filter import Damping
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.dwells.measure_dwell import MeasurementSetup, estimate_dwell
+from gyrobench.bench.foundations.text import flag_text
 from gyrobench.bench.navigation.positions import POSITIONS
 from tests.bench.bias.disturbances import bias_step
 from tests.bench.bias.emulated_dwells import UG, emulate, sensors, site
@@ -66,8 +67,9 @@ def measured(
         position, sensors(bias_dph, accelerometer_ug, noise, **errors), random=np.random.default_rng(seed),
         lsb=lsb, epoch_s=0.1, outer_level=True,
     )  # fmt: skip
-    estimate, flags, doubts = estimate_dwell(dwell, setup, setup.noise_in(dwell.windows))
-    return estimate, "; ".join([*flags, *doubts]), (estimate.bias_dph - bias_dph) / estimate.sigma_dph
+    estimated = estimate_dwell(dwell, setup, setup.noise_in(dwell.windows))
+    estimate, flags = estimated.estimate, (*estimated.disturbances, *estimated.persistent_flags)
+    return estimate, flag_text(flags), (estimate.bias_dph - bias_dph) / estimate.sigma_dph
 
 
 @pytest.mark.parametrize("position", ["z_up", "y_down"])
@@ -182,7 +184,7 @@ def test_coarse_output_that_stays_the_same_is_uncertain_and_no_fault(position, s
         emulate(position, sensors(BIAS_DPH), random=np.random.default_rng(seed), epoch_s=0.1),
         setup,
         COARSE_NOISE,
-    )[0]
+    ).estimate
     ratios = estimate.sigma_dph / as_white.sigma_dph
     assert ratios.min() > 1.0
     assert ratios.max() > 2.0  # that of the vertical gyro, whose heading moves through few steps
@@ -197,7 +199,7 @@ def test_errors_of_rounded_output_are_as_large_as_stated(steps):
     found = []
     for seed in range(60):
         dwell = emulate(ins=sensors(noise=quiet), random=np.random.default_rng(seed), **short)
-        estimate = estimate_dwell(dwell, setup, setup.noise_in(dwell.windows))[0]
+        estimate = estimate_dwell(dwell, setup, setup.noise_in(dwell.windows)).estimate
         found.append(estimate.bias_dph / estimate.sigma_dph)
     # The prior knowledge of the accelerometers counts in what is stated, and they have no errors here.
     rms = np.sqrt(np.mean(np.square(found), axis=0))

@@ -13,7 +13,7 @@ from gyrobench.bench.bias import parameters
 from gyrobench.bench.bias.window_filter import whiten
 from gyrobench.bench.dwells.live_estimate import LiveEstimate, compile_estimator
 from gyrobench.bench.dwells.measure_dwell import (
-    checked_navigation,
+    decoded_navigation,
     dwell_at_rest,
     estimate_dwell,
     measure_dwell,
@@ -75,8 +75,8 @@ def test_at_the_end_it_is_the_estimate_of_the_whole_dwell(recorded, replayed, st
 
 def test_the_biases_are_those_at_the_mean_temperature_so_far(recorded, replayed):
     marks, frames, setup = recorded
-    dwell = dwell_at_rest(marks, checked_navigation(marks, frames, setup, [])[0], setup)
-    whole = estimate_dwell(dwell, setup, setup.noise)[0].information.bias_at_mean
+    dwell = dwell_at_rest(marks, decoded_navigation(marks, frames, setup)[0], setup)
+    whole = estimate_dwell(dwell, setup, setup.noise).estimate.information.bias_at_mean
     begin = recorded[0].windows[1].first_frame
     *_, last = [replayed.estimate_at(now) for now in stops(begin, end_of(recorded), (777,))]
     mean_k = np.diag(whole[:, parameters.GYRO_SLOPE])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.dwells.measure_dwell import (
-    checked_navigation,
+    decoded_navigation,
     dwell_at_rest,
     measure_dwell,
     measurement_setup,
@@ -186,7 +186,7 @@ def test_the_uncertainty_follows_noise_that_is_larger_than_declared_alone(record
 def test_noise_that_is_not_declared_is_estimated_but_never_below_the_resolution(recorded):
     marks, frames, setup = recorded
     coarse = replace(setup, noise=None, velocity_lsb_mps=0.01, heading_lsb_rad=1e-5)
-    windows = dwell_at_rest(marks, checked_navigation(marks, frames, setup, [])[0], setup).windows
+    windows = dwell_at_rest(marks, decoded_navigation(marks, frames, setup)[0], setup).windows
     noise = coarse.noise_in(windows)
     assert noise.angle_random_walk == pytest.approx(setup.noise.angle_random_walk, rel=0.2)
     assert noise.velocity_white == pytest.approx(0.01 / 12**0.5)

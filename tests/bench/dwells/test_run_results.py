@@ -184,7 +184,8 @@ def test_noise_is_estimated_from_dwells_that_the_declared_one_does_not_explain(m
     dwells, setup = measured
     flags = [lack_of_fit_text(dwell.estimate.fit) for dwell in dwells]
     unexplained = [
-        replace(dwell.flagged(flag), doubts=(flag,)) for dwell, flag in zip(dwells, flags, strict=True)
+        replace(dwell.flagged(flag), persistent_flags=(flag,))
+        for dwell, flag in zip(dwells, flags, strict=True)
     ]
     found = evaluate(unexplained, setup, 5.0)
     assert (found.bins, found.joint, found.up_rate) == ([], [], None)
