@@ -178,9 +178,7 @@ def estimate_rate(recording: RateRecording) -> RateEstimate:
     return RateEstimate(rates, np.sqrt(variances))
 
 
-def up_down_pair(
-    up: RateRecording, down: RateRecording, axis: str, tilt_sigma_rad: float = 0.0
-) -> UpDownEstimate:
+def up_down_pair(up: RateRecording, down: RateRecording, axis: str) -> UpDownEstimate:
     """Separate bias and Earth rate by two recordings with one body axis up and down.
 
     Where specific forces are recorded, the rates are projected on the vertical that they give;
@@ -194,13 +192,11 @@ def up_down_pair(
         With the axis up, and down.
     axis : {"x", "y", "z"}
         Which.
-    tilt_sigma_rad : float
-        Standard uncertainty of the vertical in body axes.
     """
     if axis not in AXES:
         raise MeasurementError(f"there is no body axis '{axis}'; the axes are {', '.join(AXES)}")
-    turned_up, variance_up = _vertical_rate(up, axis, 1.0, tilt_sigma_rad)
-    turned_down, variance_down = _vertical_rate(down, axis, -1.0, tilt_sigma_rad)
+    turned_up, variance_up = _vertical_rate(up, axis, 1.0)
+    turned_down, variance_down = _vertical_rate(down, axis, -1.0)
     sigma = 0.5 * float(np.sqrt(variance_up + variance_down))
     return UpDownEstimate(
         axis, 0.5 * (turned_up - turned_down), sigma, 0.5 * (turned_up + turned_down), sigma
@@ -244,9 +240,7 @@ def _slope(rate: FloatArray, interval: float, white: float, walk: float) -> tupl
     return float(weights @ rate / total), float(1.0 / (total * interval**2))
 
 
-def _vertical_rate(
-    recording: RateRecording, axis: str, sign: float, tilt_sigma_rad: float
-) -> tuple[float, float]:
+def _vertical_rate(recording: RateRecording, axis: str, sign: float) -> tuple[float, float]:
     """Rate about Up and its variance."""
     nominal = sign * np.eye(3)[AXES.index(axis)]
     up = nominal if recording.up is None else recording.up
@@ -257,7 +251,4 @@ def _vertical_rate(
             f"{np.rad2deg(tilt):.1f} deg away from that. Check the order of the recordings"
         )
     estimate = estimate_rate(recording)
-    about_up = float(estimate.rate_radps @ up)
-    horizontal = estimate.rate_radps - about_up * up
-    variance = (up**2) @ estimate.sigma_radps**2 + tilt_sigma_rad**2 * horizontal @ horizontal
-    return about_up, float(variance)
+    return float(estimate.rate_radps @ up), float((up**2) @ estimate.sigma_radps**2)

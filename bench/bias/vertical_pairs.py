@@ -88,24 +88,16 @@ class UpRate:
     #: rate, sigma: Weighted mean of the half-differences, rad/s; NaN without any.
     rate: float
     sigma: float
-    gyros: tuple[int, ...]  #: The gyros that took part.
     weights: Mapping[int, float]  #: By dwell number: what the dwell's vertical bias counts in the rate.
-    #: chi2, dof: Scatter of all half-differences about the rate, and its degrees of freedom.
-    chi2: float
-    dof: int
-    #: p_gyros, p_temperatures: Tests that they are equal, against a value for each gyro and against one for
-    #: each temperature.
-    p_gyros: float
-    p_temperatures: float
-    #: Test that they are equal, against any alternative: with several temperatures the smallest of the
-    #: p-values times their number, for one small difference over many temperatures hides in the sum.
+    #: Test that the half-differences are equal; NaN where there is nothing to compare. With several
+    #: temperatures the smallest p-value against any values, one for each gyro and one for each temperature,
+    #: times their number: one small difference over many temperatures hides in the sum.
     p_value: float
     #: latitude_error, latitude_sigma: Of the latitude that the INS uses, rad, from the rates Up and North
     #: together.
     latitude_error: float
     latitude_sigma: float
-    latitude_p_value: float  #: Test that the two rates are those of a latitude error.
-    finding: Finding  #: What follows. All p-values are NaN where there is nothing to compare.
+    finding: Finding  #: What follows.
 
     @property
     def applies(self) -> bool:
@@ -144,34 +136,23 @@ def up_rate(
     inverses = [np.asarray(np.linalg.inv(group.covariance)) for group in groups]
     total = math.fsum(float(inverse.sum()) for inverse in inverses)
     parts = [inverse.sum(axis=0) / total for inverse in inverses]
-    gyros = sorted({gyro for group in groups for gyro in group.gyros})
     chi2, dof = _scatter(groups, inverses, [np.zeros(len(group.gyros)) for group in groups])
-    p_gyros, p_temperatures = (
-        _p_value(chi2 - part, dof - free)
-        for part, free in (
-            _scatter(groups, inverses, [np.array(group.gyros, float) for group in groups]),
-            _scatter_within(groups, inverses),
-        )
-    )
     p_value = _p_value(chi2, dof)
     if len(groups) > 1:
-        p_value = _of_any(p_value, p_gyros, p_temperatures)
+        by_gyro = _scatter(groups, inverses, [np.array(group.gyros, float) for group in groups])
+        narrower = [by_gyro, _scatter_within(groups, inverses)]
+        p_value = _of_any(p_value, *(_p_value(chi2 - part, dof - free) for part, free in narrower))
+    gyros = {gyro for group in groups for gyro in group.gyros}
     latitude = _latitude_error(*_north_and_up(groups, parts), earth_rate)
     return UpRate(
         rate=math.fsum(
             float(part @ group.half_difference) for part, group in zip(parts, groups, strict=True)
         ),
         sigma=total**-0.5,
-        gyros=tuple(gyros),
         weights=_dwell_weights(groups, parts),
-        chi2=chi2,
-        dof=dof,
-        p_gyros=p_gyros,
-        p_temperatures=p_temperatures,
         p_value=p_value,
         latitude_error=latitude.error,
         latitude_sigma=latitude.sigma,
-        latitude_p_value=latitude.p_value,
         finding=_finding(len(gyros), p_value, latitude, declared_latitude),
     )
 
@@ -278,7 +259,4 @@ def _finding(gyros: int, p_value: float, latitude: _LatitudeError, declared: flo
     return Finding.LATITUDE_OFF if is_off else Finding.LATITUDE
 
 
-_NO_RATE = UpRate(
-    *(math.nan, math.nan, (), {}, 0.0, 0, math.nan, math.nan, math.nan, math.nan, math.nan, math.nan),
-    Finding.NO_PAIR,
-)
+_NO_RATE = UpRate(math.nan, math.nan, {}, math.nan, math.nan, math.nan, Finding.NO_PAIR)

@@ -65,11 +65,6 @@ class KnownAccelerometers:
     bias: FloatArray
     sigma: FloatArray
 
-    @classmethod
-    def unknown(cls, prior: PriorKnowledge) -> KnownAccelerometers:
-        """Zero with the uncertainty of prior knowledge."""
-        return cls(np.zeros(3), np.full(3, prior.accelerometer_bias))
-
     def along(self, direction: FloatArray) -> tuple[float, float]:
         """Bias and standard uncertainty along a unit vector (3,) in body axes."""
         return float(direction @ self.bias), float(np.linalg.norm(direction * self.sigma))

@@ -142,12 +142,9 @@ class MeasuredDwell:
     """A row for the table, what is behind it where there is a result, and how the frames came."""
 
     row: DwellRow
-    #: estimate, paper: By the full error model, without its information, and by the paper's method.
-    estimate: StateSpaceEstimate | None
-    paper: BiasEstimate | None
-    joint_information: (
-        JointInformation | None
-    )  #: What it shows of the unknowns that the dwells of a plateau share.
+    estimate: StateSpaceEstimate | None  #: By the full error model, without its information.
+    #: What it shows of the unknowns that the dwells of a plateau share.
+    joint_information: JointInformation | None
     #: Navigation at rest, an epoch a second, for the noise estimate; empty where it is disturbed, and where
     #: :mod:`gyrobench.bench.dwells.run_dwells` does not keep it.
     windows: tuple[RestMotion, ...]
@@ -218,7 +215,6 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
     return MeasuredDwell(
         row,
         estimate,
-        paper,
         joint_information,
         windows,
         counts,

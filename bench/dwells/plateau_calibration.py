@@ -81,12 +81,12 @@ class PlateauCalibration:
         low_c, high_c = (self if is_bias or self.rotations is None else self.rotations).range_c
         return float(high_c[sensor] - low_c[sensor])
 
-    def with_source(self, name: str, variances: FloatArray) -> PlateauCalibration:
-        """The same with one more source of uncertainty, of independent variances (21,)."""
+    def with_temperature_change(self, variances: FloatArray) -> PlateauCalibration:
+        """The same with the change of the temperature as a source of independent variances (21,)."""
         if self.estimate is None:
             return self
         estimate = replace(self.estimate, covariance=self.estimate.covariance + np.diag(variances))
-        return replace(self, estimate=estimate, variances={**self.variances, name: variances})
+        return replace(self, estimate=estimate, variances={**self.variances, "temperature_change": variances})
 
     @property
     def correlations(self) -> FloatArray:
@@ -198,9 +198,7 @@ def with_temperature_change(plateaus: Sequence[PlateauCalibration]) -> list[Plat
             curve = lowest_polynomial(at_c[known], values[known], sigmas[known], degree)
             changes = curve.deriv()(at_c) * [each.change_c(coefficient, sensor) for each in plateaus]
             variances[:, k] = np.where(known & np.isfinite(changes), changes**2 / 12.0, 0.0)
-    return [
-        each.with_source("temperature_change", its) for each, its in zip(plateaus, variances, strict=True)
-    ]
+    return [each.with_temperature_change(its) for each, its in zip(plateaus, variances, strict=True)]
 
 
 def _of_plateau(

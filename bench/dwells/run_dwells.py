@@ -22,7 +22,7 @@ def add_dwell(dwells: list[MeasuredDwell], measured: MeasuredDwell) -> None:
 
     A temperature sensor that turns out to be stuck flags the dwells since it is, earlier ones too.
     """
-    dwells.append(replace(measured, paper=None))  # the row has its results
+    dwells.append(measured)
     for index, flag in stuck_sensors([each.row for each in dwells]):
         if flag not in dwells[index].flags:
             dwells[index] = dwells[index].flagged(flag)

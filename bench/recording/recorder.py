@@ -305,7 +305,7 @@ def _write_recording(path: Path, part: Path, calls: list[Call]) -> None:
 
 
 def _log_frames(ins: CanIns, path: Path, clock: Clock, duration_s: float) -> str:
-    before = ins.health().frames
+    before = ins.frames
     try:
         with can.Logger(path) as log:
 
@@ -324,7 +324,7 @@ def _log_frames(ins: CanIns, path: Path, clock: Clock, duration_s: float) -> str
         if isinstance(error, NoReplyError):
             raise
         raise cant_be_written(path, error) from error
-    return f"{ins.health().frames - before} frames in {duration_s:g} s; {identity}"
+    return f"{ins.frames - before} frames in {duration_s:g} s; {identity}"
 
 
 def _switch_on(station: Station, outputs: Outputs, ins: CanIns) -> bool:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 
 import can
 import numpy as np
@@ -33,16 +32,6 @@ _REPLY_TIMEOUT_S = 5.0
 _SEND_TIMEOUT_S = 1.0
 #: Period at which a confirmation is looked for.
 POLL_PERIOD_S = 0.05
-
-
-@dataclass(frozen=True)
-class InsHealth:
-    """Counts since the first bus was opened; error frames include remote frames."""
-
-    frames: int
-    error_frames: int
-    commands: int
-    lost: int  #: Frames that arrived while the queue between adapter and bench was full.
 
 
 class CanIns:
@@ -79,16 +68,15 @@ class CanIns:
         self._clock = clock
         self.on_frames: Callable[[FrameBlock], None] | None = None
         self._newest = NewestFrames(self.codec)
-        self._frames = self._error_frames = self._sent = self._lost = 0
+        self.frames = 0  #: Number of data frames since the first bus was opened.
 
     def close(self) -> None:
         """Close the bus; a second call does nothing."""
         close_bus(self._bus)
 
     def replace_bus(self, bus: can.BusABC) -> None:
-        """Close the bus and continue on another, after bus-off or a lost adapter; counts and state stay."""
+        """Close the bus and continue on another, after bus-off or a lost adapter; count and state stay."""
         close_bus(self._bus)
-        self._lost += _lost(self._bus)
         self._bus, self._receive = bus, block_receiver(bus)
 
     def poll(self) -> FrameBlock:
@@ -111,10 +99,8 @@ class CanIns:
 
     def _take(self, block: FrameBlock) -> None:
         data_frames = block.data_frames()
-        count = len(data_frames)
-        self._frames += count
-        self._error_frames += len(block) - count
-        if count:
+        self.frames += len(data_frames)
+        if len(data_frames):
             self._newest.take(data_frames, self._clock.now())
         if self.on_frames is not None:
             self.on_frames(block)
@@ -122,11 +108,11 @@ class CanIns:
     def sends_frames(self, timeout_s: float) -> bool:
         """Poll until a data frame arrives; False if none does in this time. Raises as :meth:`poll`."""
         deadline = Deadline(self._clock, timeout_s)
-        before = self._frames
-        while self._frames == before and not deadline.expired():
+        before = self.frames
+        while self.frames == before and not deadline.expired():
             self._clock.sleep(POLL_PERIOD_S)
             self.poll()
-        return self._frames > before
+        return self.frames > before
 
     @property
     def keeps_frames(self) -> bool:
@@ -142,10 +128,6 @@ class CanIns:
     def forget(self) -> None:
         """Drop the newest frames: the state is unknown until others arrive."""
         self._newest = NewestFrames(self.codec)
-
-    def health(self) -> InsHealth:
-        """Counts of frames and commands so far."""
-        return InsHealth(self._frames, self._error_frames, self._sent, self._lost + _lost(self._bus))
 
     def identity(self, timeout_s: float = _REPLY_TIMEOUT_S) -> dict[str, int]:
         """Wait for the numbers that identify the INS, none if the map has none; raises NoReplyError."""
@@ -319,14 +301,9 @@ class CanIns:
             self._bus.send(command.frame(self.codec, given), timeout=_SEND_TIMEOUT_S)
         except (can.CanError, OSError) as error:
             raise self._gone(error) from error
-        self._sent += 1
 
     def _gone(self, error: Exception) -> ConnectionFailedError:
         return ConnectionFailedError(self.name, f"{self._bus} went away: {error}. Check adapter and cable.")
 
     def _no_command(self, name: str) -> RefusedError:
         return RefusedError(self.name, f"has no command '{name}'; add it to the station file's ins.commands")
-
-
-def _lost(bus: can.BusABC) -> int:
-    return int(getattr(bus, "lost", 0))

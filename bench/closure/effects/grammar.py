@@ -23,7 +23,6 @@ from gyrobench.bench.closure.effects.effect import (
     InsTerms,
     MisalignmentTexts,
     Parameter,
-    always,
     constant_at_end,
     heat_flow_terms,
     needs_electronics,
@@ -327,14 +326,13 @@ def effect_of(
     label: str = "",
     imitated_by: tuple[str, ...] = (),
     contains: tuple[str, ...] = (),
-    may_imitate: Callable[[Campaign], bool] = always,
     as_misalignment: MisalignmentTexts | None = None,
 ) -> Effect:
     """Effect of one law, compensated by the INS's terms where the INS has them."""
     form = form_of(law, terms)
     compensation = partial(ins_terms, {form.name: law})
     return Effect(
-        name, statement, experiment, (form,), imitated_by, compensation, label, contains, may_imitate,
+        name, statement, experiment, (form,), imitated_by, compensation, label, contains,
         as_misalignment=as_misalignment,
     )  # fmt: skip
 

@@ -23,7 +23,7 @@ NOISE = noise_model(0.0006)
 PRIOR = PriorKnowledge.from_datasheet(latitude_arcmin=0.02, accelerometer_drift_ug_per_h=2.0)
 BIAS_DPH, ACCELEROMETER_UG = np.array([0.012, -0.02, 0.016]), np.array([60.0, -40.0, 50.0])
 KNOWN = KnownAccelerometers(ACCELEROMETER_UG * UG, np.full(3, 2.0 * UG))
-UNKNOWN = KnownAccelerometers.unknown(PRIOR)
+UNKNOWN = KnownAccelerometers(np.zeros(3), np.full(3, PRIOR.accelerometer_bias))
 ALIGN_S = 600.0
 #: A tenth of what a rotational INS of 1 nmi in 24 h bears.
 EXACT_DPH = 1e-4

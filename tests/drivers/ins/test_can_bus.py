@@ -83,7 +83,7 @@ def test_a_reopened_bus_replaces_a_lost_one(driver, adapter, batches):
     driver.replace_bus(adapter.bus())
     adapter.send(2 * FRAME)
     receive(driver, 2)
-    assert driver.health().frames == 5
+    assert driver.frames == 5
     assert sum(map(len, batches)) == 5
 
 
@@ -139,6 +139,6 @@ def test_frames_and_state_from_before_stay_with_a_new_bus(signal_map, codec, fra
         far.send(to_messages(frames_of("INS_STATUS", 0.0, {"MODE": 3}))[0])
         driver.poll()
     driver.replace_bus(open_bus("virtual", "second", clock))
-    assert driver.health().frames == 1
+    assert driver.frames == 1
     assert driver.status().mode.name == "NAVIGATE"
     driver.close()

@@ -41,7 +41,7 @@ def test_the_driver_understands_the_log_at_the_pace_at_which_it_was_recorded(log
     assert "serial number 1003" in ins.identify(30.0)
     clock.sleep(0.5 + stamps_s[-1] - stamps_s[0])
     ins.poll()
-    assert ins.health().frames == 40
+    assert ins.frames == 40
     assert ins.status().mode is InsMode.STANDBY
     assert clock.now() >= stamps_s[-1] - stamps_s[0]
     ins.close()
