@@ -30,8 +30,8 @@ from gyrobench.bench.navigation.positions import POSITIONS, Position
 #: Shared unknowns: accelerometer biases, accelerometer error matrix by rows (its diagonal, the
 #: scale factors, acts on Up alone and is not seen), rate North and Up fixed in the navigation
 #: frame, gyro error matrix by rows. The gyro biases of each dwell follow.
-ACCELEROMETER_BIAS, ACCELEROMETER_MATRIX = slice(0, 3), slice(3, 12)
-NAVIGATION_RATE, GYRO_MATRIX = slice(12, 14), slice(14, 23)
+SHARED_ACCELEROMETER_BIAS, SHARED_ACCELEROMETER_MATRIX = slice(0, 3), slice(3, 12)
+SHARED_NAVIGATION_RATE, SHARED_GYRO_MATRIX = slice(12, 14), slice(14, 23)
 SHARED = 23
 
 # A rate of which nothing is known beforehand, rad/s.
@@ -46,7 +46,7 @@ _SHOWN = np.r_[
 ]
 _BIAS, _ACCELERATION, _RATE, _MATRIX = slice(0, 3), slice(3, 6), slice(6, 8), slice(8, 17)
 
-_NORTH = NAVIGATION_RATE.start
+_NORTH = SHARED_NAVIGATION_RATE.start
 #: Sizes, SI, of accelerometer biases and of elements of the matrices that are large for a unit whose INS
 #: compensates them.
 _LARGE_BIAS, _LARGE_ELEMENT = 0.1, 1e-3
@@ -89,10 +89,10 @@ class JointInformation:
         """Rows (n, 23 + 3 m) of dwell ``number`` out of m."""
         vertical = self.position.up_sign * STANDARD_GRAVITY * np.eye(3)[self.position.up_axis]
         result = np.zeros((len(self.rows), SHARED + 3 * dwells))
-        result[:, ACCELEROMETER_BIAS] = self.rows[:, _ACCELERATION]
-        result[:, ACCELEROMETER_MATRIX] = self.rows[:, _ACCELERATION] @ np.kron(np.eye(3), vertical)
-        result[:, NAVIGATION_RATE] = self.rows[:, _RATE]
-        result[:, GYRO_MATRIX] = self.rows[:, _MATRIX]
+        result[:, SHARED_ACCELEROMETER_BIAS] = self.rows[:, _ACCELERATION]
+        result[:, SHARED_ACCELEROMETER_MATRIX] = self.rows[:, _ACCELERATION] @ np.kron(np.eye(3), vertical)
+        result[:, SHARED_NAVIGATION_RATE] = self.rows[:, _RATE]
+        result[:, SHARED_GYRO_MATRIX] = self.rows[:, _MATRIX]
         result[:, SHARED + 3 * number :][:, :3] = self.rows[:, _BIAS]
         return result
 
@@ -146,7 +146,7 @@ def declared_root(prior: PriorKnowledge, earth_rate: FloatArray) -> FloatArray:
 def _north_free_root(prior: PriorKnowledge, earth_rate: FloatArray) -> FloatArray:
     """The same with any rate North; a rate Up stays in the biases of the vertical gyros."""
     root = declared_root(prior, earth_rate)
-    root[NAVIGATION_RATE, NAVIGATION_RATE] = np.diag([_ANY_RATE, 0.0])
+    root[SHARED_NAVIGATION_RATE, SHARED_NAVIGATION_RATE] = np.diag([_ANY_RATE, 0.0])
     return root
 
 
@@ -157,9 +157,14 @@ def free_root(root: FloatArray, gyro_scale_factors: bool = True) -> FloatArray:
     """
     free = root.copy()
     sizes = np.diagonal(root).copy()
-    sizes[ACCELEROMETER_BIAS], sizes[ACCELEROMETER_MATRIX] = _LARGE_BIAS, _LARGE_ELEMENT * _LOWER
-    sizes[GYRO_MATRIX] = np.where(_OFF_DIAGONAL | gyro_scale_factors, _LARGE_ELEMENT, sizes[GYRO_MATRIX])
-    for part in (ACCELEROMETER_BIAS, ACCELEROMETER_MATRIX, GYRO_MATRIX):
+    sizes[SHARED_ACCELEROMETER_BIAS], sizes[SHARED_ACCELEROMETER_MATRIX] = (
+        _LARGE_BIAS,
+        _LARGE_ELEMENT * _LOWER,
+    )
+    sizes[SHARED_GYRO_MATRIX] = np.where(
+        _OFF_DIAGONAL | gyro_scale_factors, _LARGE_ELEMENT, sizes[SHARED_GYRO_MATRIX]
+    )
+    for part in (SHARED_ACCELEROMETER_BIAS, SHARED_ACCELEROMETER_MATRIX, SHARED_GYRO_MATRIX):
         free[part, part] = np.diag(sizes[part])
     return free
 
@@ -260,18 +265,18 @@ class JointSolution:
     @property
     def accelerometer_bias(self) -> tuple[FloatArray, FloatArray]:
         """Biases (3,) and their standard uncertainties, m/s^2, body axes."""
-        return self._shared(ACCELEROMETER_BIAS)
+        return self._shared(SHARED_ACCELEROMETER_BIAS)
 
     @property
     def accelerometer_misalignment(self) -> tuple[FloatArray, FloatArray]:
         """Matrix (3, 3) and its standard uncertainties, rad; the diagonal is not seen and stays 0."""
-        matrix, sigma = self._shared(ACCELEROMETER_MATRIX)
+        matrix, sigma = self._shared(SHARED_ACCELEROMETER_MATRIX)
         return matrix.reshape(3, 3), sigma.reshape(3, 3)
 
     @property
     def gyro_matrix(self) -> tuple[FloatArray, FloatArray]:
         """Scale factor errors and misalignments (3, 3), and their standard uncertainties."""
-        matrix, sigma = self._shared(GYRO_MATRIX)
+        matrix, sigma = self._shared(SHARED_GYRO_MATRIX)
         return matrix.reshape(3, 3), sigma.reshape(3, 3)
 
     @property

@@ -72,7 +72,7 @@ class Calibration(CoefficientEstimate):
     recordings: tuple[IncrementRecording, ...]
     rests: tuple[tuple[Rest, ...], ...]  #: Of each recording.
     rotations: tuple[tuple[RecordedRotation, ...], ...]  #: Of each recording.
-    gravity: tuple[float, float]  #: Assumed gravity and its standard uncertainty, m/s^2.
+    gravity_and_sigma: tuple[float, float]  #: Assumed gravity and its standard uncertainty, m/s^2.
     #: Test that the noise explains what the coefficients leave of the velocity. Where it does not, the
     #: uncertainties are larger by the root of chi2 over its degrees of freedom.
     fit: Chi2Test
@@ -146,7 +146,7 @@ def calibrate(
         recordings=tuple(recordings),
         rests=tuple(map(tuple, rests)),
         rotations=tuple(map(tuple, rotations)),
-        gravity=(gravity, options.gravity_sigma),
+        gravity_and_sigma=(gravity, options.gravity_sigma),
         fit=found.fit,
         sections=tuple(problem.sections),
         starts=tuple(found.starts),

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from gyrobench.bench.bias.joint_solution import (
-    ACCELEROMETER_BIAS,
-    ACCELEROMETER_MATRIX,
-    GYRO_MATRIX,
-    NAVIGATION_RATE,
     SHARED,
+    SHARED_ACCELEROMETER_BIAS,
+    SHARED_ACCELEROMETER_MATRIX,
+    SHARED_GYRO_MATRIX,
+    SHARED_NAVIGATION_RATE,
     JointFit,
     JointInformation,
     JointSolution,
@@ -39,7 +39,11 @@ def joint_coefficients(solution: JointSolution, prior: PriorKnowledge) -> Coeffi
     fit = solve_together(information, root)
     shared = np.arange(SHARED)
     lower = np.ravel_multi_index(LOWER, (3, 3))
-    chosen = [*shared[GYRO_MATRIX], *shared[ACCELEROMETER_BIAS], *shared[ACCELEROMETER_MATRIX][lower]]
+    chosen = [
+        *shared[SHARED_GYRO_MATRIX],
+        *shared[SHARED_ACCELEROMETER_BIAS],
+        *shared[SHARED_ACCELEROMETER_MATRIX][lower],
+    ]
     to_coefficients = np.zeros((COUNT, len(fit.unknowns)))
     to_coefficients[:3, SHARED:] = np.tile(np.eye(3), len(information)) / len(information)
     to_coefficients[np.arange(3, COUNT), chosen] = 1.0
@@ -62,7 +66,7 @@ def _parts(
     )
     gain = to_coefficients @ fit.covariance @ placed.T
     by_latitude = np.zeros(len(fit.unknowns))
-    by_latitude[:SHARED] = root[:, NAVIGATION_RATE].sum(axis=1)
+    by_latitude[:SHARED] = root[:, SHARED_NAVIGATION_RATE].sum(axis=1)
     latitude = to_coefficients @ by_latitude - gain @ (placed @ by_latitude)
     parts = {"dwells": gain @ gain.T, "latitude": np.outer(latitude, latitude)}
     whole = to_coefficients @ fit.covariance @ to_coefficients.T

@@ -152,8 +152,8 @@ def calibration_record(
             "velocity_random_walk_ug_per_sqrt_hz": noise.velocity_random_walk / UG_PER_SQRT_HZ_TO_SI,
             "white_velocity_mmps": noise.white_velocity * 1e3,
         },
-        "gravity_mps2": calibration.gravity[0],
-        "gravity_sigma_mps2": calibration.gravity[1],
+        "gravity_mps2": calibration.gravity_and_sigma[0],
+        "gravity_sigma_mps2": calibration.gravity_and_sigma[1],
         "earth_rate_up_dph": earth_rate_enu(site.latitude)[2] * RADPS_TO_DPH,
         "rests": [vars(rest) for rest in rest_rates(calibration)],
         "rotations": [

@@ -169,7 +169,7 @@ def _show_observability(
     noise = expected_noise(station.noise(0.0, 0.0), rotations, step_mps)
     whole_turns = None if whole_turns_arcsec is None else whole_turns_arcsec * pi / 648000.0
     max_rate_dps = station.file.rate_table.limits.rate_dps
-    site_sigmas = station.gravity[1], station.prior().latitude
+    site_sigmas = station.gravity_and_sigma[1], station.prior().latitude
     setup = RotationSetup(
         station.table, station.site, noise, max_rate_dps, whole_turns, site_sigmas, has_increments
     )

@@ -85,7 +85,7 @@ class MeasurementSetup:
     decode_increments: Callable[[FrameBlock], Increments | None] = lambda _: None
     table_repeatability: float = ARCSEC_TO_RAD  #: Of the table's return to an angle, rad.
     #: Local gravity, m/s^2, None for normal gravity of the site; its standard uncertainty.
-    gravity: tuple[float | None, float] = (None, NORMAL_GRAVITY_SIGMA)
+    gravity_and_sigma: tuple[float | None, float] = (None, NORMAL_GRAVITY_SIGMA)
 
     def turn(
         self, before: WindowMark, after: WindowMark, navigation: NavigationData, first_frame: int = 0
@@ -473,5 +473,5 @@ def measurement_setup(station: Station) -> MeasurementSetup:
         signs=SignCheck(signals, decode, station.table, station.site, velocity_lsb_mps),
         decode_increments=partial(decode_increments, signal_map=signals, codec=codec),
         table_repeatability=station.file.rate_table.repeatability_arcsec * ARCSEC_TO_RAD,
-        gravity=station.gravity,
+        gravity_and_sigma=station.gravity_and_sigma,
     )

@@ -251,7 +251,7 @@ def _plateau(
     variances = {name: np.diag(part).copy() for name, part in estimate.parts.items()} if estimate else {}
     chamber_set_c = math.nan if set_c is None else set_c
     inputs = {"latitude": setup.prior.latitude, "table_return": setup.table_repeatability} | {
-        "gravity": setup.gravity[1]
+        "gravity": setup.gravity_and_sigma[1]
     }
     return PlateauCalibration(
         number, cycle, chamber_set_c, gyro_c, case_c, _without_parts(estimate), variances,

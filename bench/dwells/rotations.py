@@ -161,7 +161,7 @@ def spin_record(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup) 
 def _options(setup: MeasurementSetup) -> CalibrationOptions:
     noise = setup.noise
     walks = None if noise is None else (noise.angle_random_walk, noise.velocity_random_walk)
-    gravity, gravity_sigma = setup.gravity
+    gravity, gravity_sigma = setup.gravity_and_sigma
     return CalibrationOptions(
         whole_turns=setup.table_repeatability,
         gravity=gravity,

@@ -118,7 +118,7 @@ class Station:
         return Site(np.deg2rad(place.latitude_deg), place.height_m)
 
     @property
-    def gravity(self) -> tuple[float | None, float]:
+    def gravity_and_sigma(self) -> tuple[float | None, float]:
         """Local gravity, m/s^2, None where it is not known, and its standard uncertainty."""
         place = self.file.location
         sigma = place.gravity_uncertainty_mps2

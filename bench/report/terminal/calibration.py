@@ -132,7 +132,7 @@ def _topics(calibration: Calibration, site: Site, left_out: tuple[int, int]) -> 
         f"white angle {_three(1e6 * noise.white_angle)} urad, velocity random walk "
         f"{_three(noise.velocity_random_walk / UG_PER_SQRT_HZ_TO_SI)} ug/sqrt(Hz)",
     )
-    gravity, sigma = calibration.gravity
+    gravity, sigma = calibration.gravity_and_sigma
     yield (
         "Gravity",
         f"{gravity:.5f} ± {sigma:.1g} m/s^2: {1e6 * sigma / gravity:.2g} ppm of the accelerometer scale "
