@@ -118,7 +118,7 @@ class CsvTable:
     def flags(self, index: int, column: str) -> tuple[str, ...]:
         """Read what :func:`gyrobench.bench.foundations.text.flag_text` writes; empty for an empty cell."""
         text = self.text(index, column)
-        return tuple(text.split("; ")) if text else ()
+        return tuple(map(sys.intern, text.split("; "))) if text else ()
 
     def choice(self, index: int, column: str, allowed: Collection[str]) -> str:
         """Read one of the allowed words."""
