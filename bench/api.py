@@ -259,6 +259,7 @@ def estimate_bias(
     heading_lsb_rad: float = 0.0,
     height_m: float = 0.0,
     azimuth_deg: float = 0.0,
+    case_c: ArrayLike | None = None,
     prior: PriorKnowledge | None = None,
 ) -> StateSpaceEstimate:
     """Estimate the gyro biases of one dwell from the navigation output of an INS.
@@ -281,6 +282,8 @@ def estimate_bias(
         Noise and output resolution of the INS.
     azimuth_deg : float
         Azimuth of the position in the first window.
+    case_c : array_like, shape (n,), optional
+        Temperature of the case, degC. Without it the uncertainty leaves out accelerometers that follow it.
     prior : PriorKnowledge, optional
         Standard uncertainties of accelerometers, scale factors and misalignments.
 
@@ -316,13 +319,24 @@ def estimate_bias(
     if not all(np.isfinite(value) and value >= 0 for value in (arw_deg_per_sqrt_h, vrw_ug_per_sqrt_hz, *lsb)):
         raise MeasurementError("noise and output resolution of the INS must be finite and not negative")
     velocity[:, 2] = 0.0
+    temperature = None if case_c is None else _numbers(case_c, "case_c")
+    if temperature is not None and temperature.shape != time.shape:
+        raise MeasurementError(f"{time.size} times with case temperatures {temperature.shape}; each has one")
     if position not in POSITIONS:
         raise MeasurementError(f"there is no position '{position}'; the positions are {', '.join(POSITIONS)}")
     spans = [
         (int(np.searchsorted(time, first)), int(np.searchsorted(time, last, "right")))
         for first, last in bounds_s
     ]
-    windows = tuple(NavigationWindow(time[a:b], velocity[a:b], C_nb[a:b]) for a, b in spans)
+    windows = tuple(
+        NavigationWindow(
+            time[a:b],
+            velocity[a:b],
+            C_nb[a:b],
+            accelerometer_c=None if temperature is None else temperature[a:b],
+        )
+        for a, b in spans
+    )
     turns = tuple(
         TurnPath(time[end - 1 : begin + 1], C_nb[end - 1 : begin + 1])
         for (_, end), (begin, _) in itertools.pairwise(spans)

@@ -32,7 +32,7 @@ from gyrobench.bench.foundations.arrays import FloatArray, IntArray, block_diago
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vectors
 from gyrobench.bench.navigation.earth import EARTH_RATE, earth_rate_enu
-from gyrobench.bench.navigation.error_model import STATES, Site, integrate
+from gyrobench.bench.navigation.error_model import STATES, Site, integrate, unit_walks
 
 #: A rate of damping of which nothing is known beforehand, 1/s; and the least one that is reported: what a
 #: slower one does to the biases is small.
@@ -95,8 +95,10 @@ class DwellInformation:
     #: :mod:`gyrobench.bench.bias.parameters`.
     rows: FloatArray
     data: FloatArray  #: Shape (n,). What they are to give.
-    #: Shape (3, p). The gyros' biases at their mean temperatures for a unit of each unknown.
+    #: bias_at_mean, acceleration_at_mean: Shape (3, p). The biases of gyros and accelerometers at their mean
+    #: temperatures for a unit of each unknown.
     bias_at_mean: FloatArray
+    acceleration_at_mean: FloatArray
     earth_rate: FloatArray  #: Shape (3,). ENU, rad/s.
     #: Rate North, rad/s, by an error of the heading beyond the linear model; taken from the data.
     north_rate: float = 0.0
@@ -156,8 +158,8 @@ class BiasFilter:
         self._prior_root = parameters.prior_root(prior, 0, self._earth_rate)
         self._expansions: list[FloatArray] = []
         self._changes: list[WindowChange] = []
-        self._reference_c: FloatArray | None = None
-        self._last_k = np.zeros(3)
+        self._reference_c = np.full(4, np.nan)
+        self._last_k = np.zeros(4)
 
     def begin_window(self, time_s: float, C_nb: FloatArray, turn: TurnPath | None = None) -> None:
         """Begin a segment of navigation at rest.
@@ -205,6 +207,7 @@ class BiasFilter:
         velocity_en_mps: FloatArray,
         C_nb: FloatArray,
         gyro_c: FloatArray | None = None,
+        accelerometer_c: FloatArray | None = None,
     ) -> None:
         """Add the next epochs of the present window.
 
@@ -220,6 +223,8 @@ class BiasFilter:
             Attitude that the INS computes.
         gyro_c : ndarray, shape (n, 3), optional
             Temperatures of the gyros; the biases may change with them.
+        accelerometer_c : ndarray, shape (n,), optional
+            Temperature of the accelerometers likewise.
         """
         if not self._windows:
             raise MeasurementError("epochs need a window that they belong to: begin one first")
@@ -227,7 +232,7 @@ class BiasFilter:
             raise MeasurementError(f"an epoch after {time_s[0]:.3f} s is not a number")
         chosen = self._windows[-1].choose(time_s)
         if len(chosen):
-            temperatures = np.zeros((len(chosen), 3)) if gyro_c is None else self._from_first(gyro_c[chosen])
+            temperatures = self._from_first(_temperatures(len(time_s), gyro_c, accelerometer_c)[chosen])
             self._last_k = temperatures[-1]
             self._windows[-1].add(time_s[chosen], velocity_en_mps[chosen], C_nb[chosen], temperatures)
 
@@ -248,13 +253,13 @@ class BiasFilter:
         unknowns, covariance = self._solved(information)
         taken = _with_north_rate(unknowns, information)
         expansions = [each * shown[: each.shape[1]] for each in self._expansions]
-        at_mean, acceleration = information.bias_at_mean, parameters.ACCELEROMETER_BIAS
+        at_mean, acceleration = information.bias_at_mean, information.acceleration_at_mean
         latitude_error, latitude_sigma = self._latitude(information)
         return StateSpaceEstimate(
             bias_radps=at_mean @ unknowns,
             covariance=at_mean @ covariance @ at_mean.T,
-            accelerometer_bias=unknowns[acceleration].copy(),  # a view would keep all unknowns
-            accelerometer_sigma=np.sqrt(np.diag(covariance)[acceleration]),
+            accelerometer_bias=acceleration @ unknowns,
+            accelerometer_sigma=np.sqrt(np.diag(acceleration @ covariance @ acceleration.T)),
             fit=self._goodness_of_fit(expansions, taken, covariance),
             steady_p_value=self._steady_p_value(information),
             step=find_bias_step(self._windows, self._changes, expansions, taken, covariance)
@@ -328,10 +333,10 @@ class BiasFilter:
         sigma = math.sqrt(of_latitude @ covariance[rates, rates] @ of_latitude)
         return float(of_latitude @ unknowns[rates]), sigma
 
-    def _from_first(self, gyro_c: FloatArray) -> FloatArray:
-        if self._reference_c is None:
-            self._reference_c = gyro_c[0].copy()
-        return gyro_c - self._reference_c
+    def _from_first(self, temperatures_c: FloatArray) -> FloatArray:
+        """Change (n, 4) of temperatures since the first one; zero where they are not known."""
+        self._reference_c = np.where(np.isnan(self._reference_c), temperatures_c[0], self._reference_c)
+        return np.asarray(np.nan_to_num(temperatures_c - self._reference_c))
 
     def _through_turn(self, time_s: float, turn: TurnPath, count: int) -> tuple[WindowChange, FloatArray]:
         """What state before a turn and noise, and each parameter (6, count), make of the state after it."""
@@ -344,15 +349,15 @@ class BiasFilter:
         turned = rotation_vectors(path[:-1].transpose(0, 2, 1) @ path[1:])
         middle = path[:-1] @ rotation_matrices(0.5 * turned)
         durations = np.diff(edges)
-        steps, velocity_steps = (integrate(self._site, durations, *unit) for unit in np.eye(2))
+        steps, walks = integrate(self._site, durations, 0.0, 0.0), unit_walks(self._site, durations)
         for k in np.flatnonzero(durations > 0.0):
             rate_body = middle[k].T @ self._earth_rate + turned[k] / durations[k]
             driven = parameters.inputs(middle[k], rate_body, count)
-            driven[:3, parameters.GYRO_SLOPE] = middle[k] * self._last_k
+            driven[:3, parameters.GYRO_SLOPE] = middle[k] * self._last_k[:3]
+            driven[3:, parameters.ACCELEROMETER_SLOPE] = middle[k][:2] * self._last_k[3]
             transition = steps.transition[k]
             through, state = transition @ through, transition @ state + steps.response[k] @ driven
-            added = np.stack([steps.covariance[k], velocity_steps.covariance[k]])
-            by_walk = transition @ by_walk @ transition.T + added
+            by_walk = transition @ by_walk @ transition.T + walks[:, k]
         return WindowChange(through, state[:, parameters.GYRO_BIAS], by_walk), state
 
     def _information(self, test: bool) -> tuple[DwellInformation, FloatArray]:
@@ -390,16 +395,17 @@ class BiasFilter:
         """
         count = self._expansions[-1].shape[1]
         pairs = list(zip(self._windows, self._expansions, strict=True))
-        mean_k = sum(each.temperature_sum for each in self._windows) / sum(
-            each.epochs for each in self._windows
-        )
-        at_mean = np.zeros((3, count))
-        at_mean[:, parameters.GYRO_BIAS] = np.eye(3)
-        at_mean[:, parameters.GYRO_SLOPE] = np.diag(mean_k)
+        temperature_sum = np.sum([each.temperature_sum for each in self._windows], axis=0)
+        mean_k = temperature_sum / sum(each.epochs for each in self._windows)
+        at_mean, acceleration_at_mean = np.zeros((2, 3, count))
+        at_mean[:, parameters.GYRO_BIAS] = acceleration_at_mean[:, parameters.ACCELEROMETER_BIAS] = np.eye(3)
+        at_mean[:, parameters.GYRO_SLOPE] = np.diag(mean_k[:3])
+        acceleration_at_mean[:, parameters.ACCELEROMETER_SLOPE] = mean_k[3] * np.eye(3)
         linear = DwellInformation(
             rows=np.vstack([_expanded(window.root, expansion, count) for window, expansion in pairs]),
             data=np.concatenate([window.root[:, window_filter.DATA] for window in self._windows]),
             bias_at_mean=at_mean,
+            acceleration_at_mean=acceleration_at_mean,
             earth_rate=self._earth_rate,
         )
         heading = float(self._solved(linear)[0][parameters.FIRST_HEADING_ERROR])
@@ -417,6 +423,16 @@ class BiasFilter:
         ]
         time_s, sums, responses = (np.array(each) for each in zip(*blocks, strict=True))
         return goodness_of_fit(time_s, sums, responses, unknowns, covariance)
+
+
+def _temperatures(count: int, gyro_c: FloatArray | None, accelerometer_c: FloatArray | None) -> FloatArray:
+    """Temperatures (n, 4) of the gyros and the accelerometers; NaN where they are not known."""
+    return np.column_stack(
+        [
+            np.full((count, 3), np.nan) if gyro_c is None else gyro_c,
+            np.full(count, np.nan) if accelerometer_c is None else accelerometer_c,
+        ]
+    )
 
 
 def _with_north_rate(unknowns: FloatArray, information: DwellInformation) -> FloatArray:
@@ -446,7 +462,9 @@ def _filtered(dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnowledge
     for number, window in enumerate(dwell.windows):
         turn = dwell.turns[number - 1] if number else None
         bias_filter.begin_window(window.time_s[0], window.C_nb[0], turn)
-        bias_filter.add(window.time_s, window.velocity_enu_mps[:, :2], window.C_nb, window.gyro_c)
+        bias_filter.add(
+            window.time_s, window.velocity_enu_mps[:, :2], window.C_nb, window.gyro_c, window.accelerometer_c
+        )
     return bias_filter
 
 
@@ -459,7 +477,9 @@ def navigation_fit(
     """
     bias_filter = BiasFilter(site, noise, prior)
     bias_filter.begin_window(window.time_s[0], window.C_nb[0])
-    bias_filter.add(window.time_s, window.velocity_enu_mps[:, :2], window.C_nb, window.gyro_c)
+    bias_filter.add(
+        window.time_s, window.velocity_enu_mps[:, :2], window.C_nb, window.gyro_c, window.accelerometer_c
+    )
     return bias_filter.goodness_of_fit()
 
 
@@ -472,7 +492,10 @@ def _expansion(state: FloatArray, C_nb: FloatArray, earth_rate: FloatArray) -> F
         C_nb, C_nb.T @ earth_rate, count
     )
     expansion[window_filter.HEADING, count - parameters.PER_WINDOW + parameters.HEADING] = 1.0
-    expansion[window_filter.SLOPE : window_filter.TRANSIENT, parameters.GYRO_SLOPE] = np.eye(3)
+    expansion[window_filter.SLOPE : window_filter.ACCELEROMETER_SLOPE, parameters.GYRO_SLOPE] = np.eye(3)
+    expansion[window_filter.ACCELEROMETER_SLOPE : window_filter.TRANSIENT, parameters.ACCELEROMETER_SLOPE] = (
+        C_nb[:2]
+    )
     expansion[window_filter.TRANSIENT : window_filter.DAMPING, count - parameters.PER_WINDOW :][
         :, parameters.TRANSIENT
     ] = np.eye(2)

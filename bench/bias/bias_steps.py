@@ -145,10 +145,11 @@ def _backward(
     responses : ndarray, shape (m, 9, c + 9)
         Information shared with the columns of the window, and the transposed transition to its end.
     """
-    size, width = STATES + _GYROS, COLUMNS + STATES + _GYROS
+    columns, size = rows.shape[2], STATES + _GYROS
+    width = columns + size
     info, responses = np.zeros((size, size)), np.zeros((size, width))
     for i in range(size):
-        responses[i, COLUMNS + i] = 1.0
+        responses[i, columns + i] = 1.0
     infos, all_responses = np.empty((len(saved), size, size)), np.empty((len(saved), size, width))
     carried, taken, number = np.empty(size), np.empty(width), 0
     moved, turned = np.empty((STATES, width)), np.empty((STATES, size))
@@ -172,7 +173,7 @@ def _backward(
                     taken[c] += gain[i] * responses[i, c]
             for c in range(width):
                 responses[h, c] -= taken[c]
-            for c in range(COLUMNS):
+            for c in range(columns):
                 responses[h, c] += scale * row[c]
             for i in range(size):
                 carried[i] = 0.0

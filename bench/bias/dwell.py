@@ -41,10 +41,14 @@ class RestOutput:
     velocity_enu_mps: FloatArray  #: Shape (n, 3). Velocity East, North, Up; at rest all of it is error.
     C_nb: FloatArray  #: Shape (n, 3, 3). Attitude that the INS computed.
     gyro_c: FloatArray | None = None  #: Shape (n, 3), optional. Temperature of each gyro at each epoch.
+    #: Shape (n,), optional. Temperature of the accelerometers.
+    accelerometer_c: FloatArray | None = None
 
     def checked(self) -> NavigationWindow:
         """The same as a window, with its errors."""
-        return NavigationWindow(self.time_s, self.velocity_enu_mps, self.C_nb, self.gyro_c)
+        return NavigationWindow(
+            self.time_s, self.velocity_enu_mps, self.C_nb, self.gyro_c, self.accelerometer_c
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +75,12 @@ class NavigationWindow(RestOutput):
                     f"{count} times with gyro temperatures {self.gyro_c.shape}; each epoch has three"
                 )
             checked["gyro temperature"] = self.gyro_c
+        if self.accelerometer_c is not None:
+            if self.accelerometer_c.shape != (count,):
+                raise MeasurementError(
+                    f"{count} times with {self.accelerometer_c.shape} accelerometer temperatures"
+                )
+            checked["accelerometer temperature"] = self.accelerometer_c
         for name, values in checked.items():
             bad = ~np.isfinite(values).reshape(count, -1).all(axis=1)
             if bad.any():
@@ -87,8 +97,12 @@ class NavigationWindow(RestOutput):
     def thinned(self, interval_s: float) -> NavigationWindow:
         """The first epoch of each interval alone."""
         first = np.flatnonzero(np.diff(slots(self.time_s, self.time_s[0], interval_s), prepend=-1) > 0)
-        gyro_c = None if self.gyro_c is None else self.gyro_c[first]
-        return NavigationWindow(self.time_s[first], self.velocity_enu_mps[first], self.C_nb[first], gyro_c)
+        gyro_c, accelerometer_c = (
+            None if each is None else each[first] for each in (self.gyro_c, self.accelerometer_c)
+        )
+        return NavigationWindow(
+            self.time_s[first], self.velocity_enu_mps[first], self.C_nb[first], gyro_c, accelerometer_c
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,8 +145,8 @@ class Dwell:
                 f"{len(self.windows)} windows with {len(self.C_nb_table)} attitudes of the table and "
                 f"{len(self.turns)} turns between them"
             )
-        if len({window.gyro_c is None for window in self.windows}) > 1:
-            raise MeasurementError("only some windows have gyro temperatures. " + _CHECK_INS)
+        if len({(window.gyro_c is None, window.accelerometer_c is None) for window in self.windows}) > 1:
+            raise MeasurementError("only some windows have temperatures. " + _CHECK_INS)
         for earlier, later in itertools.pairwise(self.windows):
             if later.time_s[0] <= earlier.time_s[-1]:
                 raise MeasurementError(

@@ -50,6 +50,9 @@ SOURCES: Mapping[str, ErrorSource] = MappingProxyType(
         "accelerometer_drift": ErrorSource(
             "drift of the accelerometers in the dwell", "ug/h", 3600 / UG_TO_MPS2, True, _DECLARED
         ),
+        "accelerometer_slope": ErrorSource(
+            "accelerometer temperature within the dwell", "ug/K", 1 / UG_TO_MPS2, True, _DECLARED
+        ),
         "accelerometer_settling": ErrorSource(
             "settling of the accelerometers after the turn", "ug", 1 / UG_TO_MPS2, True, _DECLARED
         ),

@@ -24,7 +24,7 @@ from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.bias.window_filter import DATA, MEASURED_STATES, WindowFilter
 from gyrobench.bench.foundations.arrays import FloatArray, IntArray
 from gyrobench.bench.foundations.kernels import compiled
-from gyrobench.bench.navigation.error_model import STATES, Site, integrate
+from gyrobench.bench.navigation.error_model import STATES, Site, unit_walks
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +100,7 @@ def prior_parts(
     places: dict[str, tuple[slice | IntArray, float]] = {
         "accelerometer_bias": (parameters.ACCELEROMETER_BIAS, prior.accelerometer_bias),
         "accelerometer_drift": (parameters.ACCELEROMETER_DRIFT, prior.accelerometer_drift),
+        "accelerometer_slope": (parameters.ACCELEROMETER_SLOPE, prior.accelerometer_slope),
         "gyro_scale_factor": (scale_factors, prior.gyro_scale_factor),
         "gyro_misalignment": (np.setdiff1d(matrix, scale_factors), prior.gyro_misalignment),
         "tilt_step": (np.add.outer(own[1:], per_window[parameters.ATTITUDE]).ravel(), prior.tilt_step),
@@ -139,7 +140,7 @@ def noise_parts(
     for number in reversed(range(len(windows))):
         epochs = windows[number].epochs_filtered
         durations = np.diff(epochs.time_s, prepend=epochs.time_s[0])
-        by_walk = np.stack([integrate(site, durations, *unit).covariance for unit in np.eye(2)])
+        by_walk = unit_walks(site, durations)
         # What the white innovations count in the biases.
         weights = epochs.rows[:, :, :DATA] @ (expansions[number] @ gain[: expansions[number].shape[1]])
         _backward(

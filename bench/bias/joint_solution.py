@@ -69,10 +69,19 @@ class JointInformation:
     @classmethod
     def of(cls, information: DwellInformation, position: Position, prior: PriorKnowledge) -> JointInformation:
         """Eliminate what no other dwell shares: slopes, initial errors, headings, steps in the turns."""
-        rows, slope = information.rows.copy(), parameters.GYRO_SLOPE
+        rows = information.rows.copy()
         # Biases at the mean temperatures become unknowns; the slopes turn about those temperatures.
-        rows[:, slope] -= rows[:, parameters.GYRO_BIAS] @ information.bias_at_mean[:, slope]
-        own = np.r_[slope, parameters.ACCELEROMETER_DRIFT, parameters.COMMON : rows.shape[1]]
+        for bias, slope, at_mean in (
+            (parameters.GYRO_BIAS, parameters.GYRO_SLOPE, information.bias_at_mean),
+            (parameters.ACCELEROMETER_BIAS, parameters.ACCELEROMETER_SLOPE, information.acceleration_at_mean),
+        ):
+            rows[:, slope] -= rows[:, bias] @ at_mean[:, slope]
+        own = np.r_[
+            parameters.GYRO_SLOPE,
+            parameters.ACCELEROMETER_DRIFT,
+            parameters.ACCELEROMETER_SLOPE,
+            parameters.COMMON : rows.shape[1],
+        ]
         root = parameters.prior_root(prior, information.windows, information.earth_rate)
         stacked = np.block(
             [

@@ -26,9 +26,11 @@ GYRO_BIAS, GYRO_SLOPE, ACCELEROMETER_BIAS = slice(0, 3), slice(3, 6), slice(6, 9
 NAVIGATION_RATE, GYRO_MATRIX = slice(9, 11), slice(11, 20)
 #: Drift of the accelerometer biases, m/s^3, body axes.
 ACCELEROMETER_DRIFT = slice(20, 23)
+#: Slopes of the accelerometer biases with their temperature, m/s^2/K, body axes.
+ACCELEROMETER_SLOPE = slice(23, 26)
 #: Rate at which the INS damps its velocity, 1/s: zero where it is free inertial.
-DAMPING = 23
-COMMON = 24
+DAMPING = 26
+COMMON = 27
 
 #: Of each window: constant of the heading, jumps of velocity East and North and of the attitude
 #: error East, North and Up at its start, and what the turn before it changes of the acceleration East and
@@ -84,6 +86,7 @@ def prior_root(prior: PriorKnowledge, windows: int, earth_rate: FloatArray) -> F
     sigmas[GYRO_BIAS], sigmas[GYRO_SLOPE] = WIDE_GYRO_BIAS, prior.bias_slope
     sigmas[ACCELEROMETER_BIAS] = prior.accelerometer_bias
     sigmas[ACCELEROMETER_DRIFT] = prior.accelerometer_drift
+    sigmas[ACCELEROMETER_SLOPE] = prior.accelerometer_slope
     matrix = np.full((3, 3), prior.gyro_misalignment)
     np.fill_diagonal(matrix, prior.gyro_scale_factor)
     sigmas[GYRO_MATRIX] = matrix.ravel()
@@ -122,12 +125,13 @@ class PriorKnowledge:
     #: rad; lets gravity in, so accelerometer biases seem to differ between positions. Observable only in a
     #: solution of several dwells.
     accelerometer_misalignment: float = 5.0 * ARCSEC_TO_RAD
-    #: Change of an accelerometer's bias in a dwell, m/s^3. No fit of one dwell finds it. Data sheets of
-    #: quartz accelerometers state 15 to 30 ug/K; a tenth is left of it if modelled, and ramps of 10 K/h are
-    #: usual.
+    #: Change of an accelerometer's bias in a dwell, m/s^3. No fit of one dwell finds it.
     accelerometer_drift: float = 20.0 * UG_TO_MPS2 / 3600.0
     #: How far a turn changes an accelerometer's bias until that has decayed, m/s^2; estimated where it shows.
     accelerometer_transient: float = 20.0 * UG_TO_MPS2
+    #: Change of an accelerometer's bias with its temperature within a dwell, m/s^2/K. Data sheets of quartz
+    #: accelerometers state 15 to 30 ug/K; a tenth is left of it if modelled.
+    accelerometer_slope: float = 2.0 * UG_TO_MPS2
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -147,6 +151,7 @@ class PriorKnowledge:
         accelerometer_misalignment_arcsec: float = 5.0,
         accelerometer_drift_ug_per_h: float = 20.0,
         accelerometer_transient_ug: float = 20.0,
+        accelerometer_slope_ug_per_c: float = 2.0,
     ) -> PriorKnowledge:
         """The same in the units of data sheets."""
         return cls(
@@ -159,4 +164,5 @@ class PriorKnowledge:
             accelerometer_misalignment_arcsec * ARCSEC_TO_RAD,
             accelerometer_drift_ug_per_h * UG_TO_MPS2 / 3600.0,
             accelerometer_transient_ug * UG_TO_MPS2,
+            accelerometer_slope_ug_per_c * UG_TO_MPS2,
         )

@@ -83,8 +83,8 @@ class WindowFilter:
         Time of the first epoch, and of the last one used, which is NaN before there is one.
     output_variances : ndarray, shape (3,)
         Of the noise of velocity East and North and of the heading.
-    temperature_sum, epochs : ndarray of shape (3,), int
-        Sum of the gyros' temperatures over the epochs used, and their number.
+    temperature_sum, epochs : ndarray of shape (4,), int
+        Sum of the temperatures over the epochs used, and their number.
     """
 
     def __init__(
@@ -108,7 +108,7 @@ class WindowFilter:
         self.columns[:, DATA] = known
         self.root = np.zeros((0, COLUMNS))
         self.last_s = math.nan
-        self.temperature_sum = np.zeros(3)
+        self.temperature_sum = np.zeros(4)
         self.epochs = 0
         self._last_velocity = np.zeros(2)
         self._filtered: list[tuple[FloatArray, ...]] = []
@@ -122,7 +122,11 @@ class WindowFilter:
     def add(
         self, time_s: FloatArray, velocity_en_mps: FloatArray, C_nb: FloatArray, temperatures: FloatArray
     ) -> None:
-        """Filter the next epochs (n,); temperatures (n, 3) count from where the bias slopes do, K."""
+        """Filter the next epochs (n,).
+
+        ``temperatures`` (n, 4): of the gyros and of the accelerometers, counted from where the bias slopes
+        do, K.
+        """
         steps = integrate(
             self._site,
             np.diff(time_s, prepend=time_s[0] if math.isnan(self.last_s) else self.last_s),
@@ -131,10 +135,11 @@ class WindowFilter:
         )
         heading = -rotation_vector_enu(C_nb, self.C_nb)[:, 2]
         driven = np.zeros((len(time_s), INPUTS, DATA - SLOPE))
-        driven[:, :3, :3] = self.C_nb * temperatures[:, np.newaxis]
-        driven[:, 3:, 3:5] = np.multiply.outer(np.exp((self.first_s - time_s) / TRANSIENT_S), np.eye(2))
+        driven[:, :3, :3] = self.C_nb * temperatures[:, np.newaxis, :3]
+        driven[:, 3:, 3:5] = np.multiply.outer(temperatures[:, 3], np.eye(2))
+        driven[:, 3:, 5:7] = np.multiply.outer(np.exp((self.first_s - time_s) / TRANSIENT_S), np.eye(2))
         # Of the epoch before, whose noise the innovation does not hold.
-        driven[:, 3:, 5] = -np.vstack([self._last_velocity, velocity_en_mps[:-1]])
+        driven[:, 3:, 7] = -np.vstack([self._last_velocity, velocity_en_mps[:-1]])
         rows, gains, scales = whiten(
             self.columns,
             self.covariance,
@@ -172,10 +177,10 @@ class WindowFilter:
 
 
 #: Columns of a window: state at its start, constant inputs, a constant of the heading, inputs that
-#: follow the temperature of each gyro, accelerations East and North that decay, damping of the velocity,
-#: the data.
-STATE, INPUT, HEADING, SLOPE, TRANSIENT, DAMPING, DATA = 0, 6, 11, 12, 15, 17, 18
-COLUMNS = 19
+#: follow the temperature of each gyro, accelerations East and North that follow that of the
+#: accelerometers, others that decay, damping of the velocity, the data.
+STATE, INPUT, HEADING, SLOPE, ACCELEROMETER_SLOPE, TRANSIENT, DAMPING, DATA = 0, 6, 11, 12, 15, 17, 19, 20
+COLUMNS = 21
 
 
 #: Components of the state that the data of an epoch measure: velocity East and North, attitude about Up.
@@ -207,7 +212,7 @@ def whiten(
         Of the noise of each of them.
     transitions, responses, covariances : ndarray, shape (n, 6, 6), (n, 6, 5), (n, 6, 6)
         The interval that leads to each epoch; :class:`gyrobench.bench.navigation.error_model.Intervals`.
-    driven : ndarray, shape (n, 5, 6)
+    driven : ndarray, shape (n, 5, 8)
         Input in the interval that leads to each epoch, for each column from the slopes on.
 
     Returns

@@ -22,9 +22,10 @@ dwell counts with the mean of the exponentials over its time.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from types import MappingProxyType
 
 import numpy as np
 
@@ -50,22 +51,35 @@ class _ProfileFit:
     scale: float  #: Factor on the standard uncertainties that explains the scatter; 1 or more.
     designs: IntArray  #: Shape (m,). Index of the design of each draw.
     draws: FloatArray  #: Shape (m, k). Coefficients of each draw.
+    shared: FloatArray  #: Shape (m, s). Shared errors of each draw, in standard uncertainties.
 
 
 def _profile_fit(
-    values: FloatArray, sigmas: FloatArray, designs: FloatArray, penalties: FloatArray | None = None
+    values: FloatArray,
+    sigmas: FloatArray,
+    designs: FloatArray,
+    penalties: FloatArray | None = None,
+    shared: FloatArray | None = None,
 ) -> _ProfileFit:
     """Fit values (n,) with standard uncertainties (n,) by each of the designs (d, n, k).
 
     A design lacks a coefficient whose column is zero. ``penalties`` (d,) are added to each design's chi2 in
-    comparisons. Raises MeasurementError if there are too few values, or no design separates its coefficients.
+    comparisons. ``shared`` (n, s): parts of the uncertainties that each of s sources causes in all values by
+    one standard uncertainty of its own. Raises MeasurementError if there are too few values, or no design
+    separates its coefficients.
     """
-    dof = len(values) - designs.shape[2] - 1
+    (count, size), sources = designs.shape[1:], 0 if shared is None else shared.shape[1]
+    dof = count - size - 1
     if dof < 1:
         raise MeasurementError(
-            f"{len(values)} dwells without flags are too few for {len(values) - dof} parameters. "
-            "Measure more dwells"
+            f"{count} dwells without flags are too few for {count - dof} parameters. Measure more dwells"
         )
+    if shared is not None:
+        # The errors by these sources are unknowns of which as many further values, zero, are known.
+        known = np.hstack([np.zeros((sources, size)), np.eye(sources)])
+        designs = np.array([np.vstack([np.hstack([each, shared]), known]) for each in designs])
+        own = np.sqrt(np.maximum(sigmas**2 - (shared**2).sum(axis=1), _TINY))
+        values, sigmas = np.append(values, np.zeros(sources)), np.append(own, np.ones(sources))
     white, target = designs / sigmas[:, np.newaxis], values / sigmas
     sizes = np.sqrt((white**2).sum(axis=1))
     unit = np.eye(designs.shape[2])
@@ -96,7 +110,15 @@ def _profile_fit(
         rows = chosen == index
         root = np.linalg.cholesky(inverse[index]) * shrink[index][:, None]
         draws[rows] = solved[index] + draws[rows] @ root.T
-    return _ProfileFit(best, solved[best], designs[best] @ solved[best], scale, chosen, draws)
+    coefficients = solved[best, :size]
+    return _ProfileFit(
+        best,
+        coefficients,
+        designs[best, :count, :size] @ coefficients,
+        scale,
+        chosen,
+        *np.split(draws, [size], 1),
+    )
 
 
 def indicators(groups: Sequence[object]) -> FloatArray:
@@ -115,13 +137,26 @@ _REVERSAL_C = 1.0
 _POINTS = 7
 #: Correlation above which two sensitivities are inseparable.
 _MAX_CORRELATION = 0.95
+#: Share of a variance below which most of it is not that of the dwells' own errors.
+_MIN_OWN = 0.5
+#: Errors (3, s) of the biases of the x, y and z gyro in a dwell by each of s sources that act in all dwells,
+#: deg/h, by number of the dwell.
+SharedErrors = Mapping[int, FloatArray]
+_NONE_SHARED: SharedErrors = MappingProxyType({})
 
 
-def thermal_sensitivity(rows: Sequence[DwellRow], reference_c: float | None, degree: int) -> TestResult:
+def _shared_by(shared: SharedErrors, rows: Sequence[DwellRow], axis: int) -> FloatArray | None:
+    return np.array([shared[row.dwell][axis] for row in rows]) if shared else None
+
+
+def thermal_sensitivity(
+    rows: Sequence[DwellRow], reference_c: float | None, degree: int, shared: SharedErrors = _NONE_SHARED
+) -> TestResult:
     """Thermal sensitivities from dwells over temperature, heating and cooling, on ramps and after soaks.
 
     ``reference_c``: T0; by default the middle of each gyro's temperatures. ``degree``: of the polynomial in
-    temperature. Raises MeasurementError if there are too few dwells or temperatures.
+    temperature. ``shared``: by accelerometers that follow the temperature. Raises MeasurementError if there
+    are too few dwells or temperatures.
     """
     good = sorted((row for row in rows if not row.flags), key=lambda row: row.start_s)
     constants = np.hstack(
@@ -155,7 +190,7 @@ def thermal_sensitivity(rows: Sequence[DwellRow], reference_c: float | None, deg
         path_c = temperature[:, np.newaxis] + rate[:, np.newaxis] / 3600.0 * away_s
         states = [_play_state(path_c.ravel(), each).reshape(path_c.shape).mean(axis=1) for each in widths]
         designs = np.array([np.column_stack([linear, 0.5 * state, constants]) for state in states])
-        fit = _profile_fit(bias, sigma, designs)
+        fit = _profile_fit(bias, sigma, designs, shared=_shared_by(shared, good, axis))
         zeros_c.append(zero_c)
         names = (
             ("temperature sensitivity", "deg/h/degC", 0),
@@ -166,7 +201,16 @@ def thermal_sensitivity(rows: Sequence[DwellRow], reference_c: float | None, deg
             from_draws(gyro, name, unit, fit.coefficients[index], fit.draws[:, index])
             for name, unit, index in names
         ]
-        correlation = float(np.corrcoef(fit.draws[:, degree], fit.draws[:, degree + 1])[0, 1])
+        pair = fit.draws[:, degree : degree + 2]
+        by_shared = fit.shared @ np.linalg.lstsq(fit.shared, pair - pair.mean(axis=0))[0]
+        own = np.cov(pair - by_shared, rowvar=False)
+        correlation = float(own[0, 1] / np.sqrt(own[0, 0] * own[1, 1]))
+        if own[0, 0] < _MIN_OWN * pair[:, 0].var():
+            notes.append(
+                f"{gyro.upper()} gyro: accelerometers that follow the temperature make most of the "
+                "uncertainty of its ramp sensitivity (ins.uncertainty.accelerometer_slope_ug_per_c). Measure "
+                "with this gyro vertical, where they do not act, or declare the slope of this unit."
+            )
         if abs(correlation) > _MAX_CORRELATION:
             notes.append(
                 f"{gyro.upper()} gyro: ramp sensitivity and hysteresis are inseparable in these dwells "
@@ -210,36 +254,41 @@ _SHORTEST, _LONGEST = 0.5, 1.0
 _TIMES, _BEYOND = 200, 2.0
 
 
-def warm_up(rows: Sequence[DwellRow], within_dph: float) -> TestResult:
+def warm_up(rows: Sequence[DwellRow], within_dph: float, shared: SharedErrors = _NONE_SHARED) -> TestResult:
     """Warm-up from dwells after one or more cold starts, each with a constant.
 
-    ``within_dph``: a gyro has settled when its bias is this near to its final value. Raises MeasurementError
-    if there are too few dwells.
+    ``within_dph``: a gyro has settled when its bias is this near to its final value. ``shared``: see
+    :func:`thermal_sensitivity`. Raises MeasurementError if there are too few dwells.
     """
     good = sorted((row for row in rows if not row.flags), key=lambda row: row.since_power_on_s)
     start_s = np.array([row.since_power_on_s for row in good])
     end_s = start_s + np.array([row.end_s - row.start_s for row in good])
     constants = indicators([row.run for row in good])
     positions = indicators([row.position for row in good])[:, 1:]
-    shared = np.hstack([constants, positions]) if len(good) else np.zeros((0, 1))
+    offsets = np.hstack([constants, positions]) if len(good) else np.zeros((0, 1))
     coefficients: list[Coefficient] = []
     curves, notes = [], []
     for axis, gyro in enumerate(AXES):
         bias = np.array([row.bias_dph[axis] for row in good])
         sigma = np.array([row.sigma_dph[axis] for row in good])
-        fit, time_constants = _fit(bias, sigma, shared, start_s, end_s)
-        own, note = _of_gyro(gyro, fit, time_constants, shared.shape[1], start_s, end_s, within_dph)
+        fit, time_constants = _fit(bias, sigma, offsets, start_s, end_s, _shared_by(shared, good, axis))
+        own, note = _of_gyro(gyro, fit, time_constants, offsets.shape[1], start_s, end_s, within_dph)
         coefficients += own
         notes += note
-        settled = bias - shared @ fit.coefficients[: shared.shape[1]]
-        model = fit.fitted - shared @ fit.coefficients[: shared.shape[1]]
+        settled = bias - offsets @ fit.coefficients[: offsets.shape[1]]
+        model = fit.fitted - offsets @ fit.coefficients[: offsets.shape[1]]
         middle_h = 0.5 * (start_s + end_s) / 3600.0
         curves.append(Curve.of(gyro, middle_h, settled, sigma, model))
     return TestResult(test="warm_up", coefficients=coefficients, curves=curves, notes=notes)
 
 
 def _fit(
-    bias: FloatArray, sigma: FloatArray, shared: FloatArray, start_s: FloatArray, end_s: FloatArray
+    bias: FloatArray,
+    sigma: FloatArray,
+    offsets: FloatArray,
+    start_s: FloatArray,
+    end_s: FloatArray,
+    shared: FloatArray | None,
 ) -> tuple[_ProfileFit, FloatArray]:
     """Fit of one or two exponentials, and the time constants (g, 2) of its designs."""
     grid = (
@@ -250,16 +299,16 @@ def _fit(
     decays = [_mean_decay(start_s, end_s, tau_s) for tau_s in grid]
     none = np.zeros(len(bias))
     pairs: list[tuple[int, int | None]] = [(i, None) for i in range(len(grid))]
-    if len(bias) >= shared.shape[1] + _DWELLS_FOR_TWO:
+    if len(bias) >= offsets.shape[1] + _DWELLS_FOR_TWO:
         pairs += [(i, j) for i, j in combinations(range(len(grid)), 2) if grid[j] > _APART * grid[i]]
     designs = np.array(
-        [np.column_stack([shared, decays[i], none if j is None else decays[j]]) for i, j in pairs]
+        [np.column_stack([offsets, decays[i], none if j is None else decays[j]]) for i, j in pairs]
     )
     # All pairs together weigh what all single ones do, but for the penalty of two more parameters.
     for_pair = 2.0 * np.log(max(1, len(pairs) - len(grid)) / len(grid)) + 3.0 * np.log(len(bias))
     penalties = np.array([0.0 if j is None else for_pair for _, j in pairs])
     taus = np.array([(grid[i], np.inf if j is None else grid[j]) for i, j in pairs])
-    return _profile_fit(bias, sigma, designs, penalties), taus
+    return _profile_fit(bias, sigma, designs, penalties, shared), taus
 
 
 def _mean_decay(start_s: FloatArray, end_s: FloatArray, tau_s: float | FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.characteristics.allan_test import RateRecord, allan_test
-from gyrobench.bench.characteristics.profile_fit import thermal_sensitivity, warm_up
+from gyrobench.bench.characteristics.profile_fit import SharedErrors, thermal_sensitivity, warm_up
 from gyrobench.bench.characteristics.results import TestName, TestResult
 from gyrobench.bench.characteristics.scale_factor import MIN_MEASUREMENTS, SpinRecord, scale_factor_stability
 from gyrobench.bench.characteristics.turn_on import MIN_POWER_CYCLES, turn_on_repeatability
@@ -75,18 +75,27 @@ class CharacteristicTests(StrictModel):
     )
 
     def evaluate(
-        self, rows: Sequence[DwellRow], records: Sequence[RateRecord], spins: Sequence[SpinRecord]
+        self,
+        rows: Sequence[DwellRow],
+        records: Sequence[RateRecord],
+        spins: Sequence[SpinRecord],
+        shared: SharedErrors,
     ) -> list[TestResult]:
-        """Results from the dwells, noise records and whole turns of a run; without enough data a note."""
+        """Results from the dwells, noise records and whole turns of a run; without enough data a note.
+
+        ``shared``: errors of the dwells by accelerometers that follow the temperature.
+        """
         results: list[TestResult] = []
         if self.turn_on_repeatability:
             results.append(_result("turn_on_repeatability", lambda: turn_on_repeatability(rows)))
         if self.warm_up:
             within_dph = self.warm_up.within_dph
-            results.append(_result("warm_up", lambda: warm_up(rows, within_dph)))
+            results.append(_result("warm_up", lambda: warm_up(rows, within_dph, shared)))
         if self.thermal_sensitivity:
             zero_c, degree = self.thermal_sensitivity.reference_c, self.thermal_sensitivity.degree
-            results.append(_result("thermal_sensitivity", lambda: thermal_sensitivity(rows, zero_c, degree)))
+            results.append(
+                _result("thermal_sensitivity", lambda: thermal_sensitivity(rows, zero_c, degree, shared))
+            )
         if self.allan_variance:
             results.append(_result("allan_variance", lambda: allan_test(records)))
         if self.scale_factor_stability:

@@ -105,4 +105,6 @@ class LiveEstimate:
             turn = self._setup.turn(self._begun[-1], mark, navigation, first_frame) if self._begun else None
             bias_filter.begin_window(rest.time_s[0], rest.C_nb[0], turn)
             self._begun.append(mark)
-        bias_filter.add(rest.time_s, rest.velocity_enu_mps[:, :2], rest.C_nb, rest.gyro_c)
+        bias_filter.add(
+            rest.time_s, rest.velocity_enu_mps[:, :2], rest.C_nb, rest.gyro_c, rest.accelerometer_c
+        )

@@ -34,7 +34,7 @@ from gyrobench.bench.dwells.sign_check import SignCheck
 from gyrobench.bench.dwells.temperatures import (
     DwellTemperatures,
     dwell_temperatures,
-    gyro_temperatures_at,
+    temperatures_at,
     valid_temperatures,
 )
 from gyrobench.bench.foundations.arrays import ARCSEC_TO_RAD, UG_TO_MPS2, BoolArray
@@ -382,6 +382,7 @@ def lack_of_fit_text(fit: GoodnessOfFit) -> str:
 def rest_output(navigation: NavigationData, mark: WindowMark) -> RestOutput:
     """Output in one window.
 
+    The temperatures are those of :func:`gyrobench.bench.dwells.temperatures.temperatures_at`.
     Raises MeasurementError if the INS was not navigating all the time, or restarted.
     """
     inside = (navigation.row >= mark.first_frame) & (navigation.row < mark.end_frame)
@@ -389,8 +390,8 @@ def rest_output(navigation: NavigationData, mark: WindowMark) -> RestOutput:
     time_s = navigation.ins_time_s[inside]
     velocity = navigation.velocity_enu_mps[inside].copy()
     velocity[:, 2] = np.nan_to_num(velocity[:, 2])  # not every INS sends it, and no estimate needs it
-    gyro_c = gyro_temperatures_at(time_s, navigation.temperatures)
-    return RestOutput(time_s, velocity, navigation.attitude[inside], gyro_c)
+    temperatures = temperatures_at(time_s, navigation.temperatures)
+    return RestOutput(time_s, velocity, navigation.attitude[inside], *temperatures)
 
 
 def _check_navigating(navigation: NavigationData, inside: BoolArray) -> None:

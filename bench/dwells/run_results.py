@@ -315,7 +315,12 @@ def evaluate_run(
     with_spins = procedure.tests.scale_factor_stability is not None
     records = noise_records(folder, setup) if procedure.tests.allan_variance else []
     spins = [spin_record(*each, setup) for each in rotated_dwells(folder)] if with_spins else []
-    characteristics = procedure.tests.evaluate(rows, records, spins)
+    shared = {
+        each.row.dwell: each.estimate.parts["accelerometer_slope"].columns * RADPS_TO_DPH
+        for each in results.dwells
+        if each.estimate
+    }
+    characteristics = procedure.tests.evaluate(rows, records, spins, shared)
     results = replace(results, coefficients=coefficients, characteristics=characteristics)
     if results.dwells:
         write_dwells(folder.dwells, rows)

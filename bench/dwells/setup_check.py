@@ -6,9 +6,9 @@ file let a dwell look good:
 * Velocities with a wrong scale make the biases of the level gyros wrong by the same factor. The tilt since
   the begin of a window lets gravity in, ``dV_E/dt = g r_N + 2 W_U V_N + constant`` and ``dV_N/dt = -g r_E -
   2 W_U V_E + constant``, so that a regression of the velocity on the integral of the tilt gives its scale.
-  Earth rate and damping by the INS are free in it, a drift and a transient of the accelerometers have their
-  prior uncertainty; noise of the attitude, which makes a regression's slope smaller, is subtracted from its
-  moment.
+  Earth rate and damping by the INS are free in it; drift, transient and temperature slope of the
+  accelerometers have their prior uncertainty; noise of the attitude, which makes a regression's slope
+  smaller, is subtracted from its moment.
 * The heading turns by ``V_E tan(latitude)/R``. What another latitude makes of it looks like a bias with a
   slope, so that of an INS which sends its latitude it is compared with the station's.
 * A latitude of the wrong hemisphere turns the Coriolis acceleration, and the rate of the heading, round.
@@ -81,12 +81,13 @@ def setup_evidence(
 
     ``heading_step_rad``: resolution of the attitude.
     """
-    # A station may declare less drift than a unit has.
+    # A station may declare less than a unit has.
     usual = PriorKnowledge()
     wide = replace(
         prior,
         accelerometer_drift=max(prior.accelerometer_drift, usual.accelerometer_drift),
         accelerometer_transient=max(prior.accelerometer_transient, usual.accelerometer_transient),
+        accelerometer_slope=max(prior.accelerometer_slope, usual.accelerometer_slope),
     )
     regressions = zip(
         *(
@@ -241,9 +242,13 @@ def _regression(
     length_s = time_s[-1] / len(time_s) * every
     walk = np.minimum.outer(begin_s, begin_s) + 0.5 * length_s
     np.fill_diagonal(walk, begin_s + length_s / 3.0)
+    warmed_k = np.zeros(len(time_s))
+    if window.accelerometer_c is not None:
+        warmed_k = window.accelerometer_c - window.accelerometer_c[0]
     known = (
         0.5 * prior.accelerometer_drift * middle_s**2,
         prior.accelerometer_transient * TRANSIENT_S * np.exp(-middle_s / TRANSIENT_S),
+        prior.accelerometer_slope * integral(np.column_stack([warmed_k, warmed_k]))[:, 0],
     )
     white = max(noise.velocity_white, _MIN_WHITE_MPS) ** 2 / every * np.eye(count)
     others = sum(np.outer(each, each) for each in known) + white

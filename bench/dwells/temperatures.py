@@ -63,17 +63,25 @@ def slopes_c_per_h(time_s: FloatArray, values_c: FloatArray) -> FloatArray:
     return np.asarray(hours @ values_c / (hours @ hours))
 
 
-def gyro_temperatures_at(time_s: FloatArray, series: Temperatures) -> FloatArray | None:
-    """Temperatures (n, 3) of the gyros' optics at epochs; None where the INS does not send them all."""
-    valid = [_valid(axis_c) for axis_c in series.optics_c.T]
-    if any(np.count_nonzero(each) < _MIN_SAMPLES for each in valid):
+def temperatures_at(time_s: FloatArray, series: Temperatures) -> tuple[FloatArray | None, FloatArray | None]:
+    """Temperatures at epochs of the gyros' optics (n, 3) and of the accelerometers (n,).
+
+    None where the INS does not send them all. The accelerometers have the temperature of the case; where that
+    is not sent, the mean of the gyros.
+    """
+    optics = [_at(time_s, series.ins_time_s, axis_c) for axis_c in series.optics_c.T]
+    known = [each for each in optics if each is not None]
+    gyro_c = np.column_stack(known) if len(known) == len(optics) else None
+    case_c = _at(time_s, series.ins_time_s, series.case_c)
+    return gyro_c, gyro_c.mean(axis=1) if case_c is None and gyro_c is not None else case_c
+
+
+def _at(time_s: FloatArray, sample_s: FloatArray, values_c: FloatArray) -> FloatArray | None:
+    """A channel's temperatures (n,) at epochs; None where it has too few."""
+    valid = _valid(values_c)
+    if np.count_nonzero(valid) < _MIN_SAMPLES:
         return None
-    return np.column_stack(
-        [
-            np.interp(time_s, series.ins_time_s[each], axis_c[each])
-            for each, axis_c in zip(valid, series.optics_c.T, strict=True)
-        ]
-    )
+    return np.interp(time_s, sample_s[valid], values_c[valid])
 
 
 def _valid(values_c: FloatArray) -> BoolArray:

@@ -105,6 +105,12 @@ def integrate(
     )
 
 
+def unit_walks(site: Site, durations: FloatArray) -> FloatArray:
+    """Covariances (2, n, 6, 6) that angle and velocity random walk of size one add over times (n,), s."""
+    powers = np.power.outer(durations, np.arange(_TERMS))
+    return np.stack([np.tensordot(powers, _series(site, *unit)[2], 1) for unit in ((1.0, 0.0), (0.0, 1.0))])
+
+
 @lru_cache(maxsize=64)
 def _series(
     site: Site, angle_random_walk: float, velocity_random_walk: float

@@ -30,6 +30,7 @@ NOTHING_TO_COMPARE = "Nothing to compare: no temperature bin has dwells in two p
 #: Key of the station file, its default, and by how much more certain biases of level accelerometers are than
 #: of vertical ones, at least.
 _DRIFT, _USUAL_DRIFT_UG_PER_H, _LEVEL = "accelerometer_drift_ug_per_h", 20.0, 5.0
+_SLOPE, _USUAL_SLOPE_UG_PER_C = "accelerometer_slope_ug_per_c", 2.0
 #: A heading of which the random walk, as a square, is less than this part of the gyros' does not follow them.
 _HELD = 0.1
 #: Rate, K/h, below which the temperature of a gyro has settled, number and range of settled dwells that are
@@ -185,11 +186,21 @@ def accelerometers_sentence(rows: Iterable[DwellRow], station: Mapping[str, Any]
 
     ``station``: content of the station file. A drift of a level accelerometer looks like a gyro bias.
     """
-    declared = station.get("ins", {}).get("uncertainty", {}).get(_DRIFT, _USUAL_DRIFT_UG_PER_H)
-    slopes, drifts, known = [], [], list(rows)
+    declared = station.get("ins", {}).get("uncertainty", {})
+    drift, slope = declared.get(_DRIFT, _USUAL_DRIFT_UG_PER_H), declared.get(_SLOPE, _USUAL_SLOPE_UG_PER_C)
+    found, most_ug_per_h, known = {}, 0.0, list(rows)
+    is_beyond = np.zeros(len(known), dtype=bool)
     for index, axis in enumerate(AXES):
-        fields = ("gyro_c", "accelerometer_ug", "accelerometer_sigma_ug")
-        of_axis = np.array([[getattr(row, name)[index] for name in fields] for row in known]).reshape(-1, 3)
+        of_axis = np.array(
+            [
+                (
+                    row.case_c if math.isfinite(row.case_c) else row.gyro_c[index],
+                    row.accelerometer_ug[index],
+                    row.accelerometer_sigma_ug[index],
+                )
+                for row in known
+            ]
+        ).reshape(-1, 3)
         of_axis = of_axis[np.isfinite(of_axis).all(axis=1)]
         # That of a vertical accelerometer is what was known beforehand.
         is_level = of_axis[:, 2] < _LEVEL * of_axis[:, 2].min(initial=np.inf)
@@ -197,24 +208,31 @@ def accelerometers_sentence(rows: Iterable[DwellRow], station: Mapping[str, Any]
         if len(at_c) < _MIN_SETTLED or np.ptp(at_c) < _MIN_RANGE_K:
             continue
         columns = np.column_stack([np.ones_like(at_c), at_c]) / sigma_ug[:, np.newaxis]
-        found, left, *_ = np.linalg.lstsq(columns, bias_ug / sigma_ug)
+        (_, rise), left, *_ = np.linalg.lstsq(columns, bias_ug / sigma_ug)
         scatter = max(1.0, float(left.sum()) / (len(at_c) - 2))
         sigma = math.sqrt(scatter * float(np.linalg.inv(columns.T @ columns)[1, 1]))
-        if abs(found[1]) > _CLEAR_SIGMAS * sigma:
-            slopes.append(f"{axis} {found[1]:+.2f} ± {sigma:.2f} ug/K")
-            drifts.append([abs(found[1] * row.gyro_rate_c_per_h[index]) for row in known])
-    of_dwells = np.nan_to_num(np.max(drifts, axis=0)) if drifts else np.zeros(0)
-    count = int(np.count_nonzero(of_dwells > 2.0 * declared))
-    if not count:
+        if abs(rise) > _CLEAR_SIGMAS * sigma:
+            found[f"{axis} {rise:+.2f} ± {sigma:.2f} ug/K"] = abs(float(rise))
+            rates = np.nan_to_num([abs(row.gyro_rate_c_per_h[index]) for row in known])
+            is_beyond |= abs(rise) * rates > 2.0 * np.hypot(drift, slope * rates)
+            most_ug_per_h = max(most_ug_per_h, float(abs(rise) * rates.max()))
+    if not is_beyond.any():
         return ""
-    most_ug_per_h, dwells = float(of_dwells.max()), counted(count, "dwell")
-    bias_dph = math.degrees(1e-6 * most_ug_per_h)
+    dwells = counted(int(np.count_nonzero(is_beyond)), "dwell")
+    looks_dph = math.degrees(1e-6 * most_ug_per_h)
     return (
-        f"Accelerometer biases follow the temperature: {listed(slopes)}. In {dwells} that is a drift of up "
-        f"to {most_ug_per_h:.0f} ug/h, which looks like {bias_dph:.3f} deg/h of a level gyro; "
-        f"ins.uncertainty.{_DRIFT} allows for {declared:g}. Measure where the temperature has settled, or "
-        "declare that drift"
+        f"Accelerometer biases follow the temperature: {listed(list(found))}. In {dwells} that is a drift of "
+        f"up to {most_ug_per_h:.0f} ug/h, which looks like {looks_dph:.3f} deg/h of a level gyro; "
+        f"ins.uncertainty allows for {drift:g} ug/h and {slope:g} ug/K. Declare {_SLOPE}: "
+        f"{_rounded_up(max(found.values())):g} in the station file; for this run in the station.yaml of its "
+        "folder, then gyrobench seal --accept-changes and gyrobench bins"
     )
+
+
+def _rounded_up(value: float) -> float:
+    """To two digits."""
+    step = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return math.ceil(value / step) * step
 
 
 def heading_sentence(noise: NoiseEstimate | None) -> str:

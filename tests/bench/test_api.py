@@ -44,6 +44,7 @@ def test_tables_of_a_run_have_units_text_and_numbers(run):
 def test_a_bias_from_the_arrays_of_a_dwell_is_that_of_the_table(run):
     """The table takes the turn from the rate table, the arrays from the INS: 0.02 sigma apart at most."""
     navigation = run.navigation(1)
+    readings = navigation.temperatures
     estimate = gyrobench.estimate_bias(
         navigation.ins_time_s,
         navigation.velocity_enu_mps,
@@ -55,6 +56,7 @@ def test_a_bias_from_the_arrays_of_a_dwell_is_that_of_the_table(run):
         arw_deg_per_sqrt_h=0.0006,
         vrw_ug_per_sqrt_hz=5.0,
         velocity_lsb_mps=1e-4,
+        case_c=np.interp(navigation.ins_time_s, readings.ins_time_s, readings.case_c),
         prior=PriorKnowledge.from_datasheet(latitude_arcmin=0.02),
     )
     sigma = run.dwells.filter(regex="^sigma_._dph$").to_numpy()[0]
@@ -124,6 +126,7 @@ def test_what_cannot_be_used_is_refused_with_its_reason(run, tmp_path):
         ({"windows_s": [0.0, 2.0]}, "windows_s must be pairs"),
         ({"windows_s": [(2.0, 0.0)]}, "windows_s must be pairs"),
         ({"windows_s": [(math.nan, 2.0)]}, "windows_s must be pairs"),
+        ({"case_c": [20.0, 21.0]}, r"case temperatures \(2,\)"),
         ({"velocity_lsb_mps": -1.0}, "must be finite and not negative"),
         ({"arw_deg_per_sqrt_h": -1.0}, "must be finite and not negative"),
         ({"vrw_ug_per_sqrt_hz": math.inf}, "must be finite and not negative"),

@@ -27,7 +27,11 @@ EAST, UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
 
 #: Nothing acts but biases and noise.
 CLEAN = PriorKnowledge.from_datasheet(
-    1000.0, 0.0, 0.0, 0.0, 0.0, 0.0, accelerometer_drift_ug_per_h=0.0, accelerometer_transient_ug=0.0
+    1000.0,
+    *(0.0,) * 5,
+    accelerometer_drift_ug_per_h=0.0,
+    accelerometer_transient_ug=0.0,
+    accelerometer_slope_ug_per_c=0.0,
 )
 _TURN_ATTITUDES = 19
 
@@ -78,7 +82,7 @@ def emulate(
         A table as the emulated station's, on which a turn of level Z moves both axes; otherwise
         the outer axis is vertical.
     gyro_c : callable, optional
-        Time (n,) to the temperature of each gyro (n, 3).
+        Time (n,) to the temperature of each gyro (n, 3); the accelerometers have the mean.
     lsb : tuple of float
         Resolution of the velocity output, m/s, and of the Euler angles, deg.
     **scenario
@@ -139,7 +143,10 @@ def _window(
         velocity = np.rint(velocity / lsb[0]) * lsb[0]
     if lsb[1] > 0.0:
         attitude = _rounded(attitude, np.radians(lsb[1]), position.startswith("y"))
-    return NavigationWindow(rest.time_s, velocity, attitude, None if gyro_c is None else gyro_c(rest.time_s))
+    if gyro_c is None:
+        return NavigationWindow(rest.time_s, velocity, attitude)
+    temperatures_c = gyro_c(rest.time_s)
+    return NavigationWindow(rest.time_s, velocity, attitude, temperatures_c, temperatures_c.mean(axis=1))
 
 
 def turned_about_up(C_nb: FloatArray, angle: FloatArray) -> FloatArray:

@@ -116,8 +116,12 @@ def feed(dwell, sizes, noise=NOISE):
         edges = [0, *np.cumsum(sizes * len(window.time_s))]
         for a, b in pairwise(edge for edge in edges if edge < len(window.time_s) + max(sizes)):
             part = slice(a, b)
-            gyro_c = None if window.gyro_c is None else window.gyro_c[part]
-            bias_filter.add(window.time_s[part], window.velocity_enu_mps[part, :2], window.C_nb[part], gyro_c)
+            temperatures = (
+                None if each is None else each[part] for each in (window.gyro_c, window.accelerometer_c)
+            )
+            bias_filter.add(
+                window.time_s[part], window.velocity_enu_mps[part, :2], window.C_nb[part], *temperatures
+            )
     return bias_filter
 
 
@@ -232,3 +236,54 @@ def test_a_long_rest_after_the_turn_changes_nothing(settle_s):
     assert np.abs(estimate.bias_dph - 0.05).max() < 2e-4
     level = np.abs(estimate.accelerometer_bias[:2])
     assert np.all(level < 0.5 * estimate.accelerometer_sigma[:2])
+
+
+def course_k(time_s):
+    """A ramp that the unit follows with a lag."""
+    return 60.0 * (time_s / 3600.0 - (1.0 - np.exp(-time_s / 500.0)) / 7.2)
+
+
+def on_a_ramp(position, slopes, **scenario):
+    """Without noise; the case changes as :func:`course_k`, and the gyros differently."""
+    ins = sensors(BIAS_DPH, accelerometer_bias_change=lambda time_s: np.outer(course_k(time_s), slopes))
+    dwell = emulate(position, ins, outer_level=True, **scenario)
+    windows = [
+        replace(
+            each,
+            accelerometer_c=20.0 + course_k(each.time_s),
+            gyro_c=25.0 + np.outer(each.time_s, [1, 2, 3]) / 900.0,
+        )
+        for each in dwell.windows
+    ]
+    return replace(dwell, windows=tuple(windows))
+
+
+@pytest.mark.parametrize("position", ["z_up", "y_down", "x_up"])
+def test_accelerometers_that_follow_the_temperature_act_as_their_part_of_the_uncertainty_does(position):
+    for slopes_ug_per_k in np.diag([2.0, 1.0, -2.0]):
+        dwell = on_a_ramp(position, slopes_ug_per_k * UG)
+        found = estimate(dwell)
+        part = found.parts["accelerometer_slope"]
+        expected_radps = -part.columns @ (slopes_ug_per_k * UG / part.sigma)
+        off_dph = found.bias_dph - BIAS_DPH
+        assert off_dph == pytest.approx(np.degrees(expected_radps) * 3600.0, abs=EXACT_DPH)
+        assert found.fit.p_value > 0.1
+        size_ug_per_k = np.abs(np.delete(slopes_ug_per_k, POSITIONS[position].up_axis)).max()
+        ignored_dph = error_dph(dwell, prior=replace(DEFAULT, accelerometer_slope=0.0))
+        assert np.abs(ignored_dph).max() == pytest.approx(0.00217 * size_ug_per_k, abs=EXACT_DPH)
+        # The accelerations before and after the turn show part of the slope.
+        assert np.abs(off_dph).max() < 0.7 * np.abs(ignored_dph).max() + EXACT_DPH
+
+
+def test_the_accelerometer_biases_are_those_at_the_mean_temperature():
+    dwell = on_a_ramp("z_up", np.array([2.0, -2.0, 0.0]) * UG)
+    mean_k = course_k(np.concatenate([each.time_s for each in dwell.windows])).mean()
+    found = estimate(dwell).accelerometer_bias / UG
+    assert found[:2] == pytest.approx(np.array([2.0, -2.0]) * mean_k, abs=1.0)
+
+
+def test_at_constant_temperature_their_slope_changes_nothing():
+    dwell = emulate(ins=sensors(BIAS_DPH), gyro_c=lambda time_s: np.full((len(time_s), 3), 30.0))
+    found = [estimate(dwell, replace(DEFAULT, accelerometer_slope=slope)) for slope in (0.0, 1e-4)]
+    assert found[0].bias_radps.tolist() == found[1].bias_radps.tolist()
+    assert found[0].covariance.tolist() == found[1].covariance.tolist()

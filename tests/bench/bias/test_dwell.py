@@ -89,7 +89,8 @@ def test_a_thinned_window_keeps_the_first_epoch_of_each_interval():
 def test_a_thinned_window_keeps_its_temperatures_and_goes_over_missing_epochs():
     time = np.delete(np.arange(0.0, 60.05, 0.1), [300, 301, 302])
     gyro_c = np.multiply.outer(time, np.ones(3))
-    thin = replace(window(time), gyro_c=gyro_c).thinned(1.0)
+    thin = replace(window(time), gyro_c=gyro_c, accelerometer_c=time + 1.0).thinned(1.0)
+    np.testing.assert_allclose(thin.accelerometer_c, thin.time_s + 1.0)
     np.testing.assert_allclose(thin.time_s, np.where(TIME == 30.0, 30.3, TIME))
     np.testing.assert_allclose(thin.gyro_c[:, 2], thin.time_s)
 

@@ -51,6 +51,7 @@ def with_known_accelerometers():
         ("heading_output", ["heading_white"]),
         ("accelerometer_bias", ["accelerometer_bias"]),
         ("accelerometer_drift", ["accelerometer_drift"]),
+        ("accelerometer_slope", ["accelerometer_slope"]),
         ("gyro_scale_factor", ["gyro_scale_factor"]),
         ("gyro_misalignment", ["gyro_misalignment"]),
         ("tilt_step", ["tilt_step"]),

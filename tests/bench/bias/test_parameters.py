@@ -61,6 +61,7 @@ def test_a_window_acts_at_its_start_alone():
     inputs = parameters.inputs(np.eye(3), np.ones(3), TWO_WINDOWS)
     assert not inputs[:, parameters.COMMON :].any()
     assert not inputs[:, parameters.GYRO_SLOPE].any()
+    assert not inputs[:, parameters.ACCELEROMETER_SLOPE].any()
 
 
 def test_every_unknown_has_its_own_place():
@@ -73,6 +74,7 @@ def test_every_unknown_has_its_own_place():
             parameters.NAVIGATION_RATE,
             parameters.GYRO_MATRIX,
             parameters.ACCELEROMETER_DRIFT,
+            parameters.ACCELEROMETER_SLOPE,
             slice(parameters.DAMPING, parameters.DAMPING + 1),
         )
     ]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -47,6 +49,35 @@ def test_the_parts_of_the_fit_are_heating_and_cooling() -> None:
     steady = np.abs(steps) > 2.0
     assert np.mean((steps > 0.0)[steady] == np.array(named)[steady]) > 0.9
     assert {part.split(",")[0] for part in first.parts} == {"heating", "cooling"}
+
+
+def test_errors_that_all_dwells_share_are_in_the_intervals() -> None:
+    """The x gyro is off by twice a shared uncertainty that follows the rate, the y gyro by another's."""
+    rows = over_temperature(np.random.default_rng(6), _bias, 2.0, 2e-4)
+    rates = {row.dwell: row.gyro_rate_c_per_h[0] / 60.0 for row in rows}
+    shared = {
+        dwell: 0.003 * np.array([[rate, 0.0], [0.0, np.tanh(rate)], [0.0, 0.0]])
+        for dwell, rate in rates.items()
+    }
+    rows = [
+        replace(
+            row,
+            bias_dph=tuple(row.bias_dph + shared[row.dwell] @ [1.8, -1.8]),
+            sigma_dph=tuple(np.hypot(2e-4, np.linalg.norm(shared[row.dwell], axis=1))),
+        )
+        for row in rows
+    ]
+    result = thermal_sensitivity(rows, 20.0, 3, shared)
+    ramps = [each for each in result.coefficients if each.name == "ramp sensitivity"]
+    assert all(holds(each, RAMP) for each in ramps)
+    x, y, z = (each.high - each.low for each in ramps)
+    assert x == pytest.approx(2.0 * 1.96 * 0.003, rel=0.1)  # nothing in the dwells separates the two
+    assert y < 0.2 * x  # the dwells do
+    assert z < 0.1 * x
+    assert [note[:6] for note in result.notes if "follow the temperature" in note] == ["X gyro"]
+    without = thermal_sensitivity(rows, 20.0, 3).coefficients[1]
+    assert without.name == "ramp sensitivity"
+    assert not holds(without, RAMP)
 
 
 def test_one_temperature_is_refused() -> None:

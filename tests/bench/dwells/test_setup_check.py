@@ -6,9 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrobench.bench.dwells.setup_check import measured_scale, setup_fault
+from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.dwells.setup_check import measured_scale, setup_evidence, setup_fault
 from tests.adversarial.harness import ALL, LATITUDES_DEG, Case, any_unit, measured_dwells
 from tests.adversarial.strapdown import Place
+from tests.bench.bias.emulated_dwells import UG, emulate, noise_model, sensors, site
 
 KNOT_MPS = 0.514444
 
@@ -108,3 +110,24 @@ def test_a_bias_that_steps_does_not_pass_for_the_other_hemisphere(step_dph, seed
     dwells = dwells_of(latitude_deg=-52.0, seed=seed, positions=positions, bias_step_dph=step_dph)
     assert [dwell.setup_fault for dwell in dwells] == ["", ""]
     assert any("a bias is not constant" in str(dwell.flags) for dwell in dwells)
+
+
+@pytest.mark.parametrize("declared_ug_per_k", [0.0, 2.0])
+def test_accelerometers_that_follow_the_temperature_pass_for_no_wrong_scale(declared_ug_per_k):
+    """On a ramp of 60 K/h: their part of the velocity looks like that of a tilt."""
+
+    def warming(time_s):
+        return np.tile(time_s[:, np.newaxis] / 60.0, 3)
+
+    noise = noise_model(0.0006)
+    ins = sensors(
+        (0.01, -0.01, 0.01), noise=noise, accelerometer_bias_change=lambda time_s: 2.0 * UG * warming(time_s)
+    )
+    dwell = emulate(ins=ins, noise=noise, random=np.random.default_rng(1), gyro_c=warming)
+    known = PriorKnowledge.from_datasheet(accelerometer_slope_ug_per_c=declared_ug_per_k)
+    away = []
+    for windows in (dwell.windows, [replace(each, accelerometer_c=None) for each in dwell.windows]):
+        found = setup_evidence(replace(dwell, windows=tuple(windows)), site(), noise, known, 0.0)
+        away.append(np.abs(found.scale - 1.0) / np.sqrt(np.diag(found.covariance)))
+    assert away[0].max() < 2.5
+    assert away[1].max() > 4.4  # without temperatures

@@ -11,9 +11,9 @@ import pytest
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.dwells.temperatures import (
     dwell_temperatures,
-    gyro_temperatures_at,
     slopes_c_per_h,
     stuck_sensors,
+    temperatures_at,
     triple,
 )
 from gyrobench.bench.foundations.errors import MeasurementError
@@ -97,21 +97,22 @@ def test_slope_is_that_of_least_squares():
 
 def test_temperatures_at_epochs_lie_between_their_neighbours():
     time_s = np.array([0.0, 2.5, 7.0, 595.0, 700.0])
-    found = gyro_temperatures_at(time_s, series(np.arange(0.0, 600.0, TEMPERATURE_S)))
+    found, case_c = temperatures_at(time_s, series(np.arange(0.0, 600.0, TEMPERATURE_S)))
     np.testing.assert_allclose(found[:-1], optics_c(time_s[:-1]))
+    np.testing.assert_allclose(case_c, found[:, 0] - 5.0)
     np.testing.assert_allclose(found[-1], optics_c(595.0))  # the last one known
 
 
 @pytest.mark.parametrize("count", [0, 1])
 def test_too_few_temperatures_are_as_good_as_none(count):
-    assert gyro_temperatures_at(np.arange(5.0), series(np.arange(float(count)))) is None
+    assert temperatures_at(np.arange(5.0), series(np.arange(float(count)))) == (None, None)
 
 
 def test_a_gyro_without_temperature_leaves_them_all_out():
     time_s = np.arange(0.0, 600.0, TEMPERATURE_S)
     lacking = optics_c(time_s)
     lacking[:, 1] = math.nan
-    assert gyro_temperatures_at(time_s, series(time_s, optics_c=lacking)) is None
+    assert temperatures_at(time_s, series(time_s, optics_c=lacking))[0] is None
 
 
 def test_triple_is_made_of_plain_numbers():
@@ -132,7 +133,7 @@ def test_a_few_temperatures_that_are_no_numbers_do_not_matter():
     np.testing.assert_allclose(found.gyro_c, optics_c(297.5), atol=0.01)
     np.testing.assert_allclose(found.gyro_rate_c_per_h, SLOPE_C_PER_H, atol=1e-9)
     at_s = np.array([12.0, 100.0, 400.0])
-    np.testing.assert_allclose(gyro_temperatures_at(at_s, reported), optics_c(at_s))
+    np.testing.assert_allclose(temperatures_at(at_s, reported)[0], optics_c(at_s))
 
 
 def test_a_gyro_that_often_shows_no_number_is_not_measured_and_the_others_are():
@@ -142,7 +143,7 @@ def test_a_gyro_that_often_shows_no_number_is_not_measured_and_the_others_are():
     assert np.isnan([found.gyro_c[1], found.gyro_rate_c_per_h[1]]).all()
     np.testing.assert_allclose(np.array(found.gyro_c)[[0, 2]], optics_c(297.5)[[0, 2]])
     np.testing.assert_allclose(np.array(found.gyro_rate_c_per_h)[[0, 2]], SLOPE_C_PER_H[[0, 2]], atol=1e-9)
-    assert gyro_temperatures_at(time_s, reported) is None
+    assert temperatures_at(time_s, reported)[0] is None
 
 
 def dwell(number, chamber_c, **changed):

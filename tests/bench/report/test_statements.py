@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -215,25 +216,36 @@ def test_a_heading_that_the_ins_holds_is_named() -> None:
 
 
 @pytest.mark.parametrize(
-    ("ug_per_k", "declared_ug_per_h", "count"), [(0.0, 20.0, 0), (1.0, 20.0, 6), (1.0, 200.0, 0)]
+    ("ug_per_k", "declared", "count"),
+    [
+        (0.0, {"accelerometer_slope_ug_per_c": 0.0}, 0),
+        (1.0, {"accelerometer_slope_ug_per_c": 0.0}, 6),
+        (1.0, {"accelerometer_slope_ug_per_c": 0.0, "accelerometer_drift_ug_per_h": 200.0}, 0),
+        (1.0, {"accelerometer_slope_ug_per_c": 1.0}, 0),
+        (1.5, {}, 0),
+        (6.0, {}, 6),
+    ],
 )
 def test_accelerometers_that_follow_the_temperature_more_than_declared_are_named(
-    dwells: list[DwellRow], ug_per_k: float, declared_ug_per_h: float, count: int
+    dwells: list[DwellRow], ug_per_k: float, declared: dict[str, float], count: int
 ) -> None:
     random = np.random.default_rng(5)
     rows = [
         replace(
             row,
             gyro_c=(8.0 * number,) * 3,
+            case_c=8.0 * number if number % 2 else np.nan,
             gyro_rate_c_per_h=(100.0 if number < 6 else 1.0,) * 3,
             accelerometer_ug=tuple(30.0 + ug_per_k * 8.0 * number + random.normal(0.0, 2.0, 3)),
             accelerometer_sigma_ug=(2.0, 2.0, 800.0),
         )
         for number, row in enumerate(dwells)
     ]
-    station = {"ins": {"uncertainty": {"accelerometer_drift_ug_per_h": declared_ug_per_h}}}
+    station = {"ins": {"uncertainty": declared}}
     text = accelerometers_sentence(rows, station)
     assert (f"In {count} dwells that is a drift of up to" in text) == bool(count)
-    assert not count or "looks like 0.006 deg/h of a level gyro" in text
+    assert not count or f"looks like {0.00573 * ug_per_k:.3f} deg/h of a level gyro" in text
+    value = re.search(r"Declare accelerometer_slope_ug_per_c: ([\d.]+) in", text)
+    assert not count or ug_per_k <= 1.02 * float(value[1]) <= 1.15 * ug_per_k
     unknown = [replace(row, accelerometer_ug=(np.nan,) * 3) for row in rows]
     assert accelerometers_sentence(unknown, station) == accelerometers_sentence([], {}) == ""
