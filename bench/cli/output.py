@@ -182,8 +182,8 @@ def print_end(
         print_tables(console, folder)
     if word := watermark_of(folder.path):
         console.print(f"{word}: {_EMULATED_BENCH}", soft_wrap=True, style="bold yellow")
-    for text in findings.values():
-        console.print(text, soft_wrap=True, style="bold red")
+    for title, text in findings.items():
+        console.print(f"{title} {text}", style="bold red")
     for number in outcome.units or [""]:
         journal = folder.unit(number).journal
         if journal.is_file() and (text := signs_sentence(facts_of(read_journal(journal)))):

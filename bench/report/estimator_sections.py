@@ -11,7 +11,6 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow, PackedDwells, paper_rows
 from gyrobench.bench.bias.noise_estimate import NoiseEstimate, compare_noise
-from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.vertical_pairs import Finding
 from gyrobench.bench.foundations.text import counted
 from gyrobench.bench.navigation.positions import AXES, gyro_label, position_label
@@ -25,7 +24,7 @@ from gyrobench.bench.report.figures.estimators import (
 )
 from gyrobench.bench.report.number_format import NO_PAPER, BiasScale, p_in_brackets, p_text
 from gyrobench.bench.report.page import Section, SectionFigure, SectionTable
-from gyrobench.bench.report.statements import POSITION_SIGNIFICANCE, fit_sentence
+from gyrobench.bench.report.statements import POSITION_SIGNIFICANCE, declared_noise, fit_sentence
 from gyrobench.bench.runs.tables.joint_table import JointPlateauRow, JointSigmas
 
 _STATE_SPACE = (
@@ -265,7 +264,7 @@ def noise_section(noise: NoiseEstimate | None, station: Mapping[str, Any]) -> Se
     """Measured and declared noise; None without a measurement."""
     if noise is None:
         return None
-    declared = _declared(station)
+    declared = declared_noise(station)
     tables = []
     if declared is not None:
         rows = [
@@ -283,16 +282,4 @@ def noise_section(noise: NoiseEstimate | None, station: Mapping[str, Any]) -> Se
         [_TEXT if declared else f"{_TEXT} {_ESTIMATED}"],
         [SectionFigure("noise", _FIGURE, partial(noise_figure, noise, declared))],
         tables,
-    )
-
-
-def _declared(station: Mapping[str, Any]) -> NoiseModel | None:
-    noise = station.get("ins", {}).get("noise")
-    if not isinstance(noise, Mapping):
-        return None
-    return NoiseModel.from_datasheet(
-        noise["angle_random_walk_deg_per_sqrt_h"],
-        noise.get("velocity_random_walk_ug_per_sqrt_hz", 0.0),
-        velocity_output_mps=noise.get("velocity_output_mps", 0.0),
-        heading_output_rad=math.radians(noise.get("heading_output_deg", 0.0)),
     )

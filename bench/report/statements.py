@@ -14,7 +14,8 @@ import numpy as np
 from gyrobench.bench.bias.allan import RANDOM_WALK
 from gyrobench.bench.bias.bins import BiasBin, PositionComparison
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.bias.noise_estimate import NoiseEstimate
+from gyrobench.bench.bias.noise_estimate import NoiseComparison, NoiseEstimate, compare_noise
+from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.statistics import uniformity_p_value
 from gyrobench.bench.bias.verdicts import Acceptance, Judgement, RunVerdict
 from gyrobench.bench.bias.vertical_pairs import Finding
@@ -37,6 +38,15 @@ _HELD = 0.1
 #: needed, and the change of a gyro's temperature for each kelvin of the chamber in a unit: 0.86 to 1.06 in
 #: simulated ones.
 _SETTLED_C_PER_H, _MIN_SETTLED, _MIN_RANGE_K, _FOLLOWING = 12.0, 4, 20.0, (0.7, 1.3)
+#: Noise that is larger than declared by the first factor, or smaller by the second, is named; data sheets
+#: state upper limits.
+_LARGER, _SMALLER = 1.3, 3.0
+_NOISE_KEYS = MappingProxyType(
+    {
+        "angle random walk of all gyros": "angle_random_walk_deg_per_sqrt_h",
+        "velocity random walk": "velocity_random_walk_ug_per_sqrt_hz",
+    }
+)
 #: Dwells contradict one another below this probability; a rate Up is named above this number of sigmas.
 _CONTRADICTION_P, _CLEAR_SIGMAS = 1e-3, 4.0
 
@@ -140,7 +150,8 @@ def run_findings(
         "Most dwells are flagged.": flags_sentence(rows),
         "Temperatures of the gyros.": temperatures_sentence(rows),
         "Drifting accelerometers.": accelerometers_sentence(rows, station),
-        "The heading.": heading_sentence(noise),
+        "Declared noise.": noise_sentence(noise, station),
+        "Held heading.": heading_sentence(noise),
         **setup_sentences(plateaus),
     }
     return {title: text for title, text in found.items() if text}
@@ -177,7 +188,7 @@ def temperatures_sentence(rows: Iterable[DwellRow]) -> str:
         return ""
     return (
         f"In settled dwells temperatures change for each kelvin of the chamber: {listed(wrong)}. Check scale "
-        "and unit of the temperature signals in the DBC file: bins and plateaus are at wrong temperatures"
+        "and unit of the temperature signals in the DBC file: bins and plateaus are at wrong temperatures."
     )
 
 
@@ -229,6 +240,55 @@ def accelerometers_sentence(rows: Iterable[DwellRow], station: Mapping[str, Any]
     )
 
 
+def declared_noise(station: Mapping[str, Any]) -> NoiseModel | None:
+    """Noise that a station file declares; None where it is estimated, or the file is missing."""
+    noise = station.get("ins", {}).get("noise")
+    if not isinstance(noise, Mapping):
+        return None
+    return NoiseModel.from_datasheet(
+        noise["angle_random_walk_deg_per_sqrt_h"],
+        noise.get("velocity_random_walk_ug_per_sqrt_hz", 0.0),
+        velocity_output_mps=noise.get("velocity_output_mps", 0.0),
+        heading_output_rad=math.radians(noise.get("heading_output_deg", 0.0)),
+    )
+
+
+def noise_sentence(noise: NoiseEstimate | None, station: Mapping[str, Any]) -> str:
+    """Random walks that the data show clearly larger or smaller than declared; else empty.
+
+    ``station``: content of the station file.
+    """
+    declared = declared_noise(station)
+    if noise is None or declared is None:
+        return ""
+    compared = {each.name: each for each in compare_noise(noise, declared)}
+    return " ".join(filter(None, (_noise_text(compared[name], key) for name, key in _NOISE_KEYS.items())))
+
+
+def _noise_text(compared: NoiseComparison, key: str) -> str:
+    measured, declared = compared.measured, compared.declared
+    if measured.square is None:
+        least, most = 0.0, math.inf if measured.limit is None else measured.limit
+    else:
+        margin = _CLEAR_SIGMAS * measured.square_sigma
+        least, most = (math.sqrt(max(0.0, measured.square + each)) for each in (-margin, margin))
+    if declared == 0.0 or (not (is_larger := least > _LARGER * declared) and declared <= _SMALLER * most):
+        return ""
+    effect = (
+        "Dwells that show it clearly were evaluated with the measured noise; the uncertainties of others are "
+        "too small."
+        if is_larger
+        else "The uncertainties of the biases are too large."
+    )
+    name = f"{compared.name[0].upper()}{compared.name[1:]}"
+    to_declare = f"{key}: {measured.cautious / compared.unit_si:.2g}"
+    return (
+        f"{name}: measured {measured.text(compared.unit, compared.unit_si)}, declared "
+        f"{declared / compared.unit_si:.3g} {compared.unit}. {effect} Declare ins.noise.{to_declare}, and "
+        "measure again."
+    )
+
+
 def _rounded_up(value: float) -> float:
     """To two digits."""
     step = 10.0 ** (math.floor(math.log10(value)) - 1)
@@ -254,7 +314,7 @@ def heading_sentence(noise: NoiseEstimate | None) -> str:
     return (
         f"The heading walks at random at most {ratio:.2g} times as much as the angles about the gyros' axes "
         "do: the INS seems to hold or aid it, and then biases of vertical gyros do not show. Switch it off, "
-        "and measure again"
+        "and measure again."
     )
 
 

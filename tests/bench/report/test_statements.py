@@ -20,12 +20,15 @@ from gyrobench.bench.report.statements import (
     fit_sentence,
     flags_sentence,
     heading_sentence,
+    noise_sentence,
+    run_findings,
     scatter_sentence,
     setup_sentences,
     temperatures_sentence,
 )
 from gyrobench.bench.runs.tables.joint_table import JointPlateauRow
 from tests.bench.bias.test_noise_estimate import GRAVITY, simulated
+from tests.bench.report.made_up_noise import made_up_noise
 
 COMPARISON = PositionComparison(
     gyro="x",
@@ -213,6 +216,40 @@ def test_a_heading_that_the_ins_holds_is_named() -> None:
         aided = [replace(window, C_nb=held(window.C_nb, noise_rad)) for window in windows]
         assert "seems to hold or aid it" in heading_sentence(estimate_noise(aided, GRAVITY))
     assert heading_sentence(None) == ""
+
+
+@pytest.mark.parametrize(
+    ("declared_arw", "declared_vrw", "texts"),
+    [
+        (0.001, 20.0, []),
+        (0.002, 40.0, []),  # a data sheet's limits
+        (0.001, 0.0, []),
+        (0.06, 20.0, ["Angle random walk of all gyros", "declared 0.06 deg/sqrt(h). The uncertainties"]),
+        (0.0005, 20.0, ["others are too small. Declare ins.noise.angle_random_walk_deg_per_sqrt_h: 0.00"]),
+        (0.001, 100.0, ["Velocity random walk", "Declare ins.noise.velocity_random_walk_ug_per_sqrt_hz: 2"]),
+        (0.001, 10.0, ["Velocity random walk", "too small"]),
+    ],
+)
+def test_declared_noise_that_the_data_contradict_is_named_with_what_to_declare(
+    declared_arw: float, declared_vrw: float, texts: list[str]
+) -> None:
+    declared = {
+        "angle_random_walk_deg_per_sqrt_h": declared_arw,
+        "velocity_random_walk_ug_per_sqrt_hz": declared_vrw,
+    }
+    text = noise_sentence(made_up_noise(), {"ins": {"noise": declared}})
+    assert all(each in text for each in texts)
+    assert bool(text) == bool(texts)
+    found = run_findings([], {"ins": {"noise": declared}}, made_up_noise(), [])
+    assert found.get("Declared noise.", "") == text
+
+
+def test_noise_that_is_estimated_or_not_measured_contradicts_no_declaration() -> None:
+    assert noise_sentence(made_up_noise(), {"ins": {"noise": "estimated"}}) == ""
+    declared = {"ins": {"noise": {"angle_random_walk_deg_per_sqrt_h": 0.06}}}
+    assert noise_sentence(None, declared) == ""
+    coarse = [replace(each, velocity_enu_mps=np.round(each.velocity_enu_mps)) for each in simulated()]
+    assert "Velocity" not in noise_sentence(estimate_noise(coarse, GRAVITY), declared)
 
 
 @pytest.mark.parametrize(
