@@ -114,8 +114,8 @@ def investigate(
 
     With --json: {"ended", "reason", "folder", "report", "hours", "blocks", "verdict", "effects",
     "uncertainty_ratio", "verification"}; ended is settled, nothing_found, not_on_list, budget, no_block,
-    declined, refuted or bench_failed; verification is null, or a list with the columns of comparison.csv as
-    keys.
+    declined, refuted or bench_failed; hours are those of the blocks, with --adaptive all on the bench;
+    verification is null, or a list with the columns of comparison.csv as keys.
 
     Example: gyrobench investigate quick_campaign --station quick --world quick --approve auto
     """

@@ -70,12 +70,13 @@ def ruled_out_sentence(stage: Stage) -> str:
 
 def _end_sentence(found: Investigation) -> str:
     """How the investigation ended, and its cost."""
-    cost = f"{found.spent_h:.1f} h on the bench"
-    share = found.spent_h / found.repeated_campaign_h
-    whole = "the whole procedure" if found.calibration else "repeating the campaign"
-    if found.spent_h:
-        cost += f", {100.0 * share:.0f} % of {whole} ({found.repeated_campaign_h:.1f} h)"
-    return f"{found.reason} {cost[:1].upper()}{cost[1:]}."
+    share = f"{100.0 * found.spent_h / found.repeated_campaign_h:.0f} %"
+    if found.calibration:
+        whole = f"{share} of the whole procedure ({found.repeated_campaign_h:.1f} h)"
+        return f"{found.reason} {found.spent_h:.1f} h on the bench, {whole}."
+    blocks = f", {counted(len(found.stages) - 1, 'block')} {found.spent_h:.1f} h" if found.spent_h else ""
+    whole = f" ({share} of repeating the first)" if blocks else ""
+    return f"{found.reason} On the bench: first table {found.repeated_campaign_h:.1f} h{blocks}{whole}."
 
 
 def _calibration_sentence(found: Investigation) -> str:

@@ -72,6 +72,10 @@ def test_a_tie_is_settled_in_favour_of_what_is_there_in_a_quarter_of_a_campaign(
     assert found.closure.posterior.hypotheses[0].names == {"warm_up"}
     at_end = next(each for each in found.stages if each.closure.probability >= 0.99)
     assert at_end.spent_h <= 0.25 * found.repeated_campaign_h
+    first, *_ = investigation_text.closing_sentences(found)
+    share = f"{100.0 * found.spent_h / found.repeated_campaign_h:.0f} % of repeating the first"
+    assert f"On the bench: first table {found.repeated_campaign_h:.1f} h, " in first
+    assert first.endswith(f"{len(found.stages) - 1} blocks {found.spent_h:.1f} h ({share}).")
 
 
 def test_a_settled_cause_is_confirmed_by_a_block_that_was_predicted(settled):
@@ -165,6 +169,8 @@ def test_nothing_is_measured_for_a_unit_without_an_effect(tmp_path):
     assert found.closure.posterior.nothing < 0.99
     assert "above 0.5 but below 0.99" in found.reason
     assert found.closure.verdict == "clean"
+    first, *_ = investigation_text.closing_sentences(found)
+    assert first.endswith(f"On the bench: first table {found.repeated_campaign_h:.1f} h.")
 
 
 @pytest.mark.long
