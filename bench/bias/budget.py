@@ -356,9 +356,11 @@ def _as_stated(axis: int, dwell: BudgetedDwell) -> Mapping[str, ErrorPart]:
     factors, left = np.ones(3), math.sqrt(max(stated - others, 0.0))
     factors[axis] = math.sqrt(min(stated / others, 1.0))
     changed = {name: part.scaled(factors) for name, part in dwell.parts.items()}
-    column = np.zeros((3, 1))
+    column, latitude = np.zeros((3, 1)), dwell.parts["latitude"]
     column[axis] = left
-    return changed | {"latitude": replace(dwell.parts["latitude"], columns=column)}
+    is_corrected = variances["latitude"] > 1e-6 * total
+    factor = left / math.sqrt(variances["latitude"]) if is_corrected else 1.0
+    return changed | {"latitude": replace(latitude, columns=column, sigma=factor * latitude.sigma)}
 
 
 _Weighted = Sequence[tuple[FloatArray, float, float]]

@@ -46,7 +46,12 @@ from gyrobench.bench.procedure.plan import DwellPurpose, Plan, PlannedStep
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
 from gyrobench.bench.runs.seal import keep_sealed
-from gyrobench.bench.runs.tables.budget_table import budget_rows, coefficient_budget_rows, write_budget
+from gyrobench.bench.runs.tables.budget_table import (
+    budget_rows,
+    coefficient_budget_rows,
+    with_found_latitude,
+    write_budget,
+)
 from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow, write_calibration_check
 from gyrobench.bench.runs.tables.coefficient_table import write_coefficients, write_correlations
 from gyrobench.bench.runs.tables.joint_table import (
@@ -72,6 +77,7 @@ class RunResults:
     joint: list[JointSolution] = field(default_factory=list)  #: One for each plateau.
     #: Rate Up fixed in the navigation frame, from all plateaus whose dwells agree; None without any.
     up_rate: UpRate | None = None
+    declared_latitude: float = math.nan  #: Standard uncertainty of the latitude, rad.
     noise: NoiseEstimate | None = None  #: Of the INS, from its output; None where it is not observable.
     #: Biases that a calibration check measured, beside the calibrated ones.
     calibration_check: list[CalibrationCheckRow] = field(default_factory=list)
@@ -122,6 +128,7 @@ def evaluate(
         budgets=lambda: chain(dwell_budgets(parts, setup.budget_inputs), of_bins),
         joint=joint,
         up_rate=rate,
+        declared_latitude=setup.prior.latitude,
         noise=_noise([dwell for dwell in dwells if not dwell.is_disturbed], setup),
         calibration_check=list(calibration_check),
         acceptance=judge([dwell.row for dwell in evaluated], limits, planned, bin_width_c),
@@ -161,7 +168,7 @@ def write_results(folder: RunFolder, results: RunResults) -> None:
         remove(stale)
     biases = (budget_rows([each]) for each in results.budgets())
     coefficients = (coefficient_budget_rows(each.number, each.budgets) for each in results.coefficients)
-    rows = chain.from_iterable(chain(biases, coefficients))
+    rows = with_found_latitude(chain.from_iterable(chain(biases, coefficients)), results.declared_latitude)
     for first in islice(rows, 1):
         write_budget(folder.budget, chain([first], rows))
     if results.coefficients:

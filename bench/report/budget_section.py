@@ -94,9 +94,8 @@ def budget_box(budget: BudgetSummary) -> Box | None:
             for source, share in each.parts.items():
                 parts[source] += share * each.count * each.sigma_dph**2 / total
         largest = sorted((-share, source) for source, share in parts.items() if share >= _NAMED)
-        causes = listed(
-            [f"{-100.0 * share:.0f} % by {_cause(budget.contributions[source])}" for share, source in largest]
-        )
+        of_kind = budget.all_gyros[is_vertical]
+        causes = listed([f"{-100.0 * share:.0f} % by {_cause(of_kind[source])}" for share, source in largest])
         causes = causes.replace(" % by", " % of the variance by", 1)
         sigma_dph = math.sqrt(total / sum(each.count for each in own))
         texts.append(f"{sigma_dph:#.2g} deg/h for a {_kind(is_vertical)} gyro, {causes}")
@@ -186,7 +185,7 @@ def _kind(is_vertical: bool) -> str:
 
 
 def _cause(every: ContributionSummary) -> str:
-    how = "estimated" if every.is_estimated else "declared"
+    how = "estimated" if every.is_estimated else "declared" if every.is_declared else "declared or estimated"
     return SOURCES[every.example.contribution].title + (f" ({_input(every)}, {how})" if _input(every) else "")
 
 

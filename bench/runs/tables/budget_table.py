@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
@@ -13,6 +13,7 @@ from typing import Any
 from gyrobench.bench.bias.budget import BiasBudget, Budget, Combined
 from gyrobench.bench.bias.error_sources import SOURCES
 from gyrobench.bench.calibration.coefficients import SensorCoefficient
+from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN
 from gyrobench.bench.foundations.csv_tables import CsvTable, each_row, write_rows
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
@@ -136,6 +137,19 @@ def _sum(
     )
 
 
+#: Note of a latitude that the data show to be off by more than declared.
+FOUND_LATITUDE = "estimated from the data, in place of location.latitude_uncertainty_arcmin"
+
+
+def with_found_latitude(rows: Iterable[BudgetRow], declared_rad: float) -> Iterator[BudgetRow]:
+    """The rows; those with another uncertainty of the latitude than declared are noted."""
+    for row in rows:
+        is_found = row.contribution == "latitude" and not math.isclose(
+            row.input_sigma, declared_rad * RAD_TO_ARCMIN, rel_tol=1e-3
+        )
+        yield replace(row, note=FOUND_LATITUDE) if is_found else row
+
+
 def write_budget(path: Path, rows: Iterable[BudgetRow]) -> None:
     """Write ``budget.csv``. Raises RunFolderError if the file can't be written."""
     write_rows(path, _COLUMNS, rows)
@@ -166,12 +180,15 @@ class ContributionSummary:
     #: input_sigma, k: Smallest and largest; of none infinite.
     input_sigma: tuple[float, float] = (math.inf, -math.inf)
     k: tuple[float, float] = (math.inf, -math.inf)
-    is_estimated: bool = True  #: Whether all are of type A.
+    is_estimated: bool = True  #: Whether all are from the data.
+    is_declared: bool = True  #: Whether none is from the data.
 
     def add(self, row: BudgetRow) -> None:
         """Count one more result."""
         self.count += 1
-        self.is_estimated &= row.type == "A"
+        is_estimated = row.type == "A" or row.note == FOUND_LATITUDE
+        self.is_estimated &= is_estimated
+        self.is_declared &= not is_estimated
         if row.input_sigma > 0.0:
             self.input_sigma = _wider(self.input_sigma, row.input_sigma)
         if math.isnan(row.sigma):
@@ -200,8 +217,6 @@ def _wider(ends: tuple[float, float], value: float) -> tuple[float, float]:
 class BudgetSummary:
     """Budgets of a run without those of each dwell, which are many."""
 
-    #: Of all results, by contribution.
-    contributions: dict[str, ContributionSummary] = field(default_factory=dict)
     #: Of the biases in dwells: by gyro and whether it was vertical, and by contribution.
     dwells: dict[tuple[str, bool], dict[str, ContributionSummary]] = field(default_factory=dict)
     #: The same of all three gyros.
@@ -214,7 +229,7 @@ class BudgetSummary:
         """Summarise a table."""
         result = cls()
         for row in rows:
-            groups = [result.contributions]
+            groups = []
             if row.result == "dwell":
                 is_vertical = AXES[POSITIONS[row.position].up_axis] == row.axis
                 groups.append(result.dwells.setdefault((row.axis, is_vertical), {}))

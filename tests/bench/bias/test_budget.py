@@ -19,7 +19,7 @@ from gyrobench.bench.bias.budget import (
 )
 from gyrobench.bench.bias.error_split import ErrorPart
 from gyrobench.bench.bias.parameters import PriorKnowledge
-from gyrobench.bench.foundations.arrays import DPH_TO_RADPS
+from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, RAD_TO_ARCMIN
 from tests.bench.bias.dwell_rows import dwell_row
 from tests.bench.bias.emulated_dwells import emulate, noise_model, sensors, site
 
@@ -150,7 +150,9 @@ def test_a_bias_corrected_for_the_latitude_has_the_budget_of_its_stated_uncertai
         changed = replace(dwell, row=replace(dwell.row, sigma_dph=(stated_dph,) * 3))
         [of_x, *_] = budgets([changed])
         assert of_x.budget.stated.sigma == pytest.approx(stated_dph)
-        assert contribution(of_x.budget, "latitude").sigma == pytest.approx(latitude_dph)
+        latitude = contribution(of_x.budget, "latitude")
+        assert latitude.sigma == pytest.approx(latitude_dph)
+        assert latitude.input_sigma == pytest.approx(latitude_dph / 2e-3 * RAD_TO_ARCMIN)
 
 
 def test_the_resolution_of_an_output_is_rectangular():

@@ -1,11 +1,18 @@
 import math
+from dataclasses import replace
 
 import pytest
 
 from gyrobench.bench.bias.budget import BiasBudget, Budget, Contribution
+from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN
 from gyrobench.bench.report.budget_section import budget_box, budget_figure, budget_section, shares
 from gyrobench.bench.report.run_report import write_report
-from gyrobench.bench.runs.tables.budget_table import BudgetSummary, budget_rows, write_budget
+from gyrobench.bench.runs.tables.budget_table import (
+    BudgetSummary,
+    budget_rows,
+    with_found_latitude,
+    write_budget,
+)
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, write_coefficients
 
 
@@ -48,6 +55,21 @@ def test_the_statement_says_what_was_estimated_and_the_range_of_k():
     text = budget_box(rows).text
     assert "angle random walk of the gyros (0.0006 deg/sqrt(h), estimated)" in text
     assert text.endswith("U = 1.96 to 2.78 sigma (95 %).")
+
+
+def test_a_latitude_that_the_data_show_to_be_off_is_not_called_declared():
+    def text_of(*budgets):
+        found = with_found_latitude(budget_rows(budgets), declared_rad=0.33 / RAD_TO_ARCMIN)
+        return budget_box(BudgetSummary.of(found)).text
+
+    declared = BiasBudget("z", "z_up", VERTICAL, 1)
+    wrong = replace(VERTICAL.contributions[1], input_sigma=2.0)
+    other = replace(VERTICAL, contributions=(VERTICAL.contributions[0], wrong))
+    assert "(0.33 arcmin, declared)" in text_of(declared)
+    assert "(2 arcmin, estimated)" in text_of(BiasBudget("z", "z_up", other, 1))
+    assert "(0.33 to 2 arcmin, declared or estimated)" in text_of(declared, BiasBudget("z", "z_up", other, 2))
+    level = BiasBudget("x", "z_up", other, 1)
+    assert "(0.33 arcmin, declared)" in text_of(declared, level)
 
 
 def test_without_a_budget_nothing_is_said():
