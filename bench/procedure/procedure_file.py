@@ -251,9 +251,14 @@ def _loop_problems(loop: Repeat, at: KeyPath, scope: tuple[str, ...]) -> Iterato
             yield DocumentProblem(
                 (*at, name), f"{name} is a variable of an enclosing repeat already. Use another name"
             )
-        # Other names may just count repetitions; the name of a key was meant to be used.
-        if name in _STEP_KEYS and name not in used:
-            yield DocumentProblem((*at, name), f"no step in the loop uses its variable ${name}")
+        # Others may just count repetitions.
+        is_meant = name in _STEP_KEYS or not _counts(values)
+        if name not in (*used, *scope, "cycle") and is_meant:
+            yield DocumentProblem(
+                (*at, name),
+                f"no step in the loop uses its variable ${name}. Use it in a step, or leave it out; to "
+                "repeat the steps, number the passes: repetition: [1, 2, 3]",
+            )
         for index, value in enumerate(values):
             if name == "cycle" and (not isinstance(value, int) or value < 1):
                 yield DocumentProblem(
@@ -270,6 +275,15 @@ def _loop_problems(loop: Repeat, at: KeyPath, scope: tuple[str, ...]) -> Iterato
                 yield DocumentProblem(
                     (*at, name, index), f"the position {value} is given twice in succession"
                 )
+
+
+def _counts(values: Sequence[Value]) -> bool:
+    """Whether values are numbers of repetitions, as 1, 2, 3 or 1, 1, 1."""
+    is_counted = all(
+        isinstance(low, int) and isinstance(high, int) and 0 <= high - low <= 1
+        for low, high in itertools.pairwise(values)
+    )
+    return is_counted and (len(values) > 1 or values[0] in (0, 1))
 
 
 def _variables_below(values: Mapping[str, Any], at: KeyPath) -> Iterator[tuple[KeyPath, str]]:

@@ -126,6 +126,16 @@ WRONG_FILES = {
         "3:19",
         ["no step in the loop uses its variable $temperature_c"],
     ),
+    "unused set points under another name": (
+        "- repeat: {over: {set_points: [60, -30]}, steps: [power_off]}",
+        "3:19",
+        ["no step in the loop uses its variable $set_points", "repetition: [1, 2, 3]"],
+    ),
+    "unused single set point": (
+        "- repeat: {over: {n: [1, 2], hot_c: [60]}, steps: [power_off]}",
+        "3:30",
+        ["no step in the loop uses its variable $hot_c"],
+    ),
     "cycle 0": (
         "- repeat: {over: {cycle: [1, 0]}, steps: [power_off]}",
         "3:30",
