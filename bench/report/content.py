@@ -252,6 +252,7 @@ class _Journal:
         self.entries: list[Entry] = []
         self.facts = RunFacts()
         self.took: dict[str, KindDuration] = {}
+        self._finished: set[object] = set()  # numbers of steps
         self.last_step: Entry = {}
         self.purposes: dict[Any, DwellPurpose] = {}  #: Of each finished dwell.
         self._given_up: set[str] = set()
@@ -275,7 +276,7 @@ class _Journal:
         purpose = purpose_of(entry.get("marks")) if event == "dwell_finished" else None
         if event in ("step_started", "step_finished"):
             self.last_step = entry
-            add_step(self.took, entry)
+            add_step(self.took, entry, self._finished)
         elif purpose is not None:
             dwell = entry["marks"].get("dwell")
             self.purposes[dwell] = purpose

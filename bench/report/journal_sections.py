@@ -20,10 +20,11 @@ class KindDuration:
     """Planned and actual duration of the steps of one kind."""
 
     kind: str  #: Name of the kind for people: "go to".
-    count: int  #: Finished steps.
-    #: planned_s, took_s: Sums over them.
+    count: int  #: Finished steps of the plan.
+    #: planned_s, took_s: Sums over them; of a step that was done again, took_s has each time.
     planned_s: float
     took_s: float
+    repeats: int = 0  #: How often one of them was done again.
 
     @property
     def difference(self) -> str:
@@ -42,28 +43,34 @@ class KindDuration:
 def durations_by_kind(took: Iterable[KindDuration]) -> list[KindDuration]:
     """Sums by kind, longest first, and the total last; empty if no step has finished."""
     kinds = sorted(took, key=lambda each: -each.took_s)
-    counts, planned_s, took_s = ([getattr(each, name) for each in kinds] for name in _SUMS)
-    return [*kinds, KindDuration("all", sum(counts), sum(planned_s), sum(took_s))] if kinds else []
+    count, planned_s, took_s, repeats = (sum(getattr(each, name) for each in kinds) for name in _SUMS)
+    return [*kinds, KindDuration("all", count, planned_s, took_s, repeats)] if kinds else []
 
 
-def add_step(took: dict[str, KindDuration], entry: Mapping[str, Any]) -> None:
-    """Add an entry of a journal to the sums by kind, if a step has finished with it."""
-    if entry.get("event") == "step_finished" and {"kind", "planned_s", "took_s"} <= entry.keys():
+def add_step(took: dict[str, KindDuration], entry: Mapping[str, Any], finished: set[object]) -> None:
+    """Add an entry of a journal to the sums by kind, if a step has finished with it.
+
+    ``finished``: numbers of the steps before it, to which its own is added.
+    """
+    if entry.get("event") == "step_finished" and {"kind", "step", "planned_s", "took_s"} <= entry.keys():
         kind = str(entry["kind"]).replace("_", " ")
-        sums = took.get(kind, KindDuration(kind, 0, 0.0, 0.0))
+        sums, again = took.get(kind, KindDuration(kind, 0, 0.0, 0.0)), entry["step"] in finished
+        finished.add(entry["step"])
         took[kind] = KindDuration(
             kind,
-            sums.count + 1,
-            sums.planned_s + float(entry["planned_s"]),
+            sums.count + (not again),
+            sums.planned_s + (0.0 if again else float(entry["planned_s"])),
             sums.took_s + float(entry["took_s"]),
+            sums.repeats + again,
         )
 
 
 def step_durations(journal: Iterable[Mapping[str, Any]]) -> list[KindDuration]:
     """Durations of the finished steps of a journal, by kind."""
     took: dict[str, KindDuration] = {}
+    finished: set[object] = set()
     for entry in journal:
-        add_step(took, entry)
+        add_step(took, entry, finished)
     return list(took.values())
 
 
@@ -75,7 +82,7 @@ def clock_time(duration_s: float) -> str:
 
 Entry = Mapping[str, Any]
 
-_SUMS = ("count", "planned_s", "took_s")
+_SUMS = ("count", "planned_s", "took_s", "repeats")
 #: Longest table; beyond it, events are grouped.
 MAX_ROWS = 60
 
@@ -150,7 +157,9 @@ def durations_section(took: Iterable[KindDuration]) -> Section:
         return Section(title, ["No step was finished."])
     header = ["kind of step", "steps", "planned / h:mm:ss", "actual / h:mm:ss", "difference"]
     marks: list[Mark] = ["sum" if each is kinds[-1] else "" for each in kinds]
-    return Section(title, tables=[SectionTable("", header, [each.cells for each in kinds], marks=marks)])
+    again = kinds[-1].repeats
+    caption = f"The actual duration includes {counted(again, 'step')} done again" if again else ""
+    return Section(title, tables=[SectionTable(caption, header, [each.cells for each in kinds], marks=marks)])
 
 
 def events_section(journal: Sequence[Entry]) -> Section:
