@@ -31,7 +31,7 @@ from gyrobench.bench.foundations.documents import (
 )
 from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError
 from gyrobench.bench.foundations.shipped import shipped_folders
-from gyrobench.bench.foundations.text import counted, hours_minutes
+from gyrobench.bench.foundations.text import counted, hours_minutes, listed
 from gyrobench.bench.investigation.external_bench import BlockPlan
 from gyrobench.bench.procedure.checks import check_plan
 from gyrobench.bench.procedure.plan import expand
@@ -314,8 +314,11 @@ def _summary(document: Document, kind: FileKind, station: Station | None) -> str
     if kind is PROCEDURE:
         return _procedure(document, station)
     if kind is STATION:
-        Station(document.path).check_dbc()
-    elif kind is COMPENSATION:
+        station = Station(document.path)
+        station.check_dbc()
+        missing = listed(station.not_filled_in)
+        return f"not filled in yet: {missing}" if missing else ""
+    if kind is COMPENSATION:
         read_compensation(document.path)
     elif kind.model is not None:
         validate(document, kind.model)
@@ -333,8 +336,8 @@ def _procedure(document: Document, station: Station | None) -> str:
         return f"{steps}. Limits of a station are not checked: add --station STATION"
     plan = station.plan(document, procedure)
     return (
-        f"{len(plan.steps)} steps, {plan.dwell_count} dwells, {hours_minutes(plan.duration_s)} h on "
-        f"{station.file.station}"
+        f"{counted(len(plan.steps), 'step')}, {counted(plan.dwell_count, 'dwell')}, "
+        f"{hours_minutes(plan.duration_s)} h on {station.file.station}"
     )
 
 

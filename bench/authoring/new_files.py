@@ -30,6 +30,7 @@ from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import TEMPLATES, find_document
 from gyrobench.bench.procedure.procedure_file import STEP_KINDS, checked_procedure, resolve
 from gyrobench.bench.procedure.steps import Step
+from gyrobench.bench.station.station import FILL_IN
 from gyrobench.bench.station.station_file import StationFile
 
 _WIDTH = 100
@@ -170,7 +171,7 @@ def _some_value(schema: Schema) -> Any:
             return schema[key]
     if "enum" in schema:
         return schema["enum"][0]
-    return {"string": "fill_in", "boolean": False, "array": [], "object": {}}.get(schema.get("type", ""), 1)
+    return {"string": FILL_IN, "boolean": False, "array": [], "object": {}}.get(schema.get("type", ""), 1)
 
 
 def _empty(schema: Schema) -> str:
@@ -178,6 +179,9 @@ def _empty(schema: Schema) -> str:
 
 
 _EXAMPLE_STATION = "example_bench"
+_NOT_FILLED_IN = (
+    f"{FILL_IN}: location, limits, mounting, noise and what the INS sends are those of an example"
+)
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,80}")
 _WORLD_NAME = re.compile(r"^world:.*$", re.MULTILINE)
 _HINT = (
@@ -234,10 +238,11 @@ def new_station(name: str, path: Path, table: str | None = None, chamber: str | 
         Dialects of the rate table and the chamber; the example's without them.
     """
     values = read_document(find_document("stations", _EXAMPLE_STATION)).data
-    values |= {"station": name, "description": "Fill in ports, limits, mounting, and what the INS sends."}
+    values |= {"station": name, "description": _NOT_FILLED_IN}
     for section, dialect in (("rate_table", table), ("chamber", chamber)):
         if dialect is not None and dialect != values[section]["dialect"]:
             values[section] = _of_dialect(values[section], dialect, section)
+        values[section] = {**values[section], "port": FILL_IN}
     text = _text(STATION, path, _StartingFile(schema_of(STATION)).lines(values))
     validate(parse_document(text, path), StationFile)
     return text

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from cantools.database import Database
@@ -15,7 +15,7 @@ from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.clock import Clock, VirtualClock, WallClock
-from gyrobench.bench.foundations.documents import Document, DocumentProblem, parse_document, validate
+from gyrobench.bench.foundations.documents import Document, DocumentProblem, KeyPath, parse_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.navigation.earth import gravity_uncertainty
 from gyrobench.bench.navigation.error_model import Site
@@ -43,6 +43,10 @@ _DIRECTIONS: dict[Direction, tuple[float, float, float]] = {
 }
 
 
+#: A text that begins so is to be filled in.
+FILL_IN = "fill_in"
+
+
 class Station:
     """A bench as its file describes it."""
 
@@ -57,6 +61,11 @@ class Station:
             self.table = self._table()  #: Kinematics of the table with the unit on it.
         except DocumentError as error:
             raise self._document.error([DocumentProblem(("rate_table", "mounting"), str(error))]) from error
+
+    @property
+    def not_filled_in(self) -> list[str]:
+        """Keys whose value is a placeholder still: ``chamber.port``."""
+        return [".".join(map(str, keys)) for keys in _placeholders(self._document.data, ())]
 
     @cached_property
     def units(self) -> tuple[Station, ...]:
@@ -273,6 +282,14 @@ class Station:
             outer_limits_deg=section.outer_limits_deg,
             inner_limits_deg=section.inner_limits_deg,
         )
+
+
+def _placeholders(value: Any, at: KeyPath) -> Iterator[KeyPath]:
+    if isinstance(value, str) and value.startswith(FILL_IN):
+        yield at
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, each in items:
+        yield from _placeholders(each, (*at, key))
 
 
 def _mounted(mounting: Mounting) -> FloatArray:

@@ -84,6 +84,7 @@ def check_bench(
 
         traffic = {unit: CanTraffic() for unit in bench.units}
         return [
+            *filled_in_checks(bench),
             procedure_check,
             *calibration_checks(bench, acknowledged),
             *table_checks(bench, lambda: outputs.table),
@@ -96,6 +97,13 @@ def check_bench(
             disk_check(bench, folder, plan, sum(each.frames_per_s for each in traffic.values())),
             *map(_message_check, bench.file.messages),
         ]
+
+
+def filled_in_checks(station: Station) -> Iterator[Check]:
+    """A check that fails where the station file has placeholders; else none."""
+    if missing := station.not_filled_in:
+        found = f"not filled in yet: {listed(missing)}"
+        yield Check.of("station", "file filled in", False, found, f"Fill in {station.path}.")
 
 
 def calibration_checks(station: Station, acknowledged: Sequence[str]) -> Iterator[Check]:

@@ -167,6 +167,11 @@ def test_a_procedure_beyond_the_limits_fails_and_the_instruments_are_still_check
     assert "hot.yaml" in failures["procedure: within limits"].found
 
 
+def test_values_of_a_new_station_file_that_are_not_filled_in_are_named(failures_of):
+    failures = failures_of(("description: >\n  The", "description: >\n  fill_in: the"))
+    assert failures["station: file filled in"].found == "not filled in yet: description"
+
+
 def test_a_silent_unit_that_the_operator_switches_is_skipped(tmp_path):
     text = find_document("stations", "emulated").read_text()
     (tmp_path / "station.yaml").write_text(text.replace("power: chamber_event", "power: operator"))
