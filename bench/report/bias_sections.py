@@ -36,14 +36,14 @@ from gyrobench.bench.report.statements import (
 )
 
 _UNCERTAIN_MAXIMUM = (
-    "Largest difference between two positions in each temperature bin, with its standard uncertainty. Noise "
-    "alone makes the largest of several differences greater than zero: with six equal positions it is usually"
-    " about 2.5 times the uncertainty of one of them, so the p-value decides. Filled markers: significant "
-    "difference."
+    "Largest difference between two positions in each temperature bin, with its standard uncertainty (k ="
+    " 1). Noise alone makes the largest of several differences greater than zero: with six equal "
+    "positions it is usually about 2.5 times the uncertainty of one of them, so the p-value decides. "
+    "Filled markers: significant difference."
 )
 _LIMIT_LINE = (
-    " The red line is the acceptance limit. The uncertainties are those of bin means; the section Acceptance "
-    "has those of differences corrected to one temperature."
+    " The red line is the acceptance limit. The uncertainties are those of bin means; the section "
+    "Acceptance has those of plateaus corrected to one temperature."
 )
 _BIAS_FIGURE = (
     "Bias of the {} against its own temperature{}. Lines join the weighted means of the temperature bins, "
@@ -284,15 +284,19 @@ def _pictures(figures: Mapping[str, Path], name: str, caption: str) -> list[Sect
 
 
 _HOW = (
-    "Positions are compared within one plateau and one power cycle, at the mean temperature of the plateau; "
-    "each bias is corrected to that temperature with the gyro's own temperature curve. The uncertainties "
-    "include that of the correction; the section Results has those of bin means, without it. Plateaus of one"
-    " set point in several cycles are averaged where they agree and judged separately otherwise. The largest"
-    " of several noisy differences overestimates the largest true one, so the table gives confidence limits "
-    "for the true one. Pass: every pair of positions is below the limit with {0:g} % confidence. Fail: at "
-    "least one pair is above it with {0:g} % confidence, corrected for the number of pairs. Marginal: "
-    "neither. The probability of accepting a unit at a limit, and of rejecting one within all limits, is at "
-    "most {1:g} %."
+    "Positions are compared within one plateau and one power cycle, at the mean temperature of the "
+    "plateau; each bias is corrected to that temperature with the gyro's own temperature curve. The "
+    "uncertainties are standard uncertainties (k = 1) and include that of the correction; the section "
+    "Results has those of bin means, without it.{2} Plateaus of one set point in several cycles are "
+    "averaged where they agree and judged separately otherwise. The largest of several noisy differences "
+    "overestimates the largest true one, so the table gives confidence limits for the true one. Pass: "
+    "every pair of positions is below the limit with {0:g} % confidence. Fail: at least one pair is above"
+    " it with {0:g} % confidence, corrected for the number of pairs. Marginal: neither. The probability "
+    "of accepting a unit at a limit, and of rejecting one within all limits, is at most {1:g} %."
+)
+_SINGLE = (
+    " A bias is that of the single dwell with the largest, which is more uncertain than the mean of "
+    "several in the section Results."
 )
 _LACKING = (
     "Planned dwells not compared with the others of their plateau (flagged, missing, or separated by a power "
@@ -304,9 +308,10 @@ _DISAGREEING = (
 )
 _MAX_NAMED = 12
 _CAPTIONS = (
-    "Largest difference between two positions in {}, with confidence limits, by temperature of the gyro",
-    "Largest difference between two positions, and largest bias, in {}, with confidence limits, by "
-    "temperature of the gyro",
+    "Largest difference between two positions in {}, with {:g} % confidence limits, by temperature of the "
+    "gyro",
+    "Largest difference between two positions, and largest bias of a dwell, in {}, with {:g} % confidence "
+    "limits, by temperature of the gyro",
 )
 _MARKS: Mapping[Verdict, Mark] = MappingProxyType({"pass": "", "marginal": "doubtful", "fail": "bad"})
 
@@ -318,7 +323,11 @@ def acceptance_section(acceptance: Acceptance | None) -> Section | None:
     limits = acceptance.limits
     paragraphs = [
         _limits_sentence(limits),
-        _HOW.format(100.0 * limits.confidence, round(100.0 * (1.0 - limits.confidence), 6)),
+        _HOW.format(
+            100.0 * limits.confidence,
+            round(100.0 * (1.0 - limits.confidence), 6),
+            "" if limits.bias_dph is None else _SINGLE,
+        ),
         _disagreeing_sentence(acceptance),
         _lacking_sentence(acceptance),
     ]
@@ -388,10 +397,11 @@ def acceptance_summary(acceptance: Acceptance) -> Section:
 
 def _acceptance_table(acceptance: Acceptance, judged: Sequence[Judgement]) -> SectionTable:
     judgements = acceptance.judgements
+    confidence = 100.0 * acceptance.limits.confidence if acceptance.limits else math.nan
     scale = BiasScale.of([each.limit_dph for each in judgements], [each.sigma_dph for each in judgements])
     return SectionTable(
-        _CAPTIONS[any(each.quantity == "bias" for each in judged)].format(scale.unit),
-        ["gyro", "bin / °C", "positions", "verdict", "measured ± 1 σ", "lower", "upper", "limit"],
+        _CAPTIONS[any(each.quantity == "bias" for each in judged)].format(scale.unit, confidence),
+        ["gyro", "bin / °C", "positions", "verdict", "measured ± u (k = 1)", "lower", "upper", "limit"],
         [_acceptance_row(each, scale) for each in judged],
         words=4,
         marks=[_MARKS[each.verdict] for each in judged],

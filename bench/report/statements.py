@@ -86,7 +86,7 @@ def equality_sentence(comparisons: Sequence[PositionComparison]) -> str:
     return (
         f"The bias differs between positions in {len(different)} of {count} bins: from "
         f"{temperature_ranges(different)} (p < {POSITION_SIGNIFICANCE:g}, {corrected}). Largest difference "
-        f"from {temperature_ranges([worst])}: {high} above {low} by {difference}."
+        f"from {temperature_ranges([worst])}: {high} above {low} by {difference} (k = 1)."
     )
 
 

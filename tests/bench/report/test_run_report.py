@@ -184,8 +184,19 @@ def test_acceptance_and_results_state_what_the_uncertainty_of_a_difference_is_of
     acceptance = judge(dwells, AcceptanceLimits(position_difference_dph=0.006))
     drawn = {"position_differences": Path("position_differences.png")}
     [figure] = comparison_section(bin_biases(dwells), acceptance, drawn).figures
-    assert "those of bin means; the section Acceptance has those of differences corrected" in figure.caption
-    how = " ".join(acceptance_section(acceptance).paragraphs)
+    assert "with its standard uncertainty (k = 1)" in figure.caption
+    assert "those of bin means; the section Acceptance has those of plateaus corrected" in figure.caption
+    section = acceptance_section(acceptance)
+    how = " ".join(section.paragraphs)
+    assert "standard uncertainties (k = 1)" in how
+    assert "single dwell" not in how
+    [table] = section.tables
+    assert "with 95 % confidence limits" in table.caption
+    assert "measured ± u (k = 1)" in table.header
+    limits = AcceptanceLimits(position_difference_dph=0.006, bias_dph=0.05)
+    assert "A bias is that of the single dwell" in " ".join(
+        acceptance_section(judge(dwells, limits)).paragraphs
+    )
     assert "include that of the correction; the section Results has those of bin means, without it" in how
 
 

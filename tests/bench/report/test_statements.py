@@ -66,7 +66,7 @@ def test_sentence_counts_only_the_bins_that_differ() -> None:
     hotter = replace(COMPARISON, bin_low_c=25.0, bin_high_c=30.0, p_value=0.3)
     assert equality_sentence([COMPARISON, hotter]) == (
         "The bias differs between positions in 1 of 2 bins: from 20 to 25 °C (p < 0.01, corrected for 2 "
-        "comparisons). Largest difference from 20 to 25 °C: Y-Up above Z-Up by 0.0123 ± 0.0013 deg/h."
+        "comparisons). Largest difference from 20 to 25 °C: Y-Up above Z-Up by 0.0123 ± 0.0013 deg/h (k = 1)."
     )
 
 
