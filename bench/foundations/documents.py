@@ -24,6 +24,7 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.files import read_limited
+from gyrobench.bench.foundations.shipped import USES
 from gyrobench.bench.foundations.text import did_you_mean
 
 Schema = dict[str, Any]
@@ -173,6 +174,11 @@ def validate(document: Document, model: type[_ModelT], further: Sequence[Documen
         raise document.error(
             [DocumentProblem((), f"expected keys and values; found {_shown(document.data)}")]
         )
+    own = next((key for key in USES if key in model.model_fields), None)
+    other = next((key for key in USES if key in document.data and key not in model.model_fields), None)
+    if own and other and own not in document.data:
+        use = USES[other].format(document.path)
+        raise document.error([DocumentProblem((other,), f"this is a {other} file, not a {own} file. {use}")])
     notes: set[tuple[str, str, str]] = set()
     token = _renaming_notes.set(notes)
     try:

@@ -27,6 +27,18 @@ TEMPLATES = MappingProxyType(
 _RENAMED = MappingProxyType({"procedures": {"verification": "calibration_check"}})
 
 
+#: What to do with a file of a kind, by the key that names it, where another one is expected.
+USES = MappingProxyType(
+    {
+        "procedure": "Run it with: gyrobench run {0} --station STATION, or check it with its bench: "
+        "gyrobench check STATION --procedure {0}",
+        "station": "Give the procedure first: gyrobench run PROCEDURE --station {0}",
+        "world": "Give it with: --world {0}",
+        "faults": "Give it with: --faults {0}",
+    }
+)
+
+
 def shipped_folders(kind: str) -> list[Path]:
     """Folders with shipped files of a kind, such as ``procedures``; those that exist."""
     folder = _folder(kind)
@@ -71,6 +83,13 @@ def find_document(kind: str, name: str) -> Path:
     raise DocumentError(f"{name}: no such file or shipped name{_suggestion(kind, name)}")
 
 
+def _folder_of(key: str) -> str:
+    return key if key.endswith("s") else f"{key}s"
+
+
 def _suggestion(kind: str, name: str) -> str:
     names = shipped_names(kind)
+    for other, use in USES.items():
+        if name not in names and name in shipped_names(_folder_of(other)):
+            return f", but a shipped {other}. {use.format(name)}"
     return f"{did_you_mean(name, names)}. Shipped {kind}: {', '.join(names)}"

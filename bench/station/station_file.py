@@ -440,11 +440,6 @@ class StationFile(StrictModel):
 def load_station_file(path: Path) -> tuple[Document, StationFile]:
     """Read and check a station file; a DocumentError lists all problems with their places."""
     document = read_document(path)
-    if isinstance(document.data, dict) and "procedure" in document.data and "station" not in document.data:
-        raise DocumentError(
-            f"{document.place(('procedure',))}: this is a procedure, not a station. Check it with: gyrobench "
-            f"validate {path}, or with its bench: gyrobench check STATION --procedure {path}"
-        )
     return document, validate(document, StationFile, _missing_dbc(document))
 
 

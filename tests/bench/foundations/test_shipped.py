@@ -1,8 +1,20 @@
 """Shipped files by name."""
 
+import pytest
+
+from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document
 
 
 def test_the_old_name_of_a_shipped_file_is_accepted_with_a_note(caplog):
     assert find_document("procedures", "verification") == find_document("procedures", "calibration_check")
     assert "verification: this procedure is called calibration_check" in caplog.text
+
+
+def test_the_name_of_a_shipped_file_of_another_kind_is_named_with_what_to_write():
+    with pytest.raises(DocumentError, match="emulated: no such file or shipped name, but a shipped station"):
+        find_document("procedures", "emulated")
+    with pytest.raises(DocumentError, match=r"a shipped procedure\. Run it with: gyrobench run warm_up"):
+        find_document("stations", "warm_up")
+    with pytest.raises(DocumentError, match=r"warmup: .*did you mean 'warm_up'"):
+        find_document("procedures", "warmup")

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from gyrobench.bench.foundations.documents import Document, parse_document
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.procedure.checks import StationLimits, check_plan
 from gyrobench.bench.procedure.plan import Plan, expand
 from gyrobench.bench.procedure.procedure_file import Repeat, checked_procedure, load_procedure
@@ -257,6 +258,16 @@ def test_all_mistakes_are_listed_at_once_in_the_order_of_the_file(
         planned(steps)
     places = [line.split(" ")[0] for line in str(caught.value).splitlines()]
     assert places == ["test.yaml:3:10:", "test.yaml:4:3:", "test.yaml:5:37:", "test.yaml:5:44:"]
+
+
+def test_a_station_in_place_of_a_procedure_is_named_with_what_to_write() -> None:
+    path = find_document("stations", "quick")
+    with pytest.raises(DocumentError) as caught:
+        load_procedure(path)
+    assert str(caught.value) == (
+        f"{path}:2:1: this is a station file, not a procedure file. Give the procedure first: gyrobench run "
+        f"PROCEDURE --station {path}"
+    )
 
 
 def test_a_value_wrong_in_every_pass_is_reported_once(

@@ -42,8 +42,8 @@ def test_a_procedure_in_place_of_a_station_is_named_with_how_to_check_it(tmp_pat
     with pytest.raises(DocumentError) as caught:
         Station(path)
     assert str(caught.value) == (
-        f"{path}:2:1: this is a procedure, not a station. Check it with: gyrobench validate {path}, or with "
-        f"its bench: gyrobench check STATION --procedure {path}"
+        f"{path}:2:1: this is a procedure file, not a station file. Run it with: gyrobench run {path} "
+        f"--station STATION, or check it with its bench: gyrobench check STATION --procedure {path}"
     )
 
 
