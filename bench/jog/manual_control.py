@@ -224,6 +224,8 @@ class ManualControl:
     def watch(self, duration_s: float) -> None:
         """Print the readings for a time."""
         end_s = self.bench.clock.now() + duration_s
+        for line in _WATCH_HEADER:
+            self._display.print(_WATCH_COLUMNS.format(*line).rstrip())
         while self.bench.clock.now() < end_s - 1e-6:
             self.tick(follow=True)
             self._display.progress(_watch_line(self.bench))
@@ -391,15 +393,27 @@ def _ins_lines(ins: InsStatus) -> list[str]:
     ]
 
 
+#: One line of `watch`, of at most 80 columns, and the names and units above its columns.
+_WATCH_COLUMNS = "{:>7} {:>9} {:>9} {:>6} {:>6} {:>9} {:>9}  {}"
+_WATCH_HEADER = (
+    ("time", "outer", "inner", "air", "gyros", "v East", "v North", "INS"),
+    ("s", "deg", "deg", "degC", "degC", "m/s", "m/s", ""),
+)
+
+
 def _watch_line(bench: LiveBench) -> str:
     """The readings that change, on one line of at most 80 columns."""
     now = bench.readings
     outer, inner = bench.table_angles()
     ins = now.ins
-    velocity = " ".join(_known(each, "+.3f") for each in ins.velocity_enu_mps[:2])
-    return (
-        f"{now.asked_s:6.0f} s {outer:8.3f} {inner:8.3f} deg  air {now.chamber.temperature_c:5.1f}  "
-        f"gyros {_known(float(np.mean(ins.optics_c)), '5.1f')}  {velocity}  {_short_mode(ins)}"
+    return _WATCH_COLUMNS.format(
+        f"{now.asked_s:.0f}",
+        f"{outer:.3f}",
+        f"{inner:.3f}",
+        f"{now.chamber.temperature_c:.1f}",
+        _known(float(np.mean(ins.optics_c)), ".1f"),
+        *(_known(each, "+.3f") for each in ins.velocity_enu_mps[:2]),
+        _short_mode(ins),
     )
 
 

@@ -114,6 +114,10 @@ def test_the_ins_is_switched_on_and_commanded(tmp_path):
     run = jog("unit on", "ins align", "watch 60", "ins navigate", "show", "events", "unit off", cwd=tmp_path)
     assert run.returncode == 0, run.stdout
     printed = answers(run)
+    names, units, *lines = printed["watch 60"]
+    assert names.split() == ["time", "outer", "inner", "air", "gyros", "v", "East", "v", "North", "INS"]
+    assert units.split() == ["s", "deg", "deg", "degC", "degC", "m/s", "m/s"]
+    assert all(len(line) >= len(units) and len(line.split()) == len(units.split()) + 1 for line in lines)
     assert printed["unit on"][-1].startswith("INS on: standby")
     assert printed["ins align"] == ["INS: align, not aligned"]
     assert printed["ins navigate"][0].startswith("INS: navigate")
