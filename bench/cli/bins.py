@@ -22,13 +22,13 @@ def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
     from gyrobench.bench.runs.tables.budget_table import budget_records, read_budget
     from gyrobench.bench.runs.tables.calibration_check_table import read_calibration_check
 
-    folder = recompute_run(run_folder)
+    folder = recompute_run(run_folder, is_sealed=False)
     if as_json:
         check = folder.calibration_check
         print_json(
             {
                 "folder": folder.path,
-                "report": write_report(folder),
+                "report": write_report(folder, are_tables_new=True),
                 "bins": read_bins(folder.bias_bins),
                 "budget": budget_records(read_budget(folder.budget) if folder.budget.exists() else []),
                 "verification": read_calibration_check(check) if check.exists() else [],
@@ -39,4 +39,5 @@ def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
     terminal = console()
     print_tables(terminal, folder)
     terminal.print(f"Tables   {', '.join(path.name for path in folder.tables)}")
-    terminal.print(f"Report   {write_report(folder)}\nFolder   {folder.path}", soft_wrap=True)
+    report = write_report(folder, are_tables_new=True)
+    terminal.print(f"Report   {report}\nFolder   {folder.path}", soft_wrap=True)

@@ -345,8 +345,10 @@ def _rotations(folder: RunFolder, setup: MeasurementSetup, known: RunRotations) 
     return found
 
 
-def recompute_run(path: Path) -> RunFolder:
+def recompute_run(path: Path, is_sealed: bool = True) -> RunFolder:
     """Measure a run again from its raw log, and write its tables.
+
+    ``is_sealed``: whether they are sealed; if not, with the report that is written next.
 
     Raises RunFolderError if the folder is not a run folder, or its log can't be read. Raises DocumentError if
     the procedure, station or DBC file in it is wrong.
@@ -358,5 +360,6 @@ def recompute_run(path: Path) -> RunFolder:
     dwells, check_dwells = measure_recorded(folder, setup)
     calibration = read_dwells(folder.calibration) if folder.calibration.exists() else []
     evaluate_run(folder, station.plan(document, procedure), setup, dwells, check_dwells, calibration)
-    keep_sealed(folder, are_tables_new=True)
+    if is_sealed:
+        keep_sealed(folder, are_tables_new=True)
     return folder

@@ -164,8 +164,11 @@ def with_joint(content: RunContent, folder: RunFolder) -> RunContent:
     )
 
 
-def read_run(folder: RunFolder) -> RunContent:
-    """Read a run folder; missing or damaged files become problems, not errors."""
+def read_run(folder: RunFolder, are_tables_new: bool = False) -> RunContent:
+    """Read a run folder; missing or damaged files become problems, not errors.
+
+    ``are_tables_new``: they were computed again, and need not be as sealed.
+    """
     problems: list[str] = []
     journal, files = _Journal(), _Files(problems)
     read = files.read
@@ -178,7 +181,7 @@ def read_run(folder: RunFolder) -> RunContent:
     purposes = Counter(journal.purposes.values())
     is_optional = bool(calibration_check or purposes) and not purposes[DwellPurpose.CALIBRATION]
     dwells: Sequence[DwellRow] = read(folder.dwells, read_packed_dwells, (), is_optional=is_optional)
-    damage = _damage(folder, journal, files.errors)
+    damage = _damage(folder, journal, files.errors, are_tables_new)
     bins: list[BiasBin] = read(folder.bias_bins, read_bins, [])
     return RunContent(
         name=folder.path.resolve().name,
@@ -223,7 +226,9 @@ def damage_of(folder: RunFolder) -> dict[str, str]:
     return _damage(folder, journal, errors)
 
 
-def _damage(folder: RunFolder, journal: _Journal, errors: Mapping[Path, Exception]) -> dict[str, str]:
+def _damage(
+    folder: RunFolder, journal: _Journal, errors: Mapping[Path, Exception], are_tables_new: bool = False
+) -> dict[str, str]:
     """See :func:`damage_of`; ``errors``: of the files that were read."""
     damage = {}
     if error := errors.get(folder.journal):
@@ -237,7 +242,7 @@ def _damage(folder: RunFolder, journal: _Journal, errors: Mapping[Path, Exceptio
     if measured_biases and not folder.dwells.exists():
         damage[DWELLS] = f"{folder.dwells}: is missing. {again}"
     try:
-        edited = edited_tables(folder)
+        edited = [] if are_tables_new else edited_tables(folder)
     except RunFolderError:  # a damaged seal, which `gyrobench seal --verify` names
         edited = []
     for name in edited:

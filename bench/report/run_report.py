@@ -92,6 +92,7 @@ def write_report(
     before: RunFolder | None = None,
     mark_temperatures_c: Sequence[float] = (),
     vectors: Sequence[str] = (),
+    are_tables_new: bool = False,
 ) -> Path:
     """Write ``report.html`` and the figures of a run, from what its folder holds; returns the report.
 
@@ -112,11 +113,13 @@ def write_report(
         Temperatures in degC that figures mark beside those of the procedure.
     vectors : sequence of str
         Formats beside PNG that the figures are written in: ``svg``, ``pdf``.
+    are_tables_new : bool
+        Whether the tables were computed again since the last seal.
     """
     into = RunFolder(out or folder.path)
     if prepared_by:
         note_preparer(folder, prepared_by)
-    content = read_run(folder)
+    content = read_run(folder, are_tables_new)
     by = prepared_by or str(content.provenance.get("prepared_by", ""))
     make_folder(into.figures)
     marked_c = [*content.marked_temperatures_c, *mark_temperatures_c]
@@ -141,7 +144,8 @@ def write_report(
     paths = [each.figure for each in own.figures if isinstance(each.figure, Path)]
     write_whole(into.report, map(str.encode, render(content, paths, sections, hashes, by)))
     if out is None:
-        keep_sealed(folder, {path: digest for each in hashes for path, digest in each.parts.items()})
+        known = {path: digest for each in hashes for path, digest in each.parts.items()}
+        keep_sealed(folder, known, are_tables_new)
     return into.report
 
 

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -63,6 +64,20 @@ def test_bins_measures_a_run_again(finished):
     result = gyrobench("bins", folder, cwd=cwd)
     assert result.returncode == 0, result.stderr
     assert [table.read_bytes() for table in tables] == before
+
+
+def test_bins_adds_one_seal_for_tables_and_report(finished, tmp_path):
+    folder = shutil.copytree(finished[0] / "runs/ten_minute_check-001", tmp_path / "run")
+    table, report = folder / "dwells.csv", folder / "report.html"
+    edited = table.read_text().replace("z_up", "z_down")
+    table.write_text(edited)
+    report.unlink()
+    seals = len(list((folder / "seals").iterdir()))
+    assert gyrobench("bins", folder, cwd=tmp_path).returncode == 0
+    assert table.read_text() != edited
+    assert "has changed since it was sealed" not in report.read_text()
+    assert len(list((folder / "seals").iterdir())) == seals + 1
+    assert gyrobench("seal", folder, "--verify", cwd=tmp_path).returncode == 0
 
 
 @pytest.fixture(scope="module")
