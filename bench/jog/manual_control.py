@@ -369,10 +369,8 @@ def readings(bench: LiveBench, tripped: Sequence[str]) -> list[str]:
     ]
     lines.append(f"           {servo}; the unit is {_position(bench)}")
     chamber = now.chamber
-    lines.append(
-        f"Chamber    air {chamber.temperature_c:.1f} degC, set point {_known(chamber.set_point_c, '.1f')}"
-        f"{_switched(chamber.is_on)}"
-    )
+    air, set_point = _known(chamber.temperature_c, ".1f"), _known(chamber.set_point_c, ".1f")
+    lines.append(f"Chamber    air {air} degC, set point {set_point}{_switched(chamber.is_on)}")
     lines += _ins_lines(now.ins)
     lines.append(f"Faults     {'; '.join([*now.table_faults, *now.chamber_alarms]) or 'none'}")
     lines.append(f"Interlocks {', '.join(tripped) or 'none tripped'}")
@@ -410,7 +408,7 @@ def _watch_line(bench: LiveBench) -> str:
         f"{now.asked_s:.0f}",
         f"{outer:.3f}",
         f"{inner:.3f}",
-        f"{now.chamber.temperature_c:.1f}",
+        _known(now.chamber.temperature_c, ".1f"),
         _known(float(np.mean(ins.optics_c)), ".1f"),
         *(_known(each, "+.3f") for each in ins.velocity_enu_mps[:2]),
         _short_mode(ins),

@@ -195,3 +195,15 @@ def test_a_fast_emulated_bench_is_watched_at_its_speed(tmp_path):
     run = jog("watch 60", cwd=tmp_path, station="fast.yaml")
     assert run.returncode == 0, run.stdout
     assert time.monotonic() - began_s < 60.0
+
+
+@pytest.mark.wall_time
+def test_a_chamber_that_does_not_answer_is_left_out_and_shows_no_temperature(tmp_path):
+    text = find_document("stations", "quick").read_text()
+    text = text.replace("emulator://chamber", "/dev/no_chamber")
+    (tmp_path / "bare.yaml").write_text(text.replace("clock: virtual", "clock: wall"))
+    run = jog("show", "watch 2", cwd=tmp_path, station="bare.yaml")
+    assert run.returncode == 0, run.stdout
+    assert "Left out: chamber: can't open /dev/no_chamber" in run.stdout
+    assert "Chamber    air - degC" in run.stdout
+    assert "nan" not in run.stdout
