@@ -308,10 +308,10 @@ _DISAGREEING = (
 )
 _MAX_NAMED = 12
 _CAPTIONS = (
-    "Largest difference between two positions in {}, with {:g} % confidence limits, by temperature of the "
-    "gyro",
-    "Largest difference between two positions, and largest bias of a dwell, in {}, with {:g} % confidence "
+    "Largest difference between two positions ± standard uncertainty u (k = 1) in {}, with {:g} % confidence "
     "limits, by temperature of the gyro",
+    "Largest difference between two positions, and largest bias of a dwell, ± standard uncertainty u (k = 1) "
+    "in {}, with {:g} % confidence limits, by temperature of the gyro",
 )
 _MARKS: Mapping[Verdict, Mark] = MappingProxyType({"pass": "", "marginal": "doubtful", "fail": "bad"})
 
@@ -401,7 +401,7 @@ def _acceptance_table(acceptance: Acceptance, judged: Sequence[Judgement]) -> Se
     scale = BiasScale.of([each.limit_dph for each in judgements], [each.sigma_dph for each in judgements])
     return SectionTable(
         _CAPTIONS[any(each.quantity == "bias" for each in judged)].format(scale.unit, confidence),
-        ["gyro", "bin / °C", "positions", "verdict", "measured ± u (k = 1)", "lower", "upper", "limit"],
+        ["gyro", "bin / °C", "positions", "verdict", "measured ± u", "lower", "upper", "limit"],
         [_acceptance_row(each, scale) for each in judged],
         words=4,
         marks=[_MARKS[each.verdict] for each in judged],
@@ -417,7 +417,7 @@ def _acceptance_row(judged: Judgement, scale: BiasScale) -> list[str]:
         scale.with_sigma(judged.value_dph, judged.sigma_dph),
         scale.text(judged.at_least_dph),
         scale.text(judged.at_most_dph),
-        scale.text(judged.limit_dph),
+        scale.exact(judged.limit_dph),
     ]
 
 

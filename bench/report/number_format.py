@@ -45,6 +45,11 @@ class BiasScale:
         """Write a bias, without its unit."""
         return f"{value_dph * self.factor:z.{self.decimals}f}"
 
+    def exact(self, value_dph: float) -> str:
+        """Write a limit, without its unit: with as many decimals as it has, if they are more."""
+        text, value = self.text(value_dph), round(value_dph * self.factor, 6)
+        return text if float(text) == value else f"{value:g}"
+
     def with_sigma(self, value_dph: float, sigma_dph: float, between: str = " ± ") -> str:
         """Write a bias with its uncertainty, without their unit."""
         return f"{self.text(value_dph)}{between}{self.text(sigma_dph)}"

@@ -192,7 +192,7 @@ def test_acceptance_and_results_state_what_the_uncertainty_of_a_difference_is_of
     assert "single dwell" not in how
     [table] = section.tables
     assert "with 95 % confidence limits" in table.caption
-    assert "measured ± u (k = 1)" in table.header
+    assert "± standard uncertainty u (k = 1)" in table.caption
     limits = AcceptanceLimits(position_difference_dph=0.006, bias_dph=0.05)
     assert "A bias is that of the single dwell" in " ".join(
         acceptance_section(judge(dwells, limits)).paragraphs
