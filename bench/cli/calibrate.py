@@ -73,6 +73,12 @@ def calibrate(
 
     map_path = find_document("imports", mapping)
     log_map = load_log_map(map_path, for_calibration=True)
+    for path in logs:
+        if path.is_dir():
+            within = path / "can" if (path / "can").is_dir() else path
+            raise DocumentError(f"{path}: is a folder. Give its log files, as {within}/*.blf")
+        if not path.exists():
+            raise DocumentError(f"{path}: there is no such file")
     digests = {path: file_sha256(path) for path in logs}
     if len(set(digests.values())) < len(logs):
         raise DocumentError("two logs have the same content, which would count twice. Name each log once")

@@ -164,6 +164,14 @@ def test_a_log_of_another_format_than_the_map_has_is_named(tmp_path):
     assert "format parquet, which the import map reads as 'signals: {format: blf}'" in result.stderr
 
 
+def test_a_folder_or_a_log_that_is_not_there_is_named_with_what_to_give(tmp_path):
+    (tmp_path / "run/can").mkdir(parents=True)
+    for log, text in (("run", "Give its log files, as run/can/*.blf"), ("none.blf", "there is no such file")):
+        answer = gyrobench("calibrate", log, "--map", "emulated_ins", cwd=tmp_path)
+        assert answer.returncode == 2
+        assert text in answer.stderr
+
+
 def test_missing_samples_divide_the_log(tmp_path):
     write_log(tmp_path, unit(rotations=(), dwell_s=200.0))
     lines = (tmp_path / "log.csv").read_text().splitlines()
