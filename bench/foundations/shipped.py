@@ -27,6 +27,7 @@ TEMPLATES = MappingProxyType(
 _RENAMED = MappingProxyType({"procedures": {"verification": "calibration_check"}})
 
 
+_RUN_FOLDER = "is a run folder. Give it to report, close, verify or resume"
 #: What to do with a file of a kind, by the key that names it, where another one is expected.
 USES = MappingProxyType(
     {
@@ -72,6 +73,8 @@ def find_document(kind: str, name: str) -> Path:
     if path.suffix in {".yaml", ".yml"} or len(path.parts) > 1:
         if path.is_file():
             return path
+        if (path / "journal.jsonl").is_file():
+            raise DocumentError(f"{name}: {_RUN_FOLDER}")
         raise DocumentError(f"{name}: there is no such file{_suggestion(kind, path.stem)}")
     renamed = _RENAMED.get(kind, {}).get(name)
     if renamed is not None:
@@ -80,6 +83,8 @@ def find_document(kind: str, name: str) -> Path:
         candidate = folder / f"{renamed or name}.yaml"
         if candidate.is_file():
             return candidate
+    if (path / "journal.jsonl").is_file():
+        raise DocumentError(f"{name}: {_RUN_FOLDER}")
     raise DocumentError(f"{name}: no such file or shipped name{_suggestion(kind, name)}")
 
 

@@ -18,3 +18,12 @@ def test_the_name_of_a_shipped_file_of_another_kind_is_named_with_what_to_write(
         find_document("stations", "warm_up")
     with pytest.raises(DocumentError, match=r"warmup: .*did you mean 'warm_up'"):
         find_document("procedures", "warmup")
+
+
+def test_a_run_folder_in_place_of_a_file_is_named_with_the_commands_that_take_it(tmp_path, monkeypatch):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine/journal.jsonl").touch()
+    monkeypatch.chdir(tmp_path)
+    for name in ("mine", "./mine", str(tmp_path / "mine")):
+        with pytest.raises(DocumentError, match=r"is a run folder\. Give it to report, close"):
+            find_document("procedures", name)
