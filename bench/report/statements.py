@@ -281,9 +281,10 @@ def _noise_text(compared: NoiseComparison, key: str) -> str:
         else "The uncertainties of the biases are too large."
     )
     name = f"{compared.name[0].upper()}{compared.name[1:]}"
+    shown = measured.text(compared.unit, compared.unit_si).removeprefix("hidden by the resolution, ")
     to_declare = f"{key}: {measured.cautious / compared.unit_si:.2g}"
     return (
-        f"{name}: measured {measured.text(compared.unit, compared.unit_si)}, declared "
+        f"{name}: measured {shown}, declared "
         f"{declared / compared.unit_si:.3g} {compared.unit}. {effect} Declare ins.noise.{to_declare}, and "
         "measure again."
     )

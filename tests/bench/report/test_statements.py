@@ -248,8 +248,11 @@ def test_noise_that_is_estimated_or_not_measured_contradicts_no_declaration() ->
     assert noise_sentence(made_up_noise(), {"ins": {"noise": "estimated"}}) == ""
     declared = {"ins": {"noise": {"angle_random_walk_deg_per_sqrt_h": 0.06}}}
     assert noise_sentence(None, declared) == ""
-    coarse = [replace(each, velocity_enu_mps=np.round(each.velocity_enu_mps)) for each in simulated()]
-    assert "Velocity" not in noise_sentence(estimate_noise(coarse, GRAVITY), declared)
+    coarse = [replace(each, velocity_enu_mps=np.round(each.velocity_enu_mps, 1)) for each in simulated()]
+    hidden = estimate_noise(coarse, GRAVITY)
+    assert "Velocity" not in noise_sentence(hidden, declared)
+    declared["ins"]["noise"]["velocity_random_walk_ug_per_sqrt_hz"] = 1e6
+    assert "Velocity random walk: measured below " in noise_sentence(hidden, declared)
 
 
 @pytest.mark.parametrize(
