@@ -288,4 +288,9 @@ def _text(declared: _Evidence, alternatives: list[tuple[tuple[str, ...], _Eviden
             max(evidence.off_table, evidence.off_path) * 180.0 / np.pi for evidence in (declared, other)
         )
         why = f"the attitude lies {off:.0f} deg off that of the table, and {otherwise:.1f} deg otherwise"
+        if min(len(faults) for faults, _, _ in alternatives) > 1:
+            what += (
+                "; or a direction of the table in the section rate_table is wrong (outer_axis, inner_axis, "
+            )
+            what += "mounting)"
     return f"{what}: {why}. Correct the station file"

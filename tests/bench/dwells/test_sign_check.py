@@ -90,6 +90,16 @@ def test_roll_and_pitch_exchanged_are_named():
     assert "euler.roll and ins.signals.attitude.euler.pitch are exchanged" in measured(exchanged).setup_fault
 
 
+def test_a_wrong_direction_of_the_table_is_named_beside_the_signals_that_would_explain_it():
+    random = np.random.default_rng(1)
+    case = Case(any_unit(random), Place(), Schedule(), {})
+    angles = dwell_angles(setup_of(case), "y_down")
+    output = simulate(case.unit, case.place, case.schedule, angles, random)
+    setup = setup_of(replace(case, station={"rate_table.outer_axis": "west"}))
+    fault = measure_dwell(*dwell_frames(output, "y_down", angles, 1, random), setup).setup_fault
+    assert "the section rate_table is wrong (outer_axis, inner_axis, mounting): the attitude lies" in fault
+
+
 @pytest.mark.parametrize(
     ("position", "unit"),
     [
