@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from gyrobench.bench.cli.options import complete_run
-from gyrobench.bench.cli.output import JsonOption, console, print_json
+from gyrobench.bench.cli.output import JsonOption, console, print_json, print_unfinished
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError, RunFolderError
 
 
@@ -106,6 +106,8 @@ def close(
         return
     terminal = console()
     terminal.print(section_view(closure_findings(closure).chapter))
+    for path in tables:
+        print_unfinished(terminal, path)
     written = "closure.json, predictions.csv, model.yaml"
     if closure.composed and closure.composed.laws:
         written += ", composed_law.yaml"

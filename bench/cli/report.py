@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from gyrobench.bench.cli.options import RunArgument, complete_run
-from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, console
+from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, console, print_unfinished
 
 
 class VectorFormat(StrEnum):
@@ -80,6 +80,7 @@ def report(
         terminal.print("Unit not judged.", style="bold")
     elif folder.acceptance.exists():
         terminal.print(section_view(acceptance_summary(read_acceptance(folder.acceptance))))
+    print_unfinished(terminal, folder.path)
     terminal.print(f"Report   {page}", soft_wrap=True)
     if pdf:
         from gyrobench.bench.report.page import write_pdf

@@ -30,6 +30,18 @@ def test_the_report_is_written_again_with_the_name_and_the_verdict(run, tmp_path
     assert "A. Smith" in run.report.read_text()
 
 
+@pytest.mark.parametrize("ended", ["finished", "stopped", ""])
+def test_a_run_that_has_not_finished_is_stated_with_how_to_resume_it(ended, tmp_path):
+    folder = RunFolder(tmp_path / "run")
+    folder.path.mkdir()
+    with Journal(folder.journal, VirtualClock()) as journal:
+        journal.record("run_started", procedure="six_position_fig7", station="emulated")
+        if ended:
+            journal.record("run_ended", ended=ended, reason="", safe_state=[])
+    text = gyrobench("report", folder.path, cwd=tmp_path).stdout
+    assert (f"Resume it with: gyrobench resume {folder.path}" in text) == (ended != "finished")
+
+
 def test_who_prepares_it_stays_when_it_is_written_again(run, tmp_path):
     run.provenance.write_text('{"gyrobench": "0.1.0"}')
     gyrobench("report", run.path, "--by", "A. Smith", cwd=tmp_path)
