@@ -16,7 +16,8 @@ A map is named if both relations hold for it; otherwise something else is wrong,
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -90,6 +91,10 @@ class _Evidence:
     off_path: float
     #: Shape (8, 2). What tilt does not explain of velocity East and North, m/s, for each change of the map.
     velocity_rms: FloatArray
+    #: The same of both velocities together, as declared, in the axes about Up that fit best.
+    turned_rms: float
+    #: Shape (8,). Of both velocities together if the accelerometers may drift steadily in each window.
+    drifting_rms: FloatArray
 
     @property
     def is_on_path(self) -> bool:
@@ -129,12 +134,17 @@ class SignCheck:
         if not tried:
             return False
         best = min(float(np.linalg.norm(evidence.velocity_rms, axis=1).min()) for _, evidence in tried)
+        if declared.is_on_path and best > _CONTRADICTS * max(declared.turned_rms, self.velocity_step_mps):
+            return False  # turned by no right angle: gyrobench.bench.dwells.setup_check names the angle
         limit = max(_AGREES * best, self.velocity_step_mps)
         found = [
             ((*faults, *change.faults), evidence, rms)
             for faults, evidence in tried
-            for change, rms in zip(_VELOCITY_CHANGES, evidence.velocity_rms, strict=True)
+            for change, rms, drifting in zip(
+                _VELOCITY_CHANGES, evidence.velocity_rms, evidence.drifting_rms, strict=True
+            )
             if np.linalg.norm(rms) <= limit
+            and not (declared.is_on_path and drifting > declared.drifting_rms[0])
         ]
         fewest = min((len(faults) for faults, _, _ in found), default=0)
         if fewest:
@@ -155,7 +165,9 @@ class SignCheck:
         self, marks: DwellMarks, navigation: NavigationData, hemisphere: float = 1.0
     ) -> _Evidence | None:
         """How the data fit table and gravity; None without data for it. ``hemisphere``: -1 for the other."""
-        off_table, unexplained = 0.0, []
+        off_table = 0.0
+        unexplained: list[FloatArray] = []
+        drifting: list[FloatArray] = []
         for mark in marks.windows:
             rows = _between(navigation, mark.first_frame, mark.end_frame)
             time_s = navigation.ins_time_s[rows]
@@ -168,13 +180,21 @@ class SignCheck:
                 return None
             off = _angles_to(C_nb[:1], self.table.attitude(mark.outer_deg, mark.inner_deg)[np.newaxis])
             off_table = max(off_table, float(off[0]))
-            unexplained.append(
-                self._unexplained(time_s[::every], velocity, rotation_vector_enu(C_nb, C_nb[0]), hemisphere)
-            )
+            rotation = rotation_vector_enu(C_nb, C_nb[0])
+            for parts, degree in ((unexplained, 1), (drifting, 2)):
+                parts.append(self._unexplained(time_s[::every], velocity, rotation, hemisphere, degree))
         off_path = max(
             (self._off_path(navigation, *pair) for pair in itertools.pairwise(marks.windows)), default=0.0
         )
-        return _Evidence(off_table, off_path, _rms(np.concatenate(unexplained, axis=1)))
+        *left, tilt, displacement = np.concatenate(unexplained, axis=1)
+        # The rotation of least squares; 0 + 1j turns East to North.
+        turned, level = (each @ np.array([1.0, 1.0j]) for each in (left[0] + tilt, tilt))
+        turn = np.vdot(turned, level)
+        away = turned * turn / max(abs(turn), _TINY) - level
+        turned_rms = math.sqrt(float(np.mean(np.abs(away) ** 2)))
+        *of_drifting, _, moved = np.concatenate(drifting, axis=1)
+        drifting_rms = np.linalg.norm(_rms([*of_drifting, moved]), axis=1)
+        return _Evidence(off_table, off_path, _rms([*left, displacement]), turned_rms, drifting_rms)
 
     def _off_path(self, navigation: NavigationData, before: WindowMark, after: WindowMark) -> float:
         """Largest angle between the attitude in a turn and the nearest that the table may have had."""
@@ -189,33 +209,33 @@ class SignCheck:
         return float(_angles_to(C_nb, self.table.attitude(outer, inner)).max())
 
     def _unexplained(
-        self, time_s: FloatArray, velocity: FloatArray, rotation: FloatArray, hemisphere: float
+        self, time_s: FloatArray, velocity: FloatArray, rotation: FloatArray, hemisphere: float, degree: int
     ) -> FloatArray:
-        """What tilt does not explain of the velocities (n, 2) of a window, shape (9, n, 2).
+        """What tilt does not explain of the velocities (n, 2) of a window, shape (10, n, 2).
 
-        One for each change of the velocities, and last their integral.
+        One for each change of the velocities, then what the tilt leads to, and last their integral, all less
+        polynomials of this degree in time.
         """
         steps = np.diff(time_s)[:, np.newaxis]
         integrals = [
             np.vstack([np.zeros(2), np.cumsum(0.5 * steps * (each[1:] + each[:-1]), axis=0)])
             for each in (self.site.gravity * np.stack([rotation[:, 1], -rotation[:, 0]], axis=-1), velocity)
         ]
-        line = np.stack([np.ones(len(time_s)), time_s - time_s.mean()], axis=-1)
-        velocity_left, tilt, displacement = (
-            each - line @ np.linalg.lstsq(line, each, rcond=None)[0] for each in (velocity, *integrals)
-        )
+        line = np.linalg.qr(np.vander((time_s - time_s.mean()) / np.ptp(time_s), degree + 1))[0]
+        velocity_left, tilt, displacement = (each - line @ (line.T @ each) for each in (velocity, *integrals))
         _, _, rate_up = earth_rate_enu(hemisphere * self.site.latitude)
         coriolis = 2.0 * rate_up * np.array([[0.0, -1.0], [1.0, 0.0]])
         changes = [each.matrix for each in _VELOCITY_CHANGES]
         return np.stack(
             [
                 *(velocity_left @ each - tilt - displacement @ each @ coriolis for each in changes),
+                tilt,
                 displacement,
             ]
         )
 
 
-def _rms(unexplained: FloatArray) -> FloatArray:
+def _rms(unexplained: Sequence[FloatArray]) -> FloatArray:
     """Sizes (8, 2) of what is unexplained of the velocities; declared ones may be damped by the INS."""
     *left, displacement = unexplained
     damping = (displacement * left[0]).sum() / max(float((displacement**2).sum()), _TINY)

@@ -55,6 +55,7 @@ class Unit:
     accelerometer_pulse_mps: float = 0.0
     velocity_damping_s: float = math.inf  #: Time constant with which the INS damps its velocity.
     velocity_scale: Triple = (1.0, 1.0, 1.0)  #: What it sends over what it navigates, ENU.
+    velocity_turned_deg: float = 0.0  #: By how much the velocity that it sends is turned about Up.
     lever_arm_m: Triple = (0.0, 0.0, 0.0)  #: From the intersection of the table's axes.
     velocity_output_mps: float = 0.0
     attitude_output_arcsec: float = 0.0
@@ -137,9 +138,10 @@ def simulate(
     states = np.vstack(parts)
     C_en = _enu_axes(states[:, 12], states[:, 13])
     velocity = np.einsum("nji,nj->ni", C_en, states[:, 9:12])
-    velocity = unit.velocity_scale * velocity + unit.velocity_output_mps * random.standard_normal(
-        velocity.shape
-    )
+    turned = Rotation.from_euler("z", unit.velocity_turned_deg, degrees=True)
+    velocity = unit.velocity_scale * turned.apply(
+        velocity
+    ) + unit.velocity_output_mps * random.standard_normal(velocity.shape)
     C_nb = np.einsum("nji,njk->nik", C_en, states[:, :9].reshape(-1, 3, 3))
     if unit.attitude_output_arcsec:
         away = unit.attitude_output_arcsec * ARCSEC * random.standard_normal((len(C_nb), 3))

@@ -1,4 +1,4 @@
-"""Wrong scale of the velocities and wrong hemisphere, in dwells of an independent strapdown."""
+"""Wrong scale or axes of the velocities and wrong hemisphere, in dwells of an independent strapdown."""
 
 import re
 from dataclasses import replace
@@ -36,6 +36,9 @@ UNITS = (
     {},
     {"accelerometer_bias_ug": (-1000.0, 1000.0, 1000.0)},
     {"accelerometer_drift_ug_per_h": (30.0, -30.0, 30.0)},
+    {"accelerometer_drift_ug_per_h": (100.0, -100.0, 100.0)},
+    {"accelerometer_drift_ug_per_h": (300.0, 0.0, 0.0)},
+    {"accelerometer_drift_ug_per_h": (300.0, -300.0, 300.0)},
     {"accelerometer_transient_ug": (20.0, -20.0, 20.0)},
     {"angle_random_walk": 0.0012},
     {"velocity_damping_s": 600.0},
@@ -62,6 +65,27 @@ def test_a_scale_that_each_dwell_leaves_open_is_found_by_all_together():
     dwells = dwells_of(velocity_scale=(0.85,) * 3)
     assert not any(setup_fault([dwell.evidence]) for dwell in dwells)
     assert all("a wrong scale" in str(dwell.row.flags) for dwell in dwells)
+
+
+@pytest.mark.parametrize("turned_deg", [20.0, -30.0, 60.0, 120.0, -165.0])
+def test_velocities_in_axes_turned_about_up_are_named_with_the_angle(turned_deg):
+    """As of an INS that navigates in wander azimuth and sends the true heading."""
+    dwells = dwells_of(velocity_turned_deg=turned_deg)
+    found = re.search(r"are turned by (\S+) ± (\S+) deg about Up", dwells[-1].setup_fault)
+    assert found, dwells[-1].setup_fault
+    away_deg = (float(found[1]) - turned_deg + 180.0) % 360.0 - 180.0
+    assert abs(away_deg) < 4.0 * max(float(found[2]), 1.0)
+    assert all("turned by" in dwell.row.flags for dwell in dwells)
+
+
+def test_a_right_angle_about_up_is_named_as_exchanged_axes():
+    dwells = dwells_of(velocity_turned_deg=90.0, positions=ALL[:2])
+    assert all("are exchanged and ins.signals.velocity_" in dwell.setup_fault for dwell in dwells)
+
+
+def test_axes_turned_about_up_are_found_beside_a_drift_of_the_accelerometers():
+    dwells = dwells_of(velocity_turned_deg=20.0, accelerometer_drift_ug_per_h=(100.0, -100.0, 100.0))
+    assert re.search(r"are turned by (1[6-9]|2[0-4])", dwells[-1].setup_fault), dwells[-1].setup_fault
 
 
 @pytest.mark.parametrize("latitude_deg", [each for each in LATITUDES_DEG if abs(each) > 30.0])
