@@ -31,7 +31,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrobench.bench.bias.bias_filter import chi2_at, estimate_state_space
+from gyrobench.bench.bias.bias_filter import Damping, chi2_at, estimate_state_space
 from gyrobench.bench.bias.dwell import Dwell, NavigationWindow
 from gyrobench.bench.bias.noise_model import NoiseModel, rounding_sigma
 from gyrobench.bench.bias.parameters import PriorKnowledge
@@ -87,6 +87,7 @@ class SetupEvidence:
     #: East and North; right velocities have the identity.
     matrix: FloatArray
     covariance: FloatArray
+    damping: Damping  #: Of velocities that are right, by the tilt.
     latitude: float  #: Declared, rad.
     opposite_gain: float  #: By how much chi2 is less at the opposite latitude.
 
@@ -118,9 +119,10 @@ def setup_evidence(
     covariance = np.asarray(scatter * np.linalg.inv(rows)[_MATRIX, _MATRIX])
     if not (np.linalg.eigvalsh(covariance) > 0.0).all():
         return None
-    return SetupEvidence(
-        values[_MATRIX], covariance, site.latitude, _opposite_gain(dwell, site, noise, prior)
-    )
+    others, others_covariance = _where_right(moments)
+    damping = Damping(float(others[1]), math.sqrt(scatter * others_covariance[1, 1]))
+    gain = _opposite_gain(dwell, site, noise, prior)
+    return SetupEvidence(values[_MATRIX], covariance, damping, site.latitude, gain)
 
 
 def setup_fault(several: Sequence[SetupEvidence]) -> str:
@@ -293,12 +295,24 @@ def _dwell_moments(
 
 def _solved(moments: FloatArray, attitude_noise: FloatArray) -> tuple[FloatArray, FloatArray, float]:
     """Unknowns (n,) of a window or dwell, their information (n, n), and chi2."""
-    prior = np.full(len(moments) - 1, _WIDE_DRIFT**-2.0)
-    prior[_MATRIX], prior[4:6], prior[_OF_DWELL:] = 0.0, (_PRIOR_RATE**-2.0, _PRIOR_DAMPING**-2.0), 1.0
-    rows, left = moments[:-1, :-1] + np.diag(prior), moments[:-1, -1]
+    rows, left = moments[:-1, :-1] + np.diag(_prior(len(moments) - 1)), moments[:-1, -1]
     exact = rows - np.diag(np.pad(attitude_noise, (0, len(left) - 4)))
     values = np.asarray(np.linalg.solve(exact, left))
     return values, exact, float(moments[-1, -1] - 2.0 * left @ values + values @ rows @ values)
+
+
+def _where_right(moments: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Unknowns (n - 4,) beside the matrix if that is the identity, and their covariance."""
+    rows, left = moments[4:-1, 4:-1] + np.diag(_prior(len(moments) - 1)[4:]), moments[4:-1, -1]
+    covariance = np.asarray(np.linalg.inv(rows))
+    return covariance @ (left - moments[4:-1, _MATRIX] @ np.eye(2).ravel()), covariance
+
+
+def _prior(count: int) -> FloatArray:
+    """Information (n,) on the unknowns of a window or dwell that is known beforehand."""
+    prior = np.full(count, _WIDE_DRIFT**-2.0)
+    prior[_MATRIX], prior[4:6], prior[_OF_DWELL:] = 0.0, (_PRIOR_RATE**-2.0, _PRIOR_DAMPING**-2.0), 1.0
+    return prior
 
 
 def _moments(

@@ -1,4 +1,4 @@
-"""Wrong scale or axes of the velocities and wrong hemisphere, in dwells of an independent strapdown."""
+"""Wrong scale, axes or damping of velocities and wrong hemisphere, in dwells of an independent strapdown."""
 
 import re
 from dataclasses import replace
@@ -6,20 +6,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gyrobench.bench.bias.bias_filter import Damping
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.dwells.setup_check import measured_scale, setup_evidence, setup_fault
 from tests.adversarial.harness import ALL, LATITUDES_DEG, Case, any_unit, measured_dwells
-from tests.adversarial.strapdown import Place
+from tests.adversarial.strapdown import Place, Schedule
 from tests.bench.bias.emulated_dwells import UG, emulate, noise_model, sensors, site
 
 KNOT_MPS = 0.514444
 
 
-def dwells_of(*, station=None, latitude_deg=36.4, seed=3, positions=ALL, **unit):
+def dwells_of(*, station=None, latitude_deg=36.4, seed=3, positions=ALL, window_s=600.0, **unit):
     """One dwell in each position."""
     random = np.random.default_rng(seed)
     unit, place = replace(any_unit(random), **unit), Place(latitude_deg)
-    return measured_dwells(Case(unit, place, station=station or {}, positions=positions), random)
+    case = Case(unit, place, Schedule(window_s=window_s), station or {}, positions)
+    return measured_dwells(case, random)
 
 
 #: Each position is in one of these pairs of an upper and a lower one.
@@ -123,6 +125,29 @@ def test_no_error_of_the_unit_passes_for_a_wrong_set_up(unit, latitude_deg):
     if evidence := [dwell.evidence for dwell in dwells if dwell.evidence]:
         scale, sigma = measured_scale(evidence)
         assert abs(scale - 1.0) < 4.0 * sigma
+
+
+@pytest.mark.parametrize(("window_s", "damping_s"), [(240.0, 600.0), (240.0, 1500.0), (300.0, 2000.0)])
+def test_the_tilt_shows_a_damped_velocity_in_short_windows(window_s, damping_s):
+    dwells = dwells_of(window_s=window_s, velocity_damping_s=damping_s, positions=ALL * 2)
+    assert all("damps its velocity" in dwell.row.flags for dwell in dwells)
+    rate = Damping.mean([dwell.evidence.damping for dwell in dwells]).rate
+    assert 1.0 / rate == pytest.approx(damping_s, rel=0.3)
+
+
+@pytest.mark.parametrize("window_s", [240.0, 300.0])
+@pytest.mark.parametrize(
+    "unit",
+    [
+        {},
+        {"accelerometer_transient_ug": (20.0, -20.0, 20.0)},
+        {"accelerometer_drift_ug_per_h": (100.0, -100.0, 100.0)},
+    ],
+)
+def test_short_windows_of_a_free_inertial_ins_do_not_pass_for_damped_ones(window_s, unit):
+    dwells = dwells_of(window_s=window_s, **unit)
+    assert not any("damps its velocity" in dwell.row.flags for dwell in dwells)
+    assert [dwell.setup_fault for dwell in dwells] == [""] * 6
 
 
 @pytest.mark.parametrize(
