@@ -202,7 +202,7 @@ def print_end(
         console.print(f"{title} {text}", style="bold red")
     for number in outcome.units or [""]:
         journal = folder.unit(number).journal
-        if journal.is_file() and (text := signs_sentence(facts_of(read_journal(journal)))):
+        if journal.is_file() and (text := signs_sentence(facts_of(read_journal(journal)), station)):
             console.print(f"Unit {number}: {text}" if number else text, style="bold yellow")
     console.print(section_view(durations_section(step_durations(read_journal(folder.journal)))))
     if is_finished:

@@ -53,6 +53,8 @@ _CONTRADICTION_P, _CLEAR_SIGMAS = 1e-3, 4.0
 #: Significance level of the differences between positions, per gyro.
 POSITION_SIGNIFICANCE = 0.01
 
+#: At lower latitudes the Earth's rate Up is too small to show a unit that is mirrored East to West, deg.
+_EQUATORIAL_DEG = 12.0
 _AS_EXPECTED = "Error model and noise explain the data."
 _TOO_SMALL = (
     "The noise is larger than assumed, or the error model lacks an effect; the uncertainties are too small."
@@ -319,14 +321,28 @@ def heading_sentence(noise: NoiseEstimate | None) -> str:
     )
 
 
-def signs_sentence(facts: RunFacts) -> str:
-    """That no dwell tested signs and axes of the signal map; empty if one did, or none has a result."""
-    if facts.are_signs_tested is not False:
+def signs_sentence(facts: RunFacts, station: Mapping[str, Any]) -> str:
+    """What no dwell tested of the signal map; empty if all was tested, or none has a result.
+
+    ``station``: content of the station file.
+    """
+    if facts.are_signs_tested is None:
         return ""
-    return (
-        "Signs and axes of the signal map were not tested: the windows are too short, or the output is too "
-        "coarse. If they are wrong, so are the biases: test them with gyrobench check STATION --signs."
-    )
+    if not facts.are_signs_tested:
+        return (
+            "Signs and axes of the signal map were not tested: the windows are too short, or the output is "
+            "too coarse. If they are wrong, so are the biases: test them with gyrobench check STATION "
+            "--signs."
+        )
+    match station:
+        case {"location": {"latitude_deg": int() | float() as latitude_deg}}:
+            if abs(latitude_deg) < _EQUATORIAL_DEG:
+                return (
+                    f"At {latitude_deg:.3g} deg of latitude no dwell shows whether the senses of the heading "
+                    "and of the table's axes are both wrong. Biases of vertical gyros would have the wrong "
+                    "sign: watch that the table turns the way that the station file states."
+                )
+    return ""
 
 
 def agreement_sentence(

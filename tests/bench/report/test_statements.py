@@ -24,8 +24,10 @@ from gyrobench.bench.report.statements import (
     run_findings,
     scatter_sentence,
     setup_sentences,
+    signs_sentence,
     temperatures_sentence,
 )
+from gyrobench.bench.runs.journal import RunFacts
 from gyrobench.bench.runs.tables.joint_table import JointPlateauRow
 from tests.bench.bias.test_noise_estimate import GRAVITY, simulated
 from tests.bench.report.made_up_noise import made_up_noise
@@ -289,3 +291,23 @@ def test_accelerometers_that_follow_the_temperature_more_than_declared_are_named
     assert not count or ug_per_k <= 1.02 * float(value[1]) <= 1.15 * ug_per_k
     unknown = [replace(row, accelerometer_ug=(np.nan,) * 3) for row in rows]
     assert accelerometers_sentence(unknown, station) == accelerometers_sentence([], {}) == ""
+
+
+@pytest.mark.parametrize(
+    ("are_tested", "latitude_deg", "stated"),
+    [
+        (None, 5.0, ""),
+        (False, 36.4, "Signs and axes of the signal map were not tested"),
+        (True, 36.4, ""),
+        (True, -35, ""),
+        (True, 5.0, "At 5 deg of latitude no dwell shows whether the senses"),
+        (True, -8, "At -8 deg of latitude"),
+    ],
+)
+def test_what_no_dwell_tested_of_the_signal_map_is_stated(
+    are_tested: bool | None, latitude_deg: float, stated: str
+) -> None:
+    station = {"location": {"latitude_deg": latitude_deg}}
+    text = signs_sentence(RunFacts(are_signs_tested=are_tested), station)
+    assert text.startswith(stated)
+    assert bool(text) == bool(stated)
