@@ -26,6 +26,7 @@ from gyrobench.bench.bias.window_filter import EPOCH_S
 from gyrobench.bench.dwells.output_checks import OutputFault, exceeds_noise, output_faults, rounding
 from gyrobench.bench.dwells.setup_check import (
     SetupEvidence,
+    drift_fault,
     latitude_fault,
     raise_setup_fault,
     setup_evidence,
@@ -207,6 +208,8 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
         flags += estimated.disturbances
         if not flags:
             windows = tuple(RestMotion.of(window.thinned(EPOCH_S)) for window in dwell.windows)
+        if evidence and (drift := drift_fault(evidence)):
+            persistent_flags = (*persistent_flags, drift)
         flags += persistent_flags
     except MeasurementError as error:
         flags.append(str(error))

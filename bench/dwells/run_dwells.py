@@ -31,7 +31,7 @@ def add_dwell(dwells: list[MeasuredDwell], measured: MeasuredDwell) -> None:
     _keep_navigation_of_some(dwells)
 
 
-#: The velocity of an INS is damped where chance gives the rate of all dwells together so rarely.
+#: The velocity of an INS is damped where the rate of all dwells together has less than this probability.
 _MIN_DAMPING_P_VALUE = 1e-5
 
 

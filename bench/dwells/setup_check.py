@@ -8,8 +8,8 @@ file let a dwell look good:
   the begin of a window lets gravity in, ``dV_E/dt = g r_N + 2 W_U V_N + constant`` and ``dV_N/dt = -g r_E -
   2 W_U V_E + constant``, so that a regression of both velocities on both integrals of the tilt gives a matrix
   (2, 2): the identity, a scale or a rotation. Earth rate and damping by the INS are free in it, transient and
-  temperature slope of the accelerometers have their prior uncertainty; noise of the attitude, which makes a regression's slope
-  smaller, is subtracted from its moment.
+  temperature slope of the accelerometers have their prior uncertainty; noise of the attitude, which makes a
+  regression's slope smaller, is subtracted from its moment.
 * A steady drift of each accelerometer is free in each dwell: to velocity it is what a bias of a level gyro is
   to the tilt. From window to window it may change by its prior uncertainty, or by as much as the windows show
   where the velocities are right. What is left for the matrix is the random walk of the gyros, and what a
@@ -35,16 +35,20 @@ from gyrobench.bench.bias.bias_filter import Damping, chi2_at, estimate_state_sp
 from gyrobench.bench.bias.dwell import Dwell, NavigationWindow
 from gyrobench.bench.bias.noise_model import NoiseModel, rounding_sigma
 from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.bias.statistics import chi2_p_value
 from gyrobench.bench.bias.window_filter import EPOCH_S, TRANSIENT_S
-from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.arrays import UG_TO_MPS2, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError, SignalMapError
 from gyrobench.bench.navigation.attitude import rotation_vector_enu
 from gyrobench.bench.navigation.earth import EARTH_RATE
 from gyrobench.bench.navigation.error_model import Site
+from gyrobench.bench.navigation.positions import AXES
 
-#: A scale, or an angle in rad, is wrong if it is off by more than this many standard uncertainties, as one in a
-#: hundred thousand good units is whose uncertainty is stated a tenth too large, and by more than this.
+#: A scale, or an angle in rad, is wrong if it is off by more than this many standard uncertainties, as one in
+#: a hundred thousand good units is whose uncertainty is stated a tenth too large, and by more than this.
 _MIN_SIGMAS, _MIN_ERROR = 4.2, 0.03
+#: Accelerometers drift more than expected below this probability.
+_MIN_DRIFT_P_VALUE = 1e-5
 #: Other differences of the matrix from the identity reduce what speaks for one cause by this factor at most.
 _MAX_LEFT = 4.0
 #: Angles tried at once, and how finely, rad.
@@ -67,6 +71,8 @@ _VELOCITIES = ("ins.signals.velocity_east", "ins.signals.velocity_north")
 #: each window. Prior uncertainty of the Earth rate about Up over its size, and of damping, 1/s.
 _MATRIX, _DRIFT, _OF_WINDOW = slice(0, 4), slice(6, 8), 8
 _OF_DWELL, _PRIOR_RATE, _PRIOR_DAMPING = 9, 1.0, 0.01
+#: The first of them where the latitude is that of the station.
+_LATITUDE_RATE = 0.1
 #: What multiplies a velocity by each factor.
 _UNITS = {
     0.5: "half the scale", 2.0: "twice the scale", 10.0: "ten times the scale", 0.1: "a tenth of the scale",
@@ -87,7 +93,11 @@ class SetupEvidence:
     #: East and North; right velocities have the identity.
     matrix: FloatArray
     covariance: FloatArray
-    damping: Damping  #: Of velocities that are right, by the tilt.
+    #: damping, drift, drift_sigma: Of velocities that are right, by the tilt. Drift of the accelerometers,
+    #: body axes, shape (3,), m/s^3; uncertainty of the measurement, and of what is expected, shape (2, 3).
+    damping: Damping
+    drift: FloatArray
+    drift_sigma: FloatArray
     latitude: float  #: Declared, rad.
     opposite_gain: float  #: By how much chi2 is less at the opposite latitude.
 
@@ -119,10 +129,17 @@ def setup_evidence(
     covariance = np.asarray(scatter * np.linalg.inv(rows)[_MATRIX, _MATRIX])
     if not (np.linalg.eigvalsh(covariance) > 0.0).all():
         return None
-    others, others_covariance = _where_right(moments)
-    damping = Damping(float(others[1]), math.sqrt(scatter * others_covariance[1, 1]))
-    gain = _opposite_gain(dwell, site, noise, prior)
-    return SetupEvidence(values[_MATRIX], covariance, damping, site.latitude, gain)
+    others, others_covariance = _where_right(moments, site.latitude)
+    sigma = np.sqrt(scatter * np.diag(others_covariance))
+    return SetupEvidence(
+        matrix=values[_MATRIX],
+        covariance=covariance,
+        damping=Damping(float(others[1]), float(sigma[1])),
+        drift=others[2:5] * wide.accelerometer_drift,
+        drift_sigma=wide.accelerometer_drift * np.stack([sigma[2:5], np.ones(3)]),
+        latitude=site.latitude,
+        opposite_gain=_opposite_gain(dwell, site, noise, prior),
+    )
 
 
 def setup_fault(several: Sequence[SetupEvidence]) -> str:
@@ -149,6 +166,22 @@ def raise_setup_fault(evidence: SetupEvidence | None) -> None:
     """Raises SignalMapError where one dwell by itself contradicts the set-up."""
     if evidence and (fault := setup_fault([evidence])):
         raise SignalMapError(fault)
+
+
+def drift_fault(evidence: SetupEvidence) -> str:
+    """That the accelerometers drift more in a dwell than expected; empty if they do not."""
+    expected = np.linalg.norm(evidence.drift_sigma, axis=0)
+    # That of a vertical axis is not observable, and adds nothing.
+    if chi2_p_value(2, float(((evidence.drift / expected) ** 2).sum())) > _MIN_DRIFT_P_VALUE:
+        return ""
+    axis = int(np.argmax(np.abs(evidence.drift) / expected))
+    drift, sigma = np.array([evidence.drift[axis], evidence.drift_sigma[0, axis]]) * 3600.0 / UG_TO_MPS2
+    return (
+        f"the {AXES[axis]} accelerometer drifts by {drift:.0f} ± {sigma:.0f} ug/h against the tilt of the "
+        "INS, more than ins.uncertainty.accelerometer_drift_ug_per_h allows for: a level gyro seems to have "
+        f"{math.degrees(1e-6 * abs(drift)):.3f} deg/h more. Measure where the temperature has settled, or "
+        "declare that drift"
+    )
 
 
 def measured_scale(several: Sequence[SetupEvidence]) -> tuple[float, float]:
@@ -301,11 +334,14 @@ def _solved(moments: FloatArray, attitude_noise: FloatArray) -> tuple[FloatArray
     return values, exact, float(moments[-1, -1] - 2.0 * left @ values + values @ rows @ values)
 
 
-def _where_right(moments: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Unknowns (n - 4,) beside the matrix if that is the identity, and their covariance."""
-    rows, left = moments[4:-1, 4:-1] + np.diag(_prior(len(moments) - 1)[4:]), moments[4:-1, -1]
-    covariance = np.asarray(np.linalg.inv(rows))
-    return covariance @ (left - moments[4:-1, _MATRIX] @ np.eye(2).ravel()), covariance
+def _where_right(moments: FloatArray, latitude: float) -> tuple[FloatArray, FloatArray]:
+    """Unknowns (n - 4,) beside the matrix if that is the identity at this latitude, and their covariance."""
+    prior, right = _prior(len(moments) - 1)[4:], np.append(np.eye(2), math.sin(latitude))
+    prior[0] = _LATITUDE_RATE**-2.0
+    covariance = np.asarray(np.linalg.inv(moments[4:-1, 4:-1] + np.diag(prior)))
+    found = covariance @ (moments[4:-1, -1] - moments[4:-1, :5] @ right)
+    found[0] += right[-1]
+    return found, covariance
 
 
 def _prior(count: int) -> FloatArray:

@@ -127,6 +127,18 @@ def test_no_error_of_the_unit_passes_for_a_wrong_set_up(unit, latitude_deg):
         assert abs(scale - 1.0) < 4.0 * sigma
 
 
+def test_a_drift_of_the_accelerometers_beyond_what_is_declared_is_named_as_such():
+    drift = (300.0, -300.0, 300.0)
+    flags = [dwell.row.flags for dwell in dwells_of(accelerometer_drift_ug_per_h=drift)]
+    found = [re.search(r"the ([xyz]) accelerometer drifts by (\S+) ± (\S+) ug/h", text) for text in flags]
+    assert all(found)
+    for axis, drift_ug_per_h, sigma in (each.groups() for each in found):
+        assert abs(float(drift_ug_per_h) - drift["xyz".index(axis)]) < 4.0 * float(sigma)
+    station = {"ins.uncertainty.accelerometer_drift_ug_per_h": 300.0}
+    declared = dwells_of(station=station, accelerometer_drift_ug_per_h=drift, positions=ALL[:2])
+    assert not any("accelerometer drifts" in dwell.row.flags for dwell in declared)
+
+
 @pytest.mark.parametrize(("window_s", "damping_s"), [(240.0, 600.0), (240.0, 1500.0), (300.0, 2000.0)])
 def test_the_tilt_shows_a_damped_velocity_in_short_windows(window_s, damping_s):
     dwells = dwells_of(window_s=window_s, velocity_damping_s=damping_s, positions=ALL * 2)
