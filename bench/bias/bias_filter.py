@@ -91,7 +91,7 @@ class Damping:
 class DwellInformation:
     """Information of a dwell's data on its parameters, without prior knowledge."""
 
-    #: Shape (n, p). White rows with unit variance, for the unknowns of
+    #: Shape (n, p). White rows with unit variance, for the parameters of
     #: :mod:`gyrobench.bench.bias.parameters`.
     rows: FloatArray
     data: FloatArray  #: Shape (n,). What they are to give.
@@ -250,15 +250,15 @@ class BiasFilter:
                 "Turn the unit and navigate again"
             )
         information, shown = self._information(test=complete)
-        unknowns, covariance = self._solved(information)
-        taken = _with_north_rate(unknowns, information)
+        values, covariance = self._solved(information)
+        taken = _with_north_rate(values, information)
         expansions = [each * shown[: each.shape[1]] for each in self._expansions]
         at_mean, acceleration = information.bias_at_mean, information.acceleration_at_mean
         latitude_error, latitude_sigma = self._latitude(information)
         return StateSpaceEstimate(
-            bias_radps=at_mean @ unknowns,
+            bias_radps=at_mean @ values,
             covariance=at_mean @ covariance @ at_mean.T,
-            accelerometer_bias=acceleration @ unknowns,
+            accelerometer_bias=acceleration @ values,
             accelerometer_sigma=np.sqrt(np.diag(acceleration @ covariance @ acceleration.T)),
             fit=self._goodness_of_fit(expansions, taken, covariance),
             steady_p_value=self._steady_p_value(information),
@@ -289,8 +289,8 @@ class BiasFilter:
         """Test whether the model explains what has been added, even a single window."""
         information, shown = self._information(test=True)
         expansions = [each * shown[: each.shape[1]] for each in self._expansions]
-        unknowns, covariance = self._solved(information)
-        return self._goodness_of_fit(expansions, _with_north_rate(unknowns, information), covariance)
+        values, covariance = self._solved(information)
+        return self._goodness_of_fit(expansions, _with_north_rate(values, information), covariance)
 
     def chi2(self) -> float:
         """Sum of squares that model and prior knowledge leave of what has been added."""
@@ -309,29 +309,29 @@ class BiasFilter:
         rows = np.hstack([information.rows, block_diagonal(*changes)[:, 3:]])
         count = len(self._prior_root)
         wide = np.eye(rows.shape[1] - count) * parameters.WIDE_GYRO_BIAS
-        unknowns, covariance = solve(rows, information.data, block_diagonal(self._prior_root, wide))
-        away = np.abs(unknowns[count:]) / np.sqrt(np.diag(covariance)[count:])
+        values, covariance = solve(rows, information.data, block_diagonal(self._prior_root, wide))
+        away = np.abs(values[count:]) / np.sqrt(np.diag(covariance)[count:])
         return min(1.0, len(away) * math.erfc(away.max() / math.sqrt(2.0)))
 
     def _damping(self, information: DwellInformation) -> Damping:
         prior_root = self._prior_root.copy()
         prior_root[parameters.DAMPING, parameters.DAMPING] = _WIDE_DAMPING
-        unknowns, covariance = solve(information.rows, information.data, prior_root)
+        values, covariance = solve(information.rows, information.data, prior_root)
         variance = float(covariance[parameters.DAMPING, parameters.DAMPING])
         # A velocity that walks at random returns to its mean by chance, as if it was damped. Once constants
         # are fitted, the information of a rate times the mean of its estimate is half the duration for each
         # axis (Dickey and Fuller, 1979).
         duration_s = sum(window.last_s - window.first_s for window in self._windows)
-        return Damping(float(unknowns[parameters.DAMPING]) - duration_s * variance, math.sqrt(variance))
+        return Damping(float(values[parameters.DAMPING]) - duration_s * variance, math.sqrt(variance))
 
     def _latitude(self, information: DwellInformation) -> tuple[float, float]:
         prior = replace(self._prior, latitude=_WIDE_LATITUDE)
         prior_root = parameters.prior_root(prior, len(self._windows), self._earth_rate)
-        unknowns, covariance = solve(information.rows, information.data, prior_root)
+        values, covariance = solve(information.rows, information.data, prior_root)
         rates = parameters.NAVIGATION_RATE
         of_latitude = np.array([self._earth_rate[2], -self._earth_rate[1]]) / EARTH_RATE**2
         sigma = math.sqrt(of_latitude @ covariance[rates, rates] @ of_latitude)
-        return float(of_latitude @ unknowns[rates]), sigma
+        return float(of_latitude @ values[rates]), sigma
 
     def _from_first(self, temperatures_c: FloatArray) -> FloatArray:
         """Change (n, 4) of temperatures since the first one; zero where they are not known."""
@@ -379,8 +379,8 @@ class BiasFilter:
     def _transient_p_value(self, information: DwellInformation, settling: IntArray) -> float:
         prior_root = self._prior_root.copy()
         prior_root[settling, settling] = _WIDE_ACCELERATION
-        unknowns, covariance = solve(information.rows, information.data, prior_root)
-        size, covariance = unknowns[settling], covariance[np.ix_(settling, settling)]
+        values, covariance = solve(information.rows, information.data, prior_root)
+        size, covariance = values[settling], covariance[np.ix_(settling, settling)]
         # Short windows can't distinguish it from a bias: nothing that they show speaks for it.
         if np.sqrt(np.diag(covariance)).max() > self._prior.accelerometer_transient:
             return 1.0
@@ -414,15 +414,15 @@ class BiasFilter:
         return replace(linear, data=data, north_rate=north_rate)
 
     def _goodness_of_fit(
-        self, expansions: list[FloatArray], unknowns: FloatArray, covariance: FloatArray
+        self, expansions: list[FloatArray], values: FloatArray, covariance: FloatArray
     ) -> GoodnessOfFit:
         blocks = [
-            (time_s, total[:, window_filter.DATA], _expanded(total, expansion, len(unknowns)))
+            (time_s, total[:, window_filter.DATA], _expanded(total, expansion, len(values)))
             for window, expansion in zip(self._windows, expansions, strict=True)
             for time_s, total in window.blocks()
         ]
         time_s, sums, responses = (np.array(each) for each in zip(*blocks, strict=True))
-        return goodness_of_fit(time_s, sums, responses, unknowns, covariance)
+        return goodness_of_fit(time_s, sums, responses, values, covariance)
 
 
 def _temperatures(count: int, gyro_c: FloatArray | None, accelerometer_c: FloatArray | None) -> FloatArray:
@@ -435,9 +435,9 @@ def _temperatures(count: int, gyro_c: FloatArray | None, accelerometer_c: FloatA
     )
 
 
-def _with_north_rate(unknowns: FloatArray, information: DwellInformation) -> FloatArray:
-    """The unknowns (p,) that explain the innovations, from which the rate North is not taken."""
-    result = unknowns.copy()
+def _with_north_rate(values: FloatArray, information: DwellInformation) -> FloatArray:
+    """The parameters (p,) that explain the innovations, from which the rate North is not taken."""
+    result = values.copy()
     result[parameters.NAVIGATION_RATE.start] += information.north_rate
     return result
 
@@ -484,7 +484,7 @@ def navigation_fit(
 
 
 def _expansion(state: FloatArray, C_nb: FloatArray, earth_rate: FloatArray) -> FloatArray:
-    """What each column of a window is of the unknowns (p), given its first state (6, p)."""
+    """What each column of a window is of the parameters (p), given its first state (6, p)."""
     count = state.shape[1]
     expansion = np.zeros((window_filter.DATA, count))
     expansion[: window_filter.INPUT] = state
@@ -504,7 +504,7 @@ def _expansion(state: FloatArray, C_nb: FloatArray, earth_rate: FloatArray) -> F
 
 
 def _expanded(rows: FloatArray, expansion: FloatArray, count: int) -> FloatArray:
-    """Rows of a window (n, c) for all unknowns of the dwell (n, count)."""
+    """Rows of a window (n, c) for all parameters of the dwell (n, count)."""
     result = np.zeros((len(rows), count))
     result[:, : expansion.shape[1]] = rows[:, : window_filter.DATA] @ expansion
     return result

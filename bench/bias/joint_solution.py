@@ -1,6 +1,6 @@
 """All dwells of one plateau solved together.
 
-What the positions share is one set of unknowns: accelerometer biases and misalignments, gyro error
+What the positions share is one set of parameters: accelerometer biases and misalignments, gyro error
 matrix, error of the latitude. The gyro biases of each dwell stay its own; that they may differ is
 what the bench is for, and nothing here draws them to one another.
 
@@ -27,7 +27,7 @@ from gyrobench.bench.foundations.arrays import STANDARD_GRAVITY, FloatArray, Int
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.positions import POSITIONS, Position
 
-#: Shared unknowns: accelerometer biases, accelerometer error matrix by rows (its diagonal, the
+#: Shared parameters: accelerometer biases, accelerometer error matrix by rows (its diagonal, the
 #: scale factors, acts on Up alone and is not seen), rate North and Up fixed in the navigation
 #: frame, gyro error matrix by rows. The gyro biases of each dwell follow.
 SHARED_ACCELEROMETER_BIAS, SHARED_ACCELEROMETER_MATRIX = slice(0, 3), slice(3, 12)
@@ -39,7 +39,7 @@ _ANY_RATE = 0.01
 # What data say less of than this, in units of prior knowledge, is noise; 1 would equal it.
 _MIN_INFORMATION = 0.3
 
-# What a dwell shows of its unknowns beyond its own: its gyro biases, the accelerometer biases as
+# What a dwell shows of its parameters beyond its own: its gyro biases, the accelerometer biases as
 # they seem in its position, rates and gyro error matrix.
 _SHOWN = np.r_[
     parameters.GYRO_BIAS, parameters.ACCELEROMETER_BIAS, parameters.NAVIGATION_RATE, parameters.GYRO_MATRIX
@@ -70,7 +70,7 @@ class JointInformation:
     def of(cls, information: DwellInformation, position: Position, prior: PriorKnowledge) -> JointInformation:
         """Eliminate what no other dwell shares: slopes, initial errors, headings, steps in the turns."""
         rows = information.rows.copy()
-        # Biases at the mean temperatures become unknowns; the slopes turn about those temperatures.
+        # Biases at the mean temperatures become parameters; the slopes turn about those temperatures.
         for bias, slope, at_mean in (
             (parameters.GYRO_BIAS, parameters.GYRO_SLOPE, information.bias_at_mean),
             (parameters.ACCELEROMETER_BIAS, parameters.ACCELEROMETER_SLOPE, information.acceleration_at_mean),
@@ -94,7 +94,7 @@ class JointInformation:
         sizes[_BIAS] = sizes[_RATE] = _ANY_RATE
         return cls(*_informative(rest[:, :-1], rest[:, -1], sizes), position, information.earth_rate)
 
-    def for_joint_unknowns(self, number: int, dwells: int) -> FloatArray:
+    def for_joint_parameters(self, number: int, dwells: int) -> FloatArray:
         """Rows (n, 23 + 3 m) of dwell ``number`` out of m."""
         vertical = self.position.up_sign * STANDARD_GRAVITY * np.eye(3)[self.position.up_axis]
         result = np.zeros((len(self.rows), SHARED + 3 * dwells))
@@ -110,30 +110,30 @@ class JointInformation:
 class JointFit:
     """Solution of the joint problem."""
 
-    #: unknowns, covariance: Shape (23 + 3 m,), (23 + 3 m, 23 + 3 m). Shared unknowns, then the biases of each
-    #: of the m dwells.
-    unknowns: FloatArray
+    #: parameters, covariance: Shape (23 + 3 m,), (23 + 3 m, 23 + 3 m). Shared parameters, then the biases of
+    #: each of the m dwells.
+    parameters: FloatArray
     covariance: FloatArray
     #: Test that the dwells agree on what they share, with any accelerometer biases and misalignments: a unit
     #: with larger ones than declared contradicts the declaration, not its dwells.
     p_value: float
 
     @property
-    def shared(self) -> SharedUnknowns:
+    def shared(self) -> SharedParameters:
         """What the dwells share."""
         sigmas = np.sqrt(np.diagonal(self.covariance)[:SHARED])
-        return SharedUnknowns(self.unknowns[:SHARED].copy(), sigmas, self.p_value)
+        return SharedParameters(self.parameters[:SHARED].copy(), sigmas, self.p_value)
 
     @property
     def biases(self) -> JointBiases:
         """The biases of each dwell."""
         return JointBiases(
-            self.unknowns[SHARED:].reshape(-1, 3).copy(), self.covariance[SHARED:, SHARED:].copy()
+            self.parameters[SHARED:].reshape(-1, 3).copy(), self.covariance[SHARED:, SHARED:].copy()
         )
 
 
 @dataclass(frozen=True, eq=False)
-class SharedUnknowns:
+class SharedParameters:
     """What the dwells of a plateau share, as a joint problem gives it."""
 
     #: values, sigmas: Shape (23,). With standard uncertainties, SI.
@@ -180,24 +180,24 @@ def free_root(root: FloatArray, gyro_scale_factors: bool = True) -> FloatArray:
 
 def _solve_alone(dwell: JointInformation, shared_root: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Solve one dwell by itself; its biases (3,) and their covariance (3, 3)."""
-    unknowns, covariance = solve(*_system([dwell], shared_root))
-    return unknowns[SHARED:], covariance[SHARED:, SHARED:]
+    values, covariance = solve(*_system([dwell], shared_root))
+    return values[SHARED:], covariance[SHARED:, SHARED:]
 
 
 def solve_together(dwells: Sequence[JointInformation], shared_root: FloatArray) -> JointFit:
     """Solve for what the dwells share and for the biases of each."""
     rows, data, prior_root = _system(dwells, shared_root)
-    unknowns, covariance = solve(rows, data, prior_root)
+    values, covariance = solve(rows, data, prior_root)
     free, free_covariance = solve(*_system(dwells, free_root(shared_root, gyro_scale_factors=False)))
     test = chi2_test(data - rows @ free, rows, free_covariance)
-    return JointFit(unknowns, covariance, test.p_value)
+    return JointFit(values, covariance, test.p_value)
 
 
 def _system(
     dwells: Sequence[JointInformation], shared_root: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Rows, data and prior root of the joint problem."""
-    rows = np.vstack([each.for_joint_unknowns(number, len(dwells)) for number, each in enumerate(dwells)])
+    rows = np.vstack([each.for_joint_parameters(number, len(dwells)) for number, each in enumerate(dwells)])
     data = np.concatenate([each.data for each in dwells])
     return rows, data, block_diagonal(shared_root, _ANY_RATE * np.eye(3 * len(dwells)))
 
@@ -256,8 +256,8 @@ class JointSolution:
     north_free: JointBiases
     #: fit, north_free_fit: Of the last two. If the dwells agree (``p_value``) in the second alone, the
     #: latitude is wrong by more than declared; if in neither, they do not share what they are meant to.
-    fit: SharedUnknowns
-    north_free_fit: SharedUnknowns
+    fit: SharedParameters
+    north_free_fit: SharedParameters
     pairs: VerticalPairs  #: Half-differences of the vertical gyros.
     up_rate: UpRate  #: The rate Up by these dwells alone.
 
@@ -380,10 +380,10 @@ def _pairs(dwells: Sequence[JointDwell], fit: JointFit, bias_slope: float) -> Ve
     covariance = weights @ fit.covariance[np.ix_(taken, taken)] @ weights.T
     return VerticalPairs(
         gyros=tuple(halves),
-        half_difference=weights @ fit.unknowns[taken],
+        half_difference=weights @ fit.parameters[taken],
         covariance=covariance + np.diag(np.nan_to_num(bias_slope * shift_c) ** 2),
         weights=tuple(halves.values()),
-        north_rate=float(fit.unknowns[_NORTH]),
+        north_rate=float(fit.parameters[_NORTH]),
         north_variance=float(fit.covariance[_NORTH, _NORTH]),
         north_covariance=weights @ fit.covariance[taken, _NORTH],
     )

@@ -94,11 +94,12 @@ def fit_bias_curve(plateaus: Sequence[_Plateau], axis: int) -> CubicBiasCurve:
     rows = np.hstack([constants, curve.responses(temperature_c)]) / sigma_dph[:, np.newaxis]
     data = bias_dph / sigma_dph
     covariance = np.linalg.inv(rows.T @ rows + np.diag(np.r_[np.zeros(len(runs)), prior]))
-    unknowns = covariance @ (rows.T @ data)
+    parameters = covariance @ (rows.T @ data)
     dof = len(plateaus) - float(np.trace(rows @ covariance @ rows.T))
-    scatter = float(np.sum((data - rows @ unknowns) ** 2)) / dof if dof > 0.5 else 1.0
+    scatter = float(np.sum((data - rows @ parameters) ** 2)) / dof if dof > 0.5 else 1.0
     first = len(runs)
-    return CubicBiasCurve(curve.reference_c, unknowns[first:], max(1.0, scatter) * covariance[first:, first:])
+    of_curve = max(1.0, scatter) * covariance[first:, first:]
+    return CubicBiasCurve(curve.reference_c, parameters[first:], of_curve)
 
 
 def position_differences(passes: Sequence[_Plateau], axis: int, curve: CubicBiasCurve) -> PositionDifferences:
@@ -120,11 +121,11 @@ def position_differences(passes: Sequence[_Plateau], axis: int, curve: CubicBias
     design = white @ np.array(columns, dtype=np.float64).T
     data = white @ reduced_dph
     covariance = np.asarray(np.linalg.inv(design.T @ design), dtype=np.float64)
-    unknowns = np.asarray(covariance @ (design.T @ data), dtype=np.float64)
-    dof = len(rows) - len(unknowns)
-    chi2 = float(np.sum((data - design @ unknowns) ** 2))
+    parameters = np.asarray(covariance @ (design.T @ data), dtype=np.float64)
+    dof = len(rows) - len(parameters)
+    chi2 = float(np.sum((data - design @ parameters) ** 2))
     first = len(passes)
-    differences = _differences(positions, unknowns[first:], covariance[first:, first:])
+    differences = _differences(positions, parameters[first:], covariance[first:, first:])
     met = {(a.position, b.position) for each in passes for a, b in permutations(each, 2)}
     return PositionDifferences(
         temperature_c=float(plateau_c.mean()),

@@ -115,7 +115,11 @@ class GoodnessOfFit:
 
 
 def goodness_of_fit(
-    time_s: FloatArray, sums: FloatArray, responses: FloatArray, unknowns: FloatArray, covariance: FloatArray
+    time_s: FloatArray,
+    sums: FloatArray,
+    responses: FloatArray,
+    parameters: FloatArray,
+    covariance: FloatArray,
 ) -> GoodnessOfFit:
     """Test the sums of innovations against an estimate made from the same data.
 
@@ -126,12 +130,12 @@ def goodness_of_fit(
     sums : ndarray, shape (m, 3)
         White, with unit variance.
     responses : ndarray, shape (m, 3, p)
-        Of the sums to the unknowns.
-    unknowns, covariance : ndarray, shape (p,), (p, p)
+        Of the sums to the parameters.
+    parameters, covariance : ndarray, shape (p,), (p, p)
         The estimate.
     """
-    response = responses.reshape(-1, len(unknowns))
-    residuals = sums.ravel() - response @ unknowns
+    response = responses.reshape(-1, len(parameters))
+    residuals = sums.ravel() - response @ parameters
     test = chi2_test(residuals, response, covariance)
     return GoodnessOfFit(time_s, residuals.reshape(-1, 3), test.chi2, test.dof, test.p_value)
 
@@ -227,7 +231,7 @@ _MAX_SHARE = 1e3
 class WeightedFit:
     """Least squares with weights."""
 
-    values: FloatArray  #: Shape (k,). The unknowns.
+    values: FloatArray  #: Shape (k,). The parameters.
     covariance: FloatArray  #: Shape (k, k). Theirs, if the variances are right.
     #: chi2, dof: Weighted sum of squared residuals, and its degrees of freedom.
     chi2: float
@@ -247,10 +251,10 @@ def weighted_fit(values: FloatArray, variances: FloatArray, design: FloatArray) 
     """Fit values (n,) with known variances (n,) by the columns of a design (n, k) of full rank."""
     weighted = design / variances[:, np.newaxis]
     covariance = np.linalg.inv(design.T @ weighted)
-    unknowns = covariance @ (weighted.T @ values)
-    residuals = values - design @ unknowns
+    parameters = covariance @ (weighted.T @ values)
+    residuals = values - design @ parameters
     chi2 = float(np.sum(residuals**2 / variances))
-    return WeightedFit(unknowns, np.asarray(covariance), chi2, len(values) - design.shape[1])
+    return WeightedFit(parameters, np.asarray(covariance), chi2, len(values) - design.shape[1])
 
 
 def excess_variance(values: FloatArray, variances: FloatArray, design: FloatArray) -> float:

@@ -78,7 +78,7 @@ class Calibration(CoefficientEstimate):
     fit: Chi2Test
     sections: tuple[IncrementSection, ...]  #: Of each recording, between rests.
     starts: tuple[FloatArray, ...]  #: Attitude ``C_nb`` (3, 3) at the start of each.
-    unknowns: FloatArray  #: Shape (43,). Parameters common to all recordings, SI, observed or not.
+    common: FloatArray  #: Shape (43,). Parameters common to all recordings, SI, observed or not.
     trajectories: tuple[Trajectory, ...]  #: Of the sections, at values close to these.
     #: Shapes (n, n). Parts of the covariance by the uncertainty of gravity, latitude and time.
     by_site: Mapping[str, FloatArray]
@@ -150,7 +150,7 @@ def calibrate(
         fit=found.fit,
         sections=tuple(problem.sections),
         starts=tuple(found.starts),
-        unknowns=found.common,
+        common=found.common,
         trajectories=tuple(found.trajectories),
         by_site=by_site,
         findings=tuple(filter(None, (contradiction, misfit))),
@@ -217,7 +217,7 @@ def covariances_by_source(calibration: Calibration, site: Site) -> Mapping[str, 
     """
     larger, options = float(np.sqrt(1.0 + _VARIANCE_STEP)), calibration.options
 
-    known = calibration.sections, calibration.trajectories, calibration.unknowns
+    known = calibration.sections, calibration.trajectories, calibration.common
 
     def information(noise: str = "", whole_turns: float | None = options.whole_turns) -> Information:
         changed = {noise: getattr(calibration.noise, noise) * larger} if noise else {}

@@ -44,13 +44,13 @@ def joint_coefficients(solution: JointSolution, prior: PriorKnowledge) -> Coeffi
         *shared[SHARED_ACCELEROMETER_BIAS],
         *shared[SHARED_ACCELEROMETER_MATRIX][lower],
     ]
-    to_coefficients = np.zeros((COUNT, len(fit.unknowns)))
+    to_coefficients = np.zeros((COUNT, len(fit.parameters)))
     to_coefficients[:3, SHARED:] = np.tile(np.eye(3), len(information)) / len(information)
     to_coefficients[np.arange(3, COUNT), chosen] = 1.0
     covariance = to_coefficients @ fit.covariance @ to_coefficients.T
     sizes = np.array([np.inf] * 3 + list(np.diag(root)[chosen]))
     return CoefficientEstimate(
-        to_coefficients @ fit.unknowns,
+        to_coefficients @ fit.parameters,
         covariance,
         np.sqrt(np.diag(covariance)) < _MAX_LEFT * sizes,
         parts=_parts(information, root, fit, to_coefficients),
@@ -62,10 +62,10 @@ def _parts(
 ) -> dict[str, FloatArray]:
     """Covariances (21, 21) by the data of the dwells, by the latitude, and by the assumed sizes."""
     placed = np.vstack(
-        [each.for_joint_unknowns(number, len(information)) for number, each in enumerate(information)]
+        [each.for_joint_parameters(number, len(information)) for number, each in enumerate(information)]
     )
     gain = to_coefficients @ fit.covariance @ placed.T
-    by_latitude = np.zeros(len(fit.unknowns))
+    by_latitude = np.zeros(len(fit.parameters))
     by_latitude[:SHARED] = root[:, SHARED_NAVIGATION_RATE].sum(axis=1)
     latitude = to_coefficients @ by_latitude - gain @ (placed @ by_latitude)
     parts = {"dwells": gain @ gain.T, "latitude": np.outer(latitude, latitude)}

@@ -78,7 +78,7 @@ def spin_scale_factors(calibration: Calibration, site: Site, whole_turns: float)
     ):
         begin_s = recording.start_s + rests[0].begin * recording.interval_s
         edges_s = section.interval_s * np.concatenate([[0], section.epochs.ends])
-        for spin in section.spin_errors(start, calibration.unknowns, site):
+        for spin in section.spin_errors(start, calibration.common, site):
             found.setdefault(spin.axis, []).append((begin_s + float(edges_s[spin.epoch]), spin))
     return [_of_gyro(calibration, axis, found[axis], whole_turns) for axis in sorted(found)]
 
@@ -88,7 +88,7 @@ def _of_gyro(
 ) -> SpinScaleFactor:
     spins = [spin for _, spin in timed]
     path, error, duration_s = np.array([(each.path, each.error, each.duration_s) for each in spins]).T
-    values = calibration.unknowns[3 + 4 * axis] + error / path
+    values = calibration.common[3 + 4 * axis] + error / path
     noise = calibration.noise
     angle = noise.angle_random_walk[axis] ** 2 * duration_s + 2.0 * noise.white_angle[axis] ** 2
     by_bias = duration_s / path

@@ -75,7 +75,7 @@ def _profile_fit(
             f"{count} dwells without flags are too few for {count - dof} parameters. Measure more dwells"
         )
     if shared is not None:
-        # The errors by these sources are unknowns of which as many further values, zero, are known.
+        # The errors by these sources are parameters of which as many further values, zero, are known.
         known = np.hstack([np.zeros((sources, size)), np.eye(sources)])
         designs = np.array([np.vstack([np.hstack([each, shared]), known]) for each in designs])
         own = np.sqrt(np.maximum(sigmas**2 - (shared**2).sum(axis=1), _TINY))

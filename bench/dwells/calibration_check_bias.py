@@ -125,10 +125,10 @@ def bias_from_velocity(
     )
     information = bias_filter.information()
     mean, root = _aligned_prior(window.C_nb[0], align_s, site, noise, prior, accelerometers)
-    unknowns, covariance = solve(information.rows, information.data - information.rows @ mean, root)
+    values, covariance = solve(information.rows, information.data - information.rows @ mean, root)
     north = window.C_nb[0].T @ _NORTH
     weights = north @ information.bias_at_mean
-    return _axis_bias(north, float(weights @ (unknowns + mean)), math.sqrt(weights @ covariance @ weights))
+    return _axis_bias(north, float(weights @ (values + mean)), math.sqrt(weights @ covariance @ weights))
 
 
 def bias_from_velocity_slope(
@@ -178,7 +178,7 @@ def _aligned_prior(
     prior: PriorKnowledge,
     accelerometers: KnownAccelerometers,
 ) -> tuple[FloatArray, FloatArray]:
-    """Mean (p,) and root (p, p) of the covariance of the unknowns after an alignment."""
+    """Mean (p,) and root (p, p) of the covariance of the parameters after an alignment."""
     earth_rate = earth_rate_enu(site.latitude)
     level = noise.velocity_random_walk / site.gravity / math.sqrt(align_s)
     heading = noise.angle_random_walk / earth_rate[1] / math.sqrt(align_s)

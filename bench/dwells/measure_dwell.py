@@ -144,7 +144,7 @@ class MeasuredDwell:
 
     row: DwellRow
     estimate: StateSpaceEstimate | None  #: By the full error model, without its information.
-    #: What it shows of the unknowns that the dwells of a plateau share.
+    #: What it shows of the parameters that the dwells of a plateau share.
     joint_information: JointInformation | None
     #: Navigation at rest, an epoch a second, for the noise estimate; empty where it is disturbed, and where
     #: :mod:`gyrobench.bench.dwells.run_dwells` does not keep it.

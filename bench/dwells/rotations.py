@@ -186,7 +186,7 @@ def _calibrated(
 def _with_force(found: Calibration, site: Site) -> CoefficientEstimate:
     """The same estimate as uncertain as it would be if the vertical specific force were measured."""
     sections = [replace(each, epochs=replace(each.epochs, has_vertical=True)) for each in found.sections]
-    known = found.trajectories, found.unknowns, found.noise, site, found.options
+    known = found.trajectories, found.common, found.noise, site, found.options
     information = Information.of(sections, *known)
     _, covariance, is_observed = information.solve()
     by_site = sum(part[:COUNT, :COUNT] for part in found.by_site.values())

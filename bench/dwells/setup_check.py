@@ -66,7 +66,7 @@ _MIN_CHI2_GAIN, _MAX_CHI2_PER_DATUM = 30.0, 1.5
 #: Latitudes of INS and station differ by more than an INS drifts while it navigates on the bench, rad.
 _MAX_LATITUDE_APART = math.radians(0.05)
 _VELOCITIES = ("ins.signals.velocity_east", "ins.signals.velocity_north")
-#: Unknowns of a window: matrix by rows, Earth rate, damping, drift of the acceleration East and North; last
+#: Parameters of a window: matrix by rows, Earth rate, damping, drift of the acceleration East and North; last
 #: the velocity. Those of a dwell have the drift of each accelerometer, then its changes East and North in
 #: each window. Prior uncertainty of the Earth rate about Up over its size, and of damping, 1/s.
 _MATRIX, _DRIFT, _OF_WINDOW = slice(0, 4), slice(6, 8), 8
@@ -306,10 +306,10 @@ def _has_step(dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnowledge
 def _dwell_moments(
     dwell: Dwell, gravity: float, noise: NoiseModel, prior: PriorKnowledge, step_rad: float
 ) -> tuple[FloatArray, FloatArray, int, float]:
-    """Moments (n + 1, n + 1) of the n unknowns of a dwell and the velocity, white.
+    """Moments (n + 1, n + 1) of the n parameters of a dwell and the velocity, white.
 
     And what noise of the attitude adds to those of the matrix (4,), the number of white data, and chi2 if
-    each window had its own unknowns.
+    each window had its own parameters.
     """
     size = _OF_DWELL + 2 * len(dwell.windows)
     moments, attitude_noise, count, apart = np.zeros((size + 1, size + 1)), np.zeros(4), 0, 0.0
@@ -327,7 +327,7 @@ def _dwell_moments(
 
 
 def _solved(moments: FloatArray, attitude_noise: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-    """Unknowns (n,) of a window or dwell, their information (n, n), and chi2."""
+    """Parameters (n,) of a window or dwell, their information (n, n), and chi2."""
     rows, left = moments[:-1, :-1] + np.diag(_prior(len(moments) - 1)), moments[:-1, -1]
     exact = rows - np.diag(np.pad(attitude_noise, (0, len(left) - 4)))
     values = np.asarray(np.linalg.solve(exact, left))
@@ -335,7 +335,7 @@ def _solved(moments: FloatArray, attitude_noise: FloatArray) -> tuple[FloatArray
 
 
 def _where_right(moments: FloatArray, latitude: float) -> tuple[FloatArray, FloatArray]:
-    """Unknowns (n - 4,) beside the matrix if that is the identity at this latitude, and their covariance."""
+    """Parameters (n - 4,) beside the matrix where that is the identity at this latitude; their covariance."""
     prior, right = _prior(len(moments) - 1)[4:], np.append(np.eye(2), math.sin(latitude))
     prior[0] = _LATITUDE_RATE**-2.0
     covariance = np.asarray(np.linalg.inv(moments[4:-1, 4:-1] + np.diag(prior)))
@@ -345,7 +345,7 @@ def _where_right(moments: FloatArray, latitude: float) -> tuple[FloatArray, Floa
 
 
 def _prior(count: int) -> FloatArray:
-    """Information (n,) on the unknowns of a window or dwell that is known beforehand."""
+    """Information (n,) on the parameters of a window or dwell that is known beforehand."""
     prior = np.full(count, _WIDE_DRIFT**-2.0)
     prior[_MATRIX], prior[4:6], prior[_OF_DWELL:] = 0.0, (_PRIOR_RATE**-2.0, _PRIOR_DAMPING**-2.0), 1.0
     return prior
@@ -354,7 +354,7 @@ def _prior(count: int) -> FloatArray:
 def _moments(
     window: NavigationWindow, gravity: float, noise: NoiseModel, prior: PriorKnowledge, step_rad: float
 ) -> tuple[FloatArray, FloatArray, int]:
-    """Moments (9, 9) of the unknowns of a window and the velocity, white.
+    """Moments (9, 9) of the parameters of a window and the velocity, white.
 
     And what noise of the attitude adds to those of the matrix (4,), and the number of white data.
     """

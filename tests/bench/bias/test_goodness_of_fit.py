@@ -93,11 +93,11 @@ def test_residuals_say_when_the_model_was_left():
     assert fit.residuals.shape == (len(fit.time_s), 3)
 
 
-def random_problem(unknowns=5, sums=30, prior=1e3):
+def random_problem(parameters=5, sums=30, prior=1e3):
     random = np.random.default_rng(32)
-    responses = random.standard_normal((sums, 3, unknowns))
-    flat = responses.reshape(-1, unknowns)
-    covariance = np.linalg.inv(flat.T @ flat + np.eye(unknowns) / prior**2)
+    responses = random.standard_normal((sums, 3, parameters))
+    flat = responses.reshape(-1, parameters)
+    covariance = np.linalg.inv(flat.T @ flat + np.eye(parameters) / prior**2)
     return random, responses, flat, covariance
 
 
@@ -107,8 +107,10 @@ def test_residuals_of_least_squares_have_the_distribution_that_it_shows():
     results = []
     for _ in range(500):
         data = flat @ random.standard_normal(5) + random.standard_normal(len(flat))
-        unknowns = covariance @ flat.T @ data
-        results.append(goodness_of_fit(np.arange(30.0), data.reshape(-1, 3), responses, unknowns, covariance))
+        parameters = covariance @ flat.T @ data
+        results.append(
+            goodness_of_fit(np.arange(30.0), data.reshape(-1, 3), responses, parameters, covariance)
+        )
     assert {each.dof for each in results} == {90 - 5}
     low, high = chi2.ppf([1e-4, 1.0 - 1e-4], 85 * len(results))
     assert low < sum(each.chi2 for each in results) < high

@@ -34,14 +34,14 @@ def test_inputs_are_the_sensors_errors_in_the_navigation_frame(position):
     """The paper's (1) and (2): a matrix times what is felt, plus a bias."""
     random = np.random.default_rng(4)
     C_nb = POSITIONS[position].C_nb(0.7)
-    unknowns = random.standard_normal(TWO_WINDOWS)
-    unknowns[parameters.ACCELEROMETER_DRIFT] = 0.0
-    gyro_bias, accelerometer_bias = unknowns[parameters.GYRO_BIAS], unknowns[parameters.ACCELEROMETER_BIAS]
-    matrix, rate_body = unknowns[parameters.GYRO_MATRIX].reshape(3, 3), random.standard_normal(3)
+    values = random.standard_normal(TWO_WINDOWS)
+    values[parameters.ACCELEROMETER_DRIFT] = 0.0
+    gyro_bias, accelerometer_bias = values[parameters.GYRO_BIAS], values[parameters.ACCELEROMETER_BIAS]
+    matrix, rate_body = values[parameters.GYRO_MATRIX].reshape(3, 3), random.standard_normal(3)
     gyros = C_nb @ (gyro_bias + matrix @ rate_body)
-    gyros[1:] += unknowns[parameters.NAVIGATION_RATE]
+    gyros[1:] += values[parameters.NAVIGATION_RATE]
     expected = np.concatenate([gyros, (C_nb @ accelerometer_bias)[:2]])
-    given = parameters.inputs(C_nb, rate_body, TWO_WINDOWS) @ unknowns
+    given = parameters.inputs(C_nb, rate_body, TWO_WINDOWS) @ values
     np.testing.assert_allclose(given, expected, rtol=0, atol=1e-14)
 
 
@@ -51,10 +51,10 @@ def test_a_drift_of_the_accelerometers_acts_as_the_bias_of_the_level_gyro_across
     C_nb = POSITIONS[position].C_nb(0.7)
     drift = np.array([1e-6, -2e-6, 3e-6])
     east, north, _ = C_nb @ drift / STANDARD_GRAVITY
-    unknowns = np.zeros(TWO_WINDOWS)
-    unknowns[parameters.ACCELEROMETER_DRIFT] = drift
-    unknowns[parameters.GYRO_BIAS] = C_nb.T @ [north, -east, 0.0]
-    np.testing.assert_allclose(parameters.inputs(C_nb, np.zeros(3), TWO_WINDOWS) @ unknowns, 0.0, atol=1e-20)
+    values = np.zeros(TWO_WINDOWS)
+    values[parameters.ACCELEROMETER_DRIFT] = drift
+    values[parameters.GYRO_BIAS] = C_nb.T @ [north, -east, 0.0]
+    np.testing.assert_allclose(parameters.inputs(C_nb, np.zeros(3), TWO_WINDOWS) @ values, 0.0, atol=1e-20)
 
 
 def test_a_window_acts_at_its_start_alone():
@@ -89,7 +89,7 @@ def test_every_unknown_has_its_own_place():
     assert np.concatenate(own).tolist() == list(range(parameters.PER_WINDOW))
 
 
-def test_sizes_of_prior_knowledge_are_standard_deviations_of_the_unknowns():
+def test_sizes_of_prior_knowledge_are_standard_deviations_of_the_parameters():
     prior = PriorKnowledge(2e-3, 3e-6, 4e-5, 5e-6, 0.0, 6e-9)
     sigmas = np.sqrt(np.diag(covariance(prior)))
     np.testing.assert_allclose(sigmas[parameters.ACCELEROMETER_BIAS], 2e-3)

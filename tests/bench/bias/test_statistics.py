@@ -70,7 +70,7 @@ def test_values_that_their_uncertainties_explain_have_none():
     assert 0.0 < sigma.high < 2.0
 
 
-def test_no_more_values_than_unknowns_determine_nothing():
+def test_no_more_values_than_parameters_determine_nothing():
     sigma = excess_sigma(np.array([1.0]), np.array([1.0]), np.ones((1, 1)))
     assert (sigma.value, sigma.low, sigma.high) == (0.0, 0.0, float("inf"))
 

@@ -415,7 +415,7 @@ def test_whole_turns_are_free_of_biases_that_follow_the_specific_force():
     spins = [
         spin
         for section, start in zip(found.sections, found.starts, strict=True)
-        for spin in section.spin_errors(start, found.unknowns, SITE)
+        for spin in section.spin_errors(start, found.common, SITE)
     ]
     assert len(spins) == 2
     assert max(abs(spin.error) for spin in spins) < 1e-5

@@ -78,7 +78,7 @@ def test_all_combinations_of_starting_values_are_tried(clean):
     assert starts(TIME_DRIFT.forms[0], clean) == [()]
 
 
-def test_unknowns_are_the_terms_kept_and_the_parameters():
+def test_the_parameters_of_a_candidate_are_those_of_its_form_and_the_terms_kept():
     attitude = attitude_thermal.EFFECT
     kept = np.array([[True, False, False, True], [True, True, False, False], [True, False, False, False]])
     assert Candidate(attitude, attitude.forms[0], (45.0, 3.0), kept).parameter_count == 7

@@ -80,7 +80,7 @@ def test_p_values_count_how_many_tests_were_made(problem):
     assert left.p_value == min(1.0, smallest * (1 + len(left.p_structure)))
 
 
-def test_parameters_fitted_beside_count_as_unknowns(problem):
+def test_parameters_fitted_beside_reduce_the_degrees_of_freedom(problem):
     one = problem()
     assert lack_of_fit(one, 6).noise_ratio == pytest.approx(np.sqrt(one.chi2 / (one.dof - 6)))
     assert lack_of_fit(one, 6).p_noise < lack_of_fit(one, 0).p_noise
