@@ -69,7 +69,9 @@ def test_a_scale_that_each_dwell_leaves_open_is_found_by_all_together():
     assert all("a wrong scale" in str(dwell.row.flags) for dwell in dwells)
 
 
-@pytest.mark.parametrize("turned_deg", [20.0, -30.0, 60.0, 120.0, -165.0])
+@pytest.mark.parametrize(
+    "turned_deg", [20.0, *(pytest.param(each, marks=LONG) for each in (-30.0, 60.0, -165.0)), 120.0]
+)
 def test_velocities_in_axes_turned_about_up_are_named_with_the_angle(turned_deg):
     """As of an INS that navigates in wander azimuth and sends the true heading."""
     dwells = dwells_of(velocity_turned_deg=turned_deg)
@@ -139,7 +141,10 @@ def test_a_drift_of_the_accelerometers_beyond_what_is_declared_is_named_as_such(
     assert not any("accelerometer drifts" in str(dwell.row.flags) for dwell in declared)
 
 
-@pytest.mark.parametrize(("window_s", "damping_s"), [(240.0, 600.0), (240.0, 1500.0), (300.0, 2000.0)])
+@pytest.mark.parametrize(
+    ("window_s", "damping_s"),
+    [(240.0, 1500.0), *(pytest.param(*each, marks=LONG) for each in ((240.0, 600.0), (300.0, 2000.0)))],
+)
 def test_the_tilt_shows_a_damped_velocity_in_short_windows(window_s, damping_s):
     dwells = dwells_of(window_s=window_s, velocity_damping_s=damping_s, positions=ALL * 2)
     assert all("damps its velocity" in str(dwell.row.flags) for dwell in dwells)
@@ -147,7 +152,7 @@ def test_the_tilt_shows_a_damped_velocity_in_short_windows(window_s, damping_s):
     assert 1.0 / rate == pytest.approx(damping_s, rel=0.3)
 
 
-@pytest.mark.parametrize("window_s", [240.0, 300.0])
+@pytest.mark.parametrize("window_s", [240.0, pytest.param(300.0, marks=LONG)])
 @pytest.mark.parametrize(
     "unit",
     [
