@@ -334,9 +334,10 @@ class BiasFilter:
         return float(of_latitude @ values[rates]), sigma
 
     def _from_first(self, temperatures_c: FloatArray) -> FloatArray:
-        """Change (n, 4) of temperatures since the first one; zero where they are not known."""
+        """Change (n, 4) of temperatures since the first one; the last known where they are not known."""
         self._reference_c = np.where(np.isnan(self._reference_c), temperatures_c[0], self._reference_c)
-        return np.asarray(np.nan_to_num(temperatures_c - self._reference_c))
+        changes = temperatures_c - self._reference_c
+        return np.where(np.isnan(changes), self._last_k, changes)
 
     def _through_turn(self, time_s: float, turn: TurnPath, count: int) -> tuple[WindowChange, FloatArray]:
         """What state before a turn and noise, and each parameter (6, count), make of the state after it."""

@@ -263,9 +263,10 @@ def warm_up(rows: Sequence[DwellRow], within_dph: float, shared: SharedErrors = 
     good = sorted((row for row in rows if not row.flags), key=lambda row: row.since_power_on_s)
     start_s = np.array([row.since_power_on_s for row in good])
     end_s = start_s + np.array([row.end_s - row.start_s for row in good])
-    constants = indicators([row.run for row in good])
+    if not good:
+        raise MeasurementError("0 dwells without flags are too few. Measure more dwells")
     positions = indicators([row.position for row in good])[:, 1:]
-    offsets = np.hstack([constants, positions]) if len(good) else np.zeros((0, 1))
+    offsets = np.hstack([indicators([row.run for row in good]), positions])
     coefficients: list[Coefficient] = []
     curves, notes = [], []
     for axis, gyro in enumerate(AXES):

@@ -67,13 +67,14 @@ def temperatures_at(time_s: FloatArray, series: Temperatures) -> tuple[FloatArra
     """Temperatures at epochs of the gyros' optics (n, 3) and of the accelerometers (n,).
 
     None where the INS does not send them all. The accelerometers have the temperature of the case; where that
-    is not sent, the mean of the gyros.
+    is never sent, the mean of the gyros.
     """
     optics = [_at(time_s, series.ins_time_s, axis_c) for axis_c in series.optics_c.T]
     known = [each for each in optics if each is not None]
     gyro_c = np.column_stack(known) if len(known) == len(optics) else None
     case_c = _at(time_s, series.ins_time_s, series.case_c)
-    return gyro_c, gyro_c.mean(axis=1) if case_c is None and gyro_c is not None else case_c
+    is_sent = bool(np.isfinite(series.case_c).any())
+    return gyro_c, case_c if is_sent or gyro_c is None else gyro_c.mean(axis=1)
 
 
 def _at(time_s: FloatArray, sample_s: FloatArray, values_c: FloatArray) -> FloatArray | None:

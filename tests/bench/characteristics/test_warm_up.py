@@ -43,6 +43,7 @@ def test_a_unit_that_has_not_settled_is_noted() -> None:
     assert "not settled within 4 h" in " ".join(result.notes)
 
 
-def test_three_dwells_are_too_few() -> None:
+@pytest.mark.parametrize("count", [0, 3])
+def test_few_dwells_are_too_few(count: int) -> None:
     with pytest.raises(MeasurementError, match="too few"):
-        warm_up(cold_start(np.random.default_rng(5), 0.006, 3600.0)[:3], 0.001)
+        warm_up(cold_start(np.random.default_rng(5), 0.006, 3600.0)[:count], 0.001)

@@ -108,6 +108,17 @@ def test_too_few_temperatures_are_as_good_as_none(count):
     assert temperatures_at(np.arange(5.0), series(np.arange(float(count)))) == (None, None)
 
 
+@pytest.mark.parametrize("sent", [0, 10])
+def test_the_gyros_stand_in_for_a_case_that_is_never_sent(sent):
+    time_s = np.arange(0.0, 600.0, TEMPERATURE_S)
+    case_c = np.where(np.arange(len(time_s)) < sent, 20.0, math.nan)
+    gyro_c, found_c = temperatures_at(time_s, series(time_s, case_c=case_c))
+    if sent:
+        assert found_c is None
+    else:
+        np.testing.assert_allclose(found_c, gyro_c.mean(axis=1))
+
+
 def test_a_gyro_without_temperature_leaves_them_all_out():
     time_s = np.arange(0.0, 600.0, TEMPERATURE_S)
     lacking = optics_c(time_s)
