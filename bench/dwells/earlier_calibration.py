@@ -17,7 +17,8 @@ from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 from gyrobench.bench.runs.folder import RunFolder
 
-#: How far the bias of an accelerometer may change with temperature beyond where it was measured, ug/K.
+#: How far the bias of an accelerometer may change with temperature beyond where it was measured, ug/K, if no
+#: more is declared.
 _ACCELEROMETER_SLOPE_UG = 10.0
 
 
@@ -80,7 +81,8 @@ class EarlierCalibration:
             for row in self._rows
             if row.position == position
         ]
-        return InterpolatedCurve(points, _ACCELEROMETER_SLOPE_UG).at(temperature_c)
+        slope_ug = max(_ACCELEROMETER_SLOPE_UG, self._prior.accelerometer_slope / UG_TO_MPS2)
+        return InterpolatedCurve(points, slope_ug).at(temperature_c)
 
 
 #: How far beyond the outermost temperature that was measured a curve goes, K.

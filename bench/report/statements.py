@@ -238,7 +238,7 @@ def accelerometers_sentence(rows: Iterable[DwellRow], station: Mapping[str, Any]
         f"up to {most_ug_per_h:.0f} ug/h, which looks like {looks_dph:.3f} deg/h of a level gyro; "
         f"ins.uncertainty allows for {drift:g} ug/h and {slope:g} ug/K. Declare {_SLOPE}: "
         f"{_rounded_up(max(found.values())):g} in the station file; for this run in the station.yaml of its "
-        "folder, then gyrobench seal --accept-changes and gyrobench bins"
+        "folder, then gyrobench seal --accept-changes and gyrobench bins."
     )
 
 

@@ -130,6 +130,12 @@ def test_accelerometers_follow_the_temperature():
     assert known_ug(rows, gyro_c=30.0)[0][0] == pytest.approx(30.0)
 
 
+def test_beyond_the_calibration_they_change_by_the_declared_slope():
+    declared = PriorKnowledge.from_datasheet(accelerometer_slope_ug_per_c=40.0)
+    known = EarlierCalibration([row()], declared).accelerometers("z_up", (20.0 + REACH_K,) * 3)
+    np.testing.assert_allclose(known.sigma[:2] / UG, math.hypot(SIGMA_UG, 40.0 * REACH_K))
+
+
 def test_without_a_calibration_near_the_accelerometers_are_as_uncertain_as_beforehand():
     without = replace(row(), accelerometer_ug=(math.nan,) * 3, accelerometer_sigma_ug=(math.nan,) * 3)
     for rows in ([], [row(gyro_c=60.0)], [without]):
