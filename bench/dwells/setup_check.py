@@ -180,7 +180,7 @@ def drift_fault(evidence: SetupEvidence) -> str:
         f"the {AXES[axis]} accelerometer drifts by {drift:.0f} ± {sigma:.0f} ug/h against the tilt of the "
         "INS, more than ins.uncertainty.accelerometer_drift_ug_per_h allows for: a level gyro seems to have "
         f"{math.degrees(1e-6 * abs(drift)):.3f} deg/h more. Measure where the temperature has settled, or "
-        "declare that drift"
+        "declare that drift. If the bias follows the temperature, declare accelerometer_slope_ug_per_c"
     )
 
 

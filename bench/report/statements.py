@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
+import re
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from statistics import median
 from types import MappingProxyType
@@ -49,6 +50,7 @@ _NOISE_KEYS = MappingProxyType(
 )
 #: Dwells contradict one another below this probability; a rate Up is named above this number of sigmas.
 _CONTRADICTION_P, _CLEAR_SIGMAS = 1e-3, 4.0
+_NUMBERS = re.compile(r"[-+]?\d[\d.]*(e[-+]\d+)?")
 
 #: Significance level of the differences between positions, per gyro.
 POSITION_SIGNIFICANCE = 0.01
@@ -160,13 +162,19 @@ def run_findings(
 
 
 def flags_sentence(rows: Sequence[DwellRow]) -> str:
-    """The most frequent flag where flags keep half of the dwells out of the results; else empty."""
-    flags = Counter(flag_text(row.flags) for row in rows if row.flags)
-    if not rows or 2 * flags.total() < len(rows):
+    """The most frequent flag where flags keep half of the dwells out of the results; else empty.
+
+    Flags that differ in their numbers alone count as the same.
+    """
+    kinds: defaultdict[str, list[str]] = defaultdict(list)
+    for text in (flag_text(row.flags) for row in rows if row.flags):
+        kinds[_NUMBERS.sub("", text)].append(text)
+    flagged = sum(map(len, kinds.values()))
+    if not rows or 2 * flagged < len(rows):
         return ""
-    [(text, count)] = flags.most_common(1)
-    left_out = f"{flags.total()} of {counted(len(rows), 'dwell')}"
-    return f"Flagged, and not in the results: {left_out}. The most frequent flag ({count}): {text}"
+    most = max(kinds.values(), key=len)
+    left_out = f"{flagged} of {counted(len(rows), 'dwell')}"
+    return f"Flagged, and not in the results: {left_out}. The most frequent flag ({len(most)}): {most[0]}"
 
 
 def temperatures_sentence(rows: Iterable[DwellRow]) -> str:

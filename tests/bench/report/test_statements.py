@@ -165,7 +165,10 @@ def test_the_flag_that_keeps_half_of_the_dwells_out_is_stated(dwells: list[Dwell
     assert flags_sentence([]) == ""
     half = [replace(row, flags=("no signal",) if number % 2 else ()) for number, row in enumerate(dwells)]
     assert f"{len(half) // 2} of {len(half)} dwells" in flags_sentence(half)
-    assert flags_sentence(half).endswith(": no signal")
+    assert flags_sentence(half).endswith(f"({len(half) // 2}): no signal")
+    drifts = [replace(row, flags=(f"drifts by {number - 3:+.1f} ug/h",)) for number, row in enumerate(dwells)]
+    drifts[0] = replace(drifts[0], flags=("no signal",))
+    assert f"({len(drifts) - 1}): drifts by -2.0 ug/h" in flags_sentence(drifts)
 
 
 @pytest.mark.parametrize(("factor", "offset_c", "is_named"), [(1.0, 0.0, 0), (0.5, 0.0, 1), (1.8, 32.0, 1)])
