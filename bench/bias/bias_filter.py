@@ -96,7 +96,7 @@ class DwellInformation:
     rows: FloatArray
     data: FloatArray  #: Shape (n,). What they are to give.
     #: bias_at_mean, acceleration_at_mean: Shape (3, p). The biases of gyros and accelerometers at their mean
-    #: temperatures for a unit of each unknown.
+    #: temperatures for a unit of each parameter.
     bias_at_mean: FloatArray
     acceleration_at_mean: FloatArray
     earth_rate: FloatArray  #: Shape (3,). ENU, rad/s.

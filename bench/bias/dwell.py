@@ -45,7 +45,7 @@ class RestOutput:
     accelerometer_c: FloatArray | None = None
 
     def checked(self) -> NavigationWindow:
-        """The same as a window, with its errors."""
+        """The same as a window for the estimators, with its exceptions."""
         return NavigationWindow(
             self.time_s, self.velocity_enu_mps, self.C_nb, self.gyro_c, self.accelerometer_c
         )

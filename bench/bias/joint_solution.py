@@ -110,9 +110,9 @@ class JointInformation:
 class JointFit:
     """Solution of the joint problem."""
 
-    #: parameters, covariance: Shape (23 + 3 m,), (23 + 3 m, 23 + 3 m). Shared parameters, then the biases of
-    #: each of the m dwells.
-    parameters: FloatArray
+    #: values, covariance: Shape (23 + 3 m,), (23 + 3 m, 23 + 3 m). Shared parameters, then the biases of each
+    #: of the m dwells.
+    values: FloatArray
     covariance: FloatArray
     #: Test that the dwells agree on what they share, with any accelerometer biases and misalignments: a unit
     #: with larger ones than declared contradicts the declaration, not its dwells.
@@ -122,13 +122,13 @@ class JointFit:
     def shared(self) -> SharedParameters:
         """What the dwells share."""
         sigmas = np.sqrt(np.diagonal(self.covariance)[:SHARED])
-        return SharedParameters(self.parameters[:SHARED].copy(), sigmas, self.p_value)
+        return SharedParameters(self.values[:SHARED].copy(), sigmas, self.p_value)
 
     @property
     def biases(self) -> JointBiases:
         """The biases of each dwell."""
         return JointBiases(
-            self.parameters[SHARED:].reshape(-1, 3).copy(), self.covariance[SHARED:, SHARED:].copy()
+            self.values[SHARED:].reshape(-1, 3).copy(), self.covariance[SHARED:, SHARED:].copy()
         )
 
 
@@ -380,10 +380,10 @@ def _pairs(dwells: Sequence[JointDwell], fit: JointFit, bias_slope: float) -> Ve
     covariance = weights @ fit.covariance[np.ix_(taken, taken)] @ weights.T
     return VerticalPairs(
         gyros=tuple(halves),
-        half_difference=weights @ fit.parameters[taken],
+        half_difference=weights @ fit.values[taken],
         covariance=covariance + np.diag(np.nan_to_num(bias_slope * shift_c) ** 2),
         weights=tuple(halves.values()),
-        north_rate=float(fit.parameters[_NORTH]),
+        north_rate=float(fit.values[_NORTH]),
         north_variance=float(fit.covariance[_NORTH, _NORTH]),
         north_covariance=weights @ fit.covariance[taken, _NORTH],
     )

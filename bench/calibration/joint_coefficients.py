@@ -44,13 +44,13 @@ def joint_coefficients(solution: JointSolution, prior: PriorKnowledge) -> Coeffi
         *shared[SHARED_ACCELEROMETER_BIAS],
         *shared[SHARED_ACCELEROMETER_MATRIX][lower],
     ]
-    to_coefficients = np.zeros((COUNT, len(fit.parameters)))
+    to_coefficients = np.zeros((COUNT, len(fit.values)))
     to_coefficients[:3, SHARED:] = np.tile(np.eye(3), len(information)) / len(information)
     to_coefficients[np.arange(3, COUNT), chosen] = 1.0
     covariance = to_coefficients @ fit.covariance @ to_coefficients.T
     sizes = np.array([np.inf] * 3 + list(np.diag(root)[chosen]))
     return CoefficientEstimate(
-        to_coefficients @ fit.parameters,
+        to_coefficients @ fit.values,
         covariance,
         np.sqrt(np.diag(covariance)) < _MAX_LEFT * sizes,
         parts=_parts(information, root, fit, to_coefficients),
@@ -65,7 +65,7 @@ def _parts(
         [each.for_joint_parameters(number, len(information)) for number, each in enumerate(information)]
     )
     gain = to_coefficients @ fit.covariance @ placed.T
-    by_latitude = np.zeros(len(fit.parameters))
+    by_latitude = np.zeros(len(fit.values))
     by_latitude[:SHARED] = root[:, SHARED_NAVIGATION_RATE].sum(axis=1)
     latitude = to_coefficients @ by_latitude - gain @ (placed @ by_latitude)
     parts = {"dwells": gain @ gain.T, "latitude": np.outer(latitude, latitude)}

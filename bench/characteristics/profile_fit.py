@@ -75,7 +75,7 @@ def _profile_fit(
             f"{count} dwells without flags are too few for {count - dof} parameters. Measure more dwells"
         )
     if shared is not None:
-        # The errors by these sources are parameters of which as many further values, zero, are known.
+        # Shared errors are further parameters, each known to be 0 ± 1.
         known = np.hstack([np.zeros((sources, size)), np.eye(sources)])
         designs = np.array([np.vstack([np.hstack([each, shared]), known]) for each in designs])
         own = np.sqrt(np.maximum(sigmas**2 - (shared**2).sum(axis=1), _TINY))
@@ -137,7 +137,7 @@ _REVERSAL_C = 1.0
 _POINTS = 7
 #: Correlation above which two sensitivities are inseparable.
 _MAX_CORRELATION = 0.95
-#: Share of a variance below which most of it is not that of the dwells' own errors.
+#: Smallest share of the dwells' own errors in a variance that they dominate.
 _MIN_OWN = 0.5
 #: Errors (3, s) of the biases of the x, y and z gyro in a dwell by each of s sources that act in all dwells,
 #: deg/h, by number of the dwell.

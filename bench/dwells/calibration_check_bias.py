@@ -194,7 +194,7 @@ def _aligned_prior(
 
 
 def _aligned_attitude(C_nb: FloatArray, earth_rate: FloatArray, gravity: float, count: int) -> FloatArray:
-    """First attitude error (3, count) that a unit of each unknown makes: level, gyrocompassed."""
+    """First attitude error (3, count) that a unit of each parameter makes: level, gyrocompassed."""
     _, rate_n, rate_u = earth_rate
     driven = parameters.inputs(C_nb, C_nb.T @ earth_rate, count)
     east_rate, tilt_n, tilt_e = driven[0], driven[3] / gravity, -driven[4] / gravity

@@ -208,7 +208,7 @@ def measure_dwell(marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
         flags += estimated.disturbances
         if not flags:
             windows = tuple(RestMotion.of(window.thinned(EPOCH_S)) for window in dwell.windows)
-        if evidence and (drift := drift_fault(evidence)):
+        if evidence and (drift := drift_fault(evidence.velocities)):
             persistent_flags = (*persistent_flags, drift)
         flags += persistent_flags
     except MeasurementError as error:

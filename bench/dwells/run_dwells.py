@@ -39,7 +39,7 @@ def _flag_damping(dwells: list[MeasuredDwell]) -> None:
     """Flag all dwells of an INS that damps its velocity: few dwells show it by themselves."""
     known = [each for each in dwells if each.estimate and not each.is_disturbed]
     # By the tilt, and where the attitude is too coarse for that, by the error model alone.
-    by_tilt = [each.evidence.damping for each in known if each.evidence]
+    by_tilt = [each.evidence.velocities.damping for each in known if each.evidence]
     by_model = [each.estimate.damping for each in known if each.estimate]
     found = [Damping.mean(each) for each in (by_tilt, by_model) if each]
     damping = next((each for each in found if each.shows(_MIN_DAMPING_P_VALUE)), None)

@@ -309,8 +309,5 @@ def _text(declared: _Evidence, alternatives: list[tuple[tuple[str, ...], _Eviden
         )
         why = f"the attitude lies {off:.0f} deg off that of the table, and {otherwise:.1f} deg otherwise"
         if min(len(faults) for faults, _, _ in alternatives) > 1:
-            what += (
-                "; or a direction of the table in the section rate_table is wrong (outer_axis, inner_axis, "
-            )
-            what += "mounting)"
+            what += "; or rate_table has a wrong direction (outer_axis, inner_axis or mounting)"
     return f"{what}: {why}. Correct the station file"

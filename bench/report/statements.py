@@ -1,4 +1,4 @@
-"""Results in sentences, the same in report and terminal: position comparisons, fits, verdicts."""
+"""Results and findings in sentences, the same in report and terminal."""
 
 from __future__ import annotations
 
@@ -346,9 +346,9 @@ def signs_sentence(facts: RunFacts, station: Mapping[str, Any]) -> str:
         case {"location": {"latitude_deg": int() | float() as latitude_deg}}:
             if abs(latitude_deg) < _EQUATORIAL_DEG:
                 return (
-                    f"At {latitude_deg:.3g} deg of latitude no dwell shows whether the senses of the heading "
-                    "and of the table's axes are both wrong. Biases of vertical gyros would have the wrong "
-                    "sign: watch that the table turns the way that the station file states."
+                    f"At {latitude_deg:.3g} deg of latitude no dwell shows whether heading and table axes "
+                    "both have the wrong sense. Biases of vertical gyros would have the wrong sign: check by "
+                    "eye that the table turns as the station file states."
                 )
     return ""
 

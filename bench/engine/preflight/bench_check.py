@@ -84,7 +84,7 @@ def check_bench(
 
         traffic = {unit: CanTraffic() for unit in bench.units}
         return [
-            *filled_in_checks(bench),
+            *_filled_in_checks(bench),
             procedure_check,
             *calibration_checks(bench, acknowledged),
             *table_checks(bench, lambda: outputs.table),
@@ -99,7 +99,7 @@ def check_bench(
         ]
 
 
-def filled_in_checks(station: Station) -> Iterator[Check]:
+def _filled_in_checks(station: Station) -> Iterator[Check]:
     """A check that fails where the station file has placeholders; else none."""
     if missing := station.not_filled_in:
         found = f"not filled in yet: {listed(missing)}"

@@ -138,7 +138,7 @@ def _sum(
 
 
 #: Note of a latitude that the data show to be off by more than declared.
-FOUND_LATITUDE = "estimated from the data, in place of location.latitude_uncertainty_arcmin"
+_FOUND_LATITUDE = "estimated from the data, in place of location.latitude_uncertainty_arcmin"
 
 
 def with_found_latitude(rows: Iterable[BudgetRow], declared_rad: float) -> Iterator[BudgetRow]:
@@ -147,7 +147,7 @@ def with_found_latitude(rows: Iterable[BudgetRow], declared_rad: float) -> Itera
         is_found = row.contribution == "latitude" and not math.isclose(
             row.input_sigma, declared_rad * RAD_TO_ARCMIN, rel_tol=1e-3
         )
-        yield replace(row, note=FOUND_LATITUDE) if is_found else row
+        yield replace(row, note=_FOUND_LATITUDE) if is_found else row
 
 
 def write_budget(path: Path, rows: Iterable[BudgetRow]) -> None:
@@ -186,7 +186,7 @@ class ContributionSummary:
     def add(self, row: BudgetRow) -> None:
         """Count one more result."""
         self.count += 1
-        is_estimated = row.type == "A" or row.note == FOUND_LATITUDE
+        is_estimated = row.type == "A" or row.note == _FOUND_LATITUDE
         self.is_estimated &= is_estimated
         self.is_declared &= not is_estimated
         if row.input_sigma > 0.0:

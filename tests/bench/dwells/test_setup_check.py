@@ -148,7 +148,7 @@ def test_a_drift_of_the_accelerometers_beyond_what_is_declared_is_named_as_such(
 def test_the_tilt_shows_a_damped_velocity_in_short_windows(window_s, damping_s):
     dwells = dwells_of(window_s=window_s, velocity_damping_s=damping_s, positions=ALL * 2)
     assert all("damps its velocity" in str(dwell.row.flags) for dwell in dwells)
-    rate = Damping.mean([dwell.evidence.damping for dwell in dwells]).rate
+    rate = Damping.mean([dwell.evidence.velocities.damping for dwell in dwells]).rate
     assert 1.0 / rate == pytest.approx(damping_s, rel=0.3)
 
 
@@ -195,5 +195,5 @@ def test_accelerometers_that_follow_the_temperature_pass_for_no_wrong_scale_and_
     with_temperatures, without = (
         setup_evidence(each, site(), noise, known, 0.0) for each in (dwell, unknown)
     )
-    assert setup_fault([with_temperatures]) == drift_fault(with_temperatures) == ""
-    assert "accelerometer drifts by 1" in drift_fault(without)
+    assert setup_fault([with_temperatures]) == drift_fault(with_temperatures.velocities) == ""
+    assert "accelerometer drifts by 1" in drift_fault(without.velocities)

@@ -97,7 +97,7 @@ def test_a_wrong_direction_of_the_table_is_named_beside_the_signals_that_would_e
     output = simulate(case.unit, case.place, case.schedule, angles, random)
     setup = setup_of(replace(case, station={"rate_table.outer_axis": "west"}))
     fault = measure_dwell(*dwell_frames(output, "y_down", angles, 1, random), setup).setup_fault
-    assert "the section rate_table is wrong (outer_axis, inner_axis, mounting): the attitude lies" in fault
+    assert "rate_table has a wrong direction (outer_axis, inner_axis or mounting): the attitude lies" in fault
 
 
 @pytest.mark.parametrize(

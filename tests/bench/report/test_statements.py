@@ -303,7 +303,7 @@ def test_accelerometers_that_follow_the_temperature_more_than_declared_are_named
         (False, 36.4, "Signs and axes of the signal map were not tested"),
         (True, 36.4, ""),
         (True, -35, ""),
-        (True, 5.0, "At 5 deg of latitude no dwell shows whether the senses"),
+        (True, 5.0, "At 5 deg of latitude no dwell shows whether heading and"),
         (True, -8, "At -8 deg of latitude"),
     ],
 )
