@@ -97,10 +97,7 @@ def tie_outlooks(closure: Closure, planned: Campaign) -> list[TieOutlook]:
     for one in closure.effects:
         others = [each for each in found if each is not one.candidate]
         for name in dict.fromkeys(one.tied_with):
-            chances = [
-                closure.posterior.of_set(each, has_remainder=False)
-                for each in (names, names - {one.effect.name} | {name})
-            ]
+            chances = [closure.posterior.of_set(each) for each in (names, names - {one.effect.name} | {name})]
             tie = TieOutlook(one.effect.name, name, _ratio(*chances))
             instead = _alternative(problem, others, effects[name])
             missing = effects[name].missing_input(planned)

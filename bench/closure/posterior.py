@@ -65,16 +65,16 @@ class Posterior:
     @property
     def nothing(self) -> float:
         """Probability of the declared model alone."""
-        return self.of_set((), has_remainder=False)
+        return self.of_set(())
 
     @property
     def not_on_list(self) -> float:
         """Probability of an unlisted effect, beside any effects."""
         return sum(each.probability for each in self.hypotheses if each.has_remainder)
 
-    def of_set(self, names: Collection[str], *, has_remainder: bool) -> float:
-        """Probability of exactly these effects."""
-        wanted = frozenset(names), has_remainder
+    def of_set(self, names: Collection[str]) -> float:
+        """Probability of exactly these effects, without an unlisted one."""
+        wanted = frozenset(names), False
         return sum(each.probability for each in self.hypotheses if (each.names, each.has_remainder) == wanted)
 
     def of_all(self, names: Collection[str], *, has_remainder: bool | None = False) -> float:
@@ -110,7 +110,7 @@ class Posterior:
 
     def odds(self, names: frozenset[str], other: frozenset[str]) -> float:
         """Odds of one set to another one, both without a remainder."""
-        probability, less = (self.of_set(each, has_remainder=False) for each in (names, other))
+        probability, less = (self.of_set(each) for each in (names, other))
         return probability / less if less > 0.0 else math.inf
 
     def similar(self, names: frozenset[str]) -> list[frozenset[str]]:
@@ -118,7 +118,7 @@ class Posterior:
 
         One that has a more general law in place of an effect is none of them.
         """
-        least = self.of_set(names, has_remainder=False) / TIE_ODDS
+        least = self.of_set(names) / TIE_ODDS
         general = frozenset().union(*(self.more_general.get(name, ()) for name in names))
         return [
             each.names

@@ -185,10 +185,10 @@ class Search:
         there are: a lag of seconds is no different from a rate.
         """
         general: dict[str, frozenset[str]] = {}
-        of_found = posterior.of_set(found.names, has_remainder=False)
+        of_found = posterior.of_set(found.names)
         limit = max(RIVAL, of_found / _EVEN_ODDS)
         for each in (fitted[names] for names in posterior.similar(found.names) if names in fitted):
-            of_each = posterior.of_set(each.names, has_remainder=False)
+            of_each = posterior.of_set(each.names)
             [one], [other] = found.names - each.names, each.names - found.names
             law = next((one.effect for one in each.candidates if one.effect.name == other), None)
             if law is None or one not in law.contains:

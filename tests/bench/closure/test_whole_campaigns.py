@@ -49,7 +49,7 @@ def test_undeclared_effects_are_named_and_the_error_falls_to_the_noise(tmp_path,
     assert all(each.axes == ("x", "y", "z") for each in closure.effects)
     probability = closure.posterior.of_all(kinds)
     tied = any(each.tied_with for each in closure.effects)
-    assert tied or closure.posterior.of_set(kinds, has_remainder=False) > 0.5
+    assert tied or closure.posterior.of_set(kinds) > 0.5
     is_open = tied or closure.posterior.rivals(kinds)
     assert closure.verdict == ("explained" if probability >= EXPLAINED and not is_open else "ambiguous")
     assert closure.error_before_dph > 1.5 * noise_of_held_out(closure)
