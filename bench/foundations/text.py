@@ -83,8 +83,11 @@ def probability_number(probability: float) -> str:
 
 
 def flag_text(flags: Sequence[str]) -> str:
-    """Flags as one text, as a table has them: "door opened; the INS left navigation"."""
-    return "; ".join(flags)
+    """Flags as one text, as a table has them: "door opened; the INS left navigation".
+
+    A semicolon within a flag becomes a comma, since semicolons separate them.
+    """
+    return "; ".join(flag.replace("; ", ", ") for flag in flags)
 
 
 def format_cell(value: str | float | tuple[str, ...] | None) -> str:

@@ -80,7 +80,15 @@ dwell_rows = st.builds(
 @given(st.lists(dwell_rows, max_size=5, unique_by=lambda row: row.dwell))
 def test_reading_and_writing_again_gives_the_same_text(rows):
     text = format_dwells(rows)
-    assert format_dwells(parse_dwells(text, "dwells.csv")) == text
+    read = parse_dwells(text, "dwells.csv")
+    assert format_dwells(read) == text
+    assert [len(row.flags) for row in read] == [len(row.flags) for row in rows]
+
+
+def test_a_flag_with_a_semicolon_stays_one_flag():
+    flags = ("only 12 epochs; a window needs 30", "door opened")
+    (row,) = parse_dwells(format_dwells([replace(ROW, flags=flags)]), "x")
+    assert row.flags == ("only 12 epochs, a window needs 30", "door opened")
 
 
 @given(st.text(max_size=300))
