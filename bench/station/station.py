@@ -144,15 +144,18 @@ class Station:
         return find_dbc(self.path, self.file.ins.dbc)
 
     def check_dbc(self) -> None:
-        """Check signals and commands of the INS against the DBC file; a DocumentError lists all problems."""
+        """Check signals and commands of the INS against the DBC file.
+
+        A DocumentError lists all problems, one at several places once.
+        """
         try:
             codecs = [DbcCodec(unit.database()) for unit in self.units]
         except DocumentError as error:
             raise self._document.error([DocumentProblem(("ins", "dbc"), str(error))]) from error
         codec = codecs[0]
         identifiers: dict[tuple[object, ...], Station] = {}
-        for unit, each in zip(self.units, codecs, strict=True):
-            for identifier in each.arbitration_ids().tolist():
+        for unit, own in zip(self.units, codecs, strict=True):
+            for identifier in own.arbitration_ids().tolist():
                 other = identifiers.setdefault((*unit.bus, identifier), unit)
                 if other is not unit:
                     raise self._document.error(
@@ -164,12 +167,22 @@ class Station:
                             )
                         ]
                     )
+        signals = [quantity.source.signal for quantity in self.file.ins.signals.quantities().values()]
+        if not any(signal.partition(".")[0] in codec for signal in signals):
+            message = (
+                f"DBC file '{self.file.ins.dbc}' has none of the messages in ins.signals. Name the DBC file "
+                "of this INS, or correct ins.signals"
+            )
+            raise self._document.error([DocumentProblem(("ins", "dbc"), message)])
         problems = [
             *check_signals(self.file.ins.signals, codec, ("ins", "signals")),
             *check_commands(self.file.ins.commands, codec, ("ins", "commands")),
         ]
         if problems:
-            raise self._document.error(problems)
+            first: dict[str, DocumentProblem] = {}
+            for each in problems:
+                first.setdefault(each.message, each)
+            raise self._document.error(list(first.values()))
 
     def database(self) -> Database:
         """Read the DBC file, with the offset of its unit's identifiers.

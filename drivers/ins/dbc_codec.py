@@ -193,6 +193,9 @@ class DbcCodec:
         arrays = np.broadcast_arrays(*(np.atleast_1d(np.asarray(v, np.float64)) for v in values.values()))
         return layout.encode(dict(zip(values, arrays, strict=True)))
 
+    def __contains__(self, message_name: str) -> bool:
+        return message_name in self._layouts
+
     def _layout(self, message_name: str) -> _Layout:
         if message_name not in self._layouts:
             known = _suggestion(message_name, list(self._layouts))
