@@ -172,7 +172,8 @@ def print_end(
     safe_state = "\n".join(each.text for each in outcome.safe_state)
     if not is_finished:
         console.print(f"The run {outcome.ending}", soft_wrap=True, style="bold red")
-        console.print(resume, soft_wrap=True)
+        if not outcome.is_station_wrong:  # else the text is long, and follows at the end
+            console.print(resume, soft_wrap=True)
         console.print(safe_state, soft_wrap=True)
     record = _end_record(folder, outcome)
     shortcoming = outcome.shortcoming(fail_on)
@@ -225,7 +226,7 @@ def _resume_text(folder: RunFolder, outcome: RunOutcome) -> str:
     if not outcome.is_station_wrong:
         return f"Resume   {resume}"
     new_run = "New run  correct your own station file or DBC file: a new run reads that one."
-    if outcome.units:  # each of which has a copy too
+    if outcome.units or not (outcome.dwells or outcome.check_dwells):  # units have a copy each too
         return new_run
     lines = (
         f"Resume   correct the copy {folder.station} or the DBC file beside it:",

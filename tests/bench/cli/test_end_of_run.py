@@ -1,6 +1,7 @@
 """The end of a run that was stopped, as the terminal states it."""
 
 import io
+from unittest.mock import Mock
 
 import pytest
 import typer
@@ -44,12 +45,26 @@ def test_a_wrong_station_file_is_corrected_in_the_run_folder_before_the_run_resu
         journal.record("run_started", procedure="ten_minute_check", station="emulated")
         journal.record("run_ended", ended="failed", reason="wrong", safe_state=[])
     printed = io.StringIO()
-    outcome = RunOutcome(ended="failed", reason="wrong", is_station_wrong=True)
+    outcome = RunOutcome(ended="failed", reason="wrong", is_station_wrong=True, check_dwells=[Mock()])
     with pytest.raises(typer.Exit):
         print_end(Console(file=printed, width=80), folder, outcome)
+    assert printed.getvalue().count("New run") == 1
     *_, copy, reads, seal, resume, new_run = printed.getvalue().splitlines()
     assert copy == f"Resume   correct the copy {folder.station} or the DBC file beside it:"
     assert reads.strip().startswith("resume reads no other")
     assert seal.strip() == f"gyrobench seal {tmp_path} --accept-changes"
     assert resume.strip() == f"gyrobench resume {tmp_path}"
     assert new_run.startswith("New run  correct your own station file")
+
+
+def test_a_wrong_station_file_without_a_dwell_needs_a_new_run_only(tmp_path):
+    folder = RunFolder(tmp_path)
+    with Journal(folder.journal, VirtualClock()) as journal:
+        journal.record("run_started", procedure="ten_minute_check", station="emulated")
+        journal.record("run_ended", ended="failed", reason="wrong", safe_state=[])
+    printed = io.StringIO()
+    outcome = RunOutcome(ended="failed", reason="wrong", is_station_wrong=True)
+    with pytest.raises(typer.Exit):
+        print_end(Console(file=printed, width=80), folder, outcome)
+    assert "Resume" not in printed.getvalue()
+    assert printed.getvalue().splitlines()[-1].startswith("New run  correct your own station file")
