@@ -16,7 +16,9 @@ from gyrobench.bench.foundations.errors import FaultError, GyrobenchError, Instr
 from gyrobench.bench.jog.manual_limits import TABLE_AXES, ManualLimits
 from gyrobench.bench.jog.terminal import CommandError, Display, Interruptions
 from gyrobench.bench.navigation.positions import POSITIONS
+from gyrobench.bench.station.instruments import CHAMBER, RATE_TABLE
 from gyrobench.bench.station.safe_state import RAMP_PERIOD_S, SafeAction, finish_ramp
+from gyrobench.drivers.ins.can_bus import INSTRUMENT
 from gyrobench.drivers.ins.ins_status import InsStatus
 from gyrobench.drivers.ins.readout import Alignment, InsMode
 
@@ -358,20 +360,22 @@ _MIN_COSINE = math.cos(math.radians(0.1))
 
 def readings(bench: LiveBench, tripped: Sequence[str]) -> list[str]:
     """All readings of the instruments, in lines of at most 80 columns."""
-    now = bench.readings
+    now, absent = bench.readings, bench.instruments.absent
     angles, rates = bench.table_angles(), bench.station.table_axes_of(now.table.rate_dps)
     servo = "servos closed" if now.table.is_servoed else "servos open"
     single = bench.station.file.rate_table.is_single_axis
-    lines = [
+    table = [
         f"Table      {name} {angle:9.4f} deg  {rate:8.4f} deg/s"
         for name, angle, rate in zip(("outer", "inner"), angles, rates, strict=True)
         if not (single and name == "outer")
     ]
-    lines.append(f"           {servo}; the unit is {_position(bench)}")
+    table.append(f"           {servo}; the unit is {_position(bench)}")
+    lines = ["Table      left out"] if RATE_TABLE in absent else table
     chamber = now.chamber
     air, set_point = _known(chamber.temperature_c, ".1f"), _known(chamber.set_point_c, ".1f")
-    lines.append(f"Chamber    air {air} degC, set point {set_point}{_switched(chamber.is_on)}")
-    lines += _ins_lines(now.ins)
+    known = f"air {air} degC, set point {set_point}{_switched(chamber.is_on)}"
+    lines.append(f"Chamber    {'left out' if CHAMBER in absent else known}")
+    lines += ["INS        left out"] if INSTRUMENT in absent else _ins_lines(now.ins)
     lines.append(f"Faults     {'; '.join([*now.table_faults, *now.chamber_alarms]) or 'none'}")
     lines.append(f"Interlocks {', '.join(tripped) or 'none tripped'}")
     return lines

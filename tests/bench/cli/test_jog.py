@@ -205,5 +205,5 @@ def test_a_chamber_that_does_not_answer_is_left_out_and_shows_no_temperature(tmp
     run = jog("show", "watch 2", cwd=tmp_path, station="bare.yaml")
     assert run.returncode == 0, run.stdout
     assert "Left out: chamber: can't open /dev/no_chamber" in run.stdout
-    assert "Chamber    air - degC" in run.stdout
+    assert "Chamber    left out" in run.stdout
     assert "nan" not in run.stdout
