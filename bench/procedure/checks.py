@@ -127,18 +127,20 @@ def _chamber_problems(planned: PlannedStep, limits: StationLimits) -> Iterator[D
 
 def _gyro_problems(plan: Plan, limits: StationLimits) -> Iterator[DocumentProblem]:
     """Commands of the chamber that would bring the gyros to a temperature at which an interlock trips."""
-    command: PlannedStep | None = None
+    place: KeyPath | None = None
+    reported = set()  # a place in a loop is reported once
     for planned in plan.steps:
         if isinstance(planned.step, SetChamber):
-            command = planned
+            place = planned.place_of("temperature_c")
         gyro_c = planned.after.gyro_c
-        if command is not None and not limits.gyro_low_c <= gyro_c <= limits.gyro_high_c:
+        is_safe = limits.gyro_low_c <= gyro_c <= limits.gyro_high_c
+        if place is not None and place not in reported and not is_safe:
+            reported.add(place)
             yield DocumentProblem(
-                command.place_of("temperature_c"),
+                place,
                 f"the gyros would reach {gyro_c:.0f} degC; the interlock gyro_temperature trips outside "
                 f"{limits.gyro_low_c:g} to {limits.gyro_high_c:g} degC",
             )
-            command = None
 
 
 def _table_problems(planned: PlannedStep, limits: StationLimits) -> Iterator[DocumentProblem]:

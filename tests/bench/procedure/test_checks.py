@@ -169,3 +169,17 @@ def test_a_temperature_at_which_an_interlock_would_trip_is_refused(
     with pytest.raises(DocumentError, match=r"test.yaml:4:15: the gyros would reach \d+ degC"):
         check_plan(document, plan, narrow)
     check_plan(document, plan, replace(limits, gyro_high_c=95.0))
+
+
+def test_a_temperature_in_a_loop_is_refused_once(planned: PlanOf, limits: StationLimits) -> None:
+    document, plan = planned(
+        "  - power_on\n"
+        "  - repeat:\n"
+        "      over: {cycle: [1, 2], temperature_c: [60, 20]}\n"
+        "      steps:\n"
+        "        - chamber: {temperature_c: $temperature_c, ramp_c_per_min: 1}\n"
+        "        - soak: {for_s: 36000}\n"
+    )
+    with pytest.raises(DocumentError) as refused:
+        check_plan(document, plan, replace(limits, gyro_low_c=-60.0, gyro_high_c=65.0))
+    assert str(refused.value).count("the gyros would reach") == 1
