@@ -13,6 +13,7 @@ from gyrobench.bench.cli.output import JsonOption, console, print_result
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError, RunFolderError
 
 if TYPE_CHECKING:
+    from gyrobench.bench.closure.outcome import Closure
     from gyrobench.bench.closure.planned_campaign import UnitProperties
     from gyrobench.bench.engine.job import Job
     from gyrobench.bench.station.station import Station
@@ -87,6 +88,8 @@ def plan(
 
     Example: gyrobench plan six_position_fig7 --figure plan.png
     """
+    from gyrobench.bench.engine.job import prepare_job
+
     for option, value, of, is_given in (
         ("--target-dph", target_dph, "--separability", separability),
         ("--closure", closure, "--separability", separability),
@@ -100,19 +103,19 @@ def plan(
         return
     if as_json and separability:
         raise DocumentError("--separability prints text only: it can't be combined with --json")
-    job = _show_steps(procedure, station, figure, as_json)
+    job = prepare_job(procedure, station)
+    searched = _searched(closure) if closure else None
+    _show_steps(job, figure, as_json)
     if separability:
-        _print_separability(job, target_dph or _DEFAULT_TARGET_DPH, closure)
+        _print_separability(job, target_dph or _DEFAULT_TARGET_DPH, searched)
 
 
-def _show_steps(name: str, station_name: str, figure: Path | None, as_json: bool) -> Job:
-    from gyrobench.bench.engine.job import prepare_job
+def _show_steps(job: Job, figure: Path | None, as_json: bool) -> None:
     from gyrobench.bench.procedure.timeline import timeline_rows, unsettled_soaks
     from gyrobench.bench.report.figures.style import save_figure
     from gyrobench.bench.report.figures.temperatures import plan_figure
     from gyrobench.bench.report.terminal.tables import timeline_table
 
-    job = prepare_job(name, station_name)
     plan, soaks = job.plan, unsettled_soaks(job.plan)
     path = figure or Path(f"plan_{plan.procedure.procedure}.png")
     save_figure(plan_figure(plan), path)
@@ -139,7 +142,6 @@ def _show_steps(name: str, station_name: str, figure: Path | None, as_json: bool
     heading = ["Soaks that will probably end by at_most_s before the gyros have settled:"] if soaks else []
     lines = [*heading, *(f"  {each}" for each in soaks), f"Figure   {path}"]
     print_result(record, as_json, timeline_table(timeline_rows(plan), plan.duration_s), *lines)
-    return job
 
 
 def _show_observability(
@@ -191,9 +193,17 @@ def _show_observability(
     print_result(record, as_json, summary, *(f"Written  {path}" for path in files))
 
 
-def _print_separability(job: Job, target_dph: float, folder: Path | None) -> None:
-    from gyrobench.bench.closure.effects import all_effects
+def _searched(folder: Path) -> Closure:
     from gyrobench.bench.closure.loop import repeat_search
+
+    try:
+        return repeat_search(folder)
+    except (MeasurementError, RunFolderError) as error:
+        raise DocumentError(str(error)) from error
+
+
+def _print_separability(job: Job, target_dph: float, closure: Closure | None) -> None:
+    from gyrobench.bench.closure.effects import all_effects
     from gyrobench.bench.closure.outlook import measured_properties, tie_outlooks
     from gyrobench.bench.closure.planned_campaign import planned_campaign
     from gyrobench.bench.closure.procedure_changes import advise, advise_ties
@@ -202,12 +212,8 @@ def _print_separability(job: Job, target_dph: float, folder: Path | None) -> Non
     from gyrobench.bench.report.figures.style import save_figure
     from gyrobench.bench.report.terminal.separability import closure_outlook, separability_summary
 
-    unit, name, closure = declared_properties(job.station), job.plan.procedure.procedure, None
-    if folder:
-        try:
-            closure = repeat_search(folder)
-        except (MeasurementError, RunFolderError) as error:
-            raise DocumentError(str(error)) from error
+    unit, name = declared_properties(job.station), job.plan.procedure.procedure
+    if closure:
         unit = measured_properties(closure, job.plan.steps[0].before.thermal)
     try:
         campaign = planned_campaign(job.plan, unit)

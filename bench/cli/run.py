@@ -55,6 +55,8 @@ def run(
     """
     from gyrobench.bench.engine.job import prepare_job
     from gyrobench.bench.engine.run import run_job
+    from gyrobench.bench.foundations.errors import DocumentError
+    from gyrobench.bench.foundations.text import listed
     from gyrobench.bench.monitor.terminal_view import observe_in_terminal
     from gyrobench.bench.runs.compensation_file import read_compensation
     from gyrobench.bench.station.instruments import Emulation
@@ -70,6 +72,8 @@ def run(
         {"customer": customer, "order": order, "item": item},
         acknowledge or (),
     )
+    if missing := [key for key in job.station.not_filled_in if key != "description"]:
+        raise DocumentError(f"{job.station.path}: not filled in yet: {listed(missing)}. Fill them in")
     with observe_in_terminal(terminal, job, view == "live") as (progress, answers):
         folder, outcome = run_job(job, out, progress, answers)
     del job, progress, answers  # and with them the instruments: the report needs the memory

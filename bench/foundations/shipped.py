@@ -92,9 +92,13 @@ def _folder_of(key: str) -> str:
     return key if key.endswith("s") else f"{key}s"
 
 
+_CHOOSE_ROTATIONS = "Choose a list of rotations, a file or a shipped one: {}"
+
+
 def _suggestion(kind: str, name: str) -> str:
     names = shipped_names(kind)
     for other, use in USES.items():
         if name not in names and name in shipped_names(_folder_of(other)):
-            return f", but a shipped {other}. {use.format(name)}"
+            advice = _CHOOSE_ROTATIONS.format(", ".join(names)) if kind == "rotations" else use.format(name)
+            return f", but a shipped {other}. {advice}"
     return f"{did_you_mean(name, names)}. Shipped {kind}: {', '.join(names)}"

@@ -247,6 +247,7 @@ def test_a_wrong_procedure_lists_its_mistakes_and_nothing_is_made(tmp_path):
         (("run", "ten_minute_check", "--station", "mars"), EXIT_WRONG_INPUT, "emulated"),
         (("run", "ten_minute_check", "--seed", "-1"), EXIT_WRONG_INPUT, "seed"),
         (("bins", "."), EXIT_WRONG_INPUT, "is not a run folder"),
+        (("plan", "warm_up", "--observability"), EXIT_WRONG_INPUT, "Choose a list of rotations"),
     ],
 )
 def test_a_wrong_word_gets_a_message_and_an_exit_code(tmp_path, arguments, code, message):
@@ -254,6 +255,13 @@ def test_a_wrong_word_gets_a_message_and_an_exit_code(tmp_path, arguments, code,
     assert result.returncode == code
     assert message in result.stderr
     assert "Traceback" not in result.stderr
+
+
+def test_a_station_that_is_not_filled_in_is_not_run(tmp_path):
+    assert gyrobench("new", "station", "mine", cwd=tmp_path).returncode == 0
+    result = gyrobench("run", "ten_minute_check", "--station", "mine.yaml", cwd=tmp_path)
+    assert result.returncode == EXIT_WRONG_INPUT
+    assert "not filled in yet: rate_table.port and chamber.port. Fill them in" in result.stderr
 
 
 def test_an_instrument_that_can_not_be_reached_has_its_own_exit_code(tmp_path, pytestconfig):
