@@ -30,8 +30,9 @@ def runs_table(runs: Sequence[Mapping[str, Any]], most: int) -> RenderableType:
         cells = (path, day, run["unit"], run["batch"], run["station"], verdict, run["acceptance"])
         rows.append([str(cell or "") for cell in cells])
     table = plain_table(("run", "start", "unit", "batch", "bench", "verdict", "acceptance"), 7, rows)
-    units = {run["unit"] for run in runs}
-    lines = [f"{counted(len(runs), 'run')} of {counted(len(units), 'unit')}."]
+    units = {run["unit"] for run in runs if run["unit"]}
+    of_units = f" of {counted(len(units), 'unit')}" if units else ""
+    lines = [f"{counted(len(runs), 'run')}{of_units}."]
     if len(runs) > most:
         lines.append(f"The newest {most} are shown; show more with --most.")
     return Group(table, Text(), Text(" ".join(lines)))
