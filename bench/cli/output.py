@@ -136,18 +136,22 @@ def print_tables(console: Console, folder: RunFolder) -> None:
         console.print()
 
 
-def print_unfinished(console: Console, path: Path) -> None:
-    """State that a run has not finished, and how to resume it; nothing for other paths."""
+def is_unfinished(path: Path) -> bool:
+    """Whether a path is the folder of a run that has not finished; not if its journal is damaged."""
     from gyrobench.bench.foundations.errors import RunFolderError
     from gyrobench.bench.runs.folder import RunFolder
     from gyrobench.bench.runs.journal import facts_of, read_journal
 
     journal = RunFolder(path).journal
     try:
-        is_finished = not journal.is_file() or facts_of(read_journal(journal)).ended == "finished"
+        return journal.is_file() and facts_of(read_journal(journal)).ended != "finished"
     except RunFolderError:  # a damaged journal, which the report names
-        return
-    if not is_finished:
+        return False
+
+
+def print_unfinished(console: Console, path: Path) -> None:
+    """State that a run has not finished, and how to resume it; nothing for other paths."""
+    if is_unfinished(path):
         text = f"{path}: the run has not finished; this is what it measured so far. Resume it with: "
         console.print(f"{text}gyrobench resume {path}", soft_wrap=True, style="bold yellow")
 

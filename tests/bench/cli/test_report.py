@@ -2,6 +2,7 @@
 
 import pytest
 
+from gyrobench.bench.bias.dwell_table import read_dwells, write_dwells
 from gyrobench.bench.bias.verdicts import Acceptance, write_acceptance
 from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
 from gyrobench.bench.foundations.clock import VirtualClock
@@ -40,6 +41,14 @@ def test_a_run_that_has_not_finished_is_stated_with_how_to_resume_it(ended, tmp_
             journal.record("run_ended", ended=ended, reason="", safe_state=[])
     text = gyrobench("report", folder.path, cwd=tmp_path).stdout
     assert (f"Resume it with: gyrobench resume {folder.path}" in text) == (ended != "finished")
+
+
+def test_a_search_with_too_few_dwells_of_an_unfinished_run_states_how_to_resume_it(run, sample, tmp_path):
+    write_dwells(run.dwells, read_dwells(RunFolder(sample).dwells)[:2])
+    refused = gyrobench("close", run.path, cwd=tmp_path)
+    assert refused.returncode == EXIT_WRONG_INPUT
+    assert "degrees of freedom" in refused.stderr
+    assert f"has not finished; resume it with: gyrobench resume {run.path}" in refused.stderr
 
 
 def test_who_prepares_it_stays_when_it_is_written_again(run, tmp_path):
