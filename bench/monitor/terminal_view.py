@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -196,7 +197,8 @@ class LinesView(RunObserver):
         number = f"{row.dwell:3d}/{self._plan.dwell_count:<3d}"
         if self._has_several:
             number = f"{row.unit} {number}"
-        head = f"{number} {row.cycle:5d}  {row.position:<7s} {row.gyro_c[0]:6.1f}"
+        temperature = "-" if math.isnan(row.gyro_c[0]) else f"{row.gyro_c[0]:.1f}"
+        head = f"{number} {row.cycle:5d}  {row.position:<7s} {temperature:>6s}"
         if row.flags:
             self._console.print(f"{head}  flagged", highlight=False)
             self._console.print(Padding(Text(flag_text(row.flags)), (0, 0, 0, _INDENT), expand=False))

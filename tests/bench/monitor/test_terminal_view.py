@@ -49,9 +49,10 @@ def test_a_dwell_is_one_line_under_its_heads_within_80_columns():
 
 
 def test_a_flagged_dwell_shows_its_reason_and_no_number():
-    flagged = replace(ROW, bias_dph=(math.nan,) * 3, flags=("the INS left navigation",))
+    none = (math.nan,) * 3
+    flagged = replace(ROW, bias_dph=none, gyro_c=none, flags=("the INS left navigation",))
     line, reason = printed(flagged)[-2:]
-    assert line.endswith("flagged")
+    assert line.endswith(" -  flagged")
     assert reason.rstrip() == "        the INS left navigation"
     assert "nan" not in line
 
