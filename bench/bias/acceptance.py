@@ -23,7 +23,8 @@ some 2.5 times the uncertainty of one. It is therefore not judged like a single 
   confidence``.
 * Between the two it is marginal: more cycles are needed.
 
-Both rely on the stated uncertainties of the dwells, taken as independent.
+Both rely on the stated uncertainties of the dwells. An error by a common source, as accelerometers that
+follow the temperature, counts as the same in each pass where that makes a difference less certain.
 
 References
 ----------
@@ -40,6 +41,7 @@ from statistics import NormalDist
 
 from gyrobench.bench.bias.bins import DEFAULT_WIDTH_C
 from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.error_split import NONE_SHARED, SharedErrors
 from gyrobench.bench.bias.plateaus import (
     MAX_PLANNED_FROM_MEAN_K,
     PlannedDwell,
@@ -92,6 +94,7 @@ def judge(
     limits: AcceptanceLimits | None,
     planned: Iterable[PlannedDwell] = (),
     width_c: float = DEFAULT_WIDTH_C,
+    shared: SharedErrors = NONE_SHARED,
 ) -> Acceptance:
     """Judge the gyros of one unit; see the module for how.
 
@@ -108,6 +111,8 @@ def judge(
         Those that measure biases, in the order of time.
     width_c : float
         Width of the temperature bins of the judgements, K.
+    shared : mapping of int to ndarray
+        Parts of the dwells' uncertainties that are the same error in all of them.
     """
     if limits is None:
         return Acceptance()
@@ -118,7 +123,7 @@ def judge(
     ]
     curves = [fit_bias_curve(own, axis) for axis, own in enumerate(known)]
     compared = [[plateau for plateau in own if len({row.position for row in plateau}) > 1] for own in known]
-    values = _differences(compared, curves)
+    values = _differences(compared, curves, shared)
     if limits.bias_dph is not None:
         values += _biases(known)
     judgements = _judgements(values, limits, width_c)
@@ -144,10 +149,12 @@ def _known(plateau: _Plateau, axis: int, limits: AcceptanceLimits) -> list[Dwell
     ]
 
 
-def _differences(compared: Sequence[Sequence[_Plateau]], curves: Sequence[CubicBiasCurve]) -> list[_Value]:
+def _differences(
+    compared: Sequence[Sequence[_Plateau]], curves: Sequence[CubicBiasCurve], shared: SharedErrors
+) -> list[_Value]:
     """Differences at all plateaus of all gyros; where the passes of a plateau disagree, of each pass."""
     together = [
-        (axis, passes, position_differences(passes, axis, curves[axis]))
+        (axis, passes, position_differences(passes, axis, curves[axis], shared))
         for axis, plateaus in enumerate(compared)
         for passes in passes_of_plateaus(plateaus, axis)
     ]
@@ -155,7 +162,10 @@ def _differences(compared: Sequence[Sequence[_Plateau]], curves: Sequence[CubicB
     values = []
     for (axis, passes, found), p_value in zip(together, p_values, strict=True):
         agree = not p_value < _DISAGREEMENT
-        parts = [found] if agree else [position_differences([each], axis, curves[axis]) for each in passes]
+        if agree:
+            parts = [found]
+        else:
+            parts = [position_differences([each], axis, curves[axis], shared) for each in passes]
         values += [
             _Value(
                 axis,

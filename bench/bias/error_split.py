@@ -11,9 +11,10 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from types import MappingProxyType
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from gyrobench.bench.bias.bias_steps import WindowChange
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.bias.window_filter import DATA, MEASURED_STATES, WindowFilter
-from gyrobench.bench.foundations.arrays import FloatArray, IntArray
+from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, FloatArray, IntArray
 from gyrobench.bench.foundations.kernels import compiled
 from gyrobench.bench.navigation.error_model import STATES, Site, unit_walks
 
@@ -44,6 +45,24 @@ class ErrorPart:
     def scaled(self, factors: FloatArray) -> ErrorPart:
         """The same with the error of each gyro multiplied by a factor (3,)."""
         return replace(self, columns=self.columns * factors[:, np.newaxis])
+
+
+#: Errors (3, s) of the biases of the x, y and z gyro in a dwell by each of s independent sources that act in
+#: all dwells, deg/h, by number of the dwell.
+SharedErrors = Mapping[int, FloatArray]
+NONE_SHARED: SharedErrors = MappingProxyType({})
+
+
+def shared_errors(dwells: Mapping[int, Mapping[str, ErrorPart]], sources: Iterable[str]) -> SharedErrors:
+    """Errors by these sources, from the parts of each dwell by its number."""
+    columns: dict[int, list[FloatArray]] = {number: [] for number in dwells}
+    for source in sources:
+        own = {number: parts[source].columns for number, parts in dwells.items() if source in parts}
+        width = max((each.shape[1] for each in own.values()), default=0)
+        for number, of_dwell in columns.items():
+            found = own.get(number, np.zeros((3, 0)))
+            of_dwell.append(np.pad(found, ((0, 0), (0, width - found.shape[1]))))
+    return {number: RADPS_TO_DPH * np.hstack(each) for number, each in columns.items()}
 
 
 class ErrorParts(Mapping[str, ErrorPart]):

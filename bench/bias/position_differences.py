@@ -6,7 +6,9 @@ the mean temperature of its plateau with the gyro's own curve: a cubic through t
 common to all positions, with a constant for each power-on. Its uncertainty, larger where the plateaus
 scatter about it by more than their noise, goes into that of the differences.
 
-Passes of the same plateau, in several cycles, give their differences together where they agree.
+Passes of the same plateau, in several cycles, give their differences together where they agree. Their
+uncertainty is the larger one of two: with the errors of all dwells independent, and with those of common
+sources, as accelerometers that follow the temperature, the same in each pass.
 
 References
 ----------
@@ -23,6 +25,7 @@ from itertools import permutations
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.error_split import NONE_SHARED, SharedErrors
 from gyrobench.bench.bias.plateaus import mean_c
 from gyrobench.bench.bias.statistics import chi2_p_value
 from gyrobench.bench.foundations.arrays import FloatArray
@@ -102,18 +105,24 @@ def fit_bias_curve(plateaus: Sequence[_Plateau], axis: int) -> CubicBiasCurve:
     return CubicBiasCurve(curve.reference_c, parameters[first:], of_curve)
 
 
-def position_differences(passes: Sequence[_Plateau], axis: int, curve: CubicBiasCurve) -> PositionDifferences:
+def position_differences(
+    passes: Sequence[_Plateau], axis: int, curve: CubicBiasCurve, shared: SharedErrors = NONE_SHARED
+) -> PositionDifferences:
     """Differences between positions over the passes of one plateau, each with a separate constant.
 
     ``passes``: with a result for this gyro in each dwell, linked by common positions; two positions or more.
+    ``shared``: parts of the dwells' uncertainties that are the same error in all of them.
     """
     rows = [row for each in passes for row in each]
     index = [number for number, each in enumerate(passes) for _ in each]
     plateau_c = np.array([mean_c(each, axis) for each in passes])[index]
     responses = curve.responses(np.array([row.gyro_c[axis] for row in rows])) - curve.responses(plateau_c)
     reduced_dph = np.array([row.bias_dph[axis] for row in rows]) - responses @ curve.coefficients
-    noise = np.diag([row.sigma_dph[axis] ** 2 for row in rows])
-    white = np.linalg.inv(np.linalg.cholesky(noise + responses @ curve.covariance @ responses.T))
+    variances, by_curve = (
+        np.array([row.sigma_dph[axis] ** 2 for row in rows]),
+        responses @ curve.covariance @ responses.T,
+    )
+    white = np.linalg.inv(np.linalg.cholesky(np.diag(variances) + by_curve))
     positions = [name for name in POSITIONS if any(row.position == name for row in rows)]
     columns = [[number == each for number in index] for each in range(len(passes))]
     # The first position is the reference: only differences are observable.
@@ -121,11 +130,18 @@ def position_differences(passes: Sequence[_Plateau], axis: int, curve: CubicBias
     design = white @ np.array(columns, dtype=np.float64).T
     data = white @ reduced_dph
     covariance = np.asarray(np.linalg.inv(design.T @ design), dtype=np.float64)
-    parameters = np.asarray(covariance @ (design.T @ data), dtype=np.float64)
+    gain = covariance @ design.T
+    parameters = np.asarray(gain @ data, dtype=np.float64)
     dof = len(rows) - len(parameters)
     chi2 = float(np.sum((data - design @ parameters) ** 2))
+    common = np.array([shared[row.dwell][axis] if shared else [] for row in rows])
+    own = np.diag(np.maximum(variances - (common**2).sum(axis=1), 0.0))
+    by_rows = gain @ white
+    together = by_rows @ (own + common @ common.T + by_curve) @ by_rows.T
     first = len(passes)
-    differences = _differences(positions, parameters[first:], covariance[first:, first:])
+    differences = _differences(
+        positions, parameters[first:], [each[first:, first:] for each in (covariance, together)]
+    )
     met = {(a.position, b.position) for each in passes for a, b in permutations(each, 2)}
     return PositionDifferences(
         temperature_c=float(plateau_c.mean()),
@@ -135,19 +151,16 @@ def position_differences(passes: Sequence[_Plateau], axis: int, curve: CubicBias
 
 
 def _differences(
-    positions: Sequence[str], values: FloatArray, covariance: FloatArray
+    positions: Sequence[str], values: FloatArray, covariances: Sequence[FloatArray]
 ) -> tuple[Difference, ...]:
-    """Differences of all pairs from those to the first position."""
+    """Differences of all pairs from those to the first position, with the largest of their variances."""
     value = [0.0, *values.tolist()]
-    padded = np.zeros((len(value), len(value)))
-    padded[1:, 1:] = covariance
-    spread = padded.tolist()
+    padded = np.zeros((len(covariances), len(value), len(value)))
+    padded[:, 1:, 1:] = covariances
+    diagonal = np.diagonal(padded, axis1=1, axis2=2)
+    variances = diagonal[:, :, np.newaxis] + diagonal[:, np.newaxis] - 2.0 * padded
+    sigma = np.sqrt(variances.max(axis=0)).tolist()
     return tuple(
-        Difference(
-            positions[a],
-            positions[b],
-            value[a] - value[b],
-            math.sqrt(spread[a][a] + spread[b][b] - 2.0 * spread[a][b]),
-        )
+        Difference(positions[a], positions[b], value[a] - value[b], sigma[a][b])
         for a, b in permutations(range(len(positions)), 2)
     )

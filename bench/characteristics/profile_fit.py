@@ -22,14 +22,14 @@ dwell counts with the mean of the exponentials over its time.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from types import MappingProxyType
 
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.error_split import NONE_SHARED, SharedErrors
 from gyrobench.bench.characteristics.results import Coefficient, Curve, TestResult, from_draws
 from gyrobench.bench.foundations.arrays import FloatArray, IntArray
 from gyrobench.bench.foundations.errors import MeasurementError
@@ -139,10 +139,6 @@ _POINTS = 7
 _MAX_CORRELATION = 0.95
 #: Smallest share of the dwells' own errors in a variance that they dominate.
 _MIN_OWN = 0.5
-#: Errors (3, s) of the biases of the x, y and z gyro in a dwell by each of s sources that act in all dwells,
-#: deg/h, by number of the dwell.
-SharedErrors = Mapping[int, FloatArray]
-_NONE_SHARED: SharedErrors = MappingProxyType({})
 
 
 def _shared_by(shared: SharedErrors, rows: Sequence[DwellRow], axis: int) -> FloatArray | None:
@@ -150,7 +146,7 @@ def _shared_by(shared: SharedErrors, rows: Sequence[DwellRow], axis: int) -> Flo
 
 
 def thermal_sensitivity(
-    rows: Sequence[DwellRow], reference_c: float | None, degree: int, shared: SharedErrors = _NONE_SHARED
+    rows: Sequence[DwellRow], reference_c: float | None, degree: int, shared: SharedErrors = NONE_SHARED
 ) -> TestResult:
     """Thermal sensitivities from dwells over temperature, heating and cooling, on ramps and after soaks.
 
@@ -254,7 +250,7 @@ _SHORTEST, _LONGEST = 0.5, 1.0
 _TIMES, _BEYOND = 200, 2.0
 
 
-def warm_up(rows: Sequence[DwellRow], within_dph: float, shared: SharedErrors = _NONE_SHARED) -> TestResult:
+def warm_up(rows: Sequence[DwellRow], within_dph: float, shared: SharedErrors = NONE_SHARED) -> TestResult:
     """Warm-up from dwells after one or more cold starts, each with a constant.
 
     ``within_dph``: a gyro has settled when its bias is this near to its final value. ``shared``: see

@@ -9,7 +9,7 @@ confirmed, and flagged otherwise.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain, islice
 from pathlib import Path
@@ -20,6 +20,8 @@ from gyrobench.bench.bias.acceptance import judge
 from gyrobench.bench.bias.bins import BiasBin, bin_biases, write_bins
 from gyrobench.bench.bias.budget import BiasBudget, BudgetedDwell, bin_budgets, dwell_budgets, with_budgets
 from gyrobench.bench.bias.dwell_table import DwellRow, Triple, read_dwells, write_dwells
+from gyrobench.bench.bias.error_sources import SOURCES
+from gyrobench.bench.bias.error_split import SharedErrors, shared_errors
 from gyrobench.bench.bias.joint_solution import JointDwell, JointSolution, pooled_up_rate, solve_jointly
 from gyrobench.bench.bias.noise_estimate import NoiseEstimate, estimate_noise
 from gyrobench.bench.bias.parameters import PriorKnowledge
@@ -63,6 +65,12 @@ from gyrobench.bench.runs.tables.joint_table import (
 )
 from gyrobench.bench.runs.tables.noise_file import write_noise
 from gyrobench.bench.station.station import Station
+
+#: Sources of error that the dwells of all cycles share in the acceptance. What the temperature makes of the
+#: accelerometers' drift is a source of its own.
+_SHARED_SOURCES = [
+    name for name, source in SOURCES.items() if source.is_common and name != "accelerometer_drift"
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,8 +139,18 @@ def evaluate(
         declared_latitude=setup.prior.latitude,
         noise=_noise([dwell for dwell in dwells if not dwell.is_disturbed], setup),
         calibration_check=list(calibration_check),
-        acceptance=judge([dwell.row for dwell in evaluated], limits, planned, bin_width_c),
+        acceptance=judge(
+            [dwell.row for dwell in evaluated],
+            limits,
+            planned,
+            bin_width_c,
+            _shared(evaluated, _SHARED_SOURCES),
+        ),
     )
+
+
+def _shared(dwells: Iterable[MeasuredDwell], sources: Sequence[str]) -> SharedErrors:
+    return shared_errors({each.row.dwell: each.estimate.parts for each in dwells if each.estimate}, sources)
 
 
 def planned_dwells(plan: Plan) -> list[PlannedDwell]:
@@ -322,11 +340,7 @@ def evaluate_run(
     with_spins = procedure.tests.scale_factor_stability is not None
     records = noise_records(folder, setup) if procedure.tests.allan_variance else []
     spins = [spin_record(*each, setup) for each in rotated_dwells(folder)] if with_spins else []
-    shared = {
-        each.row.dwell: each.estimate.parts["accelerometer_slope"].columns * RADPS_TO_DPH
-        for each in results.dwells
-        if each.estimate
-    }
+    shared = _shared(results.dwells, ["accelerometer_slope"])
     characteristics = procedure.tests.evaluate(rows, records, spins, shared)
     results = replace(results, coefficients=coefficients, characteristics=characteristics)
     if results.dwells:

@@ -286,9 +286,10 @@ def _pictures(figures: Mapping[str, Path], name: str, caption: str) -> list[Sect
 _HOW = (
     "Positions are compared within one plateau and one power cycle, at the mean temperature of the "
     "plateau; each bias is corrected to that temperature with the gyro's own temperature curve. The "
-    "uncertainties are standard uncertainties (k = 1), include that of the correction, and take the errors "
-    "of dwells as independent; those of bin means in the section Results do not include it, and errors "
-    "common to dwells do not average out in them.{2} Plateaus of one set point in several cycles are "
+    "uncertainties are standard uncertainties (k = 1) and include that of the correction, which those of bin "
+    "means in the section Results do not. Errors that dwells have in common do not average out; drift of "
+    "the accelerometers counts as independent from dwell to dwell here, and as common in bin means.{2} "
+    "Plateaus of one set point in several cycles are "
     "averaged where they agree and judged separately otherwise. The largest of several noisy differences "
     "overestimates the largest true one, so the table gives confidence limits for the true one. Pass: "
     "every pair of positions is below the limit with {0:g} % confidence. Fail: at least one pair is above"

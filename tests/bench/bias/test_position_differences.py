@@ -85,6 +85,23 @@ def test_passes_that_agree_halve_the_variance_and_those_that_differ_are_found():
     assert math.isnan(position_differences(agreeing[:1], 0, curve).p_value)
 
 
+def test_an_error_that_is_the_same_in_each_pass_does_not_average_out():
+    curve = fit_bias_curve([pair(gyro_c) for gyro_c in PLATEAUS_C], 0)
+    passes = [pair(30.0, drift_c=0.0), pair(30.0, drift_c=0.0, cycle=2, number=3)]
+    own, common = 0.0006, 0.0008  # of 0.001 deg/h
+
+    def sigma_dph(in_lower):
+        columns = {
+            row.dwell: np.full((3, 1), common if row.position == "z_up" else in_lower)
+            for row in [*passes[0], *passes[1]]
+        }
+        return difference(position_differences(passes, 0, curve, columns)).sigma_dph
+
+    assert sigma_dph(-common) == pytest.approx(math.hypot(own, 2.0 * common), rel=1e-3)
+    # What cancels between the positions leaves what independent dwells have.
+    assert sigma_dph(common) == pytest.approx(0.001, rel=1e-3)
+
+
 def test_positions_that_met_in_no_pass_are_not_compared():
     curve = fit_bias_curve([], 0)
     passes = [

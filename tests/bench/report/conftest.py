@@ -86,10 +86,10 @@ def without_paper(row: DwellRow) -> DwellRow:
     return replace(row, paper_bias_dph=NOTHING, paper_sigma_dph=NOTHING)
 
 
-def flagged(row: DwellRow, reason: str) -> DwellRow:
+def flagged(row: DwellRow, *reasons: str) -> DwellRow:
     """Make the dwell one that gave no bias."""
     nothing = {"bias_dph": NOTHING, "sigma_dph": NOTHING, "fit_ratio": math.nan, "fit_p_value": math.nan}
-    return replace(without_paper(row), **nothing, flags=(reason,))
+    return replace(without_paper(row), **nothing, flags=reasons)
 
 
 def made_up_joint(rows: list[DwellRow]) -> tuple[list[JointBiasRow], list[JointPlateauRow]]:
@@ -218,7 +218,7 @@ def _triple(values: list[float]) -> Triple:
 def dwells() -> list[DwellRow]:
     """A run whose positions part, its seventh dwell flagged."""
     rows = made_up_dwells()
-    rows[6] = flagged(rows[6], "the INS left navigation during the dwell; chamber <door> open")
+    rows[6] = flagged(rows[6], "the INS left navigation during the dwell", "chamber <door> open")
     return rows
 
 

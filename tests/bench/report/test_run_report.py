@@ -197,7 +197,7 @@ def test_acceptance_and_results_state_what_the_uncertainty_of_a_difference_is_of
     assert "A bias is that of the single dwell" in " ".join(
         acceptance_section(judge(dwells, limits)).paragraphs
     )
-    assert "errors common to dwells do not average out in them" in how
+    assert "include that of the correction, which those of bin means in the section Results do not" in how
 
 
 def test_without_limits_the_report_says_that_nothing_was_judged(copy: RunFolder) -> None:
