@@ -58,12 +58,12 @@ def test_a_flagged_dwell_shows_its_reason_and_no_number():
 
 
 def test_a_long_reason_is_folded_and_stays_indented():
-    reason = "the INS left navigation at 12.3 s; " * 6
-    lines = printed(replace(ROW, flags=(reason.strip(),)))
+    reasons = ("the INS left navigation at 12.3 s",) * 6
+    lines = printed(replace(ROW, flags=reasons))
     below = lines[next(n for n, line in enumerate(lines) if line.endswith("flagged")) + 1 :]
     assert len(below) > 2
     assert all(line.startswith(" " * 8) and len(line) <= 80 for line in below)
-    assert " ".join(" ".join(below).split()) == reason.strip()
+    assert " ".join(" ".join(below).split()) == "; ".join(reasons)
 
 
 def test_heads_stand_above_the_first_dwell_only():
