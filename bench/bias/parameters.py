@@ -129,9 +129,8 @@ class PriorKnowledge:
     accelerometer_drift: float = 20.0 * UG_TO_MPS2 / 3600.0
     #: How far a turn changes an accelerometer's bias until that has decayed, m/s^2; estimated where it shows.
     accelerometer_transient: float = 20.0 * UG_TO_MPS2
-    #: Change of an accelerometer's bias with its temperature within a dwell, m/s^2/K. Data sheets of quartz
-    #: accelerometers state 15 to 30 ug/K; a tenth is left of it if modelled.
-    accelerometer_slope: float = 2.0 * UG_TO_MPS2
+    #: Change of an accelerometer's bias with its temperature within a dwell, m/s^2/K, beside the drift.
+    accelerometer_slope: float = 0.0
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -151,7 +150,7 @@ class PriorKnowledge:
         accelerometer_misalignment_arcsec: float = 5.0,
         accelerometer_drift_ug_per_h: float = 20.0,
         accelerometer_transient_ug: float = 20.0,
-        accelerometer_slope_ug_per_c: float = 2.0,
+        accelerometer_slope_ug_per_c: float = 0.0,
     ) -> PriorKnowledge:
         """The same in the units of data sheets."""
         return cls(

@@ -30,6 +30,8 @@ from gyrobench.bench.navigation.attitude import rotation_vector_enu
 from gyrobench.bench.navigation.earth import EARTH_RATE
 from gyrobench.bench.navigation.error_model import Site
 
+#: What is left of a quartz accelerometer's 15 to 30 ug/K where they are modelled.
+_USUAL_SLOPE_UG_PER_C = 2.0
 #: Largest share of the tilt's moment that noise of the attitude may have.
 _MAX_NOISE_SHARE = 0.1
 #: Prior uncertainty of a free drift of an accelerometer, as a multiple of the declared one.
@@ -70,7 +72,7 @@ def velocity_regression(
     ``heading_step_rad``: resolution of the attitude.
     """
     # A station may declare less than a unit has.
-    usual = PriorKnowledge()
+    usual = PriorKnowledge.from_datasheet(accelerometer_slope_ug_per_c=_USUAL_SLOPE_UG_PER_C)
     wide = replace(
         prior,
         accelerometer_drift=max(prior.accelerometer_drift, usual.accelerometer_drift),

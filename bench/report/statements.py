@@ -32,7 +32,7 @@ NOTHING_TO_COMPARE = "Nothing to compare: no temperature bin has dwells in two p
 #: Key of the station file, its default, and by how much more certain biases of level accelerometers are than
 #: of vertical ones, at least.
 _DRIFT, _USUAL_DRIFT_UG_PER_H, _LEVEL = "accelerometer_drift_ug_per_h", 20.0, 5.0
-_SLOPE, _USUAL_SLOPE_UG_PER_C = "accelerometer_slope_ug_per_c", 2.0
+_SLOPE = "accelerometer_slope_ug_per_c"
 #: A heading of which the random walk, as a square, is less than this part of the gyros' does not follow them.
 _HELD = 0.1
 #: Rate, K/h, below which the temperature of a gyro has settled, number and range of settled dwells that are
@@ -208,7 +208,7 @@ def accelerometers_sentence(rows: Iterable[DwellRow], station: Mapping[str, Any]
     ``station``: content of the station file. A drift of a level accelerometer looks like a gyro bias.
     """
     declared = station.get("ins", {}).get("uncertainty", {})
-    drift, slope = declared.get(_DRIFT, _USUAL_DRIFT_UG_PER_H), declared.get(_SLOPE, _USUAL_SLOPE_UG_PER_C)
+    drift, slope = declared.get(_DRIFT, _USUAL_DRIFT_UG_PER_H), declared.get(_SLOPE, 0.0)
     found, most_ug_per_h, known = {}, 0.0, list(rows)
     is_beyond = np.zeros(len(known), dtype=bool)
     for index, axis in enumerate(AXES):

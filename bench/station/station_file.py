@@ -162,7 +162,7 @@ class InsUncertainty(StrictModel):
         20.0, description="change of each accelerometer's bias in a dwell, ug/h"
     )
     accelerometer_slope_ug_per_c: NotNegative = Field(
-        2.0, description="change of each accelerometer's bias with the temperature of the case, ug/K"
+        0.0, description="change of each accelerometer's bias with the temperature of the case, ug/K"
     )
     accelerometer_transient_ug: NotNegative = Field(
         20.0, description="what a turn changes of each accelerometer's bias until that has decayed, ug"

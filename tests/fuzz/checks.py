@@ -68,10 +68,12 @@ def cells_of(data: bytes) -> list[dict[str, str]]:
     ]
 
 
-def check_cell(value: str | float | None, cell: str) -> None:
+def check_cell(value: str | float | tuple[str, ...] | None, cell: str) -> None:
     """Compare what the bench read with the text of its cell."""
     if isinstance(value, str):
         same = value == cell
+    elif isinstance(value, tuple):
+        same = "; ".join(value) == cell
     elif value is None or math.isnan(value):
         same = cell.lower() in ("", "nan")
     else:

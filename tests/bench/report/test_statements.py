@@ -267,8 +267,9 @@ def test_noise_that_is_estimated_or_not_measured_contradicts_no_declaration() ->
         (1.0, {"accelerometer_slope_ug_per_c": 0.0}, 6),
         (1.0, {"accelerometer_slope_ug_per_c": 0.0, "accelerometer_drift_ug_per_h": 200.0}, 0),
         (1.0, {"accelerometer_slope_ug_per_c": 1.0}, 0),
-        (1.5, {}, 0),
-        (6.0, {}, 6),
+        (1.0, {}, 6),
+        (1.5, {"accelerometer_slope_ug_per_c": 2.0}, 0),
+        (6.0, {"accelerometer_slope_ug_per_c": 2.0}, 6),
     ],
 )
 def test_accelerometers_that_follow_the_temperature_more_than_declared_are_named(
