@@ -64,9 +64,9 @@ def _profile_fit(
     """Fit values (n,) with standard uncertainties (n,) by each of the designs (d, n, k).
 
     A design lacks a coefficient whose column is zero. ``penalties`` (d,) are added to each design's chi2 in
-    comparisons. ``shared`` (n, s): parts of the uncertainties that each of s sources causes in all values by
-    one standard uncertainty of its own. Raises MeasurementError if there are too few values, or no design
-    separates its coefficients.
+    comparisons. ``shared`` (n, s): errors of all values by one standard uncertainty of each of s sources,
+    part of ``sigmas``. Raises MeasurementError if there are too few values, or no design separates its
+    coefficients.
     """
     (count, size), sources = designs.shape[1:], 0 if shared is None else shared.shape[1]
     dof = count - size - 1
