@@ -37,8 +37,12 @@ _MAX_ROUNDS, _CONVERGED, _MAX_STEP = 15, 0.1, 0.05
 #: After a step that multiplies the sum by more than this, steps are along fewer directions: those that the
 #: data determine better by this factor.
 _WORSE, _FEWER = 2.0, 10.0
-#: Something else explains the residuals where it reduces chi2 to this part.
-_EXPLAINED = 0.1
+#: Something else explains the residuals where it reduces chi2 to this part; below this many times its degrees
+#: of freedom, less the uncertainty of noise that is declared, chi2 can't fall that far.
+_EXPLAINED, _MIN_EXPLICABLE = 0.1, 2.5
+#: By an error of the latitude below this, rad, chi2 falls by the square of it in units of its uncertainty, and
+#: the sum over minutes by less than this many times as much.
+_SMALL_ANGLE, _MOST_GAIN = 0.01, 2.0
 #: Below this probability the noise alone does not explain the residuals.
 UNEXPLAINED_P_VALUE = 1e-3
 #: Smallest relative error of the time that is looked for.
@@ -289,14 +293,21 @@ class CalibrationProblem:
         )
 
     def _at_another_latitude(self, found: Estimates) -> CalibrationProblem | None:
-        """The same problem at the latitude that the data show, if there is one."""
-        latitude = self.site.latitude + found.information.latitude_correction()[0]
-        if abs(latitude) >= 0.5 * np.pi:
+        """The same problem at the latitude that the data show, if there is one that may explain a misfit."""
+        correction, sigma = found.information.latitude_correction()
+        latitude, left = (
+            self.site.latitude + correction,
+            found.fit.chi2 - _MOST_GAIN * (correction / sigma) ** 2,
+        )
+        is_linear = abs(correction) < _SMALL_ANGLE
+        if abs(latitude) >= 0.5 * np.pi or (is_linear and not _is_explained(left, found.fit)):
             return None
         return replace(self, site=replace(self.site, latitude=latitude))
 
     def check_alternatives(self, found: Estimates) -> None:
         """Raise MeasurementError if a mistake in the map explains what the noise does not."""
+        if found.fit.chi2 < _MIN_EXPLICABLE * found.fit.dof:
+            return
         opposite = replace(self.site, latitude=-self.site.latitude)
         alternatives = [
             (
@@ -332,8 +343,12 @@ def _explaining(problem: CalibrationProblem, found: Estimates) -> Estimates | No
         other = problem.solve()
     except MeasurementError:
         return None
-    is_better = other.fit.p_value >= UNEXPLAINED_P_VALUE or other.fit.chi2 < _EXPLAINED * found.fit.chi2
-    return other if is_better else None
+    return other if _is_explained(other.fit.chi2, found.fit) else None
+
+
+def _is_explained(chi2: float, fit: Chi2Test) -> bool:
+    """Whether another problem whose residuals have this sum of squares explains those of a fit."""
+    return chi2_p_value(fit.dof, chi2) >= UNEXPLAINED_P_VALUE or chi2 < _EXPLAINED * fit.chi2
 
 
 def _test_fit(values: FloatArray, covariance: FloatArray, blocks: Sequence[FloatArray]) -> Chi2Test:

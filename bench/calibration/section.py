@@ -90,15 +90,17 @@ class IncrementSection:
         """Increments (k, 3) without errors of the sensors and what is beside them: ``common`` (43,), SI."""
         interval_s = self.interval_s
         angle, velocity = errors.removed(self.angle, self.velocity, interval_s)
-        if common is not None and common[COUNT:].any():
+        if common is None:
+            return angle, velocity
+        if common[LEVER_ARMS].any() or common[DELAY] or common[QUADRATIC].any():
             rate = angle / interval_s
             turning = np.gradient(rate, axis=0)
-            arms = common[LEVER_ARMS].reshape(3, 3)
-            for sensor, arm in enumerate(arms):
+            for sensor, arm in enumerate(common[LEVER_ARMS].reshape(3, 3)):
                 moved = np.cross(turning, arm) + np.cross(rate, np.cross(rate, arm)) * interval_s
                 velocity[:, sensor] -= moved[:, sensor]
             velocity += common[DELAY] * np.cross(velocity, rate)
             velocity -= common[QUADRATIC] * velocity**2 / interval_s
+        if common[G_SENSITIVITIES].any():
             angle -= velocity @ common[G_SENSITIVITIES].reshape(3, 3).T
         return angle, velocity
 

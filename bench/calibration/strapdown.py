@@ -155,9 +155,9 @@ def integrated(
     states = attitude, integral, response
     of_errors = (errors or SensorErrors()).removal(interval_s)
     removal = SensorErrors().removal(interval_s) if are_freed else of_errors
-    has_beside = any(COUNT <= each < PARAMETER_COUNT for each in columns)
+    has_sums = any(COUNT <= each < G_SENSITIVITIES.start for each in columns)
     _integrate(
-        angle, velocity, removal, of_errors, interval_s, ends, has_beside, *turns, gravity, which, *states
+        angle, velocity, removal, of_errors, interval_s, ends, has_sums, *turns, gravity, which, *states
     )
     return Trajectory(attitude, integral, gravity, response)
 
@@ -190,7 +190,7 @@ def _sum(a: Vector, b: Vector, share: float) -> Vector:
 @compiled
 def _integrate(
     angle: FloatArray, velocity: FloatArray, removal: FloatArray, of_errors: FloatArray, interval_s: float,
-    ends: IntArray, has_beside: bool, earth: FloatArray, half: FloatArray, by_latitude: FloatArray,
+    ends: IntArray, has_sums: bool, earth: FloatArray, half: FloatArray, by_latitude: FloatArray,
     gravity: float, columns: IntArray, attitudes: FloatArray, integrals: FloatArray, responses: FloatArray,
 ) -> None:  # fmt: skip
     C, begin = attitudes[0].copy(), attitudes[0].copy()
@@ -216,7 +216,7 @@ def _integrate(
         sculling = _sum(sculling, _cross(_sum(speed, dv_before, 1.0 / 6.0), theta), 0.5)
         alpha, speed = _sum(alpha, theta, 1.0), _sum(speed, dv, 1.0)
         summed += 1
-        if has_beside:
+        if has_sums:
             first, last = max(k - 1, 0), min(k + 1, count - 1)
             per_s = 1.0 / ((last - first) * interval_s)
             cross = _cross(theta, dv)
