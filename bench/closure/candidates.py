@@ -14,8 +14,8 @@ import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.effects.effect import Effect, Form
-from gyrobench.bench.closure.problem import Problem, Solution, solve_terms
-from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
+from gyrobench.bench.closure.problem import Problem, Solution, explained_by, solve_terms
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 
 _MAX_EVALUATIONS = 60
 #: Precision of a parameter in units of its first step, and of chi2.
@@ -262,25 +262,27 @@ def _prune(problem: Problem, candidates: Sequence[Candidate]) -> list[Candidate]
     Each effect keeps one term per gyro: an effect present in one gyro is present in all of them.
     """
     columns, kept = stack(candidates, problem.campaign)
-    kept = kept.copy()
+    products, with_residuals = problem.inner_products(columns, kept)
     owner = np.repeat(np.arange(len(candidates)), [each.kept.shape[1] for each in candidates])
+
+    def reduction(gyro: int, terms: IntArray) -> float:
+        return explained_by(products[gyro][np.ix_(terms, terms)], with_residuals[gyro, terms])[0]
+
+    fewer = np.zeros_like(kept)
     for gyro in range(3):
-        mine = np.zeros_like(kept)
-        mine[gyro] = kept[gyro]
-        reduction, _ = problem.chi2_reduction(columns, mine)
+        terms = np.flatnonzero(kept[gyro])
+        whole = reduction(gyro, terms)
         while True:
-            trials = []
-            for term in np.flatnonzero(mine[gyro]):
-                if np.count_nonzero(mine[gyro] & (owner == owner[term])) > 1:
-                    fewer = mine.copy()
-                    fewer[gyro, term] = False
-                    trials.append((problem.chi2_reduction(columns, fewer)[0], int(term)))
+            trials = [
+                (reduction(gyro, terms[terms != each]), int(each))
+                for each in terms
+                if np.count_nonzero(owner[terms] == owner[each]) > 1
+            ]
             best, dropped = max(trials, default=(-np.inf, -1))
-            if reduction - best >= bic_penalty(problem):
+            if whole - best >= bic_penalty(problem):
                 break
-            reduction = best
-            mine[gyro, dropped] = False
-        kept[gyro] = mine[gyro]
+            whole, terms = best, terms[terms != dropped]
+        fewer[gyro, terms] = True
     bounds = np.cumsum([0, *(each.kept.shape[1] for each in candidates)])
-    parts = [kept[:, low:high] for low, high in itertools.pairwise(bounds)]
+    parts = [fewer[:, low:high] for low, high in itertools.pairwise(bounds)]
     return [replace(each, kept=part) for each, part in zip(candidates, parts, strict=True)]

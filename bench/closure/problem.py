@@ -97,12 +97,14 @@ class Problem:
 
     def chi2_reduction(self, columns: FloatArray, kept: BoolArray | None = None) -> tuple[float, int]:
         """Reduction of chi2 by a fit of terms, and the number of independent ones among them."""
+        return explained_by(*self.inner_products(columns, kept))
+
+    def inner_products(
+        self, columns: FloatArray, kept: BoolArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Of terms of length one (3, k, k), less what is fitted, and of these with the residuals (3, k)."""
         terms = self.independent_parts(columns, kept)
-        squares, directions = np.linalg.eigh(terms.mT @ terms)
-        parts = (directions.mT @ (terms.mT @ self.residuals.T[..., np.newaxis]))[..., 0]
-        independent = squares > MIN_SHARE**2
-        reduction = np.add.reduce(parts[independent] ** 2 / squares[independent])
-        return float(reduction), int(np.count_nonzero(independent))
+        return terms.mT @ terms, (terms.mT @ self.residuals.T[..., np.newaxis])[..., 0]
 
     def independent_lengths(self, columns: FloatArray, kept: BoolArray) -> FloatArray:
         """Length of each kept term that is independent of the columns so far, in standard deviations."""
@@ -143,6 +145,15 @@ class Problem:
         # Once: of a part above MIN_SHARE rounding leaves less than that to the columns so far.
         terms -= self._stacked_bases @ (self._stacked_bases.mT @ terms)
         return np.asarray(terms)
+
+
+def explained_by(products: FloatArray, with_residuals: FloatArray) -> tuple[float, int]:
+    """Reduction of chi2 by terms with these inner products (..., k, k), and how many are independent."""
+    squares, directions = np.linalg.eigh(products)
+    parts = (directions.mT @ with_residuals[..., np.newaxis])[..., 0]
+    independent = squares > MIN_SHARE**2
+    reduction = np.add.reduce(parts[independent] ** 2 / squares[independent])
+    return float(reduction), int(np.count_nonzero(independent))
 
 
 def declared_problem(campaign: Campaign, searched: BoolArray, noise_scale: float = 1.0) -> Problem:
