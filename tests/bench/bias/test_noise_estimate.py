@@ -131,6 +131,7 @@ def test_angle_random_walk_is_the_true_one_within_its_uncertainty(many_dwells):
     )
 
 
+@pytest.mark.long
 def test_one_dwell_shows_the_angle_random_walk_to_a_hundredth(many_dwells):
     for _, estimate in many_dwells:
         assert estimate.angle_random_walk.sigma < 0.01 * estimate.angle_random_walk.value
@@ -138,6 +139,7 @@ def test_one_dwell_shows_the_angle_random_walk_to_a_hundredth(many_dwells):
             assert walk.sigma < 0.02 * walk.value
 
 
+@pytest.mark.long
 def test_velocity_random_walk_is_the_true_one_within_its_uncertainty(many_dwells):
     assert_pulls(
         [pull(estimate.velocity_random_walk, truth.velocity_random_walk) for truth, estimate in many_dwells]
@@ -146,6 +148,7 @@ def test_velocity_random_walk_is_the_true_one_within_its_uncertainty(many_dwells
         assert estimate.velocity_random_walk.square_sigma < 0.12 * truth.velocity_random_walk**2
 
 
+@pytest.mark.long
 def test_velocities_show_the_angle_random_walk_too(many_dwells):
     errors = [
         (estimate.angle_random_walk_of_tilt.square / truth.angle_random_walk**2 - 1.0)
@@ -156,6 +159,7 @@ def test_velocities_show_the_angle_random_walk_too(many_dwells):
     assert np.std(errors) < 0.7
 
 
+@pytest.mark.long
 def test_rounding_of_the_output_is_reported_as_its_noise(many_dwells):
     velocity = [estimate.velocity_white.square for _, estimate in many_dwells]
     assert np.mean(velocity) == pytest.approx(1e-8 / 12.0, rel=0.1)

@@ -19,6 +19,7 @@ from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.error_model import Site
 from tests.bench.calibration.rotated_unit import EARTH, EIGHTEEN, Noise, Unit
 
+LONG = pytest.mark.long
 SITE = Site(np.deg2rad(45.0))
 RANDOM = np.random.default_rng(11)
 ERRORS = {
@@ -372,8 +373,14 @@ def test_gyro_biases_that_follow_the_specific_force_are_found_where_noise_explai
     assert (len(nothing.values), nothing.findings, nothing.notes) == (21, (), ())
 
 
-@pytest.mark.parametrize("latitude_deg", [45.0, 20.0, -60.0])
-@pytest.mark.parametrize("off_deg", [0.1, -0.1])
+@pytest.mark.parametrize(
+    ("latitude_deg", "off_deg"),
+    [
+        pytest.param(at_deg, off_deg, marks=[] if (at_deg, off_deg) in {(45.0, 0.1), (-60.0, -0.1)} else LONG)
+        for at_deg in (45.0, 20.0, -60.0)
+        for off_deg in (0.1, -0.1)
+    ],
+)
 def test_a_wrong_latitude_passes_for_no_bias_that_follows_the_specific_force(latitude_deg, off_deg):
     """Its error of the Earth's rate along Up is one along the specific force."""
     site = Site(np.deg2rad(latitude_deg + off_deg))
@@ -447,7 +454,10 @@ def test_rotations_about_one_level_axis_leave_open_what_they_do_not_show():
     assert np.abs((found.values - TRUTH) / found.sigmas)[found.is_observed].max() < 4.0
 
 
-@pytest.mark.parametrize(("latitude_deg", "bias_dph"), [(45.0, 0.02), (5.0, 0.02), (10.0, 0.7)])
+@pytest.mark.parametrize(
+    ("latitude_deg", "bias_dph"),
+    [(10.0, 0.7), pytest.param(45.0, 0.02, marks=LONG), pytest.param(5.0, 0.02, marks=LONG)],
+)
 def test_a_bias_along_the_only_level_axis_is_not_observed_and_keeps_no_estimate_from_converging(
     latitude_deg, bias_dph
 ):

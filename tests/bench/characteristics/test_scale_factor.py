@@ -71,6 +71,7 @@ def test_intervals_hold_drift_and_scatter_in_95_percent_of_campaigns(cycles, eac
         assert 0.875 <= share <= 0.995, name
 
 
+@pytest.mark.long
 def test_the_scatter_from_power_cycle_to_power_cycle_is_apart_from_that_within():
     random = np.random.default_rng(3)
     campaigns = [campaign(random, 5, 5, 0.1, 0.3, 2.0) for _ in range(40)]

@@ -151,7 +151,10 @@ def share_confirmed(predicted, size, *, outliers=0.0):
     return confirmed / 50.0
 
 
-@pytest.mark.parametrize("sigmas", [2.0, 8.0, 30.0, 1000.0])
+@pytest.mark.parametrize(
+    "sigmas",
+    [2.0, 30.0, pytest.param(8.0, marks=pytest.mark.long), pytest.param(1000.0, marks=pytest.mark.long)],
+)
 @pytest.mark.parametrize("shown", ["by all gyros", "by one gyro", "in few dwells"])
 def test_effects_of_any_size_are_refuted_if_absent_or_reversed_and_confirmed_beside_outliers(sigmas, shown):
     predicted = sigmas * np.random.default_rng(4).standard_normal((45, 3))

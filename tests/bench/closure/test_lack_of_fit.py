@@ -16,22 +16,26 @@ def test_without_anything_left_p_values_are_uniform(of_clean_data, name):
     assert kstest([each.p_structure[name] for each in of_clean_data], "uniform").pvalue > 0.01
 
 
+@pytest.mark.long
 def test_without_anything_left_the_sum_of_squares_is_uniform(of_clean_data):
     assert kstest([each.p_noise for each in of_clean_data], "uniform").pvalue > 0.01
 
 
+@pytest.mark.long
 def test_serial_correlation_of_noise_is_rarely_significant(of_clean_data):
     # A fitted model makes neighbours a little unlike: large values are frequent, small ones are not.
     p_values = [each.p_structure["the previous dwell"] for each in of_clean_data]
     assert kstest(p_values, "uniform", alternative="greater").pvalue > 0.01
 
 
+@pytest.mark.long
 def test_without_anything_left_few_tests_say_that_there_is(of_clean_data):
     # As many tests as there are would give 3 below 0.05 if they had nothing in common.
     assert sum(each.p_value < 0.05 for each in of_clean_data) <= 6
     assert sum(each.p_value < LACK_OF_FIT_P for each in of_clean_data) <= 1
 
 
+@pytest.mark.long
 def test_the_noise_ratio_is_that_of_the_noise(of_clean_data):
     assert np.mean([each.noise_ratio for each in of_clean_data]) == pytest.approx(1.0, abs=0.02)
 

@@ -44,15 +44,15 @@ def following_dwell(*numbers):
 @pytest.mark.parametrize(
     ("effect", "size"),
     [
-        ("temperature_rate", 4.0),
         ("attitude_thermal", 3.0),
-        ("thermal_hysteresis", 3.0),
         ("thermal_lag", 4.0),
         ("warm_up", 3.0),
-        ("time_drift", 3.0),
-        ("g_sensitivity", 3.0),
-        ("chamber_state", 3.0),
         ("bias_jump", 3.0),
+        pytest.param("temperature_rate", 4.0, marks=pytest.mark.long),
+        pytest.param("thermal_hysteresis", 3.0, marks=pytest.mark.long),
+        pytest.param("time_drift", 3.0, marks=pytest.mark.long),
+        pytest.param("g_sensitivity", 3.0, marks=pytest.mark.long),
+        pytest.param("chamber_state", 3.0, marks=pytest.mark.long),
     ],
 )
 def test_an_effect_is_found_alone(search, effect, size):
@@ -95,11 +95,13 @@ def test_warm_up_and_drift_are_distinguished_over_several_cycles(search):
     assert best.names == {"warm_up", "time_drift"}
 
 
+@pytest.mark.long
 def test_three_effects_are_found_together(search):
     _, best = search({"g_sensitivity": 4.0, "bias_jump": 4.0, "thermal_hysteresis": 4.0}, cycles=2, seed=7)
     assert best.names == {"g_sensitivity", "bias_jump", "thermal_hysteresis"}
 
 
+@pytest.mark.long
 def test_no_effect_of_the_best_set_has_a_better_one_in_its_place(search):
     one, best = search({"g_sensitivity": 4.0, "bias_jump": 4.0, "thermal_hysteresis": 4.0}, cycles=2, seed=7)
     for left_out in best.candidates:

@@ -12,6 +12,7 @@ from gyrobench.bench.navigation.positions import POSITIONS
 from tests.adversarial.harness import ALL, Case, any_unit, measured_dwells, setup_of
 from tests.adversarial.strapdown import Place
 
+LONG = pytest.mark.long
 UNIT = any_unit(np.random.default_rng(3))
 
 
@@ -61,13 +62,18 @@ def test_without_a_gyro_up_and_down_a_wrong_latitude_flags_the_dwells():
     assert results.bins == []
 
 
-@pytest.mark.parametrize(("error_arcmin", "declared_arcmin"), [(0.0, 0.33), (0.33, 0.33), (1.0, 0.6)])
+@pytest.mark.parametrize(
+    ("error_arcmin", "declared_arcmin"),
+    [(0.33, 0.33), pytest.param(0.0, 0.33, marks=LONG), pytest.param(1.0, 0.6, marks=LONG)],
+)
 def test_an_error_within_the_declared_uncertainty_changes_nothing(error_arcmin, declared_arcmin):
     dwells, results = evaluated(error_arcmin, declared_arcmin=declared_arcmin)
     assert [each.row for each in results.dwells] == [each.row for each in dwells]
 
 
-@pytest.mark.parametrize("error_arcmin", [-3.0, 5.0, 20.0])
+@pytest.mark.parametrize(
+    "error_arcmin", [5.0, pytest.param(-3.0, marks=LONG), pytest.param(20.0, marks=LONG)]
+)
 def test_a_latitude_far_off_is_named_and_corrected_and_passes_for_nothing_else(error_arcmin):
     dwells, results = evaluated(error_arcmin)
     assert [dwell.row.flags for dwell in results.dwells] == [()] * len(ALL)

@@ -92,7 +92,14 @@ def test_axes_turned_about_up_are_found_beside_a_drift_of_the_accelerometers():
     assert re.search(r"are turned by (1[6-9]|2[0-4])", dwells[-1].setup_fault), dwells[-1].setup_fault
 
 
-@pytest.mark.parametrize("latitude_deg", [each for each in LATITUDES_DEG if abs(each) > 30.0])
+@pytest.mark.parametrize(
+    "latitude_deg",
+    [
+        pytest.param(each, marks=[] if each in (-35.0, 52.0) else [LONG])
+        for each in LATITUDES_DEG
+        if abs(each) > 30.0
+    ],
+)
 def test_a_latitude_of_the_wrong_hemisphere_is_named_in_nearly_every_dwell(latitude_deg):
     """The Coriolis acceleration needs a velocity, which is small by chance where biases cancel."""
     station = {"location.latitude_deg": -latitude_deg}
@@ -116,7 +123,7 @@ def test_a_wrong_hemisphere_is_named_by_the_error_model_in_a_unit_with_other_err
 @pytest.mark.parametrize(
     ("unit", "latitude_deg"),
     [
-        pytest.param(unit, at_deg, marks=[] if number % 2 == place else [LONG])
+        pytest.param(unit, at_deg, marks=[] if number % 4 == 2 * place else [LONG])
         for number, unit in enumerate(UNITS)
         for place, at_deg in enumerate((36.4, -52.0))
     ],

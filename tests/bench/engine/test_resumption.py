@@ -128,7 +128,16 @@ def test_a_killed_run_is_resumed_by_another_process(procedure, undisturbed, tmp_
 
 
 @pytest.mark.parametrize(
-    ("kind", "nth"), [("power_on", 1), ("chamber", 2), ("soak", 1), ("go_to", 2), ("align", 3), ("turn", 4)]
+    ("kind", "nth"),
+    [
+        ("soak", 1),
+        ("align", 3),
+        ("turn", 4),
+        *(
+            pytest.param(*each, marks=pytest.mark.long)
+            for each in (("power_on", 1), ("chamber", 2), ("go_to", 2))
+        ),
+    ],
 )
 def test_a_run_resumes_from_any_kind_of_step(procedure, undisturbed, tmp_path, kind, nth):
     folder, _, _ = resumed(broken_off(procedure, tmp_path / "run", kind, nth))

@@ -15,6 +15,7 @@ from tests.bench.closure.thermal_bench import measure
 
 EFFECTS = {each.name: each for each in all_effects()}
 HEADINGS = EQUIPPED["headings_deg"]
+LONG = pytest.mark.long
 
 
 def closed(effect, *others, size=6.0, **options):
@@ -27,11 +28,11 @@ def closed(effect, *others, size=6.0, **options):
     ("effect", "options"),
     [
         ("magnetic_sensitivity", {"headings_deg": HEADINGS}),
-        ("thermal_g_sensitivity", {"headings_deg": HEADINGS}),
         ("supply_power", {"sensors": ("set", "air", "board", "supply")}),
-        ("daily_course", {"sensors": ("set", "air", "board", "room"), "cycles": 3}),
-        ("neighbouring_unit", {"sensors": ("set", "air", "board", "neighbours")}),
-        ("ageing", {"power_on_each_cycle": True, "cycles": 4}),
+        pytest.param("thermal_g_sensitivity", {"headings_deg": HEADINGS}, marks=LONG),
+        pytest.param("daily_course", {"sensors": ("set", "air", "board", "room"), "cycles": 3}, marks=LONG),
+        pytest.param("neighbouring_unit", {"sensors": ("set", "air", "board", "neighbours")}, marks=LONG),
+        pytest.param("ageing", {"power_on_each_cycle": True, "cycles": 4}, marks=LONG),
     ],
 )
 def test_an_effect_is_found_where_the_bench_shows_it(effect, options):
