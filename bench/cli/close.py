@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from gyrobench.bench.cli.options import complete_run
-from gyrobench.bench.cli.output import JsonOption, console, is_unfinished, print_json, print_unfinished
+from gyrobench.bench.cli.output import JsonOption, console, print_json, print_unfinished
 from gyrobench.bench.foundations.errors import DocumentError, MeasurementError, RunFolderError
 
 
@@ -93,14 +93,8 @@ def close(
         cycles = [cycle for path in hold_out or () for cycle in campaign.cycles_of(str(path))]
         closure = close_loop(campaign, [*(hold_out_cycle or ()), *cycles])
     except (MeasurementError, RunFolderError) as error:
-        text = str(error)
-        if "gyrobench resume" not in text:
-            text += "".join(
-                f". {path} has not finished; resume it with: gyrobench resume {path}"
-                for path in tables
-                if is_unfinished(path)
-            )
-        raise DocumentError(text) from error
+        print_unfinished(tables, on_stderr=True)
+        raise DocumentError(str(error)) from error
     if hold_out_each or rotate:
         closure = held_out_in_turn(closure)
     if compose:
@@ -110,11 +104,11 @@ def close(
     if as_json:
         found = json.loads((folder / "closure.json").read_text(encoding="utf-8"))
         print_json({"folder": folder, "report": page, "closure": found})
+        print_unfinished(tables, on_stderr=True)
         return
     terminal = console()
     terminal.print(section_view(closure_findings(closure).chapter))
-    for path in tables:
-        print_unfinished(terminal, path)
+    print_unfinished(tables)
     written = "closure.json, predictions.csv, model.yaml"
     if closure.composed and closure.composed.laws:
         written += ", composed_law.yaml"

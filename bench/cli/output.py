@@ -14,7 +14,7 @@ import typer
 from gyrobench.bench.foundations.errors import GyrobenchError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
     from pathlib import Path
 
     from rich.console import Console, RenderableType
@@ -136,24 +136,16 @@ def print_tables(console: Console, folder: RunFolder) -> None:
         console.print()
 
 
-def is_unfinished(path: Path) -> bool:
-    """Whether a path is the folder of a run that has not finished; not if its journal is damaged."""
-    from gyrobench.bench.foundations.errors import RunFolderError
+def print_unfinished(paths: Iterable[Path], on_stderr: bool = False) -> None:
+    """State which paths are runs that have not finished, and how to resume them; nothing for others."""
     from gyrobench.bench.runs.folder import RunFolder
-    from gyrobench.bench.runs.journal import facts_of, read_journal
 
-    journal = RunFolder(path).journal
-    try:
-        return journal.is_file() and facts_of(read_journal(journal)).ended != "finished"
-    except RunFolderError:  # a damaged journal, which the report names
-        return False
-
-
-def print_unfinished(console: Console, path: Path) -> None:
-    """State that a run has not finished, and how to resume it; nothing for other paths."""
-    if is_unfinished(path):
-        text = f"{path}: the run has not finished; this is what it measured so far. Resume it with: "
-        console.print(f"{text}gyrobench resume {path}", soft_wrap=True, style="bold yellow")
+    for folder in filter(lambda each: each.is_unfinished, map(RunFolder, paths)):
+        console(on_stderr).print(
+            f"{folder.path}: the run has not finished. Resume it with: gyrobench resume {folder.run.path}",
+            soft_wrap=True,
+            style="bold yellow",
+        )
 
 
 def print_end(

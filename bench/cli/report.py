@@ -71,6 +71,7 @@ def report(
     damage = [text for each in (folder, *folder.unit_folders) for text in damage_of(each).values()]
     for text in damage:
         terminal.print(text, soft_wrap=True, style="bold red")
+    print_unfinished([folder.path])
     if folder.unit_folders:
         terminal.print(section_view(units_section(folder)))
         terminal.print(f"Report   {write_units_report(folder, by, formats)}", soft_wrap=True)
@@ -80,7 +81,6 @@ def report(
         terminal.print("Unit not judged.", style="bold")
     elif folder.acceptance.exists():
         terminal.print(section_view(acceptance_summary(read_acceptance(folder.acceptance))))
-    print_unfinished(terminal, folder.path)
     terminal.print(f"Report   {page}", soft_wrap=True)
     if pdf:
         from gyrobench.bench.report.page import write_pdf

@@ -20,7 +20,7 @@ from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 from gyrobench.bench.procedure.plan import DwellPurpose
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
-from gyrobench.bench.runs.journal import facts_of, read_journal
+from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.runs.marks import purpose_of
 from gyrobench.bench.runs.provenance import read_provenance, started_utc
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, read_coefficients_apart
@@ -73,11 +73,9 @@ def _source(path: Path, quantity: Quantity) -> TableToJoin:
 
 
 def _advice_without_dwells(folder: RunFolder) -> str:
-    entries = list(read_journal(folder.journal))
+    entries = read_journal(folder.journal)
     if any(purpose_of(entry.get("marks")) is DwellPurpose.ROTATIONS for entry in entries):
         return "Rotations need a dwell (align, navigate, turn, navigate) before them at the same set point"
-    if facts_of(entries).ended != "finished":
-        return f"Continue it with `gyrobench resume {folder.path}`"
     return "Search a run with dwells (align, navigate, turn, navigate)"
 
 

@@ -113,11 +113,24 @@ class RunFolder:
         return RunFolder(self.units / number) if number else self
 
     @property
-    def run_name(self) -> str:
-        """Name of this folder; in the folder of one of several units, name of their run's folder."""
+    def run(self) -> RunFolder:
+        """Folder of the whole run: this one, or for the folder of one of several units that of their run."""
         path = self.path.resolve()
-        run = path.parents[1] if len(path.parents) > 1 else path
-        return run.name if path.parent.name == UNITS_FOLDER and (run / JOURNAL).exists() else path.name
+        run = RunFolder(path.parent.parent)
+        return run if path.parent.name == UNITS_FOLDER and run.journal.exists() else self
+
+    @property
+    def run_name(self) -> str:
+        """Name of the folder of the whole run."""
+        return self.run.path.resolve().name
+
+    @property
+    def is_unfinished(self) -> bool:
+        """Whether it holds a run that has not finished; not if its journal is missing or damaged."""
+        try:
+            return facts_of(read_journal(self.run.journal)).ended != "finished"
+        except RunFolderError:
+            return False
 
     @property
     def unit_folders(self) -> list[RunFolder]:
@@ -142,20 +155,12 @@ def create_run_folder(out: Path | None, name: str, parent: Path = RUNS) -> RunFo
         was_begun = LOCK in held and all(_BEFORE_THE_JOURNAL.fullmatch(name) for name in held)
         if held and not was_begun:
             resume = f"continue the run with `gyrobench resume {out}`"
-            other = resume if _is_interrupted(out) else "omit it for a new folder"
+            other = resume if RunFolder(out).is_unfinished else "omit it for a new folder"
             raise UnusablePathError(f"{out}: is not empty. Choose another --out, or {other}.")
         return RunFolder(out)
     safe_name = re.sub(r"[^A-Za-z0-9_-]+", "_", name)[:80]
     candidates = (parent / f"{safe_name}-{number:03d}" for number in itertools.count(1))
     return RunFolder(next(candidate for candidate in candidates if make_new_folder(candidate)))
-
-
-def _is_interrupted(path: Path) -> bool:
-    """Whether a folder holds a run that has not finished."""
-    try:
-        return facts_of(read_journal(RunFolder(path).journal)).ended != "finished"
-    except RunFolderError:  # no journal, or a damaged one
-        return False
 
 
 def open_run_folder(path: Path, may_have_units: bool = False) -> RunFolder:

@@ -1,5 +1,8 @@
 """`gyrobench report`: the report written again, with a name, as PDF, elsewhere."""
 
+import json
+import shutil
+
 import pytest
 
 from gyrobench.bench.bias.dwell_table import read_dwells, write_dwells
@@ -43,12 +46,37 @@ def test_a_run_that_has_not_finished_is_stated_with_how_to_resume_it(ended, tmp_
     assert (f"Resume it with: gyrobench resume {folder.path}" in text) == (ended != "finished")
 
 
+def test_the_report_of_a_unit_of_an_unfinished_run_states_how_to_resume_the_whole_run(run, tmp_path):
+    unit = RunFolder(run.path / "units" / "7")
+    unit.path.mkdir(parents=True)
+    shutil.copy(run.journal, unit.journal)
+    text = gyrobench("report", unit.path, cwd=tmp_path).stdout
+    assert f"{unit.path}: the run has not finished. Resume it with: gyrobench resume {run.path}\n" in text
+
+
 def test_a_search_with_too_few_dwells_of_an_unfinished_run_states_how_to_resume_it(run, sample, tmp_path):
     write_dwells(run.dwells, read_dwells(RunFolder(sample).dwells)[:2])
     refused = gyrobench("close", run.path, cwd=tmp_path)
     assert refused.returncode == EXIT_WRONG_INPUT
     assert "degrees of freedom" in refused.stderr
-    assert f"has not finished; resume it with: gyrobench resume {run.path}" in refused.stderr
+    assert refused.stderr.count(f"has not finished. Resume it with: gyrobench resume {run.path}") == 1
+
+
+def test_a_search_of_an_unfinished_run_without_dwells_states_once_how_to_resume_it(run, tmp_path):
+    refused = gyrobench("close", run.path, cwd=tmp_path)
+    assert refused.returncode == EXIT_WRONG_INPUT
+    assert "no dwell was finished in this run" in refused.stderr
+    assert refused.stderr.count("gyrobench resume") == 1
+
+
+def test_a_search_of_an_unfinished_run_as_json_states_on_standard_error_how_to_resume_it(sample, tmp_path):
+    run = RunFolder(tmp_path / "run")
+    shutil.copytree(sample, run.path)
+    run.journal.write_text("".join(run.journal.read_text().splitlines(keepends=True)[:-1]))
+    done = gyrobench("close", run.path, "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["folder"]
+    assert f"Resume it with: gyrobench resume {run.path}" in done.stderr
 
 
 def test_who_prepares_it_stays_when_it_is_written_again(run, tmp_path):
