@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gyrobench.bench.cli.options import OperatorOption, complete_run
-from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, JsonOption, console, print_json
+from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, JsonOption, console, print_json, print_unfinished
 from gyrobench.bench.foundations.errors import DocumentError
 
 if TYPE_CHECKING:
@@ -105,6 +105,7 @@ def certificate(
     signing = load_signing_key(key) if key else None
     paths = issue_certificate(made, wanted, out or folder.path / "certificate", signing, schema)
     keep_sealed(folder)
+    print_unfinished([folder.path], on_stderr=as_json)
     if as_json:
         print_json(
             {

@@ -349,6 +349,18 @@ def test_the_command_writes_seals_and_verifies(certified, signed_pdf, tmp_path):
     assert "does not fit" in changed.stdout or "damaged" in changed.stdout
 
 
+def test_a_certificate_of_an_unfinished_run_is_written_with_a_warning(measured_run, tmp_path):
+    finished = measured_run.journal.read_text()
+    measured_run.journal.write_text(finished.replace('"ended": "finished"', '"ended": "stopped"'))
+    shutil.rmtree(measured_run.path / "seals")
+    seal_run(measured_run)
+    options = ("--format", "dcc", "--authorised-by", "B. Jones")
+    done = gyrobench("certificate", measured_run.path, *options, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "the run has not finished" in done.stdout
+    assert "Written  " in done.stdout
+
+
 def test_a_certificate_states_until_when_the_biases_stay_within_an_agreed_limit(emulated_run, tmp_path):
     for month in (1, 4, 7):
         run = tmp_path / f"run-{month}"
