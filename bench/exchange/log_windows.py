@@ -43,6 +43,8 @@ _MAX_VALUE, _MAX_TIME_S = 1e15, 1e12
 
 #: First bytes of logs of signals, by their format in an import map.
 _SIGNATURES = {"blf": b"LOGG", "parquet": b"PAR1", "mf4": b"MDF ", "px4": b"ULog"}
+#: How many are read to recognise a format.
+_FIRST_BYTES = 1024
 _TO_DPH = {"rad/s": RADPS_TO_DPH, "deg/s": 3600.0, "dps": 3600.0, "deg/h": 1.0, "arcsec/s": 1.0}
 _PREFIXES = {"m": 1e-3, "u": 1e-6}
 _TO_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "iso8601": 1.0}
@@ -51,14 +53,19 @@ _TIME_RESOLUTION_S = 1e-6
 
 
 def _check_kind(path: Path, expected: str) -> None:
-    """Raise DocumentError for a log of signals, by its first bytes, that the import map takes for another."""
+    """Raise DocumentError for a log, by its first bytes, that the import map takes for one of signals.
+
+    And for one of signals that the map takes for another. Logs that are not known by their first bytes pass.
+    """
     try:
         with path.open("rb") as file:
-            first = file.read(8)
+            first = file.read(_FIRST_BYTES)
     except OSError:  # reading it says why
         return
-    kind = next((name for name, begin in _SIGNATURES.items() if first.startswith(begin)), expected)
-    if kind != expected:
+    kind = next((name for name, begin in _SIGNATURES.items() if first.startswith(begin)), "")
+    if not kind and expected and first and b"\0" not in first:  # headers of logs of signals have zeros
+        kind = "text"
+    if kind not in ("", expected):
         read_as = f"'signals: {{format: {expected}}}'" if expected else "text or records"
         raise DocumentError(
             f"{path}: is a log of format {kind}, which the import map reads as {read_as}. Choose the map of "

@@ -164,6 +164,14 @@ def test_a_log_of_another_format_than_the_map_has_is_named(tmp_path):
     assert "format parquet, which the import map reads as 'signals: {format: blf}'" in result.stderr
 
 
+@pytest.mark.parametrize("recorded", ["time,x,y,z\n0,1,2,3\n", "\ufefftime;x;y;z °/s\n0;1;2;3\n"])
+def test_a_text_log_with_a_map_of_can_logs_is_named_as_such(recorded, tmp_path):
+    (tmp_path / "log.csv").write_text(recorded, encoding="utf-8")
+    result = gyrobench("calibrate", "log.csv", "--map", "emulated_ins", cwd=tmp_path)
+    assert result.returncode == 2
+    assert "is a log of format text, which the import map reads as 'signals: {format: blf}'" in result.stderr
+
+
 def test_a_folder_or_a_log_that_is_not_there_is_named_with_what_to_give(tmp_path):
     (tmp_path / "run/can").mkdir(parents=True)
     for log, text in (("run", "Give its log files, as run/can/*.blf"), ("none.blf", "there is no such file")):
