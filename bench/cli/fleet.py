@@ -14,7 +14,7 @@ from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.runs.index.selection import ANY_RUN, Selection
 
 if TYPE_CHECKING:
-    from gyrobench.bench.fleet.jobs import FleetRecord, JobResult
+    from gyrobench.bench.fleet.jobs import FleetRecord
     from gyrobench.bench.fleet.workers import Workers
     from gyrobench.bench.runs.index.run_index import RunIndex
 
@@ -51,7 +51,8 @@ _OutOption = Annotated[
 
 _HELP = {
     "bins": "Re-evaluate many runs from their raw CAN logs and write their tables.",
-    "close": "Search many runs for effects that their bias models lack.",
+    "close": "Search many runs for effects that their bias models lack.\n\n"
+    "    Runs whose dwells can't be searched, as too few, are listed as not searched; they are not failures.",
     "report": "Write the reports of many runs.",
 }
 _DETAILS = """
@@ -106,39 +107,41 @@ for _kind in _HELP:
 
 
 def _process(record: FleetRecord, paths: list[Path], workers: Workers, *, as_json: bool) -> None:
-    from gyrobench.bench.fleet.jobs import RECORD
+    from gyrobench.bench.fleet.jobs import RECORD, JobState
     from gyrobench.bench.fleet.workers import FleetProgress, connected, work_through
     from gyrobench.bench.foundations.clock import WallClock
 
     pending = record.pending(paths)
     terminal = console(as_json)
     clock = WallClock()
-    results: list[JobResult] = []
     if pending:
         terminal.print(f"fleet {record.kind}: {len(pending)} of {len(paths)} runs, {workers.describe()}")
         with connected(workers) as pool, FleetProgress(terminal, len(pending)) as progress:
             for result in work_through(pool, record, pending):
-                results.append(result)
                 progress.advance(result)
-    not_done = [result for result in results if result.state != "done"]
-    states = {str(path): record.runs[str(path)].model_dump() for path in paths}
+    entries = {path: record.runs[str(path)] for path in paths}
+    counts = Counter((path not in pending, entry.state) for path, entry in entries.items())
+    parts = [
+        f"{counts[before, state]} {state}{' before' if before else ''}"
+        for before in (False, True)
+        for state in JobState
+        if counts[before, state]
+    ]
+    is_incomplete = any(state in (JobState.FAILED, JobState.SKIPPED) for _, state in counts)
+    again = " Repeat the command to retry only these." if is_incomplete else ""
     print_result(
-        {"kind": record.kind.value, "took_s": clock.now(), "runs": states},
+        {"kind": record.kind.value, "took_s": clock.now(), "runs": entries},
         as_json,
-        *(f"{result.state}: {result.path}\n  {result.text}" for result in not_done),
-        _summary(results, len(paths) - len(pending), clock.now()),
+        *(
+            f"{entry.state}: {path}\n  {entry.text}"
+            for path, entry in entries.items()
+            if entry.state != JobState.DONE
+        ),
+        f"{', '.join(parts)}; {clock.now():.1f} s.{again}",
         f"Record   {record.folder / RECORD}",
     )
-    if not_done:
+    if is_incomplete:
         raise typer.Exit(EXIT_NOT_FINISHED)
-
-
-def _summary(results: list[JobResult], before: int, took_s: float) -> str:
-    counts = Counter(result.state.value for result in results)
-    parts = [f"{counts[state]} {state}" for state in ("done", "failed", "skipped") if counts[state]]
-    parts += [f"{before} done before"] if before else []
-    again = " Repeat the command to retry only these." if counts["failed"] or counts["skipped"] else ""
-    return f"{', '.join(parts)}; {took_s:.1f} s.{again}"
 
 
 @fleet.command()

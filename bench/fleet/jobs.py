@@ -41,6 +41,8 @@ class JobState(StrEnum):
     """Outcome of a job."""
 
     DONE = "done"
+    #: Its dwells can't be searched, as too few; it is tried again once they have changed.
+    NOT_SEARCHED = "not searched"
     FAILED = "failed"
     #: The run folder can't be written at present.
     SKIPPED = "skipped"
@@ -76,7 +78,9 @@ def do_job(kind: JobKind, path: str, *, is_synced: bool = True) -> JobResult:
     except BenchInUseError as error:
         return JobResult(path, JobState.SKIPPED, str(error), clock.now())
     except GyrobenchError as error:
-        return JobResult(path, JobState.FAILED, str(error), clock.now())
+        is_searched = kind is not JobKind.CLOSE or not isinstance(error, MeasurementError)
+        state = JobState.FAILED if is_searched else JobState.NOT_SEARCHED
+        return JobResult(path, state, str(error), clock.now())
     return JobResult(path, JobState.DONE, text, clock.now())
 
 
@@ -112,10 +116,7 @@ def _closed(folder: RunFolder) -> str:
     from gyrobench.bench.closure.loop import close_loop
     from gyrobench.bench.report.closure.closure_page import write_search
 
-    try:
-        closure = close_loop(read_campaign(folder.path))
-    except MeasurementError as error:
-        return f"not searched: {error}"  # one cycle only, for instance: not a failure
+    closure = close_loop(read_campaign(folder.path))
     with _DRAWING:
         write_search(closure, [folder.path])
     effects = [each.effect.display_name for each in closure.effects]
@@ -191,9 +192,9 @@ class FleetRecord:
 
     def _is_done(self, path: Path) -> bool:
         entry = self.runs.get(str(path))
-        return (
-            entry is not None and entry.state == JobState.DONE and entry.inputs == inputs_of(self.kind, path)
-        )
+        if entry is None or entry.state not in (JobState.DONE, JobState.NOT_SEARCHED):
+            return False
+        return entry.inputs == inputs_of(self.kind, path)
 
 
 def read_record(kind: JobKind, folder: Path) -> FleetRecord:

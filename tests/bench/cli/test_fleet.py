@@ -4,7 +4,9 @@ import json
 
 import pytest
 
+from gyrobench.bench.bias.dwell_table import read_dwells, write_dwells
 from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
+from gyrobench.bench.runs.folder import RunFolder
 from tests.bench.command_line import gyrobench
 from tests.bench.runs.index.sample_runs import copy_run
 from tests.benchmarks.fleet_runs import OUTLIER, make_runs
@@ -35,6 +37,22 @@ def test_only_what_failed_is_done_again(place):
     third = gyrobench("fleet", "bins", "runs", cwd=place)
     assert third.returncode == 0
     assert "3 done before" in third.stdout
+
+
+def test_runs_that_can_not_be_searched_are_named_and_counted_apart_from_those_done(sample, tmp_path):
+    for name in ("few", "searched"):
+        copy_run(sample, tmp_path / "runs" / name, "1001")
+    few = RunFolder(tmp_path / "runs" / "few")
+    write_dwells(few.dwells, read_dwells(few.dwells)[:2])
+    first = gyrobench("fleet", "close", "runs", "--threads", "--workers", 1, cwd=tmp_path)
+    assert first.returncode == 0, first.stderr
+    assert f"not searched: {few.path}\n" in first.stdout
+    assert "degrees of freedom" in first.stdout
+    assert "1 done, 1 not searched; " in first.stdout
+    again = gyrobench("fleet", "close", "runs", cwd=tmp_path)
+    assert again.returncode == 0, again.stderr
+    assert f"not searched: {few.path}\n" in again.stdout
+    assert "1 done before, 1 not searched before; " in again.stdout
 
 
 def test_runs_of_an_index_are_chosen_by_what_they_are(place):
