@@ -220,7 +220,7 @@ class Instruments(Outputs):
 
     ``may_be_absent``: whether an instrument that can't be opened is left out, if another answers. It then
     reads nothing and refuses commands. ``dropped``: numbers of units that are not opened. Raises
-    ConnectionFailedError if one, or all, can't be opened; the others are closed again.
+    ConnectionFailedError if one can't be opened, or none, which names all; the others are closed again.
     """
 
     def __init__(
@@ -253,9 +253,12 @@ class Instruments(Outputs):
                 try:
                     self.units[name] = self._opened(name, partial(self._open_unit, unit))
                 except InstrumentError as error:
-                    self._leave_out(error, may_be_absent and len(self.absent) < _OTHERS)
+                    self._leave_out(error, may_be_absent)
                     self.units[name] = _silent_ins(unit, clock)
                 opened.callback(self.units[name].close)
+            if len(self.absent) == len({RATE_TABLE, CHAMBER, *self.units}):
+                causes = "\n  ".join(map(str, self.absent.values()))
+                raise ConnectionFailedError("bench", f"no instrument answers:\n  {causes}")
             opened.pop_all()
 
     @property
@@ -297,9 +300,6 @@ class Instruments(Outputs):
 
 
 #: Instruments beside the INS.
-_OTHERS = 2
-
-
 class _Absent:
     """In place of an instrument that does not answer: refuses every command."""
 

@@ -5,6 +5,7 @@ import time
 
 import pytest
 
+from gyrobench.bench.cli.output import EXIT_INSTRUMENT
 from gyrobench.bench.foundations.shipped import find_document
 from tests.bench.command_line import PROCESS, gyrobench
 
@@ -207,3 +208,19 @@ def test_a_chamber_that_does_not_answer_is_left_out_and_shows_no_temperature(tmp
     assert "Left out: chamber: can't open /dev/no_chamber" in run.stdout
     assert "Chamber    left out" in run.stdout
     assert "nan" not in run.stdout
+
+
+def test_a_bench_on_which_no_instrument_answers_names_all_of_them(tmp_path):
+    text = find_document("stations", "quick").read_text().replace("clock: virtual", "clock: wall")
+    for emulated, absent in (
+        ("emulator://table", "/dev/no_table"),
+        ("emulator://chamber", "/dev/no_chamber"),
+        ("interface: emulator", "interface: no_adapter"),
+    ):
+        assert emulated in text
+        text = text.replace(emulated, absent)
+    (tmp_path / "bare.yaml").write_text(text)
+    run = gyrobench("jog", "bare.yaml", "show", cwd=tmp_path)
+    assert run.returncode == EXIT_INSTRUMENT
+    for cause in ("rate table: can't open /dev/no_table", "chamber: can't open /dev/no_chamber", "INS: "):
+        assert f"\n  {cause}" in run.stderr
