@@ -6,9 +6,11 @@ import math
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +19,7 @@ from gyrobench.bench.engine.interlocks.watch import TrippedError
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.foundations.errors import GyrobenchError, InstrumentError
 from gyrobench.bench.foundations.shipped import find_document
-from gyrobench.bench.foundations.text import did_you_mean
+from gyrobench.bench.foundations.text import counted, did_you_mean
 from gyrobench.bench.guard.process import guard_for
 from gyrobench.bench.jog.manual_control import ManualControl, limit_lines, readings
 from gyrobench.bench.jog.manual_limits import TABLE_AXES, manual_limits
@@ -107,13 +109,26 @@ class _Session:
         self._shell = _Shell(control, display)
         self._leave = leave
         self._is_typed = not commands and sys.stdin.isatty()
-        self._lines = iter(commands) if commands else self._typed_lines()
+        self._input = None if commands else TypedLines(sys.stdin.fileno(), control.idle)
+        # Unlike a generator, this iterator continues after an exception raised while it waits for a line.
+        self._lines = (
+            iter(commands) if self._input is None else iter(partial(self._next_of, self._input), None)
+        )
 
     def run(self) -> bool:
         """Execute the commands; the first failure ends the session unless an operator types them."""
         if self._is_typed:
             name = self._control.bench.station.file.station
             self._display.print(f"Manual control of {name}. `help` lists the commands, `quit` ends.")
+            return self._execute_lines()
+        all_done = self._execute_lines()
+        rest = [] if all_done else list(self._lines) if self._input is None else self._input.arrived()
+        commands = takewhile(lambda line: line.lower() not in _END_COMMANDS, rest)
+        if number := sum(bool(_command_of(line)) for line in commands):
+            self._display.print(f"Not executed: {counted(number, 'command')} after this one.")
+        return all_done
+
+    def _execute_lines(self) -> bool:
         all_done = True
         while True:
             try:
@@ -124,7 +139,7 @@ class _Session:
                     return all_done
                 if not self._is_typed and line and not line.startswith("#"):
                     self._display.print(f"{_PROMPT}{line}")
-                self._shell.execute(line.partition("#")[0])
+                self._shell.execute(_command_of(line))
             except EndSessionError as error:
                 self._display.print(str(error))
                 return False
@@ -160,16 +175,15 @@ class _Session:
         except GyrobenchError as error:
             self._display.print(f"The table could not be stopped: {error}")
 
-    def _typed_lines(self) -> Iterator[str]:
-        lines = TypedLines(sys.stdin.fileno(), self._control.idle)
+    def _next_of(self, lines: TypedLines) -> str | None:
+        if self._is_typed:
+            self._display.prompt(_PROMPT)
+        return lines.next()
 
-        def typed() -> str | None:
-            if self._is_typed:
-                self._display.prompt(_PROMPT)
-            return lines.next()
 
-        # Unlike a generator, this iterator continues after an exception raised while it waits for a line.
-        return iter(typed, None)
+def _command_of(line: str) -> str:
+    """A line without its comment."""
+    return line.partition("#")[0].strip()
 
 
 def _error_text(error: GyrobenchError) -> str:

@@ -19,6 +19,8 @@ _ERASE = "\r\x1b[K"
 _INPUT_WAIT_S = 0.1
 _CHUNK = 4096
 _MAX_COMMAND_BYTES = 1000
+#: A program that writes without end is not read to its end.
+_MAX_ARRIVED_BYTES = 1_000_000
 
 
 class CommandError(GyrobenchError):
@@ -104,6 +106,15 @@ class TypedLines:
         if not line and not newline:
             return None
         return line.decode(errors="replace").strip()
+
+    def arrived(self) -> list[str]:
+        """Lines that have arrived and were not read; does not wait for more."""
+        while not self._ended and len(self._text) < _MAX_ARRIVED_BYTES:
+            ready, _, _ = select.select([self._descriptor], [], [], 0.0)
+            if not ready:
+                break
+            self._read()
+        return [line.decode(errors="replace").strip() for line in self._text.split(b"\n")]
 
     def _read(self) -> None:
         try:

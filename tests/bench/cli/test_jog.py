@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from gyrobench.bench.cli.output import EXIT_INSTRUMENT
+from gyrobench.bench.cli.output import EXIT_INSTRUMENT, EXIT_NOT_FINISHED
 from gyrobench.bench.foundations.shipped import find_document
 from tests.bench.command_line import PROCESS, gyrobench
 
@@ -186,6 +186,20 @@ def test_commands_come_from_a_pipe_with_comments(tmp_path):
     assert "jog> table outer 30" in run.stdout
     assert "never" not in run.stdout
     assert run.stdout.rstrip().endswith("rate table's interlocks opened")
+
+
+@pytest.mark.parametrize("way", ["pipe", "arguments"])
+def test_a_command_that_fails_ends_the_session_and_states_how_many_were_not_executed(way, tmp_path):
+    lines = ["show", "table outer 999", "", "# to the side", "table outer 20", "show  # it", "quit", "show"]
+    run = piped("\n".join(lines), tmp_path) if way == "pipe" else jog(*lines, cwd=tmp_path)
+    assert run.returncode == EXIT_NOT_FINISHED
+    printed = answers(run)["table outer 999"]
+    assert printed[1] == "Not executed: 2 commands after this one."
+    assert printed[-1] == "rate table's interlocks opened"
+
+
+def test_after_the_last_command_none_is_stated_as_not_executed(tmp_path):
+    assert "Not executed" not in jog("table outer 999", cwd=tmp_path).stdout
 
 
 @pytest.mark.wall_time

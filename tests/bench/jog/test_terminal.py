@@ -40,6 +40,14 @@ def test_the_bench_is_polled_until_a_whole_line_is_there(pipe):
     assert pieces == []
 
 
+def test_lines_that_have_arrived_are_there_without_waiting_for_more(pipe):
+    reading, writing = pipe
+    os.write(writing, b"show\n stop \nta")
+    lines = TypedLines(reading, lambda: None)
+    assert lines.next() == "show"
+    assert lines.arrived() == ["stop", "ta"]
+
+
 def test_undecodable_bytes_are_a_line_too(pipe):
     reading, writing = pipe
     os.write(writing, b"\xff\xfe\n")
