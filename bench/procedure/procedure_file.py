@@ -245,7 +245,8 @@ def _scope_problems(
 
 
 def _loop_problems(loop: Repeat, at: KeyPath, scope: tuple[str, ...]) -> Iterator[DocumentProblem]:
-    used = _variables_in(loop.steps)
+    used = _free_variables(loop.steps)
+    is_one_mistyped = not used <= {*scope, *loop.over}  # reported at its step; may mean the one unused here
     for name, values in loop.over.items():
         if name in scope:
             yield DocumentProblem(
@@ -253,7 +254,7 @@ def _loop_problems(loop: Repeat, at: KeyPath, scope: tuple[str, ...]) -> Iterato
             )
         # Others may just count repetitions.
         is_meant = name in _STEP_KEYS or not _counts(values)
-        if name not in (*used, *scope, "cycle") and is_meant:
+        if name not in (*used, *scope, "cycle") and is_meant and not is_one_mistyped:
             yield DocumentProblem(
                 (*at, name),
                 f"no step in the loop uses its variable ${name}. Use it in a step, or leave it out; to "
@@ -295,10 +296,14 @@ def _variables_below(values: Mapping[str, Any], at: KeyPath) -> Iterator[tuple[K
             yield from _variables_below(value, (*at, key))
 
 
-def _variables_in(entries: Sequence[StepTemplate | Repeat]) -> set[str]:
+def _free_variables(entries: Sequence[StepTemplate | Repeat]) -> set[str]:
+    """Variables that steps use and no loop among them defines."""
     names: set[str] = set()
     for entry in entries:
-        names |= _variables_in(entry.steps) if isinstance(entry, Repeat) else {*entry.variables().values()}
+        if isinstance(entry, Repeat):
+            names |= _free_variables(entry.steps) - entry.over.keys()
+        else:
+            names |= {*entry.variables().values()}
     return names
 
 

@@ -137,6 +137,13 @@ WRONG_FILES = {
         "3:30",
         ["no step in the loop uses its variable $hot_c"],
     ),
+    "mistyped variable, which leaves that of the loop unused": (
+        "- repeat: {over: {temperature_c: [1, 2]}, "
+        "steps: [{repeat: {over: {n: [1, 2]}, "
+        "steps: [{chamber: {temperature_c: $temprature_c, ramp_c_per_min: 1}}]}}]}",
+        "3:99",
+        ["no variable $temprature_c", "did you mean 'temperature_c'"],
+    ),
     "cycle 0": (
         "- repeat: {over: {cycle: [1, 0]}, steps: [power_off]}",
         "3:30",
