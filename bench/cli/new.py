@@ -102,6 +102,11 @@ def effect(name: _Name, out: _Out = None) -> None:
 
 def _write(name: str, out: Path | None, make: Callable[[Path], str], next_step: str) -> None:
     """Write a new file and print the next step; existing files are not overwritten."""
+    if name.startswith("-"):  # a file so named would be an option to every command
+        raise DocumentError(
+            f"a name begins with a letter, digit or underscore; found '{name}'. "
+            "For standard output: NAME --out -"
+        )
     path = out or Path(f"{name}.yaml")
     text = make(path)
     if path == _STANDARD_OUTPUT:

@@ -2,6 +2,9 @@
 
 import json
 
+import pytest
+
+from gyrobench.bench.cli.output import EXIT_WRONG_INPUT
 from tests.bench.command_line import gyrobench
 
 
@@ -30,6 +33,17 @@ def test_a_folder_that_is_not_there_is_reported(tmp_path):
 def test_a_new_file_can_go_to_standard_output(tmp_path):
     made = gyrobench("new", "station", "mine", "--out", "-", cwd=tmp_path)
     assert made.stdout.startswith("# yaml-language-server: $schema=")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("kind", ["procedure", "station", "world", "effect"])
+@pytest.mark.parametrize("name", [("-",), ("--", "-mine")])
+def test_a_name_that_begins_with_a_hyphen_is_refused_with_the_option_for_standard_output(
+    kind, name, tmp_path
+):
+    made = gyrobench("new", kind, *name, cwd=tmp_path)
+    assert made.returncode == EXIT_WRONG_INPUT
+    assert f"found '{name[-1]}'. For standard output: NAME --out -" in made.stderr
     assert list(tmp_path.iterdir()) == []
 
 
