@@ -152,12 +152,14 @@ def print_end(
     console: Console,
     folder: RunFolder,
     outcome: RunOutcome,
+    station_name: str | Path,
     as_json: bool = False,
     fail_on: FailOn | None = None,
 ) -> None:
     """Report the end of a run, with ``as_json`` also as JSON; lets go of its dwells and results.
 
-    Exits with an error if it did not finish, or is what ``fail_on`` says.
+    ``station_name``: how a command names the station file that the run read. Exits with an error if it did
+    not finish, or is what ``fail_on`` says.
     """
     from gyrobench.bench.foundations.documents import read_document
     from gyrobench.bench.foundations.memory import free_memory
@@ -199,7 +201,8 @@ def print_end(
         console.print(f"{title} {text}", style="bold red")
     for number in outcome.units or [""]:
         journal = folder.unit(number).journal
-        if journal.is_file() and (text := signs_sentence(facts_of(read_journal(journal)), station)):
+        facts = facts_of(read_journal(journal) if journal.is_file() else ())
+        if text := signs_sentence(facts, station, station_name):
             console.print(f"Unit {number}: {text}" if number else text, style="bold yellow")
     console.print(section_view(durations_section(step_durations(read_journal(folder.journal)))))
     if is_finished:

@@ -73,4 +73,4 @@ def resume(
     with observe_in_terminal(terminal, job, view == "live") as (progress, answers):
         folder, outcome = resume_run(resumption, progress, answers)
     del resumption, job, progress, answers  # and with them the instruments: the report needs the memory
-    print_end(terminal, folder, outcome, as_json, fail_on)
+    print_end(terminal, folder, outcome, folder.station, as_json, fail_on)

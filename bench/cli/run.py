@@ -77,4 +77,4 @@ def run(
     with observe_in_terminal(terminal, job, view == "live") as (progress, answers):
         folder, outcome = run_job(job, out, progress, answers)
     del job, progress, answers  # and with them the instruments: the report needs the memory
-    print_end(terminal, folder, outcome, as_json, fail_on)
+    print_end(terminal, folder, outcome, station, as_json, fail_on)

@@ -288,7 +288,7 @@ def verdict_boxes(content: RunContent) -> list[Box]:
         boxes.append(found)
     findings = run_findings(content.dwells, content.station, content.noise, content.joint_plateaus)
     boxes += [Box("failed", title, text) for title, text in findings.items()]
-    if text := signs_sentence(facts, content.station):
+    if text := signs_sentence(facts, content.station, RunFolder.station):
         boxes.append(Box(VERDICT_COLOURS["marginal"], "Signal map not tested.", text))
     return boxes
 

@@ -6,6 +6,7 @@ import math
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from statistics import median
 from types import MappingProxyType
 from typing import Any
@@ -329,18 +330,18 @@ def heading_sentence(noise: NoiseEstimate | None) -> str:
     )
 
 
-def signs_sentence(facts: RunFacts, station: Mapping[str, Any]) -> str:
+def signs_sentence(facts: RunFacts, station: Mapping[str, Any], name: str | Path) -> str:
     """What no dwell tested of the signal map; empty if all was tested, or none has a result.
 
-    ``station``: content of the station file.
+    ``station``: content of the station file. ``name``: how to name that file in a command.
     """
     if facts.are_signs_tested is None:
         return ""
     if not facts.are_signs_tested:
         return (
             "Signs and axes of the signal map were not tested: the windows are too short, or the output is "
-            "too coarse. If they are wrong, so are the biases: test them with gyrobench check STATION "
-            "--signs."
+            "too coarse. If they are wrong, so are the biases: test them with "
+            f"gyrobench check {name} --signs."
         )
     match station:
         case {"location": {"latitude_deg": int() | float() as latitude_deg}}:

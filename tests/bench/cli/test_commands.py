@@ -48,10 +48,13 @@ def test_a_run_on_an_emulated_bench_states_so_before_its_first_dwell_and_beside_
 def test_windows_too_short_for_signs_and_axes_are_stated_at_the_end_and_in_the_report(finished):
     cwd, result = finished
     text = "Signs and axes of the signal map were not tested: the windows are too short"
-    assert text in " ".join(result.stdout.split())
+    printed = " ".join(result.stdout.split())
+    assert text in printed
+    assert "test them with gyrobench check emulated --signs." in printed
     report = (cwd / "runs/ten_minute_check-001/report.html").read_text()
     assert "Signal map not tested." in report
     assert text in " ".join(report.split())
+    assert "gyrobench check station.yaml --signs." in " ".join(report.split())
 
 
 def test_bins_measures_a_run_again(finished):

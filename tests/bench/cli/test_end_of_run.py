@@ -31,7 +31,9 @@ def test_a_stopped_run_begins_with_who_stopped_it_and_how_to_continue(tmp_path, 
         journal.record("run_ended", ended="stopped", reason=reason, safe_state=[])
     printed = io.StringIO()
     with pytest.raises(typer.Exit) as ended:
-        print_end(Console(file=printed, width=80), folder, RunOutcome(ended="stopped", reason=reason))
+        print_end(
+            Console(file=printed, width=80), folder, RunOutcome(ended="stopped", reason=reason), "x.yaml"
+        )
     assert ended.value.exit_code == EXIT_NOT_FINISHED
     resume = f"Resume   gyrobench resume {tmp_path}"
     lines = printed.getvalue().splitlines()
@@ -47,7 +49,7 @@ def test_a_wrong_station_file_is_corrected_in_the_run_folder_before_the_run_resu
     printed = io.StringIO()
     outcome = RunOutcome(ended="failed", reason="wrong", is_station_wrong=True, check_dwells=[Mock()])
     with pytest.raises(typer.Exit):
-        print_end(Console(file=printed, width=80), folder, outcome)
+        print_end(Console(file=printed, width=80), folder, outcome, "x.yaml")
     assert printed.getvalue().count("New run") == 1
     *_, copy, reads, seal, resume, new_run = printed.getvalue().splitlines()
     assert copy == f"Resume   correct the copy {folder.station} or the DBC file beside it:"
@@ -65,6 +67,6 @@ def test_a_wrong_station_file_without_a_dwell_needs_a_new_run_only(tmp_path):
     printed = io.StringIO()
     outcome = RunOutcome(ended="failed", reason="wrong", is_station_wrong=True)
     with pytest.raises(typer.Exit):
-        print_end(Console(file=printed, width=80), folder, outcome)
+        print_end(Console(file=printed, width=80), folder, outcome, "x.yaml")
     assert "Resume" not in printed.getvalue()
     assert printed.getvalue().splitlines()[-1].startswith("New run  correct your own station file")

@@ -312,6 +312,6 @@ def test_what_no_dwell_tested_of_the_signal_map_is_stated(
     are_tested: bool | None, latitude_deg: float, stated: str
 ) -> None:
     station = {"location": {"latitude_deg": latitude_deg}}
-    text = signs_sentence(RunFacts(are_signs_tested=are_tested), station)
+    text = signs_sentence(RunFacts(are_signs_tested=are_tested), station, "mine.yaml")
     assert text.startswith(stated)
     assert bool(text) == bool(stated)
