@@ -3,14 +3,16 @@
 Two relations hold for the right map alone, and none of them needs a bias or a lever arm:
 
 * On its way from window to window the attitude stays on the path of the table. A heading with the wrong
-  sign, or a quaternion of other frames, leads the other way round.
+  sign, a quaternion of other frames, or an axis of the table with the wrong direction leads the other way
+  round; with the inner axis vertical the first and the last of these look alike.
 * At rest an INS accelerates as its own tilt lets gravity in. With the rotation ``r`` of the attitude since
   the begin of a window, ``dV_E/dt = g r_N + 2 W_U V_N + constant`` and ``dV_N/dt = -g r_E - 2 W_U V_E +
   constant``. The random walk of the gyros and the Schuler loop drop out, since they move tilt and velocity
   alike; what remains is noise of the accelerometers and of the output. An INS may damp its velocity.
 
-Where the declared map contradicts one of them, maps with other signs and axes are tried on the same frames.
-A map is named if both relations hold for it; otherwise something else is wrong, and other checks find it.
+Where the declared map contradicts one of them, maps with other signs and axes are tried on the same frames,
+and tables with axes of the opposite direction. A map or table is named if both relations hold for it;
+otherwise something else is wrong, and other checks find it.
 """
 
 from __future__ import annotations
@@ -54,6 +56,10 @@ _VELOCITIES = ("ins.signals.velocity_east", "ins.signals.velocity_north")
 
 def _wrong_sign(name: str) -> str:
     return f"{name} has the wrong sign"
+
+
+def _wrong_direction(axis: str) -> str:
+    return f"rate_table.{axis} has the wrong direction (watch which way positive angles turn)"
 
 
 def _exchanged(name: str, other: str) -> str:
@@ -124,6 +130,9 @@ class SignCheck:
         if self._holds(declared):
             return not self._may_hold(declared)[1:].any()
         tried: list[tuple[tuple[str, ...], _Evidence]] = [((), declared)]
+        for axes, table in self.table.reversed_axes():
+            if other := self._evidence(marks, navigation, table=table):
+                tried.append((tuple(map(_wrong_direction, axes)), other))
         if other := self._evidence(marks, navigation, -1.0):
             tried.append(((_wrong_sign("location.latitude_deg"),), other))
         for faults, signal_map in _attitude_changes(self.signals):
@@ -162,9 +171,17 @@ class SignCheck:
         return np.asarray((evidence.velocity_rms <= limit).all(axis=1))
 
     def _evidence(
-        self, marks: DwellMarks, navigation: NavigationData, hemisphere: float = 1.0
+        self,
+        marks: DwellMarks,
+        navigation: NavigationData,
+        hemisphere: float = 1.0,
+        table: TwoAxisTable | None = None,
     ) -> _Evidence | None:
-        """How the data fit table and gravity; None without data for it. ``hemisphere``: -1 for the other."""
+        """How the data fit table and gravity; None without data for it.
+
+        ``hemisphere``: -1 for the other. ``table``: in place of that of the station.
+        """
+        table = table or self.table
         off_table = 0.0
         unexplained: list[FloatArray] = []
         drifting: list[FloatArray] = []
@@ -178,13 +195,13 @@ class SignCheck:
             C_nb, velocity = navigation.attitude[rows], navigation.velocity_enu_mps[rows, :2]
             if not (np.isfinite(C_nb).all() and np.isfinite(velocity).all()):
                 return None
-            off = _angles_to(C_nb[:1], self.table.attitude(mark.outer_deg, mark.inner_deg)[np.newaxis])
+            off = _angles_to(C_nb[:1], table.attitude(mark.outer_deg, mark.inner_deg)[np.newaxis])
             off_table = max(off_table, float(off[0]))
             rotation = rotation_vector_enu(C_nb, C_nb[0])
             for parts, degree in ((unexplained, 1), (drifting, 2)):
                 parts.append(self._unexplained(time_s[::every], velocity, rotation, hemisphere, degree))
         off_path = max(
-            (self._off_path(navigation, *pair) for pair in itertools.pairwise(marks.windows)), default=0.0
+            (_off_path(table, navigation, *pair) for pair in itertools.pairwise(marks.windows)), default=0.0
         )
         *left, tilt, displacement = np.concatenate(unexplained, axis=1)
         # The rotation of least squares; 0 + 1j turns East to North.
@@ -195,18 +212,6 @@ class SignCheck:
         *of_drifting, _, moved = np.concatenate(drifting, axis=1)
         drifting_rms = np.linalg.norm(_rms([*of_drifting, moved]), axis=1)
         return _Evidence(off_table, off_path, _rms([*left, displacement]), turned_rms, drifting_rms)
-
-    def _off_path(self, navigation: NavigationData, before: WindowMark, after: WindowMark) -> float:
-        """Largest angle between the attitude in a turn and the nearest that the table may have had."""
-        rows = _between(navigation, before.end_frame, after.first_frame)
-        C_nb = navigation.attitude[rows]
-        C_nb = C_nb[np.isfinite(C_nb).all(axis=(1, 2))]
-        if not len(C_nb):
-            return 0.0
-        share = np.linspace(0.0, 1.0, _PATH_POINTS)
-        outer = before.outer_deg + share * (after.outer_deg - before.outer_deg)
-        inner = before.inner_deg + share * (after.inner_deg - before.inner_deg)
-        return float(_angles_to(C_nb, self.table.attitude(outer, inner)).max())
 
     def _unexplained(
         self, time_s: FloatArray, velocity: FloatArray, rotation: FloatArray, hemisphere: float, degree: int
@@ -247,6 +252,21 @@ def _between(navigation: NavigationData, first_frame: int, end_frame: int) -> np
     return np.flatnonzero((navigation.row >= first_frame) & (navigation.row < end_frame))
 
 
+def _off_path(
+    table: TwoAxisTable, navigation: NavigationData, before: WindowMark, after: WindowMark
+) -> float:
+    """Largest angle between the attitude in a turn and the nearest that the table may have had."""
+    rows = _between(navigation, before.end_frame, after.first_frame)
+    C_nb = navigation.attitude[rows]
+    C_nb = C_nb[np.isfinite(C_nb).all(axis=(1, 2))]
+    if not len(C_nb):
+        return 0.0
+    share = np.linspace(0.0, 1.0, _PATH_POINTS)
+    outer = before.outer_deg + share * (after.outer_deg - before.outer_deg)
+    inner = before.inner_deg + share * (after.inner_deg - before.inner_deg)
+    return float(_angles_to(C_nb, table.attitude(outer, inner)).max())
+
+
 def _angles_to(C_nb: FloatArray, others: FloatArray) -> FloatArray:
     """Angle (n,) from each attitude (n, 3, 3) to the nearest of others (m, 3, 3)."""
     traces = C_nb.reshape(-1, 9) @ others.reshape(-1, 9).T
@@ -269,10 +289,7 @@ def _attitude_changes(signals: SignalMap) -> Iterator[tuple[tuple[str, ...], Sig
     if euler is not None:
         prefix, other = "ins.signals.attitude.euler", "down" if euler.yaw_positive == "up" else "up"
         yield (
-            (
-                f"{prefix}.yaw_positive is '{euler.yaw_positive}' in place of '{other}' (or positive angles "
-                "of the table turn the other way)",
-            ),
+            (f"{prefix}.yaw_positive is '{euler.yaw_positive}' in place of '{other}'",),
             changed("euler", yaw_positive=other),
         )
         for names in (("roll",), ("pitch",), ("roll", "pitch")):
@@ -308,6 +325,4 @@ def _text(declared: _Evidence, alternatives: list[tuple[tuple[str, ...], _Eviden
             max(evidence.off_table, evidence.off_path) * 180.0 / np.pi for evidence in (declared, other)
         )
         why = f"the attitude lies {off:.0f} deg off that of the table, and {otherwise:.1f} deg otherwise"
-        if min(len(faults) for faults, _, _ in alternatives) > 1:
-            what += "; or rate_table has a wrong direction (outer_axis, inner_axis or mounting)"
     return f"{what}: {why}. Correct the station file"

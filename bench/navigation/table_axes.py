@@ -8,8 +8,8 @@ the inner axis stays level.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -68,6 +68,14 @@ class TwoAxisTable:
             for angle_deg, axis in ((outer_deg, self.outer_axis_enu), (inner_deg, self.inner_axis_enu))
         )
         return outer @ inner @ self.C_mount
+
+    def reversed_axes(self) -> Iterator[tuple[tuple[str, ...], TwoAxisTable]]:
+        """Tables with one axis or both in the opposite direction, and the names of these axes."""
+        yield ("inner_axis",), replace(self, inner_axis_enu=-self.inner_axis_enu)
+        if self.outer_limits_deg[0] < self.outer_limits_deg[1]:
+            outer = replace(self, outer_axis_enu=-self.outer_axis_enu)
+            yield ("outer_axis",), outer
+            yield ("inner_axis", "outer_axis"), replace(outer, inner_axis_enu=-self.inner_axis_enu)
 
     def angles(self, C_nb: FloatArray, turns_deg: Sequence[TurnOrMove] = ()) -> Angles:
         """Axis angles that give an attitude.

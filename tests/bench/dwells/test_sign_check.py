@@ -69,10 +69,10 @@ def test_east_and_north_exchanged_are_named():
     assert fault.startswith(f"{SIGNALS}.velocity_east and {SIGNALS}.velocity_north are exchanged")
 
 
-@pytest.mark.parametrize("position", ["z_up", "z_down", "y_up", "x_down"])
+@pytest.mark.parametrize("position", ["y_up", "x_down"])
 def test_a_heading_with_the_wrong_sense_is_named(position):
     fault = measured({f"{EULER}.yaw_positive": "up"}, position).setup_fault
-    assert fault.startswith(f"{EULER}.yaw_positive is 'up' in place of 'down'")
+    assert fault.startswith(f"{EULER}.yaw_positive is 'up' in place of 'down': the attitude lies")
     off_deg, otherwise_deg = map(float, re.search(r"lies (\S+) deg .* and (\S+) deg", fault).groups())
     assert off_deg > 80.0
     assert otherwise_deg < 5.0
@@ -90,14 +90,46 @@ def test_roll_and_pitch_exchanged_are_named():
     assert "euler.roll and ins.signals.attitude.euler.pitch are exchanged" in measured(exchanged).setup_fault
 
 
-def test_a_wrong_direction_of_the_table_is_named_beside_the_signals_that_would_explain_it():
+def fault_of_table(wrong, position):
+    """What is named where the station file is wrong about the table, not about the INS."""
     random = np.random.default_rng(1)
     case = Case(any_unit(random), Place(), Schedule(), {})
-    angles = dwell_angles(setup_of(case), "y_down")
+    angles = dwell_angles(setup_of(case), position)
     output = simulate(case.unit, case.place, case.schedule, angles, random)
-    setup = setup_of(replace(case, station={"rate_table.outer_axis": "west"}))
-    fault = measure_dwell(*dwell_frames(output, "y_down", angles, 1, random), setup).setup_fault
-    assert "rate_table has a wrong direction (outer_axis, inner_axis or mounting): the attitude lies" in fault
+    setup = setup_of(replace(case, station=wrong))
+    return measure_dwell(*dwell_frames(output, position, angles, 1, random), setup).setup_fault
+
+
+@pytest.mark.parametrize(
+    ("axis", "direction", "position"),
+    [
+        ("inner_axis", "down", "y_up"),
+        ("inner_axis", "down", "x_down"),
+        ("outer_axis", "west", "y_down"),
+        ("outer_axis", "west", "x_up"),
+    ],
+)
+def test_a_wrong_direction_of_the_table_alone_is_named_where_the_data_tell_it_from_others(
+    axis, direction, position
+):
+    fault = fault_of_table({f"rate_table.{axis}": direction}, position)
+    assert re.match(rf"rate_table\.{axis} has the wrong direction \([^)]*\): the attitude lies", fault)
+
+
+def test_wrong_directions_of_both_axes_are_named():
+    fault = fault_of_table({"rate_table.outer_axis": "west", "rate_table.inner_axis": "down"}, "y_up")
+    assert fault.startswith("rate_table.inner_axis has the wrong direction")
+    assert "and rate_table.outer_axis has the wrong direction" in fault
+    assert "; or" not in fault
+
+
+@pytest.mark.parametrize("position", ["z_up", "z_down"])
+def test_with_z_vertical_a_wrong_inner_axis_and_a_wrong_heading_are_both_named(position):
+    of_table = fault_of_table({"rate_table.inner_axis": "down"}, position)
+    of_heading = measured({f"{EULER}.yaw_positive": "up"}, position).setup_fault
+    for fault, wrong, right in ((of_table, "down", "up"), (of_heading, "up", "down")):
+        assert fault.startswith("rate_table.inner_axis has the wrong direction")
+        assert f"; or {EULER}.yaw_positive is '{wrong}' in place of '{right}': the attitude" in fault
 
 
 @pytest.mark.parametrize(
