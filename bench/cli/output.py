@@ -168,8 +168,12 @@ def print_end(
 
     is_finished, resume = outcome.ended == "finished", _resume_text(folder, outcome)
     safe_state = "\n".join(each.text for each in outcome.safe_state)
+    contradicting = outcome.contradicting_dwell
     if not is_finished:
-        console.print(f"The run {outcome.ending}", soft_wrap=True, style="bold red")
+        # The flag of that dwell was printed when it was measured.
+        flagged = f"failed: dwell {contradicting} contradicts the station file, see its flag above."
+        ending = outcome.ending if contradicting is None else flagged
+        console.print(f"The run {ending}", soft_wrap=True, style="bold red")
         if not outcome.is_station_wrong:  # else the text is long, and follows at the end
             console.print(resume, soft_wrap=True)
         console.print(safe_state, soft_wrap=True)
@@ -178,7 +182,7 @@ def print_end(
     rows = [dwell.row for dwell in outcome.results.dwells]
     station = read_document(folder.station).data if rows else {}
     plateaus = read_joint_plateaus(folder.joint) if folder.joint.exists() else []
-    findings = run_findings(rows, station, outcome.results.noise, plateaus)
+    findings = run_findings(rows, station, outcome.results.noise, plateaus, outcome.reason)
     del rows
     outcome.release()
     free_memory()  # which the modules that are imported now use again

@@ -41,6 +41,16 @@ class RunOutcome:
         return run_ending(self.ended, self.reason)
 
     @property
+    def contradicting_dwell(self) -> int | None:
+        """Number of the dwell that ended the run, with the reason as its flag; None where none did."""
+        faults = {each.row.dwell: each.setup_fault for each in self.dwells}
+        faults |= {each.marks.dwell: each.setup_fault for each in self.check_dwells}
+        # The last one: dwells that an earlier attempt measured may have the same flag.
+        return max(
+            (number for number, fault in faults.items() if fault and fault == self.reason), default=None
+        )
+
+    @property
     def is_safe(self) -> bool:
         """Whether every action at the end succeeded."""
         return not any(action.problem for action in self.safe_state)

@@ -286,7 +286,9 @@ def verdict_boxes(content: RunContent) -> list[Box]:
         boxes.append(Box(VERDICT_COLOURS["marginal"], "Coefficients in doubt.", text))
     if found := budget_box(content.budget):
         boxes.append(found)
-    findings = run_findings(content.dwells, content.station, content.noise, content.joint_plateaus)
+    findings = run_findings(
+        content.dwells, content.station, content.noise, content.joint_plateaus, content.reason
+    )
     boxes += [Box("failed", title, text) for title, text in findings.items()]
     if text := signs_sentence(facts, content.station, RunFolder.station):
         boxes.append(Box(VERDICT_COLOURS["marginal"], "Signal map not tested.", text))

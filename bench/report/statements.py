@@ -146,13 +146,15 @@ def run_findings(
     station: Mapping[str, Any],
     noise: NoiseEstimate | None,
     plateaus: Sequence[JointPlateauRow],
+    reason: str = "",
 ) -> dict[str, str]:
     """What makes the results of a run doubtful, by title: see the sentences of this module.
 
-    ``station``: content of the station file. ``plateaus``: as for :func:`setup_sentences`.
+    ``station``: content of the station file. ``plateaus``: as for :func:`setup_sentences`. ``reason``: why
+    the run did not finish, which is stated elsewhere.
     """
     found = {
-        "Most dwells are flagged.": flags_sentence(rows),
+        "Most dwells are flagged.": flags_sentence(rows, reason),
         "Temperatures of the gyros.": temperatures_sentence(rows),
         "Drifting accelerometers.": accelerometers_sentence(rows, station),
         "Declared noise.": noise_sentence(noise, station),
@@ -162,10 +164,11 @@ def run_findings(
     return {title: text for title, text in found.items() if text}
 
 
-def flags_sentence(rows: Sequence[DwellRow]) -> str:
+def flags_sentence(rows: Sequence[DwellRow], reason: str = "") -> str:
     """The most frequent flag where flags keep half of the dwells out of the results; else empty.
 
-    Flags that differ in their numbers alone count as the same.
+    Flags that differ in their numbers alone count as the same. Empty where that flag is the ``reason`` why
+    the run did not finish.
     """
     kinds: defaultdict[str, list[str]] = defaultdict(list)
     for text in (flag_text(row.flags) for row in rows if row.flags):
@@ -174,6 +177,8 @@ def flags_sentence(rows: Sequence[DwellRow]) -> str:
     if not rows or 2 * flagged < len(rows):
         return ""
     most = max(kinds.values(), key=len)
+    if flag_text([reason]) in most:
+        return ""
     left_out = f"{flagged} of {counted(len(rows), 'dwell')}"
     return f"Flagged, and not in the results: {left_out}. The most frequent flag ({len(most)}): {most[0]}"
 

@@ -10,8 +10,10 @@ from rich.console import Console
 from gyrobench.bench.cli.output import EXIT_NOT_FINISHED, print_end
 from gyrobench.bench.engine.run_outcome import RunOutcome
 from gyrobench.bench.foundations.clock import VirtualClock
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal
+from tests.bench.command_line import gyrobench
 
 
 @pytest.mark.parametrize(
@@ -57,6 +59,16 @@ def test_a_wrong_station_file_is_corrected_in_the_run_folder_before_the_run_resu
     assert seal.strip() == f"gyrobench seal {tmp_path} --accept-changes"
     assert resume.strip() == f"gyrobench resume {tmp_path}"
     assert new_run.startswith("New run  correct your own station file")
+
+
+def test_the_flag_that_ends_a_run_is_printed_once(tmp_path):
+    text = find_document("stations", "emulated").read_text()
+    (tmp_path / "mine.yaml").write_text(text.replace("inner_axis: up", "inner_axis: down"))
+    done = gyrobench("run", "ten_minute_check", "--station", "mine.yaml", "--out", "run", cwd=tmp_path)
+    assert done.returncode == EXIT_NOT_FINISHED
+    printed = " ".join(done.stdout.split())
+    assert printed.count("rate_table.inner_axis has the wrong direction") == 1
+    assert "The run failed: dwell 1 contradicts the station file, see its flag above." in printed
 
 
 def test_a_wrong_station_file_without_a_dwell_needs_a_new_run_only(tmp_path):

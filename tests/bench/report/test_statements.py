@@ -166,6 +166,8 @@ def test_the_flag_that_keeps_half_of_the_dwells_out_is_stated(dwells: list[Dwell
     half = [replace(row, flags=("no signal",) if number % 2 else ()) for number, row in enumerate(dwells)]
     assert f"{len(half) // 2} of {len(half)} dwells" in flags_sentence(half)
     assert flags_sentence(half).endswith(f"({len(half) // 2}): no signal")
+    assert flags_sentence(half, "the operator stopped it") == flags_sentence(half)
+    assert flags_sentence(half, "no signal") == ""  # stated as the reason
     drifts = [replace(row, flags=(f"drifts by {number - 3:+.1f} ug/h",)) for number, row in enumerate(dwells)]
     drifts[0] = replace(drifts[0], flags=("no signal",))
     assert f"({len(drifts) - 1}): drifts by -2.0 ug/h" in flags_sentence(drifts)
