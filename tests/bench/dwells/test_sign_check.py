@@ -109,7 +109,7 @@ def fault_of_table(wrong, position):
         ("outer_axis", "west", "x_up"),
     ],
 )
-def test_a_wrong_direction_of_the_table_alone_is_named_where_the_data_tell_it_from_others(
+def test_a_wrong_direction_of_the_table_alone_is_named_where_the_data_distinguish_it(
     axis, direction, position
 ):
     fault = fault_of_table({f"rate_table.{axis}": direction}, position)
