@@ -77,9 +77,9 @@ def plan(
     The temperature profile and the positions are drawn as a PNG file; with --separability also
     separability_PROCEDURE.png, the similarity of effects.
 
-    With --json: {"procedure", "station", "duration_s", "dwells", "figure", "unsettled_soaks", "steps":
-    [{"number", "step", "what", "start_s", "duration_s", "dwell", "cycle"}]}, times from the start of the
-    plan.
+    With --json: {"procedure", "station", "duration_s", "dwells", "figure", "unsettled_soaks",
+    "unreachable_limits", "steps": [{"number", "step", "what", "start_s", "duration_s", "dwell", "cycle"}]},
+    times from the start of the plan.
 
     With --observability, for a list of rotations: the expected uncertainty of each coefficient of the
     sensors' error model, with those of gravity and latitude of the station; with --json {"rotation_list",
@@ -111,12 +111,15 @@ def plan(
 
 
 def _show_steps(job: Job, figure: Path | None, as_json: bool) -> None:
+    from gyrobench.bench.closure.planned_campaign import unreachable_limits
     from gyrobench.bench.procedure.timeline import timeline_rows, unsettled_soaks
     from gyrobench.bench.report.figures.style import save_figure
     from gyrobench.bench.report.figures.temperatures import plan_figure
     from gyrobench.bench.report.terminal.tables import timeline_table
 
     plan, soaks = job.plan, unsettled_soaks(job.plan)
+    is_noise_known = job.station.file.ins.noise != "estimated"
+    limits = unreachable_limits(plan, declared_properties(job.station)) if is_noise_known else []
     path = figure or Path(f"plan_{plan.procedure.procedure}.png")
     save_figure(plan_figure(plan), path)
     record = {
@@ -126,6 +129,7 @@ def _show_steps(job: Job, figure: Path | None, as_json: bool) -> None:
         "dwells": plan.dwell_count,
         "figure": path,
         "unsettled_soaks": soaks,
+        "unreachable_limits": limits,
         "steps": [
             {
                 "number": planned.number,
@@ -140,7 +144,10 @@ def _show_steps(job: Job, figure: Path | None, as_json: bool) -> None:
         ],
     }
     heading = ["Soaks that will probably end by at_most_s before the gyros have settled:"] if soaks else []
-    lines = [*heading, *(f"  {each}" for each in soaks), f"Figure   {path}"]
+    lines = [*heading, *(f"  {each}" for each in soaks)]
+    if limits:
+        lines.append("Acceptance limits that no unit can pass, by the noise of these dwells alone:")
+    lines += [*(f"  {each}" for each in limits), f"Figure   {path}"]
     print_result(record, as_json, timeline_table(timeline_rows(plan), plan.duration_s), *lines)
 
 

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
+from gyrobench.bench.bias.acceptance import judge
+from gyrobench.bench.bias.dwell_table import DwellRow, triple
+from gyrobench.bench.bias.verdicts import JudgedQuantity, Judgement
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.temperatures import TemperatureRecord, lag
 from gyrobench.bench.closure.thermal_course import Course, UnitThermal
 from gyrobench.bench.foundations.arrays import S_PER_H, FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.foundations.text import counted
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.procedure.plan import DwellPurpose, Plan, PlannedStep
 from gyrobench.bench.procedure.steps import Navigate, PowerOn
@@ -23,6 +28,10 @@ _MAX_STEP_S = 60.0
 _MAX_STEPS = 20_000
 #: Angle random walk of a ring laser gyro of navigation grade, deg/sqrt(h), where the station declares none.
 _TYPICAL_RANDOM_WALK = 0.001
+#: Keys of the limits of acceptance.
+_LIMITS: Mapping[JudgedQuantity, str] = MappingProxyType(
+    {"position difference": "position_difference_dph", "bias": "bias_dph"}
+)
 
 
 @dataclass(frozen=True)
@@ -111,6 +120,52 @@ def planned_campaign(plan: Plan, unit: UnitProperties) -> Campaign:
         held_out=np.zeros(len(navigations), dtype=bool),
         azimuth_deg=gather("azimuth_deg"),
     )
+
+
+def unreachable_limits(plan: Plan, unit: UnitProperties) -> list[str]:
+    """Which acceptance limits no unit can be judged to be within, even one without any bias.
+
+    By the angle random walk alone, see :func:`planned_campaign`; other contributions make it worse.
+    """
+    limits = plan.procedure.acceptance
+    if limits is None or not any(_navigations(plan.steps)):
+        return []
+    campaign = planned_campaign(plan, unit)
+    rows = [
+        DwellRow(
+            unit=campaign.unit,
+            run=str(campaign.run[index]),
+            dwell=index,
+            cycle=int(campaign.cycle[index]),
+            position=position,
+            start_s=float(campaign.start_s[index]),
+            end_s=float(campaign.end_s[index]),
+            since_power_on_s=float(campaign.since_power_on_s[index]),
+            gyro_c=triple(campaign.gyro_c[index]),
+            gyro_rate_c_per_h=triple(campaign.rate_c_per_h[index]),
+            bias_dph=triple(campaign.bias_dph[index]),
+            sigma_dph=triple(campaign.sigma_dph[index]),
+            chamber_set_c=float(campaign.set_c[index]),
+        )
+        for index, position in enumerate(campaign.position)
+    ]
+    worst: dict[JudgedQuantity, Judgement] = {}
+    for each in judge(rows, limits, width_c=plan.procedure.bin_width_c).judgements:
+        known = worst.get(each.quantity, each)
+        worst[each.quantity] = max(known, each, key=lambda judged: judged.at_most_dph)
+    texts = [
+        f"{_LIMITS[quantity]}: at best below {each.at_most_dph:.2g} deg/h ({100.0 * limits.confidence:g} %), "
+        f"limit {each.limit_dph:g} deg/h"
+        for quantity, each in worst.items()
+        if each.verdict != "pass"
+    ]
+    most_dph = math.inf if limits.bias_sigma_dph is None else limits.bias_sigma_dph
+    if beyond := int((campaign.sigma_dph > most_dph).any(axis=1).sum()):
+        texts.append(
+            f"bias_sigma_dph: up to {campaign.sigma_dph.max():.2g} deg/h, above the limit of "
+            f"{most_dph:g} deg/h in {beyond} of {counted(len(rows), 'dwell')}"
+        )
+    return texts
 
 
 def _navigations(steps: Sequence[PlannedStep]) -> Iterator[_Navigation]:

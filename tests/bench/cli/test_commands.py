@@ -12,6 +12,7 @@ import pytest
 
 from gyrobench.bench.bias.dwell_table import read_dwells, write_dwells
 from gyrobench.bench.cli.output import EXIT_INSTRUMENT, EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
+from gyrobench.bench.foundations.shipped import find_document
 from tests.bench.command_line import PROCESS, gyrobench
 from tests.bench.report.made_up_closure import made_up_rows
 
@@ -186,6 +187,17 @@ def test_plan_prints_the_timeline_and_draws_the_profile_without_an_instrument(tm
     assert re.search(r"4\d:\d\d", result.stdout)
     assert (tmp_path / "plan.png").read_bytes().startswith(b"\x89PNG")
     assert max(map(len, result.stdout.splitlines())) <= 80
+
+
+def test_a_plan_states_acceptance_limits_that_its_dwells_can_not_reach(tmp_path):
+    text = find_document("procedures", "six_position_fig7").read_text()
+    (tmp_path / "strict.yaml").write_text(text.replace("difference_dph: 0.006", "difference_dph: 0.001"))
+    heading = "Acceptance limits that no unit can pass, by the noise of these dwells alone:"
+    printed = gyrobench("plan", "strict.yaml", cwd=tmp_path).stdout
+    text = "position_difference_dph: at best below 0.0017 deg/h (95 %), limit 0.001 deg/h"
+    assert f"{heading}\n  {text}\n" in printed
+    assert max(map(len, printed.splitlines())) <= 80
+    assert heading not in gyrobench("plan", "six_position_fig7", cwd=tmp_path).stdout
 
 
 @pytest.mark.long

@@ -1,12 +1,15 @@
 """The campaign predicted from a plan, compared with a run of the plan."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.cli.plan import declared_properties
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.planned_campaign import UnitProperties, planned_campaign
+from gyrobench.bench.closure.planned_campaign import UnitProperties, planned_campaign, unreachable_limits
+from gyrobench.bench.foundations.documents import parse_document
 from gyrobench.bench.foundations.errors import MeasurementError
 from tests.bench.closure.plans import dwell, planned, shipped, station
 
@@ -35,6 +38,39 @@ def test_a_dwell_lasts_from_its_first_navigation_to_the_end_of_its_last(fig7):
 def test_the_uncertainty_is_the_random_walk_over_the_time_of_navigation(fig7):
     _, campaign = fig7
     np.testing.assert_allclose(campaign.sigma_dph, 0.0006 / np.sqrt(1200.0 / 3600.0))
+
+
+def limits_beyond(acceptance, cycles=1):
+    walk_dph = 0.0006 / np.sqrt(1200.0 / 3600.0)  # of a dwell on the emulated bench
+    values = {key: float(factor * walk_dph) for key, factor in acceptance.items()}
+    positions = dwell("z_up") + dwell("z_down")
+    loop = "".join(f"      {line}\n" for line in positions.splitlines())
+    steps = f"  - repeat:\n      over: {{cycle: {[*range(1, cycles + 1)]}}}\n      steps:\n{loop}"
+    text = f"procedure: test\nacceptance: {values}\nsteps:\n  - power_on: {{settle_s: 80000}}\n{steps}"
+    plan = station().plan_document(parse_document(text, Path("test.yaml")))
+    return unreachable_limits(plan, declared_properties(station()))
+
+
+def test_a_limit_that_even_equal_biases_can_not_pass_is_named():
+    """Single-sided 95 % of a difference of two dwells: 1.645 * sqrt(2) = 2.33 times the sigma of one."""
+    assert limits_beyond({"position_difference_dph": 2.5}) == []
+    [text] = limits_beyond({"position_difference_dph": 2.2})
+    assert text.startswith("position_difference_dph: at best below 0.0024 deg/h (95 %), limit")
+    assert limits_beyond({"position_difference_dph": 2.2}, cycles=2) == []
+
+
+def test_limits_of_biases_and_of_their_uncertainty_are_named_too():
+    found = limits_beyond({"position_difference_dph": 9.0, "bias_dph": 1.6})
+    assert [text.partition(":")[0] for text in found] == ["bias_dph"]
+    [text] = limits_beyond({"position_difference_dph": 9.0, "bias_dph": 9.0, "bias_sigma_dph": 0.9})
+    assert text.startswith("bias_sigma_dph: up to 0.001 deg/h, above the limit of")
+    assert text.endswith("in 2 of 2 dwells")
+
+
+@pytest.mark.parametrize("procedure", ["six_position_fig7", "rotations", "signal_map_check"])
+def test_shipped_limits_can_be_passed(procedure):
+    _, plan = shipped(procedure)
+    assert unreachable_limits(plan, declared_properties(station())) == []
 
 
 def test_each_power_on_begins_a_run():
