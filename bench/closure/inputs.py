@@ -76,7 +76,7 @@ def _advice_without_dwells(folder: RunFolder) -> str:
     entries = read_journal(folder.journal)
     if any(purpose_of(entry.get("marks")) is DwellPurpose.ROTATIONS for entry in entries):
         return "Rotations need a dwell (align, navigate, turn, navigate) before them at the same set point"
-    return "Search a run with dwells (align, navigate, turn, navigate)"
+    return "Search a run with finished dwells (align, navigate, turn, navigate)"
 
 
 def coefficient_columns(quantity: Quantity) -> list[tuple[str, str]]:

@@ -178,7 +178,8 @@ def test_close_on_an_interrupted_run_without_dwells_does_not_speak_of_rotations(
         journal.record("run_started", procedure="ten_minute_check", station="emulated")
     answer = gyrobench("close", "run", cwd=tmp_path)
     assert answer.returncode == 2
-    assert answer.stderr.endswith("nothing to search. Continue it with `gyrobench resume run`\n")
+    assert answer.stderr.startswith("run: the run has not finished. Resume it with: gyrobench resume run\n")
+    assert "nothing to search. Search a run with finished dwells" in answer.stderr
     with Journal(tmp_path / "run" / "journal.jsonl", VirtualClock()) as journal:
         journal.record("dwell_finished", marks={"dwell": 1, "is_rotated": True}, flags="")
     assert "Rotations need a dwell" in gyrobench("close", "run", cwd=tmp_path).stderr
