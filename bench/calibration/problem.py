@@ -37,12 +37,12 @@ _MAX_ROUNDS, _CONVERGED, _MAX_STEP = 15, 0.1, 0.05
 #: After a step that multiplies the sum by more than this, steps are along fewer directions: those that the
 #: data determine better by this factor.
 _WORSE, _FEWER = 2.0, 10.0
-#: Something else explains the residuals where it reduces chi2 to this part; below this many times its degrees
-#: of freedom, less the uncertainty of noise that is declared, chi2 can't fall that far.
+#: Something else explains the residuals where it reduces chi2 to this part. A chi2 below this many times its
+#: degrees of freedom can't fall that far unless the noise is less than half of the declared one.
 _EXPLAINED, _MIN_EXPLICABLE = 0.1, 2.5
-#: By an error of the latitude below this, rad, chi2 falls by the square of it in units of its uncertainty, and
-#: the sum over minutes by less than this many times as much.
-_SMALL_ANGLE, _MOST_GAIN = 0.01, 2.0
+#: For an error of the latitude below this, rad, chi2 falls by the square of the error in units of its
+#: uncertainty; chi2 of sums over minutes by at most this many times as much.
+_SMALL_ANGLE, _MAX_CHI2_RATIO = 0.01, 2.0
 #: Below this probability the noise alone does not explain the residuals.
 UNEXPLAINED_P_VALUE = 1e-3
 #: Smallest relative error of the time that is looked for.
@@ -295,10 +295,8 @@ class CalibrationProblem:
     def _at_another_latitude(self, found: Estimates) -> CalibrationProblem | None:
         """The same problem at the latitude that the data show, if there is one that may explain a misfit."""
         correction, sigma = found.information.latitude_correction()
-        latitude, left = (
-            self.site.latitude + correction,
-            found.fit.chi2 - _MOST_GAIN * (correction / sigma) ** 2,
-        )
+        latitude = self.site.latitude + correction
+        left = found.fit.chi2 - _MAX_CHI2_RATIO * (correction / sigma) ** 2
         is_linear = abs(correction) < _SMALL_ANGLE
         if abs(latitude) >= 0.5 * np.pi or (is_linear and not _is_explained(left, found.fit)):
             return None
