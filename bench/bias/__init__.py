@@ -5,8 +5,9 @@ navigation again. A bias is the error of a gyro's rate, positive where the gyro 
 axis.
 
 ``bias_filter`` estimates the biases of a ``dwell``: ``parameters`` has the error model, ``window_filter``
-whitens each window by the ``noise_model``, ``bias_steps`` tests for a change within the dwell, and
-``error_split`` and ``budget`` give the sources of the uncertainty. ``paper`` is the paper's estimator,
-``joint_solution`` solves the dwells of a plateau together, and ``noise_estimate`` gives the noise by
-``allan`` variances. ``dwell_table`` and ``bins`` are the tables of results, which ``acceptance`` judges.
+whitens each window by the ``noise_model``, ``bias_steps`` tests for a change within the dwell and ``damping``
+for an INS that damps its velocity, and ``error_split`` and ``budget`` give the sources of the uncertainty.
+``paper`` is the paper's estimator, ``joint_solution`` solves the dwells of a plateau together, and
+``noise_estimate`` gives the noise by ``allan`` variances. ``dwell_table`` and ``bins`` are the tables of
+results, which ``acceptance`` judges.
 """

@@ -14,15 +14,15 @@ white sum stays at one standard deviation, a slow one grows with the number of e
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 
 from gyrobench.bench.bias import parameters, window_filter
 from gyrobench.bench.bias.bias_steps import MIN_STEP_P_VALUE, BiasStep, WindowChange, find_bias_step
-from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, TurnPath
+from gyrobench.bench.bias.damping import Damping
+from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, RestOutput, TurnPath
 from gyrobench.bench.bias.error_split import ErrorPart, ErrorParts, noise_parts, prior_parts
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.parameters import PriorKnowledge
@@ -34,57 +34,13 @@ from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vect
 from gyrobench.bench.navigation.earth import EARTH_RATE, earth_rate_enu
 from gyrobench.bench.navigation.error_model import STATES, Site, integrate, unit_walks
 
-#: A rate of damping of which nothing is known beforehand, 1/s; and the least one that is reported: what a
-#: slower one does to the biases is small.
-_WIDE_DAMPING, _MIN_DAMPING = 1.0, 0.5 / 3600.0
-#: Share of its uncertainty in one dwell that is the same in all dwells of a unit.
-_COMMON_SHARE = 0.3
+#: A rate of damping of which nothing is known beforehand, 1/s.
+_WIDE_DAMPING = 1.0
 #: A latitude error of which nothing is known beforehand, rad.
 _WIDE_LATITUDE = 0.1
 #: A change of an acceleration of which nothing is known beforehand, m/s^2; and the p-value above which
 #: accelerometers count as settled.
 _WIDE_ACCELERATION, _MAX_TRANSIENT_P_VALUE = 0.1, 0.01
-
-
-@dataclass(frozen=True, slots=True)
-class Damping:
-    """Rate at which an INS damps its velocity, with its standard uncertainty, 1/s."""
-
-    FLAG: ClassVar = "the INS damps its velocity"
-
-    rate: float
-    sigma: float
-
-    @property
-    def p_value(self) -> float:
-        """Probability of at least this rate in an INS that is free inertial; damping is never negative."""
-        return 0.5 * math.erfc(self.rate / self.sigma / math.sqrt(2.0))
-
-    def shows(self, p_value: float) -> bool:
-        """Whether the INS damps its velocity: at a rate that matters, rarer by chance than this."""
-        return self.rate >= _MIN_DAMPING and self.p_value < p_value
-
-    @property
-    def text(self) -> str:
-        """Message for an INS that damps its velocity."""
-        return (
-            f"{self.FLAG} with a time constant of {1.0 / self.rate:.0f} s, so that the biases "
-            "of the level gyros are wrong. Switch it to free inertial navigation"
-        )
-
-    @classmethod
-    def mean(cls, several: Sequence[Damping]) -> Damping:
-        """Mean of several dwells of one INS, weighted by the inverse squares of their uncertainties.
-
-        Its uncertainty is that of the scatter, and of what the dwells have in common: how accelerometers
-        settle, and biases that follow the temperature within a dwell. ``several``: one or more, 1/s.
-        """
-        rates = np.array([each.rate for each in several])
-        weights = np.array([each.sigma**-2.0 for each in several])
-        rate = weights @ rates / weights.sum()
-        scatter = weights @ (rates - rate) ** 2 / max(len(rates) - 1, 1)
-        common = _COMMON_SHARE**2 * len(rates) if len(rates) > 1 else 0.0
-        return cls(float(rate), float(np.sqrt((max(scatter, 1.0) + common) / weights.sum())))
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,40 +157,23 @@ class BiasFilter:
         self._expansions.append(_expansion(state, C_nb, self._earth_rate))
         self._prior_root = parameters.prior_root(self._prior, len(self._windows), self._earth_rate)
 
-    def add(
-        self,
-        time_s: FloatArray,
-        velocity_en_mps: FloatArray,
-        C_nb: FloatArray,
-        gyro_c: FloatArray | None = None,
-        accelerometer_c: FloatArray | None = None,
-    ) -> None:
+    def add(self, rest: RestOutput) -> None:
         """Add the next epochs of the present window.
 
-        Raises MeasurementError if no window has begun, or something is not a number.
-
-        Parameters
-        ----------
-        time_s : ndarray, shape (n,)
-            On the clock of the INS; the first epoch of each second is used.
-        velocity_en_mps : ndarray, shape (n, 2)
-            Velocity East and North.
-        C_nb : ndarray, shape (n, 3, 3)
-            Attitude that the INS computes.
-        gyro_c : ndarray, shape (n, 3), optional
-            Temperatures of the gyros; the biases may change with them.
-        accelerometer_c : ndarray, shape (n,), optional
-            Temperature of the accelerometers likewise.
+        The first epoch of each second is used. The biases of gyros and accelerometers may change with their
+        temperatures, where these are known. Raises MeasurementError if no window has begun, or something is
+        not a number.
         """
         if not self._windows:
             raise MeasurementError("epochs need a window that they belong to: begin one first")
-        if not all(np.isfinite(each).all() for each in (time_s, velocity_en_mps, C_nb)):
+        time_s, velocity_en_mps = rest.time_s, rest.velocity_enu_mps[:, :2]
+        if not all(np.isfinite(each).all() for each in (time_s, velocity_en_mps, rest.C_nb)):
             raise MeasurementError(f"an epoch after {time_s[0]:.3f} s is not a number")
         chosen = self._windows[-1].choose(time_s)
         if len(chosen):
-            temperatures = self._from_first(_temperatures(len(time_s), gyro_c, accelerometer_c)[chosen])
+            temperatures = self._from_first(_temperatures(rest)[chosen])
             self._last_k = temperatures[-1]
-            self._windows[-1].add(time_s[chosen], velocity_en_mps[chosen], C_nb[chosen], temperatures)
+            self._windows[-1].add(time_s[chosen], velocity_en_mps[chosen], rest.C_nb[chosen], temperatures)
 
     def estimate(self, complete: bool = False) -> StateSpaceEstimate:
         """Estimate the biases from what has been added so far.
@@ -426,12 +365,13 @@ class BiasFilter:
         return goodness_of_fit(time_s, sums, responses, values, covariance)
 
 
-def _temperatures(count: int, gyro_c: FloatArray | None, accelerometer_c: FloatArray | None) -> FloatArray:
+def _temperatures(rest: RestOutput) -> FloatArray:
     """Temperatures (n, 4) of the gyros and the accelerometers; NaN where they are not known."""
+    count = len(rest.time_s)
     return np.column_stack(
         [
-            np.full((count, 3), np.nan) if gyro_c is None else gyro_c,
-            np.full(count, np.nan) if accelerometer_c is None else accelerometer_c,
+            np.full((count, 3), np.nan) if rest.gyro_c is None else rest.gyro_c,
+            np.full(count, np.nan) if rest.accelerometer_c is None else rest.accelerometer_c,
         ]
     )
 
@@ -463,9 +403,7 @@ def _filtered(dwell: Dwell, site: Site, noise: NoiseModel, prior: PriorKnowledge
     for number, window in enumerate(dwell.windows):
         turn = dwell.turns[number - 1] if number else None
         bias_filter.begin_window(window.time_s[0], window.C_nb[0], turn)
-        bias_filter.add(
-            window.time_s, window.velocity_enu_mps[:, :2], window.C_nb, window.gyro_c, window.accelerometer_c
-        )
+        bias_filter.add(window)
     return bias_filter
 
 
@@ -478,9 +416,7 @@ def navigation_fit(
     """
     bias_filter = BiasFilter(site, noise, prior)
     bias_filter.begin_window(window.time_s[0], window.C_nb[0])
-    bias_filter.add(
-        window.time_s, window.velocity_enu_mps[:, :2], window.C_nb, window.gyro_c, window.accelerometer_c
-    )
+    bias_filter.add(window)
     return bias_filter.goodness_of_fit()
 
 

@@ -120,9 +120,7 @@ def bias_from_velocity(
     window = _only_window(dwell)
     bias_filter = BiasFilter(site, noise, prior)
     bias_filter.begin_window(window.time_s[0], window.C_nb[0])
-    bias_filter.add(
-        window.time_s, window.velocity_enu_mps[:, :2], window.C_nb, window.gyro_c, window.accelerometer_c
-    )
+    bias_filter.add(window)
     information = bias_filter.information()
     mean, root = _aligned_prior(window.C_nb[0], align_s, site, noise, prior, accelerometers)
     values, covariance = solve(information.rows, information.data - information.rows @ mean, root)

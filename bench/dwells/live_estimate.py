@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from gyrobench.bench.bias.bias_filter import BiasFilter, StateSpaceEstimate
+from gyrobench.bench.bias.dwell import RestOutput
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.window_filter import whiten
 from gyrobench.bench.dwells.measure_dwell import MeasurementSetup, rest_output
@@ -30,7 +31,8 @@ def compile_estimator(setup: MeasurementSetup) -> float:
     noise = setup.noise or _ANY_NOISE
     bias_filter = BiasFilter(setup.site, noise, setup.prior)
     bias_filter.begin_window(0.0, np.eye(3))
-    bias_filter.add(np.arange(2.0), np.zeros((2, 2)), np.tile(np.eye(3), (2, 1, 1)), np.zeros((2, 3)))
+    attitude = np.tile(np.eye(3), (2, 1, 1))
+    bias_filter.add(RestOutput(np.arange(2.0), np.zeros((2, 3)), attitude, gyro_c=np.zeros((2, 3))))
     bias_filter.goodness_of_fit()
     return clock.now() - begin_s if whiten.compilations > count else 0.0
 
@@ -105,6 +107,4 @@ class LiveEstimate:
             turn = self._setup.turn(self._begun[-1], mark, navigation, first_frame) if self._begun else None
             bias_filter.begin_window(rest.time_s[0], rest.C_nb[0], turn)
             self._begun.append(mark)
-        bias_filter.add(
-            rest.time_s, rest.velocity_enu_mps[:, :2], rest.C_nb, rest.gyro_c, rest.accelerometer_c
-        )
+        bias_filter.add(rest)

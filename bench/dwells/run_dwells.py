@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from gyrobench.bench.bias.bias_filter import Damping
+from gyrobench.bench.bias.damping import Damping
 from gyrobench.bench.dwells.measure_dwell import MeasuredDwell
 from gyrobench.bench.dwells.setup_check import setup_fault
 from gyrobench.bench.dwells.temperatures import stuck_sensors

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrobench.bench.bias.bias_filter import Damping
+from gyrobench.bench.bias.damping import Damping
 from gyrobench.bench.bias.dwell import Dwell, NavigationWindow
 from gyrobench.bench.bias.noise_model import NoiseModel, rounding_sigma
 from gyrobench.bench.bias.parameters import PriorKnowledge

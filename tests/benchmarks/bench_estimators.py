@@ -20,7 +20,7 @@ import numpy as np
 from scipy.stats import kstest
 
 from gyrobench.bench.bias.bias_filter import BiasFilter, StateSpaceEstimate, estimate_state_space
-from gyrobench.bench.bias.dwell import Dwell
+from gyrobench.bench.bias.dwell import Dwell, RestOutput
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.paper import estimate_paper
 from gyrobench.bench.bias.parameters import PriorKnowledge
@@ -365,7 +365,7 @@ def recursive(dwell: Dwell, chunk: int, noise: NoiseModel) -> StateSpaceEstimate
         )
         for start in range(0, len(window.time_s), chunk):
             part = slice(start, start + chunk)
-            bias_filter.add(window.time_s[part], window.velocity_enu_mps[part, :2], window.C_nb[part])
+            bias_filter.add(RestOutput(window.time_s[part], window.velocity_enu_mps[part], window.C_nb[part]))
     return bias_filter.estimate()
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.bias.bias_filter import BiasFilter, estimate_state_space
+from gyrobench.bench.bias.dwell import RestOutput
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.foundations.errors import MeasurementError
@@ -107,6 +108,12 @@ def test_the_bias_is_exact_with_any_azimuths_and_turns(stops_deg):
     assert np.abs(error_dph(dwell)).max() < EXACT_DPH
 
 
+def epochs(rest, part):
+    """Some epochs of an output at rest."""
+    temperatures = (None if each is None else each[part] for each in (rest.gyro_c, rest.accelerometer_c))
+    return RestOutput(rest.time_s[part], rest.velocity_enu_mps[part], rest.C_nb[part], *temperatures)
+
+
 def feed(dwell, sizes, noise=NOISE):
     """A filter that got the epochs of a dwell in chunks of these sizes, again and again."""
     bias_filter = BiasFilter(site(), noise, DEFAULT)
@@ -116,13 +123,7 @@ def feed(dwell, sizes, noise=NOISE):
         )
         edges = [0, *np.cumsum(sizes * len(window.time_s))]
         for a, b in pairwise(edge for edge in edges if edge < len(window.time_s) + max(sizes)):
-            part = slice(a, b)
-            temperatures = (
-                None if each is None else each[part] for each in (window.gyro_c, window.accelerometer_c)
-            )
-            bias_filter.add(
-                window.time_s[part], window.velocity_enu_mps[part, :2], window.C_nb[part], *temperatures
-            )
+            bias_filter.add(epochs(window, slice(a, b)))
     return bias_filter
 
 
@@ -148,7 +149,7 @@ def test_uncertainty_falls_while_the_dwell_goes_on():
     bias_filter.begin_window(after.time_s[0], after.C_nb[0], dwell.turns[0])
     sigmas = []
     for part in np.split(np.arange(len(after.time_s)), [2, 60, 180, 300, 450]):
-        bias_filter.add(after.time_s[part], after.velocity_enu_mps[part, :2], after.C_nb[part])
+        bias_filter.add(epochs(after, part))
         sigmas.append(bias_filter.estimate().sigma_dph)
     assert np.all(np.diff(sigmas, axis=0) < 0.0)
     np.testing.assert_allclose(sigmas[-1], estimate(dwell).sigma_dph, rtol=1e-9)
@@ -212,7 +213,7 @@ def test_refuses_an_estimate_before_there_is_navigation_after_the_turn():
         bias_filter.estimate()
     before, after = dwell.windows
     bias_filter.begin_window(before.time_s[0], before.C_nb[0])
-    bias_filter.add(before.time_s, before.velocity_enu_mps[:, :2], before.C_nb)
+    bias_filter.add(before)
     with pytest.raises(MeasurementError, match="a window after the first one needs the turn"):
         bias_filter.begin_window(after.time_s[0], after.C_nb[0])
     bias_filter.begin_window(after.time_s[0], after.C_nb[0], dwell.turns[0])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gyrobench.bench.bias.bias_filter import Damping
+from gyrobench.bench.bias.damping import Damping
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.dwells.measure_dwell import MeasurementSetup, estimate_dwell

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrobench.bench.bias.bias_filter import Damping
+from gyrobench.bench.bias.damping import Damping
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.dwells.setup_check import drift_fault, measured_scale, setup_evidence, setup_fault
 from tests.adversarial.harness import ALL, LATITUDES_DEG, Case, any_unit, measured_dwells
