@@ -9,10 +9,11 @@ from pydantic import Field
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.error_split import SharedErrors
 from gyrobench.bench.characteristics.allan_test import RateRecord, allan_test
-from gyrobench.bench.characteristics.profile_fit import thermal_sensitivity, warm_up
 from gyrobench.bench.characteristics.results import TestName, TestResult
 from gyrobench.bench.characteristics.scale_factor import MIN_MEASUREMENTS, SpinRecord, scale_factor_stability
+from gyrobench.bench.characteristics.thermal_sensitivity import thermal_sensitivity
 from gyrobench.bench.characteristics.turn_on import MIN_POWER_CYCLES, turn_on_repeatability
+from gyrobench.bench.characteristics.warm_up import warm_up
 from gyrobench.bench.foundations.documents import StrictModel
 from gyrobench.bench.foundations.errors import MeasurementError
 

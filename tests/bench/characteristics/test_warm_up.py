@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gyrobench.bench.characteristics.profile_fit import warm_up
 from gyrobench.bench.characteristics.results import Coefficient
+from gyrobench.bench.characteristics.warm_up import warm_up
 from gyrobench.bench.foundations.errors import MeasurementError
 from tests.bench.characteristics.simulated_rows import cold_start, holds
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrobench.bench.characteristics.profile_fit import thermal_sensitivity
+from gyrobench.bench.characteristics.thermal_sensitivity import thermal_sensitivity
 from gyrobench.bench.foundations.errors import MeasurementError
 from tests.bench.characteristics.simulated_rows import holds, over_temperature, power_cycles
 
