@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gyrobench.bench.bias.bias_filter import StateSpaceEstimate, estimate_state_space
-from gyrobench.bench.bias.dwell import Dwell, NavigationWindow, TurnPath
+from gyrobench.bench.bias.dwell import Dwell, NavigationWindow, RestOutput, TurnPath
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.dwells.output_checks import rounding
@@ -297,14 +297,29 @@ def estimate_bias(
     MeasurementError
         The data can't be used: the message says which and why.
     """
-    time, velocity, C_nb = (
-        _numbers(values, what)
-        for values, what in (
-            (times_s, "times_s"),
-            (velocity_enu_mps, "velocity_enu_mps"),
-            (attitude, "attitude"),
-        )
+    output = _output(times_s, velocity_enu_mps, attitude, case_c)
+    lsb = (velocity_lsb_mps, heading_lsb_rad)
+    if not all(np.isfinite(value) and value >= 0 for value in (arw_deg_per_sqrt_h, vrw_ug_per_sqrt_hz, *lsb)):
+        raise MeasurementError("noise and output resolution of the INS must be finite and not negative")
+    if position not in POSITIONS:
+        raise MeasurementError(f"there is no position '{position}'; the positions are {', '.join(POSITIONS)}")
+    windows, turns = _windows_and_turns(output, windows_s)
+    at_rest: tuple[FloatArray, ...] = tuple(window.C_nb[0] for window in windows)
+    dwell = Dwell(position, float(np.deg2rad(azimuth_deg)), windows, at_rest, turns)
+    noise = NoiseModel.from_datasheet(arw_deg_per_sqrt_h, vrw_ug_per_sqrt_hz, *lsb).at_least(
+        *rounding(windows, *lsb)
     )
+    site = Site(float(np.deg2rad(latitude_deg)), height_m)
+    return estimate_state_space(dwell, site, noise, prior or PriorKnowledge())
+
+
+def _output(
+    times_s: ArrayLike, velocity_enu_mps: ArrayLike, attitude: ArrayLike, case_c: ArrayLike | None
+) -> RestOutput:
+    """Navigation output of all windows and the turns between them; raises MeasurementError."""
+    time = _numbers(times_s, "times_s")
+    velocity = _numbers(velocity_enu_mps, "velocity_enu_mps")
+    C_nb = _numbers(attitude, "attitude")
     if C_nb.shape != (time.size, 3, 3) or velocity.shape != (time.size, 3) or time.ndim != 1:
         raise MeasurementError(
             f"times {time.shape}, velocities {velocity.shape} and attitudes {C_nb.shape} "
@@ -312,18 +327,21 @@ def estimate_bias(
         )
     if not np.all(np.isfinite(time)) or np.any(np.diff(time) < 0):
         raise MeasurementError("times_s must be finite and increase from epoch to epoch")
-    bounds_s = _numbers(windows_s, "windows_s")
-    if bounds_s.ndim != 2 or bounds_s.shape[1] != 2 or not np.all(bounds_s[:, 0] < bounds_s[:, 1]):
-        raise MeasurementError("windows_s must be pairs of first and last time, the first before the last")
-    lsb = (velocity_lsb_mps, heading_lsb_rad)
-    if not all(np.isfinite(value) and value >= 0 for value in (arw_deg_per_sqrt_h, vrw_ug_per_sqrt_hz, *lsb)):
-        raise MeasurementError("noise and output resolution of the INS must be finite and not negative")
     velocity[:, 2] = 0.0
     temperature = None if case_c is None else _numbers(case_c, "case_c")
     if temperature is not None and temperature.shape != time.shape:
         raise MeasurementError(f"{time.size} times with case temperatures {temperature.shape}; each has one")
-    if position not in POSITIONS:
-        raise MeasurementError(f"there is no position '{position}'; the positions are {', '.join(POSITIONS)}")
+    return RestOutput(time, velocity, C_nb, accelerometer_c=temperature)
+
+
+def _windows_and_turns(
+    output: RestOutput, windows_s: Sequence[tuple[float, float]]
+) -> tuple[tuple[NavigationWindow, ...], tuple[TurnPath, ...]]:
+    """The output in each window, and the attitude from each window to the next; raises MeasurementError."""
+    bounds_s = _numbers(windows_s, "windows_s")
+    if bounds_s.ndim != 2 or bounds_s.shape[1] != 2 or not np.all(bounds_s[:, 0] < bounds_s[:, 1]):
+        raise MeasurementError("windows_s must be pairs of first and last time, the first before the last")
+    time, C_nb, temperature = output.time_s, output.C_nb, output.accelerometer_c
     spans = [
         (int(np.searchsorted(time, first)), int(np.searchsorted(time, last, "right")))
         for first, last in bounds_s
@@ -331,7 +349,7 @@ def estimate_bias(
     windows = tuple(
         NavigationWindow(
             time[a:b],
-            velocity[a:b],
+            output.velocity_enu_mps[a:b],
             C_nb[a:b],
             accelerometer_c=None if temperature is None else temperature[a:b],
         )
@@ -341,13 +359,7 @@ def estimate_bias(
         TurnPath(time[end - 1 : begin + 1], C_nb[end - 1 : begin + 1])
         for (_, end), (begin, _) in itertools.pairwise(spans)
     )
-    at_rest: tuple[FloatArray, ...] = tuple(window.C_nb[0] for window in windows)
-    dwell = Dwell(position, float(np.deg2rad(azimuth_deg)), windows, at_rest, turns)
-    noise = NoiseModel.from_datasheet(arw_deg_per_sqrt_h, vrw_ug_per_sqrt_hz, *lsb).at_least(
-        *rounding(windows, *lsb)
-    )
-    site = Site(float(np.deg2rad(latitude_deg)), height_m)
-    return estimate_state_space(dwell, site, noise, prior or PriorKnowledge())
+    return windows, turns
 
 
 def close_loop(

@@ -95,11 +95,10 @@ def _constants(rows: Sequence[DwellRow]) -> FloatArray:
     """Columns (n, k) of the constant of each power cycle and of each position but one, and of the drift."""
     if not rows:
         return np.zeros((0, 1))
-    power_cycles, positions = (
-        indicators([getattr(row, name) for row in rows]) for name in ("run", "position")
-    )
+    power_cycles = indicators([row.run for row in rows])
+    positions = indicators([row.position for row in rows])[:, 1:]
     begun_h = np.array([row.start_s for row in rows]) / 3600.0
-    return np.column_stack([power_cycles, positions[:, 1:], begun_h - begun_h.mean()])
+    return np.column_stack([power_cycles, positions, begun_h - begun_h.mean()])
 
 
 def _histories(temperature: FloatArray, rate: FloatArray, lasted_s: FloatArray) -> list[FloatArray]:
