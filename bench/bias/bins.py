@@ -202,10 +202,8 @@ class PositionComparison:
     #: bin_low_c, bin_high_c: Range of the gyro's temperature.
     bin_low_c: float
     bin_high_c: float
-    positions: tuple[str, ...]  #: Those measured in this bin, two or more.
-    bias_dph: float  #: Weighted mean over the positions.
     #: Probability of differences at least as large if the positions were equal: the chi-square test of
-    #: homogeneity with ``len(positions) - 1`` degrees of freedom.
+    #: homogeneity with a degree of freedom for each position but one.
     p_value: float
     largest_pair: tuple[str, str]  #: The two positions that differ most, the higher bias first.
     #: largest_difference_dph, largest_difference_sigma_dph: By how much, and its standard uncertainty.
@@ -237,8 +235,6 @@ def _compared(group: Sequence[BiasBin]) -> PositionComparison:
         gyro=group[0].gyro,
         bin_low_c=group[0].bin_low_c,
         bin_high_c=group[0].bin_high_c,
-        positions=tuple(each.position for each in group),
-        bias_dph=mean.value,
         p_value=mean.p_value,
         largest_pair=(high.position, low.position),
         largest_difference_dph=high.bias_dph - low.bias_dph,

@@ -124,12 +124,6 @@ class Budget:
             return Combined.of(self.contributions)
         return None
 
-    def share(self, contribution: Contribution) -> float:
-        """Share of the stated variance; NaN for what is not part of it."""
-        if not contribution.is_within or math.isnan(contribution.sigma):
-            return math.nan
-        return (contribution.sigma / self.stated.sigma) ** 2
-
 
 @dataclass(frozen=True, slots=True)
 class BiasBudget:

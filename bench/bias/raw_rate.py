@@ -137,7 +137,6 @@ class RateEstimate:
 class UpDownEstimate:
     """Bias of a gyro and vertical Earth rate from two opposite attitudes."""
 
-    axis: str  #: "x", "y" or "z".
     #: bias_radps, bias_sigma_radps: Bias of that gyro and its standard uncertainty.
     bias_radps: float
     bias_sigma_radps: float
@@ -198,9 +197,7 @@ def up_down_pair(up: RateRecording, down: RateRecording, axis: str) -> UpDownEst
     turned_up, variance_up = _vertical_rate(up, axis, 1.0)
     turned_down, variance_down = _vertical_rate(down, axis, -1.0)
     sigma = 0.5 * float(np.sqrt(variance_up + variance_down))
-    return UpDownEstimate(
-        axis, 0.5 * (turned_up - turned_down), sigma, 0.5 * (turned_up + turned_down), sigma
-    )
+    return UpDownEstimate(0.5 * (turned_up - turned_down), sigma, 0.5 * (turned_up + turned_down), sigma)
 
 
 _CHECK = "Check the recording"

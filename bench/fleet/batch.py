@@ -326,7 +326,6 @@ def _effect_sizes(index: RunIndex, runs: Sequence[Mapping[str, Any]]) -> dict[Ef
     return {
         EffectSize(effect): [
             RunBias(
-                run["path"],
                 run["unit"],
                 run["started_utc"],
                 found.get((run["path"], effect), 0.0),

@@ -293,7 +293,7 @@ class Investigator:
 
         ``again``: also where that left it open, or fits neither with the cause nor without it.
         """
-        tested = self._tests(CONFIRM, rivals[0].names)
+        tested = self._confirmations(rivals[0].names)
         is_enough = tested and (not again or tested[-1].is_clear or len(tested) == MAX_TESTS)
         if not rivals[0].names or is_enough:
             return None
@@ -326,10 +326,10 @@ class Investigator:
         blocks = (each for each in self._stages if each.purpose == DISTINGUISH and each.outcome)
         return sum(1 for _ in blocks) >= PATIENCE
 
-    def _tests(self, purpose: str, names: tuple[str, ...]) -> list[Outcome]:
-        """Outcomes of the blocks that tested something."""
-        tests = [each for each in self._stages if each.purpose == purpose and each.rivals[0].names == names]
-        return [each.outcome for each in tests if each.outcome]
+    def _confirmations(self, names: tuple[str, ...]) -> list[Outcome]:
+        """Outcomes of the blocks that were to confirm these effects."""
+        blocks = [each for each in self._stages if each.purpose == CONFIRM and each.rivals[0].names == names]
+        return [each.outcome for each in blocks if each.outcome]
 
     def _searched(self) -> Stage:
         closure = searched(self._bench.campaign(self._rows), self._held_out)
@@ -344,7 +344,7 @@ class Investigator:
         """Why an investigation ends after a search, None if not; ``is_last`` as in :meth:`_confirmation`."""
         posterior = stage.closure.posterior
         names = tuple(sorted(stage.closure.names))
-        tested = next(reversed(self._tests(CONFIRM, names)), None)
+        tested = next(reversed(self._confirmations(names)), None)
         is_confirmed = is_confirmed_by(
             each.confirmation
             for each in self._stages

@@ -104,9 +104,9 @@ def value_axis(title: str, values: Iterable[float], min_span: float) -> Axis:
     return _with_ticks(axis, step, lambda value: true_minus(f"{value:z.{decimals}f}"))
 
 
-def _number_axis(title: str, values: Iterable[float], min_span: float) -> Axis:
-    """Make a level axis that covers the finite values, as :func:`value_axis`."""
-    axis = replace(value_axis(title, values, min_span), is_upright=False)
+def _temperature_axis(temperatures_c: Iterable[float]) -> Axis:
+    """Make a level axis that covers the finite temperatures, as :func:`value_axis`."""
+    axis = replace(value_axis("Gyro temperature, °C", temperatures_c, _MIN_SPAN_C), is_upright=False)
     return replace(axis, ticks=tuple(Tick(100.0 - tick.percent, tick.text) for tick in axis.ticks))
 
 
@@ -224,7 +224,7 @@ def _temperature_chart(gyro: str, bins: Sequence[LiveBin], scale: BiasScale) -> 
         point = (each.low_c + each.high_c) / 2.0, scale.factor * each.bias_dph
         points.setdefault(each.position, []).append(point)
     everything = [point for of_position in points.values() for point in of_position]
-    x = _number_axis("Gyro temperature, °C", [point[0] for point in everything], _MIN_SPAN_C)
+    x = _temperature_axis(point[0] for point in everything)
     y = value_axis(f"Bias, {scale.unit}", [point[1] for point in everything], _MIN_SPAN_BIAS)
     curves = tuple(
         CurvePath(f"position {position}", line(x, y, *zip(*sorted(points[position]), strict=True)), label)

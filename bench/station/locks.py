@@ -76,7 +76,6 @@ class _LockFile:
     """A locked file with its holder's identity in it."""
 
     def __init__(self, path: Path, mode: int) -> None:
-        self.path = path
         self._descriptor = _opened(path, mode)
         self.held = False
 

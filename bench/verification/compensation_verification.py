@@ -95,7 +95,6 @@ class CompensationResult:
 class PairedPlateau:
     """One plateau in all runs."""
 
-    number: int  #: From 1, as in the rows.
     #: rows, checks: Of each run, in the order of the runs; None where a run lacks the plateau.
     rows: tuple[VerificationRow | None, ...]
     checks: tuple[ResidualCheck | None, ...]
@@ -141,7 +140,7 @@ class VerificationResult:
         ]
         return tuple(
             PairedPlateau(
-                number, tuple(each.get(number) for each in rows), tuple(each.get(number) for each in checks)
+                tuple(each.get(number) for each in rows), tuple(each.get(number) for each in checks)
             )
             for number in sorted({number for each in rows for number in each})
         )

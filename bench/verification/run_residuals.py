@@ -24,7 +24,6 @@ from gyrobench.bench.navigation.rotational_ins import (
     NAUTICAL_MILE_M,
     SIX_POSITIONS,
     PositionError,
-    RotationScheme,
     bias_by_position,
     rotate_for,
     rotate_for_each,
@@ -145,10 +144,8 @@ class DayOfNavigation:
     noise_nmi: float
 
 
-def day_of_navigation(
-    rows: Iterable[DwellRow], site: Site, scheme: RotationScheme = SIX_POSITIONS
-) -> DayOfNavigation:
-    """Turn the biases of one temperature by a scheme for a day.
+def day_of_navigation(rows: Iterable[DwellRow], site: Site) -> DayOfNavigation:
+    """Turn the biases of one temperature through the six positions for a day.
 
     ``rows``: in all six positions; several in one position are averaged, those with flags are left
     out. Raises MeasurementError if a position was not measured.
@@ -161,10 +158,10 @@ def day_of_navigation(
         )
     means = {name: _mean([row for row in good if row.position == name]) for name in POSITIONS}
     error = rotate_for(
-        DAY_S, scheme, bias_by_position({name: mean for name, (mean, _) in means.items()}), site
+        DAY_S, SIX_POSITIONS, bias_by_position({name: mean for name, (mean, _) in means.items()}), site
     )
     sigmas = np.array([means[name][1] for name in POSITIONS]).ravel()
-    distances_m = np.hypot(*np.einsum("k,kct->ct", sigmas**2, _responses(site, scheme) ** 2) ** 0.5)
+    distances_m = np.hypot(*np.einsum("k,kct->ct", sigmas**2, _responses(site) ** 2) ** 0.5)
     return DayOfNavigation(error, float(distances_m.max()) / NAUTICAL_MILE_M)
 
 
@@ -178,9 +175,9 @@ def _mean(rows: list[DwellRow]) -> tuple[FloatArray, FloatArray]:
 
 
 @lru_cache(maxsize=4)
-def _responses(site: Site, scheme: RotationScheme) -> FloatArray:
+def _responses(site: Site) -> FloatArray:
     """Way East and North, m per deg/h, for each gyro in each position: shape (18, 2, n)."""
     nothing = dict.fromkeys(POSITIONS, np.zeros(3))
     alone = [nothing | {name: unit} for name in POSITIONS for unit in _UNIT_DPH * np.eye(3)]
-    error = rotate_for_each(DAY_S, scheme, alone, site)
+    error = rotate_for_each(DAY_S, SIX_POSITIONS, alone, site)
     return np.stack([error.east_m.T, error.north_m.T], axis=1) / _UNIT_DPH

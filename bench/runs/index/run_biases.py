@@ -29,9 +29,7 @@ LEVEL = "level"
 class RunBias:
     """One quantity in one run."""
 
-    #: path, unit: The run, and its INS.
-    path: str
-    unit: str
+    unit: str  #: Its INS.
     started_utc: datetime  #: Its start.
     #: bias_dph, sigma_dph: Value and standard uncertainty.
     bias_dph: float
@@ -116,7 +114,6 @@ def _combined(rows: Sequence[Mapping[str, Any]], weights: np.ndarray[Any, np.dty
     sigma_dph = np.array([row["sigma_dph"] for row in rows])
     first = rows[0]
     return RunBias(
-        first["path"],
         first["unit"],
         first["started_utc"],
         float(weights @ bias_dph),

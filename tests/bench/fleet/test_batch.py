@@ -24,14 +24,13 @@ def batch(rng, units=10, names=(LEVEL,), outlier=("", "", 0.0), spread_dph=SPREA
             own[0] += outlier[2] if (gyro, name) == outlier[:2] else 0.0
             values[BiasQuantity(gyro, 20.0, 25.0, name, POSITIONS)] = [
                 RunBias(
-                    f"{unit}-{run}",
                     f"{unit}",
                     datetime(2026, 1, 1),
                     0.004 + own[unit] + rng.normal(0.0, np.hypot(BETWEEN_RUNS_DPH, sigmas[unit])),
                     sigmas[unit],
                 )
                 for unit in range(units)
-                for run in range(runs[unit])
+                for _ in range(runs[unit])
             ]
     return values
 
@@ -74,7 +73,7 @@ def test_the_spread_of_units_and_runs_is_recovered_within_its_uncertainty():
 def test_a_unit_that_its_runs_show_badly_is_drawn_to_the_batch():
     values = batch(np.random.default_rng(5))
     quantity, runs = next(iter(values.items()))
-    values[quantity] = [*runs, RunBias("n", "noisy", datetime(2026, 1, 1), 0.014, 0.01)]
+    values[quantity] = [*runs, RunBias("noisy", datetime(2026, 1, 1), 0.014, 0.01)]
     stats = next(each for each in fit_batch(values) if each.quantity == quantity)
     units = {unit.unit: unit for unit in stats.units}
     assert abs(units["noisy"].shrunken_dph - stats.mean_dph) < 0.2 * abs(0.014 - stats.mean_dph)
@@ -93,10 +92,7 @@ def test_without_repeated_runs_there_is_no_scatter_between_them_to_show():
 
 def test_the_size_of_an_effect_that_one_unit_alone_has_stands_out():
     sizes = [0.0] * 9 + [0.005]
-    runs = [
-        RunBias(f"{number}", f"{number}", datetime(2026, 1, 1), size, 0.0003)
-        for number, size in enumerate(sizes)
-    ]
+    runs = [RunBias(f"{number}", datetime(2026, 1, 1), size, 0.0003) for number, size in enumerate(sizes)]
     ((stats, unit),) = outliers(fit_batch({EffectSize("thermal_lag"): runs}))
     assert (unit.unit, stats.quantity.label) == ("9", "effect thermal lag")
 

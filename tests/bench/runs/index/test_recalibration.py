@@ -21,7 +21,7 @@ KINDS = {
 def runs_of(unit, months, biases):
     start = datetime(2026, 1, 1)
     return [
-        RunBias("run", unit, start + timedelta(days=MONTH_DAYS * month), float(bias), SIGMA_DPH)
+        RunBias(unit, start + timedelta(days=MONTH_DAYS * month), float(bias), SIGMA_DPH)
         for month, bias in zip(months, biases, strict=True)
     ]
 

@@ -20,7 +20,7 @@ QUANTITIES = [BiasQuantity(gyro, 20.0, 25.0, LEVEL, ("z_up",)) for gyro in "xyz"
 def runs(biases, sigma=0.001, months=1.0):
     start = datetime(2026, 1, 1)
     return [
-        RunBias(f"{number}", "1", start + timedelta(days=MONTH_DAYS * months * number), float(bias), sigma)
+        RunBias("1", start + timedelta(days=MONTH_DAYS * months * number), float(bias), sigma)
         for number, bias in enumerate(biases)
     ]
 
