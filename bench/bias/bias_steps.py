@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrobench.bench.bias.statistics import chi2_p_value
-from gyrobench.bench.bias.window_filter import COLUMNS, DATA, MEASURED_STATES, WindowFilter
+from gyrobench.bench.bias.window_filter import COLUMN_COUNT, DATA, MEASURED_STATES, WindowFilter
 from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, FloatArray, IntArray
 from gyrobench.bench.foundations.kernels import compiled
 from gyrobench.bench.navigation.error_model import STATES
@@ -81,13 +81,11 @@ def find_bias_step(
             np.ascontiguousarray(epochs.response[:, :, :_GYROS] @ window.C_nb), np.append(tried, -1),
         )  # fmt: skip
         # The columns of a window, and the state and biases at its end, for the parameters and the data.
-        for_parameters = np.zeros((COLUMNS + size, count + 1))
-        for_parameters[:DATA, : expansion.shape[1]], for_parameters[DATA, -1], for_parameters[COLUMNS:] = (
-            expansion,
-            1.0,
-            later,
-        )
-        response, to_end = responses[:-1, STATES:] @ for_parameters, responses[:-1, STATES:, COLUMNS:]
+        for_parameters = np.zeros((COLUMN_COUNT + size, count + 1))
+        for_parameters[:DATA, : expansion.shape[1]] = expansion
+        for_parameters[DATA, -1] = 1.0
+        for_parameters[COLUMN_COUNT:] = later
+        response, to_end = responses[:-1, STATES:] @ for_parameters, responses[:-1, STATES:, COLUMN_COUNT:]
         times.append(epochs.time_s[tried])
         scores.append(response[:, :, -1] - response[:, :, :-1] @ parameters)
         response = response[:, :, :-1]
@@ -99,7 +97,7 @@ def find_bias_step(
         if number:
             back = np.eye(size)
             back[:STATES] = np.hstack([changes[number - 1].transition, changes[number - 1].by_bias])
-            to_end = responses[-1, :, COLUMNS:]
+            to_end = responses[-1, :, COLUMN_COUNT:]
             later = back.T @ responses[-1] @ for_parameters
             later_information = back.T @ (information[-1] + to_end @ later_information @ to_end.T) @ back
     time_s, score, variance = (np.concatenate(each) for each in (times, scores, variances))

@@ -9,19 +9,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, overload
 
+from gyrobench.bench.foundations.arrays import Triple
 from gyrobench.bench.foundations.csv_tables import CsvTable, format_csv, read_text, write_text
 from gyrobench.bench.foundations.text import flag_text, format_number
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
-
-#: Values of the x, y and z gyro.
-Triple = tuple[float, float, float]
-
-
-def triple(values: Iterable[float]) -> Triple:
-    """Values of the x, y and z gyro as plain numbers."""
-    x, y, z = map(float, values)
-    return x, y, z
-
 
 _SCALARS = ("azimuth_deg", "start_s", "end_s", "since_power_on_s", "chamber_set_c", "chamber_c", "case_c")
 _TRIPLES = {

@@ -36,7 +36,7 @@ _MIN_WHITE = np.array([1e-7, 1e-7, 1e-10])
 
 @dataclass
 class _Block:
-    total: FloatArray = field(default_factory=lambda: np.zeros((3, COLUMNS)))
+    total: FloatArray = field(default_factory=lambda: np.zeros((3, COLUMN_COUNT)))
     times_s: list[float] = field(default_factory=list)
 
 
@@ -103,10 +103,10 @@ class WindowFilter:
         self._blocks: dict[int, _Block] = {}
         self.C_nb = np.ascontiguousarray(C_nb)
         self.covariance = covariance
-        self.columns = np.zeros((STATES, COLUMNS))
+        self.columns = np.zeros((STATES, COLUMN_COUNT))
         self.columns[:, :INPUT] = np.eye(STATES)
         self.columns[:, DATA] = known
-        self.root = np.zeros((0, COLUMNS))
+        self.root = np.zeros((0, COLUMN_COUNT))
         self.last_s = math.nan
         self.temperature_sum = np.zeros(4)
         self.epochs = 0
@@ -150,7 +150,7 @@ class WindowFilter:
             steps.covariance,
             driven,
         )
-        self.root = compress(np.vstack([self.root, rows.reshape(-1, COLUMNS)]))
+        self.root = compress(np.vstack([self.root, rows.reshape(-1, COLUMN_COUNT)]))
         self._filtered.append((time_s, rows, gains, scales, steps.transition, steps.response))
         self._sum_up(time_s, rows)
         self.last_s, self._last_velocity = float(time_s[-1]), velocity_en_mps[-1]
@@ -180,7 +180,7 @@ class WindowFilter:
 #: follow the temperature of each gyro, accelerations East and North that follow that of the
 #: accelerometers, others that decay, damping of the velocity, the data.
 STATE, INPUT, HEADING, SLOPE, ACCELEROMETER_SLOPE, TRANSIENT, DAMPING, DATA = 0, 6, 11, 12, 15, 17, 19, 20
-COLUMNS = 21
+COLUMN_COUNT = 21
 
 
 #: Components of the state that the data of an epoch measure: velocity East and North, attitude about Up.
@@ -222,17 +222,17 @@ def whiten(
     gains, scales : ndarray, shape (n, 3, 6), (n, 3)
         Gain of the filter at each datum, and what makes its innovation one of unit variance.
     """
-    rows = np.empty((measured.shape[0], 3, COLUMNS))
+    rows = np.empty((measured.shape[0], 3, COLUMN_COUNT))
     gains, scales = np.empty((measured.shape[0], 3, 6)), np.empty((measured.shape[0], 3))
-    moved, before = np.empty((6, COLUMNS)), np.empty((6, 6))
+    moved, before = np.empty((6, COLUMN_COUNT)), np.empty((6, 6))
     for k in range(measured.shape[0]):
         transition, response = transitions[k], responses[k]
         for i in range(6):
-            for c in range(COLUMNS):
+            for c in range(COLUMN_COUNT):
                 moved[i, c] = 0.0
             for j in range(6):
                 factor = transition[i, j]
-                for c in range(COLUMNS):
+                for c in range(COLUMN_COUNT):
                     moved[i, c] += factor * columns[j, c]
             for j in range(INPUTS):
                 moved[i, INPUT + j] += response[i, j]
@@ -255,18 +255,18 @@ def whiten(
             variance = covariance[h, h] + variances[m]
             gain = covariance[h] / variance
             row = rows[k, m]
-            for c in range(COLUMNS):
+            for c in range(COLUMN_COUNT):
                 row[c] = columns[h, c]
             row[DATA] += measured[k, m]
             if m == 2:
                 row[HEADING] += 1.0
             for i in range(6):
-                for c in range(COLUMNS):
+                for c in range(COLUMN_COUNT):
                     columns[i, c] -= gain[i] * row[c]
                 for j in range(6):
                     covariance[i, j] -= gain[i] * gain[j] * variance
             scale = 1.0 / np.sqrt(variance)
             gains[k, m], scales[k, m] = gain, scale
-            for c in range(COLUMNS):
+            for c in range(COLUMN_COUNT):
                 row[c] *= scale
     return rows, gains, scales

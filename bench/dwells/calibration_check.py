@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gyrobench.bench.bias.dwell_table import DwellRow, Triple
+from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.plateaus import MAX_FROM_MEAN_K, group_plateaus
 from gyrobench.bench.dwells.calibration_check_bias import (
     AxisBias,
@@ -20,7 +20,7 @@ from gyrobench.bench.dwells.calibration_check_bias import (
 from gyrobench.bench.dwells.check_dwell import CheckDwell
 from gyrobench.bench.dwells.earlier_calibration import EarlierCalibration
 from gyrobench.bench.dwells.measure_dwell import MeasurementSetup
-from gyrobench.bench.foundations.arrays import UG_TO_MPS2, FloatArray
+from gyrobench.bench.foundations.arrays import UG_TO_MPS2, FloatArray, Triple
 from gyrobench.bench.foundations.text import flag_text
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, half_turn_pairs
 from gyrobench.bench.runs.marks import DwellMarks

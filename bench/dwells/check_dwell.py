@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from gyrobench.bench.bias.bias_filter import navigation_fit
 from gyrobench.bench.bias.dwell import Dwell
-from gyrobench.bench.bias.dwell_table import NOT_MEASURED, Triple
+from gyrobench.bench.bias.dwell_table import NOT_MEASURED
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.window_filter import EPOCH_S
 from gyrobench.bench.dwells.measure_dwell import (
@@ -20,6 +20,7 @@ from gyrobench.bench.dwells.measure_dwell import (
 )
 from gyrobench.bench.dwells.setup_check import raise_setup_fault
 from gyrobench.bench.dwells.temperatures import DwellTemperatures, dwell_temperatures
+from gyrobench.bench.foundations.arrays import Triple
 from gyrobench.bench.foundations.errors import MeasurementError, SignalMapError
 from gyrobench.bench.runs.marks import DwellMarks
 from gyrobench.drivers.frames import FrameBlock

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from gyrobench.bench.bias.dwell_table import DwellRow, Triple, read_dwells
+from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.bias.statistics import weighted_mean
 from gyrobench.bench.dwells.calibration_check_bias import KnownAccelerometers
-from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, STANDARD_GRAVITY, UG_TO_MPS2, FloatArray
+from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, STANDARD_GRAVITY, UG_TO_MPS2, FloatArray, Triple
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 from gyrobench.bench.runs.folder import RunFolder

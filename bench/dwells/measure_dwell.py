@@ -13,7 +13,7 @@ import numpy as np
 from gyrobench.bench.bias.bias_filter import StateSpaceEstimate, estimate_state_space
 from gyrobench.bench.bias.budget import BudgetInputs
 from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, RestOutput, TurnPath
-from gyrobench.bench.bias.dwell_table import NEIGHBOURS_ON, NOT_MEASURED, DwellRow, triple
+from gyrobench.bench.bias.dwell_table import NEIGHBOURS_ON, NOT_MEASURED, DwellRow
 from gyrobench.bench.bias.error_split import ErrorParts
 from gyrobench.bench.bias.joint_solution import JointInformation
 from gyrobench.bench.bias.noise_estimate import RestMotion, estimate_noise
@@ -38,7 +38,7 @@ from gyrobench.bench.dwells.temperatures import (
     temperatures_at,
     valid_temperatures,
 )
-from gyrobench.bench.foundations.arrays import ARCSEC_TO_RAD, UG_TO_MPS2, BoolArray
+from gyrobench.bench.foundations.arrays import ARCSEC_TO_RAD, UG_TO_MPS2, BoolArray, triple
 from gyrobench.bench.foundations.errors import MeasurementError, SignalMapError
 from gyrobench.bench.foundations.text import flag_text
 from gyrobench.bench.navigation.earth import NORMAL_GRAVITY_SIGMA, earth_rate_enu

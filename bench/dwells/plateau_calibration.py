@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from gyrobench.bench.bias.budget import Budget, coefficient_budget
-from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow, Triple, triple
+from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow
 from gyrobench.bench.bias.joint_solution import JointDwell, JointSolution
 from gyrobench.bench.bias.plateaus import MAX_FROM_MEAN_K, plateau_key
 from gyrobench.bench.bias.statistics import chi2_p_value, lowest_polynomial
@@ -29,7 +29,7 @@ from gyrobench.bench.calibration.joint_coefficients import joint_coefficients
 from gyrobench.bench.calibration.results import coefficient_rows
 from gyrobench.bench.dwells.measure_dwell import MeasurementSetup
 from gyrobench.bench.dwells.rotations import OF_GYROS, PlateauRotations, enclosing
-from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.arrays import FloatArray, Triple, triple
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 from gyrobench.bench.runs.tables.coefficient_table import COMMON_SOURCES, PlateauCoefficientRow
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrobench.bench.bias.dwell_table import Triple
 from gyrobench.bench.calibration.recording import MIN_REST_TOTAL_S, IncrementRecording, Rest
 from gyrobench.bench.dwells.measure_dwell import (
     MeasurementSetup,
@@ -20,7 +19,7 @@ from gyrobench.bench.dwells.measure_dwell import (
     rest_output,
 )
 from gyrobench.bench.dwells.temperatures import dwell_temperatures
-from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.arrays import FloatArray, Triple
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vectors
 from gyrobench.bench.navigation.earth import EARTH_RATE, curvature_radii

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from gyrobench.bench.bias.dwell_table import NOT_MEASURED, Triple, triple
+from gyrobench.bench.bias.dwell_table import NOT_MEASURED
 from gyrobench.bench.bias.plateaus import MAX_FROM_MEAN_K, plateau_key
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, CoefficientEstimate
 from gyrobench.bench.calibration.estimator import Calibration, calibrate, covariances_by_source
@@ -18,7 +18,7 @@ from gyrobench.bench.calibration.spins import spin_scale_factors
 from gyrobench.bench.characteristics.scale_factor import SpinRecord
 from gyrobench.bench.dwells.measure_dwell import MeasurementSetup
 from gyrobench.bench.dwells.rotated_dwell import RotatedDwell, measure_rotations
-from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.foundations.arrays import FloatArray, Triple, triple
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.runs.marks import DwellMarks

@@ -19,7 +19,7 @@ import numpy as np
 from gyrobench.bench.bias.acceptance import judge
 from gyrobench.bench.bias.bins import BiasBin, bin_biases, write_bins
 from gyrobench.bench.bias.budget import BiasBudget, BudgetedDwell, bin_budgets, dwell_budgets, with_budgets
-from gyrobench.bench.bias.dwell_table import DwellRow, Triple, read_dwells, write_dwells
+from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells, write_dwells
 from gyrobench.bench.bias.error_sources import SOURCES
 from gyrobench.bench.bias.error_split import SharedErrors, shared_errors
 from gyrobench.bench.bias.joint_solution import JointDwell, JointSolution, pooled_up_rate, solve_jointly
@@ -40,7 +40,7 @@ from gyrobench.bench.dwells.recorded_dwells import (
     rotated_marks,
 )
 from gyrobench.bench.dwells.rotations import RunRotations, spin_record
-from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN, RADPS_TO_DPH
+from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN, RADPS_TO_DPH, Triple
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.files import remove
 from gyrobench.bench.navigation.positions import POSITIONS

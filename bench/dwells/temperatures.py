@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow, Triple, triple
-from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
+from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow
+from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, Triple, triple
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.positions import AXES
 from gyrobench.drivers.ins.navigation_data import NavigationData, Temperatures

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow, Triple, triple, write_dwells
+from gyrobench.bench.bias.dwell_table import NOT_MEASURED, DwellRow, write_dwells
 from gyrobench.bench.exchange.import_map import LogMap, load_log_map
 from gyrobench.bench.exchange.log_windows import SampleReader, Window, cut_windows
 from gyrobench.bench.exchange.window_checks import (
@@ -24,7 +24,7 @@ from gyrobench.bench.exchange.window_checks import (
     temperature_resolution_c,
     temperature_warnings,
 )
-from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, FloatArray
+from gyrobench.bench.foundations.arrays import RADPS_TO_DPH, FloatArray, Triple, triple
 from gyrobench.bench.foundations.csv_tables import write_text
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.files import file_sha256

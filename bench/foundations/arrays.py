@@ -1,6 +1,8 @@
-"""Types of numpy arrays, root mean squares, matrices made of blocks, and factors between units and SI."""
+"""Arrays and values by axis: their types, root mean squares, matrices made of blocks, units in SI."""
 
 from __future__ import annotations
+
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -9,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
+#: Values of the x, y and z axis, or of their gyros, in rows of tables.
+Triple = tuple[float, float, float]
 
 #: Gravity by definition, m/s^2: the g of specifications in ug.
 STANDARD_GRAVITY = 9.80665
@@ -28,6 +32,12 @@ DEG_PER_SQRT_H_TO_SI = np.pi / 180.0 / 60.0
 UG_TO_MPS2 = 1e-6 * STANDARD_GRAVITY
 #: One ug/sqrt(Hz) (velocity random walk) in m/s/sqrt(s).
 UG_PER_SQRT_HZ_TO_SI = UG_TO_MPS2
+
+
+def triple(values: Iterable[float]) -> Triple:
+    """Values of three axes as plain numbers."""
+    x, y, z = map(float, values)
+    return x, y, z
 
 
 def rms(values: ArrayLike) -> float:

@@ -8,10 +8,10 @@ from functools import cached_property
 
 import numpy as np
 
-from gyrobench.bench.bias.dwell_table import DwellRow, Triple, triple
+from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.thermal_course import ELECTRONICS_ABOVE_OPTICS_K, Course, UnitThermal
-from gyrobench.bench.foundations.arrays import S_PER_H, FloatArray
+from gyrobench.bench.foundations.arrays import S_PER_H, FloatArray, Triple, triple
 from gyrobench.bench.investigation.external_bench import BlockPlan, ChamberStep, DwellStep, PowerStep
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.procedure.estimate import ThermalEstimate

@@ -10,15 +10,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrobench.bench.foundations.arrays import FloatArray, IntArray
+from gyrobench.bench.foundations.arrays import FloatArray, IntArray, Triple
 from gyrobench.bench.foundations.kernels import compiled
 from gyrobench.drivers.frames import FrameBlock
 from gyrobench.drivers.ins.attitude import EulerSequence
 from gyrobench.drivers.ins.dbc_codec import DbcCodec
 from gyrobench.drivers.ins.readout import Alignment, InsMode, Readout
 from gyrobench.drivers.ins.signal_map import BoundSignal, SignalMap
-
-Triple = tuple[float, float, float]
 
 #: Age from which values count as unknown.
 STALE_S = 5.0

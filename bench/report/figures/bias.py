@@ -18,8 +18,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from gyrobench.bench.bias.bins import BiasBin, PositionComparison, paper_bins
-from gyrobench.bench.bias.dwell_table import DwellRow, Triple, paper_rows
-from gyrobench.bench.foundations.arrays import FloatArray
+from gyrobench.bench.bias.dwell_table import DwellRow, paper_rows
+from gyrobench.bench.foundations.arrays import FloatArray, Triple
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
 from gyrobench.bench.report.figures.style import (
     BARS,

@@ -19,7 +19,7 @@ from gyrobench.bench.foundations.arrays import FloatArray, IntArray
 from gyrobench.bench.foundations.kernels import compiled
 from gyrobench.drivers.emulators.can_formats import FRAME_S, CanFormat, execute_command
 from gyrobench.drivers.emulators.world.inertial_unit import SAMPLE_RATE_HZ, Epochs, Mode
-from gyrobench.drivers.emulators.world.ins_compensation import COEFFICIENTS, table_checksum
+from gyrobench.drivers.emulators.world.ins_compensation import COEFFICIENT_COUNT, table_checksum
 from gyrobench.drivers.emulators.world.strapdown import euler_output
 from gyrobench.drivers.frames import FRAME_DTYPE, FrameBlock
 
@@ -69,7 +69,7 @@ class GyrobenchFormat(CanFormat):
             execute_command(self._world.unit, data[0], data[1])
         elif message.arbitration_id == COMPENSATION_NUMBER and len(data) == 8:
             axis, index, value = struct.unpack("<BBxxf", data)
-            if axis < 3 and index < COEFFICIENTS and np.isfinite(value):
+            if axis < 3 and index < COEFFICIENT_COUNT and np.isfinite(value):
                 self._world.unit.loaded_table[axis, index] = value
 
     @override

@@ -51,7 +51,7 @@ class Slot(IntEnum):
 
 
 #: Number of coefficients of each gyro and accelerometer; of these for the gyro's bias.
-COEFFICIENTS, _OF_BIAS = 84, 28
+COEFFICIENT_COUNT, _OF_BIAS = 84, 28
 #: Numbers of each coefficient beyond the gyros' biases, and those of its polynomial.
 _EACH, _DEGREES = 8, 4
 _PPM, _ARCSEC, _MICRO_G = 1e-6, math.radians(1.0) / 3600.0, 9.80665e-6
@@ -67,7 +67,7 @@ _FILTER_S = 120.0
 
 def empty_table() -> FloatArray:
     """A table (3, 84) that subtracts nothing."""
-    table = np.zeros((3, COEFFICIENTS))
+    table = np.zeros((3, COEFFICIENT_COUNT))
     table[:, Slot.LOW_C] = -100.0
     table[:, Slot.HIGH_C] = 150.0
     return table

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gyrobench.bench.bias.window_filter import COLUMNS, DATA, HEADING, INPUT, SLOPE, STATE, whiten
+from gyrobench.bench.bias.window_filter import COLUMN_COUNT, DATA, HEADING, INPUT, SLOPE, STATE, whiten
 from gyrobench.bench.navigation.error_model import Site, integrate
 
 VARIANCES = np.array([1e-3, 1e-3, 2e-6]) ** 2
@@ -19,7 +19,7 @@ class Case:
         self.steps = integrate(Site(0.6), self.intervals, *WALKS)
         self.measured = random.standard_normal((epochs, 3)) * [0.1, 0.1, 1e-5]
         self.driven = random.standard_normal((epochs, 5, DATA - SLOPE))
-        self.columns, self.covariance = np.zeros((6, COLUMNS)), np.zeros((6, 6))
+        self.columns, self.covariance = np.zeros((6, COLUMN_COUNT)), np.zeros((6, 6))
         self.columns[:, :INPUT] = np.eye(6)
 
     def whiten(self, part=slice(None)):
@@ -33,7 +33,7 @@ class Case:
     def dense(self):
         """Responses (3 n, c) and covariance (3 n, 3 n) of all epochs at once, epoch by epoch."""
         count = len(self.measured)
-        responses, covariance = np.zeros((count, 3, COLUMNS)), np.zeros((count, 3, count, 3))
+        responses, covariance = np.zeros((count, 3, COLUMN_COUNT)), np.zeros((count, 3, count, 3))
         state, spread = self.columns.copy(), self.covariance.copy()
         for k in range(count):
             F, response = self.steps.transition[k], self.steps.response[k]
@@ -50,13 +50,13 @@ class Case:
                 covariance[j, :, k] = later[MEASURED]
                 covariance[k, :, j] = later[MEASURED].T
         dense = covariance.reshape(3 * count, 3 * count)
-        return responses.reshape(-1, COLUMNS), dense + np.diag(np.tile(VARIANCES, count))
+        return responses.reshape(-1, COLUMN_COUNT), dense + np.diag(np.tile(VARIANCES, count))
 
 
 def test_white_rows_are_generalised_least_squares():
     case = Case()
     responses, covariance = case.dense()
-    rows = case.whiten().reshape(-1, COLUMNS)
+    rows = case.whiten().reshape(-1, COLUMN_COUNT)
     expected = responses.T @ np.linalg.solve(covariance, responses)
     scale = np.outer(*(np.sqrt(np.diag(expected)),) * 2)
     np.testing.assert_allclose(rows.T @ rows / scale, expected / scale, rtol=0, atol=1e-7)

@@ -16,7 +16,8 @@ import pytest
 from scipy.special import chdtrc
 
 from gyrobench.bench.bias.bins import BiasBin, bin_biases, write_bins
-from gyrobench.bench.bias.dwell_table import DwellRow, Triple, write_dwells
+from gyrobench.bench.bias.dwell_table import DwellRow, write_dwells
+from gyrobench.bench.foundations.arrays import Triple
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.report.run_report import write_report

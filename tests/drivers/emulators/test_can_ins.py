@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 import gyrobench.drivers.ins
 from gyrobench.drivers.emulators.can_ins import CanInsEmulator
 from gyrobench.drivers.emulators.world.inertial_unit import AlignmentQuality, Epochs, Mode
-from gyrobench.drivers.emulators.world.ins_compensation import COEFFICIENTS, empty_table
+from gyrobench.drivers.emulators.world.ins_compensation import COEFFICIENT_COUNT, empty_table
 
 DBC = cantools.database.load_file(Path(gyrobench.drivers.ins.__file__).with_name("gyrobench_ins.dbc"))
 QUICK = {"boot_s": 1.0, "levelling_s": 1.0, "coarse_alignment_s": 2.0, "fine_alignment_s": 4.0}
@@ -317,7 +317,7 @@ def test_the_checksum_covers_other_coefficients_once_one_is_loaded(bus):
 
 
 def test_numbers_that_no_gyro_has_are_not_taken(bus):
-    for axis, index in ((3, 0), (0, COEFFICIENTS), (255, 255)):
+    for axis, index in ((3, 0), (0, COEFFICIENT_COUNT), (255, 255)):
         data = struct.pack("<BBxxf", axis, index, 1.0)
         bus.ins.receive(can.Message(arbitration_id=0x201, data=data, is_extended_id=False))
     assert np.array_equal(bus.unit.loaded_table, empty_table())
@@ -396,7 +396,7 @@ any_frame = st.builds(
         st.builds(bytes, st.tuples(st.integers(0, 8), st.integers(0, 3))),
         st.builds(
             lambda axis, index, value: struct.pack("<BBxxf", axis, index, value),
-            st.integers(0, 3), st.integers(0, COEFFICIENTS), st.floats(width=32),
+            st.integers(0, 3), st.integers(0, COEFFICIENT_COUNT), st.floats(width=32),
         ),
     ),
 )  # fmt: skip

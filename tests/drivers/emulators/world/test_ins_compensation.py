@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gyrobench.drivers.emulators.world.ins_compensation import (
-    COEFFICIENTS,
+    COEFFICIENT_COUNT,
     InsCompensation,
     Slot,
     TemperatureHistory,
@@ -150,7 +150,7 @@ def test_the_play_starts_at_power_on_however_late_it_is_applied(turning_points_c
 
 def test_the_checksum_distinguishes_tables_that_differ_in_one_number():
     tables = [empty_table()]
-    for index in range(COEFFICIENTS):
+    for index in range(COEFFICIENT_COUNT):
         tables.append(empty_table())
         tables[-1][2, index] = 1.0
     assert len({table_checksum(table) for table in tables}) == len(tables)
@@ -160,8 +160,8 @@ def test_the_checksum_distinguishes_tables_that_differ_in_one_number():
 @given(
     values=st.lists(
         st.floats(width=32, allow_nan=False, allow_infinity=False),
-        min_size=COEFFICIENTS,
-        max_size=COEFFICIENTS,
+        min_size=COEFFICIENT_COUNT,
+        max_size=COEFFICIENT_COUNT,
     )
 )
 def test_no_table_subtracts_more_than_the_gyros_can_mean(values):
