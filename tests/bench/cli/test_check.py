@@ -7,6 +7,7 @@ from typer.testing import CliRunner
 from gyrobench.bench.cli import app
 from gyrobench.bench.cli.output import EXIT_INSTRUMENT, EXIT_NOT_FINISHED
 from gyrobench.bench.foundations.shipped import find_document
+from tests.bench.engine.stations import absent_station, changed_station
 
 
 @pytest.fixture
@@ -34,15 +35,7 @@ def test_a_fault_that_is_there_ends_with_one(check, tmp_path):
 
 
 def test_a_bench_of_which_nothing_answers_ends_with_three(check, tmp_path):
-    text = find_document("stations", "emulated").read_text()
-    for old, new in {
-        "emulator://table": "/dev/no_table", "emulator://chamber": "/dev/no_chamber",
-        "interface: emulator": "interface: socketcan", "channel: ins": "channel: no_can",
-        "clock: virtual": "clock: wall",
-    }.items():  # fmt: skip
-        text = text.replace(old, new)
-    (tmp_path / "station.yaml").write_text(text)
-    code, text = check(tmp_path / "station.yaml", "--out", tmp_path)
+    code, text = check(absent_station(tmp_path), "--out", tmp_path)
     assert code == EXIT_INSTRUMENT
     assert "/dev/no_chamber" in text
 
@@ -51,13 +44,9 @@ def test_a_bench_of_which_nothing_answers_ends_with_three(check, tmp_path):
     ("sign", "found"), [(1, "agree with the tilt"), (-1, "velocity_north has the wrong sign")]
 )
 def test_the_signs_of_the_signal_map_are_tested_by_a_dwell(check, tmp_path, sign, found):
-    text = find_document("stations", "emulated").read_text()
     right = "velocity_north: VELOCITY_NE.VELOCITY_NORTH"
-    assert right in text
-    station = tmp_path / "station.yaml"
-    station.write_text(
-        text.replace(right, f"velocity_north: {{signal: VELOCITY_NE.VELOCITY_NORTH, sign: {sign}}}")
-    )
+    declared = f"velocity_north: {{signal: VELOCITY_NE.VELOCITY_NORTH, sign: {sign}}}"
+    station = changed_station(tmp_path, {right: declared})
     code, text = check(station, "--signs", "--out", tmp_path / "runs")
     assert code == (0 if sign > 0 else EXIT_NOT_FINISHED)
     assert found in " ".join(text.split())

@@ -16,6 +16,18 @@ from gyrobench.bench.runs.journal import Journal
 from tests.bench.command_line import gyrobench
 
 
+def lines_of(folder, outcome):
+    """What the terminal shows of a run that did not finish; its command ends with the code for that."""
+    with Journal(folder.journal, VirtualClock()) as journal:
+        journal.record("run_started", procedure="ten_minute_check", station="emulated")
+        journal.record("run_ended", ended=outcome.ended, reason=outcome.reason, safe_state=[])
+    printed = io.StringIO()
+    with pytest.raises(typer.Exit) as ended:
+        print_end(Console(file=printed, width=80), folder, outcome, "x.yaml")
+    assert ended.value.exit_code == EXIT_NOT_FINISHED
+    return printed.getvalue().splitlines()
+
+
 @pytest.mark.parametrize(
     ("reason", "sentence"),
     [
@@ -27,33 +39,18 @@ from tests.bench.command_line import gyrobench
     ],
 )
 def test_a_stopped_run_begins_with_who_stopped_it_and_how_to_continue(tmp_path, reason, sentence):
-    folder = RunFolder(tmp_path)
-    with Journal(folder.journal, VirtualClock()) as journal:
-        journal.record("run_started", procedure="ten_minute_check", station="emulated")
-        journal.record("run_ended", ended="stopped", reason=reason, safe_state=[])
-    printed = io.StringIO()
-    with pytest.raises(typer.Exit) as ended:
-        print_end(
-            Console(file=printed, width=80), folder, RunOutcome(ended="stopped", reason=reason), "x.yaml"
-        )
-    assert ended.value.exit_code == EXIT_NOT_FINISHED
+    lines = lines_of(RunFolder(tmp_path), RunOutcome(ended="stopped", reason=reason))
     resume = f"Resume   gyrobench resume {tmp_path}"
-    lines = printed.getvalue().splitlines()
     assert lines[:2] == [sentence, resume]
     assert lines[-1] == resume
 
 
 def test_a_wrong_station_file_is_corrected_in_the_run_folder_before_the_run_resumes(tmp_path):
     folder = RunFolder(tmp_path)
-    with Journal(folder.journal, VirtualClock()) as journal:
-        journal.record("run_started", procedure="ten_minute_check", station="emulated")
-        journal.record("run_ended", ended="failed", reason="wrong", safe_state=[])
-    printed = io.StringIO()
     outcome = RunOutcome(ended="failed", reason="wrong", is_station_wrong=True, check_dwells=[Mock()])
-    with pytest.raises(typer.Exit):
-        print_end(Console(file=printed, width=80), folder, outcome, "x.yaml")
-    assert printed.getvalue().count("New run") == 1
-    *_, copy, reads, seal, resume, new_run = printed.getvalue().splitlines()
+    lines = lines_of(folder, outcome)
+    assert "\n".join(lines).count("New run") == 1
+    *_, copy, reads, seal, resume, new_run = lines
     assert copy == f"Resume   correct the copy {folder.station} or the DBC file beside it:"
     assert reads.strip().startswith("resume reads no other")
     assert seal.strip() == f"gyrobench seal {tmp_path} --accept-changes"
@@ -72,13 +69,6 @@ def test_the_flag_that_ends_a_run_is_printed_once(tmp_path):
 
 
 def test_a_wrong_station_file_without_a_dwell_needs_a_new_run_only(tmp_path):
-    folder = RunFolder(tmp_path)
-    with Journal(folder.journal, VirtualClock()) as journal:
-        journal.record("run_started", procedure="ten_minute_check", station="emulated")
-        journal.record("run_ended", ended="failed", reason="wrong", safe_state=[])
-    printed = io.StringIO()
-    outcome = RunOutcome(ended="failed", reason="wrong", is_station_wrong=True)
-    with pytest.raises(typer.Exit):
-        print_end(Console(file=printed, width=80), folder, outcome, "x.yaml")
-    assert "Resume" not in printed.getvalue()
-    assert printed.getvalue().splitlines()[-1].startswith("New run  correct your own station file")
+    lines = lines_of(RunFolder(tmp_path), RunOutcome(ended="failed", reason="wrong", is_station_wrong=True))
+    assert "Resume" not in "\n".join(lines)
+    assert lines[-1].startswith("New run  correct your own station file")

@@ -154,26 +154,9 @@ def test_it_comes_back_stopped_from_a_loss_of_power(bench):
     assert (reading.set_point_c, reading.is_on) == (60.0, False)
 
 
-def test_there_is_no_query_for_its_limits(bench):
-    with pytest.raises(RefusedError, match="read them from its panel"):
-        bench.driver().limits_c()
-
-
 def test_a_set_point_outside_the_controllers_range_is_refused(bench):
     with pytest.raises(RefusedError, match=r"SETP1,180.000 was refused with code 2"):
         bench.driver().set_temperature(180.0, None)
-
-
-@pytest.mark.parametrize(
-    ("temperature_c", "rate"),
-    [(math.nan, None), (math.inf, 1.0), (20.0, math.nan), (20.0, 0.0), (20.0, -1.0), (20.0, math.inf)],
-)
-def test_numbers_that_can_not_be_commanded_are_not_sent(bench, temperature_c, rate):
-    chamber = bench.driver()
-    bench.heard.requests.clear()
-    with pytest.raises(RefusedError, match="can't be commanded"):
-        chamber.set_temperature(temperature_c, rate)
-    assert bench.heard.requests == []
 
 
 def test_identity(bench):

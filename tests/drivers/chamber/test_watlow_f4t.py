@@ -138,26 +138,9 @@ def test_outputs_drop_with_its_power(bench):
     assert chamber.read().is_on is False
 
 
-def test_there_is_no_query_for_its_limits(bench):
-    with pytest.raises(RefusedError, match="read them from its panel"):
-        bench.driver().limits_c()
-
-
 def test_a_set_point_that_the_controller_ignores_is_refused(bench):
     with pytest.raises(RefusedError, match="holds 23 as SPOINT although 180 was written"):
         bench.driver().set_temperature(180.0, None)
-
-
-@pytest.mark.parametrize(
-    ("temperature_c", "rate"),
-    [(math.nan, None), (math.inf, 1.0), (20.0, math.nan), (20.0, 0.0), (20.0, -1.0), (20.0, math.inf)],
-)
-def test_numbers_that_can_not_be_commanded_are_not_sent(bench, temperature_c, rate):
-    chamber = bench.driver()
-    bench.heard.requests.clear()
-    with pytest.raises(RefusedError, match="can't be commanded"):
-        chamber.set_temperature(temperature_c, rate)
-    assert bench.heard.requests == []
 
 
 def test_another_loop_has_separate_commands(rig):

@@ -16,6 +16,7 @@ from gyrobench.bench.station.station import Station
 from gyrobench.drivers import ins
 from gyrobench.drivers.emulators import can_interface
 from gyrobench.drivers.emulators.bench import BenchAddress, bench_at
+from tests.bench.engine.stations import absent_station, changed_station
 
 
 @pytest.fixture
@@ -23,13 +24,9 @@ def failures_of(tmp_path):
     """Check the emulated bench with a station file changed at some places; returns failures by what."""
 
     def check(*changes, procedure=None, world="ideal", faults=""):
-        text = find_document("stations", "emulated").read_text()
-        for old, new in changes:
-            assert old in text
-            text = text.replace(old, new)
-        (tmp_path / "station.yaml").write_text(text)
+        station = changed_station(tmp_path, dict(changes))
         emulation = Emulation(world, 0, _faults_file(tmp_path, faults))
-        checks = check_bench(str(tmp_path / "station.yaml"), procedure, emulation, tmp_path)
+        checks = check_bench(str(station), procedure, emulation, tmp_path)
         return {f"{each.subject}: {each.what}": each for each in checks if each.verdict is CheckVerdict.FAIL}
 
     return check
@@ -173,9 +170,8 @@ def test_values_of_a_new_station_file_that_are_not_filled_in_are_named(failures_
 
 
 def test_a_silent_unit_that_the_operator_switches_is_skipped(tmp_path):
-    text = find_document("stations", "emulated").read_text()
-    (tmp_path / "station.yaml").write_text(text.replace("power: chamber_event", "power: operator"))
-    checks = check_bench(str(tmp_path / "station.yaml"), None, Emulation("ideal"), tmp_path)
+    station = changed_station(tmp_path, {"power: chamber_event": "power: operator"})
+    checks = check_bench(str(station), None, Emulation("ideal"), tmp_path)
     (of_unit,) = [each for each in checks if each.subject == "INS"]
     assert of_unit.verdict is CheckVerdict.SKIPPED
     assert "Switch it on" in of_unit.advice
@@ -188,15 +184,7 @@ def test_a_silent_unit_that_is_always_on_fails(failures_of):
 
 
 def test_a_bench_of_which_nothing_can_be_opened_fails_instrument_by_instrument(tmp_path):
-    text = find_document("stations", "emulated").read_text()
-    for old, new in {
-        "emulator://table": "/dev/no_table", "emulator://chamber": "/dev/no_chamber",
-        "interface: emulator": "interface: socketcan", "channel: ins": "channel: no_can",
-        "clock: virtual": "clock: wall",
-    }.items():  # fmt: skip
-        text = text.replace(old, new)
-    (tmp_path / "station.yaml").write_text(text)
-    checks = check_bench(str(tmp_path / "station.yaml"), None, Emulation(), tmp_path)
+    checks = check_bench(str(absent_station(tmp_path)), None, Emulation(), tmp_path)
     failed = [each for each in checks if each.verdict is CheckVerdict.FAIL]
     assert [each.subject for each in failed] == ["rate table", "chamber", "INS"]
     assert "/dev/no_table" in failed[0].found
