@@ -18,7 +18,8 @@ from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.files import cant_be_written, read_limited, sync_folder, write_whole
 from gyrobench.bench.foundations.operator_name import operator_name
 from gyrobench.bench.foundations.text import counted, listed
-from gyrobench.bench.runs.folder import RunFolder, part_path
+from gyrobench.bench.runs.can_log import log_path
+from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import BROKEN_LINKS, MAX_JOURNAL_BYTES, Journal, broken_links, intact_lines
 from gyrobench.bench.runs.marks import DwellMarks
 from gyrobench.bench.runs.provenance import read_provenance, start_of, write_provenance
@@ -138,7 +139,7 @@ def find_damage(folder: RunFolder, is_log_read: bool = True) -> tuple[Damage, li
                 read_frames(folder, marks)  # raises where frames are missing
             except RunFolderError:
                 lost.append(marks.dwell)
-                path = part_path(folder.can, marks.log_part, ".blf")
+                path = log_path(folder.can, marks.log_part)
                 files[path] = f"frames of dwell {marks.dwell}"
     return Damage(files, damaged_lines, is_provenance_lost, tuple(lost)), entries
 

@@ -282,7 +282,7 @@ class CanLog:
     def write(self, block: FrameBlock) -> None:
         """Add frames in the order received; readable after some hundred, or some seconds."""
         if self._part is None:
-            path = part_path(self._folder, self._next, _SUFFIX)
+            path = log_path(self._folder, self._next)
             try:
                 self._part = _OpenPart(path)
             except OSError as error:
@@ -364,6 +364,11 @@ class _OpenPart:
     def close(self) -> None:
         with contextlib.suppress(OSError):
             self._stream.close()
+
+
+def log_path(folder: Path, number: int) -> Path:
+    """Path of a part of the log, numbered from 1."""
+    return part_path(folder, number, _SUFFIX)
 
 
 def read_can_log(folder: Path, numbers: Container[int] | None = None) -> Iterator[tuple[int, FrameBlock]]:
