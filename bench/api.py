@@ -140,7 +140,7 @@ class Run:
         DocumentError
             The station or DBC file of the run is wrong.
         """
-        from gyrobench.bench.dwells.measure_dwell import measurement_setup
+        from gyrobench.bench.dwells.measurement_setup import measurement_setup
         from gyrobench.bench.station.station import Station
 
         return measurement_setup(Station(self.folder.station)).decode(self._block(dwell))

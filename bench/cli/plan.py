@@ -165,7 +165,7 @@ def _show_observability(
         load_rotation_list,
         rotation_list_text,
     )
-    from gyrobench.bench.dwells.measure_dwell import measurement_setup
+    from gyrobench.bench.dwells.measurement_setup import measurement_setup
     from gyrobench.bench.foundations.csv_tables import write_text
     from gyrobench.bench.foundations.shipped import find_document
     from gyrobench.bench.report.terminal.calibration import expected_summary

@@ -19,7 +19,7 @@ from gyrobench.bench.dwells.calibration_check_bias import (
 )
 from gyrobench.bench.dwells.check_dwell import CheckDwell
 from gyrobench.bench.dwells.earlier_calibration import EarlierCalibration
-from gyrobench.bench.dwells.measure_dwell import MeasurementSetup
+from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
 from gyrobench.bench.foundations.arrays import UG_TO_MPS2, FloatArray, Triple
 from gyrobench.bench.foundations.text import flag_text
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, half_turn_pairs

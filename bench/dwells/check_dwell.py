@@ -10,14 +10,9 @@ from gyrobench.bench.bias.dwell import Dwell
 from gyrobench.bench.bias.dwell_table import NOT_MEASURED
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.window_filter import EPOCH_S
-from gyrobench.bench.dwells.measure_dwell import (
-    MIN_FIT_P_VALUE,
-    MeasurementSetup,
-    check_signal_map,
-    decoded_navigation,
-    dwell_at_rest,
-    lack_of_fit_text,
-)
+from gyrobench.bench.dwells.dwell_output import check_signal_map, decoded_navigation, dwell_at_rest
+from gyrobench.bench.dwells.measure_dwell import MIN_FIT_P_VALUE, lack_of_fit_text
+from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
 from gyrobench.bench.dwells.setup_check import raise_setup_fault
 from gyrobench.bench.dwells.temperatures import DwellTemperatures, dwell_temperatures
 from gyrobench.bench.foundations.arrays import Triple

@@ -12,7 +12,8 @@ from gyrobench.bench.bias.bias_filter import BiasFilter, StateSpaceEstimate
 from gyrobench.bench.bias.dwell import RestOutput
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.window_filter import whiten
-from gyrobench.bench.dwells.measure_dwell import MeasurementSetup, rest_output
+from gyrobench.bench.dwells.dwell_output import rest_output
+from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.runs.marks import WindowMark

@@ -2,62 +2,36 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
 from gyrobench.bench.bias.bias_filter import StateSpaceEstimate, estimate_state_space
-from gyrobench.bench.bias.budget import BudgetInputs
-from gyrobench.bench.bias.dwell import BiasEstimate, Dwell, NavigationWindow, RestOutput, TurnPath
+from gyrobench.bench.bias.dwell import BiasEstimate, Dwell
 from gyrobench.bench.bias.dwell_table import NEIGHBOURS_ON, NOT_MEASURED, DwellRow
 from gyrobench.bench.bias.error_split import ErrorParts
 from gyrobench.bench.bias.joint_solution import JointInformation
-from gyrobench.bench.bias.noise_estimate import RestMotion, estimate_noise
+from gyrobench.bench.bias.noise_estimate import RestMotion
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.paper import estimate_paper
-from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.bias.statistics import GoodnessOfFit
 from gyrobench.bench.bias.vertical_pairs import exceeds_declared
 from gyrobench.bench.bias.window_filter import EPOCH_S
-from gyrobench.bench.dwells.output_checks import OutputFault, exceeds_noise, output_faults, rounding
-from gyrobench.bench.dwells.setup_check import (
-    SetupEvidence,
-    drift_fault,
-    latitude_fault,
-    raise_setup_fault,
-    setup_evidence,
-)
-from gyrobench.bench.dwells.sign_check import SignCheck
-from gyrobench.bench.dwells.temperatures import (
-    DwellTemperatures,
-    dwell_temperatures,
-    temperatures_at,
-    valid_temperatures,
-)
-from gyrobench.bench.foundations.arrays import ARCSEC_TO_RAD, UG_TO_MPS2, BoolArray, triple
+from gyrobench.bench.dwells.dwell_output import check_signal_map, decoded_navigation, dwell_at_rest
+from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
+from gyrobench.bench.dwells.output_checks import OutputFault
+from gyrobench.bench.dwells.setup_check import SetupEvidence, drift_fault, raise_setup_fault
+from gyrobench.bench.dwells.temperatures import DwellTemperatures, dwell_temperatures
+from gyrobench.bench.foundations.arrays import UG_TO_MPS2, triple
 from gyrobench.bench.foundations.errors import MeasurementError, SignalMapError
-from gyrobench.bench.foundations.text import flag_text
-from gyrobench.bench.navigation.earth import NORMAL_GRAVITY_SIGMA, earth_rate_enu
+from gyrobench.bench.navigation.earth import earth_rate_enu
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import AXES
-from gyrobench.bench.navigation.table_axes import TwoAxisTable
-from gyrobench.bench.runs.marks import DwellMarks, WindowMark
-from gyrobench.bench.station.station import Station
+from gyrobench.bench.runs.marks import DwellMarks
 from gyrobench.drivers.frames import FrameBlock
-from gyrobench.drivers.ins.dbc_codec import DbcCodec
-from gyrobench.drivers.ins.navigation_data import (
-    EpochCounts,
-    Increments,
-    NavigationData,
-    decode_increments,
-    decode_navigation,
-)
-from gyrobench.drivers.ins.readout import InsMode
-from gyrobench.drivers.ins.resolution import ResolutionLimit, resolution_report
+from gyrobench.drivers.ins.navigation_data import EpochCounts
 
 #: Below this p-value the fit fails: one in a hundred thousand good dwells.
 MIN_FIT_P_VALUE = 1e-5
@@ -65,77 +39,6 @@ MIN_FIT_P_VALUE = 1e-5
 _MIN_STEADY_P_VALUE = 1e-4
 #: Attitude that is noisier than declared by this factor comes in steps of its sensors.
 _COARSER = 5.0
-
-
-@dataclass(frozen=True)
-class MeasurementSetup:
-    """What turns frames into biases, the same for all dwells of a run."""
-
-    decode: Callable[[FrameBlock], NavigationData]  #: Frames to navigation data, as the station maps them.
-    table: TwoAxisTable  #: Kinematics of the table with the unit on it.
-    site: Site  #: Where the bench stands.
-    noise: NoiseModel | None  #: Declared noise of the INS; None to estimate it in each dwell.
-    prior: PriorKnowledge  #: What is known of the INS beforehand.
-    #: velocity_lsb_mps, heading_lsb_rad: Resolution of the INS's output.
-    velocity_lsb_mps: float
-    heading_lsb_rad: float
-    resolution: tuple[ResolutionLimit, ...]  #: Which estimates it limits, and by how much.
-    signs: SignCheck | None = None  #: Test of the signal map's signs and axes.
-    gyro_temperature_c: float | None = None  #: Standard uncertainty of the gyros' temperature sensors, K.
-    #: Frames to increments; None where none are mapped.
-    decode_increments: Callable[[FrameBlock], Increments | None] = lambda _: None
-    table_repeatability: float = ARCSEC_TO_RAD  #: Of the table's return to an angle, rad.
-    #: Local gravity, m/s^2, None for normal gravity of the site; its standard uncertainty.
-    gravity_and_sigma: tuple[float | None, float] = (None, NORMAL_GRAVITY_SIGMA)
-
-    def turn(
-        self, before: WindowMark, after: WindowMark, navigation: NavigationData, first_frame: int = 0
-    ) -> TurnPath:
-        """Attitude of the table between two windows; ``navigation`` begins with frame ``first_frame``."""
-        angles = [(mark.outer_deg, mark.inner_deg) for mark in (before, after)]
-        begin = before.end_frame if after.turn_first_frame is None else after.turn_first_frame
-        end = after.first_frame if after.turn_end_frame is None else after.turn_end_frame
-        rows = np.searchsorted(navigation.row, [begin - first_frame, end - first_frame])
-        begin_s, end_s = navigation.ins_time_s[np.minimum(rows, len(navigation.row) - 1)]
-        return TurnPath.steady(begin_s, end_s, self.table.path(*angles))
-
-    def output_faults(self, windows: tuple[NavigationWindow, ...], noise: NoiseModel) -> list[OutputFault]:
-        """Find output that is impossible at rest."""
-        return output_faults(windows, noise, self.site.gravity, *self._steps)
-
-    def evidence(
-        self, dwell: Dwell, noise: NoiseModel, faults: Sequence[OutputFault]
-    ) -> SetupEvidence | None:
-        """Evidence of the set-up in a dwell; None where faults of the output hide it."""
-        if any(not fault.may_be_noise for fault in faults):
-            return None
-        return setup_evidence(dwell, self.site, noise, self.prior, self.heading_lsb_rad)
-
-    @property
-    def budget_inputs(self) -> BudgetInputs:
-        """Inputs of the uncertainty budgets."""
-        velocity, heading = (step / math.sqrt(12.0) for step in self._steps)
-        return BudgetInputs(velocity, heading, self.gyro_temperature_c)
-
-    @property
-    def _steps(self) -> tuple[float, float]:
-        return self.velocity_lsb_mps, self.heading_lsb_rad
-
-    def noise_in(self, windows: tuple[NavigationWindow, ...]) -> NoiseModel:
-        """Noise of the INS in these windows: estimated from them, or declared and not exceeded by them.
-
-        Raises MeasurementError if it is to be estimated, and is not observable in these windows.
-        """
-        noise = self.noise
-        if noise is None:
-            noise = estimate_noise(windows, self.site.gravity).noise_model()
-        elif exceeds_noise(windows, noise, self.site.gravity, *self._steps):
-            noise = estimate_noise(windows, self.site.gravity).exceeding(noise)
-        return noise.at_least(*self.rounding(windows))
-
-    def rounding(self, rests: Sequence[RestOutput]) -> tuple[float, float]:
-        """See :func:`gyrobench.bench.dwells.output_checks.rounding`."""
-        return rounding(rests, *self._steps)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -287,70 +190,6 @@ def _estimate(dwell: Dwell, setup: MeasurementSetup, noise: NoiseModel) -> State
     )
 
 
-def decoded_navigation(
-    marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
-) -> tuple[NavigationData, list[str]]:
-    """Decode a dwell, and flag what frames and temperature sensors do wrong.
-
-    Raises MeasurementError if the dwell never came to a window.
-    """
-    if not marks.windows:
-        raise MeasurementError("the INS never navigated at rest in this dwell")
-    navigation, sensor_flags = valid_temperatures(
-        setup.decode(frames), marks.windows[0].first_frame, marks.windows[-1].end_frame
-    )
-    flags = list(sensor_flags)
-    if navigation.counts.contradicted:
-        flags.append(
-            f"{navigation.counts.contradicted} frames of the INS contradict those of the same epoch: does a "
-            "second node send with its identifiers? Check the bus"
-        )
-    return navigation, flags
-
-
-def check_signal_map(
-    marks: DwellMarks, frames: FrameBlock, navigation: NavigationData, setup: MeasurementSetup
-) -> bool:
-    """Check latitude, signs and axes; returns whether wrong signs or axes of the velocities would have shown.
-
-    Raises SignalMapError if the dwell contradicts them, MeasurementError if a jump of its output does.
-    """
-    if fault := latitude_fault(navigation.latitude, setup.site):
-        raise SignalMapError(fault)
-    try:
-        return setup.signs is not None and setup.signs.check(marks, frames, navigation)
-    except SignalMapError:
-        # A jump of the output parts tilt and velocity as a wrong sign does.
-        windows = _windows(marks, navigation)
-        faults = setup.output_faults(windows, setup.noise_in(windows))
-        if jumps := [fault.text for fault in faults if not fault.may_be_noise]:
-            raise MeasurementError(flag_text(jumps)) from None
-        raise
-
-
-def dwell_at_rest(marks: DwellMarks, navigation: NavigationData, setup: MeasurementSetup) -> Dwell:
-    """Navigation in the windows of a dwell, with the attitude of the table.
-
-    Raises MeasurementError if the INS was not navigating all the time, restarted, or what it sent can't be
-    used.
-    """
-    _check_navigating(
-        navigation,
-        (navigation.row >= marks.windows[0].first_frame) & (navigation.row < marks.windows[-1].end_frame),
-    )
-    return Dwell(
-        position_name=marks.position,
-        azimuth_rad=math.radians(marks.azimuth_deg),
-        windows=_windows(marks, navigation),
-        C_nb_table=tuple(setup.table.attitude(mark.outer_deg, mark.inner_deg) for mark in marks.windows),
-        turns=tuple(setup.turn(*pair, navigation) for pair in itertools.pairwise(marks.windows)),
-    )
-
-
-def _windows(marks: DwellMarks, navigation: NavigationData) -> tuple[NavigationWindow, ...]:
-    return tuple(rest_output(navigation, mark).checked() for mark in marks.windows)
-
-
 def _contradictions(estimate: StateSpaceEstimate) -> list[str]:
     """What contradicts the estimate; noise larger than declared would explain it too."""
     flags = []
@@ -380,39 +219,6 @@ def lack_of_fit_text(fit: GoodnessOfFit) -> str:
         f"the residuals are {fit.ratio:.2f} times as large as the noise explains "
         f"(p = {fit.p_value:.1g}): the unit was disturbed, or its noise is not as declared"
     )
-
-
-def rest_output(navigation: NavigationData, mark: WindowMark) -> RestOutput:
-    """Output in one window.
-
-    The temperatures are those of :func:`gyrobench.bench.dwells.temperatures.temperatures_at`.
-    Raises MeasurementError if the INS was not navigating all the time, or restarted.
-    """
-    inside = (navigation.row >= mark.first_frame) & (navigation.row < mark.end_frame)
-    _check_navigating(navigation, inside)
-    time_s = navigation.ins_time_s[inside]
-    velocity = navigation.velocity_enu_mps[inside].copy()
-    velocity[:, 2] = np.nan_to_num(velocity[:, 2])  # not every INS sends it, and no estimate needs it
-    temperatures = temperatures_at(time_s, navigation.temperatures)
-    return RestOutput(time_s, velocity, navigation.attitude[inside], *temperatures)
-
-
-def _check_navigating(navigation: NavigationData, inside: BoolArray) -> None:
-    """Turns count as well: an INS that realigns in a turn starts with other errors after it."""
-    if not np.isin(navigation.mode[inside], (InsMode.NAVIGATE, InsMode.UNKNOWN)).all():
-        raise MeasurementError(
-            "the INS left navigation during the dwell or its turn. Check its status in the raw CAN log"
-        )
-    if len(np.unique(navigation.alignment[inside])) > 1:
-        raise MeasurementError(
-            "the INS reported another alignment during the dwell or its turn. Did it realign?"
-        )
-    if len(np.unique(navigation.segment[inside])) > 1:
-        raise MeasurementError("the clock of the INS was reset during the dwell. Did it restart?")
-    if not np.isfinite(navigation.attitude[inside]).all():
-        raise MeasurementError(
-            "the INS reported an invalid attitude during the dwell or its turn. Did it realign?"
-        )
 
 
 def _row(
@@ -450,32 +256,4 @@ def _row(
         fit_p_value=estimate.fit.p_value if estimate else math.nan,
         other=() if marks.neighbours_on is None else ((NEIGHBOURS_ON, marks.neighbours_on),),
         flags=tuple(flags),
-    )
-
-
-def measurement_setup(station: Station) -> MeasurementSetup:
-    """Decoding, kinematics and noise of a station.
-
-    Raises DocumentError if the DBC file is wrong, or lacks signals that the station file maps.
-    """
-    codec = DbcCodec(station.database())
-    signals = station.file.ins.signals
-    limits = resolution_report(signals, codec)
-    velocity_lsb_mps = max(limit.lsb for limit in limits if limit.unit == "m/s")
-    heading_lsb_rad = math.radians(max(limit.lsb for limit in limits if limit.unit == "deg"))
-    decode = partial(decode_navigation, signal_map=signals, codec=codec)
-    return MeasurementSetup(
-        decode=decode,
-        table=station.table,
-        noise=station.noise(velocity_lsb_mps, heading_lsb_rad),
-        velocity_lsb_mps=velocity_lsb_mps,
-        heading_lsb_rad=heading_lsb_rad,
-        site=station.site,
-        prior=station.prior(),
-        gyro_temperature_c=station.file.ins.uncertainty.gyro_temperature_c,
-        resolution=tuple(limits),
-        signs=SignCheck(signals, decode, station.table, station.site, velocity_lsb_mps),
-        decode_increments=partial(decode_increments, signal_map=signals, codec=codec),
-        table_repeatability=station.file.rate_table.repeatability_arcsec * ARCSEC_TO_RAD,
-        gravity_and_sigma=station.gravity_and_sigma,
     )

@@ -9,7 +9,8 @@ import numpy as np
 
 from gyrobench.bench.characteristics.allan_test import RateRecord
 from gyrobench.bench.dwells.check_dwell import CheckDwell, measure_check_dwell
-from gyrobench.bench.dwells.measure_dwell import MeasuredDwell, MeasurementSetup, measure_dwell
+from gyrobench.bench.dwells.measure_dwell import MeasuredDwell, measure_dwell
+from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
 from gyrobench.bench.dwells.rotated_dwell import navigated_increments
 from gyrobench.bench.dwells.run_dwells import add_dwell
 from gyrobench.bench.foundations.errors import RunFolderError

@@ -12,12 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrobench.bench.calibration.recording import MIN_REST_TOTAL_S, IncrementRecording, Rest
-from gyrobench.bench.dwells.measure_dwell import (
-    MeasurementSetup,
-    check_signal_map,
-    decoded_navigation,
-    rest_output,
-)
+from gyrobench.bench.dwells.dwell_output import check_signal_map, decoded_navigation, rest_output
+from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
 from gyrobench.bench.dwells.temperatures import dwell_temperatures
 from gyrobench.bench.foundations.arrays import FloatArray, Triple
 from gyrobench.bench.foundations.errors import MeasurementError

@@ -16,7 +16,7 @@ from gyrobench.bench.calibration.information import BIAS_DRIFT, CalibrationOptio
 from gyrobench.bench.calibration.recording import IncrementRecording, Rest
 from gyrobench.bench.calibration.spins import spin_scale_factors
 from gyrobench.bench.characteristics.scale_factor import SpinRecord
-from gyrobench.bench.dwells.measure_dwell import MeasurementSetup
+from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
 from gyrobench.bench.dwells.rotated_dwell import RotatedDwell, measure_rotations
 from gyrobench.bench.foundations.arrays import FloatArray, Triple, triple
 from gyrobench.bench.foundations.errors import MeasurementError

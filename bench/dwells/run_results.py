@@ -1,10 +1,4 @@
-"""The results of a run: computed at its end, or recomputed from its raw CAN log.
-
-An INS takes the Earth's rotation for the latitude that was entered. An error of it, or a deflection of the
-vertical to the north, is a rate Up that adds to the bias of the vertical gyro, and a rate North that the
-level gyros measure independently of their biases, since it does not turn with the unit. It is corrected where
-confirmed, and flagged otherwise.
-"""
+"""The results of a run: computed at its end, or recomputed from its raw CAN log."""
 
 from __future__ import annotations
 
@@ -14,8 +8,6 @@ from dataclasses import dataclass, field, replace
 from itertools import chain, islice
 from pathlib import Path
 
-import numpy as np
-
 from gyrobench.bench.bias.acceptance import judge
 from gyrobench.bench.bias.bins import BiasBin, bin_biases, write_bins
 from gyrobench.bench.bias.budget import BiasBudget, BudgetedDwell, bin_budgets, dwell_budgets, with_budgets
@@ -24,14 +16,15 @@ from gyrobench.bench.bias.error_sources import SOURCES
 from gyrobench.bench.bias.error_split import SharedErrors, shared_errors
 from gyrobench.bench.bias.joint_solution import JointDwell, JointSolution, pooled_up_rate, solve_jointly
 from gyrobench.bench.bias.noise_estimate import NoiseEstimate, estimate_noise
-from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.bias.plateaus import PlannedDwell, group_plateaus
 from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits, write_acceptance
-from gyrobench.bench.bias.vertical_pairs import Finding, UpRate, exceeds_declared
+from gyrobench.bench.bias.vertical_pairs import UpRate
 from gyrobench.bench.characteristics.results import TestResult, write_characteristics
 from gyrobench.bench.dwells.calibration_check import calibration_check_rows
 from gyrobench.bench.dwells.check_dwell import CheckDwell
-from gyrobench.bench.dwells.measure_dwell import MeasuredDwell, MeasurementSetup, measurement_setup
+from gyrobench.bench.dwells.latitude import with_latitude_uncertainty, without_latitude_error
+from gyrobench.bench.dwells.measure_dwell import MeasuredDwell
+from gyrobench.bench.dwells.measurement_setup import MeasurementSetup, measurement_setup
 from gyrobench.bench.dwells.plateau_calibration import PlateauCalibration, calibrate_plateaus
 from gyrobench.bench.dwells.recorded_dwells import (
     measure_recorded,
@@ -40,10 +33,8 @@ from gyrobench.bench.dwells.recorded_dwells import (
     rotated_marks,
 )
 from gyrobench.bench.dwells.rotations import RunRotations, spin_record
-from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN, RADPS_TO_DPH, Triple
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.files import remove
-from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.procedure.plan import DwellPurpose, Plan, PlannedStep
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
@@ -125,7 +116,7 @@ def evaluate(
     good = [dwell for dwell in dwells if dwell.estimate and not dwell.row.flags]
     joint = [solve_jointly(plateau, setup.prior) for plateau in group_plateaus(_joint_dwells(good))]
     rate = pooled_up_rate(joint, setup.prior)
-    evaluated = _with_latitude(dwells, joint, rate, setup.prior)
+    evaluated = without_latitude_error(dwells, joint, rate, setup.prior)
     rows = [dwell.row for dwell in evaluated if dwell.estimate and not dwell.row.flags]
     bins = bin_biases(rows, bin_width_c)
     parts = [BudgetedDwell(each.row, each.estimate.parts) for each in evaluated if each.estimate]
@@ -225,93 +216,6 @@ def _noise(dwells: Sequence[MeasuredDwell], setup: MeasurementSetup) -> NoiseEst
         return None
 
 
-def _with_latitude(
-    dwells: Sequence[MeasuredDwell],
-    solutions: Sequence[JointSolution],
-    rate: UpRate | None,
-    prior: PriorKnowledge,
-) -> list[MeasuredDwell]:
-    """The dwells of a run, the biases of vertical gyros without the effect of a wrong latitude.
-
-    Where rates North and Up together confirm that the latitude is off by more than declared, biases and
-    uncertainties of the vertical gyros are those of the joint solution without that rate. Where the rate
-    North leads to that, and no rate Up that agrees with it contradicts, the dwells are flagged.
-
-    Parameters
-    ----------
-    dwells : sequence of MeasuredDwell
-        Of the run, in order.
-    solutions : sequence of JointSolution
-        Of its plateaus.
-    rate : UpRate or None
-        Rate Up of all plateaus.
-    prior : PriorKnowledge
-        With the declared uncertainty of the latitude.
-    """
-    if rate is not None and rate.finding is Finding.LATITUDE_OFF:
-        corrected = {
-            dwell.number: biases
-            for solution in solutions
-            for right in [solution.corrected(rate)]
-            for dwell, *biases in zip(
-                solution.dwells,
-                RADPS_TO_DPH * right.bias_radps,
-                RADPS_TO_DPH * right.sigma_radps,
-                strict=True,
-            )
-        }
-        return [_corrected(dwell, *corrected.get(dwell.row.dwell, ())) for dwell in dwells]
-    if rate is not None and rate.applies and not rate.exceeds(prior.latitude):
-        return list(dwells)
-    flag = _north_flag(solutions, prior)
-    numbers = {dwell.number for solution in solutions for dwell in solution.dwells}
-    if not flag:
-        return list(dwells)
-    return [each.flagged(flag) if each.row.dwell in numbers else each for each in dwells]
-
-
-def _with_latitude_found(setup: MeasurementSetup, rate: UpRate | None) -> MeasurementSetup:
-    """With the latitude as uncertain as it is found to be wrong: scale factors would take its place."""
-    if rate is None or rate.finding is not Finding.LATITUDE_OFF:
-        return setup
-    return replace(setup, prior=replace(setup.prior, latitude=abs(rate.latitude_error)))
-
-
-def _corrected(dwell: MeasuredDwell, *biases: np.ndarray) -> MeasuredDwell:
-    if not biases:
-        return dwell
-    row, axis = dwell.row, POSITIONS[dwell.row.position].up_axis
-    bias_dph, sigma_dph = (
-        _with(values, axis, float(joint[axis]))
-        for values, joint in zip((row.bias_dph, row.sigma_dph), biases, strict=True)
-    )
-    return replace(dwell, row=replace(row, bias_dph=bias_dph, sigma_dph=sigma_dph))
-
-
-def _with(values: Triple, axis: int, value: float) -> Triple:
-    x, y, z = (value if index == axis else each for index, each in enumerate(values))
-    return x, y, z
-
-
-def _north_flag(solutions: Sequence[JointSolution], prior: PriorKnowledge) -> str:
-    """Flag for a rate North that leads to a wrong latitude; empty without one."""
-    agreeing = [each for each in solutions if each.agrees]
-    if not agreeing:
-        return ""
-    rates, sigmas = np.array([each.north_rate for each in agreeing]).T
-    _, _, earth_up = agreeing[0].dwells[0].information.earth_rate
-    error = float((rates / sigmas**2).sum() / (1.0 / sigmas**2).sum() / earth_up)
-    # What the misalignments of the gyros do is common to all plateaus.
-    sigma = float(np.hypot((1.0 / sigmas**2).sum() ** -0.5, sigmas.min() / 2.0) / abs(earth_up))
-    if not exceeds_declared(error, sigma, prior.latitude):
-        return ""
-    return (
-        f"a rate North fixed in the navigation frame, as of a latitude {RAD_TO_ARCMIN * error:+.2f} ± "
-        f"{RAD_TO_ARCMIN * sigma:.2f} arcmin off ({RAD_TO_ARCMIN * prior.latitude:.2g} arcmin declared): the "
-        "bias of the vertical gyro is off too. Check the latitude in station file and INS"
-    )
-
-
 def evaluate_run(
     folder: RunFolder,
     plan: Plan,
@@ -336,7 +240,7 @@ def evaluate_run(
     turned = _rotations(folder, setup, rotations or RunRotations()).calibrated(setup)
     flagged = {row.dwell for row in rows if row.flags}
     sound = [each for each in results.joint if flagged.isdisjoint(dwell.number for dwell in each.dwells)]
-    coefficients = calibrate_plateaus(sound, rows, turned, _with_latitude_found(setup, results.up_rate))
+    coefficients = calibrate_plateaus(sound, rows, turned, with_latitude_uncertainty(setup, results.up_rate))
     with_spins = procedure.tests.scale_factor_stability is not None
     records = noise_records(folder, setup) if procedure.tests.allan_variance else []
     spins = [spin_record(*each, setup) for each in rotated_dwells(folder)] if with_spins else []

@@ -6,7 +6,7 @@ import numpy as np
 
 from gyrobench.bench.bias.bias_filter import StateSpaceEstimate
 from gyrobench.bench.dwells.live_estimate import LiveEstimate
-from gyrobench.bench.dwells.measure_dwell import MeasurementSetup
+from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.live_unit import LiveUnit
 from gyrobench.bench.foundations.arrays import FloatArray

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from gyrobench.bench.dwells.measure_dwell import MeasurementSetup
+from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
 from gyrobench.bench.engine.job import Job
 from gyrobench.bench.engine.live_bench import LiveBench
 from gyrobench.bench.engine.observers import RunObserver

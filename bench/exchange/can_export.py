@@ -16,7 +16,7 @@ import numpy as np
 import pyarrow as pa
 from scipy.spatial.transform import Rotation
 
-from gyrobench.bench.dwells.measure_dwell import MeasurementSetup
+from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
 from gyrobench.bench.dwells.recorded_dwells import finished_marks
 from gyrobench.bench.exchange.export_folder import ExportFolder, field_of
 from gyrobench.bench.foundations.arrays import FloatArray

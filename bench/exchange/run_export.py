@@ -26,7 +26,7 @@ from gyrobench.bench.closure.inputs import read_campaign
 from gyrobench.bench.closure.loadable_model import declared_model, model_with_effects
 from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.closure.outcome import Closure
-from gyrobench.bench.dwells.measure_dwell import measurement_setup
+from gyrobench.bench.dwells.measurement_setup import measurement_setup
 from gyrobench.bench.exchange.can_export import (
     UTC_FIELD,
     TimedLog,

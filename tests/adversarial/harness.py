@@ -26,12 +26,8 @@ import yaml
 
 from gyrobench.bench.bias.parameters import PriorKnowledge
 from gyrobench.bench.bias.vertical_pairs import Finding
-from gyrobench.bench.dwells.measure_dwell import (
-    MeasuredDwell,
-    MeasurementSetup,
-    measure_dwell,
-    measurement_setup,
-)
+from gyrobench.bench.dwells.measure_dwell import MeasuredDwell, measure_dwell
+from gyrobench.bench.dwells.measurement_setup import MeasurementSetup, measurement_setup
 from gyrobench.bench.dwells.run_dwells import add_dwell
 from gyrobench.bench.dwells.run_results import evaluate
 from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN

@@ -15,7 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gyrobench.bench.dwells.measure_dwell import measure_dwell, measurement_setup
+from gyrobench.bench.dwells.measure_dwell import measure_dwell
+from gyrobench.bench.dwells.measurement_setup import measurement_setup
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.runs.marks import DwellMarks

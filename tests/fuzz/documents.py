@@ -9,7 +9,7 @@ from typing import Any
 import cantools
 import numpy as np
 
-from gyrobench.bench.dwells.measure_dwell import measurement_setup
+from gyrobench.bench.dwells.measurement_setup import measurement_setup
 from gyrobench.bench.engine.job import Job, prepare_job
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.documents import read_document

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
-from gyrobench.bench.dwells.measure_dwell import measurement_setup
+from gyrobench.bench.dwells.measurement_setup import measurement_setup
 from gyrobench.bench.dwells.recorded_dwells import measure_recorded
 from gyrobench.bench.engine.job import Job, prepare_job
 from gyrobench.bench.engine.operator import ConsentingOperator

@@ -8,7 +8,8 @@ import pytest
 from gyrobench.bench.bias.damping import Damping
 from gyrobench.bench.bias.noise_model import NoiseModel
 from gyrobench.bench.bias.parameters import PriorKnowledge
-from gyrobench.bench.dwells.measure_dwell import MeasurementSetup, estimate_dwell
+from gyrobench.bench.dwells.measure_dwell import estimate_dwell
+from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
 from gyrobench.bench.foundations.text import flag_text
 from gyrobench.bench.navigation.positions import POSITIONS
 from tests.bench.bias.disturbances import bias_step

@@ -11,13 +11,9 @@ import pytest
 
 from gyrobench.bench.bias import parameters
 from gyrobench.bench.bias.window_filter import whiten
+from gyrobench.bench.dwells.dwell_output import decoded_navigation, dwell_at_rest
 from gyrobench.bench.dwells.live_estimate import LiveEstimate, compile_estimator
-from gyrobench.bench.dwells.measure_dwell import (
-    decoded_navigation,
-    dwell_at_rest,
-    estimate_dwell,
-    measure_dwell,
-)
+from gyrobench.bench.dwells.measure_dwell import estimate_dwell, measure_dwell
 
 INS_STATUS = 0x010
 
@@ -172,7 +168,7 @@ def test_after_warming_up_no_estimate_compiles_anything(recorded, has_noise):
 @pytest.mark.long
 def test_warming_up_says_how_long_it_compiled_but_only_once(tmp_path):
     code = (
-        "from gyrobench.bench.dwells.measure_dwell import measurement_setup\n"
+        "from gyrobench.bench.dwells.measurement_setup import measurement_setup\n"
         "from gyrobench.bench.dwells.live_estimate import compile_estimator\n"
         "from gyrobench.bench.foundations.shipped import find_document\n"
         "from gyrobench.bench.station.station import Station\n"

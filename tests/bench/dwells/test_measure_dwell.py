@@ -8,12 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrobench.bench.dwells.measure_dwell import (
-    decoded_navigation,
-    dwell_at_rest,
-    measure_dwell,
-    measurement_setup,
-)
+from gyrobench.bench.dwells.dwell_output import decoded_navigation, dwell_at_rest
+from gyrobench.bench.dwells.measure_dwell import measure_dwell
+from gyrobench.bench.dwells.measurement_setup import measurement_setup
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.navigation.error_model import Site

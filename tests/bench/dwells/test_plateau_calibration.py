@@ -11,8 +11,8 @@ from scipy.stats import chi2
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, CoefficientEstimate, SensorErrors
 from gyrobench.bench.calibration.estimator import calibrate
-from gyrobench.bench.dwells import measure_dwell
-from gyrobench.bench.dwells.measure_dwell import measurement_setup
+from gyrobench.bench.dwells import dwell_output
+from gyrobench.bench.dwells.measurement_setup import measurement_setup
 from gyrobench.bench.dwells.plateau_calibration import (
     PlateauCalibration,
     calibrate_plateaus,
@@ -249,7 +249,7 @@ def test_rotations_on_the_ramp_and_after_the_soak_of_one_set_point_are_two_plate
 def test_a_latitude_that_contradicts_the_rotations_is_named_while_the_run_goes_and_in_its_report(
     with_increments, monkeypatch
 ):
-    monkeypatch.setattr(measure_dwell, "latitude_fault", lambda *_: "")  # of an INS that sends no latitude
+    monkeypatch.setattr(dwell_output, "latitude_fault", lambda *_: "")  # of an INS that sends no latitude
     folder, _, _ = with_increments
     setup = measurement_setup(Station(folder.station))
     wrong = replace(setup, site=replace(setup.site, latitude=setup.site.latitude + np.deg2rad(0.1)))

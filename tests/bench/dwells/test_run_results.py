@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.bias.bins import read_bins
-from gyrobench.bench.dwells.measure_dwell import lack_of_fit_text, measurement_setup
+from gyrobench.bench.dwells.measure_dwell import lack_of_fit_text
+from gyrobench.bench.dwells.measurement_setup import measurement_setup
 from gyrobench.bench.dwells.run_results import RunResults, evaluate, planned_dwells, write_results
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.shipped import find_document

@@ -9,7 +9,7 @@ import pytest
 
 from gyrobench.bench.bias.bins import compare_positions, read_bins
 from gyrobench.bench.bias.dwell_table import read_dwells
-from gyrobench.bench.dwells.measure_dwell import measurement_setup
+from gyrobench.bench.dwells.measurement_setup import measurement_setup
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.runs.telemetry import read_telemetry

@@ -9,7 +9,7 @@ from scipy.stats import chi2
 from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.bias.noise_estimate import compare_noise
 from gyrobench.bench.bias.statistics import uniformity_p_value
-from gyrobench.bench.dwells.measure_dwell import measurement_setup
+from gyrobench.bench.dwells.measurement_setup import measurement_setup
 from gyrobench.bench.foundations.arrays import DEG_PER_SQRT_H_TO_SI, RADPS_TO_DPH
 from gyrobench.bench.runs.tables.joint_table import read_joint_biases, read_joint_plateaus
 from gyrobench.bench.runs.tables.noise_file import read_noise

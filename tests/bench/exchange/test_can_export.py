@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gyrobench.bench.dwells.measure_dwell import measurement_setup
+from gyrobench.bench.dwells.measurement_setup import measurement_setup
 from gyrobench.bench.exchange.can_export import TimedLog, write_blf
 from gyrobench.bench.exchange.run_export import DataKind, ExportSelection, Format, export_run
 from gyrobench.bench.foundations.errors import RunFolderError

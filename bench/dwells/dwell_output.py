@@ -1,0 +1,117 @@
+"""Output of the INS in one dwell: decoded, compared with the signal map, and cut into its windows at rest."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+
+from gyrobench.bench.bias.dwell import Dwell, NavigationWindow, RestOutput
+from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
+from gyrobench.bench.dwells.setup_check import latitude_fault
+from gyrobench.bench.dwells.temperatures import temperatures_at, valid_temperatures
+from gyrobench.bench.foundations.arrays import BoolArray
+from gyrobench.bench.foundations.errors import MeasurementError, SignalMapError
+from gyrobench.bench.foundations.text import flag_text
+from gyrobench.bench.runs.marks import DwellMarks, WindowMark
+from gyrobench.drivers.frames import FrameBlock
+from gyrobench.drivers.ins.navigation_data import NavigationData
+from gyrobench.drivers.ins.readout import InsMode
+
+
+def decoded_navigation(
+    marks: DwellMarks, frames: FrameBlock, setup: MeasurementSetup
+) -> tuple[NavigationData, list[str]]:
+    """Decode a dwell, and flag what frames and temperature sensors do wrong.
+
+    Raises MeasurementError if the dwell never came to a window.
+    """
+    if not marks.windows:
+        raise MeasurementError("the INS never navigated at rest in this dwell")
+    navigation, sensor_flags = valid_temperatures(
+        setup.decode(frames), marks.windows[0].first_frame, marks.windows[-1].end_frame
+    )
+    flags = list(sensor_flags)
+    if navigation.counts.contradicted:
+        flags.append(
+            f"{navigation.counts.contradicted} frames of the INS contradict those of the same epoch: does a "
+            "second node send with its identifiers? Check the bus"
+        )
+    return navigation, flags
+
+
+def check_signal_map(
+    marks: DwellMarks, frames: FrameBlock, navigation: NavigationData, setup: MeasurementSetup
+) -> bool:
+    """Check latitude, signs and axes; returns whether wrong signs or axes of the velocities would have shown.
+
+    Raises SignalMapError if the dwell contradicts them, MeasurementError if a jump of its output does.
+    """
+    if fault := latitude_fault(navigation.latitude, setup.site):
+        raise SignalMapError(fault)
+    try:
+        return setup.signs is not None and setup.signs.check(marks, frames, navigation)
+    except SignalMapError:
+        # A jump of the output parts tilt and velocity as a wrong sign does.
+        windows = _windows(marks, navigation)
+        faults = setup.output_faults(windows, setup.noise_in(windows))
+        if jumps := [fault.text for fault in faults if not fault.may_be_noise]:
+            raise MeasurementError(flag_text(jumps)) from None
+        raise
+
+
+def dwell_at_rest(marks: DwellMarks, navigation: NavigationData, setup: MeasurementSetup) -> Dwell:
+    """Navigation in the windows of a dwell, with the attitude of the table.
+
+    Raises MeasurementError if the INS was not navigating all the time, restarted, or what it sent can't be
+    used.
+    """
+    _check_navigating(
+        navigation,
+        (navigation.row >= marks.windows[0].first_frame) & (navigation.row < marks.windows[-1].end_frame),
+    )
+    return Dwell(
+        position_name=marks.position,
+        azimuth_rad=math.radians(marks.azimuth_deg),
+        windows=_windows(marks, navigation),
+        C_nb_table=tuple(setup.table.attitude(mark.outer_deg, mark.inner_deg) for mark in marks.windows),
+        turns=tuple(setup.turn(*pair, navigation) for pair in itertools.pairwise(marks.windows)),
+    )
+
+
+def _windows(marks: DwellMarks, navigation: NavigationData) -> tuple[NavigationWindow, ...]:
+    return tuple(rest_output(navigation, mark).checked() for mark in marks.windows)
+
+
+def rest_output(navigation: NavigationData, mark: WindowMark) -> RestOutput:
+    """Output in one window.
+
+    The temperatures are those of :func:`gyrobench.bench.dwells.temperatures.temperatures_at`.
+    Raises MeasurementError if the INS was not navigating all the time, or restarted.
+    """
+    inside = (navigation.row >= mark.first_frame) & (navigation.row < mark.end_frame)
+    _check_navigating(navigation, inside)
+    time_s = navigation.ins_time_s[inside]
+    velocity = navigation.velocity_enu_mps[inside].copy()
+    velocity[:, 2] = np.nan_to_num(velocity[:, 2])  # not every INS sends it, and no estimate needs it
+    temperatures = temperatures_at(time_s, navigation.temperatures)
+    return RestOutput(time_s, velocity, navigation.attitude[inside], *temperatures)
+
+
+def _check_navigating(navigation: NavigationData, inside: BoolArray) -> None:
+    """Turns count as well: an INS that realigns in a turn starts with other errors after it."""
+    if not np.isin(navigation.mode[inside], (InsMode.NAVIGATE, InsMode.UNKNOWN)).all():
+        raise MeasurementError(
+            "the INS left navigation during the dwell or its turn. Check its status in the raw CAN log"
+        )
+    if len(np.unique(navigation.alignment[inside])) > 1:
+        raise MeasurementError(
+            "the INS reported another alignment during the dwell or its turn. Did it realign?"
+        )
+    if len(np.unique(navigation.segment[inside])) > 1:
+        raise MeasurementError("the clock of the INS was reset during the dwell. Did it restart?")
+    if not np.isfinite(navigation.attitude[inside]).all():
+        raise MeasurementError(
+            "the INS reported an invalid attitude during the dwell or its turn. Did it realign?"
+        )

@@ -1,0 +1,109 @@
+"""What a wrong latitude does to the dwells of a run.
+
+An INS takes the Earth's rotation for the latitude that was entered. An error of it, or a deflection of the
+vertical to the north, is a rate Up that adds to the bias of the vertical gyro, and a rate North that the
+level gyros measure independently of their biases, since it does not turn with the unit. It is corrected where
+confirmed, and flagged otherwise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from gyrobench.bench.bias.joint_solution import JointSolution
+from gyrobench.bench.bias.parameters import PriorKnowledge
+from gyrobench.bench.bias.vertical_pairs import Finding, UpRate, exceeds_declared
+from gyrobench.bench.dwells.measure_dwell import MeasuredDwell
+from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
+from gyrobench.bench.foundations.arrays import RAD_TO_ARCMIN, RADPS_TO_DPH, Triple
+from gyrobench.bench.navigation.positions import POSITIONS
+
+
+def without_latitude_error(
+    dwells: Sequence[MeasuredDwell],
+    solutions: Sequence[JointSolution],
+    rate: UpRate | None,
+    prior: PriorKnowledge,
+) -> list[MeasuredDwell]:
+    """The dwells of a run, the biases of vertical gyros without the effect of a wrong latitude.
+
+    Where rates North and Up together confirm that the latitude is off by more than declared, biases and
+    uncertainties of the vertical gyros are those of the joint solution without that rate. Where the rate
+    North leads to that, and no rate Up that agrees with it contradicts, the dwells are flagged.
+
+    Parameters
+    ----------
+    dwells : sequence of MeasuredDwell
+        Of the run, in order.
+    solutions : sequence of JointSolution
+        Of its plateaus.
+    rate : UpRate or None
+        Rate Up of all plateaus.
+    prior : PriorKnowledge
+        With the declared uncertainty of the latitude.
+    """
+    if rate is not None and rate.finding is Finding.LATITUDE_OFF:
+        corrected = {
+            dwell.number: biases
+            for solution in solutions
+            for right in [solution.corrected(rate)]
+            for dwell, *biases in zip(
+                solution.dwells,
+                RADPS_TO_DPH * right.bias_radps,
+                RADPS_TO_DPH * right.sigma_radps,
+                strict=True,
+            )
+        }
+        return [_corrected(dwell, *corrected.get(dwell.row.dwell, ())) for dwell in dwells]
+    if rate is not None and rate.applies and not rate.exceeds(prior.latitude):
+        return list(dwells)
+    flag = _north_flag(solutions, prior)
+    numbers = {dwell.number for solution in solutions for dwell in solution.dwells}
+    if not flag:
+        return list(dwells)
+    return [each.flagged(flag) if each.row.dwell in numbers else each for each in dwells]
+
+
+def with_latitude_uncertainty(setup: MeasurementSetup, rate: UpRate | None) -> MeasurementSetup:
+    """With the latitude as uncertain as it is found to be wrong: scale factors would take its place."""
+    if rate is None or rate.finding is not Finding.LATITUDE_OFF:
+        return setup
+    return replace(setup, prior=replace(setup.prior, latitude=abs(rate.latitude_error)))
+
+
+def _corrected(dwell: MeasuredDwell, *biases: np.ndarray) -> MeasuredDwell:
+    if not biases:
+        return dwell
+    row, axis = dwell.row, POSITIONS[dwell.row.position].up_axis
+    bias_dph, sigma_dph = (
+        _with(values, axis, float(joint[axis]))
+        for values, joint in zip((row.bias_dph, row.sigma_dph), biases, strict=True)
+    )
+    return replace(dwell, row=replace(row, bias_dph=bias_dph, sigma_dph=sigma_dph))
+
+
+def _with(values: Triple, axis: int, value: float) -> Triple:
+    x, y, z = (value if index == axis else each for index, each in enumerate(values))
+    return x, y, z
+
+
+def _north_flag(solutions: Sequence[JointSolution], prior: PriorKnowledge) -> str:
+    """Flag for a rate North that leads to a wrong latitude; empty without one."""
+    agreeing = [each for each in solutions if each.agrees]
+    if not agreeing:
+        return ""
+    rates, sigmas = np.array([each.north_rate for each in agreeing]).T
+    _, _, earth_up = agreeing[0].dwells[0].information.earth_rate
+    error = float((rates / sigmas**2).sum() / (1.0 / sigmas**2).sum() / earth_up)
+    # What the misalignments of the gyros do is common to all plateaus.
+    sigma = float(np.hypot((1.0 / sigmas**2).sum() ** -0.5, sigmas.min() / 2.0) / abs(earth_up))
+    if not exceeds_declared(error, sigma, prior.latitude):
+        return ""
+    return (
+        f"a rate North fixed in the navigation frame, as of a latitude {RAD_TO_ARCMIN * error:+.2f} ± "
+        f"{RAD_TO_ARCMIN * sigma:.2f} arcmin off ({RAD_TO_ARCMIN * prior.latitude:.2g} arcmin declared): the "
+        "bias of the vertical gyro is off too. Check the latitude in station file and INS"
+    )
