@@ -96,7 +96,7 @@ def setup_fault(several: Sequence[SetupEvidence]) -> str:
 def latitude_fault(sent: float, site: Site) -> str:
     """What is wrong if the INS sends another latitude than the station's, both rad; empty if it does not.
 
-    Smaller errors show in the data, see :mod:`gyrobench.bench.dwells.run_results`.
+    Smaller errors show in the data, see :mod:`gyrobench.bench.dwells.latitude`.
     """
     if not abs(sent - site.latitude) > _MAX_LATITUDE_APART:  # NaN where it sends none
         return ""
