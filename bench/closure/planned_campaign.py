@@ -11,12 +11,12 @@ from types import MappingProxyType
 import numpy as np
 
 from gyrobench.bench.bias.acceptance import judge
-from gyrobench.bench.bias.dwell_table import DwellRow, triple
+from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.verdicts import JudgedQuantity, Judgement
 from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.temperatures import TemperatureRecord, lag
 from gyrobench.bench.closure.thermal_course import Course, UnitThermal
-from gyrobench.bench.foundations.arrays import S_PER_H, FloatArray
+from gyrobench.bench.foundations.arrays import S_PER_H, FloatArray, triple
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.text import counted
 from gyrobench.bench.navigation.positions import POSITIONS
