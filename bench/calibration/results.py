@@ -47,14 +47,13 @@ class CoefficientRow:
 
 @dataclass(frozen=True, eq=False)
 class RestRate:
-    """Mean rate and specific force of one rest, as measured."""
+    """Mean rate of one rest, as measured."""
 
     start_s: float  #: On the log's clock.
     duration_s: float
     rate_dph: float  #: Size of the mean rate.
     up_rate_dph: float  #: Its part along the specific force.
     up_sigma_dph: float  #: Standard uncertainty of both by noise alone.
-    force_mps2: float  #: Size of the mean specific force.
 
 
 def coefficient_rows(estimate: CoefficientEstimate) -> list[CoefficientRow]:
@@ -107,7 +106,6 @@ def rest_rates(calibration: Calibration) -> list[RestRate]:
                     float(np.linalg.norm(rate)) * RADPS_TO_DPH,
                     float(rate @ force) / size * RADPS_TO_DPH,
                     float(np.sqrt(variance @ (force / size) ** 2)) * RADPS_TO_DPH,
-                    size,
                 )
             )
     return rates
