@@ -130,7 +130,8 @@ def effect_table(closure: Closure) -> SectionTable:
     shown = "coefficients" if closure.quantity.axes[0][1:] else f"{closure.quantity.sensor}s"
     return SectionTable(
         f"Size: rms in the dwells searched, without its mean, in {scale.unit}. "
-        "Cross-validated: share of chi2 explained in each cycle, with the size fitted to the other cycles",
+        "Cross-validated: share of chi2 explained in each cycle, with the size fitted to the other cycles. "
+        "P: that the effect is there, whatever else is; the P of the verdict is without an unlisted effect",
         ["effect", shown, "tied with", "cross-validated", "size", "P"],
         rows,
         words=4,

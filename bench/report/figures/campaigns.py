@@ -25,7 +25,7 @@ _INCH_A_ROW = 0.42
 
 @house_style
 def separability_figure(separability: Separability, target_dph: float, name: str) -> Figure:
-    """Draw the correlations of effects, framed for pairs not distinguished at the target size in rms."""
+    """Draw the correlations of effects, framed where one is found at the target size (rms) but mistaken."""
     names = [each.effect.name for each in separability.detections if each.missing_input is None]
     figure = fitted_figure(2.0 + _INCH_A_ROW * max(len(names), 3))
     axes = figure.subplots()
@@ -62,7 +62,11 @@ def separability_figure(separability: Separability, target_dph: float, name: str
                 frame.set(edgecolor="#D55E00", linewidth=1.6)
                 axes.add_patch(frame)
     figure.colorbar(image, ax=axes, label="largest canonical correlation of any gyro", fraction=0.04)
-    axes.set_xlabel(f"framed: not distinguished at {target_dph:g} deg/h rms")
+    found = len(set(names) - set(separability.not_found(target_dph)))
+    axes.set_xlabel(
+        f"{found} of {len(names)} effects are found at {target_dph:g} deg/h rms\n"
+        "framed: not distinguished from one of these"
+    )
     return figure
 
 
