@@ -154,23 +154,23 @@ def _bars(axes: Axes, result: VerificationResult, size: str, noise: str, factor:
         linewidth=1.2,
         label="noise",
     )
-    is_crowded = len(rows) > _MAX_UPRIGHT
-    axes.set_xticks(
-        places, _plateau_labels(rows), rotation=90 * is_crowded, fontsize=6.5 if is_crowded else 8
-    )
+    if len(rows) > _MAX_UPRIGHT:
+        axes.set_xticks(places, _plateau_labels(rows, ""), rotation=90, fontsize=6.5)
+    else:
+        axes.set_xticks(places, _plateau_labels(rows, " °C"), fontsize=8)
     axes.set_ylim(bottom=0.0)
     axes.grid(visible=False, axis="x")
 
 
-def _plateau_labels(rows: Sequence[VerificationRow]) -> list[str]:
+def _plateau_labels(rows: Sequence[VerificationRow], unit: str) -> list[str]:
     """Temperature, and in brackets the cycle if there are several."""
     several = len({row.cycle for row in rows}) > 1
-    return [f"{row.gyro_c:z.0f} °C" + (f" ({row.cycle})" if several else "") for row in rows]
+    return [f"{row.gyro_c:z.0f}{unit}" + (f" ({row.cycle})" if several else "") for row in rows]
 
 
 _RESIDUALS = (
-    "Residual with each compensation at each plateau, in brackets its cycle where there are several. The "
-    "black lines are the noise."
+    "Residual with each compensation at each plateau: gyro temperature in °C, in brackets the cycle where "
+    "there are several. The black lines are the noise."
 )
 _DAY = (
     "Position error over a day at rest of a rotational INS with the biases measured at each temperature. The "
