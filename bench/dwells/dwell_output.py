@@ -8,6 +8,7 @@ import math
 import numpy as np
 
 from gyrobench.bench.bias.dwell import Dwell, NavigationWindow, RestOutput
+from gyrobench.bench.dwells.clock_check import clock_fault
 from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
 from gyrobench.bench.dwells.setup_check import latitude_fault
 from gyrobench.bench.dwells.temperatures import temperatures_at, valid_temperatures
@@ -44,11 +45,16 @@ def decoded_navigation(
 def check_signal_map(
     marks: DwellMarks, frames: FrameBlock, navigation: NavigationData, setup: MeasurementSetup
 ) -> bool:
-    """Check latitude, signs and axes; returns whether wrong signs or axes of the velocities would have shown.
+    """Check latitude, clock, signs and axes; returns whether wrong signs or axes of the velocities would have shown.
 
     Raises SignalMapError if the dwell contradicts them, MeasurementError if a jump of its output does.
     """
     if fault := latitude_fault(navigation.latitude, setup.site):
+        raise SignalMapError(fault)
+    inside = _in_dwell(marks, navigation)
+    if setup.signals and (
+        fault := clock_fault(navigation.ins_time_s[inside], navigation.timestamp_s[inside], setup.signals)
+    ):
         raise SignalMapError(fault)
     try:
         return setup.signs is not None and setup.signs.check(marks, frames, navigation)
@@ -67,10 +73,7 @@ def dwell_at_rest(marks: DwellMarks, navigation: NavigationData, setup: Measurem
     Raises MeasurementError if the INS was not navigating all the time, restarted, or what it sent can't be
     used.
     """
-    _check_navigating(
-        navigation,
-        (navigation.row >= marks.windows[0].first_frame) & (navigation.row < marks.windows[-1].end_frame),
-    )
+    _check_navigating(navigation, _in_dwell(marks, navigation))
     return Dwell(
         position_name=marks.position,
         azimuth_rad=math.radians(marks.azimuth_deg),
@@ -78,6 +81,12 @@ def dwell_at_rest(marks: DwellMarks, navigation: NavigationData, setup: Measurem
         C_nb_table=tuple(setup.table.attitude(mark.outer_deg, mark.inner_deg) for mark in marks.windows),
         turns=tuple(setup.turn(*pair, navigation) for pair in itertools.pairwise(marks.windows)),
     )
+
+
+def _in_dwell(marks: DwellMarks, navigation: NavigationData) -> BoolArray:
+    """Which epochs are in the windows of a dwell or between them."""
+    first, end = marks.windows[0].first_frame, marks.windows[-1].end_frame
+    return np.asarray((navigation.row >= first) & (navigation.row < end))
 
 
 def _windows(marks: DwellMarks, navigation: NavigationData) -> tuple[NavigationWindow, ...]:

@@ -32,6 +32,7 @@ from gyrobench.drivers.ins.navigation_data import (
     decode_navigation,
 )
 from gyrobench.drivers.ins.resolution import ResolutionLimit, resolution_report
+from gyrobench.drivers.ins.signal_map import SignalMap
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,7 @@ class MeasurementSetup:
     heading_lsb_rad: float
     resolution: tuple[ResolutionLimit, ...]  #: Which estimates it limits, and by how much.
     signs: SignCheck | None = None  #: Test of the signal map's signs and axes.
+    signals: SignalMap | None = None  #: As declared; without it the rate of the INS's clock is not tested.
     gyro_temperature_c: float | None = None  #: Standard uncertainty of the gyros' temperature sensors, K.
     #: Frames to increments; None where none are mapped.
     decode_increments: Callable[[FrameBlock], Increments | None] = lambda _: None
@@ -126,6 +128,7 @@ def measurement_setup(station: Station) -> MeasurementSetup:
         prior=station.prior(),
         gyro_temperature_c=station.file.ins.uncertainty.gyro_temperature_c,
         resolution=tuple(limits),
+        signals=signals,
         signs=SignCheck(signals, decode, station.table, station.site, velocity_lsb_mps),
         decode_increments=partial(decode_increments, signal_map=signals, codec=codec),
         table_repeatability=station.file.rate_table.repeatability_arcsec * ARCSEC_TO_RAD,
