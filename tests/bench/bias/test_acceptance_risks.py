@@ -43,6 +43,8 @@ def verdicts(
     turn_on_dph=0.0,
     plateaus_c=PLATEAUS_C,
     shared_dph=0.0,
+    sigma_dph=np.full((len(POSITIONS), 3), SIGMA_DPH),
+    scatter_dph=None,
 ):
     """Count the verdicts on runs of a unit.
 
@@ -56,6 +58,8 @@ def verdicts(
         Standard deviation of the constants of the power-ons.
     shared_dph : float
         Part of the standard uncertainty by an error of each position that is the same in all its dwells.
+    sigma_dph, scatter_dph : ndarray, shape (6, 3)
+        Standard uncertainties by position and gyro, and the scatter; by default as large.
     """
     random = np.random.default_rng(1)
     places = [(c, s, p) for c in range(cycles) for s in range(len(plateaus_c)) for p in range(len(POSITIONS))]
@@ -64,19 +68,19 @@ def verdicts(
     for _ in range(DRAWS):
         constants = random.normal(0.0, turn_on_dph, (2, 3))
         of_positions = random.normal(0.0, shared_dph, (len(names), 3))
-        own_dph = math.sqrt(SIGMA_DPH**2 - shared_dph**2)
+        own_dph = np.sqrt((sigma_dph if scatter_dph is None else scatter_dph) ** 2 - shared_dph**2)
         rows, shared = [], {}
         for number, (cycle, plateau, place) in enumerate(places, 1):
             gyro_c, run = plateaus_c[plateau] + drift(place), power_on(cycle, plateau, place)
             bias = true_dph(cycle, plateau, place, gyro_c) + constants[run] + of_positions[place]
-            bias = bias + random.normal(0.0, own_dph, 3)
+            bias = bias + random.normal(0.0, own_dph[place])
             shared[number] = shared_dph * np.tile(np.eye(len(names))[place], (3, 1))
             rows.append(
                 DwellRow(
                     unit="1001", run=str(run), dwell=number, cycle=cycle + 1, position=names[place],
                     start_s=1500.0 * number, end_s=1500.0 * number + 1200.0, since_power_on_s=0.0,
                     gyro_c=(gyro_c,) * 3, gyro_rate_c_per_h=(0.0,) * 3, bias_dph=tuple(bias),
-                    sigma_dph=(SIGMA_DPH,) * 3, chamber_set_c=plateaus_c[plateau],
+                    sigma_dph=tuple(sigma_dph[place]), chamber_set_c=plateaus_c[plateau],
                 )
             )  # fmt: skip
         planned = [
@@ -117,6 +121,28 @@ def flat_and_sloping(unit, *, quick):
 def test_a_sound_unit_is_accepted_in_most_runs_and_never_rejected_for_its_temperature(unit):
     found = verdicts(unit, drift=drifting)
     assert found["accepted"] > 0.75 * DRAWS
+    assert found["rejected"] <= MOST
+
+
+def by_attitude(level_dph, vertical_dph):
+    """Sizes (6, 3) by position and gyro."""
+    up = np.array([each.up_axis for each in POSITIONS.values()])
+    return np.where(np.arange(3) == up[:, np.newaxis], vertical_dph, level_dph)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("cycles", "level_dph", "share"), [(2, 0.00105, 0.86), (2, 0.0016, 0.05), (4, 0.0016, 0.95)]
+)
+def test_fig7_accepts_as_many_sound_units_as_its_comment_states_and_rejects_none(cycles, level_dph, share):
+    found = verdicts(
+        equal,
+        cycles=cycles,
+        plateaus_c=(74.0, 59.0, 33.0, 3.0, -24.0),
+        sigma_dph=by_attitude(0.0016, 0.00105),
+        scatter_dph=by_attitude(level_dph, 0.00105),
+    )
+    assert found["accepted"] == pytest.approx(share * DRAWS, abs=3 * math.sqrt(DRAWS * share * (1 - share)))
     assert found["rejected"] <= MOST
 
 

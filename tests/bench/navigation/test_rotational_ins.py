@@ -1,3 +1,4 @@
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -5,6 +6,7 @@ import pytest
 
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS
 from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.navigation.earth import EARTH_RATE, curvature_radii
 from gyrobench.bench.navigation.error_model import Site
 from gyrobench.bench.navigation.positions import POSITIONS
@@ -17,8 +19,10 @@ from gyrobench.bench.navigation.rotational_ins import (
     bias_by_position,
     navigate_with_drift,
     rotate_for,
+    rotate_for_each,
 )
 from gyrobench.bench.navigation.table_axes import TwoAxisTable
+from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.drivers.emulators.world.strapdown import navigate, normal_gravity
 
 SITE = Site(np.deg2rad(36.4), 60.0)
@@ -151,3 +155,15 @@ def test_schemes_that_cannot_go_on_for_ever_are_mistakes(changes, message):
     with pytest.raises(MeasurementError, match=message):
         replace(HALF_TURNS, **changes)
     assert RotationScheme((("outer", 90.0), ("outer", -90.0))).angles_deg()[1] == (90.0, 0.0)
+
+
+def test_a_position_difference_at_the_limit_of_fig7_costs_a_gyro_about_one_nautical_mile_in_a_day():
+    _, procedure = load_procedure(find_document("procedures", "six_position_fig7"))
+    limits = procedure.acceptance
+    at_limit = [
+        {name: axis * limits.position_difference_dph * (sign - 0.5) for name, sign in zip(POSITIONS, signs, strict=True)}
+        for axis in np.eye(3)
+        for signs in itertools.product((0, 1), repeat=len(POSITIONS))
+    ]
+    nmi = rotate_for_each(DAY_S, SIX_POSITIONS, at_limit, SITE).distance_nmi.max(axis=0).reshape(3, -1)
+    np.testing.assert_allclose(nmi.max(axis=1), [0.54, 0.54, 1.1], rtol=0.05)
