@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from itertools import combinations
@@ -13,6 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.power_cycle_means import (
+    PowerCycleMean,
+    compare_over_power_cycles,
+    format_means,
+    parse_means,
+)
 from gyrobench.bench.bias.statistics import weighted_mean
 from gyrobench.bench.foundations.csv_tables import CsvTable, format_rows, read_text, write_text
 from gyrobench.bench.foundations.errors import MeasurementError
@@ -47,6 +53,9 @@ class BiasBin:
     #: NaN where there are none.
     paper_bias_dph: float = math.nan
     paper_sigma_dph: float = math.nan
+    #: Means by power cycle, where the dwells of the gyro at these temperatures come from several; see
+    #: :mod:`gyrobench.bench.bias.power_cycle_means`.
+    by_power_cycle: str = ""
 
     @property
     def is_empty(self) -> bool:
@@ -56,6 +65,7 @@ class BiasBin:
 
 _COLUMNS = tuple(field.name for field in fields(BiasBin))
 _PAPER = {"paper_bias_dph", "paper_sigma_dph"}
+_OPTIONAL = {*_PAPER, "by_power_cycle"}
 _MAY_BE_EMPTY = {"temperature_c", "bias_dph", "sigma_dph", "chi2_reduced", "spread_p_value", *_PAPER}
 
 
@@ -80,6 +90,7 @@ def bin_biases(rows: Iterable[DwellRow], width_c: float = DEFAULT_WIDTH_C) -> li
         raise MeasurementError(
             f"the dwells are of several units ({', '.join(units)}); bin each unit by itself"
         )
+    power_cycles = {run: number for number, run in enumerate(dict.fromkeys(row.run for row in rows), 1)}
     measured = {row.position for row in rows}
     positions = [name for name in POSITIONS if name in measured]
     result = []
@@ -89,7 +100,10 @@ def bin_biases(rows: Iterable[DwellRow], width_c: float = DEFAULT_WIDTH_C) -> li
         for position in positions:
             for number in range(min(numbers, default=0), max(numbers, default=-1) + 1):
                 ends = (number * width_c, (number + 1) * width_c)
-                result.append(_bin(axis, gyro, position, ends, members.get((position, number), [])))
+                own = members.get((position, number), [])
+                several = len({row.run for name in positions for row in members.get((name, number), [])}) > 1
+                by_cycle = _by_power_cycle(axis, own, power_cycles) if several else ""
+                result.append(replace(_bin(axis, gyro, position, ends, own), by_power_cycle=by_cycle))
     return result
 
 
@@ -106,6 +120,13 @@ def paper_bins(bins: Iterable[BiasBin]) -> list[BiasBin]:
             count=0 if math.isnan(each.paper_bias_dph) else each.count,
             chi2_reduced=math.nan,
             spread_p_value=math.nan,
+            by_power_cycle=format_means(
+                [
+                    mean.by_paper
+                    for mean in parse_means(each.by_power_cycle)
+                    if not math.isnan(mean.paper_bias_dph)
+                ]
+            ),
         )
         for each in bins
     ]
@@ -117,7 +138,7 @@ def write_bins(path: Path, bins: Iterable[BiasBin]) -> None:
 
 
 def read_bins(path: Path) -> list[BiasBin]:
-    """Read ``bias_bins.csv``; the paper's columns may be missing.
+    """Read ``bias_bins.csv``; the columns of the paper and of power cycles may be missing.
 
     Raises DocumentError if the file can't be read or is wrong; the message lists all problems.
     """
@@ -129,7 +150,7 @@ def parse_bins(text: str, name: str) -> list[BiasBin]:
 
     Raises DocumentError, which lists all that is wrong with it.
     """
-    table = CsvTable(text, name, required=[column for column in _COLUMNS if column not in _PAPER])
+    table = CsvTable(text, name, required=[column for column in _COLUMNS if column not in _OPTIONAL])
     return table.rows(partial(_parsed, table))
 
 
@@ -164,6 +185,15 @@ def _bin(
     )
 
 
+def _by_power_cycle(axis: int, rows: Sequence[DwellRow], power_cycles: Mapping[str, int]) -> str:
+    means = []
+    for run in dict.fromkeys(row.run for row in rows):
+        own = [row for row in rows if row.run == run]
+        mean = weighted_mean([row.bias_dph[axis] for row in own], [row.sigma_dph[axis] for row in own])
+        means.append(PowerCycleMean(power_cycles[run], mean.value, mean.sigma, **_paper_mean(axis, own)))
+    return format_means(means)
+
+
 def _paper_mean(axis: int, rows: Sequence[DwellRow]) -> dict[str, float]:
     pairs = [(row.paper_bias_dph[axis], row.paper_sigma_dph[axis]) for row in rows]
     known = [pair for pair in pairs if not any(map(math.isnan, pair))]
@@ -191,7 +221,19 @@ def _parsed(table: CsvTable, index: int) -> BiasBin:
         spread_p_value=number("spread_p_value"),
         paper_bias_dph=number("paper_bias_dph"),
         paper_sigma_dph=table.uncertainty(index, "paper_sigma_dph", may_be_empty=True),
+        by_power_cycle=_checked_means(table, index),
     )
+
+
+def _checked_means(table: CsvTable, index: int) -> str:
+    text = table.text(index, "by_power_cycle")
+    try:
+        parse_means(text)
+    except ValueError:
+        table.problem(
+            index, "by_power_cycle", f"expected number, bias, sigma and the paper's two; found '{text}'"
+        )
+    return text
 
 
 @dataclass(frozen=True)
@@ -203,7 +245,8 @@ class PositionComparison:
     bin_low_c: float
     bin_high_c: float
     #: Probability of differences at least as large if the positions were equal: the chi-square test of
-    #: homogeneity with a degree of freedom for each position but one.
+    #: homogeneity with a degree of freedom for each position but one, and fewer where power
+    #: cycles have no position in common.
     p_value: float
     largest_pair: tuple[str, str]  #: The two positions that differ most, the higher bias first.
     #: largest_difference_dph, largest_difference_sigma_dph: By how much, and its standard uncertainty.
@@ -215,29 +258,70 @@ class PositionComparison:
 
 
 def compare_positions(bins: Iterable[BiasBin]) -> list[PositionComparison]:
-    """Compare the positions of each gyro and bin; bins with fewer than two positions are left out.
+    """Compare the positions of each gyro and bin; bins in which no two can be compared are left out.
+
+    Where the dwells of a bin come from several power cycles, each has a constant.
 
     ``bins``: of one unit, in any order; :func:`gyrobench.bench.bias.bins.paper_bins` for the paper's method.
     Result: by gyro and temperature.
     """
+    compared = (_compared(group) for group in _groups(bins))
+    return [each for each in compared if each is not None]
+
+
+def not_connected(bins: Iterable[BiasBin]) -> list[BiasBin]:
+    """One bin of each gyro and range in which power cycles have no position in common.
+
+    There some positions, or all, are not compared with the others.
+    """
+    return [
+        group[0]
+        for group in _groups(bins)
+        if (means := _power_cycle_means(group)) and not compare_over_power_cycles(means).are_all_connected
+    ]
+
+
+def _groups(bins: Iterable[BiasBin]) -> list[list[BiasBin]]:
+    """Bins of each gyro and range with two positions or more."""
     groups: dict[tuple[str, float], list[BiasBin]] = defaultdict(list)
     for each in bins:
         if not each.is_empty:
             groups[each.gyro, each.bin_low_c].append(each)
-    return [_compared(group) for _, group in sorted(groups.items()) if len(group) > 1]
+    return [group for _, group in sorted(groups.items()) if len(group) > 1]
 
 
-def _compared(group: Sequence[BiasBin]) -> PositionComparison:
-    mean = weighted_mean([each.bias_dph for each in group], [each.sigma_dph for each in group])
-    pairs = combinations(sorted(group, key=lambda each: -each.bias_dph), 2)
-    high, low = max(pairs, key=lambda pair: pair[0].bias_dph - pair[1].bias_dph)
+def _power_cycle_means(group: Iterable[BiasBin]) -> list[tuple[str, PowerCycleMean]]:
+    """Means by position and power cycle, with the uncertainty of errors that the dwells have in common."""
+    means = []
+    for each in group:
+        own = parse_means(each.by_power_cycle)
+        independent = sum(mean.sigma_dph**-2.0 for mean in own)
+        larger = max(1.0, each.sigma_dph * math.sqrt(independent))
+        means += [(each.position, replace(mean, sigma_dph=larger * mean.sigma_dph)) for mean in own]
+    return means
+
+
+def _compared(group: Sequence[BiasBin]) -> PositionComparison | None:
+    if means := _power_cycle_means(group):
+        found = compare_over_power_cycles(means)
+        if not found.dof:
+            return None
+        p_value, pair = found.p_value, found.pair
+        difference_dph, sigma_dph = found.difference_dph, found.sigma_dph
+    else:
+        p_value = weighted_mean([each.bias_dph for each in group], [each.sigma_dph for each in group]).p_value
+        pairs = combinations(sorted(group, key=lambda each: -each.bias_dph), 2)
+        high, low = max(pairs, key=lambda pair: pair[0].bias_dph - pair[1].bias_dph)
+        pair = high.position, low.position
+        difference_dph = high.bias_dph - low.bias_dph
+        sigma_dph = float(np.hypot(high.sigma_dph, low.sigma_dph))
     return PositionComparison(
         gyro=group[0].gyro,
         bin_low_c=group[0].bin_low_c,
         bin_high_c=group[0].bin_high_c,
-        p_value=mean.p_value,
-        largest_pair=(high.position, low.position),
-        largest_difference_dph=high.bias_dph - low.bias_dph,
-        largest_difference_sigma_dph=float(np.hypot(high.sigma_dph, low.sigma_dph)),
+        p_value=p_value,
+        largest_pair=pair,
+        largest_difference_dph=difference_dph,
+        largest_difference_sigma_dph=sigma_dph,
         temperature_spread_c=float(np.ptp([each.temperature_c for each in group])),
     )

@@ -77,7 +77,9 @@ def _line(time_s: FloatArray, arrival_s: FloatArray) -> _Line:
         earliest = np.array([part[np.argmin(delay_s[part])] for part in parts])
         at_s, came_s = time_s[earliest], arrival_s[earliest]
         pairs = [(a, b) for a, b in combinations(range(_PARTS), 2) if at_s[a] != at_s[b]]
-        slopes = {pair: (came_s[pair[1]] - came_s[pair[0]]) / (at_s[pair[1]] - at_s[pair[0]]) for pair in pairs}
+        slopes = {
+            pair: (came_s[pair[1]] - came_s[pair[0]]) / (at_s[pair[1]] - at_s[pair[0]]) for pair in pairs
+        }
         adjacent = [slope for (a, b), slope in slopes.items() if b == a + 1]
         if not adjacent:
             return _Line(0.0, 0.0, 1.0)  # a clock of the INS that stands still

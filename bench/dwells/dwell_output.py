@@ -45,7 +45,7 @@ def decoded_navigation(
 def check_signal_map(
     marks: DwellMarks, frames: FrameBlock, navigation: NavigationData, setup: MeasurementSetup
 ) -> bool:
-    """Check latitude, clock, signs and axes; returns whether wrong signs or axes of the velocities would have shown.
+    """Check latitude, clock, signs and axes; returns whether wrong ones of the velocities would have shown.
 
     Raises SignalMapError if the dwell contradicts them, MeasurementError if a jump of its output does.
     """

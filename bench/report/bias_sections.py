@@ -32,6 +32,7 @@ from gyrobench.bench.report.statements import (
     differing,
     equality_sentence,
     place_of,
+    power_cycle_sentence,
     scatter_sentence,
 )
 
@@ -90,7 +91,11 @@ def comparison_section(
 def _gyro_box(gyro: str, bins: Sequence[BiasBin]) -> Box:
     comparisons = compare_positions(bins)
     colour = ("failed" if differing(comparisons) else "finished") if comparisons else "stopped"
-    notes = [agreement_sentence(comparisons, compare_positions(paper_bins(bins))), scatter_sentence(bins)]
+    notes = [
+        agreement_sentence(comparisons, compare_positions(paper_bins(bins))),
+        power_cycle_sentence(bins),
+        scatter_sentence(bins),
+    ]
     return Box(
         colour, f"{gyro_label(gyro)}.", equality_sentence(comparisons), [note for note in notes if note]
     )

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from gyrobench.bench.bias.allan import RANDOM_WALK
-from gyrobench.bench.bias.bins import BiasBin, PositionComparison
+from gyrobench.bench.bias.bins import BiasBin, PositionComparison, not_connected
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.noise_estimate import NoiseComparison, NoiseEstimate, compare_noise
 from gyrobench.bench.bias.noise_model import NoiseModel
@@ -28,7 +28,7 @@ from gyrobench.bench.runs.journal import RunFacts
 from gyrobench.bench.runs.tables.joint_table import JointPlateauRow
 
 #: Result without positions to compare.
-NOTHING_TO_COMPARE = "Nothing to compare: no temperature bin has dwells in two positions."
+NOTHING_TO_COMPARE = "Nothing to compare: no temperature bin has dwells in two positions of one power cycle."
 
 #: Key of the station file, its default, and by how much more certain biases of level accelerometers are than
 #: of vertical ones, at least.
@@ -92,6 +92,17 @@ def equality_sentence(comparisons: Sequence[PositionComparison]) -> str:
         f"The bias differs between positions in {len(different)} of {count} bins: from "
         f"{temperature_ranges(different)} (p < {POSITION_SIGNIFICANCE:g}, {corrected}). Largest difference "
         f"from {temperature_ranges([worst])}: {high} above {low} by {difference} (k = 1)."
+    )
+
+
+def power_cycle_sentence(bins: Iterable[BiasBin]) -> str:
+    """Where positions of different power cycles are not compared; empty if nowhere."""
+    apart = not_connected(bins)
+    if not apart:
+        return ""
+    return (
+        f"From {temperature_ranges(apart)} several power cycles measured different positions. Only positions "
+        "of the same power cycle are compared there."
     )
 
 

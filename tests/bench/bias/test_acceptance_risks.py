@@ -15,6 +15,7 @@ from gyrobench.bench.navigation.positions import POSITIONS
 LIMIT_DPH = 0.006
 LIMITS = AcceptanceLimits(position_difference_dph=LIMIT_DPH)
 SIGMA_DPH = 0.0011
+SIGMAS_DPH = np.full((len(POSITIONS), 3), SIGMA_DPH)
 PLATEAUS_C = (72.5, 32.5, 2.5, -22.5)
 DRAWS = 60
 #: Errors in ``DRAWS`` draws with a chance of 5 % each, with three standard deviations of luck.
@@ -43,7 +44,7 @@ def verdicts(
     turn_on_dph=0.0,
     plateaus_c=PLATEAUS_C,
     shared_dph=0.0,
-    sigma_dph=np.full((len(POSITIONS), 3), SIGMA_DPH),
+    sigma_dph=SIGMAS_DPH,
     scatter_dph=None,
 ):
     """Count the verdicts on runs of a unit.

@@ -14,6 +14,7 @@ from gyrobench.bench.bias.bins import (
     BiasBin,
     bin_biases,
     compare_positions,
+    not_connected,
     paper_bins,
     read_bins,
     write_bins,
@@ -26,10 +27,15 @@ numbers = count()
 
 
 def row(
-    position="z_up", gyro_c=(22.0, 22.0, 22.0), bias_dph=(0.0, 0.0, 0.0), sigma_dph=(0.001,) * 3, unit="U"
+    position="z_up",
+    gyro_c=(22.0, 22.0, 22.0),
+    bias_dph=(0.0, 0.0, 0.0),
+    sigma_dph=(0.001,) * 3,
+    unit="U",
+    run="R",
 ):
     return DwellRow(
-        unit, "R", next(numbers), 0, position, 0.0, 1.0, 0.0, gyro_c, (0.0,) * 3, bias_dph, sigma_dph
+        unit, run, next(numbers), 0, position, 0.0, 1.0, 0.0, gyro_c, (0.0,) * 3, bias_dph, sigma_dph
     )
 
 
@@ -133,7 +139,7 @@ def test_bins_that_the_papers_method_does_not_apply_to_are_empty_for_it():
 def test_a_table_without_the_papers_columns_is_read(tmp_path):
     path = tmp_path / "bias_bins.csv"
     write_bins(path, bin_biases([row()]))
-    lines = [line.rsplit(",", 2)[0] for line in path.read_text(encoding="utf-8").splitlines()]
+    lines = [line.rsplit(",", 3)[0] for line in path.read_text(encoding="utf-8").splitlines()]
     path.write_text("\n".join(lines), encoding="utf-8")
     assert "paper" not in lines[0]
     assert math.isnan(read_bins(path)[0].paper_sigma_dph)
@@ -257,3 +263,91 @@ def test_gyros_and_bins_are_kept_apart():
 def test_needs_two_positions_that_were_measured():
     empty = position_bin("y_up", math.nan, math.nan, temperature_c=math.nan, count=0)
     assert compare_positions([position_bin("z_up", 0.0), empty]) == []
+
+
+def rows_of_power_cycles(runs, random=None, differences=(0.0,) * 6, turn_on_dph=0.03):
+    """One dwell for each power cycle and position in ``runs``; each power-on has another bias."""
+    constants = {run: turn_on_dph * number for number, run in enumerate(runs)}
+    return [
+        row(
+            name,
+            bias_dph=(
+                constants[run]
+                + differences[list(POSITIONS).index(name)]
+                + (0.001 * random.standard_normal() if random else 0.0),
+            )
+            * 3,
+            run=run,
+        )
+        for run, names in runs.items()
+        for name in names
+    ]
+
+
+POSITION_NAMES = list(POSITIONS)
+
+
+def test_another_bias_after_a_power_cycle_in_mid_plateau_is_no_difference_of_positions():
+    bins = bin_biases(rows_of_power_cycles({"1": POSITION_NAMES[:3], "2": POSITION_NAMES[3:]}))
+    results = compare_positions(bins)
+    assert [each.p_value for each in results] == pytest.approx([1.0] * 3)
+    assert max(abs(each.largest_difference_dph) for each in results) < 1e-12
+
+
+def test_a_difference_within_a_power_cycle_is_found_beside_another_power_cycle():
+    rows = rows_of_power_cycles(
+        {"1": POSITION_NAMES[:3], "2": POSITION_NAMES[3:]}, differences=(0.0, 0.02, 0, 0, 0, 0)
+    )
+    result = compare_positions(bin_biases(rows))[0]
+    assert result.largest_pair == (POSITION_NAMES[1], POSITION_NAMES[0])
+    assert result.largest_difference_dph == pytest.approx(0.02)
+    assert result.largest_difference_sigma_dph == pytest.approx(math.sqrt(2.0) * 0.001)
+    assert result.p_value == pytest.approx(chi2.sf(400.0 * 2.0 / 3.0, 4))
+
+
+def test_positions_of_two_power_cycles_are_compared_through_one_that_both_measured():
+    rows = rows_of_power_cycles(
+        {"1": ["z_up", "y_up"], "2": ["y_up", "x_up"]}, differences=(0, 0, 0, 0, 0.02, 0)
+    )
+    result = compare_positions(bin_biases(rows))[0]
+    assert set(result.largest_pair) <= {"x_up", "z_up", "y_up"}
+    assert result.largest_pair[0] == "x_up"
+    assert result.largest_difference_dph == pytest.approx(0.02)
+    assert not_connected(bin_biases(rows)) == []
+
+
+def test_positions_each_of_another_power_cycle_are_not_compared_and_named():
+    bins = bin_biases(rows_of_power_cycles({"1": ["z_up"], "2": ["y_up"]}))
+    assert compare_positions(bins) == []
+    assert [(each.gyro, each.bin_low_c) for each in not_connected(bins)] == [(g, 20.0) for g in "xyz"]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    "runs", [{"1": POSITION_NAMES[:3], "2": POSITION_NAMES[2:]}, {"1": POSITION_NAMES, "2": POSITION_NAMES}]
+)
+def test_p_values_of_equal_positions_over_power_cycles_are_uniform(runs):
+    random = np.random.default_rng(2)
+    p_values = np.array(
+        [compare_positions(bin_biases(rows_of_power_cycles(runs, random)))[0].p_value for _ in range(2000)]
+    )
+    assert 0.035 < (p_values < 0.05).mean() < 0.065
+    assert 0.45 < (p_values < 0.5).mean() < 0.55
+
+
+def test_the_papers_biases_are_compared_over_power_cycles_too():
+    rows = [
+        replace(each, paper_bias_dph=each.bias_dph, paper_sigma_dph=(0.002,) * 3)
+        for each in rows_of_power_cycles({"1": POSITION_NAMES[:3], "2": POSITION_NAMES[3:]})
+    ]
+    assert compare_positions(paper_bins(bin_biases(rows)))[0].p_value == pytest.approx(1.0)
+
+
+def test_means_of_power_cycles_come_back_from_the_file_and_damaged_ones_are_named(tmp_path):
+    path = tmp_path / "bias_bins.csv"
+    bins = bin_biases(rows_of_power_cycles({"1": ["z_up", "y_up"], "2": ["y_up"]}))
+    write_bins(path, bins)
+    assert [each.by_power_cycle for each in read_bins(path)] == [each.by_power_cycle for each in bins]
+    write_bins(path, [replace(bins[0], by_power_cycle="1 0.2")])
+    with pytest.raises(DocumentError, match="column by_power_cycle: expected number, bias, sigma"):
+        read_bins(path)

@@ -34,9 +34,7 @@ def late_bursts(random):
 
 
 def step_of_the_clock(random):
-    return PERIOD_S * NUMBER + random.choice([-3600.0, -3.0, 1.0, 10.0]) * (
-        random.integers(EPOCHS) < NUMBER
-    )
+    return PERIOD_S * NUMBER + random.choice([-3600.0, -3.0, 1.0, 10.0]) * (random.integers(EPOCHS) < NUMBER)
 
 
 SOUND = {
@@ -86,7 +84,11 @@ def test_a_wrong_scale_of_the_time_is_named_with_the_factor_that_fits():
 
 @pytest.mark.parametrize("period_s", [0.096, 0.1, 0.104])
 def test_a_dwell_with_a_wrong_epoch_period_gives_no_bias(period_s):
-    station = {"ins.signals.time_s": None, "ins.signals.time_ns": None, "ins.signals.epoch_period_s": period_s}
+    station = {
+        "ins.signals.time_s": None,
+        "ins.signals.time_ns": None,
+        "ins.signals.epoch_period_s": period_s,
+    }
     random = np.random.default_rng(3)
     (dwell,) = measured_dwells(Case(any_unit(random), Place(), station=station, positions=("z_up",)), random)
     if period_s == 0.1:

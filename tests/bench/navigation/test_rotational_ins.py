@@ -161,7 +161,10 @@ def test_a_position_difference_at_the_limit_of_fig7_costs_a_gyro_about_one_nauti
     _, procedure = load_procedure(find_document("procedures", "six_position_fig7"))
     limits = procedure.acceptance
     at_limit = [
-        {name: axis * limits.position_difference_dph * (sign - 0.5) for name, sign in zip(POSITIONS, signs, strict=True)}
+        {
+            name: axis * limits.position_difference_dph * (sign - 0.5)
+            for name, sign in zip(POSITIONS, signs, strict=True)
+        }
         for axis in np.eye(3)
         for signs in itertools.product((0, 1), repeat=len(POSITIONS))
     ]

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrobench.bench.bias.bins import BiasBin, PositionComparison, compare_positions, paper_bins
+from gyrobench.bench.bias.bins import BiasBin, PositionComparison, bin_biases, compare_positions, paper_bins
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.noise_estimate import estimate_noise
 from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vector_enu
@@ -21,6 +21,7 @@ from gyrobench.bench.report.statements import (
     flags_sentence,
     heading_sentence,
     noise_sentence,
+    power_cycle_sentence,
     run_findings,
     scatter_sentence,
     setup_sentences,
@@ -315,3 +316,11 @@ def test_what_no_dwell_tested_of_the_signal_map_is_stated(
     text = signs_sentence(RunFacts(are_signs_tested=are_tested), station, "mine.yaml")
     assert text.startswith(stated)
     assert bool(text) == bool(stated)
+
+
+def test_power_cycles_that_measured_different_positions_are_named(dwells: list[DwellRow]) -> None:
+    good = [row for row in dwells if not row.flags]
+    assert power_cycle_sentence(bin_biases(good)) == ""
+    apart = [replace(row, run=row.position[0]) for row in good if row.position in ("z_up", "y_up")]
+    sentence = power_cycle_sentence(bin_biases(apart))
+    assert sentence.endswith("Only positions of the same power cycle are compared there.")
