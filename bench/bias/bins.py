@@ -171,6 +171,7 @@ def _bin(
         return BiasBin(gyro, position, *ends_c, math.nan, math.nan, math.nan, 0, math.nan, math.nan)
     sigmas = [row.sigma_dph[axis] for row in rows]
     bias = weighted_mean([row.bias_dph[axis] for row in rows], sigmas)
+    paper_bias_dph, paper_sigma_dph = _paper_mean(axis, rows)
     return BiasBin(
         gyro,
         position,
@@ -181,7 +182,8 @@ def _bin(
         count=len(rows),
         chi2_reduced=bias.chi2_reduced,
         spread_p_value=bias.p_value,
-        **_paper_mean(axis, rows),
+        paper_bias_dph=paper_bias_dph,
+        paper_sigma_dph=paper_sigma_dph,
     )
 
 
@@ -190,18 +192,19 @@ def _by_power_cycle(axis: int, rows: Sequence[DwellRow], power_cycles: Mapping[s
     for run in dict.fromkeys(row.run for row in rows):
         own = [row for row in rows if row.run == run]
         mean = weighted_mean([row.bias_dph[axis] for row in own], [row.sigma_dph[axis] for row in own])
-        means.append(PowerCycleMean(power_cycles[run], mean.value, mean.sigma, **_paper_mean(axis, own)))
+        means.append(PowerCycleMean(power_cycles[run], mean.value, mean.sigma, *_paper_mean(axis, own)))
     return format_means(means)
 
 
-def _paper_mean(axis: int, rows: Sequence[DwellRow]) -> dict[str, float]:
+def _paper_mean(axis: int, rows: Sequence[DwellRow]) -> tuple[float, float]:
+    """Mean and its standard uncertainty by the paper's method; NaN without."""
     pairs = [(row.paper_bias_dph[axis], row.paper_sigma_dph[axis]) for row in rows]
     known = [pair for pair in pairs if not any(map(math.isnan, pair))]
     if not known:
-        return {}
+        return math.nan, math.nan
     values, sigmas = zip(*known, strict=True)
     mean = weighted_mean(values, sigmas)
-    return {"paper_bias_dph": mean.value, "paper_sigma_dph": mean.sigma}
+    return mean.value, mean.sigma
 
 
 def _parsed(table: CsvTable, index: int) -> BiasBin:

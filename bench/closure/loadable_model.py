@@ -113,11 +113,16 @@ def with_coefficients(model: LoadableModel, closures: Iterable[Closure], *, effe
         np.maximum.at(limit, list(quantity.sensors), numbers.get("rate_limit_c_per_h", np.zeros(3)))
         rates = numbers.get("rate_dph_per_c_per_h", np.zeros(3))
         gravity = numbers.get("gravity_dph_per_g", np.zeros((3, 3)))
-        measured = closure.campaign.is_measured[closure.searched].sum(axis=0)
+        is_measured = closure.campaign.is_measured[closure.searched]
+        gyro_c = closure.campaign.gyro_c[closure.searched]
         for place, coefficient in enumerate(quantity.coefficients):
-            if measured[place] and (loaded or coefficient not in corrections):
+            at_c = gyro_c[is_measured[:, place], place]
+            if len(at_c) and (loaded or coefficient not in corrections):
                 corrections[coefficient] = Correction(
-                    numbers["polynomial_dph"][place], float(rates[place]), gravity[place]
+                    numbers["polynomial_dph"][place],
+                    float(rates[place]),
+                    gravity[place],
+                    (float(at_c.min()), float(at_c.max())),
                 )
     compensation = replace(model.compensation, coefficients=corrections, rate_limit_c_per_h=limit)
     return LoadableModel(compensation, tuple(names), tuple(notes))

@@ -41,6 +41,9 @@ class CorrectionEntry(StrictModel):
     )
     rate_per_c_per_h: float = Field(0.0, description="per rate of T")
     gravity_per_g: _OfGyros = Field([0.0, 0.0, 0.0], description="along Up")
+    range_c: Annotated[list[float], Field(min_length=2, max_length=2)] | None = Field(
+        None, description="lowest and highest T used; default: those of the gyro of its axis"
+    )
 
 
 _HEAD = """\
@@ -96,7 +99,12 @@ class CompensationFile(StrictModel):
         numbers = {name: np.array(value) for name, value in self if value is not None and name in NUMBERS}
         sigma: dict[str, FloatArray] = {name: np.array(value) for name, value in (self.sigma or {}).items()}
         corrections = {
-            name: Correction(np.array(each.polynomial), each.rate_per_c_per_h, np.array(each.gravity_per_g))
+            name: Correction(
+                np.array(each.polynomial),
+                each.rate_per_c_per_h,
+                np.array(each.gravity_per_g),
+                None if each.range_c is None else (each.range_c[0], each.range_c[1]),
+            )
             for name, each in (self.coefficients or {}).items()
         }
         return Compensation(**numbers, sigma=sigma, coefficients=corrections)
@@ -125,6 +133,8 @@ def _entry(correction: Correction) -> dict[str, Any]:
         entry["rate_per_c_per_h"] = float(correction.rate_per_c_per_h)
     if correction.gravity_per_g.any():
         entry["gravity_per_g"] = correction.gravity_per_g.tolist()
+    if correction.range_c is not None:
+        entry["range_c"] = list(correction.range_c)
     return entry
 
 

@@ -66,7 +66,7 @@ def corrections(rows: Iterable[PlateauCoefficientRow]) -> dict[str, Correction]:
     """Polynomials of all coefficients but the gyros' biases over the temperatures of plateaus.
 
     Each has the lowest degree that leaves its uncertainties, and takes the temperature of the gyro along its
-    sensor's axis. What is not observable has none.
+    sensor's axis, within the temperatures at which it was measured. What is not observable has none.
     """
     gyro_c = {(row.plateau, row.axis): row.temperature_c for row in rows if row.coefficient == "gyro_bias"}
     found = {}
@@ -78,7 +78,8 @@ def corrections(rows: Iterable[PlateauCoefficientRow]) -> dict[str, Correction]:
             at_c = np.array([gyro_c[row.plateau, axis] for row in known])
             values, sigmas = np.array([(row.value, row.sigma) for row in known]).T
             fitted = lowest_polynomial(at_c, values, sigmas, min(CORRECTION_DEGREE, len(known) - 1))
-            found[name] = Correction(np.asarray(fitted.convert().coef))
+            range_c = float(at_c.min()), float(at_c.max())
+            found[name] = Correction(np.asarray(fitted.convert().coef), range_c=range_c)
     return found
 
 

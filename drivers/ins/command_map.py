@@ -20,7 +20,8 @@ Any other coefficient of gyro and accelerometer i is::
 
     polynomial(T) + rate dT/dt + gravity . Up
 
-Nothing is extrapolated: T, dT/dt and B - T are clipped to the fitted ranges.
+Nothing is extrapolated: T, dT/dt and B - T are clipped to the fitted ranges. Other coefficients may have been
+measured over fewer temperatures than the biases, and clip T to limits of their own.
 """
 
 from __future__ import annotations
@@ -71,6 +72,8 @@ _VECTORS = ("saturating_dph_per_k", "growing_dph_per_k", "gravity_dph_per_g")
 #: Highest degree of the polynomials of :class:`Correction`, and their numbers in an INS.
 CORRECTION_DEGREE = 3
 _CORRECTION_NUMBERS = CORRECTION_DEGREE + 5
+#: Temperatures of the dwells of one plateau may be this far from their mean, K.
+_NEARLY_K = 5.0
 
 
 def _zeros() -> FloatArray:
@@ -91,8 +94,14 @@ class Correction:
     polynomial: FloatArray  #: Shape (k,), k at most 4. From degree 0 up, T in degC.
     rate_per_c_per_h: float = 0.0  #: Per dT/dt.
     gravity_per_g: FloatArray = field(default_factory=_zeros)  #: Shape (3,). Vector in body axes.
+    #: Lowest and highest T at which it was measured, within those of the gyro's bias; None for those.
+    range_c: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
+        if self.range_c is not None:
+            low_c, high_c = self.range_c
+            if not -np.inf < low_c <= high_c < np.inf:
+                raise MeasurementError("compensation: low_c of a coefficient must not be above its high_c")
         is_shaped = 1 <= self.polynomial.size <= CORRECTION_DEGREE + 1 and self.gravity_per_g.shape == (3,)
         if not is_shaped or not np.isfinite(self.numbers()).all():
             raise MeasurementError(
@@ -100,8 +109,14 @@ class Correction:
                 "polynomial and 3 along gravity"
             )
 
+    def exceeds(self, low_c: float, high_c: float) -> bool:
+        """Whether the range from ``low_c`` to ``high_c`` goes clearly beyond that of a curve over T."""
+        if self.range_c is None or not self.polynomial[1:].any():
+            return False
+        return low_c < self.range_c[0] - _NEARLY_K or high_c > self.range_c[1] + _NEARLY_K
+
     def numbers(self) -> FloatArray:
-        """All numbers (8,) in the order of an INS: polynomial, rate, gravity along x, y, z."""
+        """All numbers (8,) but the range in the order of an INS: polynomial, rate, gravity along x, y, z."""
         polynomial = np.pad(self.polynomial, (0, CORRECTION_DEGREE + 1 - self.polynomial.size))
         return np.concatenate([polynomial, [self.rate_per_c_per_h], self.gravity_per_g])
 
@@ -148,7 +163,8 @@ class Compensation:
     sigma: Mapping[str, FloatArray] = field(default_factory=dict)
     #: Other coefficients by name: ``gyro_scale_factor_x``, ``gyro_misalignment_xy``,
     #: ``accelerometer_bias_x``, ``accelerometer_scale_factor_x``, ``accelerometer_misalignment_yx``. T and
-    #: dT/dt are those of the gyro along the sensor's axis, and clipped as for its bias.
+    #: dT/dt are those of the gyro along the sensor's axis, and clipped as for its bias; T also to the
+    #: coefficient's ``range_c``.
     coefficients: Mapping[str, Correction] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -194,6 +210,7 @@ class Compensation:
             and set(names) == set(other.corrected())
             and all(
                 np.array_equal(self.coefficients[name].numbers(), other.coefficients[name].numbers())
+                and self.coefficients[name].range_c == other.coefficients[name].range_c
                 for name in names
             )
         )
@@ -326,12 +343,21 @@ class CorrectionIndices(StrictModel):
     accelerometer: IntVector = Field(
         description="first indices: how much the accelerometer senses of forces along x, y, z"
     )
+    limits: int | None = Field(
+        None,
+        description="first of the 14 indices of the temperatures between which each is valid, lowest and "
+        "highest: in the order of the keys above; 0 and 0 where those of the gyro's bias are",
+    )
 
     def first(self, sensor: str, sensed: int | None) -> int:
         """First index of a coefficient."""
         if sensed is None:
             return self.accelerometer_bias
         return (self.gyro if sensor == "gyro" else self.accelerometer)[sensed]
+
+    def firsts(self) -> list[int]:
+        """First indices of all coefficients of a sensor's axis, in the order of the keys."""
+        return [*self.gyro, self.accelerometer_bias, *self.accelerometer]
 
 
 class CoefficientCommand(Command):
@@ -358,6 +384,13 @@ class CoefficientCommand(Command):
         supported = self.supported_terms()
         supported += compensation.corrected() if self.others is not None else ()
         parts = [term for term in compensation.terms() if term not in supported]
+        if self.others is not None and self.others.limits is None:
+            for name in compensation.corrected():
+                axis = _correction_place(name)[1]
+                if compensation.coefficients[name].exceeds(
+                    compensation.low_c[axis], compensation.high_c[axis]
+                ):
+                    parts.append(f"temperature limits of {name}")
         degree = int(np.flatnonzero(compensation.polynomial_dph.any(axis=0)).max(initial=0))
         if degree >= self.coefficients:
             parts.insert(0, f"a polynomial of degree {degree}")
@@ -377,16 +410,30 @@ class CoefficientCommand(Command):
                 numbers.update(zip(np.atleast_1d(index).tolist(), values.tolist(), strict=True))
         if self.others is not None and compensation.corrected():
             numbers |= dict.fromkeys(self._indices_of_others(self.others), 0.0)
+            limits = self._limits(self.others, compensation)
+            numbers |= dict.fromkeys(limits.values(), 0.0) | dict.fromkeys(
+                (i + 1 for i in limits.values()), 0.0
+            )
             for name, each in compensation.coefficients.items():
                 sensor, sensor_axis, sensed = _correction_place(name)
                 if sensor_axis == axis:
-                    numbers |= dict(enumerate(each.numbers().tolist(), self.others.first(sensor, sensed)))
+                    first = self.others.first(sensor, sensed)
+                    numbers |= dict(enumerate(each.numbers().tolist(), first))
+                    if each.range_c is not None and first in limits:
+                        numbers |= dict(enumerate(each.range_c, limits[first]))
         return dict(sorted(numbers.items()))
 
     @staticmethod
     def _indices_of_others(others: CorrectionIndices) -> list[int]:
-        firsts = (*others.gyro, others.accelerometer_bias, *others.accelerometer)
-        return [first + place for first in firsts for place in range(_CORRECTION_NUMBERS)]
+        return [first + place for first in others.firsts() for place in range(_CORRECTION_NUMBERS)]
+
+    @staticmethod
+    def _limits(others: CorrectionIndices, compensation: Compensation) -> dict[int, int]:
+        """Index of the lowest temperature of each coefficient, by its first index; none where unused."""
+        is_used = any(each.range_c is not None for each in compensation.coefficients.values())
+        if others.limits is None or not is_used:
+            return {}
+        return {first: others.limits + 2 * place for place, first in enumerate(others.firsts())}
 
 
 class CommandMap(StrictModel):

@@ -72,7 +72,7 @@ class InertialUnit:
 
     Attributes
     ----------
-    loaded_table : ndarray, shape (3, 84)
+    loaded_table : ndarray, shape (3, 98)
         The compensation table as loaded so far.
     compensation : InsCompensation or None
         The applied compensation of the sensors' output.

@@ -8,7 +8,8 @@ Bias subtracted from gyro i, with its optics at T, its electronics at B and Up i
 
 After the biases the errors of the other coefficients are taken out: those of the gyros' matrix, of the
 accelerometers' biases and matrix, each ``polynomial(T) + rate dT/dt + gravity . Up`` with T and dT/dt of the
-gyro along the sensor's axis. T, B - T and dT/dt are clamped to the limits in the table. ``play`` follows T
+gyro along the sensor's axis. T, B - T and dT/dt are clamped to the limits in the table, T for each of these
+to limits of its own where they are not both zero. ``play`` follows T
 with a slack of the half width on either side, from the temperature at power-on.
 """
 
@@ -48,10 +49,11 @@ class Slot(IntEnum):
     GYRO_MATRIX = 28
     FORCE_BIAS = 52
     FORCE_MATRIX = 60
+    LIMITS = 84
 
 
 #: Number of coefficients of each gyro and accelerometer; of these for the gyro's bias.
-COEFFICIENT_COUNT, _OF_BIAS = 84, 28
+COEFFICIENT_COUNT, _OF_BIAS = 98, 28
 #: Numbers of each coefficient beyond the gyros' biases, and those of its polynomial.
 _EACH, _DEGREES = 8, 4
 _PPM, _ARCSEC, _MICRO_G = 1e-6, math.radians(1.0) / 3600.0, 9.80665e-6
@@ -66,7 +68,7 @@ _FILTER_S = 120.0
 
 
 def empty_table() -> FloatArray:
-    """A table (3, 84) that subtracts nothing."""
+    """A table (3, 98) that subtracts nothing."""
     table = np.zeros((3, COEFFICIENT_COUNT))
     table[:, Slot.LOW_C] = -100.0
     table[:, Slot.HIGH_C] = 150.0
@@ -74,8 +76,14 @@ def empty_table() -> FloatArray:
 
 
 def table_checksum(table: FloatArray) -> int:
-    """CRC-32 of a table as little-endian 32-bit floats, by axis; of the biases alone if all else is 0."""
-    table = table if table[:, _OF_BIAS:].any() else table[:, :_OF_BIAS]
+    """CRC-32 of a table as little-endian 32-bit floats, by axis; without a last part that is all 0.
+
+    The parts are the biases, the other coefficients, and limits of their own.
+    """
+    for end in (_OF_BIAS, Slot.LIMITS):
+        if not table[:, end:].any():
+            table = table[:, :end]
+            break
     return zlib.crc32(table.astype("<f4").tobytes())
 
 
@@ -115,7 +123,7 @@ class InsCompensation:
 
     Parameters
     ----------
-    table : ndarray, shape (3, 84)
+    table : ndarray, shape (3, 98)
         One row for each axis, laid out by :class:`Slot`.
     history : TemperatureHistory
         Readings since power-on; the play starts there.
@@ -148,15 +156,20 @@ class InsCompensation:
             float(history.seconds), self._play_c,
         )  # fmt: skip
         if self._table[:, _OF_BIAS:].any():
-            self._others = self._table[:, _OF_BIAS:].reshape(3, -1, _EACH) @ self._inputs(history, up_body)
-            self._others = self._others[..., 0]
+            numbers = self._table[:, _OF_BIAS : Slot.LIMITS].reshape(3, -1, _EACH)
+            self._others = (numbers * self._inputs(history, up_body)).sum(axis=2)
 
     def _inputs(self, history: TemperatureHistory, up_body: FloatArray) -> FloatArray:
-        """What the eight numbers of each coefficient are multiplied by, shape (3, 8, 1)."""
+        """What the eight numbers of each coefficient are multiplied by, shape (3, 7, 8)."""
         low_c, high_c, limit = self._table[:, [Slot.LOW_C, Slot.HIGH_C, Slot.RATE_LIMIT]].T
-        powers = np.clip(history.optics_c, low_c, high_c)[:, np.newaxis] ** np.arange(_DEGREES)
-        rate = np.clip(history.rate_c_per_h, -np.abs(limit), np.abs(limit))[:, np.newaxis]
-        return np.hstack([powers, rate, np.tile(up_body, (3, 1))])[..., np.newaxis]
+        at_c = np.clip(history.optics_c, low_c, high_c)[:, np.newaxis]
+        limits_c = self._table[:, Slot.LIMITS :].reshape(3, -1, 2)
+        at_c = np.where(limits_c.any(axis=2), np.clip(at_c, limits_c[..., 0], limits_c[..., 1]), at_c)
+        inputs = np.empty((*at_c.shape, _EACH))
+        inputs[..., :_DEGREES] = at_c[..., np.newaxis] ** np.arange(_DEGREES)
+        inputs[..., _DEGREES] = np.clip(history.rate_c_per_h, -np.abs(limit), np.abs(limit))[:, np.newaxis]
+        inputs[..., _DEGREES + 1 :] = up_body
+        return inputs
 
     def corrected(
         self, rotation: FloatArray, velocity: FloatArray, interval_s: float

@@ -1,5 +1,5 @@
 import re
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import get_args
 
 import numpy as np
@@ -12,7 +12,7 @@ from gyrobench.bench.runs.compensation_file import (
     read_compensation,
     write_compensation,
 )
-from gyrobench.drivers.ins.command_map import NUMBERS, Compensation
+from gyrobench.drivers.ins.command_map import NUMBERS, Compensation, Correction
 
 POLYNOMIAL = "polynomial_dph: [[1.0], [2.0], [3.0]]\nlow_c: [-20, -20, -20]\nhigh_c: [70, 70, 70]\n"
 
@@ -91,3 +91,14 @@ def test_mistakes_are_shown_with_their_place(written, text, message):
     with pytest.raises(DocumentError, match=message) as caught:
         read_compensation(written(text))
     assert re.match(r".*compensation\.yaml:\d+:\d+: ", str(caught.value))
+
+
+def test_the_temperatures_of_a_coefficient_are_read_as_written_and_in_order(tmp_path, written):
+    path = tmp_path / "compensation.yaml"
+    correction = Correction(np.array([3.0, 0.1]), range_c=(33.0, 75.0))
+    numbers = read_compensation(written(POLYNOMIAL))
+    write_compensation(path, replace(numbers, coefficients={"gyro_scale_factor_x": correction}))
+    assert read_compensation(path).coefficients["gyro_scale_factor_x"].range_c == (33.0, 75.0)
+    path.write_text(path.read_text().replace("[33.0, 75.0]", "[75.0, 33.0]"))
+    with pytest.raises(DocumentError, match="low_c of a coefficient must not be above its high_c"):
+        read_compensation(path)

@@ -59,6 +59,21 @@ def test_polynomials_have_the_degree_that_the_data_need():
     assert not any(name.startswith("gyro_bias") for name in found)
 
 
+def test_a_coefficient_is_used_within_the_temperatures_at_which_it_was_measured():
+    true = [5.0, 0.01, 4e-4]
+    rows = rows_of({"accelerometer_scale_factor_x": true})
+    known_c = [at_c for at_c in TEMPERATURES_C if at_c > 20.0]
+    rows = [
+        replace(row, value=np.nan, sigma=np.nan)
+        if row.coefficient == "accelerometer_scale_factor" and TEMPERATURES_C[row.plateau - 1] <= 20.0
+        else row
+        for row in rows
+    ]
+    found = corrections(rows)
+    assert found["accelerometer_scale_factor_x"].range_c == (min(known_c), max(known_c))
+    assert found["gyro_scale_factor_x"].range_c == (min(TEMPERATURES_C), max(TEMPERATURES_C))
+
+
 @pytest.fixture(scope="module")
 def results():
     """Without compensation, and with one that leaves noise."""

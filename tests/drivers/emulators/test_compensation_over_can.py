@@ -1,6 +1,7 @@
 """The driver's compensation against what the emulated INS does with it, over the real frames."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -227,3 +228,48 @@ def test_an_ins_without_other_coefficients_refuses_them_by_name(emulated):
     assert command.unsupported(loaded) == []
     assert max(old.numbers(loaded)[0]) == 27
     assert max(command.numbers(loaded)[0]) == 83
+
+
+def test_a_coefficient_holds_its_value_outside_the_temperatures_at_which_it_was_measured(emulated):
+    emulated.run(20.0)
+    true = emulated.increments()
+    optics_c = emulated.world.thermal.optics_c
+    hotter_c = float(optics_c[0]) + 10.0
+    # 0 at the lower end of its range; 100 ppm less at the temperature of the gyro.
+    measured = Correction(np.array([-10.0 * hotter_c, 10.0]), range_c=(hotter_c, hotter_c + 40.0))
+    extrapolated = replace(measured, range_c=None)
+    gains = []
+    for each in (measured, extrapolated):
+        emulated.ins.clear_compensation()
+        loaded = compensation(
+            "polynomial", polynomial_dph=np.zeros((3, 1)), coefficients={"accelerometer_scale_factor_x": each}
+        )
+        checksum = emulated.ins.load_compensation(loaded)
+        emulated.ins.apply_compensation()
+        emulated.run(5.0)
+        assert emulated.ins.status().compensation_in_use == checksum
+        gains.append(emulated.increments()[1][0] / true[1][0])
+    assert gains[0] == pytest.approx(1.0, abs=1e-6)
+    assert gains[1] == pytest.approx(1.0 + 1e-4, abs=1e-5)
+
+
+def test_an_ins_without_limits_of_coefficients_refuses_those_far_narrower_than_the_biases(emulated):
+    command = emulated.ins._commands.load_compensation
+    old = command.model_copy(update={"others": command.others.model_copy(update={"limits": None})})
+    curve = np.array([3.0, 0.1])
+    for range_c, polynomial, unsupported in (
+        ((33.0, 75.0), curve, ["temperature limits of gyro_scale_factor_x"]),
+        ((-22.0, 68.0), curve, []),
+        ((33.0, 75.0), curve[:1], []),
+        (None, curve, []),
+    ):
+        loaded = compensation(
+            "polynomial",
+            low_c=np.full(3, -25.0),
+            high_c=np.full(3, 70.0),
+            coefficients={"gyro_scale_factor_x": Correction(polynomial, range_c=range_c)},
+        )
+        assert old.unsupported(loaded) == unsupported
+        assert command.unsupported(loaded) == []
+        assert max(old.numbers(loaded)[0]) == 83
+        assert max(command.numbers(loaded)[0]) == (83 if range_c is None else 97)
