@@ -3,7 +3,8 @@
 For each value of the nonlinear parameter (a time constant, a width) the other coefficients are linear. The
 likelihood of the values, each with its best coefficients, weighs them; draws take a value by its weight and
 coefficients from the normal distribution of its fit. Quantities that follow from all of these get their
-intervals from the draws, also where they are no linear function of the coefficients.
+intervals from the draws, also where they are no linear function of the coefficients. The grid is refined
+where the weight is: intervals from a few points that carry all of it would be too narrow.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ _DRAWS = 2000
 #: Normal equations with a larger condition number do not separate their coefficients.
 _MAX_CONDITION = 1e12
 _TINY = 1e-300
+#: A point of a grid with a larger share of the weight gets closer neighbours, in at most so many rounds.
+_MAX_SHARE, MAX_REFINEMENTS = 0.05, 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +34,10 @@ class ProfileFit:
     best: int  #: Index of the best design.
     coefficients: FloatArray  #: Shape (k,). Its coefficients.
     fitted: FloatArray  #: Shape (n,). Values of the best fit.
+    weights: FloatArray  #: Shape (d,). Of each design; they add up to 1.
+    deviance: (
+        FloatArray  #: Shape (d,). chi2 of each design with its penalty, relative to the best, over scale^2.
+    )
     scale: float  #: Factor on the standard uncertainties that explains the scatter; 1 or more.
     designs: IntArray  #: Shape (m,). Index of the design of each draw.
     draws: FloatArray  #: Shape (m, k). Coefficients of each draw.
@@ -43,13 +50,15 @@ def profile_fit(
     designs: FloatArray,
     penalties: FloatArray | None = None,
     shared: FloatArray | None = None,
+    shares: FloatArray | None = None,
 ) -> ProfileFit:
     """Fit values (n,) with standard uncertainties (n,) by each of the designs (d, n, k).
 
     A design lacks a coefficient whose column is zero. ``penalties`` (d,) are added to each design's chi2 in
     comparisons. ``shared`` (n, s): errors of all values by one standard uncertainty of each of s sources,
-    part of ``sigmas``. Raises MeasurementError if there are too few values, or no design separates its
-    coefficients.
+    part of ``sigmas``. ``shares`` (d,): part of the nonlinear parameter's range that each design stands for;
+    by default all stand for the same. Raises MeasurementError if there are too few values, or no design
+    separates its coefficients.
     """
     count, size = designs.shape[1:]
     dof = count - size - 1
@@ -67,19 +76,22 @@ def profile_fit(
     deviance = np.where(separable, chi2 if penalties is None else chi2 + penalties, np.inf)
     best = int(np.argmin(deviance))
     scale = float(np.sqrt(max(1.0, chi2[best] / dof)))
-    weights = np.exp(-0.5 * (deviance - deviance[best]) / scale**2)
+    relative = (deviance - deviance[best]) / scale**2
+    weights = np.exp(-0.5 * relative) * (1.0 if shares is None else shares)
+    weights /= weights.sum()
     random = np.random.default_rng(0)  # the same data give the same intervals
-    chosen = np.sort(random.choice(len(designs), _DRAWS, p=weights / weights.sum()))
-    draws = scale * random.standard_normal((_DRAWS, designs.shape[2]))
-    for index in np.unique(chosen):
-        rows = chosen == index
-        root = np.linalg.cholesky(inverse[index]) * shrink[index][:, None]
-        draws[rows] = solved[index] + draws[rows] @ root.T
+    chosen = np.sort(random.choice(len(designs), _DRAWS, p=weights))
+    normal = scale * random.standard_normal((_DRAWS, designs.shape[2], 1))
+    places, of_place = np.unique(chosen, return_inverse=True)
+    roots = shrink[places][:, :, None] * np.linalg.cholesky(inverse[places])
+    draws = solved[chosen] + (roots[of_place] @ normal)[:, :, 0]
     coefficients = solved[best, :size]
     return ProfileFit(
         best,
         coefficients,
         designs[best, :count, :size] @ coefficients,
+        weights,
+        relative,
         scale,
         chosen,
         *np.split(draws, [size], 1),
@@ -94,10 +106,12 @@ def _with_shared(
     Shared errors are further parameters, each known to be 0 ± 1.
     """
     size, sources = designs.shape[2], shared.shape[1]
-    known = np.hstack([np.zeros((sources, size)), np.eye(sources)])
-    designs = np.array([np.vstack([np.hstack([each, shared]), known]) for each in designs])
+    extended = np.zeros((len(designs), len(values) + sources, size + sources))
+    extended[:, : len(values), :size] = designs
+    extended[:, : len(values), size:] = shared
+    extended[:, len(values) :, size:] = np.eye(sources)
     own = np.sqrt(np.maximum(sigmas**2 - (shared**2).sum(axis=1), _TINY))
-    return np.append(values, np.zeros(sources)), np.append(own, np.ones(sources)), designs
+    return np.append(values, np.zeros(sources)), np.append(own, np.ones(sources)), extended
 
 
 def _inverse_normal(white: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
@@ -120,6 +134,19 @@ def _inverse_normal(white: FloatArray) -> tuple[FloatArray, FloatArray, BoolArra
     inverse = np.zeros_like(normal)
     inverse[separable] = np.linalg.inv(normal[separable])
     return inverse, np.where(sizes > 0.0, 1.0 / np.maximum(sizes, _TINY), 0.0), separable
+
+
+def cells(grid: FloatArray) -> FloatArray:
+    """Part of the range (g,) that each point of an increasing grid stands for: half way to its neighbours."""
+    edges = np.concatenate([grid[:1], 0.5 * (grid[1:] + grid[:-1]), grid[-1:]])
+    return np.diff(edges)
+
+
+def refined(grid: FloatArray, weights: FloatArray) -> FloatArray:
+    """The grid (g,) with points half way to the neighbours of those whose weights (g,) are large."""
+    is_heavy = weights > _MAX_SHARE
+    between = is_heavy[1:] | is_heavy[:-1]
+    return np.sort(np.append(grid, 0.5 * (grid[1:] + grid[:-1])[between]))
 
 
 def indicators(groups: Sequence[object]) -> FloatArray:

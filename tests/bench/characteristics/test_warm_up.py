@@ -30,6 +30,55 @@ def test_intervals_hold_drop_time_constant_and_time_to_settle() -> None:
         assert np.mean(held) >= 0.88, start  # 120 intervals: 0.95 +- 0.02
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("size_dph", [0.02, 0.05, 0.1])
+def test_intervals_of_large_warm_ups_hold_time_constants_of_any_value(size_dph: float) -> None:
+    random = np.random.default_rng(2)
+    held = []
+    for _ in range(40):
+        tau_s = float(np.exp(random.uniform(np.log(600.0), np.log(3000.0))))
+        first, constant, settled = warm_up(cold_start(random, size_dph, tau_s), 0.001).coefficients[:3]
+        truths = (
+            size_dph * np.exp(-np.linspace(60.0, 190.0, 100) / tau_s).mean(),
+            tau_s,
+            tau_s * np.log(size_dph / 0.001),
+        )
+        held.append(
+            [holds(each, truth) for each, truth in zip((first, constant, settled), truths, strict=True)]
+        )
+    assert np.all(np.mean(held, axis=0) >= 0.82), np.mean(held, axis=0)  # 40 intervals: 0.95 +- 0.035
+
+
+def test_the_time_constant_of_a_large_warm_up_is_not_rounded_to_a_grid() -> None:
+    taus_s = 1300.0, 1500.0, 1700.0
+    found = [
+        _named(warm_up(cold_start(np.random.default_rng(6), 0.1, tau_s), 0.001).coefficients, "time constant")
+        for tau_s in taus_s
+    ]
+    held = [holds(each, tau_s) for own, tau_s in zip(found, taus_s, strict=True) for each in own]
+    assert len(held) == 9
+    assert sum(held) >= 8
+    assert all(0.0 < each.high - each.low < 0.25 * each.value for own in found for each in own)
+
+
+def test_a_time_constant_that_is_longer_than_the_record_has_no_upper_limit() -> None:
+    result = warm_up(cold_start(np.random.default_rng(0), 0.02, 28800.0), 0.001)
+    sizes, constants = (_named(result.coefficients, start) for start in ("first bias", "time constant"))
+    assert len(sizes) == len(constants) == 3
+    assert all(each.high is None and each.low < 0.02 for each in sizes)
+    assert all(each.high is None and each.low < 28800.0 for each in constants)
+    assert sum("no upper limit to the time constant and the size" in note for note in result.notes) == 3
+
+
+def test_a_rising_bias_without_a_limit_of_its_time_constant_has_no_lower_limit_of_its_size() -> None:
+    result = warm_up(cold_start(np.random.default_rng(0), -0.02, 28800.0), 0.001)
+    sizes, constants = (_named(result.coefficients, start) for start in ("first bias", "time constant"))
+    are_open = [each.high is None for each in constants]
+    assert sum(are_open) >= 2
+    assert [each.low is None for each in sizes] == are_open
+    assert all(each.high < 0.0 for each in sizes)
+
+
 def test_without_warm_up_it_says_so() -> None:
     random = np.random.default_rng(3)
     results = [warm_up(cold_start(random, 0.0, 3600.0), 0.001) for _ in range(10)]
