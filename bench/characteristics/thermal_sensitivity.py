@@ -3,7 +3,8 @@
     ``b = constant + d t + sum a_k (T - T0)^k + c dT/dt + h s / 2``
 
 with T the gyro's temperature in each dwell and s its history: a follower with play, +1 after enough cooling
-and -1 after enough heating. Its play is the nonlinear parameter of a ``profile_fit``. Each power cycle and
+and -1 after enough heating. Its play and its state before the first dwell, which no dwell shows, are the
+nonlinear parameters of a ``profile_fit``. Each power cycle and
 each position has a constant, all a common drift d. The temperature sensitivity is the slope at T0; the
 hysteresis is the bias after cooling less that after heating, at one temperature. What lags behind the
 temperature in proportion to its rate, as a gradient does, is in the ramp sensitivity.
@@ -17,7 +18,15 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.error_split import NONE_SHARED, SharedErrors
-from gyrobench.bench.characteristics.profile_fit import ProfileFit, indicators, profile_fit, shared_by
+from gyrobench.bench.characteristics.profile_fit import (
+    MAX_REFINEMENTS,
+    ProfileFit,
+    cells,
+    indicators,
+    profile_fit,
+    refined,
+    shared_by,
+)
 from gyrobench.bench.characteristics.results import Coefficient, Curve, TestResult, from_draws
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
@@ -25,8 +34,11 @@ from gyrobench.bench.navigation.positions import AXES
 
 #: Smallest span of temperatures, K.
 _MIN_SPAN_C = 5.0
-#: Half widths of the play that are tried, K; the largest relative to the span of temperatures.
+#: Half widths of the play from which their grid is refined, K; the largest relative to the span of
+#: temperatures.
 _MIN_WIDTH_C, _MAX_WIDTH, _WIDTHS = 0.2, 0.25, 25
+#: Histories before the first dwell that are tried.
+_STARTS = np.array([-1.0, 0.0, 1.0])
 #: Change, K, by which a temperature that was heated begins to be cooled.
 _REVERSAL_C = 1.0
 #: Points of a dwell at which the history is followed.
@@ -49,6 +61,7 @@ def thermal_sensitivity(
     good = sorted((row for row in rows if not row.flags), key=lambda row: row.start_s)
     constants = _constants(good)
     lasted_s = np.array([row.end_s - row.start_s for row in good])
+    away_s = np.linspace(-0.5, 0.5, _POINTS) * lasted_s[:, np.newaxis]  # from the middle of each dwell
     coefficients: list[Coefficient] = []
     curves, notes, zeros_c = [], [], []
     for axis, gyro in enumerate(AXES):
@@ -66,13 +79,8 @@ def thermal_sensitivity(
         zeros_c.append(middle_c if reference_c is None else reference_c)
         powers = (temperature - zeros_c[-1])[:, np.newaxis] ** np.arange(1, degree + 1)
         linear = np.column_stack([powers, rate / 60.0])
-        designs = np.array(
-            [
-                np.column_stack([linear, 0.5 * history, constants])
-                for history in _histories(temperature, rate, lasted_s)
-            ]
-        )
-        fit = profile_fit(bias, sigma, designs, shared=shared_by(shared, good, axis))
+        path_c = temperature[:, np.newaxis] + rate[:, np.newaxis] / 3600.0 * away_s
+        fit = _fit(bias, sigma, linear, path_c, constants, shared_by(shared, good, axis))
         names = (
             ("temperature sensitivity", "deg/h/degC", 0),
             ("ramp sensitivity", "deg/h/(degC/min)", degree),
@@ -101,12 +109,28 @@ def _constants(rows: Sequence[DwellRow]) -> FloatArray:
     return np.column_stack([power_cycles, positions, begun_h - begun_h.mean()])
 
 
-def _histories(temperature: FloatArray, rate: FloatArray, lasted_s: FloatArray) -> list[FloatArray]:
-    """Mean history (n,) over each dwell, for each play that is tried."""
-    widths_c = np.geomspace(_MIN_WIDTH_C, _MAX_WIDTH * float(np.ptp(temperature)), _WIDTHS)
-    away_s = np.linspace(-0.5, 0.5, _POINTS) * lasted_s[:, np.newaxis]  # from the middle of each dwell
-    path_c = temperature[:, np.newaxis] + rate[:, np.newaxis] / 3600.0 * away_s
-    return [_play_state(path_c.ravel(), each).reshape(path_c.shape).mean(axis=1) for each in widths_c]
+def _fit(
+    bias: FloatArray,
+    sigma: FloatArray,
+    linear: FloatArray,
+    path_c: FloatArray,
+    constants: FloatArray,
+    shared: FloatArray | None,
+) -> ProfileFit:
+    """Fit with each play and start of the history; ``path_c`` (n, p): temperatures in each dwell."""
+    span_c = float(np.ptp(path_c.mean(axis=1)))
+    grid = np.linspace(np.log(_MIN_WIDTH_C), np.log(_MAX_WIDTH * span_c), _WIDTHS)
+    for _ in range(MAX_REFINEMENTS):
+        widths_c, starts = np.repeat(np.exp(grid), len(_STARTS)), np.tile(_STARTS, len(grid))
+        states = _play_state(path_c.ravel(), widths_c, starts).reshape(-1, *path_c.shape).mean(axis=2)
+        designs = np.array([np.column_stack([linear, 0.5 * each, constants]) for each in states])
+        shares = np.repeat(cells(grid), len(_STARTS))
+        fit = profile_fit(bias, sigma, designs, shared=shared, shares=shares)
+        finer = refined(grid, fit.weights.reshape(-1, len(_STARTS)).sum(axis=1))
+        if len(finer) == len(grid):
+            break
+        grid = finer
+    return fit
 
 
 def _notes(gyro: str, fit: ProfileFit, degree: int) -> list[str]:
@@ -137,18 +161,21 @@ def _notes(gyro: str, fit: ProfileFit, degree: int) -> list[str]:
 
 def _parts(rows: Sequence[DwellRow], temperature: FloatArray) -> list[str]:
     """Part of the temperature profile that each dwell belongs to."""
-    is_cooling = _play_state(temperature, _REVERSAL_C) > 0.0
+    is_cooling = _play_state(temperature, np.array([_REVERSAL_C]), np.zeros(1))[0] > 0.0
     return [
         f"{'cooling' if cooling else 'heating'}, cycle {row.cycle}"
         for cooling, row in zip([is_cooling[1], *is_cooling[1:]], rows, strict=True)
     ]
 
 
-def _play_state(temperature_c: FloatArray, half_width_c: float) -> FloatArray:
-    """History (n,) of temperatures in the order of time: -1 after enough heating, +1 after enough cooling."""
-    states = np.empty(len(temperature_c))
-    follower_c = temperature_c[0] if len(states) else 0.0
+def _play_state(temperature_c: FloatArray, half_widths_c: FloatArray, starts: FloatArray) -> FloatArray:
+    """Histories (d, n) of temperatures in the order of time, for each play and history at the begin (d,).
+
+    -1 after enough heating, +1 after enough cooling.
+    """
+    states = np.empty((len(starts), len(temperature_c)))
+    follower_c = temperature_c[:1] + starts * half_widths_c
     for index, value_c in enumerate(temperature_c):
-        follower_c = min(max(follower_c, value_c - half_width_c), value_c + half_width_c)
-        states[index] = (follower_c - value_c) / half_width_c
+        follower_c = np.clip(follower_c, value_c - half_widths_c, value_c + half_widths_c)
+        states[:, index] = (follower_c - value_c) / half_widths_c
     return states

@@ -93,6 +93,38 @@ def over_temperature(
     return rows
 
 
+def after_soaks(
+    random: np.random.Generator, hysteresis_dph: float, play_c: float, sigma: float
+) -> list[DwellRow]:
+    """Dwells after soaks alone, four times at 60, 25, -10 and 25 degC; before the first the unit was heated.
+
+    The gyro follows the air with a lag of 600 s.
+    """
+    air_c = gyro_c = follower_c = 25.0
+    time_s, rows = 0.0, []
+    for target_c in (60.0, 25.0, -10.0, 25.0) * 4:
+        ramp_and_soak = round((60.0 * abs(target_c - air_c) + 3600.0) / 10.0)
+        for dwell_steps in (0, 13, 13, 13):
+            course = []
+            before_c = gyro_c
+            for _ in range(dwell_steps or ramp_and_soak):
+                air_c += float(np.clip(target_c - air_c, -1.0 / 6.0, 1.0 / 6.0))
+                gyro_c += (air_c - gyro_c) / 60.0
+                follower_c = min(max(follower_c, gyro_c - play_c), gyro_c + play_c)
+                time_s += 10.0
+                course.append((gyro_c, (follower_c - gyro_c) / play_c))
+            if dwell_steps:
+                celsius, lead = np.mean(course, axis=0).tolist()
+                bias = 0.01 + 2e-4 * (celsius - 25.0) + 0.5 * hysteresis_dph * lead
+                rate_c_per_h, start_s = (gyro_c - before_c) / DWELL_S * 3600.0, time_s - DWELL_S
+                number, position = len(rows) + 1, ("z_up", "x_up")[len(rows) % 2]
+                measured = bias + random.normal(0.0, sigma, 3)
+                rows.append(
+                    row(number, "r", start_s, start_s, measured, sigma, celsius, rate_c_per_h, position)
+                )
+    return rows
+
+
 def holds(found: Coefficient, truth: float) -> bool:
     """Whether the interval holds the truth."""
     return (found.low is None or found.low <= truth) and (found.high is None or truth <= found.high)

@@ -9,7 +9,7 @@ import pytest
 
 from gyrobench.bench.characteristics.thermal_sensitivity import thermal_sensitivity
 from gyrobench.bench.foundations.errors import MeasurementError
-from tests.bench.characteristics.simulated_rows import holds, over_temperature, power_cycles
+from tests.bench.characteristics.simulated_rows import after_soaks, holds, over_temperature, power_cycles
 
 TEMPERATURE, RAMP, HYSTERESIS = 1e-4, 5e-4, 0.006
 
@@ -30,6 +30,26 @@ def test_intervals_hold_temperature_ramp_and_hysteresis() -> None:
             held[kind].append(holds(each, truths[kind]))
     assert {kind: len(each) for kind, each in held.items()} == dict.fromkeys(held, 75)
     assert all(np.mean(each) >= 0.87 for each in held.values()), held  # 0.95 +- 0.025
+
+
+@pytest.mark.long
+def test_intervals_hold_where_no_dwell_shows_the_history_before_the_first() -> None:
+    random = np.random.default_rng(3)
+    held = []
+    for _ in range(40):
+        found = thermal_sensitivity(after_soaks(random, HYSTERESIS, 2.0, 0.001), None, 1).coefficients
+        truths = np.resize([2e-4, 0.0, HYSTERESIS], 9)
+        held.append(np.reshape([holds(*each) for each in zip(found, truths, strict=True)], (3, 3)))
+    assert np.all(np.mean(held, axis=(0, 1)) >= 0.9), np.mean(
+        held, axis=(0, 1)
+    )  # 120 intervals: 0.95 +- 0.02
+
+
+def test_the_history_before_the_first_dwell_may_be_heating() -> None:
+    result = thermal_sensitivity(after_soaks(np.random.default_rng(1), HYSTERESIS, 2.0, 1e-4), None, 1)
+    found = [each for each in result.coefficients if each.name == "hysteresis"]
+    assert all(holds(each, HYSTERESIS) and each.high < 1.3 * HYSTERESIS for each in found)
+    assert sum("inseparable" in note for note in result.notes) == 3
 
 
 def test_without_noise_the_coefficients_are_those_of_the_model() -> None:
