@@ -27,6 +27,7 @@ from gyrobench.bench.bias.bins import BiasBin
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.error_sources import SOURCES
 from gyrobench.bench.bias.error_split import ErrorPart
+from gyrobench.bench.bias.power_cycles import SplitErrors, mean_error, scatter_variances, split_errors
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, RADPS_TO_DPH, FloatArray
 from gyrobench.bench.navigation.positions import AXES
 
@@ -241,25 +242,28 @@ class _Outside:
     curves: Mapping[str, np.poly1d | None]
 
     @classmethod
-    def of(cls, axis: int, rows: Sequence[DwellRow], inputs: BudgetInputs) -> _Outside:
+    def of(cls, axis: int, rows: Sequence[DwellRow], errors: SplitErrors, inputs: BudgetInputs) -> _Outside:
         positions = {row.position for row in rows}
         curves = {
             position: _curve([row for row in rows if row.position == position], axis)
             for position in (positions if inputs.temperature_c else ())
         }
-        return cls(*_between_power_cycles(axis, rows), curves)
+        return cls(*_between_power_cycles(axis, rows, errors), curves)
 
 
 def _outside(dwells: Sequence[BudgetedDwell], inputs: BudgetInputs) -> list[_Outside]:
-    good = [each.row for each in dwells if not each.row.flags]
-    return [_Outside.of(axis, good, inputs) for axis in range(3)]
+    good = [each for each in dwells if not each.row.flags]
+    errors = split_errors({each.row.dwell: each.parts for each in good})
+    return [_Outside.of(axis, [each.row for each in good], errors, inputs) for axis in range(3)]
 
 
 #: Temperatures of one plateau differ by less, K.
 _PLATEAU_C = 5.0
 
 
-def _between_power_cycles(axis: int, rows: Sequence[DwellRow]) -> tuple[float, float, str]:
+def _between_power_cycles(
+    axis: int, rows: Sequence[DwellRow], errors: SplitErrors
+) -> tuple[float, float, str]:
     """Standard deviation of a gyro's bias between power cycles beyond noise, deg/h, its dof, and a note."""
     cells: dict[tuple[str, int], dict[str, list[DwellRow]]] = defaultdict(lambda: defaultdict(list))
     for row in rows:
@@ -275,9 +279,11 @@ def _between_power_cycles(axis: int, rows: Sequence[DwellRow]) -> tuple[float, f
     squares, noise, free = 0.0, 0.0, 0
     for by_run in repeated:
         means = [np.mean([row.bias_dph[axis] for row in of_run]) for of_run in by_run.values()]
-        variances = [
-            np.mean([row.sigma_dph[axis] ** 2 for row in of_run]) / len(of_run) for of_run in by_run.values()
+        of_means = [
+            mean_error([errors[row.dwell] for row in of_run], np.full((len(of_run), 3), 1.0 / len(of_run)))
+            for of_run in by_run.values()
         ]
+        variances = scatter_variances(of_means)[:, axis]
         squares += float(np.sum((means - np.mean(means)) ** 2))
         noise += float(np.mean(variances)) * (len(means) - 1)
         free += len(means) - 1

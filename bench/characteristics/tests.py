@@ -8,6 +8,7 @@ from pydantic import Field
 
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.error_split import SharedErrors
+from gyrobench.bench.bias.power_cycles import SplitErrors
 from gyrobench.bench.characteristics.allan_test import RateRecord, allan_test
 from gyrobench.bench.characteristics.results import TestName, TestResult
 from gyrobench.bench.characteristics.scale_factor import MIN_MEASUREMENTS, SpinRecord, scale_factor_stability
@@ -82,14 +83,15 @@ class CharacteristicTests(StrictModel):
         records: Sequence[RateRecord],
         spins: Sequence[SpinRecord],
         shared: SharedErrors,
+        errors: SplitErrors,
     ) -> list[TestResult]:
         """Results from the dwells, noise records and whole turns of a run; without enough data a note.
 
-        ``shared``: errors of the dwells by accelerometers that follow the temperature.
+        ``shared``: errors of the dwells by accelerometers that follow the temperature. ``errors``: all.
         """
         results: list[TestResult] = []
         if self.turn_on_repeatability:
-            results.append(_result("turn_on_repeatability", lambda: turn_on_repeatability(rows)))
+            results.append(_result("turn_on_repeatability", lambda: turn_on_repeatability(rows, errors)))
         if self.warm_up:
             within_dph = self.warm_up.within_dph
             results.append(_result("warm_up", lambda: warm_up(rows, within_dph, shared)))

@@ -1,8 +1,9 @@
 """Turn-on to turn-on repeatability: how far a gyro's bias differs from one power cycle to the next.
 
 Each power cycle gives one bias with a known standard uncertainty; what they scatter beyond these is the
-repeatability. Its best value is that of restricted maximum likelihood; its interval is exact for normal
-biases: it holds the variances with which the weighted sum of squares is within its 95 % range of chi-squared.
+repeatability. Errors that all power cycles have in common do not make them scatter, and do not count. Its
+best value is that of restricted maximum likelihood; its interval is exact for normal biases: it holds the
+variances with which the weighted sum of squares is within its 95 % range of chi-squared.
 
 References
 ----------
@@ -15,10 +16,12 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
+from types import MappingProxyType
 
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.power_cycles import SplitError, SplitErrors, mean_error, scatter_variances
 from gyrobench.bench.bias.statistics import excess_variance, weighted_fit
 from gyrobench.bench.characteristics.results import Coefficient, Curve, TestResult, coefficient
 from gyrobench.bench.foundations.arrays import FloatArray
@@ -31,12 +34,15 @@ MIN_POWER_CYCLES = 7
 #: Gyro temperatures of the power cycles may differ by this much, K.
 MAX_TEMPERATURE_SPREAD_C = 1.0
 
+_NONE_SPLIT: SplitErrors = MappingProxyType({})
 
-def turn_on_repeatability(rows: Sequence[DwellRow]) -> TestResult:
+
+def turn_on_repeatability(rows: Sequence[DwellRow], errors: SplitErrors = _NONE_SPLIT) -> TestResult:
     """Repeatability from dwells of several power cycles (``run``).
 
     A power cycle counts with the mean over positions and set points, if it has a dwell without flags in each
-    in which most have one. Raises MeasurementError if fewer than two do.
+    in which most have one. ``errors``: of the dwells; one that it lacks has nothing in common with others.
+    Raises MeasurementError if fewer than two power cycles count.
     """
     good = [row for row in rows if not row.flags]
     cells = {run: frozenset(_cell(row) for row in good if row.run == run) for run in _runs(good)}
@@ -53,8 +59,9 @@ def turn_on_repeatability(rows: Sequence[DwellRow]) -> TestResult:
     )
     if len(whole) < MIN_POWER_CYCLES:
         notes.append(f"{len(whole)} power cycles: fewer than {MIN_POWER_CYCLES} leave wide intervals.")
-    means = [_means([row for row in good if row.run == run]) for run in whole]
-    biases, sigmas, temperatures = (np.array(each) for each in zip(*means, strict=True))
+    means = [_means([row for row in good if row.run == run], errors) for run in whole]
+    biases, temperatures = (np.array([each[place] for each in means]) for place in (0, 1))
+    sigmas = np.sqrt(scatter_variances([error for *_, error in means]))
     spread_c = float(np.ptp(temperatures, axis=0).max())
     if spread_c > MAX_TEMPERATURE_SPREAD_C:
         notes.append(
@@ -118,16 +125,18 @@ def _cell(row: DwellRow) -> tuple[str, float | None]:
     return row.position, None if math.isnan(row.chamber_set_c) else row.chamber_set_c
 
 
-def _means(rows: Sequence[DwellRow]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Mean biases, standard uncertainties and temperatures (3,) over the cells of a power cycle."""
+def _means(rows: Sequence[DwellRow], errors: SplitErrors) -> tuple[FloatArray, FloatArray, SplitError]:
+    """Mean biases and temperatures (3,) over the cells of a power cycle, and the error of the biases."""
     cells: dict[tuple[str, float | None], list[DwellRow]] = {}
     for row in rows:
         cells.setdefault(_cell(row), []).append(row)
-    biases, variances, temperatures = [], [], []
+    ordered = [row for own in cells.values() for row in own]
+    weights = []
     for own in cells.values():
-        weights = np.array([row.sigma_dph for row in own]) ** -2.0
-        variances.append(1.0 / weights.sum(axis=0))
-        biases.append((weights * np.array([row.bias_dph for row in own])).sum(axis=0) * variances[-1])
-        temperatures.append(np.mean([row.gyro_c for row in own], axis=0))
-    sigma = np.sqrt(np.sum(variances, axis=0)) / len(cells)
-    return np.mean(biases, axis=0), sigma, np.mean(temperatures, axis=0)
+        of_cell = np.array([row.sigma_dph for row in own]) ** -2.0
+        weights.append(of_cell / of_cell.sum(axis=0) / len(cells))
+    weight = np.vstack(weights)
+    bias = (weight * np.array([row.bias_dph for row in ordered])).sum(axis=0)
+    of_dwells = [errors.get(row.dwell) or SplitError.independent(row.sigma_dph) for row in ordered]
+    celsius = np.mean([np.mean([row.gyro_c for row in own], axis=0) for own in cells.values()], axis=0)
+    return bias, celsius, mean_error(of_dwells, weight)

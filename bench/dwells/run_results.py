@@ -17,6 +17,7 @@ from gyrobench.bench.bias.error_split import SharedErrors, shared_errors
 from gyrobench.bench.bias.joint_solution import JointDwell, JointSolution, pooled_up_rate, solve_jointly
 from gyrobench.bench.bias.noise_estimate import NoiseEstimate, estimate_noise
 from gyrobench.bench.bias.plateaus import PlannedDwell, group_plateaus
+from gyrobench.bench.bias.power_cycles import split_errors
 from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits, write_acceptance
 from gyrobench.bench.bias.vertical_pairs import UpRate
 from gyrobench.bench.characteristics.results import TestResult, write_characteristics
@@ -245,7 +246,8 @@ def evaluate_run(
     records = noise_records(folder, setup) if procedure.tests.allan_variance else []
     spins = [spin_record(*each, setup) for each in rotated_dwells(folder)] if with_spins else []
     shared = _shared(results.dwells, ["accelerometer_slope"])
-    characteristics = procedure.tests.evaluate(rows, records, spins, shared)
+    errors = split_errors({each.row.dwell: each.estimate.parts for each in results.dwells if each.estimate})
+    characteristics = procedure.tests.evaluate(rows, records, spins, shared, errors)
     results = replace(results, coefficients=coefficients, characteristics=characteristics)
     if results.dwells:
         write_dwells(folder.dwells, rows)

@@ -186,6 +186,22 @@ def test_repeatability_is_the_scatter_between_power_cycles_beyond_noise():
     assert of_dwell.any_power_cycle.sigma == pytest.approx(math.hypot(found.sigma, sigma_dph))
 
 
+def test_errors_that_all_power_cycles_share_are_not_subtracted_from_their_scatter():
+    parts = {"angle_random_walk": part(3e-3), "accelerometer_drift": part(9e-3)}
+    found = contribution(
+        budgets(dwells_of(parts, run=["1", "2", "3"], bias_dph=[0.005, 0.01, 0.015]))[0].budget,
+        "power_cycles",
+    )
+    assert found.sigma == pytest.approx(4e-3)  # the standard deviation of the biases is 5e-3
+
+
+def test_common_errors_that_differ_between_power_cycles_are_noise_of_their_scatter():
+    common = part(1e-3)
+    first, second = dwells_of({"bias_slope": common}, run=["1", "2"], bias_dph=[0.0092, 0.0108])
+    second = replace(second, parts={"bias_slope": part(-1e-3)})
+    assert contribution(budgets([first, second])[0].budget, "power_cycles").sigma == 0.0
+
+
 def test_power_cycles_that_differ_by_no_more_than_noise_are_said_to():
     dwells = dwells_of({"angle_random_walk": part(1e-3)}, run=["1", "2"], bias_dph=[0.01, 0.01])
     found = contribution(budgets(dwells)[0].budget, "power_cycles")

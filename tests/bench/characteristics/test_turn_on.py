@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gyrobench.bench.bias.dwell_table import DwellRow
+from gyrobench.bench.bias.power_cycles import SplitError, SplitErrors
 from gyrobench.bench.characteristics.turn_on import turn_on_repeatability, variance_interval
 from gyrobench.bench.foundations.errors import MeasurementError
 from tests.bench.characteristics.simulated_rows import holds, power_cycles
@@ -31,6 +33,35 @@ def test_without_scatter_the_interval_begins_at_zero() -> None:
     random = np.random.default_rng(2)
     found = turn_on_repeatability(power_cycles(random, 10, 0.0, 0.001)).coefficients
     assert all(each.low == 0.0 and each.high < 0.0025 for each in found if each.name == STD)
+
+
+@pytest.mark.long
+def test_the_interval_holds_the_scatter_of_power_cycles_with_an_error_in_common() -> None:
+    random = np.random.default_rng(6)
+    found = []
+    for _ in range(80):
+        rows, errors = _with_common_error(random, 10, 0.001, own_dph=0.001, common_dph=0.002)
+        found += [each for each in turn_on_repeatability(rows, errors).coefficients if each.name == STD]
+    assert 0.915 <= np.mean([holds(each, 0.001) for each in found]) <= 0.985  # 240 intervals: 0.95 +- 0.014
+    assert np.sqrt(np.mean([each.value**2 for each in found])) == pytest.approx(0.001, rel=0.1)
+
+
+def test_an_error_that_all_power_cycles_share_is_not_subtracted_from_their_scatter() -> None:
+    rows, errors = _with_common_error(np.random.default_rng(7), 60, 0.001, own_dph=0.0005, common_dph=0.003)
+    found = [each for each in turn_on_repeatability(rows, errors).coefficients if each.name == STD]
+    assert [each.value for each in found] == pytest.approx([0.001] * 3, rel=0.3)
+    assert all(each.low > 0.0 for each in found)
+
+
+def _with_common_error(
+    random: np.random.Generator, count: int, scatter_dph: float, own_dph: float, common_dph: float
+) -> tuple[list[DwellRow], SplitErrors]:
+    rows = power_cycles(random, count, scatter_dph, own_dph)
+    off_dph = random.normal(0.0, common_dph, 3)
+    sigma_dph = (float(np.hypot(own_dph, common_dph)),) * 3
+    rows = [replace(row, bias_dph=tuple(row.bias_dph + off_dph), sigma_dph=sigma_dph) for row in rows]
+    error = SplitError(np.full(3, own_dph**2), common_dph * np.eye(3))
+    return rows, {row.dwell: error for row in rows}
 
 
 def test_values_that_scatter_less_than_their_uncertainties_leave_room_for_a_scatter() -> None:
