@@ -203,6 +203,26 @@ def fit_rate_noise(allan: AllanVariance, *, with_instability: bool = False) -> R
     )
 
 
+def goodness_of_fit(allan: AllanVariance, noise: RateNoise) -> float:
+    """p-value of the Allan variance under the fitted terms: small where they do not explain it.
+
+    From logarithms, which are nearer to normal than the variances are, with their covariance: one averaging
+    time determines most of the next.
+    """
+    from scipy.stats import chi2
+
+    used, terms = noise.used, len(noise.terms)
+    information = _Information.of(allan, terms)
+    model = information.design[used] @ noise.terms
+    relative = information.covariance(noise.terms)[np.ix_(used, used)] / np.outer(model, model)
+    root = np.linalg.cholesky(relative)
+    # The mean of the logarithm of chi-squared is below that of its mean by 1 / edf.
+    logs = np.log(allan.variance[used] / model) + 1.0 / noise.edf[used]
+    white = np.linalg.solve(root, np.column_stack([logs, information.design[used] / model[:, np.newaxis]]))
+    residual = white[:, 0] - white[:, 1:] @ np.linalg.lstsq(white[:, 1:], white[:, 0])[0]
+    return float(chi2.sf(residual @ residual, np.count_nonzero(used) - terms))
+
+
 def mean_ramp(segments: Sequence[FloatArray], interval_s: float, noise: RateNoise) -> tuple[float, float]:
     """Mean slope of the rate over segments without a gap, and its standard uncertainty by the noise.
 

@@ -3,7 +3,8 @@
 Quantisation Q, angle random walk N, bias instability B and rate random walk K are fitted to the overlapping
 Allan variance; the ramp R is the mean slope of the rate, with the uncertainty that this noise gives it. Each
 interval is that of chi-squared with the effective degrees of freedom ``2 c^2 / var(c)`` of the squared
-coefficient c.
+coefficient c. What these five terms do not explain, as a periodic rate, goes into them all the same: a note
+states it.
 
 References
 ----------
@@ -27,6 +28,7 @@ from gyrobench.bench.bias.allan import (
     RateNoise,
     allan_variance,
     fit_rate_noise,
+    goodness_of_fit,
     mean_ramp,
 )
 from gyrobench.bench.characteristics.results import Coefficient, Curve, TestResult, coefficient
@@ -43,6 +45,10 @@ _TERMS = {
     RATE_WALK: ("rate random walk K", "deg/h/sqrt(h)", DPH_TO_RADPS / np.sqrt(_HOUR_S)),
 }
 _NORMAL_95 = 1.96
+#: p-value below which the terms do not explain the Allan variance.
+_MIN_P_VALUE = 1e-5
+#: Period of a rate in units of the averaging time at which its Allan variance is largest.
+_PERIOD = 2.7
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +68,7 @@ def allan_test(records: Sequence[RateRecord]) -> TestResult:
         raise MeasurementError("no undisturbed navigation with purpose: noise")
     interval_s = records[0].interval_s
     coefficients: list[Coefficient] = []
-    curves = []
+    curves, notes = [], []
     for axis, gyro in enumerate(AXES):
         segments = [segment[:, axis] for record in records for segment in record.segments]
         allan = allan_variance(segments, interval_s)
@@ -74,8 +80,9 @@ def allan_test(records: Sequence[RateRecord]) -> TestResult:
         ramp, sigma = (each * _HOUR_S / DPH_TO_RADPS for each in mean_ramp(segments, interval_s, fit))
         ends = ramp - _NORMAL_95 * sigma, ramp + _NORMAL_95 * sigma
         coefficients.append(coefficient(gyro, "rate ramp R", "deg/h/h", ramp, *ends))
+        notes += _notes(gyro, allan, fit)
         curves.append(_curve(gyro, allan, fit))
-    return TestResult(test="allan_variance", coefficients=coefficients, curves=curves)
+    return TestResult(test="allan_variance", coefficients=coefficients, curves=curves, notes=notes)
 
 
 def square_interval(square: float, sigma: float) -> tuple[float, float]:
@@ -87,6 +94,24 @@ def square_interval(square: float, sigma: float) -> tuple[float, float]:
     edf = 2.0 * (square / sigma) ** 2
     low, high = (square * edf / float(chi2.ppf(level, edf)) for level in (0.975, 0.025))
     return low, high
+
+
+def _notes(gyro: str, allan: AllanVariance, fit: RateNoise) -> list[str]:
+    """Whether and where the terms do not explain the Allan variance."""
+    p_value = goodness_of_fit(allan, fit)
+    if p_value >= _MIN_P_VALUE:
+        return []
+    ratio = allan.variance / fit.expected
+    away = np.where(fit.used, np.abs(ratio - 1.0) / np.sqrt(2.0 / fit.edf + fit.excess**2), 0.0)
+    place = int(np.argmax(away))
+    tau_s = float(allan.tau_s[place])
+    period_s = float(f"{_PERIOD * tau_s:.2g}")
+    period = f", as with a rate of period {period_s:.0f} s" if ratio[place] > 1.0 else ""
+    return [
+        f"{gyro.upper()} gyro: the five terms do not explain the Allan variance (p < {_MIN_P_VALUE:g}); near "
+        f"{tau_s:.0f} s it is {ratio[place]:.1f} times the fit{period}. The coefficients may be those of "
+        "another effect: look for it in the record."
+    ]
 
 
 def _curve(gyro: str, allan: AllanVariance, fit: RateNoise) -> Curve:

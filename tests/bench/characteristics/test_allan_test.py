@@ -46,6 +46,31 @@ def test_intervals_hold_the_five_coefficients() -> None:
         assert np.mean(values[name]) == pytest.approx(TRUTHS[name], rel=tolerance)
 
 
+def _with_line(random: np.random.Generator, size_dph: float, period_s: float) -> RateRecord:
+    """Ten hours of three gyros with angle random walk and a sinusoidal rate, each ten seconds."""
+    time_s = np.arange(0.0, 36_000.0, 10.0)[:, np.newaxis]
+    noise = TRUTHS["N"] * np.pi / 180.0 / 60.0 * np.sqrt(10.0) * random.standard_normal((len(time_s), 3))
+    phases = random.uniform(0.0, 2.0 * np.pi, 3)
+    line = 10.0 * size_dph * DPH * np.sin(2.0 * np.pi * time_s / period_s + phases)
+    return RateRecord(10.0, [np.vstack([np.zeros((1, 3)), np.cumsum(noise + line, axis=0)])])
+
+
+@pytest.mark.parametrize("period_s", [600.0, 1800.0, 3600.0])
+def test_a_periodic_rate_is_noted_near_its_averaging_time(period_s: float) -> None:
+    notes = allan_test([_with_line(np.random.default_rng(4), 0.003, period_s)]).notes
+    assert [note[:6] for note in notes] == ["X gyro", "Y gyro", "Z gyro"]
+    assert all("do not explain the Allan variance" in note for note in notes)
+    near_s = [float(note.split("; near ")[1].split(" s ")[0]) for note in notes]
+    assert near_s == pytest.approx([0.371 * period_s] * 3, rel=0.35)
+
+
+def test_noise_that_the_terms_explain_has_no_note() -> None:
+    random = np.random.default_rng(5)
+    assert allan_test([_with_line(random, 0.0, 600.0)]).notes == []
+    record = np.column_stack([angles(random, 3600) for _ in range(3)])
+    assert allan_test([RateRecord(1.0, [record])]).notes == []
+
+
 def test_a_coefficient_that_does_not_show_has_an_upper_limit_only() -> None:
     low, high = square_interval(1.0, 0.8)
     assert (low, high) == (0.0, pytest.approx(1.0 + 1.96 * 0.8))
