@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from gyrobench.bench.station.station import Station
 
 _DEFAULT_TARGET_DPH = 0.002
+_NO_CYCLE = (
+    "No cycle is numbered: a search (gyrobench close) can hold none out. Name the variable of the loop over\n"
+    "the repeated profile 'cycle'."
+)
 
 
 def plan(
@@ -112,7 +116,7 @@ def plan(
 
 def _show_steps(job: Job, figure: Path | None, as_json: bool) -> None:
     from gyrobench.bench.closure.planned_campaign import unreachable_limits
-    from gyrobench.bench.procedure.timeline import timeline_rows, unsettled_soaks
+    from gyrobench.bench.procedure.timeline import is_cycle_unnumbered, timeline_rows, unsettled_soaks
     from gyrobench.bench.report.figures.style import save_figure
     from gyrobench.bench.report.figures.temperatures import plan_figure
     from gyrobench.bench.report.terminal.tables import timeline_table
@@ -147,7 +151,10 @@ def _show_steps(job: Job, figure: Path | None, as_json: bool) -> None:
     lines = [*heading, *(f"  {each}" for each in soaks)]
     if limits:
         lines.append("Acceptance limits that no unit can pass, by the noise of these dwells alone:")
-    lines += [*(f"  {each}" for each in limits), f"Figure   {path}"]
+    lines += [f"  {each}" for each in limits]
+    if is_cycle_unnumbered(plan):
+        lines.append(_NO_CYCLE)
+    lines.append(f"Figure   {path}")
     print_result(record, as_json, timeline_table(timeline_rows(plan), plan.duration_s), *lines)
 
 

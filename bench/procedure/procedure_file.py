@@ -6,6 +6,7 @@ with the values in the file; a value that is a variable is checked when the loop
 
 from __future__ import annotations
 
+import difflib
 import itertools
 import json
 import math
@@ -68,6 +69,8 @@ VARIABLE_PATTERN = r"\$([a-z][a-z0-9_]*)"
 
 _VARIABLE = re.compile(VARIABLE_PATTERN)
 _ALLOWED_STEPS = (*STEP_KINDS, "repeat")
+#: Similarity (difflib) from which the name of a variable that no step uses is a mistyped one.
+_MISTYPED = 0.8
 _MODELS: tuple[type[StrictModel], ...] = (*STEP_KINDS.values(), Until)
 _STEP_KEYS = frozenset(key for model in _MODELS for key in model.model_fields)
 
@@ -252,13 +255,14 @@ def _loop_problems(loop: Repeat, at: KeyPath, scope: tuple[str, ...]) -> Iterato
             yield DocumentProblem(
                 (*at, name), f"{name} is a variable of an enclosing repeat already. Use another name"
             )
-        # Others may just count repetitions.
-        is_meant = name in _STEP_KEYS or not _counts(values)
+        # Others may just count repetitions, and cycles are held out by their name.
+        intended = difflib.get_close_matches(name, ["cycle"], cutoff=_MISTYPED)
+        is_meant = name in _STEP_KEYS or not _counts(values) or bool(intended)
         if name not in (*used, *scope, "cycle") and is_meant and not is_one_mistyped:
             yield DocumentProblem(
                 (*at, name),
-                f"no step in the loop uses its variable ${name}. Use it in a step, or leave it out; to "
-                "repeat the steps, number the passes: repetition: [1, 2, 3]",
+                f"no step in the loop uses its variable ${name}{did_you_mean(name, intended)}. Use it in a "
+                "step, or leave it out; to repeat the steps, number the passes: repetition: [1, 2, 3]",
             )
         for index, value in enumerate(values):
             if name == "cycle" and (not isinstance(value, int) or value < 1):

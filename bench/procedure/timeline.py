@@ -12,7 +12,7 @@ import numpy as np
 
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.text import hours_minutes
-from gyrobench.bench.procedure.plan import DwellPurpose, Plan, PlannedStep
+from gyrobench.bench.procedure.plan import DwellPurpose, Phase, Plan, PlannedStep
 from gyrobench.bench.procedure.steps import GoTo, Soak, span
 
 #: In place of a position where the table rotates.
@@ -57,6 +57,20 @@ def unsettled_soaks(plan: Plan) -> list[str]:
         and (limit_c_per_h := step.until_gyro_rate_below_c_per_h) is not None
         and planned.before.time_until_gyro_rate_s(limit_c_per_h) > step.at_most_s
     ]
+
+
+def is_cycle_unnumbered(plan: Plan) -> bool:
+    """Whether all temperatures and positions are repeated, and all in one cycle.
+
+    A profile up and down in one cycle repeats all but its ends.
+    """
+    starts = [
+        each for each in plan.steps if each.phase is Phase.ALIGN and each.purpose is DwellPurpose.CALIBRATION
+    ]
+    places = [(each.before.set_point_c, each.before.position, each.before.azimuth_deg) for each in starts]
+    plateaus = itertools.groupby(places, key=lambda place: place[0])
+    visits = Counter(place for _, plateau in plateaus for place in {*plateau})
+    return len({each.cycle for each in starts}) == 1 and min(visits.values()) > 1
 
 
 def temperature_profile(plan: Plan) -> tuple[FloatArray, FloatArray, FloatArray]:

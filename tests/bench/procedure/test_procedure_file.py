@@ -132,6 +132,11 @@ WRONG_FILES = {
         "3:19",
         ["no step in the loop uses its variable $set_points", "repetition: [1, 2, 3]"],
     ),
+    "mistyped cycle, whose values count": (
+        "- repeat: {over: {cycles: [1, 2]}, steps: [power_off]}",
+        "3:19",
+        ["no step in the loop uses its variable $cycles (did you mean 'cycle'?)"],
+    ),
     "unused single set point": (
         "- repeat: {over: {n: [1, 2], hot_c: [60]}, steps: [power_off]}",
         "3:30",

@@ -12,6 +12,7 @@ from gyrobench.bench.procedure.plan import DwellPurpose, Plan, expand
 from gyrobench.bench.procedure.procedure_file import load_procedure
 from gyrobench.bench.procedure.timeline import (
     ROTATIONS,
+    is_cycle_unnumbered,
     position_spans,
     temperature_profile,
     timeline_rows,
@@ -61,6 +62,39 @@ def test_rows_follow_one_another_and_cover_the_plan(planned: PlanOf) -> None:
 def test_a_row_of_moves_alone_names_them(planned: PlanOf) -> None:
     _, plan = planned("- go_to: {position: y_up}")
     assert [(row.what, row.where) for row in timeline_rows(plan)] == [("go to y_up, azimuth 0 deg", "y_up")]
+
+
+@pytest.mark.parametrize(
+    ("cycle", "set_points", "is_unnumbered"),
+    [
+        ("cycle: [1, 2]", [60, 20], False),
+        ("pass: [1, 2]", [60, 20], True),
+        ("pass: [1, 2]", [60], False),
+        ("pass: [1]", [20, 40, 60, 40, 20], False),
+        ("pass: [1]", [20, 60], False),
+    ],
+)
+def test_repeated_temperatures_and_positions_need_a_numbered_cycle(
+    planned: PlanOf, cycle: str, set_points: list[int], is_unnumbered: bool
+) -> None:
+    _, plan = planned(
+        "- power_on\n"
+        "- repeat:\n"
+        f"    over: {{{cycle}, temperature_c: {set_points}}}\n"
+        "    steps:\n"
+        "      - chamber: {temperature_c: $temperature_c, ramp_c_per_min: 1}\n"
+        "      - go_to: {position: z_up}\n"
+        "      - align: {duration_s: 300}\n"
+        "      - navigate: {duration_s: 600}\n"
+        "      - turn: {angle_deg: 180}\n"
+        "      - navigate: {duration_s: 600}\n"
+    )
+    assert is_cycle_unnumbered(plan) is is_unnumbered
+
+
+def test_a_plan_without_dwells_needs_no_cycle(planned: PlanOf) -> None:
+    _, plan = planned("- go_to: {position: y_up}")
+    assert not is_cycle_unnumbered(plan)
 
 
 def test_a_soak_that_will_end_by_its_time_is_named_with_the_rate_that_is_left(planned: PlanOf) -> None:
