@@ -74,17 +74,19 @@ def report(
     print_unfinished([folder.path])
     if folder.unit_folders:
         terminal.print(section_view(units_section(folder)))
-        terminal.print(f"Report   {write_units_report(folder, by, formats)}", soft_wrap=True)
-        raise typer.Exit(EXIT_NOT_FINISHED if damage else 0)
-    page = write_report(folder, by, out, earlier, mark_temperature or (), formats)
-    if damage:
-        terminal.print("Unit not judged.", style="bold")
-    elif folder.acceptance.exists():
-        terminal.print(section_view(acceptance_summary(read_acceptance(folder.acceptance))))
+        page = write_units_report(folder, by, formats)
+    else:
+        page = write_report(folder, by, out, earlier, mark_temperature or (), formats)
+        if damage:
+            terminal.print("Unit not judged.", style="bold")
+        elif folder.acceptance.exists():
+            terminal.print(section_view(acceptance_summary(read_acceptance(folder.acceptance))))
     terminal.print(f"Report   {page}", soft_wrap=True)
     if pdf:
         from gyrobench.bench.report.page import write_pdf
+        from gyrobench.bench.runs.seal import keep_sealed
 
         terminal.print(f"PDF      {write_pdf(page, page.with_suffix('.pdf'))}", soft_wrap=True)
+        keep_sealed(folder)
     if damage:
         raise typer.Exit(EXIT_NOT_FINISHED)

@@ -94,6 +94,24 @@ def test_a_pdf_stands_beside_the_page_where_it_was_asked_for(run, tmp_path):
     assert not run.report.exists()
 
 
+def test_a_pdf_in_the_run_folder_is_sealed(run, tmp_path):
+    done = gyrobench("report", run.path, "--pdf", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert (run.path / "report.pdf").is_file()
+    check = gyrobench("seal", "--verify", run.path, cwd=tmp_path)
+    assert check.returncode == 0, check.stderr
+    assert "Not sealed" not in check.stdout
+
+
+def test_a_run_of_several_units_has_a_pdf_too(run, tmp_path):
+    unit = RunFolder(run.path / "units" / "7")
+    unit.path.mkdir(parents=True)
+    shutil.copy(run.journal, unit.journal)
+    done = gyrobench("report", run.path, "--pdf", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert (run.path / "report.pdf").read_bytes().startswith(b"%PDF-")
+
+
 def test_a_run_before_a_change_is_set_beside_it(run, tmp_path):
     done = gyrobench("report", run.path, "--before", run.path, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
