@@ -63,6 +63,7 @@ def report(
     from gyrobench.bench.report.terminal.tables import section_view
     from gyrobench.bench.report.units_report import units_section, write_units_report
     from gyrobench.bench.runs.folder import open_run_folder
+    from gyrobench.bench.runs.provenance import watermark_of
 
     folder = open_run_folder(run_folder, may_have_units=True)
     earlier = open_run_folder(before) if before else None
@@ -82,6 +83,8 @@ def report(
         elif folder.acceptance.exists():
             terminal.print(section_view(acceptance_summary(read_acceptance(folder.acceptance))))
     terminal.print(f"Report   {page}", soft_wrap=True)
+    if by and watermark_of(folder.path):
+        terminal.print("--by has no effect: reports of emulated runs have no table to sign.", soft_wrap=True)
     if pdf:
         from gyrobench.bench.report.page import write_pdf
         from gyrobench.bench.runs.seal import keep_sealed

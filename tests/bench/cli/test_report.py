@@ -86,6 +86,14 @@ def test_who_prepares_it_stays_when_it_is_written_again(run, tmp_path):
     assert "A. Smith" in run.report.read_text()
 
 
+def test_a_name_for_the_report_of_an_emulated_run_is_answered_that_none_is_signed(run, tmp_path):
+    text = "reports of emulated runs have no table to sign"
+    assert text not in gyrobench("report", run.path, "--by", "A. Smith", cwd=tmp_path).stdout
+    run.provenance.write_text('{"options": {"world": "quick"}}')
+    assert text not in gyrobench("report", run.path, cwd=tmp_path).stdout
+    assert text in gyrobench("report", run.path, "--by", "A. Smith", cwd=tmp_path).stdout
+
+
 def test_a_pdf_stands_beside_the_page_where_it_was_asked_for(run, tmp_path):
     done = gyrobench("report", run.path, "--pdf", "--out", "signed", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
