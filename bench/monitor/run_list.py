@@ -58,6 +58,10 @@ def snapshot_of(path: Path) -> RunSnapshot:
         return snapshot_from_records(folder)
     if snapshot.state.is_over or holder_of(folder.path) is not None:
         return snapshot
+    records = snapshot_from_records(folder)
+    # A process that was killed may have recorded more than its last snapshot has.
+    if not snapshot.units and records.finished_dwells >= snapshot.finished_dwells:
+        return records
     return replace(
         snapshot,
         state=RunState.STOPPED,

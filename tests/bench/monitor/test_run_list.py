@@ -90,10 +90,26 @@ def running(folder):
 
 
 def test_a_run_that_was_killed_is_not_said_to_continue(folder):
+    cut_off(folder, "dwell_finished")
     folder.live.write_bytes(running(folder).to_json())
     snapshot = snapshot_of(folder.path)
     assert (snapshot.state, snapshot.reason) == (RunState.STOPPED, NO_END_RECORDED)
     assert snapshot.question is None
+
+
+def test_a_run_that_was_killed_after_its_last_snapshot_shows_all_dwells_that_its_journal_has(folder):
+    before = replace(running(folder), finished_dwells=0, dwells=())
+    cut_off(folder, "dwell_finished")
+    folder.live.write_bytes(before.to_json())
+    assert (snapshot_of(folder.path).finished_dwells, len(snapshot_of(folder.path).dwells)) == (1, 1)
+    assert summarise(folder.path).dwells == 1
+
+
+def test_a_run_that_was_killed_and_whose_journal_was_lost_shows_its_last_snapshot(folder):
+    folder.live.write_bytes(running(folder).to_json())
+    folder.journal.write_text("")
+    snapshot = snapshot_of(folder.path)
+    assert (snapshot.state, snapshot.finished_dwells) == (RunState.STOPPED, 1)
 
 
 def test_a_run_that_a_process_holds_continues(folder):
