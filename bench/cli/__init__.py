@@ -10,6 +10,7 @@ import gc
 import inspect
 import math
 import os
+import re
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache
@@ -124,6 +125,20 @@ class _CommandGroups(TyperGroup):
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
         self.commands = _Commands()  # type: ignore[assignment]  # nothing adds to them
+
+    def invoke(self, ctx: Any) -> Any:
+        """Execute a command. A wrong value is reported in plain words, with the nearest allowed one."""
+        try:
+            return super().invoke(ctx)
+        except typer.BadParameter as error:
+            from gyrobench.bench.foundations.documents import in_plain_words
+            from gyrobench.bench.foundations.text import did_you_mean
+
+            message = in_plain_words(error.message).rstrip(".")
+            found, _, allowed = message.partition(" is not one of ")
+            near = did_you_mean(found.strip("'"), re.findall(r"'([^']+)'", allowed))
+            error.message = f"{message}{near}{'.' if message else ''}"  # empty where one is missing
+            raise
 
     def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002
         """Names of all commands, in the order of the groups."""

@@ -202,11 +202,16 @@ def problems_of(error: ValidationError, at: KeyPath = ()) -> list[DocumentProble
         if detail["type"] == "missing":
             location = location[:-1]
         elif detail["type"] not in _COMPLETE:
-            for pattern, plain in _PLAIN_WORDS:
-                message = pattern.sub(plain, message)
-            message = f"{message}; found {_shown(detail['input'])}"
+            message = f"{in_plain_words(message)}; found {_shown(detail['input'])}"
         problems.append(DocumentProblem(location, message))
     return problems
+
+
+def in_plain_words(message: str) -> str:
+    """A message of pydantic in the words of the bench."""
+    for pattern, plain in _PLAIN_WORDS:
+        message = pattern.sub(plain, message)
+    return message
 
 
 class _Composer(yaml.composer.Composer, yaml.resolver.BaseResolver):

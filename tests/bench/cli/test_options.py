@@ -35,6 +35,24 @@ def test_no_option_that_is_a_number_takes_one_without_an_end(name, command, opti
     assert f"'{option}'" in refused.value.format_message()
 
 
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        (("schema", "proc"), "'kind': 'proc' is not one of 'procedure', 'station', "),
+        (("schema", "proc"), "'rotation_list' (did you mean 'procedure'?).\n"),
+        (("monitor", "runs", "--port", "x"), "'--port': the value must be a whole number.\n"),
+        (("fleet", "close", "runs", "--workers", "0"), "'--workers': the value must be at least 1.\n"),
+        (("plan", "rotations", "--target-dph", "inf"), "'--target-dph': inf is not a finite number.\n"),
+        (("calibrate", "log.csv"), "Missing option '--map'.\n"),
+    ],
+)
+def test_a_wrong_value_is_reported_in_plain_words_with_the_nearest_one(command, message, tmp_path):
+    answer = gyrobench(*command, cwd=tmp_path)
+    assert answer.returncode == 2
+    assert message in answer.stderr
+    assert "Value error" not in answer.stderr
+
+
 def test_an_infinite_budget_is_refused_before_anything_is_measured(tmp_path):
     answer = gyrobench("investigate", "quick_campaign", "--budget-h", "inf", cwd=tmp_path)
     assert answer.returncode == 2
