@@ -5,7 +5,8 @@ from __future__ import annotations
 import contextlib
 import glob
 import json
-from collections.abc import Iterator, Mapping, Sequence
+import os
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -78,8 +79,8 @@ class RunStore:
         Raises RunFolderError if the root does not exist or can't be read.
         """
         for folder, inner, files in self._walk():
-            is_run = JOURNAL in files and _OF_AN_INVESTIGATION not in files
-            if is_run and UNITS_FOLDER not in inner:
+            further = _further(inner, files)
+            if further is None:
                 found = {name: _tag(files[name]) for name in _OF_A_RUN if name in files}
                 if CLOSURE in inner:
                     found |= self._closure(folder)
@@ -87,7 +88,7 @@ class RunStore:
                 yield RunFiles(folder.removeprefix(self.root).strip("/") or ".", found)
             else:
                 # In place: sets the order of the walk.
-                ordered = [(UNITS_FOLDER, inner[UNITS_FOLDER])] if is_run else sorted(inner.items())
+                ordered = {name: inner[name] for name in further}
                 inner.clear()
                 inner.update(ordered)
 
@@ -173,7 +174,18 @@ def _named(name: str) -> Iterator[Path]:
 
 
 def _below(place: Path) -> Iterator[Path]:
-    if (place / JOURNAL).is_file() and not (place / UNITS_FOLDER).is_dir():
-        yield place
-    elif place.is_dir():
-        yield from (place / run.path for run in open_store(str(place)).runs())
+    """Run folders of this machine, found as by :meth:`RunStore.runs`, which needs fsspec."""
+    for folder, inner, files in os.walk(place, followlinks=True):
+        path = Path(folder)
+        further = _further(inner, files)
+        if further is None:
+            yield path
+        is_deepest = len(path.relative_to(place).parts) + 1 >= _MAX_DEPTH
+        inner[:] = [] if is_deepest else further or []
+
+
+def _further(inner: Collection[str], files: Collection[str]) -> list[str] | None:
+    """Folders in a folder in which runs are looked for, in order; None where it is a run."""
+    if JOURNAL not in files or _OF_AN_INVESTIGATION in files:
+        return sorted(inner)
+    return [UNITS_FOLDER] if UNITS_FOLDER in inner else None

@@ -1,6 +1,7 @@
 """``gyrobench fleet`` as an engineer types it."""
 
 import json
+import sys
 
 import pytest
 
@@ -53,6 +54,14 @@ def test_runs_that_can_not_be_searched_are_named_and_counted_apart_from_those_do
     assert again.returncode == 0, again.stderr
     assert f"not searched: {few.path}\n" in again.stdout
     assert "1 done before, 1 not searched before; " in again.stdout
+
+
+def test_runs_in_folders_of_this_machine_need_no_extra(place, monkeypatch):
+    for name in ("fsspec", "fsspec.core", "duckdb", "distributed"):
+        monkeypatch.setitem(sys.modules, name, None)
+    done = gyrobench("fleet", "close", "runs/a", "runs/b", "--threads", "--workers", 1, cwd=place)
+    assert done.returncode == 0, done.stderr
+    assert "2 done" in done.stdout
 
 
 def test_runs_of_an_index_are_chosen_by_what_they_are(place):
