@@ -38,6 +38,8 @@ _MAX_VALUES = 50_000
 _MAX_DEPTH = 50
 _TOO_MUCH = f"more than {_MAX_VALUES} values or deeper than {_MAX_DEPTH} levels"
 _SHOWN_CHARACTERS = 60
+_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
+_WRITE_POINT = "A number has a decimal point, not a comma"
 #: Mistakes whose messages need no words of what was found.
 _COMPLETE = ("unknown_key", "unknown_kind", "missing_kind")
 #: The words of pydantic's messages in those of the bench.
@@ -203,6 +205,8 @@ def problems_of(error: ValidationError, at: KeyPath = ()) -> list[DocumentProble
             location = location[:-1]
         elif detail["type"] not in _COMPLETE:
             message = f"{in_plain_words(message)}; found {_shown(detail['input'])}"
+            if isinstance(detail["input"], str) and _DECIMAL_COMMA.fullmatch(detail["input"]):
+                message += f". {_WRITE_POINT}"
         problems.append(DocumentProblem(location, message))
     return problems
 
@@ -417,6 +421,8 @@ def _wrong_kind(detail: Any, location: KeyPath) -> tuple[str, str, KeyPath]:
 
 
 def _unknown_key(key: str, allowed: list[str]) -> str:
+    if key.isdecimal():  # as 48,1 between braces
+        return f"unknown key {_quoted(key)}. {_WRITE_POINT}"
     return f"unknown key {_quoted(key)}{did_you_mean(key, allowed)}; allowed here: {', '.join(allowed)}"
 
 

@@ -215,6 +215,10 @@ def checked_procedure(document: Document) -> Procedure:
     procedure = validate(document, Procedure)
     problems = [*_scope_problems(procedure.steps, ("steps",), ())]
     if problems:
+        if _count(procedure.steps) <= MAX_STEPS:
+            further: list[DocumentProblem] = []
+            list(_resolve(procedure.steps, ("steps",), {}, {}, further))
+            problems += further
         raise document.error(problems)
     return procedure
 
@@ -375,6 +379,8 @@ def _resolve(
             for values in _combinations(entry, (*here, "over")):
                 yield from _resolve(entry.steps, (*here, "steps"), {**scope, **values}, known, problems)
             continue
+        if not scope.keys() >= {*entry.variables().values()}:
+            continue  # one is undefined, which is reported
         try:
             yield _step(entry, here, scope, known)
         except ValidationError as error:
@@ -396,9 +402,9 @@ def _step(
     values = _filled(entry.values, scope)
     key = entry.kind, repr(values)
     step = known.get(key) or known.setdefault(key, entry.kind.model_validate(values))
-    cycle = int(scope["cycle"].value) if "cycle" in scope else None
+    cycle = scope["cycle"].value if "cycle" in scope else None
     places = {keys: scope[name].place for keys, name in entry.variables().items()}
-    return ResolvedStep(at, step, cycle, places)
+    return ResolvedStep(at, step, cycle if isinstance(cycle, int) else None, places)
 
 
 def _filled(value: Any, scope: Mapping[str, _Bound]) -> Any:

@@ -243,13 +243,6 @@ class SignalMap(StrictModel):
             raise ValueError("time_ns is added to time_s, which is missing")
         return self
 
-    @model_validator(mode="after")
-    def _whole_epochs(self) -> SignalMap:
-        absent = self.messages_of_epoch() - set(self.epoch_messages or self.messages_of_epoch())
-        if absent:
-            raise ValueError(f"epoch_messages lacks {', '.join(sorted(absent))}")
-        return self
-
     def messages_of_epoch(self) -> set[str]:
         """Messages that a complete epoch must have."""
         angles = self.attitude.euler or self.attitude.quaternion
@@ -418,7 +411,11 @@ def _bind(signal_map: SignalMap, codec: DbcCodec) -> tuple[dict[str, BoundSignal
         except DocumentError as error:
             problems.append(DocumentProblem(quantity.location, str(error)))
     problems += _two_roles(signal_map)
-    for index, name in enumerate(signal_map.epoch_messages or []):
+    named = signal_map.epoch_messages or []
+    absent = sorted(name for name in signal_map.messages_of_epoch() - {*named} if name in codec)
+    if named and absent:
+        problems.append(DocumentProblem(("epoch_messages",), f"epoch_messages lacks {', '.join(absent)}"))
+    for index, name in enumerate(named):
         try:
             codec.arbitration_id(name)
         except DocumentError as error:

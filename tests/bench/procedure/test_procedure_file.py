@@ -243,6 +243,20 @@ def test_a_mistake_is_named_with_its_place_and_what_is_allowed(
     assert [part for part in parts if part not in message] == []
 
 
+def test_values_that_a_step_cant_take_are_reported_with_a_misspelt_variable(
+    planned: Callable[[str], tuple[Document, Plan]],
+) -> None:
+    with pytest.raises(DocumentError) as caught:
+        planned(
+            "- repeat:\n    over: {cycle: [a], position: [z_upp], time_s: [1]}\n    steps:\n"
+            "      - {go_to: {position: $position}}\n      - {wait: {duration_s: $tim_s}}"
+        )
+    cycle, position, variable = str(caught.value).splitlines()
+    assert "a cycle is a whole number" in cycle
+    assert "no such position (did you mean 'z_up'?)" in position
+    assert "no variable $tim_s" in variable
+
+
 @pytest.mark.parametrize(
     ("text", "place", "part"),
     [

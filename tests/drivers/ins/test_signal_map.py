@@ -49,11 +49,6 @@ def test_an_epoch_is_complete_with_velocity_attitude_and_counter(signal_map, mak
         ("epoch_period_s: 0.1", "epoch_period_s: 0", "above 0"),
         ("time_s: SYSTEM_TIME.TIME_S\n", "", "time_ns is added to time_s"),
         (
-            "epoch_period_s: 0.1",
-            "epoch_period_s: 0.1\nepoch_messages: [HEADING]",
-            "lacks ROLL_PITCH, VELOCITY_NE",
-        ),
-        (
             "  valid:",
             "  quaternion: {w: A.B, x: A.B, y: A.B, z: A.B, frames: frd_to_ned}\n  valid:",
             "one of: euler",
@@ -117,6 +112,18 @@ def test_a_unit_given_in_the_map_replaces_that_of_the_dbc(codec_with_units, make
     source = "{signal: VELOCITY_NE.VELOCITY_NORTH, unit: km/h, scale: 2}"
     signal_map = make_signal_map({"velocity_north: VELOCITY_NE.VELOCITY_NORTH": f"velocity_north: {source}"})
     assert bind_signals(signal_map, codec)["velocity_north"].gain == pytest.approx(2 / 3.6)
+
+
+def test_epoch_messages_that_are_missing_are_reported_with_the_other_mistakes(codec, make_signal_map):
+    signal_map = make_signal_map(
+        {
+            "epoch_period_s: 0.1": "epoch_period_s: 0.1\nepoch_messages: [HEADING]",
+            "HEADING.HEADING": "HEADNG.HEADING",
+        }
+    )
+    problems = {each.location: each.message for each in check_signals(signal_map, codec)}
+    assert problems["epoch_messages",] == "epoch_messages lacks ROLL_PITCH, VELOCITY_NE"
+    assert "no message 'HEADNG' (did you mean HEADING?)" in problems["attitude", "euler", "yaw"]
 
 
 def test_names_that_the_dbc_lacks_are_reported_at_their_place(codec, make_signal_map):
