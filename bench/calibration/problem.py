@@ -43,6 +43,8 @@ _EXPLAINED, _MIN_EXPLICABLE = 0.1, 2.5
 #: For an error of the latitude below this, rad, chi2 falls by the square of the error in units of its
 #: uncertainty; chi2 of sums over minutes by at most this many times as much.
 _SMALL_ANGLE, _MAX_CHI2_RATIO = 0.01, 2.0
+#: A latitude is settled where the next step reduces chi2 no further than to this part.
+_SETTLED = 0.5
 #: Below this probability the noise alone does not explain the residuals.
 UNEXPLAINED_P_VALUE = 1e-3
 #: Smallest relative error of the time that is looked for.
@@ -173,7 +175,7 @@ class CalibrationProblem:
         if is_doubtful:
             return self, found, ""
         self.check_alternatives(found)
-        latitude = self._at_another_latitude(found)
+        latitude = self.at_another_latitude(found)
         if latitude is not None and _explaining(latitude, found) is not None:
             return self, found, ""
         sigmas = np.sqrt(np.diag(covariance))
@@ -266,25 +268,28 @@ class CalibrationProblem:
         )
 
     def explanation(self, found: Estimates) -> str:
-        """What would explain a misfit, as advice."""
+        """What would explain a misfit, or reduce it, as advice."""
         alternatives = [
             (replace(self, options=replace(self.options, **chosen)), what)
             for chosen, what in _BESIDE_COEFFICIENTS
             if self.options.are_explained and not all(getattr(self.options, name) for name in chosen)
         ]
-        if (latitude := self._at_another_latitude(found)) is not None:
+        if (latitude := self._at_settled_latitude(found)) is not None:
             what = f"a latitude of {np.rad2deg(latitude.site.latitude):.3f} deg"
             alternatives.insert(0, (latitude, what))
         explained = [
-            (other.fit.chi2 + 2.0 * len(problem.options.columns), other.fit.chi2, what)
+            (other.fit.chi2 + 2.0 * len(problem.options.columns), what, other.fit)
             for problem, what in alternatives
             if (other := _explaining(problem, found)) is not None
         ]
         if explained:
-            _, chi2, what = min(explained)
+            _, what, fit = min(explained, key=lambda each: each[0])
+            falls = f"chi2 falls from {found.fit.chi2:.3g} to {fit.chi2:.3g}"
+            what = f"{what[0].upper()}{what[1:]}"
+            if fit.p_value >= UNEXPLAINED_P_VALUE:
+                return f"{what} would explain it: {falls}"
             return (
-                f"{what[0].upper()}{what[1:]} would explain it: chi2 falls from {found.fit.chi2:.3g} to "
-                f"{chi2:.3g}"
+                f"{what} would reduce it: {falls}; noise alone gives {fit.dof}. Something else is wrong too"
             )
         others = "; gyrobench calibrate has --lever-arms, --delay, --quadratic, --g-sensitivity"
         return (
@@ -292,7 +297,23 @@ class CalibrationProblem:
             f"moves at rest or has biases that follow attitude{others * self.options.are_explained}"
         )
 
-    def _at_another_latitude(self, found: Estimates) -> CalibrationProblem | None:
+    def _at_settled_latitude(self, found: Estimates) -> CalibrationProblem | None:
+        """As :meth:`at_another_latitude`, again from there where it is too far for one step."""
+        problem, nearer = None, self.at_another_latitude(found)
+        for _ in range(_MAX_ROUNDS):
+            if nearer is None:
+                break
+            problem = nearer
+            try:
+                other = problem.solve()
+            except MeasurementError:
+                break
+            if other.fit.p_value >= UNEXPLAINED_P_VALUE or other.fit.chi2 > _SETTLED * found.fit.chi2:
+                break
+            found, nearer = other, problem.at_another_latitude(other)
+        return problem
+
+    def at_another_latitude(self, found: Estimates) -> CalibrationProblem | None:
         """The same problem at the latitude that the data show, if there is one that may explain a misfit."""
         correction, sigma = found.information.latitude_correction()
         latitude = self.site.latitude + correction

@@ -333,6 +333,24 @@ def test_a_wrong_latitude_is_named_with_the_right_one(off_deg):
     assert latitude_deg == pytest.approx(45.0, abs=0.02)
 
 
+@pytest.mark.parametrize("off_deg", [10.0, -10.0])
+def test_a_latitude_that_is_wrong_by_many_degrees_is_named_as_well(off_deg):
+    site, options = Site(SITE.latitude + np.deg2rad(off_deg)), CalibrationOptions(gravity=SITE.gravity)
+    with pytest.raises(MeasurementError, match="would explain it") as refused:
+        calibrate([recorded(eighteen(), 2)], site, options)
+    latitude_deg = float(str(refused.value).partition("A latitude of ")[2].split()[0])
+    assert latitude_deg == pytest.approx(45.0, abs=0.02)
+
+
+def test_what_only_reduces_a_misfit_is_no_explanation():
+    angle, velocity = eighteen()
+    bent = recorded((angle, velocity + 2e-6 * velocity**2 / 0.05), 4)
+    with pytest.raises(MeasurementError, match="would reduce it: chi2 falls from") as refused:
+        calibrate([bent], Site(SITE.latitude + 0.1), CalibrationOptions(gravity=SITE.gravity))
+    assert "A latitude of 4" in str(refused.value)
+    assert "noise alone gives 54. Something else is wrong too" in str(refused.value)
+
+
 #: Sensitivities of the gyros to the specific force, SI: some 0.01 deg/h/g.
 SENSITIVITY = DPH_TO_RADPS / STANDARD_GRAVITY * RANDOM.normal(0.0, 0.01, (3, 3))
 
