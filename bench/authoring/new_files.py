@@ -179,9 +179,14 @@ def _empty(schema: Schema) -> str:
 
 
 _EXAMPLE_STATION = "example_bench"
-_NOT_FILLED_IN = (
-    f"{FILL_IN}: location, limits, mounting, noise and what the INS sends are those of an example"
-)
+_NOT_FILLED_IN = f"{FILL_IN}: mounting and what the INS sends are those of an example"
+#: Keys by section whose values no other bench has: those of the example would be taken for this bench's.
+_OWN = {
+    ("location",): ("latitude_deg", "height_m"),
+    ("rate_table", "limits"): ("rate_dps", "acceleration_dps2", "jerk_dps3", "outer_deg", "inner_deg"),
+    ("chamber", "limits"): ("low_c", "high_c", "ramp_c_per_min"),
+    ("ins", "noise"): ("angle_random_walk_deg_per_sqrt_h", "velocity_random_walk_ug_per_sqrt_hz"),
+}
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,80}")
 _WORLD_NAME = re.compile(r"^world:.*$", re.MULTILINE)
 _HINT = (
@@ -224,7 +229,7 @@ def new_procedure(name: str, like: str, path: Path) -> str:
 
 
 def new_station(name: str, path: Path, table: str | None = None, chamber: str | None = None) -> str:
-    """Write the text of a station file, after the shipped example.
+    """Write the text of a station file, after the shipped example, with placeholders for one bench's values.
 
     Raises DocumentError if there is no such dialect, or the name can't be one.
 
@@ -243,9 +248,13 @@ def new_station(name: str, path: Path, table: str | None = None, chamber: str | 
         if dialect is not None and dialect != values[section]["dialect"]:
             values[section] = _of_dialect(values[section], dialect, section)
         values[section] = {**values[section], "port": FILL_IN}
-    text = _text(STATION, path, _StartingFile(schema_of(STATION)).lines(values))
-    validate(parse_document(text, path), StationFile)
-    return text
+    validate(parse_document(_inline(values), path), StationFile)
+    for sections, keys in _OWN.items():
+        section = values
+        for name in sections:
+            section = section[name]
+        section.update(dict.fromkeys(keys, FILL_IN))
+    return _text(STATION, path, _StartingFile(schema_of(STATION)).lines(values))
 
 
 def new_world(name: str, like: str, path: Path) -> str:

@@ -57,14 +57,19 @@ def station(
     ] = None,
     out: _Out = None,
 ) -> None:
-    """Write a station file: fill in ports, limits, mounting and signals, then run `gyrobench check`.
+    """Write a station file: fill in location, ports, limits, noise, mounting and signals.
+
+    What is `fill_in` has to be replaced before the bench can be used; then run `gyrobench check`.
 
     Example: gyrobench new station my_bench --chamber watlow_f4
     """
     from gyrobench.bench.authoring.new_files import new_station
 
     _write(
-        name, out, lambda path: new_station(name, path, table, chamber), "Fill it in. Next: gyrobench check"
+        name,
+        out,
+        lambda path: new_station(name, path, table, chamber),
+        "Fill it in. Next: gyrobench validate",
     )
 
 

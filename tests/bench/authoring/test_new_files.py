@@ -12,6 +12,7 @@ from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.packages import CHAMBERS, RATE_TABLES, installed
 from gyrobench.bench.foundations.shipped import TEMPLATES, shipped_names
 from gyrobench.bench.station.station_file import StationFile
+from tests.bench.authoring.filled_in import NUMBERS, filled_in
 
 LIKE = [*TEMPLATES, *shipped_names("procedures")]
 #: A line that is commented out, not one that explains.
@@ -55,9 +56,9 @@ def test_a_new_procedure_explains_every_step_and_key(tmp_path):
 
 @pytest.mark.parametrize("chamber", CHAMBER_DIALECTS)
 @pytest.mark.parametrize("table", TABLE_DIALECTS)
-def test_a_new_station_is_right_as_it_is_and_with_every_optional_key(table, chamber, tmp_path):
+def test_a_new_station_is_right_once_filled_in_and_with_every_optional_key(table, chamber, tmp_path):
     path = tmp_path / "mine.yaml"
-    text = new_station("mine", path, table, chamber)
+    text = filled_in(new_station("mine", path, table, chamber))
     for each in (text, uncommented(text)):
         assert check_file(written(each, path)).text == ""
     data = read_document(path).data
@@ -65,6 +66,14 @@ def test_a_new_station_is_right_as_it_is_and_with_every_optional_key(table, cham
     assert data["interlocks"].keys() == schema_of(STATION)["$defs"]["Interlocks"]["properties"].keys()
     assert data["chamber"]["dialect"] == chamber
     assert data["rate_table"]["dialect"] == table
+
+
+def test_a_new_station_is_wrong_until_each_number_of_the_bench_is_filled_in(tmp_path):
+    path = tmp_path / "mine.yaml"
+    problems = check_file(written(new_station("mine", path), path), STATION).problems()
+    assert len(problems) == len(NUMBERS)
+    for key, problem in zip(NUMBERS, problems, strict=True):
+        assert re.fullmatch(rf"'{key}' must be a (number|list); found \"fill_in\"", problem.message)
 
 
 def test_optional_keys_of_a_station_show_their_defaults(tmp_path):

@@ -10,9 +10,11 @@ import time
 
 import pytest
 
+from gyrobench.bench.authoring.new_files import new_station
 from gyrobench.bench.bias.dwell_table import read_dwells, write_dwells
 from gyrobench.bench.cli.output import EXIT_INSTRUMENT, EXIT_NOT_FINISHED, EXIT_WRONG_INPUT
 from gyrobench.bench.foundations.shipped import find_document
+from tests.bench.authoring.filled_in import filled_in
 from tests.bench.command_line import PROCESS, gyrobench
 from tests.bench.report.made_up_closure import made_up_rows
 
@@ -135,7 +137,7 @@ def test_close_searches_several_tables_and_says_what_is_held_out(table, tmp_path
         (("nowhere.csv",), "nowhere.csv"),
         ((".",), "is not a run folder"),
         (("TABLE", "--hold-out-cycle", 9), "no cycle 9"),
-        (("TABLE", "--hold-out-cycle", "last"), "integer"),
+        (("TABLE", "--hold-out-cycle", "last"), "whole number"),
     ],
 )
 def test_close_reports_what_is_wrong_with_its_input(table, tmp_path, arguments, message):
@@ -273,7 +275,8 @@ def test_a_wrong_word_gets_a_message_and_an_exit_code(tmp_path, arguments, code,
 
 
 def test_a_station_that_is_not_filled_in_is_not_run(tmp_path):
-    assert gyrobench("new", "station", "mine", cwd=tmp_path).returncode == 0
+    path = tmp_path / "mine.yaml"
+    path.write_text(filled_in(new_station("mine", path)))
     result = gyrobench("run", "ten_minute_check", "--station", "mine.yaml", cwd=tmp_path)
     assert result.returncode == EXIT_WRONG_INPUT
     assert "not filled in yet: rate_table.port and chamber.port. Fill them in" in result.stderr

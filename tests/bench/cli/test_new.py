@@ -5,6 +5,7 @@ import json
 import pytest
 
 from gyrobench.bench.cli.output import EXIT_WRONG_INPUT
+from tests.bench.authoring.filled_in import filled_in
 from tests.bench.command_line import gyrobench
 
 
@@ -56,6 +57,7 @@ def test_an_unknown_template_is_shown_with_the_shipped_ones(tmp_path):
 def test_right_files_are_named_for_what_they_are(tmp_path):
     gyrobench("new", "procedure", "mine", cwd=tmp_path)
     gyrobench("new", "station", "bench", cwd=tmp_path)
+    (tmp_path / "bench.yaml").write_text(filled_in((tmp_path / "bench.yaml").read_text()))
     answer = gyrobench("validate", "mine.yaml", "bench.yaml", "--station", "emulated", cwd=tmp_path)
     assert answer.returncode == 0
     assert answer.stdout == (
@@ -97,6 +99,7 @@ def test_wrong_files_are_shown_with_places_and_exit_code_2(tmp_path):
 def test_a_program_reads_the_same_as_json(tmp_path):
     (tmp_path / "p.yaml").write_text("procedure: p\nsteps:\n  - wait: {duration_s: -1}\n")
     gyrobench("new", "station", "bench", cwd=tmp_path)
+    (tmp_path / "bench.yaml").write_text(filled_in((tmp_path / "bench.yaml").read_text()))
     answer = gyrobench("validate", "p.yaml", "bench.yaml", "--json", cwd=tmp_path)
     assert answer.returncode == 2
     wrong, right = json.loads(answer.stdout)["files"]
