@@ -175,6 +175,21 @@ def _with_cycle_held_out(campaign: Campaign, cycle: int, effects: Sequence[Effec
     )
 
 
+def too_few_dwells(campaign: Campaign, searched: BoolArray) -> str:
+    """Why the dwells ``searched`` (n,) can't be searched, and what to measure; empty if they can."""
+    dof, row = declared_problem(campaign, searched).dof, campaign.quantity.row
+    if dof >= _MIN_DOF:
+        return ""
+    cycles = sorted(set(campaign.cycle[~searched].tolist()))
+    without = f" without cycle {_numbers(cycles)}" if cycles else ""
+    needed = _MIN_DOF // 3 + DEGREE + len(np.unique(campaign.run[searched]))
+    return (
+        f"a cubic in temperature leaves {dof} degrees of freedom in {counted(int(searched.sum()), row)}"
+        f"{without}, required: {_MIN_DOF}. Measure the profile at least twice, each time with {needed} "
+        f"{row}s or more, at temperatures reached from below and from above"
+    )
+
+
 def _searched(campaign: Campaign, hold_out_cycles: Sequence[int]) -> BoolArray:
     cycles = campaign.cycles
     held_out = list(hold_out_cycles) or [campaign.last_cycle] * (len(cycles) > 1)
@@ -189,15 +204,8 @@ def _searched(campaign: Campaign, hold_out_cycles: Sequence[int]) -> BoolArray:
             "least twice, preferably three times"
         )
     searched: BoolArray = ~np.isin(campaign.cycle, held_out)
-    dof, row = declared_problem(campaign, searched).dof, campaign.quantity.row
-    if dof < _MIN_DOF:
-        without = f" without cycle {_numbers(held_out)}" if held_out else ""
-        needed = _MIN_DOF // 3 + DEGREE + len(np.unique(campaign.run[searched]))
-        raise MeasurementError(
-            f"a cubic in temperature leaves {dof} degrees of freedom in {counted(int(searched.sum()), row)}"
-            f"{without}, required: {_MIN_DOF}. Measure the profile at least twice, each time with {needed} "
-            f"{row}s or more, at temperatures reached from below and from above"
-        )
+    if text := too_few_dwells(campaign, searched):
+        raise MeasurementError(text)
     return searched
 
 

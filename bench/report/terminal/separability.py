@@ -11,6 +11,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from gyrobench.bench.closure.loop import too_few_dwells
 from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.closure.outlook import TieOutlook
 from gyrobench.bench.closure.planned_campaign import UnitProperties
@@ -154,6 +155,8 @@ def _basis(separability: Separability, dwells: int, unit: UnitProperties) -> str
             f"There is one cycle of {counted(dwells, 'dwell')}. A search needs two, one of them held out; "
             "this table is for all dwells."
         )
+    if text := too_few_dwells(campaign, np.ones(len(campaign), dtype=bool)):
+        searched += f" Too few for gyrobench close: {text}."
     return f"{searched} Standard uncertainty of a bias: {sigma}, from {walk}, {unit.noise_source}."
 
 

@@ -67,6 +67,14 @@ def test_it_states_dwells_and_uncertainty(result: Separability) -> None:
     )
 
 
+def test_it_states_where_there_are_too_few_dwells_to_search(result: Separability) -> None:
+    campaign = result.campaign
+    few = replace(result, campaign=campaign.part(np.arange(len(campaign)) < 6))
+    text = printed(separability_summary(few, 12, UNIT, TARGET_DPH, []))
+    assert "Too few for gyrobench close: a cubic in temperature leaves" in text
+    assert "Too few" not in printed(separability_summary(result, 60, UNIT, TARGET_DPH, []))
+
+
 def test_it_lists_effects_not_found_and_not_distinguished(result: Separability) -> None:
     text = printed(separability_summary(result, 60, UNIT, TARGET_DPH, []))
     assert "Not found at 2.00: chamber state." in text
