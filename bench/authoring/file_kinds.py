@@ -21,15 +21,9 @@ from pydantic import ValidationError
 from gyrobench.bench.calibration.rotation_list import RotationList
 from gyrobench.bench.closure.effects.effect_file import EffectFile
 from gyrobench.bench.exchange.import_map import LogMap
-from gyrobench.bench.foundations.documents import (
-    Document,
-    Schema,
-    StrictModel,
-    json_schema,
-    read_document,
-    validate,
-)
+from gyrobench.bench.foundations.documents import Document, StrictModel, read_document, validate
 from gyrobench.bench.foundations.errors import DocumentError, GyrobenchError
+from gyrobench.bench.foundations.json_schema import Schema, json_schema
 from gyrobench.bench.foundations.shipped import shipped_folders
 from gyrobench.bench.foundations.text import counted, hours_minutes, listed
 from gyrobench.bench.investigation.external_bench import BlockPlan

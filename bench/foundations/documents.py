@@ -1,4 +1,4 @@
-"""YAML documents checked against models, with the place of every mistake, and the models' JSON Schemas.
+"""YAML documents checked against models, with the place of every mistake.
 
 A procedure, station or world file is read safely (no code, a limited number of values) and validated
 against a :class:`StrictModel`. All problems are reported at once as
@@ -19,7 +19,6 @@ from typing import Any, ClassVar, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
-from pydantic.json_schema import GenerateJsonSchema
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from gyrobench.bench.foundations.errors import DocumentError
@@ -27,12 +26,9 @@ from gyrobench.bench.foundations.files import read_limited
 from gyrobench.bench.foundations.shipped import USES
 from gyrobench.bench.foundations.text import did_you_mean
 
-Schema = dict[str, Any]
-
 #: Keys and indices that lead from the top of a document to one of its values.
 KeyPath = tuple[str | int, ...]
 
-_SCHEMA_DIALECT = "https://json-schema.org/draft/2020-12/schema"
 MAX_DOCUMENT_BYTES = 1_000_000
 _MAX_VALUES = 50_000
 _MAX_DEPTH = 50
@@ -446,62 +442,3 @@ def _shown(value: Any) -> str:
 def _line_and_column(line: str) -> tuple[int, int, str]:
     match = re.match(r".*?:(\d+):(\d+): ", line)
     return (int(match[1]), int(match[2]), line) if match else (0, 0, line)
-
-
-class _SchemaGenerator(GenerateJsonSchema):
-    """Without titles made of key names: an editor shows the key itself beside the description."""
-
-    def field_title_should_be_set(self, schema: Any) -> bool:  # noqa: ARG002 - pydantic's signature
-        return False
-
-
-def json_schema(model: type[BaseModel], title: str) -> Schema:
-    """Write the JSON Schema (draft 2020-12) of a file model, for editors that complete, explain and check.
-
-    ``model``: descriptions, defaults and bounds are those of its fields; models below it are in ``$defs``.
-    ``title``: what such a file is.
-    """
-    made = model.model_json_schema(schema_generator=_SchemaGenerator)
-    return {"$schema": _SCHEMA_DIALECT, "title": title} | {
-        key: value for key, value in _tidied(made).items() if key != "title"
-    }
-
-
-def _tidied(schema: Any) -> Any:
-    """Remove from a schema, at every depth, what does not help to write a file."""
-    if isinstance(schema, list):
-        return [_tidied(each) for each in schema]
-    if not isinstance(schema, dict):
-        return schema
-    kept = {key: value for key, value in schema.items() if not _is_noise(key, value)}
-    return {key: _BELOW.get(key, _tidied)(value) for key, value in kept.items()}
-
-
-def _is_noise(key: str, value: Any) -> bool:
-    """Whether it is the name of a class, a whole section as a default, or a keyword of OpenAPI alone."""
-    return (
-        (key == "title" and isinstance(value, str))
-        or (key == "default" and isinstance(value, Mapping))
-        or (key == "discriminator" and isinstance(value, Mapping) and "propertyName" in value)
-    )
-
-
-def _by_name(schemas: dict[str, Any]) -> dict[str, Any]:
-    """Schemas by names that are no keywords: keys of a file, or models."""
-    return {name: _tidied(each) for name, each in schemas.items()}
-
-
-def _plain(text: str) -> str:
-    """A docstring as an editor shows it."""
-    return re.sub(r":\w+:(?=`)", "", " ".join(text.split()).replace("``", "`"))
-
-
-_BELOW: dict[str, Callable[[Any], Any]] = {
-    "properties": _by_name,
-    "$defs": _by_name,
-    "patternProperties": _by_name,
-    "description": _plain,
-    "default": lambda value: value,
-    "enum": lambda value: value,
-    "const": lambda value: value,
-}

@@ -10,8 +10,9 @@ import json
 import sys
 from pathlib import Path
 
-from gyrobench.bench.foundations.documents import StrictModel, json_schema, read_document, validate
+from gyrobench.bench.foundations.documents import StrictModel, read_document, validate
 from gyrobench.bench.foundations.errors import DocumentError
+from gyrobench.bench.foundations.json_schema import json_schema
 from gyrobench.drivers.emulators.faults.injector import FaultList
 from gyrobench.drivers.emulators.world.world_file import WorldFile
 

@@ -6,7 +6,8 @@ import pytest
 from jsonschema import Draft202012Validator
 from pydantic import Field
 
-from gyrobench.bench.foundations.documents import StrictModel, json_schema
+from gyrobench.bench.foundations.documents import StrictModel
+from gyrobench.bench.foundations.json_schema import json_schema
 
 
 class Part(StrictModel):
