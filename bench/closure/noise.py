@@ -134,13 +134,16 @@ def estimate_campaign_noise(
     """Noise of the dwells searched, beside the declared model and effects.
 
     ``campaign`` has the stated uncertainties. Where the residual of the declared model alone has structure,
-    the noise is as stated: effects may account for it. ``smooth`` adds functions of time, temperature rate
-    and attitude that take up most of any effect.
+    the noise is as stated: effects may account for it. So it is where the fit leaves no degree of freedom.
+    ``smooth`` adds functions of time, temperature rate and attitude that take up most of any effect.
     """
     extra: list[tuple[FloatArray, BoolArray | None]] = [(_smooth(campaign), None)] if smooth else []
     if effects:
         extra.append(stack(effects, campaign))
     stated = noise = CampaignNoise.stated(campaign)
+    parameters = sum(len(each.values) for each in effects)
+    if _fitted(stated, campaign, searched, extra).dof <= parameters:
+        return stated  # a fit of as many parameters as measured values leaves no scatter
     is_settled = False
     for _ in range(_ROUNDS):
         after = _fitted(noise, campaign, searched, extra)
@@ -153,7 +156,7 @@ def estimate_campaign_noise(
             break
     if not is_settled:
         noise, after = stated, _fitted(stated, campaign, searched, extra)
-    test = lack_of_fit(after, sum(len(each.values) for each in effects))
+    test = lack_of_fit(after, parameters)
     if test.p_any_structure < _STRUCTURE_P and not extra:
         return stated
     return replace(noise, scale=_scale(test))

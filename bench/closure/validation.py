@@ -25,6 +25,7 @@ _DWELLS_A_TIME_KNOT = 6
 _MAX_TIME_KNOTS = 40
 _TEMPERATURE_KNOT_C = 4.0
 _MAX_TEMPERATURE_KNOTS = 24
+_PREVIOUS_DWELL = "the previous dwell"
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class LackOfFit:
 
     p_noise: float  #: p-value of chi2, given the stated uncertainties.
     p_structure: dict[str, float]  #: p-value of each test for structure, by what the residuals may follow.
-    noise_ratio: float  #: Square root of chi2 over the degrees of freedom.
+    noise_ratio: float  #: Square root of chi2 over the degrees of freedom; NaN without any.
 
     @property
     def p_value(self) -> float:
@@ -60,9 +61,12 @@ def lack_of_fit(problem: Problem, parameters: int) -> LackOfFit:
     """Test the residuals of a problem.
 
     ``problem`` has the declared model and the terms of all effects as columns; ``parameters`` is the
-    number of nonlinear parameters of the effects.
+    number of nonlinear parameters of the effects. Without degrees of freedom nothing is tested: all p-values
+    are 1.
     """
     dof = problem.dof - parameters
+    if dof <= 0:
+        return LackOfFit(1.0, {_PREVIOUS_DWELL: 1.0}, np.nan)
     # Knots and levels are those of the dwells searched.
     seen = problem.campaign.part(problem.searched)
     structure = {}
@@ -71,7 +75,7 @@ def lack_of_fit(problem: Problem, parameters: int) -> LackOfFit:
         if rank and dof > rank:
             ratio = (reduction / rank) / max((problem.chi2 - reduction) / (dof - rank), problem.least_scatter)
             structure[name] = f_p_value(rank, dof - rank, ratio)
-    structure["the previous dwell"] = _serial_correlation(problem)
+    structure[_PREVIOUS_DWELL] = _serial_correlation(problem)
     return LackOfFit(
         p_noise=chi2_p_value(dof, problem.chi2),
         p_structure=structure,

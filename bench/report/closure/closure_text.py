@@ -462,6 +462,8 @@ def after_sentence(closure: Closure) -> str:
     if closure.unexplained_part:
         return closure.unexplained_part
     after = closure.after
+    if math.isnan(after.noise_ratio):
+        return "The remaining residual is not tested: the fit leaves no degrees of freedom."
     scaled = "" if closure.noise_scale < _VISIBLE_NOISE_SCALE else " (with the noise as estimated)"
     return (
         f"The remaining residual in the dwells searched is {after.noise_ratio:.2f} times the stated "

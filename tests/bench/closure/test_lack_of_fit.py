@@ -88,3 +88,10 @@ def test_parameters_fitted_beside_reduce_the_degrees_of_freedom(problem):
     one = problem()
     assert lack_of_fit(one, 6).noise_ratio == pytest.approx(np.sqrt(one.chi2 / (one.dof - 6)))
     assert lack_of_fit(one, 6).p_noise < lack_of_fit(one, 0).p_noise
+
+
+def test_without_degrees_of_freedom_nothing_is_significant(problem):
+    one = problem()
+    left = lack_of_fit(one, one.dof)
+    assert (left.p_value, left.p_any_structure) == (1.0, 1.0)
+    assert np.isnan(left.noise_ratio)

@@ -74,6 +74,15 @@ def test_an_outlier_is_off_by_more_than_five_standard_deviations_and_counts_as_o
     assert np.abs(residuals[noise.factors > 1.0]).max() < 1.3
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_fit_that_leaves_no_degrees_of_freedom_shows_no_noise(seed):
+    """Twelve dwells, of which the declared model and the smooth functions fit all values."""
+    campaign = campaign_of(measure(cycles=1, noise=2.0, seed=seed).rows[::3][:12])
+    searched = np.ones(len(campaign), dtype=bool)
+    noise = estimate_campaign_noise(campaign, searched, smooth=True)
+    assert (noise.scale, noise.outliers) == (1.0, ())
+
+
 def with_bias_times_1000(rows, dwell, gyros):
     """The same dwells, one with the biases of some gyros 1000 times as large."""
     factors = [1000.0 if axis in gyros else 1.0 for axis in "xyz"]
