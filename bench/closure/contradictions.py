@@ -2,8 +2,9 @@
 
 A wrong unit or sign in one of these makes a search name another cause, with certainty. Within a power
 cycle, start_s minus since_power_on_s is constant; between neighbouring dwells on a ramp, a temperature
-changes by its mean rate times the time between their middles. Each gives a factor, and both together the
-column that is wrong.
+changes by its mean rate times the time between their middles, and while it settles after a ramp, by the
+logarithmic mean of both rates times that time. Each gives a factor, and both together the column that is
+wrong.
 """
 
 from __future__ import annotations
@@ -29,6 +30,11 @@ _MIN_PAIRS, _MIN_CHANGE_C = 3, 1.0
 #: this many times their length. The temperature then changes by 0.8 to 1.3 times what correct rates give.
 _MAX_RATE_CHANGE, _MAX_GAP = 0.5, 1.0
 _MIN_FACTOR, _MAX_FACTOR = 0.6, 1.0 / 0.6
+#: While a temperature settles: pairs of dwells that show a factor, and the smallest change that counts, degC.
+_MIN_SETTLING_PAIRS, _MIN_SETTLED_C = 4, 0.2
+#: A wrong unit gives most of them the same factor, to this share. Noise and other courses of the temperature
+#: scatter; several time constants give a common factor, but a smaller one than this.
+_MIN_SAME, _SAME_SETTLING, _MAX_SETTLING_FACTOR = 0.8, 0.35, 5.0
 #: Power-on times that are one: they differ by at most this, and this share of the time since the first dwell.
 _POWER_ON_S, _CLOCK_DRIFT = 60.0, 1e-3
 #: A dwell with a turn in it lasts longer than this, s; and probably less long than that.
@@ -115,20 +121,53 @@ def _clock_factor(pairs: _Pairs) -> float:
 
 
 def _rate_factor(pairs: _Pairs, gyro: int) -> float:
-    """Median change of a temperature over what its rates give, on ramps; 1 where most pairs agree on it."""
-    factors = []
+    """Median change of a temperature over what its rates give; 1 where that agrees.
+
+    On ramps, or where there are too few of them, while the temperature settles.
+    """
+    changes = [*_changes(pairs, gyro)]
+    ramps = [*_on_ramps(changes)]
+    if len(ramps) >= _MIN_PAIRS:
+        is_right = [_MIN_FACTOR <= each <= _MAX_FACTOR for each in ramps]
+        return 1.0 if np.mean(is_right) >= 0.5 else float(np.median(ramps))
+    settling = [*_while_settling(changes)]
+    if len(settling) < _MIN_SETTLING_PAIRS:
+        return 1.0
+    factor = float(np.median(settling))
+    is_same = [abs(each - factor) <= _SAME_SETTLING * abs(factor) for each in settling]
+    is_wrong = not 1.0 / _MAX_SETTLING_FACTOR <= factor <= _MAX_SETTLING_FACTOR
+    return factor if is_wrong and np.mean(is_same) >= _MIN_SAME else 1.0
+
+
+def _changes(pairs: _Pairs, gyro: int) -> Iterator[tuple[float, float, float, float]]:
+    """Rates of neighbouring dwells, degC/h; the time between their middles, h; the change between them, degC.
+
+    Of dwells with a longer gap neither rate is that between them.
+    """
     for a, b in pairs:
-        rates = a.gyro_rate_c_per_h[gyro], b.gyro_rate_c_per_h[gyro]
-        largest = max(map(abs, rates))
         gap_s, dwell_s = b.start_s - a.end_s, 0.5 * (a.end_s - a.start_s + b.end_s - b.start_s)
         passed_h = (b.start_s + b.end_s - a.start_s - a.end_s) / 7200.0
-        expected_c, change_c = 0.5 * sum(rates) * passed_h, b.gyro_c[gyro] - a.gyro_c[gyro]
-        is_ramp = gap_s <= _MAX_GAP * dwell_s and abs(rates[1] - rates[0]) <= _MAX_RATE_CHANGE * largest
-        is_clear = math.isfinite(change_c) and max(abs(change_c), abs(expected_c)) >= _MIN_CHANGE_C
-        if is_ramp and is_clear:
-            factors.append(change_c / expected_c if expected_c else math.inf)
-    is_right = [_MIN_FACTOR <= each <= _MAX_FACTOR for each in factors]
-    return 1.0 if len(factors) < _MIN_PAIRS or np.mean(is_right) >= 0.5 else float(np.median(factors))
+        change_c = b.gyro_c[gyro] - a.gyro_c[gyro]
+        if gap_s <= _MAX_GAP * dwell_s and math.isfinite(change_c):
+            yield a.gyro_rate_c_per_h[gyro], b.gyro_rate_c_per_h[gyro], passed_h, change_c
+
+
+def _on_ramps(changes: Sequence[tuple[float, float, float, float]]) -> Iterator[float]:
+    """Changes over what the rates give, where both rates are about the same."""
+    for first, second, passed_h, change_c in changes:
+        expected_c = 0.5 * (first + second) * passed_h
+        is_ramp = abs(second - first) <= _MAX_RATE_CHANGE * max(abs(first), abs(second))
+        if is_ramp and max(abs(change_c), abs(expected_c)) >= _MIN_CHANGE_C:
+            yield change_c / expected_c if expected_c else math.inf
+
+
+def _while_settling(changes: Sequence[tuple[float, float, float, float]]) -> Iterator[float]:
+    """The same where the second rate is smaller; exact for a decay with one time constant."""
+    for first, second, passed_h, change_c in changes:
+        is_settling = first * second > 0.0 and abs(second) < abs(first)
+        if is_settling and abs(change_c) >= _MIN_SETTLED_C:
+            mean = (second - first) / math.log(second / first)
+            yield change_c / (mean * passed_h)
 
 
 def _two_power_ons(pairs: _Pairs) -> Iterator[str]:

@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from gyrobench.bench.bias.dwell_table import write_dwells
@@ -122,3 +123,74 @@ def test_a_restart_within_a_dwell_and_missing_dwells_are_no_contradiction(rows):
     kept = [after_restart(row) for row in rows if row.run == "R1"]
     assert implausible(kept) == []
     assert implausible([row for row in kept if row.dwell != rows[30].dwell]) == []
+
+
+SET_POINTS_C = (60.0, 20.0, -30.0, 0.0, 45.0) * 2
+
+
+def soaked(biases, lags_h=((1.0, 0.4),), soak_h=1.0, noise_c=0.0, resolution_c=0.0):
+    """Six dwells of 20 min at each set point after a soak: the rest of each ramp decays with these lags.
+
+    ``biases``: rows with the other values. ``lags_h``: pairs of the share of the ramp and its time constant.
+    """
+    draw, rows, before_c = np.random.default_rng(4), [], 20.0
+    for plateau, set_c in enumerate(SET_POINTS_C):
+        for number in range(6):
+            start_h = soak_h + 0.43 * number
+            ends_h = np.array([start_h, start_h + 1.0 / 3.0])
+            off_c = sum((before_c - set_c) * share * np.exp(-ends_h / lag) for share, lag in lags_h)
+            sums = sum((before_c - set_c) * share * lag * np.exp(-ends_h / lag) for share, lag in lags_h)
+            mean_c = set_c + 12.0 - 3.0 * np.diff(sums)[0] + noise_c * draw.normal(size=3)
+            rate_c_per_h = 3.0 * np.diff(off_c)[0] + 3.0 * noise_c * draw.normal(size=3)
+            if resolution_c:
+                mean_c = np.round(mean_c / resolution_c) * resolution_c
+            first_s = 3600.0 * (5.0 * plateau + start_h)
+            rows.append(
+                replace(
+                    biases[len(rows)],
+                    dwell=len(rows) + 1,
+                    cycle=1 + plateau // 5,
+                    run="R1",
+                    start_s=first_s,
+                    end_s=first_s + 1200.0,
+                    since_power_on_s=first_s,
+                    chamber_set_c=set_c,
+                    gyro_c=tuple(mean_c.tolist()),
+                    gyro_rate_c_per_h=tuple(rate_c_per_h.tolist()),
+                )
+            )
+        before_c = set_c
+    return rows
+
+
+@pytest.mark.parametrize("soak_h", [0.5, 1.0, 1.5])
+@pytest.mark.parametrize(
+    ("factor", "message"),
+    [
+        (1.0 / 60.0, "degC/min: multiply gyro_{x,y,z}_rate_c_per_h by 60"),
+        (1.0 / 3600.0, "degC/s: multiply gyro_{x,y,z}_rate_c_per_h by 3600"),
+        (-1.0, "change the sign of gyro_{x,y,z}_rate_c_per_h"),
+    ],
+)
+def test_a_wrong_unit_of_the_rates_is_found_in_dwells_after_soaks(rows, factor, message, soak_h):
+    table = soaked(rows, soak_h=soak_h, noise_c=0.01)
+    (problem,) = implausible([replace(row, **scaled(factor, *RATES)(row)) for row in table])
+    assert message in problem
+
+
+@pytest.mark.parametrize("soak_h", [0.5, 1.0, 2.0, 4.0])
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {},
+        {"lags_h": ((0.7, 0.2), (0.3, 1.5))},
+        {"lags_h": ((1.5, 0.5), (-0.5, 0.2))},
+        {"noise_c": 0.02},
+        {"noise_c": 0.2},
+        {"resolution_c": 0.1},
+        {"resolution_c": 1.0},
+    ],
+    ids=["one lag", "two lags", "a delay", "noise", "much noise", "0.1 degC", "whole degC"],
+)
+def test_correct_rates_of_dwells_after_soaks_have_no_problem(rows, soak_h, changed):
+    assert implausible(soaked(rows, soak_h=soak_h, **changed)) == []
