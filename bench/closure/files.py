@@ -175,6 +175,7 @@ def _document(closure: Closure) -> dict[str, Any]:
         "confounding": list(closure.confounding),
         "lack_of_fit_p_before": closure.before.p_value,
         "lack_of_fit_p_after": closure.after.p_value,
+        "held_out_p": dict(zip(closure.quantity.axes, closure.held_out.p_values, strict=True)),
         "error_before_dph": _known(closure.error_before_dph),
         "error_after_dph": _known(closure.error_after_dph),
         "error_before_sigma_dph": _known(closure.error_before_sigma_dph),

@@ -9,13 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.candidates import Candidate, Hypothesis, solve_with
+from gyrobench.bench.closure.candidates import Candidate, Hypothesis, solve_with, stack
 from gyrobench.bench.closure.compose import compose
 from gyrobench.bench.closure.confounding import confounding
 from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.effects.effect import Effect
 from gyrobench.bench.closure.evidence import detectable_dph
 from gyrobench.bench.closure.files import holds_search, read_held_out_cycles, read_quantity, read_tables
+from gyrobench.bench.closure.held_out import HeldOutTest, held_out_test
 from gyrobench.bench.closure.inputs import read_campaign
 from gyrobench.bench.closure.outcome import CandidateResult, Closure, FoundEffect, HeldOutCycle, OtherForm
 from gyrobench.bench.closure.posterior import CLEAN, EXPLAINED, Posterior
@@ -81,12 +82,16 @@ def _closure(campaign: Campaign, searched: BoolArray, candidates: Sequence[Effec
     problem = search.problem
     declared, model = (solve_with(problem, each) for each in ((), found.candidates))
     declared_draws, model_draws = (draw(problem, each) for each in ((), found.candidates))
-    before_dph, after_dph = (
-        measured_minus(campaign, searched, each)[~searched] for each in (declared, model)
+    errors_dph = [measured_minus(campaign, searched, each) for each in (declared, model)]
+    before_dph, after_dph = (each[~searched] for each in errors_dph)
+    held_out = held_out_test(
+        problem.with_columns(*stack(found.candidates, campaign)) if found.candidates else problem,
+        errors_dph[1],
+        model_draws.bias_dph(campaign) - model.bias_dph,
     )
     noise_dph = campaign.sigma_dph[~searched] * problem.noise_scale
-    held_out = campaign.part(~searched)
-    circular = tuple(each.effect.name for each in found.candidates if _is_circular(each.effect, held_out))
+    others = campaign.part(~searched)
+    circular = tuple(each.effect.name for each in found.candidates if _is_circular(each.effect, others))
     return Closure(
         campaign=campaign,
         searched=searched,
@@ -94,6 +99,7 @@ def _closure(campaign: Campaign, searched: BoolArray, candidates: Sequence[Effec
             found,
             after,
             posterior,
+            held_out,
             is_confirmed=bool(found.candidates)
             and not searched.all()
             and not circular
@@ -107,6 +113,7 @@ def _closure(campaign: Campaign, searched: BoolArray, candidates: Sequence[Effec
         evidence=_evidence(selected),
         before=lack_of_fit(problem, 0),
         after=after,
+        held_out=held_out,
         declared=declared,
         model=model,
         noise_dph=selected.noise.scale * rms_of_known(campaign.known_sigma_dph[searched]),
@@ -144,8 +151,8 @@ def repeat_search(folder: Path) -> Closure:
 
 
 def composed(closure: Closure) -> Closure:
-    """Same closure with laws composed from the grammar of effects, where it is unexplained."""
-    if closure.verdict != "unexplained":
+    """Same closure with laws composed from the grammar of effects, if the dwells searched are unexplained."""
+    if closure.verdict != "unexplained" or closure.differs_held_out:
         return closure
     problem = closure.noise.problem(closure.campaign, closure.searched)
     return replace(closure, composed=compose(problem, [each.candidate for each in closure.effects]))
@@ -209,13 +216,17 @@ def _searched(campaign: Campaign, hold_out_cycles: Sequence[int]) -> BoolArray:
     return searched
 
 
-def _verdict(found: Hypothesis, after: LackOfFit, posterior: Posterior, *, is_confirmed: bool) -> str:
+def _verdict(
+    found: Hypothesis, after: LackOfFit, posterior: Posterior, held_out: HeldOutTest, *, is_confirmed: bool
+) -> str:
     if after.is_significant or posterior.not_on_list > 0.5:
         return "unexplained"
     if not found.candidates:
+        if held_out.is_significant:
+            return "unexplained"
         return "clean" if posterior.nothing >= CLEAN else "ambiguous"
     is_settled = posterior.of_all(found.names) >= EXPLAINED and not posterior.rivals(found.names)
-    return "explained" if is_settled and is_confirmed else "ambiguous"
+    return "explained" if is_settled and is_confirmed and not held_out.is_significant else "ambiguous"
 
 
 def _is_circular(effect: Effect, held_out: Campaign) -> bool:

@@ -37,8 +37,10 @@ _FARTHEST = 0.5
 #: Share of a dwell's reduction of chi2 from which on a gyro is off itself.
 _OWN_SHARE = 0.1
 _TIME_DEGREE = 5
-#: Twice the negative log likelihood of an outlier beyond that of other dwells: 2 % have ten times the noise.
-_OUTLIER_COST = 2.0 * math.log(10.0 / 0.02)
+#: Share of outliers, and twice the negative log likelihood of one beyond that of other dwells: ten times the
+#: noise.
+OUTLIER_SHARE = 0.02
+_OUTLIER_COST = 2.0 * math.log(10.0 / OUTLIER_SHARE)
 #: Of the variance of a residual in that of the noise, at least.
 _MIN_SHARE = 1e-3
 

@@ -13,13 +13,14 @@ from gyrobench.bench.closure.campaign import Campaign
 from gyrobench.bench.closure.candidates import Candidate
 from gyrobench.bench.closure.compose import Composed
 from gyrobench.bench.closure.effects.effect import Effect, Parameter
-from gyrobench.bench.closure.noise import MAX_OUTLIERS, OUTLIER_SIGMA, CampaignNoise, Outlier
+from gyrobench.bench.closure.held_out import HeldOutTest
+from gyrobench.bench.closure.noise import CampaignNoise
 from gyrobench.bench.closure.posterior import Posterior
 from gyrobench.bench.closure.problem import Solution
 from gyrobench.bench.closure.quantity import GYRO_BIAS, Quantity
 from gyrobench.bench.closure.selection import NotAccepted
 from gyrobench.bench.closure.uncertainty import Draws, bound_of
-from gyrobench.bench.closure.validation import MEDIAN, LackOfFit, measured_minus
+from gyrobench.bench.closure.validation import LackOfFit, measured_minus
 from gyrobench.bench.foundations.arrays import S_PER_H, BoolArray, FloatArray, rms_of_known
 from gyrobench.bench.foundations.text import decimals_of, plain_name, with_sigma
 
@@ -154,6 +155,7 @@ class Closure:
     #: before, after: Tests of the declared model, and with the effects.
     before: LackOfFit
     after: LackOfFit
+    held_out: HeldOutTest  #: Test of the errors in the held-out dwells, with the effects.
     #: declared, model: The declared model, and with the effects.
     declared: Solution
     model: Solution
@@ -195,26 +197,6 @@ class Closure:
         """
         return self.model_draws.sigma(self.model_draws.bias_dph(self.campaign), self.model.bias_dph)
 
-    @property
-    def held_out_outliers(self) -> list[Outlier]:
-        """Held-out biases that are off from the model as outliers are in the search, where they are few.
-
-        Of one or two dwells none is.
-        """
-        campaign, held_out = self.campaign, ~self.searched
-        error_dph = measured_minus(campaign, self.searched, self.model)
-        sigma_dph = np.hypot(campaign.sigma_dph * self.noise_scale, self.prediction_sigma_dph)
-        off = np.nan_to_num(error_dph / sigma_dph)[held_out]
-        scale = np.maximum(1.0, np.median(np.abs(off), axis=0) / MEDIAN)
-        is_far = np.abs(off) > OUTLIER_SIGMA * scale
-        if np.count_nonzero(is_far) > max(1.0, MAX_OUTLIERS * is_far.size):
-            return []
-        dwells = campaign.dwell[held_out]
-        return [
-            Outlier(int(dwells[dwell]), self.quantity.axes[gyro], float(off[dwell, gyro]))
-            for dwell, gyro in np.argwhere(is_far)
-        ]
-
     def label(self, name: str) -> str:
         """Label of a candidate effect."""
         return next(
@@ -245,21 +227,60 @@ class Closure:
         return None
 
     @property
+    def held_out_axes(self) -> list[str]:
+        """Which of :attr:`Quantity.axes` differ from the model in the held-out dwells."""
+        return [self.quantity.axes[gyro] for gyro in self.held_out.gyros]
+
+    @property
+    def differs_held_out(self) -> bool:
+        """Whether it is unexplained only since the held-out dwells differ from the model."""
+        is_left = self.after.is_significant or self.posterior.not_on_list > 0.5
+        return self.verdict == "unexplained" and self.held_out.is_significant and not is_left
+
+    @property
+    def held_out_difference(self) -> str | None:
+        """Which gyros differ from the model in the held-out dwells, and what to do; None if none does."""
+        gyros, held_out = self.held_out.gyros, ~self.searched
+        if not gyros:
+            return None
+        errors_dph = measured_minus(self.campaign, self.searched, self.model)[held_out]
+        noise_dph = self.campaign.known_sigma_dph * self.noise_scale
+        expected_dph = np.hypot(noise_dph, self.prediction_sigma_dph)[held_out]
+        error, expected = (rms_of_known(each[:, gyros]) for each in (errors_dph, expected_dph))
+        place = self.quantity.place(self.held_out_axes)
+        cycles = np.unique(self.campaign.cycle[self.searched])
+        advice = "Measure another cycle and hold that one out, so that these dwells are searched."
+        if len(cycles) > 1:
+            advice = (
+                f"Hold out another cycle, so that these dwells are searched: --hold-out-cycle {cycles[0]}."
+            )
+        return (
+            f"the {place} differ{'' if gyros[1:] else 's'} from the prediction in the held-out dwells, by "
+            f"{error:.2g} {self.quantity.unit} rms; noise and the uncertainty of the prediction give "
+            f"{expected:.2g} {self.quantity.unit}. {advice}"
+        )
+
+    @property
     def unexplained_part(self) -> str | None:
         """Size, position, temperatures and times of an unexplained residual; None without one."""
         if self.verdict != "unexplained":
             return None
-        campaign, searched = self.campaign, self.searched
-        residual = measured_minus(campaign, searched, self.model)[searched]
+        campaign, mine, where = self.campaign, self.searched, ""
+        residual = measured_minus(campaign, self.searched, self.model)
+        if self.differs_held_out:
+            mine, where = ~mine, f" of the {self.quantity.place(self.held_out_axes)} in the held-out dwells"
+            residual = residual[:, self.held_out.gyros]
+        residual = residual[mine]
         squares = np.nansum(residual**2, axis=1)
-        names = np.array(campaign.position)[searched]
+        names = np.array(campaign.position)[mine]
         position = max(sorted(set(names)), key=lambda name: float(squares[names == name].mean()))
-        low_c, high_c = _worst_span(campaign.gyro_c[searched].mean(axis=1), squares)
-        low_h, high_h = _worst_span(campaign.middle_s[searched] / S_PER_H, squares)
+        low_c, high_c = _worst_span(campaign.gyro_c[mine].mean(axis=1), squares)
+        low_h, high_h = _worst_span(campaign.middle_s[mine] / S_PER_H, squares)
+        after, is_tested = self.after, not (self.differs_held_out or np.isnan(self.after.noise_ratio))
+        beside = f", {after.noise_ratio:.1f} times the noise, and follows {after.follows}" * is_tested
         return (
-            f"The residual is {rms_of_known(residual):.2g} {self.quantity.unit} rms, "
-            f"{self.after.noise_ratio:.1f} times the noise, and follows {self.after.follows}. It is largest "
-            f"in position {plain_name(position)}, at {low_c:.0f} to {high_c:.0f} degC, and "
+            f"The residual{where} is {rms_of_known(residual):.2g} {self.quantity.unit} rms{beside}. It is "
+            f"largest in position {plain_name(position)}, at {low_c:.0f} to {high_c:.0f} degC, and "
             f"at {low_h:.0f} to {high_h:.0f} h."
         )
 

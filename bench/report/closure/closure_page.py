@@ -86,7 +86,8 @@ def _residual(closure: Closure) -> Section:
     return Section(
         "Residual of the declared model",
         _paragraphs(
-            text.before_sentence(closure), *closure.noise.sentences(is_all=closure.verdict != "unexplained")
+            text.before_sentence(closure),
+            *closure.noise.sentences(is_all=closure.verdict != "unexplained" or closure.differs_held_out),
         ),
         figures,
     )
@@ -267,7 +268,11 @@ def _error(closure: Closure) -> Section:
     )
     return Section(
         "Held-out error",
-        _paragraphs(text.error_sentence(closure), text.constants_sentence(closure)),
+        _paragraphs(
+            text.error_sentence(closure),
+            (closure.unexplained_part or "") if closure.differs_held_out else "",
+            text.constants_sentence(closure),
+        ),
         [
             SectionFigure(
                 "errors", _ERRORS.format(closure.quantity.label), partial(closure_error_figure, closure)
@@ -315,7 +320,7 @@ def _lack_of_fit(closure: Closure) -> Section:
         ["test", *names],
         [row[: 1 + len(names)] for row in rows],
     )
-    extra = "" if closure.unexplained_part is None else _UNEXPLAINED
+    extra = "" if closure.unexplained_part is None or closure.differs_held_out else _UNEXPLAINED
     return Section(
         "Lack of fit",
         _paragraphs(text.after_sentence(closure), extra, text.power_sentence(closure)),

@@ -135,6 +135,8 @@ def verdict_sentence(closure: Closure) -> str:
                 "A search needs a second cycle to test what it finds, so polynomials over temperature "
                 "alone are compensated."
             )
+        case _ if closure.differs_held_out:
+            return f"The residual in the dwells searched is noise, but {closure.held_out_difference}"
         case _:
             part = _part(closure)
             unknown = _probability_text(closure.posterior.not_on_list)
@@ -209,6 +211,8 @@ def _unsettled(closure: Closure) -> str:
         )
     if closure.searched.all():
         return f"no cycle is held out to confirm {found}). Measure the profile a second time."
+    if closure.held_out_difference:
+        return f"{found}) is not sufficient: {closure.held_out_difference}"
     does = "do" if closure.effects[1:] else "does"
     return f"{found}) {does} not predict the held-out cycle significantly better and to within the noise."
 
@@ -273,7 +277,7 @@ def probability_sentence(closure: Closure) -> str:
 def power_sentence(closure: Closure) -> str:
     """The smallest remainder that the data would have shown; empty where there is one."""
     sizes = {name: size for name, size in closure.detectable_dph.items() if math.isfinite(size)}
-    if not sizes or closure.verdict == "unexplained":
+    if not sizes or (closure.verdict == "unexplained" and not closure.differs_held_out):
         return ""
     low, high = min(sizes, key=lambda name: sizes[name]), max(sizes, key=lambda name: sizes[name])
     unit = closure.quantity.unit
@@ -418,13 +422,17 @@ def error_sentence(closure: Closure) -> str:
     dwells = counted(int(held_out.sum()), "dwell")
     sizes = (noise_dph(closure), closure.prediction_sigma_dph)
     noise, sigma = (rms_of_known(each[held_out]) for each in sizes)
-    far = outliers_text(closure.held_out_outliers)
+    far = outliers_text(closure.held_out.outliers)
+    explain = f"explain the {'others' if far else 'errors'}"
+    if closure.held_out_axes:
+        explain = f"do not explain the errors of the {closure.quantity.place(closure.held_out_axes)}"
     off = f" Included in these errors, further than {OUTLIER_SIGMA:.0f} sigma from the prediction: {far}."
     return (
         f"In {held_out_cycles(closure)} (held out, {dwells}), measured minus predicted {label} is {models}; "
         f"the noise is {size_text(noise)} {unit}. A predicted {label} has a standard uncertainty of "
         f"{size_text(sigma)} {unit}"
-        f"{', as far as the model holds' if closure.verdict == 'unexplained' else ''}.{off if far else ''}"
+        f"{', as far as the model holds' if closure.verdict == 'unexplained' else ''}.{off if far else ''} "
+        f"Noise and this uncertainty {explain} ({p_phrase(closure.held_out.p_value)})."
     )
 
 
@@ -459,7 +467,7 @@ def constants_sentence(closure: Closure) -> str:
 
 def after_sentence(closure: Closure) -> str:
     """The remaining residual: its size and place, or that it is noise."""
-    if closure.unexplained_part:
+    if closure.unexplained_part and not closure.differs_held_out:
         return closure.unexplained_part
     after = closure.after
     if math.isnan(after.noise_ratio):

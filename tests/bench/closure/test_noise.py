@@ -209,9 +209,9 @@ def test_a_held_out_dwell_that_is_far_off_is_named(options, candidates):
     rows = measure({"temperature_rate": 3.0}, seed=1, **options).rows
     last = max(row.cycle for row in rows)
     dwell = [row.dwell for row in rows if row.cycle == last][3]
-    assert close_loop(campaign_of(rows), effects=candidates).held_out_outliers == []
+    assert close_loop(campaign_of(rows), effects=candidates).held_out.outliers == ()
     closure = close_loop(campaign_of(with_bias_times_1000(rows, dwell, "y")), effects=candidates)
-    assert [(each.dwell, each.gyro) for each in closure.held_out_outliers] == [(dwell, "y")]
+    assert [(each.dwell, each.gyro) for each in closure.held_out.outliers] == [(dwell, "y")]
     assert (
         f"Included in these errors, further than 5 sigma from the prediction: dwell {dwell} (y "
         in error_sentence(closure)
