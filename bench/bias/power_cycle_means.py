@@ -16,6 +16,7 @@ from itertools import permutations
 import numpy as np
 
 from gyrobench.bench.bias.statistics import chi2_p_value
+from gyrobench.bench.foundations.arrays import FloatArray
 
 _SEPARATOR = "; "
 _ZERO = 1e-9
@@ -79,15 +80,16 @@ def compare_over_power_cycles(means: Sequence[tuple[str, PowerCycleMean]]) -> Co
     sigma_dph = np.array([each.sigma_dph for _, each in means])
     data = np.array([each.bias_dph for _, each in means]) / sigma_dph
 
-    def least_chi2(columns: np.ndarray) -> float:
+    def solved(columns: FloatArray) -> tuple[FloatArray, float]:
         rows = columns / sigma_dph[:, np.newaxis]
-        return float(((data - rows @ np.linalg.lstsq(rows, data)[0]) ** 2).sum())
+        values = np.linalg.lstsq(rows, data)[0]
+        return values, float(((data - rows @ values) ** 2).sum())
 
+    values, chi2 = solved(design)
     dof = int(np.linalg.matrix_rank(design)) - len(cycles)
-    p_value = chi2_p_value(dof, least_chi2(constants) - least_chi2(design)) if dof else math.nan
+    p_value = chi2_p_value(dof, solved(constants)[1] - chi2) if dof else math.nan
     rows = design / sigma_dph[:, np.newaxis]
     covariance = np.linalg.pinv(rows.T @ rows)
-    values = covariance @ rows.T @ data
     reachable = np.linalg.pinv(design) @ design  # projects on what the data determine
     found = ("", ""), -math.inf, math.nan
     are_all_connected = True

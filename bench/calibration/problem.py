@@ -270,17 +270,19 @@ class CalibrationProblem:
     def explanation(self, found: Estimates) -> str:
         """What would explain a misfit, or reduce it, as advice."""
         alternatives = [
-            (replace(self, options=replace(self.options, **chosen)), what)
+            (problem, what, _solution(problem))
             for chosen, what in _BESIDE_COEFFICIENTS
             if self.options.are_explained and not all(getattr(self.options, name) for name in chosen)
+            for problem in [replace(self, options=replace(self.options, **chosen))]
         ]
-        if (latitude := self._at_settled_latitude(found)) is not None:
+        if (settled := self._at_settled_latitude(found)) is not None:
+            latitude, other = settled
             what = f"a latitude of {np.rad2deg(latitude.site.latitude):.3f} deg"
-            alternatives.insert(0, (latitude, what))
+            alternatives.insert(0, (latitude, what, other))
         explained = [
             (other.fit.chi2 + 2.0 * len(problem.options.columns), what, other.fit)
-            for problem, what in alternatives
-            if (other := _explaining(problem, found)) is not None
+            for problem, what, other in alternatives
+            if other is not None and _is_explained(other.fit.chi2, found.fit)
         ]
         if explained:
             _, what, fit = min(explained, key=lambda each: each[0])
@@ -297,21 +299,22 @@ class CalibrationProblem:
             f"moves at rest or has biases that follow attitude{others * self.options.are_explained}"
         )
 
-    def _at_settled_latitude(self, found: Estimates) -> CalibrationProblem | None:
-        """As :meth:`at_another_latitude`, again from there where it is too far for one step."""
-        problem, nearer = None, self.at_another_latitude(found)
+    def _at_settled_latitude(self, found: Estimates) -> tuple[CalibrationProblem, Estimates] | None:
+        """As :meth:`at_another_latitude`, again from there where it is too far, and its solution.
+
+        None where there is no such latitude, or no solution.
+        """
+        settled, nearer = None, self.at_another_latitude(found)
         for _ in range(_MAX_ROUNDS):
             if nearer is None:
                 break
-            problem = nearer
-            try:
-                other = problem.solve()
-            except MeasurementError:
-                break
+            if (other := _solution(nearer)) is None:
+                return None
+            settled = nearer, other
             if other.fit.p_value >= UNEXPLAINED_P_VALUE or other.fit.chi2 > _SETTLED * found.fit.chi2:
                 break
-            found, nearer = other, problem.at_another_latitude(other)
-        return problem
+            found, nearer = other, nearer.at_another_latitude(other)
+        return settled
 
     def at_another_latitude(self, found: Estimates) -> CalibrationProblem | None:
         """The same problem at the latitude that the data show, if there is one that may explain a misfit."""
@@ -348,21 +351,23 @@ class CalibrationProblem:
                 retimed = [each.retimed(factor, of_rates) for each in self.sections]
                 alternatives.append((replace(self, sections=retimed), text))
         for problem, text in alternatives:
-            try:
-                other = problem.solve()
-            except MeasurementError:
-                continue
-            if other.fit.chi2 < _EXPLAINED * found.fit.chi2:
+            other = _solution(problem)
+            if other is not None and other.fit.chi2 < _EXPLAINED * found.fit.chi2:
                 raise MeasurementError(f"chi2 is {found.fit.chi2:.3g}, and {other.fit.chi2:.3g} {text}")
+
+
+def _solution(problem: CalibrationProblem) -> Estimates | None:
+    """The solution of a problem, if there is one."""
+    try:
+        return problem.solve()
+    except MeasurementError:
+        return None
 
 
 def _explaining(problem: CalibrationProblem, found: Estimates) -> Estimates | None:
     """The solution of another problem with the same data, if it explains what ``found`` does not."""
-    try:
-        other = problem.solve()
-    except MeasurementError:
-        return None
-    return other if _is_explained(other.fit.chi2, found.fit) else None
+    other = _solution(problem)
+    return other if other is not None and _is_explained(other.fit.chi2, found.fit) else None
 
 
 def _is_explained(chi2: float, fit: Chi2Test) -> bool:

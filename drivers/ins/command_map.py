@@ -21,7 +21,7 @@ Any other coefficient of gyro and accelerometer i is::
     polynomial(T) + rate dT/dt + gravity . Up
 
 Nothing is extrapolated: T, dT/dt and B - T are clipped to the fitted ranges. Other coefficients may have been
-measured over fewer temperatures than the biases, and clip T to limits of their own.
+measured over fewer temperatures than the biases, and clip T to separate limits.
 """
 
 from __future__ import annotations

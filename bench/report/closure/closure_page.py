@@ -132,7 +132,7 @@ def effect_table(closure: Closure) -> SectionTable:
     return SectionTable(
         f"Size: rms in the dwells searched, without its mean, in {scale.unit}. "
         "Cross-validated: share of chi2 explained in each cycle, with the size fitted to the other cycles. "
-        "P: that the effect is there, whatever else is; the P of the verdict is without an unlisted effect",
+        "P: probability of the effect beside any others; that of the verdict excludes an unlisted effect",
         ["effect", shown, "tied with", "cross-validated", "size", "P"],
         rows,
         words=4,

@@ -9,7 +9,7 @@ Bias subtracted from gyro i, with its optics at T, its electronics at B and Up i
 After the biases the errors of the other coefficients are taken out: those of the gyros' matrix, of the
 accelerometers' biases and matrix, each ``polynomial(T) + rate dT/dt + gravity . Up`` with T and dT/dt of the
 gyro along the sensor's axis. T, B - T and dT/dt are clamped to the limits in the table, T for each of these
-to limits of its own where they are not both zero. ``play`` follows T
+to separate limits where they are not both zero. ``play`` follows T
 with a slack of the half width on either side, from the temperature at power-on.
 """
 
@@ -78,7 +78,7 @@ def empty_table() -> FloatArray:
 def table_checksum(table: FloatArray) -> int:
     """CRC-32 of a table as little-endian 32-bit floats, by axis; without a last part that is all 0.
 
-    The parts are the biases, the other coefficients, and limits of their own.
+    The parts are the biases, the other coefficients, and their separate limits.
     """
     for end in (_OF_BIAS, Slot.LIMITS):
         if not table[:, end:].any():
