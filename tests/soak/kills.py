@@ -15,20 +15,17 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
 
-import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
-from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
+from gyrobench.bench.bias.dwell_table import read_dwells
 from gyrobench.bench.dwells.measurement_setup import measurement_setup
 from gyrobench.bench.dwells.recorded_dwells import measure_recorded
 from gyrobench.bench.engine.job import Job, prepare_job
-from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.resume import prepare_resumption, resume_state_of
-from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.procedure.procedure_file import STEP_KINDS
 from gyrobench.bench.runs.can_log import read_can_log
@@ -37,7 +34,7 @@ from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.runs.telemetry import read_telemetry
 from gyrobench.bench.station.instruments import Emulation
 from tests.soak.results import PartResult, counts, machine
-from tests.soak.truth import WORLD, Agreement, TruthWatcher, true_bias_dph
+from tests.soak.truth import WORLD, Agreement, true_bias_dph
 
 PROCEDURE = Path(__file__).with_name("kills.yaml")
 _GYROBENCH = str(Path(sys.executable).with_name("gyrobench"))
@@ -64,8 +61,6 @@ class Tally:
     lost: int = 0
     double: int = 0
     truth: Agreement = field(default_factory=Agreement)
-    beside_undisturbed: Agreement = field(default_factory=Agreement)
-    largest_difference_c: float = 0.0
     problems: list[str] = field(default_factory=list)
     lock: threading.Lock = field(default_factory=threading.Lock)
 
@@ -124,7 +119,8 @@ class KilledRun:
     def _command(self) -> list[str]:
         if not (self._path / "journal.jsonl").exists():
             job = self._job
-            options = {"station": job.station.path, "world": job.emulation.world, "out": self._path}
+            world, seed = job.emulation.world, job.emulation.seed
+            options = {"station": job.station.path, "world": world, "seed": seed, "out": self._path}
             return ["run", str(job.document.path), *(f"--{key}={value}" for key, value in options.items())]
         if self._is_finished():  # what is left is to evaluate it
             return ["bins", str(self._path)]
@@ -249,8 +245,8 @@ class KilledRun:
         with self._tally.lock:
             self._tally.problems.append(f"{self._path.name}: {text}")
 
-    def judge(self, undisturbed: dict[int, DwellRow]) -> None:
-        """Compare the dwells of the finished run with the plan, the truth and an undisturbed run."""
+    def judge(self) -> None:
+        """Compare the dwells of the finished run with the plan and the truth."""
         folder, tally, name = open_run_folder(self._path), self._tally, self._path.name
         readable(folder, self._job)
         rows = read_dwells(folder.dwells)
@@ -261,24 +257,12 @@ class KilledRun:
             tally.lost += sum(number not in numbers for number in range(1, self._job.plan.dwell_count + 1))
             tally.double += sum(count > 1 for count in numbers.values())
             for row in rows:
-                other = undisturbed[row.dwell]
-                true_dph = true_bias_dph(row.gyro_c)
-                tally.truth.add(row, true_dph, name)
-                tally.beside_undisturbed.add(*_difference(row, other, true_dph), name)
-                apart_c = float(np.abs(np.subtract(row.gyro_c, other.gyro_c)).max())
-                tally.largest_difference_c = max(tally.largest_difference_c, apart_c)
+                tally.truth.add(row, true_bias_dph(row.gyro_c), name)
             missing = [
                 each.name for each in (folder.bias_bins, folder.joint, folder.report) if not each.exists()
             ]
             if missing:
                 tally.problems.append(f"{name}: lacks {', '.join(missing)}")
-
-
-def _difference(row: DwellRow, other: DwellRow, true_dph: np.ndarray) -> tuple[DwellRow, np.ndarray]:
-    """The difference of two runs' dwell as a dwell whose truth is that of their temperatures."""
-    sigma = tuple(np.hypot(row.sigma_dph, other.sigma_dph).tolist())
-    bias = tuple(np.subtract(row.bias_dph, other.bias_dph).tolist())
-    return replace(row, bias_dph=bias, sigma_dph=sigma), true_dph - true_bias_dph(other.gyro_c)
 
 
 def _is_hit(line: str, aim: str) -> bool:
@@ -323,18 +307,15 @@ def kill_runs(folder: Path, count: int, seed: int, procedure: Path = PROCEDURE) 
     """Kill ``count`` processes at least, on two runs at a time."""
     begin_s = time.monotonic()
     folder.mkdir(parents=True, exist_ok=True)
-    job = prepare_job(str(procedure), "quick", Emulation(str(WORLD), seed))
-    run, outcome = run_job(job, folder / "undisturbed", TruthWatcher(job), ConsentingOperator())
-    if outcome.ended != "finished":
-        raise RuntimeError(f"{run.path}: the run without kills {outcome.ended}: {outcome.reason}")
-    undisturbed = {dwell.row.dwell: dwell.row for dwell in outcome.dwells}
     tally = Tally()
 
     def one(number: int) -> None:
         random = Random(f"{seed}/{number}")  # noqa: S311
+        # Runs of one seed would have the same noise.
+        job = prepare_job(str(procedure), "quick", Emulation(str(WORLD), 1000 * seed + number))
         run = KilledRun(folder / f"run_{number:02d}", random, tally, job)
         if run.go(min(_KILLS_PER_RUN, count)):
-            run.judge(undisturbed)
+            run.judge()
 
     def work(first: int) -> None:
         number = first
@@ -350,9 +331,9 @@ def kill_runs(folder: Path, count: int, seed: int, procedure: Path = PROCEDURE) 
 
 
 def _result(tally: Tally, took_s: float) -> PartResult:
-    truth, beside = tally.truth, tally.beside_undisturbed
+    truth = tally.truth
     hit = {kind for kind in STEP_KINDS if tally.under_way[kind]}
-    problems = [*tally.problems, *truth.wrong, *beside.wrong]
+    problems = [*tally.problems, *truth.wrong]
     if tally.lost or tally.double:
         problems.append(f"{tally.lost} dwells lost, {tally.double} double")
     order = [START, *STEP_KINDS, BETWEEN, *(f"{BACK}{kind}" for kind in STEP_KINDS), RESULTS]
@@ -370,8 +351,6 @@ def _result(tally: Tally, took_s: float) -> PartResult:
             "dwells flagged": str(truth.flagged),
             "wrong results let through": str(len(truth.wrong)),
             "chi2 per degree of freedom against the truth": _chi2(truth),
-            "the same against an undisturbed run": _chi2(beside),
-            "gyro temperatures beside it": f"at most {tally.largest_difference_c:.2f} K apart",
         },
         f"Runs of {tally.dwells // max(tally.runs, 1)} dwells on ramps and after soaks, in processes "
         f"of their own on virtual time, killed with SIGKILL up to {_KILLS_PER_RUN} times each, then left to "
