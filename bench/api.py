@@ -157,8 +157,10 @@ class Run:
 
         navigation = self.navigation(dwell)
         [marks] = [each for each in finished_marks(self.folder) if each.dwell == dwell][-1:]
-        ends = [np.searchsorted(navigation.row, [w.first_frame, w.end_frame]) for w in marks.windows]
-        return [(navigation.ins_time_s[a], navigation.ins_time_s[b - 1]) for a, b in ends]
+        times_s = [
+            navigation.ins_time_s[navigation.between(w.first_frame, w.end_frame)] for w in marks.windows
+        ]
+        return [(each_s[0], each_s[-1]) for each_s in times_s]
 
     def figures(self) -> dict[str, Figure]:
         """Figures of the report by name: temperature, bias of each gyro, differences between positions."""

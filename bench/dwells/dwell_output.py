@@ -12,7 +12,6 @@ from gyrobench.bench.dwells.clock_check import clock_fault
 from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
 from gyrobench.bench.dwells.setup_check import latitude_fault
 from gyrobench.bench.dwells.temperatures import temperatures_at, valid_temperatures
-from gyrobench.bench.foundations.arrays import BoolArray
 from gyrobench.bench.foundations.errors import MeasurementError, SignalMapError
 from gyrobench.bench.foundations.text import flag_text
 from gyrobench.bench.runs.marks import DwellMarks, WindowMark
@@ -83,10 +82,9 @@ def dwell_at_rest(marks: DwellMarks, navigation: NavigationData, setup: Measurem
     )
 
 
-def _in_dwell(marks: DwellMarks, navigation: NavigationData) -> BoolArray:
-    """Which epochs are in the windows of a dwell or between them."""
-    first, end = marks.windows[0].first_frame, marks.windows[-1].end_frame
-    return np.asarray((navigation.row >= first) & (navigation.row < end))
+def _in_dwell(marks: DwellMarks, navigation: NavigationData) -> slice:
+    """The epochs in the windows of a dwell and between them."""
+    return navigation.between(marks.windows[0].first_frame, marks.windows[-1].end_frame)
 
 
 def _windows(marks: DwellMarks, navigation: NavigationData) -> tuple[NavigationWindow, ...]:
@@ -99,7 +97,7 @@ def rest_output(navigation: NavigationData, mark: WindowMark) -> RestOutput:
     The temperatures are those of :func:`gyrobench.bench.dwells.temperatures.temperatures_at`.
     Raises MeasurementError if the INS was not navigating all the time, or restarted.
     """
-    inside = (navigation.row >= mark.first_frame) & (navigation.row < mark.end_frame)
+    inside = navigation.between(mark.first_frame, mark.end_frame)
     _check_navigating(navigation, inside)
     time_s = navigation.ins_time_s[inside]
     velocity = navigation.velocity_enu_mps[inside].copy()
@@ -108,7 +106,7 @@ def rest_output(navigation: NavigationData, mark: WindowMark) -> RestOutput:
     return RestOutput(time_s, velocity, navigation.attitude[inside], *temperatures)
 
 
-def _check_navigating(navigation: NavigationData, inside: BoolArray) -> None:
+def _check_navigating(navigation: NavigationData, inside: slice) -> None:
     """Turns count as well: an INS that realigns in a turn starts with other errors after it."""
     if not np.isin(navigation.mode[inside], (InsMode.NAVIGATE, InsMode.UNKNOWN)).all():
         raise MeasurementError(

@@ -186,13 +186,14 @@ class SignCheck:
         unexplained: list[FloatArray] = []
         drifting: list[FloatArray] = []
         for mark in marks.windows:
-            rows = _between(navigation, mark.first_frame, mark.end_frame)
-            time_s = navigation.ins_time_s[rows]
-            if len(rows) < MIN_EPOCHS or (np.diff(time_s) <= 0.0).any():
+            epochs = navigation.between(mark.first_frame, mark.end_frame)
+            time_s = navigation.ins_time_s[epochs]
+            if len(time_s) < MIN_EPOCHS or (np.diff(time_s) <= 0.0).any():
                 return None
             every = max(1, round(EPOCH_S / float(np.median(np.diff(time_s)))))
-            rows = rows[::every]
-            C_nb, velocity = navigation.attitude[rows], navigation.velocity_enu_mps[rows, :2]
+            C_nb, velocity = (
+                each[epochs][::every] for each in (navigation.attitude, navigation.velocity_enu_mps[:, :2])
+            )
             if not (np.isfinite(C_nb).all() and np.isfinite(velocity).all()):
                 return None
             off = _angles_to(C_nb[:1], table.attitude(mark.outer_deg, mark.inner_deg)[np.newaxis])
@@ -248,16 +249,11 @@ def _rms(unexplained: Sequence[FloatArray]) -> FloatArray:
     return np.asarray(np.sqrt(np.mean(np.square(left), axis=1)))
 
 
-def _between(navigation: NavigationData, first_frame: int, end_frame: int) -> np.ndarray:
-    return np.flatnonzero((navigation.row >= first_frame) & (navigation.row < end_frame))
-
-
 def _off_path(
     table: TwoAxisTable, navigation: NavigationData, before: WindowMark, after: WindowMark
 ) -> float:
     """Largest angle between the attitude in a turn and the nearest that the table may have had."""
-    rows = _between(navigation, before.end_frame, after.first_frame)
-    C_nb = navigation.attitude[rows]
+    C_nb = navigation.attitude[navigation.between(before.end_frame, after.first_frame)]
     C_nb = C_nb[np.isfinite(C_nb).all(axis=(1, 2))]
     if not len(C_nb):
         return 0.0

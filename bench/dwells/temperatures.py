@@ -42,10 +42,10 @@ def dwell_temperatures(navigation: NavigationData, first_row: int, end_row: int)
     Raises MeasurementError if there are no epochs or no temperatures between them.
     """
     series = navigation.temperatures
-    epochs = (navigation.row >= first_row) & (navigation.row < end_row)
-    if not epochs.any():
+    time_s = navigation.ins_time_s[navigation.between(first_row, end_row)]
+    if not len(time_s):
         raise MeasurementError("no navigation frames in the dwell. Check the CAN cable and the station's DBC")
-    first_s, last_s = navigation.ins_time_s[epochs][[0, -1]]
+    first_s, last_s = time_s[[0, -1]]
     inside = (series.ins_time_s >= first_s) & (series.ins_time_s <= last_s)
     if np.count_nonzero(inside) < _MIN_SAMPLES:
         raise MeasurementError("no gyro temperatures in the dwell. Check the station's temperature signals")
@@ -134,10 +134,10 @@ def valid_temperatures(
         sensors are merely not measured.
     """
     series = navigation.temperatures
-    epochs = (navigation.row >= first_row) & (navigation.row < end_row)
-    if not epochs.any():
+    time_s = navigation.ins_time_s[navigation.between(first_row, end_row)]
+    if not len(time_s):
         return navigation, ()
-    begin_s, end_s = navigation.ins_time_s[epochs][[0, -1]].tolist()
+    begin_s, end_s = time_s[[0, -1]].tolist()
     inside = (series.ins_time_s >= begin_s) & (series.ins_time_s <= end_s)
     values_c = np.column_stack([series.optics_c, series.electronics_c, series.case_c])
     dwell_c = values_c[inside]

@@ -62,6 +62,11 @@ class NavigationData:
     short_frames: int  #: Frames with fewer bytes than in the DBC; dropped.
     latitude: float = math.nan  #: That the INS uses, rad, as sent last; NaN where it sends none.
 
+    def between(self, first_row: int, end_row: int) -> slice:
+        """The epochs whose last frames are in these rows of the block."""
+        begin, end = np.searchsorted(self.row, [first_row, end_row]).tolist()
+        return slice(begin, end)
+
 
 def decode_navigation(block: FrameBlock, signal_map: SignalMap, codec: DbcCodec) -> NavigationData:
     """Decode one uninterrupted block. Raises DocumentError if the signal map does not fit the DBC."""
