@@ -51,9 +51,8 @@ def check_signal_map(
     if fault := latitude_fault(navigation.latitude, setup.site):
         raise SignalMapError(fault)
     inside = _in_dwell(marks, navigation)
-    if setup.signals and (
-        fault := clock_fault(navigation.ins_time_s[inside], navigation.timestamp_s[inside], setup.signals)
-    ):
+    times = (navigation.ins_time_s[inside], navigation.timestamp_s[inside], navigation.segment[inside])
+    if setup.signals and (fault := clock_fault(*times, setup.signals)):
         raise SignalMapError(fault)
     try:
         return setup.signs is not None and setup.signs.check(marks, frames, navigation)

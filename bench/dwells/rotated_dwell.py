@@ -12,11 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrobench.bench.calibration.recording import MIN_REST_TOTAL_S, IncrementRecording, Rest
+from gyrobench.bench.dwells.clock_check import increments_fault
 from gyrobench.bench.dwells.dwell_output import check_signal_map, decoded_navigation, rest_output
 from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
 from gyrobench.bench.dwells.temperatures import dwell_temperatures
 from gyrobench.bench.foundations.arrays import FloatArray, Triple
-from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.foundations.errors import MeasurementError, SignalMapError
 from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vectors
 from gyrobench.bench.navigation.earth import EARTH_RATE, curvature_radii
 from gyrobench.bench.navigation.error_model import Site
@@ -68,6 +69,10 @@ def measure_rotations(marks: DwellMarks, frames: FrameBlock, setup: MeasurementS
     if increments is None or not is_sent:
         increments = navigated_increments(navigation, setup.site)
     else:
+        inside = slice(*np.searchsorted(increments.row, [first, end]))
+        arrival_s = frames.timestamp_s[increments.row[inside]]
+        if fault := increments_fault(increments.sent[:, inside], arrival_s, increments.interval_s):
+            raise SignalMapError(fault)
         _check_axes(increments, navigated_increments(navigation, setup.site, _CHECKED_S), marks)
     at_rest = [] if is_sent else [rest_output(navigation, mark) for mark in marks.windows]
     velocity_rounding, angle_rounding = setup.rounding(at_rest)
@@ -158,7 +163,12 @@ def navigated_increments(navigation: NavigationData, site: Site, least_s: float 
     sculling = (np.cross(angle[last], sums) + np.cross(sums[last], angle)) / 12.0
     steady = np.abs(np.diff(time_s) / interval_s - 1.0) < _MAX_STEP_ERROR
     return Increments(
-        row=row[1:], angle=angle - coning, velocity=sums - sculling, follows=steady, interval_s=interval_s
+        row=row[1:],
+        angle=angle - coning,
+        velocity=sums - sculling,
+        follows=steady,
+        interval_s=interval_s,
+        sent=np.tile(np.arange(len(angle), dtype=float), (2, 1)),
     )
 
 

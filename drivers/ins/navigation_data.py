@@ -100,6 +100,9 @@ class Increments:
     velocity: FloatArray
     follows: BoolArray  #: Shape (n,). Whether no sample is missing before it.
     interval_s: float  #: Time between samples.
+    #: Shape (2, n). Samples sent so far, first by the counter alone, or as received, then also by the arrival
+    #: of their frames; NaN where that does not show it.
+    sent: FloatArray
 
 
 def decode_increments(block: FrameBlock, signal_map: SignalMap, codec: DbcCodec) -> Increments | None:
@@ -118,14 +121,25 @@ def decode_increments(block: FrameBlock, signal_map: SignalMap, codec: DbcCodec)
         else mapped.period_s * readout.axes(f"increments.{mean}", rows)
         for total, mean in (("angle", "rate"), ("velocity", "specific_force"))
     )
+    passed_s = np.diff(block.timestamp_s[rows])
+    counted, modulus = np.ones(len(passed_s)), 1.0
     if mapped.counter is not None:
-        steps = _nearest(
-            np.diff(readout.value("increments.counter", rows)), _modulus(readout, "increments.counter"), 1.0
-        )
-    else:
-        steps = np.rint(np.diff(block.timestamp_s[rows]) / mapped.period_s)
-    follows = np.concatenate([[False], steps == 1.0])[: len(rows)]
-    return Increments(rows, angle, velocity, follows, mapped.period_s)
+        counted = np.diff(readout.value("increments.counter", rows))
+        modulus = _modulus(readout, "increments.counter")
+    steps = _nearest(counted, modulus, 1.0)
+    follows = steps == 1.0 if mapped.counter is not None else np.rint(passed_s / mapped.period_s) == 1.0
+    # In usual intervals, as the declared one may be wrong; unknown where frames come in bursts.
+    usual_s = float(np.median(passed_s)) if len(passed_s) else 0.0
+    by_arrival = _nearest(counted, modulus, passed_s / usual_s if usual_s > 0.0 else np.nan)
+    sent = np.cumsum([steps, by_arrival], axis=1)
+    return Increments(
+        row=rows,
+        angle=angle,
+        velocity=velocity,
+        follows=np.concatenate([[False], follows])[: len(rows)],
+        interval_s=mapped.period_s,
+        sent=np.concatenate([np.zeros((2, 1)), sent], axis=1)[:, : len(rows)],
+    )
 
 
 def _temperatures(reader: BlockReader, readout: Readout, epochs: _Epochs) -> Temperatures:

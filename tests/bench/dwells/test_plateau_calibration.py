@@ -186,6 +186,19 @@ def test_exchanged_axes_of_increments_give_no_coefficients(with_increments, axes
     assert "Check axes, signs and units of ins.signals.increments" in found.finding
 
 
+@pytest.mark.parametrize("period_s", [0.009, 0.01, 0.02])
+def test_rotations_give_no_coefficients_with_a_wrong_period_of_the_increments(with_increments, period_s):
+    folder, _, _ = with_increments
+    setup = measurement_setup(Station(folder.station))
+
+    def declared(frames):
+        return replace(setup.decode_increments(frames), interval_s=period_s)
+
+    [found] = calibrated([next(iter(rotated_dwells(folder)))], replace(setup, decode_increments=declared))
+    is_wrong = "period_s is" in found.finding
+    assert is_wrong == (found.calibration is None) == (period_s != 0.01)
+
+
 def test_navigation_output_that_is_rounded_counts_with_its_rounding(with_increments):
     folder, _, _ = with_increments
     setup = measurement_setup(Station(folder.station))
