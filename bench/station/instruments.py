@@ -18,6 +18,7 @@ import can
 from gyrobench.bench.foundations.clock import Clock, Deadline
 from gyrobench.bench.foundations.errors import (
     ConnectionFailedError,
+    FaultError,
     GyrobenchError,
     InstrumentError,
     RefusedError,
@@ -218,9 +219,10 @@ class Outputs:
 class Instruments(Outputs):
     """All instruments of a bench, opened; a context manager that closes them.
 
-    ``may_be_absent``: whether an instrument that can't be opened is left out, if another answers. It then
-    reads nothing and refuses commands. ``dropped``: numbers of units that are not opened. Raises
-    ConnectionFailedError if one can't be opened, or none, which names all; the others are closed again.
+    ``may_be_absent``: whether an instrument that can't be opened, or a table or chamber that does not answer,
+    is left out, if another answers. It then reads nothing and refuses commands. ``dropped``: numbers of units
+    that are not opened. Raises ConnectionFailedError if one can't be opened, or none, which names all; the
+    others are closed again.
     """
 
     def __init__(
@@ -240,14 +242,22 @@ class Instruments(Outputs):
         with contextlib.ExitStack() as opened:
             opened.callback(super().close)
             try:
+                if may_be_absent:
+                    _await_answer(lambda: self.table.read(), clock)
                 self.table  # noqa: B018 - opens it
             except InstrumentError as error:
                 self._leave_out(error, may_be_absent)
+                if self._table is not None:
+                    self._table.close()
                 self._table = cast(RateTable, _AbsentTable(error, len(station.file.rate_table.axis_numbers)))
             try:
-                self.chamber  # noqa: B018
+                if may_be_absent:
+                    _await_answer(lambda: self.chamber.read(), clock)
+                self.chamber  # noqa: B018 - opens it
             except InstrumentError as error:
                 self._leave_out(error, may_be_absent)
+                if self._chamber is not None:
+                    self._chamber.close()
                 self._chamber = cast(Chamber, _AbsentChamber(error))
             for name, unit in self._stations.items():
                 try:
@@ -299,7 +309,21 @@ class Instruments(Outputs):
         super().close()
 
 
-#: Instruments beside the INS.
+def _await_answer(read: Callable[[], object], clock: Clock) -> None:
+    """Read an instrument; raises InstrumentError if its port can't be opened, or it does not answer twice."""
+    for is_last in (False, True):
+        try:
+            read()
+        except (FaultError, RefusedError):
+            return  # it answers
+        except InstrumentError as error:
+            if is_last or isinstance(error, ConnectionFailedError):
+                raise
+            clock.sleep(_LATE_REPLY_S)
+        else:
+            return
+
+
 class _Absent:
     """In place of an instrument that does not answer: refuses every command."""
 

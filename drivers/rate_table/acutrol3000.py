@@ -290,11 +290,11 @@ class Acutrol3000:
     def _skip_late_replies(self) -> str:
         """Discard the replies to earlier requests; returns why that did not succeed, empty if it did."""
         line, deadline = self._line, Deadline(self._line.clock, _MAX_SKIP * self._reply_timeout_s)
+        count = next(self._marks)
+        mark = ":Status:" + ";".join([f"CSR? A{self._axes[0]}STATE"] * count)
         line.write(_INVALID_MESSAGE)
         try:
             line.await_silence(self._reply_timeout_s)
-            count = next(self._marks)
-            mark = ":Status:" + ";".join([f"CSR? A{self._axes[0]}STATE"] * count)
             line.write(mark.encode("ascii") + b"\r\n")
             while not deadline.expired():
                 code, text = self._reply(mark)
@@ -302,7 +302,7 @@ class Acutrol3000:
                     return ""
             return f"other replies arrive for more than {deadline.duration_s:g} s"
         except (NoReplyError, ReplyError) as error:
-            return str(error).removeprefix(f"{line.instrument}: ")
+            return str(error).removeprefix(f"{line.instrument}: ").replace(mark, f"{count} status queries")
 
     def _unexpected(self, message: str, reply: str) -> ReplyError:
         return ReplyError(

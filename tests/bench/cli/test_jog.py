@@ -224,6 +224,42 @@ def test_a_chamber_that_does_not_answer_is_left_out_and_shows_no_temperature(tmp
     assert "nan" not in run.stdout
 
 
+@pytest.mark.parametrize(
+    ("instrument", "shown", "refused"),
+    [("table", "Table      left out", "table outer 3"), ("chamber", "Chamber    left out", "chamber 30")],
+)
+def test_a_silent_instrument_whose_port_opens_is_left_out_and_the_others_are_controlled(
+    instrument, shown, refused, tmp_path
+):
+    (tmp_path / "silent.yaml").write_text(
+        f"faults:\n  - {{fault: lost_request, target: {instrument}, at_s: 0, for_s: 9000}}\n"
+    )
+    run = jog(
+        "unit on" if instrument == "table" else "table outer 3",
+        "show",
+        refused,
+        "--faults",
+        "silent.yaml",
+        cwd=tmp_path,
+    )
+    printed = answers(run)
+    assert "Is it switched on" in printed[""][0]
+    assert max(map(len, run.stdout.splitlines())) < 400
+    assert shown in printed["show"]
+    assert "did not answer when the bench was opened. Start jog again" in printed[refused][0]
+    assert run.returncode == EXIT_NOT_FINISHED
+
+
+def test_an_instrument_whose_first_reply_is_lost_is_not_left_out(tmp_path):
+    (tmp_path / "lost.yaml").write_text(
+        "faults:\n  - {fault: lost_reply, target: table, at_s: 0, replies: 2}\n"
+        "  - {fault: lost_reply, target: chamber, at_s: 0}\n"
+    )
+    run = jog("table outer 3", "chamber 30", "--faults", "lost.yaml", cwd=tmp_path)
+    assert run.returncode == 0, run.stdout
+    assert "Left out" not in run.stdout
+
+
 def test_a_bench_on_which_no_instrument_answers_names_all_of_them(tmp_path):
     text = find_document("stations", "quick").read_text().replace("clock: virtual", "clock: wall")
     for emulated, absent in (
