@@ -13,15 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
-from gyrobench.bench.bias.power_cycle_means import (
-    PowerCycleMean,
-    compare_over_power_cycles,
-    format_means,
-    parse_means,
-)
+from gyrobench.bench.bias.power_cycle_means import PowerCycleMean, compare_over_power_cycles
 from gyrobench.bench.bias.statistics import weighted_mean
-from gyrobench.bench.foundations.csv_tables import CsvTable, format_rows, read_text, write_text
+from gyrobench.bench.foundations.csv_tables import CsvTable, format_csv, read_text, write_text
 from gyrobench.bench.foundations.errors import MeasurementError
+from gyrobench.bench.foundations.text import format_cell
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 
 #: Usual width of a bin, K.
@@ -54,8 +50,8 @@ class BiasBin:
     paper_bias_dph: float = math.nan
     paper_sigma_dph: float = math.nan
     #: Means by power cycle, where the dwells of the gyro at these temperatures come from several; see
-    #: :mod:`gyrobench.bench.bias.power_cycle_means`.
-    by_power_cycle: str = ""
+    #: :mod:`gyrobench.bench.bias.power_cycle_means`. Not in the file: :func:`with_power_cycles` adds them.
+    by_power_cycle: tuple[PowerCycleMean, ...] = ()
 
     @property
     def is_empty(self) -> bool:
@@ -63,9 +59,9 @@ class BiasBin:
         return self.count == 0
 
 
-_COLUMNS = tuple(field.name for field in fields(BiasBin))
+#: Columns of ``bias_bins.csv``.
+BIN_COLUMNS = tuple(field.name for field in fields(BiasBin) if field.name != "by_power_cycle")
 _PAPER = {"paper_bias_dph", "paper_sigma_dph"}
-_OPTIONAL = {*_PAPER, "by_power_cycle"}
 _MAY_BE_EMPTY = {"temperature_c", "bias_dph", "sigma_dph", "chi2_reduced", "spread_p_value", *_PAPER}
 
 
@@ -102,7 +98,7 @@ def bin_biases(rows: Iterable[DwellRow], width_c: float = DEFAULT_WIDTH_C) -> li
                 ends = (number * width_c, (number + 1) * width_c)
                 own = members.get((position, number), [])
                 several = len({row.run for name in positions for row in members.get((name, number), [])}) > 1
-                by_cycle = _by_power_cycle(axis, own, power_cycles) if several else ""
+                by_cycle = _by_power_cycle(axis, own, power_cycles) if several else ()
                 result.append(replace(_bin(axis, gyro, position, ends, own), by_power_cycle=by_cycle))
     return result
 
@@ -120,25 +116,39 @@ def paper_bins(bins: Iterable[BiasBin]) -> list[BiasBin]:
             count=0 if math.isnan(each.paper_bias_dph) else each.count,
             chi2_reduced=math.nan,
             spread_p_value=math.nan,
-            by_power_cycle=format_means(
-                [
-                    mean.by_paper
-                    for mean in parse_means(each.by_power_cycle)
-                    if not math.isnan(mean.paper_bias_dph)
-                ]
+            by_power_cycle=tuple(
+                mean.by_paper for mean in each.by_power_cycle if not math.isnan(mean.paper_bias_dph)
             ),
         )
         for each in bins
     ]
 
 
+def with_power_cycles(bins: Sequence[BiasBin], rows: Iterable[DwellRow]) -> list[BiasBin]:
+    """Bins of one unit as read from a file, with the means by power cycle of the dwells without flags.
+
+    Raises MeasurementError as :func:`bin_biases`.
+    """
+    width_c = round(bins[0].bin_high_c - bins[0].bin_low_c, 9) if bins else DEFAULT_WIDTH_C
+
+    def place(each: BiasBin) -> tuple[str, str, int]:
+        return each.gyro, each.position, round(each.bin_low_c / width_c)
+
+    found = {place(each): each for each in bin_biases([row for row in rows if not row.flags], width_c)}
+    return [
+        replace(each, by_power_cycle=found[place(each)].by_power_cycle if place(each) in found else ())
+        for each in bins
+    ]
+
+
 def write_bins(path: Path, bins: Iterable[BiasBin]) -> None:
     """Write ``bias_bins.csv``. Raises RunFolderError if the file can't be written."""
-    write_text(path, format_rows(_COLUMNS, bins))
+    cells = ([format_cell(getattr(each, column)) for column in BIN_COLUMNS] for each in bins)
+    write_text(path, format_csv(BIN_COLUMNS, cells))
 
 
 def read_bins(path: Path) -> list[BiasBin]:
-    """Read ``bias_bins.csv``; the columns of the paper and of power cycles may be missing.
+    """Read ``bias_bins.csv``; the columns of the paper may be missing.
 
     Raises DocumentError if the file can't be read or is wrong; the message lists all problems.
     """
@@ -150,7 +160,7 @@ def parse_bins(text: str, name: str) -> list[BiasBin]:
 
     Raises DocumentError, which lists all that is wrong with it.
     """
-    table = CsvTable(text, name, required=[column for column in _COLUMNS if column not in _OPTIONAL])
+    table = CsvTable(text, name, required=[column for column in BIN_COLUMNS if column not in _PAPER])
     return table.rows(partial(_parsed, table))
 
 
@@ -187,13 +197,15 @@ def _bin(
     )
 
 
-def _by_power_cycle(axis: int, rows: Sequence[DwellRow], power_cycles: Mapping[str, int]) -> str:
+def _by_power_cycle(
+    axis: int, rows: Sequence[DwellRow], power_cycles: Mapping[str, int]
+) -> tuple[PowerCycleMean, ...]:
     means = []
     for run in dict.fromkeys(row.run for row in rows):
         own = [row for row in rows if row.run == run]
         mean = weighted_mean([row.bias_dph[axis] for row in own], [row.sigma_dph[axis] for row in own])
         means.append(PowerCycleMean(power_cycles[run], mean.value, mean.sigma, *_paper_mean(axis, own)))
-    return format_means(means)
+    return tuple(means)
 
 
 def _paper_mean(axis: int, rows: Sequence[DwellRow]) -> tuple[float, float]:
@@ -224,19 +236,7 @@ def _parsed(table: CsvTable, index: int) -> BiasBin:
         spread_p_value=number("spread_p_value"),
         paper_bias_dph=number("paper_bias_dph"),
         paper_sigma_dph=table.uncertainty(index, "paper_sigma_dph", may_be_empty=True),
-        by_power_cycle=_checked_means(table, index),
     )
-
-
-def _checked_means(table: CsvTable, index: int) -> str:
-    text = table.text(index, "by_power_cycle")
-    try:
-        parse_means(text)
-    except ValueError:
-        table.problem(
-            index, "by_power_cycle", f"expected number, bias, sigma and the paper's two; found '{text}'"
-        )
-    return text
 
 
 @dataclass(frozen=True)
@@ -297,7 +297,7 @@ def _power_cycle_means(group: Iterable[BiasBin]) -> list[tuple[str, PowerCycleMe
     """Means by position and power cycle, with the uncertainty of errors that the dwells have in common."""
     means = []
     for each in group:
-        own = parse_means(each.by_power_cycle)
+        own = each.by_power_cycle
         independent = sum(mean.sigma_dph**-2.0 for mean in own)
         larger = max(1.0, each.sigma_dph * math.sqrt(independent))
         means += [(each.position, replace(mean, sigma_dph=larger * mean.sigma_dph)) for mean in own]

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
@@ -18,7 +18,6 @@ import numpy as np
 from gyrobench.bench.bias.statistics import chi2_p_value
 from gyrobench.bench.foundations.arrays import FloatArray
 
-_SEPARATOR = "; "
 _ZERO = 1e-9
 
 
@@ -37,23 +36,6 @@ class PowerCycleMean:
     def by_paper(self) -> PowerCycleMean:
         """The paper's in the place of the other."""
         return PowerCycleMean(self.number, self.paper_bias_dph, self.paper_sigma_dph)
-
-
-def format_means(means: Sequence[PowerCycleMean]) -> str:
-    """A cell of ``bias_bins.csv``: number, bias, sigma, and those by the paper's method, of each."""
-    return _SEPARATOR.join(" ".join(map(str, astuple(each))) for each in means)
-
-
-def parse_means(text: str) -> list[PowerCycleMean]:
-    """Read such a cell; raises ValueError if it is wrong."""
-    means = []
-    for part in filter(None, text.split(_SEPARATOR)):
-        number, *values = part.split()
-        bias_dph, sigma_dph, paper_bias_dph, paper_sigma_dph = map(float, values)
-        if not (math.isfinite(bias_dph) and sigma_dph > 0.0):
-            raise ValueError(f"'{part}' is not a bias with an uncertainty above zero")
-        means.append(PowerCycleMean(int(number), bias_dph, sigma_dph, paper_bias_dph, paper_sigma_dph))
-    return means
 
 
 @dataclass(frozen=True)

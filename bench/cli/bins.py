@@ -10,12 +10,14 @@ def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
     """Recompute the tables of a run from its raw CAN log.
 
     With --json: {"folder", "report", "bins", "budget", "verification", "acceptance"}; bins and verification
-    are lists with the columns of their tables as keys, acceptance is what acceptance.json holds. The budget
-    has an object for each dwell and bin, with its sum and its contributions by name.
+    are lists with the columns of their tables as keys, and by_power_cycle of each bin has the means of power
+    cycles that measured other positions too; acceptance is what acceptance.json holds. The budget has an
+    object for each dwell and bin, with its sum and its contributions by name.
 
     Example: gyrobench bins runs/six_position_fig7-001
     """
-    from gyrobench.bench.bias.bins import read_bins
+    from gyrobench.bench.bias.bins import read_bins, with_power_cycles
+    from gyrobench.bench.bias.dwell_table import read_dwells
     from gyrobench.bench.bias.verdicts import read_acceptance
     from gyrobench.bench.dwells.run_results import recompute_run
     from gyrobench.bench.report.run_report import write_report
@@ -29,7 +31,7 @@ def bins(run_folder: RunArgument, as_json: JsonOption = False) -> None:
             {
                 "folder": folder.path,
                 "report": write_report(folder, are_tables_new=True),
-                "bins": read_bins(folder.bias_bins),
+                "bins": with_power_cycles(read_bins(folder.bias_bins), read_dwells(folder.dwells)),
                 "budget": budget_records(read_budget(folder.budget) if folder.budget.exists() else []),
                 "verification": read_calibration_check(check) if check.exists() else [],
                 "acceptance": read_acceptance(folder.acceptance),

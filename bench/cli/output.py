@@ -107,7 +107,8 @@ def plain(value: Any) -> Any:
 
 def print_tables(console: Console, folder: RunFolder) -> None:
     """Print a run's tables: biases or calibration check, the verdict, coefficients, characteristics."""
-    from gyrobench.bench.bias.bins import read_bins
+    from gyrobench.bench.bias.bins import read_bins, with_power_cycles
+    from gyrobench.bench.bias.dwell_table import read_dwells
     from gyrobench.bench.bias.verdicts import read_acceptance
     from gyrobench.bench.characteristics.results import read_characteristics
     from gyrobench.bench.report.bias_sections import acceptance_summary, bins_summary
@@ -120,7 +121,7 @@ def print_tables(console: Console, folder: RunFolder) -> None:
     def read(path: Path, reader: Callable[[Path], list[_Row]]) -> list[_Row]:
         return reader(path) if path.exists() else []
 
-    bins = read(folder.bias_bins, read_bins)
+    bins = with_power_cycles(read(folder.bias_bins, read_bins), read(folder.dwells, read_dwells))
     check = read(folder.calibration_check, read_calibration_check)
     coefficients = read(folder.coefficients, read_coefficients)
     characteristics = read(folder.characteristics, read_characteristics)

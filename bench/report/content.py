@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from gyrobench.bench.bias.bins import DEFAULT_WIDTH_C, BiasBin, bin_biases, read_bins
+from gyrobench.bench.bias.bins import DEFAULT_WIDTH_C, BiasBin, bin_biases, read_bins, with_power_cycles
 from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells, read_packed_dwells
 from gyrobench.bench.bias.noise_estimate import NoiseEstimate
 from gyrobench.bench.bias.verdicts import Acceptance, read_acceptance
@@ -195,7 +195,7 @@ def read_run(folder: RunFolder, are_tables_new: bool = False) -> RunContent:
         station=read(folder.station, _mapping, {}),
         dwells=dwells,
         dwell_purposes=purposes,
-        bins=bins or _bins(dwells, procedure, problems),
+        bins=_bins(bins, dwells, procedure, problems),
         telemetry=read(folder.telemetry, read_telemetry, {}),
         budget=read(folder.budget, _budget, BudgetSummary(), is_optional=True),
         noise=read(folder.noise, read_noise, None, is_optional=True),
@@ -349,10 +349,15 @@ def _mapping(path: Path) -> Entry:
     return data if isinstance(data, dict) else {}
 
 
-def _bins(dwells: Sequence[DwellRow], procedure: Entry, problems: list[str]) -> list[BiasBin]:
+def _bins(
+    bins: Sequence[BiasBin], dwells: Sequence[DwellRow], procedure: Entry, problems: list[str]
+) -> list[BiasBin]:
+    """Those of the file with the means by power cycle; without a file those of the dwells."""
     width_c = procedure.get("bin_width_c", DEFAULT_WIDTH_C)
     try:
+        if bins:
+            return with_power_cycles(bins, dwells)
         return bin_biases([row for row in dwells if not row.flags], float(width_c))
-    except (GyrobenchError, TypeError, ValueError) as error:
+    except (GyrobenchError, TypeError, ValueError, ZeroDivisionError) as error:
         problems.append(f"The dwells can't be binned by temperature: {error}")
-        return []
+        return list(bins)

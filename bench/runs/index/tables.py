@@ -272,15 +272,16 @@ _DWELL_TRIPLES = {
 }
 
 
-def _schema_of(model: type, *first: tuple[str, pa.DataType]) -> pa.Schema:
+def _schema_of(model: type, *first: tuple[str, pa.DataType], without: str = "") -> pa.Schema:
     types = _TYPES | _OTHER_TYPES
-    return pa.schema([*first, *((each.name, types[str(each.type)]) for each in fields(model))])
+    own = [(each.name, types[str(each.type)]) for each in fields(model) if each.name != without]
+    return pa.schema([*first, *own])
 
 
 #: Columns by table. Names and units are those of the files of a run; ``path`` is that of the run.
 SCHEMAS: Mapping[str, pa.Schema] = {
     "runs": _schema_of(RunRow).append(pa.field("batch", _TEXT)).append(pa.field("hardware", _TEXT)),
-    "bins": _schema_of(BiasBin, ("path", _TEXT)),
+    "bins": _schema_of(BiasBin, ("path", _TEXT), without="by_power_cycle"),
     "dwells": pa.schema(
         [
             *((name, _TEXT) for name in ("path", "run")),

@@ -17,6 +17,7 @@ from gyrobench.bench.bias.bins import (
     not_connected,
     paper_bins,
     read_bins,
+    with_power_cycles,
     write_bins,
 )
 from gyrobench.bench.bias.dwell_table import DwellRow
@@ -139,7 +140,7 @@ def test_bins_that_the_papers_method_does_not_apply_to_are_empty_for_it():
 def test_a_table_without_the_papers_columns_is_read(tmp_path):
     path = tmp_path / "bias_bins.csv"
     write_bins(path, bin_biases([row()]))
-    lines = [line.rsplit(",", 3)[0] for line in path.read_text(encoding="utf-8").splitlines()]
+    lines = [line.rsplit(",", 2)[0] for line in path.read_text(encoding="utf-8").splitlines()]
     path.write_text("\n".join(lines), encoding="utf-8")
     assert "paper" not in lines[0]
     assert math.isnan(read_bins(path)[0].paper_sigma_dph)
@@ -343,11 +344,22 @@ def test_the_papers_biases_are_compared_over_power_cycles_too():
     assert compare_positions(paper_bins(bin_biases(rows)))[0].p_value == pytest.approx(1.0)
 
 
-def test_means_of_power_cycles_come_back_from_the_file_and_damaged_ones_are_named(tmp_path):
+def test_bins_from_a_file_have_the_means_of_power_cycles_of_the_dwells_without_flags(tmp_path):
     path = tmp_path / "bias_bins.csv"
-    bins = bin_biases(rows_of_power_cycles({"1": ["z_up", "y_up"], "2": ["y_up"]}))
+    rows = rows_of_power_cycles({"1": ["z_up", "y_up"], "2": ["y_up"]})
+    bins = bin_biases(rows, 0.1)
     write_bins(path, bins)
-    assert [each.by_power_cycle for each in read_bins(path)] == [each.by_power_cycle for each in bins]
-    write_bins(path, [replace(bins[0], by_power_cycle="1 0.2")])
-    with pytest.raises(DocumentError, match="column by_power_cycle: expected number, bias, sigma"):
-        read_bins(path)
+    flagged = replace(rows[0], run="3", flags=("moved",))
+    assert any(each.by_power_cycle for each in bins)
+    means = [each.by_power_cycle for each in with_power_cycles(read_bins(path), [*rows, flagged])]
+    assert means == [each.by_power_cycle for each in bins]
+    assert with_power_cycles([], []) == []
+
+
+def test_a_file_with_means_of_power_cycles_as_text_is_readable(tmp_path):
+    path = tmp_path / "bias_bins.csv"
+    bins = bin_biases(rows_of_power_cycles({"1": ["z_up"]}))
+    write_bins(path, bins)
+    header, *lines = path.read_text().splitlines()
+    path.write_text("\n".join([f"{header},by_power_cycle", *(f"{each},1 0.2 0.1 nan nan" for each in lines)]))
+    assert read_bins(path) == bins

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
-from gyrobench.bench.bias.bins import BiasBin
+import pytest
+
+from gyrobench.bench.bias.bins import BiasBin, bin_biases, compare_positions, write_bins
 from gyrobench.bench.bias.dwell_table import DwellRow, write_dwells
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.report.content import read_run
@@ -51,6 +54,18 @@ def test_bins_are_worked_out_where_their_file_is_missing(
     bins = read_run(empty_folder).bins
     assert {each.bin_high_c - each.bin_low_c for each in bins} == {10.0}
     assert sum(each.count for each in bins if each.gyro == "x") == 71
+
+
+def test_bins_of_the_file_are_compared_with_a_constant_for_each_power_cycle(
+    empty_folder: RunFolder, dwells: list[DwellRow]
+) -> None:
+    rows = [replace(row, run=row.position[:1]) for row in dwells if not row.flags]
+    write_dwells(empty_folder.dwells, rows)
+    write_bins(empty_folder.bias_bins, bin_biases(rows))
+    found = compare_positions(read_run(empty_folder).bins)
+    expected = compare_positions(bin_biases(rows))
+    assert [each.p_value for each in found] == pytest.approx([each.p_value for each in expected], rel=1e-3)
+    assert all(high[0] == low[0] for each in found for high, low in [each.largest_pair])
 
 
 def test_damaged_files_are_named_and_the_rest_is_read(
