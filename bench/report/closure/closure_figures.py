@@ -197,7 +197,7 @@ def closure_effect_figure(closure: Closure, found: FoundEffect) -> Figure:
         if name in found.axes
     }
     scale = scale_of_errors(closure)
-    figure = new_figure(3.1, right_in=0.07, bottom_in=0.6, top_in=0.5)
+    figure = new_figure(3.1, right_in=0.07, bottom_in=0.6, top_in=0.5, wspace=0.2)
     all_axes = figure.subplots(1, len(AXES), sharey=True)
     for axis, (axes, gyro) in enumerate(zip(all_axes, AXES, strict=True)):
         axes.set_title(closure.quantity.headings[axis])

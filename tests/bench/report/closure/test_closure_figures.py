@@ -1,5 +1,7 @@
 """The figures of a search for effects: what is drawn, with which values."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -85,6 +87,18 @@ def test_the_effect_is_drawn_as_partial_residuals_on_the_fit():
     dwells, values = points(figure.axes[0], "searched")
     left = values - np.interp(dwells, along, line)
     assert left == pytest.approx(1000.0 * residuals_dph(closure, closure.model)[closure.searched, 0])
+
+
+@pytest.mark.parametrize("end", [4.0, 5.0, 10.0, 100.0])
+def test_numbers_below_neighbouring_panels_of_an_effect_stand_apart(end):
+    [found] = explained().effects
+    figure = closure_effect_figure(explained(), found)
+    for axes in figure.axes:
+        axes.set(xlim=(-end, end), xticks=np.linspace(-end, end, 5))
+    figure.canvas.draw()
+    ends = [[each.get_window_extent() for each in axes.get_xticklabels()] for axes in figure.axes]
+    apart_in = [(after[0].x0 - before[-1].x1) / figure.dpi for before, after in pairwise(ends)]
+    assert min(apart_in) > 0.03
 
 
 def test_a_gyro_without_the_effect_is_marked():
