@@ -37,6 +37,7 @@ from gyrobench.bench.navigation.rotational_ins import (
 HOURS = (1.0, 8.0, 24.0)
 
 _S_PER_H, _EVERY_S = 3600.0, 60.0
+_DURATION_S = HOURS[-1] * _S_PER_H
 _DWELL_STEP_S, _TURN_STEP_DEG = 10.0, 5.0
 #: Size of one coefficient by which its response is computed, of the size of a large error.
 _SMALL = 1e-4
@@ -55,15 +56,13 @@ class MissionError:
     distance_nmi: FloatArray  #: Shape (n,). Distance from the true position with the coefficients as stated.
 
 
-def mission_error(
-    values: FloatArray, covariance: FloatArray, site: Site, scheme: RotationScheme = RETRACED_HALF_TURNS
-) -> MissionError:
-    """Error of a mission of a day with what is left of the coefficients.
+def mission_error(values: FloatArray, covariance: FloatArray, site: Site) -> MissionError:
+    """Error of a mission of a day, with retraced half turns, with what is left of the coefficients.
 
     ``values`` (21,), ``covariance`` (21, 21): of :data:`~.coefficients.COEFFICIENTS`, SI.
     """
-    time_s, responses = _responses(site, scheme)
-    stated = np.hypot(*navigate_mission(SensorErrors.from_vector(values), site, scheme)[1])
+    time_s, responses = _responses(site)
+    stated = np.hypot(*navigate_mission(SensorErrors.from_vector(values), site, RETRACED_HALF_TURNS)[1])
     draws = np.random.default_rng(0).multivariate_normal(values, covariance, _DRAWS, method="eigh")
     drawn = np.hypot(*np.moveaxis(np.tensordot(draws, responses, axes=1), 1, 0))
     ends = [int(np.searchsorted(time_s, hours * _S_PER_H)) + 1 for hours in HOURS]
@@ -78,33 +77,36 @@ def mission_error(
 
 
 def navigate_mission(
-    errors: SensorErrors, site: Site, scheme: RotationScheme = RETRACED_HALF_TURNS, hours: float = HOURS[-1]
+    errors: SensorErrors, site: Site, scheme: RotationScheme
 ) -> tuple[FloatArray, FloatArray]:
-    """Navigate with sensors that have errors: times (n,), every minute, and error East, North (2, n), m."""
+    """Navigate for a day with sensors that have errors: times (n,), every minute, and error East, North.
+
+    The errors have shape (2, n), m.
+    """
     interval_s, angle, velocity, start = _increments(site, scheme)
     measured_angle = angle @ (np.eye(3) + errors.gyro_matrix).T + errors.gyro_bias * interval_s[:, np.newaxis]
     measured_velocity = (
         velocity @ (np.eye(3) + errors.force_matrix).T + errors.force_bias * interval_s[:, np.newaxis]
     )
-    cycles = int(np.ceil(hours * _S_PER_H / interval_s.sum()))
+    cycles = int(np.ceil(_DURATION_S / interval_s.sum()))
     track_m = _navigate(
         interval_s, measured_angle, measured_velocity, cycles, start, site.latitude,
         np.array(curvature_radii(site.latitude, site.height)), EARTH_RATE,
     )  # fmt: skip
     ends_s = np.concatenate([[0.0], np.cumsum(np.tile(interval_s, cycles))])
-    time_s = np.arange(0.0, hours * _S_PER_H + 0.5 * _EVERY_S, _EVERY_S)
+    time_s = np.arange(0.0, _DURATION_S + 0.5 * _EVERY_S, _EVERY_S)
     return time_s, np.stack([np.interp(time_s, ends_s, track) for track in track_m])
 
 
 @lru_cache(maxsize=4)
-def _responses(site: Site, scheme: RotationScheme) -> tuple[FloatArray, FloatArray]:
+def _responses(site: Site) -> tuple[FloatArray, FloatArray]:
     """Times (n,), and error East and North per unit of each coefficient, m: shape (21, 2, n)."""
-    time_s, none_m = navigate_mission(SensorErrors(), site, scheme)
+    time_s, none_m = navigate_mission(SensorErrors(), site, RETRACED_HALF_TURNS)
     sizes = _SMALL * np.array([each.size for each in COEFFICIENTS])
     alone = [SensorErrors.from_vector(row) for row in np.eye(COUNT) * sizes]
     return time_s, np.array(
         [
-            (navigate_mission(each, site, scheme)[1] - none_m) / size
+            (navigate_mission(each, site, RETRACED_HALF_TURNS)[1] - none_m) / size
             for each, size in zip(alone, sizes, strict=True)
         ]
     )

@@ -69,13 +69,17 @@ def test_the_distribution_is_that_of_missions_with_drawn_coefficients():
     draws = values + np.random.default_rng(3).standard_normal((30, COUNT)) @ roots
     full_nmi = np.array(
         [
-            np.hypot(*navigate_mission(SensorErrors.from_vector(each), site)[1]).max() / 1852.0
+            np.hypot(*navigate_mission(SensorErrors.from_vector(each), site, RETRACED_HALF_TURNS)[1]).max()
+            / 1852.0
             for each in draws
         ]
     )
     assert error.median_nmi[-1] == pytest.approx(np.median(full_nmi), rel=0.25)
     assert np.mean(full_nmi < error.high_nmi[-1]) > 0.85
-    stated_nmi = np.hypot(*navigate_mission(SensorErrors.from_vector(values), site)[1]).max() / 1852.0
+    stated_nmi = (
+        np.hypot(*navigate_mission(SensorErrors.from_vector(values), site, RETRACED_HALF_TURNS)[1]).max()
+        / 1852.0
+    )
     assert error.stated_nmi[-1] == pytest.approx(stated_nmi)
     known = mission_error(values, np.zeros((COUNT, COUNT)), site)
     np.testing.assert_allclose(known.median_nmi, known.stated_nmi, rtol=0.01)
