@@ -64,7 +64,7 @@ def test_axes_signs_and_units_are_those_of_the_import_map(log):
 def test_time_may_be_in_microseconds_from_any_origin_or_a_sample_rate(log):
     plain = imported(log).rows
     by_rate = imported(log, time=f"{{sample_rate_hz: {RATE_HZ}}}").rows
-    assert by_rate == plain
+    assert repr(by_rate) == repr(plain)  # NaN does not equal itself
     log.columns["time"] = log.time_s * 1e6 + 256551281491968.0
     lines = log.lines()
     ticks = [f"{value:.0f}" for value in log.columns["time"]]
@@ -344,7 +344,8 @@ def test_a_packed_log_is_the_same(log):
     packed = log.folder / "log.csv.gz"
     packed.write_bytes(gzip.compress(plain.read_bytes()))
     mapping = log.mapping()
-    assert import_logs([packed], mapping).rows == import_logs([plain], mapping).rows
+    rows = import_logs([packed], mapping).rows
+    assert repr(rows) == repr(import_logs([plain], mapping).rows)  # NaN does not equal itself
     packed.write_bytes(packed.read_bytes()[:1000])
     with pytest.raises(DocumentError, match="can't be read"):
         import_logs([packed], mapping)

@@ -54,7 +54,8 @@ def test_what_all_plateaus_share_is_left_out_of_the_uncertainties_by_which_they_
     rows = [row(1, 20.0, "accelerometer_scale_factor"), row(2, 50.0, "accelerometer_scale_factor")]
     coefficients, budget = tmp_path / "coefficients.csv", tmp_path / "budget.csv"
     write_coefficients(coefficients, rows)
-    assert read_coefficients_apart(coefficients, budget) == read_coefficients(coefficients)
+    unchanged = read_coefficients_apart(coefficients, budget)
+    assert repr(unchanged) == repr(read_coefficients(coefficients))  # NaN does not equal itself
     parts = {"gravity": 30.0, "latitude": 2.0, "velocity_random_walk": 0.3, "temperature_change": 0.4}
     contributions = [Contribution(name, math.nan, sigma) for name, sigma in parts.items()]
     known = SensorCoefficient("accelerometer", "scale_factor", "x", "ppm", 1e6, 0.01)
