@@ -111,7 +111,7 @@ def markdown(table: PartTable) -> str:
 
 def terminal_text(result: PartResult) -> str:
     """A part's result for the terminal."""
-    lines = [result.title, *(f"  {name:42}{value}" for name, value in result.figures.items())]
+    lines = [result.title, *(f"  {name:48}{value}" for name, value in result.figures.items())]
     for table in result.tables:
         widths = [max(len(row[i]) for row in (table.head, *table.rows)) for i in range(len(table.head))]
         lines.extend(

@@ -352,7 +352,7 @@ def test_bins_from_a_file_have_the_means_of_power_cycles_of_the_dwells_without_f
     flagged = replace(rows[0], run="3", flags=("moved",))
     assert any(each.by_power_cycle for each in bins)
     means = [each.by_power_cycle for each in with_power_cycles(read_bins(path), [*rows, flagged])]
-    assert means == [each.by_power_cycle for each in bins]
+    assert repr(means) == repr([each.by_power_cycle for each in bins])  # NaN does not equal itself
     assert with_power_cycles([], []) == []
 
 
@@ -362,4 +362,4 @@ def test_a_file_with_means_of_power_cycles_as_text_is_readable(tmp_path):
     write_bins(path, bins)
     header, *lines = path.read_text().splitlines()
     path.write_text("\n".join([f"{header},by_power_cycle", *(f"{each},1 0.2 0.1 nan nan" for each in lines)]))
-    assert read_bins(path) == bins
+    assert repr(read_bins(path)) == repr(bins)  # NaN does not equal itself

@@ -271,7 +271,7 @@ def test_a_run_folder_and_its_table_give_the_same_dwells(table):
         (2, "y_up", ("door opened",)),
     ]
     assert rows[0].accelerometer_ug == (60.0, -40.0, 50.0)
-    assert read_calibration(table.parent) == rows
+    assert repr(read_calibration(table.parent)) == repr(rows)  # NaN does not equal itself
 
 
 def test_the_table_may_have_another_name(table):

@@ -154,7 +154,8 @@ def test_time_stamps_that_do_not_start_at_the_epoch_or_step_back_change_nothing(
     since_power_up = frames.timestamp_s - frames.timestamp_s[0] + 5.0
     stepped = np.where(np.arange(len(frames)) < len(frames) // 2, since_power_up, since_power_up - 30.0)
     for stamps in (since_power_up, stepped):
-        assert measure_dwell(marks, frames.with_fields(time_s=stamps), setup).row == expected
+        row = measure_dwell(marks, frames.with_fields(time_s=stamps), setup).row
+        assert repr(row) == repr(expected)  # NaN does not equal itself
 
 
 def test_one_wild_velocity_flags_the_dwell(recorded):
