@@ -164,7 +164,7 @@ class Run:
 
     def figures(self) -> dict[str, Figure]:
         """Figures of the report by name: temperature, bias of each gyro, differences between positions."""
-        from gyrobench.bench.report.content import read_run
+        from gyrobench.bench.report.run_content import read_run
         from gyrobench.bench.report.run_report import figures_of
 
         return {name: draw() for name, draw in figures_of(read_run(self.folder))}

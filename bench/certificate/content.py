@@ -30,9 +30,9 @@ from gyrobench.bench.foundations.errors import DocumentError, MeasurementError, 
 from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.text import counted, hours_minutes, listed, plain_name
 from gyrobench.bench.navigation.positions import AXES
-from gyrobench.bench.report.content import RunContent, read_run
+from gyrobench.bench.report.run_content import RunContent, read_run
 from gyrobench.bench.report.run_report import instruments_of, serial_number_of
-from gyrobench.bench.report.statements import acceptance_sentence
+from gyrobench.bench.report.run_text import acceptance_sentence
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.provenance import SIMULATED
 from gyrobench.bench.runs.seal import verify_seals

@@ -19,7 +19,7 @@ from gyrobench.bench.report.figures.style import stamp
 from gyrobench.bench.report.number_format import BiasScale
 from gyrobench.bench.report.page import Box, Section, SectionFigure, SectionTable, pdf_of, render_page
 from gyrobench.bench.report.run_report import figures_of
-from gyrobench.bench.report.statements import VERDICT_COLOURS
+from gyrobench.bench.report.run_text import VERDICT_COLOURS
 from gyrobench.bench.runs.provenance import SIMULATED
 from gyrobench.bench.runs.tables.coefficient_table import (
     FRAME_TEXT,

@@ -130,7 +130,7 @@ def certificate(
 def _recalibration(folder: RunFolder, limit_dph: float) -> str:
     """Until when the biases of the unit stay within a limit; raises DocumentError if that is not known."""
     from gyrobench.bench.cli.run_selection import open_index
-    from gyrobench.bench.report.content import read_run
+    from gyrobench.bench.report.run_content import read_run
     from gyrobench.bench.report.run_report import serial_number_of
     from gyrobench.bench.report.terminal.runs import recalibration_sentence
     from gyrobench.bench.runs.index.recalibration import recalibrations

@@ -85,7 +85,7 @@ def close(
     from gyrobench.bench.closure.loop import close_loop, composed
     from gyrobench.bench.closure.loop import hold_out_each as held_out_in_turn
     from gyrobench.bench.closure.quantity import quantity
-    from gyrobench.bench.report.closure.closure_page import closure_findings, write_search
+    from gyrobench.bench.report.closure_page import closure_findings, write_search
     from gyrobench.bench.report.terminal.tables import section_view
 
     try:

@@ -154,7 +154,7 @@ class _Consent:
     as_json: bool
 
     def __call__(self, proposal: Proposal, rivals: Sequence[Rival]) -> bool:
-        from gyrobench.bench.report.investigation.investigation_text import proposal_sentences
+        from gyrobench.bench.report.investigation_text import proposal_sentences
 
         for sentence in proposal_sentences(proposal, rivals):
             self.terminal.print(sentence)
@@ -259,11 +259,11 @@ def _report(
     proof: VerificationResult | None,
     as_json: bool,
 ) -> None:
-    from gyrobench.bench.report.closure.closure_page import write_search
-    from gyrobench.bench.report.investigation.investigation_page import write_investigation_page
-    from gyrobench.bench.report.investigation.investigation_text import closing_sentences
-    from gyrobench.bench.report.verification.verification_page import write_verification_page
-    from gyrobench.bench.report.verification.verification_text import outcome_sentence
+    from gyrobench.bench.report.closure_page import write_search
+    from gyrobench.bench.report.investigation_page import write_investigation_page
+    from gyrobench.bench.report.investigation_text import closing_sentences
+    from gyrobench.bench.report.verification_page import write_verification_page
+    from gyrobench.bench.report.verification_text import outcome_sentence
     from gyrobench.bench.verification.compensation_verification import table_records, write_verification_table
 
     write_search(found.closure, [folder / "dwells.csv"], folder / "closure")

@@ -112,8 +112,9 @@ def print_tables(console: Console, folder: RunFolder) -> None:
     from gyrobench.bench.bias.verdicts import read_acceptance
     from gyrobench.bench.characteristics.results import read_characteristics
     from gyrobench.bench.report.bias_sections import acceptance_summary, bins_summary
-    from gyrobench.bench.report.calibration_check import calibration_check_section
-    from gyrobench.bench.report.coefficients import characteristics_sections, coefficients_section
+    from gyrobench.bench.report.calibration_check_section import calibration_check_section
+    from gyrobench.bench.report.characteristic_sections import characteristics_sections
+    from gyrobench.bench.report.coefficient_sections import coefficients_section
     from gyrobench.bench.report.terminal.tables import section_view
     from gyrobench.bench.runs.tables.calibration_check_table import read_calibration_check
     from gyrobench.bench.runs.tables.coefficient_table import read_coefficients
@@ -164,7 +165,7 @@ def print_end(
     """
     from gyrobench.bench.foundations.documents import read_document
     from gyrobench.bench.foundations.memory import free_memory
-    from gyrobench.bench.report.statements import run_findings, signs_sentence
+    from gyrobench.bench.report.run_text import run_findings, signs_sentence
     from gyrobench.bench.runs.tables.joint_table import read_joint_plateaus
 
     is_finished, resume = outcome.ended == "finished", _resume_text(folder, outcome)

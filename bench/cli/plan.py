@@ -222,7 +222,7 @@ def _print_separability(job: Job, target_dph: float, closure: Closure | None) ->
     from gyrobench.bench.closure.planned_campaign import planned_campaign
     from gyrobench.bench.closure.procedure_changes import advise, advise_ties
     from gyrobench.bench.closure.separability import searched_dwells, separability
-    from gyrobench.bench.report.figures.campaigns import separability_figure
+    from gyrobench.bench.report.figures.separability import separability_figure
     from gyrobench.bench.report.figures.style import save_figure
     from gyrobench.bench.report.terminal.separability import closure_outlook, separability_summary
 

@@ -58,7 +58,7 @@ def report(
     """
     from gyrobench.bench.bias.verdicts import read_acceptance
     from gyrobench.bench.report.bias_sections import acceptance_summary
-    from gyrobench.bench.report.content import damage_of
+    from gyrobench.bench.report.run_content import damage_of
     from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.report.terminal.tables import section_view
     from gyrobench.bench.report.units_report import units_section, write_units_report

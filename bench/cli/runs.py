@@ -105,7 +105,7 @@ def _trends(
         raise DocumentError(f"a trend is of one unit, but {what}. Give --unit")
     fitted = trends(read_run_biases(index, [run["path"] for run in found]))
     if figure is not None:
-        from gyrobench.bench.report.figures.campaigns import trend_figure
+        from gyrobench.bench.report.figures.drift import trend_figure
         from gyrobench.bench.report.figures.style import save_figure, stamp
         from gyrobench.bench.runs.index.run_index import watermark
 

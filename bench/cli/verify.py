@@ -89,7 +89,7 @@ def verify(
     """
     from gyrobench.bench.engine.verification_runs import VerificationRuns, new_emulation
     from gyrobench.bench.report.terminal.tables import section_view
-    from gyrobench.bench.report.verification.verification_page import verification_plan
+    from gyrobench.bench.report.verification_page import verification_plan
     from gyrobench.bench.runs.folder import open_run_folder
 
     terminal = console(as_json)
@@ -124,7 +124,7 @@ def _search(run: RunFolder) -> Closure:
     from gyrobench.bench.closure.files import has_composed_laws, is_written, read_held_out_cycles
     from gyrobench.bench.closure.inputs import read_campaign
     from gyrobench.bench.closure.loop import close_loop, composed, without_search
-    from gyrobench.bench.report.closure.closure_page import write_search
+    from gyrobench.bench.report.closure_page import write_search
 
     try:
         campaign = read_campaign(run.path)
@@ -160,10 +160,7 @@ def _report_result(
     """Evaluate what was measured, write the files, print the result."""
     from gyrobench.bench.report.run_report import write_report
     from gyrobench.bench.report.terminal.tables import section_view
-    from gyrobench.bench.report.verification.verification_page import (
-        verification_findings,
-        write_verification_page,
-    )
+    from gyrobench.bench.report.verification_page import verification_findings, write_verification_page
     from gyrobench.bench.verification.coefficient_verification import write_coefficient_tables
     from gyrobench.bench.verification.compensation_verification import table_records, write_verification_table
 

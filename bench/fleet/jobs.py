@@ -114,7 +114,7 @@ def _measured(folder: RunFolder) -> str:
 def _closed(folder: RunFolder) -> str:
     from gyrobench.bench.closure.inputs import read_campaign
     from gyrobench.bench.closure.loop import close_loop
-    from gyrobench.bench.report.closure.closure_page import write_search
+    from gyrobench.bench.report.closure_page import write_search
 
     closure = close_loop(read_campaign(folder.path))
     with _DRAWING:

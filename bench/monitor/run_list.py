@@ -36,8 +36,8 @@ from gyrobench.bench.monitor.snapshot_recorder import (
 )
 from gyrobench.bench.procedure.plan import DwellPurpose, Plan
 from gyrobench.bench.procedure.procedure_file import load_procedure
-from gyrobench.bench.report.content import read_run
 from gyrobench.bench.report.journal_sections import Entry
+from gyrobench.bench.report.run_content import read_run
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
 from gyrobench.bench.runs.journal import MAX_RUN_S, RunFacts, facts_of, read_journal
 from gyrobench.bench.runs.marks import purpose_of

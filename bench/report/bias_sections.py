@@ -14,7 +14,6 @@ from gyrobench.bench.bias.dwell_table import DwellRow, paper_rows
 from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits, Judgement, Verdict
 from gyrobench.bench.foundations.text import bin_label, flag_text, hours_minutes, listed
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, gyro_label, position_label
-from gyrobench.bench.report.content import RunContent
 from gyrobench.bench.report.figures.bias import before_after_figure
 from gyrobench.bench.report.number_format import (
     NO_PAPER,
@@ -24,7 +23,8 @@ from gyrobench.bench.report.number_format import (
     scale_of_bins,
 )
 from gyrobench.bench.report.page import Box, Mark, Section, SectionFigure, SectionTable
-from gyrobench.bench.report.statements import (
+from gyrobench.bench.report.run_content import RunContent
+from gyrobench.bench.report.run_text import (
     NOTHING_TO_COMPARE,
     VERDICT_COLOURS,
     acceptance_sentence,

@@ -24,7 +24,7 @@ from gyrobench.bench.report.figures.estimators import (
 )
 from gyrobench.bench.report.number_format import NO_PAPER, BiasScale, p_in_brackets, p_text
 from gyrobench.bench.report.page import Section, SectionFigure, SectionTable
-from gyrobench.bench.report.statements import POSITION_SIGNIFICANCE, declared_noise, fit_sentence
+from gyrobench.bench.report.run_text import POSITION_SIGNIFICANCE, declared_noise, fit_sentence
 from gyrobench.bench.runs.tables.joint_table import JointPlateauRow, JointSigmas
 
 _STATE_SPACE = (

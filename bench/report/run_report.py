@@ -32,19 +32,18 @@ from gyrobench.bench.report.bias_sections import (
     gyro_section,
     verdict_box,
 )
-from gyrobench.bench.report.budget_section import budget_box, budget_figures, budget_section, shares
-from gyrobench.bench.report.calibration_check import (
+from gyrobench.bench.report.budget_section import budget_box, budget_figures, budget_section
+from gyrobench.bench.report.calibration_check_section import (
     calibration_check_section,
     calibration_check_sentence,
     dwells_text,
 )
-from gyrobench.bench.report.coefficients import (
-    characteristics_sections,
+from gyrobench.bench.report.characteristic_sections import characteristics_sections
+from gyrobench.bench.report.coefficient_sections import (
     coefficients_overview,
     coefficients_section,
     has_rotations,
 )
-from gyrobench.bench.report.content import RunContent, read_run, with_joint
 from gyrobench.bench.report.estimator_sections import (
     estimators_note,
     estimators_section,
@@ -58,10 +57,12 @@ from gyrobench.bench.report.figures.bias import (
     position_difference_figure,
     position_pair_figure,
 )
+from gyrobench.bench.report.figures.budget import shares
 from gyrobench.bench.report.figures.temperatures import DRAWN, TelemetryValues, temperature_figure
 from gyrobench.bench.report.journal_sections import Entry, durations_section, events_section
 from gyrobench.bench.report.page import Box, Section, SectionFigure, render_page, with_figure_files
-from gyrobench.bench.report.statements import VERDICT_COLOURS, run_findings, signs_sentence
+from gyrobench.bench.report.run_content import RunContent, read_run, with_joint
+from gyrobench.bench.report.run_text import VERDICT_COLOURS, run_findings, signs_sentence
 from gyrobench.bench.runs.folder import JOURNAL, RunFolder
 from gyrobench.bench.runs.provenance import DataHash, data_hashes, note_preparer
 from gyrobench.bench.runs.seal import keep_sealed
@@ -296,7 +297,7 @@ def verdict_boxes(content: RunContent) -> list[Box]:
 
 
 def damage_boxes(damage: Mapping[str, str]) -> list[Box]:
-    """A statement for each damaged file, see :func:`gyrobench.bench.report.content.damage_of`."""
+    """A statement for each damaged file, see :func:`gyrobench.bench.report.run_content.damage_of`."""
     return [Box("failed", f"{name} can't be used.", text) for name, text in damage.items()]
 
 

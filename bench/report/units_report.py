@@ -10,10 +10,10 @@ import numpy as np
 from gyrobench.bench.foundations.files import write_whole
 from gyrobench.bench.foundations.text import counted
 from gyrobench.bench.navigation.positions import AXES, gyro_label
-from gyrobench.bench.report.content import RunContent, read_run
 from gyrobench.bench.report.journal_sections import durations_section, events_section
 from gyrobench.bench.report.number_format import BiasScale
 from gyrobench.bench.report.page import Mark, Section, SectionTable, render_page
+from gyrobench.bench.report.run_content import RunContent, read_run
 from gyrobench.bench.report.run_report import damage_boxes, head_lines, write_report
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.seal import keep_sealed

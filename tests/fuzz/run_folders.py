@@ -25,9 +25,9 @@ from gyrobench.bench.engine.verification_runs import new_emulation
 from gyrobench.bench.monitor.terminal import RunConsole
 from gyrobench.bench.monitor.terminal_view import LinesView
 from gyrobench.bench.procedure.plan import Plan
-from gyrobench.bench.report.calibration_check import calibration_check_section
-from gyrobench.bench.report.content import read_run
+from gyrobench.bench.report.calibration_check_section import calibration_check_section
 from gyrobench.bench.report.estimator_sections import noise_section
+from gyrobench.bench.report.run_content import read_run
 from gyrobench.bench.runs.can_log import read_can_log
 from gyrobench.bench.runs.folder import RunFolder, open_run_folder
 from gyrobench.bench.runs.tables.calibration_check_table import CHECK_COLUMNS, read_calibration_check

@@ -1,4 +1,4 @@
-"""Figures as matplotlib figures; none touches the state of matplotlib that other code uses."""
+"""All figures of reports and pages, one module a subject; none touches the global state of matplotlib."""
 
 import importlib.util
 import sys

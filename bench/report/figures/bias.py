@@ -33,7 +33,7 @@ from gyrobench.bench.report.figures.style import (
     say_empty,
 )
 from gyrobench.bench.report.number_format import PAPER, STATE_SPACE, BiasScale, scale_of_bins
-from gyrobench.bench.report.statements import POSITION_SIGNIFICANCE, differing
+from gyrobench.bench.report.run_text import POSITION_SIGNIFICANCE, differing
 
 #: Title of legends: what bars and numbers are.
 _BARS = f"{BARS}; numbers: dwells"
@@ -266,7 +266,7 @@ def position_difference_figure(
     """Draw the largest difference between positions in every bin of the three gyros.
 
     Filled markers are significant differences; see
-    :func:`gyrobench.bench.report.statements.differing`. The acceptance limit, if any, is a red line.
+    :func:`gyrobench.bench.report.run_text.differing`. The acceptance limit, if any, is a red line.
     """
     found = differing(comparisons)
     scale = BiasScale.of(

@@ -36,7 +36,7 @@ from gyrobench.bench.report.figures.style import (
     text_width_in,
 )
 from gyrobench.bench.report.number_format import PAPER, STATE_SPACE, BiasScale
-from gyrobench.bench.report.statements import POSITION_SIGNIFICANCE
+from gyrobench.bench.report.run_text import POSITION_SIGNIFICANCE
 
 _DODGE = 0.012  # of the range of temperatures, between neighbouring positions
 

@@ -12,7 +12,7 @@ from gyrobench.bench.cli.validate import FileKindName
 from gyrobench.bench.closure import inputs, loop
 from gyrobench.bench.engine.run_outcome import FailOn
 from gyrobench.bench.foundations.errors import DocumentError
-from gyrobench.bench.report.closure import closure_page
+from gyrobench.bench.report import closure_page
 from tests.bench.command_line import gyrobench
 
 OPTIONS = [

@@ -11,8 +11,8 @@ from gyrobench.bench.closure.effects import bias_jump
 from gyrobench.bench.closure.effects.laws import G_SENSITIVITY, TEMPERATURE_RATE, TIME_DRIFT
 from gyrobench.bench.closure.files import closure_document
 from gyrobench.bench.closure.loop import close_loop, composed
-from gyrobench.bench.report.closure.closure_page import closure_sections
-from gyrobench.bench.report.closure.closure_text import after_sentence, error_sentence, verdict_sentence
+from gyrobench.bench.report.closure_page import closure_sections
+from gyrobench.bench.report.closure_text import after_sentence, error_sentence, verdict_sentence
 from tests.bench.closure.thermal_bench import SIGMA_DPH, measure
 from tests.benchmarks.closure_units import make_unit
 

@@ -10,7 +10,7 @@ from gyrobench.bench.closure.effects import bias_jump
 from gyrobench.bench.closure.effects.laws import AGEING, TEMPERATURE_RATE, THERMAL_LAG, TIME_DRIFT, WARM_UP
 from gyrobench.bench.closure.loop import close_loop, without_search
 from gyrobench.bench.closure.noise import OUTLIER_SIGMA, estimate_campaign_noise, outweighing_dwell
-from gyrobench.bench.report.closure.closure_text import error_sentence
+from gyrobench.bench.report.closure_text import error_sentence
 from tests.bench.closure.thermal_bench import measure
 from tests.benchmarks.closure_units import make_unit
 

@@ -26,9 +26,9 @@ from gyrobench.bench.exchange.increments import calibration_settings, read_logs
 from gyrobench.bench.foundations.errors import DocumentError
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.procedure.procedure_file import load_procedure
-from gyrobench.bench.report.coefficients import coefficients_section
-from gyrobench.bench.report.content import read_run
+from gyrobench.bench.report.coefficient_sections import coefficients_section
 from gyrobench.bench.report.journal_sections import durations_by_kind
+from gyrobench.bench.report.run_content import read_run
 from gyrobench.bench.runs.tables.coefficient_table import read_coefficients
 from gyrobench.bench.station.station import Station
 from gyrobench.drivers.emulators.world.sensor_errors import accelerometer_errors, gyro_errors

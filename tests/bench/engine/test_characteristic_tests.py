@@ -17,8 +17,8 @@ from gyrobench.bench.engine.job import prepare_job
 from gyrobench.bench.engine.operator import ConsentingOperator
 from gyrobench.bench.engine.run import run_job
 from gyrobench.bench.foundations.shipped import find_document
-from gyrobench.bench.report.content import read_run
 from gyrobench.bench.report.journal_sections import durations_by_kind
+from gyrobench.bench.report.run_content import read_run
 from gyrobench.bench.report.run_report import write_report
 from gyrobench.bench.station.instruments import Emulation
 from tests.bench.characteristics.simulated_rows import holds

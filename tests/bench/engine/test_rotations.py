@@ -22,7 +22,7 @@ from gyrobench.bench.monitor.run_list import snapshot_from_records
 from gyrobench.bench.monitor.snapshot_recorder import SnapshotRecorder
 from gyrobench.bench.navigation.attitude import angle_between
 from gyrobench.bench.procedure.plan import DwellPurpose
-from gyrobench.bench.report.content import read_run
+from gyrobench.bench.report.run_content import read_run
 from gyrobench.bench.runs.folder import open_run_folder
 from gyrobench.bench.runs.journal import read_journal
 from gyrobench.bench.runs.tables.coefficient_table import read_coefficients

@@ -16,7 +16,7 @@ from gyrobench.bench.investigation.external_bench import AfterLastDwell, Externa
 from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.investigation.investigation import Investigator
 from gyrobench.bench.investigation.proposal import outcome_of
-from gyrobench.bench.report.investigation import investigation_text
+from gyrobench.bench.report import investigation_text
 from gyrobench.bench.runs.journal import read_journal
 from tests.bench.investigation import simulated_bench
 from tests.bench.investigation.simulated_bench import first_campaign, simulate

@@ -2,7 +2,7 @@ from dataclasses import replace
 
 from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits
 from gyrobench.bench.report.bias_sections import before_after_section
-from gyrobench.bench.report.content import RunContent
+from gyrobench.bench.report.run_content import RunContent
 
 
 def content(name, dwells, bins):

@@ -3,7 +3,7 @@ from dataclasses import replace
 
 import pytest
 
-from gyrobench.bench.report.calibration_check import (
+from gyrobench.bench.report.calibration_check_section import (
     calibration_check_section,
     calibration_check_sentence,
     dwells_text,

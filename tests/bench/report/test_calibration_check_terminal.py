@@ -4,7 +4,7 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from gyrobench.bench.report.calibration_check import calibration_check_section
+from gyrobench.bench.report.calibration_check_section import calibration_check_section
 from gyrobench.bench.report.terminal.tables import section_view
 from tests.bench.report.test_calibration_check import ALIGNMENT, CHANGED, FLAGGED, ROW, UNCALIBRATED
 

@@ -23,13 +23,13 @@ from gyrobench.bench.bias.verdicts import Acceptance, AcceptanceLimits, write_ac
 from gyrobench.bench.foundations.clock import VirtualClock
 from gyrobench.bench.foundations.shipped import find_document
 from gyrobench.bench.report.bias_sections import acceptance_section, comparison_section
-from gyrobench.bench.report.closure.closure_page import write_closure_page
-from gyrobench.bench.report.content import read_run, with_joint
+from gyrobench.bench.report.closure_page import write_closure_page
 from gyrobench.bench.report.figures.bias import bias_figure
 from gyrobench.bench.report.figures.style import new_figure
 from gyrobench.bench.report.page import Section, SectionFigure, SectionTable, with_figure_files
+from gyrobench.bench.report.run_content import read_run, with_joint
 from gyrobench.bench.report.run_report import render, write_report
-from gyrobench.bench.report.verification.verification_page import write_verification_page
+from gyrobench.bench.report.verification_page import write_verification_page
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal
 from gyrobench.bench.runs.tables.calibration_check_table import write_calibration_check

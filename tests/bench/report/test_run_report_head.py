@@ -5,7 +5,7 @@ import pytest
 
 from gyrobench.bench.bias.dwell_table import write_dwells
 from gyrobench.bench.bias.verdicts import Acceptance, write_acceptance
-from gyrobench.bench.report.content import read_run
+from gyrobench.bench.report.run_content import read_run
 from gyrobench.bench.report.run_report import head_lines, serial_number_of, verdict_boxes
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow, write_coefficients

@@ -12,7 +12,7 @@ from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.statistics import uniformity_p_value
 from gyrobench.bench.report.figures.estimators import fit_figure, has_distribution
 from gyrobench.bench.report.figures.style import png_bytes
-from gyrobench.bench.report.statements import POSITION_SIGNIFICANCE
+from gyrobench.bench.report.run_text import POSITION_SIGNIFICANCE
 
 
 def ratios_by_label(axes: Axes) -> dict[str, dict[float, float]]:

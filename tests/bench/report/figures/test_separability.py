@@ -5,7 +5,7 @@ from matplotlib.patches import Rectangle
 from gyrobench.bench.closure.effects import all_effects
 from gyrobench.bench.closure.planned_campaign import UnitProperties, planned_campaign
 from gyrobench.bench.closure.separability import searched_dwells, separability
-from gyrobench.bench.report.figures.campaigns import separability_figure
+from gyrobench.bench.report.figures.separability import separability_figure
 from tests.bench.closure.plans import dwell, planned, shipped
 
 

@@ -12,7 +12,7 @@ from gyrobench.bench.bias.bins import BiasBin, PositionComparison, bin_biases, c
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.noise_estimate import estimate_noise
 from gyrobench.bench.navigation.attitude import rotation_matrices, rotation_vector_enu
-from gyrobench.bench.report.statements import (
+from gyrobench.bench.report.run_text import (
     accelerometers_sentence,
     agreement_sentence,
     differing,

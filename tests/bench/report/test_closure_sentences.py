@@ -8,9 +8,9 @@ import pytest
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.loadable_model import declared_model
 from gyrobench.bench.closure.loop import close_loop, without_search
-from gyrobench.bench.report.closure import closure_text
-from gyrobench.bench.report.closure.closure_page import closure_sections
-from gyrobench.bench.report.verification.verification_text import model_sentences
+from gyrobench.bench.report import closure_text
+from gyrobench.bench.report.closure_page import closure_sections
+from gyrobench.bench.report.verification_text import model_sentences
 from tests.bench.report.made_up_closure import (
     EFFECTS,
     SENSITIVITY,

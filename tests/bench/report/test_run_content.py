@@ -12,7 +12,7 @@ import pytest
 from gyrobench.bench.bias.bins import BiasBin, bin_biases, compare_positions, write_bins
 from gyrobench.bench.bias.dwell_table import DwellRow, write_dwells
 from gyrobench.bench.foundations.clock import VirtualClock
-from gyrobench.bench.report.content import read_run
+from gyrobench.bench.report.run_content import read_run
 from gyrobench.bench.runs.folder import RunFolder
 from gyrobench.bench.runs.journal import Journal
 

@@ -8,7 +8,7 @@ import pytest
 
 from gyrobench.bench.bias.dwell_table import write_dwells
 from gyrobench.bench.closure.campaign import Table
-from gyrobench.bench.report.closure.closure_page import write_search
+from gyrobench.bench.report.closure_page import write_search
 from gyrobench.bench.report.page import read_findings_file
 from gyrobench.bench.runs.folder import RunFolder
 from tests.bench.report.made_up_closure import clean, made_up_rows

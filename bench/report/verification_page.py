@@ -1,16 +1,13 @@
-"""The page of a verification (verification.html) with its figures, and its section of the report."""
+"""The page of a verification (verification.html), and its section of the report."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS
 from gyrobench.bench.calibration.mission import HOURS
@@ -18,10 +15,15 @@ from gyrobench.bench.closure.loadable_model import LoadableModel
 from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.text import agreeing, counted, hours_minutes, listed, plain_name
-from gyrobench.bench.report.closure.closure_text import searched_name, verdict_sentence
-from gyrobench.bench.report.figures.style import common_legend, house_style, new_figure, say_empty
+from gyrobench.bench.report.closure_text import searched_name, verdict_sentence
+from gyrobench.bench.report.figures.verification import (
+    coefficients_left_figure,
+    day_figure,
+    mission_figure,
+    residual_bars_figure,
+)
 from gyrobench.bench.report.page import Box, Findings, Section, SectionFigure, SectionTable, write_findings
-from gyrobench.bench.report.verification.verification_text import (
+from gyrobench.bench.report.verification_text import (
     CONFIRMED,
     IMPROVED,
     INCONCLUSIVE,
@@ -40,133 +42,7 @@ from gyrobench.bench.report.verification.verification_text import (
     with_text,
 )
 from gyrobench.bench.runs.provenance import watermark_of
-from gyrobench.bench.verification.compensation_verification import (
-    DECLARED,
-    EFFECT,
-    IN_WORDS,
-    NONE,
-    VerificationResult,
-    VerificationRow,
-)
-
-#: Colour and line of each compensation.
-_STYLES = {NONE: ("#AAAAAA", ":"), DECLARED: ("#E69F00", "--"), EFFECT: ("#0072B2", "-")}
-_NOISE_COLOUR = "#222222"
-_GROUP_WIDTH = 0.8
-#: More labels of plateaus than these stand on end.
-_MAX_UPRIGHT = 4
-_Panel = tuple[str, str, str, str, float]
-_PANELS: tuple[_Panel, ...] = (
-    ("bias without the gyros' means", "rms / (0.001 deg/h)", "varying_rms_dph", "bias_noise_dph", 1000.0),
-    ("spread between positions", "maximum / (0.001 deg/h)", "spread_dph", "spread_noise_dph", 1000.0),
-    ("velocity error East", "maximum / (mm/s)", "velocity_east_mps", "velocity_noise_mps", 1000.0),
-    ("rotational INS in 24 h", "maximum error / nmi", "position_nmi", "position_noise_nmi", 1.0),
-)
-
-
-@house_style
-def residual_bars_figure(result: VerificationResult) -> Figure:
-    """Draw the sizes at all plateaus as bars, one for each compensation, with the noise as a line."""
-    panels = _measured_panels(result)
-    rows, columns = -(-len(panels) // 2), min(len(panels), 2)
-    figure = new_figure(0.2 + 2.7 * rows, wspace=0.24, hspace=0.42)
-    every = figure.subplots(rows, columns, squeeze=False).ravel()
-    for axes in every[len(panels) :]:
-        axes.set_axis_off()
-    for axes, (title, unit, size, noise, factor) in zip(every, panels, strict=False):
-        _bars(axes, result, size, noise, factor)
-        axes.set_title(title, fontsize=9)
-        axes.set_ylabel(unit)
-    common_legend(figure, figure.axes[:1])
-    return figure
-
-
-def _measured_panels(result: VerificationResult) -> list[_Panel]:
-    """The sizes that were measured; the first one if none was."""
-    rows = [row for each in result.results for row in each.rows]
-    return [each for each in _PANELS if any(math.isfinite(getattr(row, each[2])) for row in rows)] or [
-        _PANELS[0]
-    ]
-
-
-def _has_day(result: VerificationResult) -> bool:
-    return any(plateau.day for each in result.results for plateau in each.plateaus)
-
-
-@house_style
-def day_figure(result: VerificationResult) -> Figure:
-    """Draw the position error over a day for each plateau with all six positions, of which there is one."""
-    plateaus = [each for each in result.plateaus if any(check and check.day for check in each.checks)]
-    figure = new_figure(1.0 + 1.7 * len(plateaus), hspace=0.2)
-    panels = figure.subplots(len(plateaus), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
-    for axes, plateau in zip(panels, plateaus, strict=True):
-        for each, check in zip(result.results, plateau.checks, strict=True):
-            colour, line = _STYLES[each.compensation]
-            error = check.day.error if check is not None and check.day is not None else None
-            # A run that lacks the day has an empty line, which keeps the order of the legend.
-            axes.plot(
-                [] if error is None else error.time_s / 3600.0,
-                [] if error is None else error.distance_nmi,
-                color=colour,
-                linestyle=line,
-                label=LABELS[each.compensation],
-            )
-        noise_nmi = plateau.noise_row("position_nmi").position_noise_nmi
-        axes.axhline(noise_nmi, color=_NOISE_COLOUR, linewidth=0.8, label="noise")
-        axes.set_title(f"{plateau.known[0].gyro_c:.0f} °C", fontsize=9)
-        axes.set_ylabel("distance / nmi")
-    panels[-1].set_xlabel("time / h")
-    panels[-1].set_xlim(0.0, 24.0)
-    panels[-1].set_xticks(np.arange(0, 25, 4))
-    panels[-1].set_ylim(bottom=0.0)
-    common_legend(figure, panels)
-    return figure
-
-
-def _bars(axes: Axes, result: VerificationResult, size: str, noise: str, factor: float) -> None:
-    plateaus = [
-        each for each in result.plateaus if any(math.isfinite(getattr(row, size)) for row in each.known)
-    ]
-    if not plateaus:
-        say_empty(axes, "not measured")
-        return
-    places = np.arange(len(plateaus))
-    width = _GROUP_WIDTH / len(result.results)
-    for number, each in enumerate(result.results):
-        mine = [plateau.rows[number] for plateau in plateaus]
-        # Without a value there is no bar: one of height NaN is not drawn.
-        values = [math.nan if row is None else factor * getattr(row, size) for row in mine]
-        offset = (number - 0.5 * (len(result.results) - 1)) * width
-        axes.bar(
-            places + offset,
-            values,
-            0.92 * width,
-            color=_STYLES[each.compensation][0],
-            label=LABELS[each.compensation],
-        )
-    noises = [factor * getattr(plateau.noise_row(size), noise) for plateau in plateaus]
-    rows = [plateau.known[0] for plateau in plateaus]
-    axes.hlines(
-        noises,
-        places - 0.5 * _GROUP_WIDTH,
-        places + 0.5 * _GROUP_WIDTH,
-        color=_NOISE_COLOUR,
-        linewidth=1.2,
-        label="noise",
-    )
-    if len(rows) > _MAX_UPRIGHT:
-        axes.set_xticks(places, _plateau_labels(rows, ""), rotation=90, fontsize=6.5)
-    else:
-        axes.set_xticks(places, _plateau_labels(rows, " °C"), fontsize=8)
-    axes.set_ylim(bottom=0.0)
-    axes.grid(visible=False, axis="x")
-
-
-def _plateau_labels(rows: Sequence[VerificationRow], unit: str) -> list[str]:
-    """Temperature, and in brackets the cycle if there are several."""
-    several = len({row.cycle for row in rows}) > 1
-    return [f"{row.gyro_c:z.0f}{unit}" + (f" ({row.cycle})" if several else "") for row in rows]
-
+from gyrobench.bench.verification.compensation_verification import IN_WORDS, VerificationResult
 
 _RESIDUALS = (
     "Residual with each compensation at each plateau: gyro temperature in °C, in brackets the cycle where "
@@ -191,9 +67,6 @@ _PLATEAUS = (
 )
 
 
-_MARKERS = {NONE: "o", DECLARED: "s", EFFECT: "D"}
-_SHORT = {"gyro": "gyro", "accelerometer": "acc."}
-_UNITS = tuple(dict.fromkeys(each.unit for each in COEFFICIENTS))
 _COEFFICIENTS_CAPTION = (
     "Rms of each coefficient over the plateaus with each compensation, and of the standard uncertainty of "
     "the measurement (lines). The body frame is that of the accelerometers."
@@ -256,60 +129,6 @@ def _mission_table(result: VerificationResult) -> SectionTable:
     return SectionTable("Position error in nmi, in brackets the limit of 95 %", head, rows)
 
 
-@house_style
-def _coefficient_figure(result: VerificationResult) -> Figure:
-    """Draw the rms of each coefficient with each compensation, by unit, on logarithmic scales."""
-    figure = new_figure(5.2, bottom_in=0.6, top_in=0.1, wspace=0.22, hspace=0.45)
-    panels = figure.subplots(2, 2).ravel()
-    for axes, unit in zip(panels, _UNITS, strict=True):
-        mine = [place for place, each in enumerate(COEFFICIENTS) if each.unit == unit]
-        names = [f"{_SHORT[COEFFICIENTS[place].sensor]} {COEFFICIENTS[place].axis}" for place in mine]
-        factor, label = (1000.0, f"0.001 {unit}") if unit == "deg/h" else (1.0, unit)
-        for each in result.coefficients:
-            axes.plot(
-                names,
-                factor * each.rms[mine],
-                linestyle="none",
-                marker=_MARKERS[each.compensation],
-                markersize=4,
-                color=_STYLES[each.compensation][0],
-                label=LABELS[each.compensation],
-            )
-        places = np.arange(len(mine))
-        noise = factor * result.coefficients[-1].noise[mine]
-        axes.hlines(noise, places - 0.35, places + 0.35, color=_NOISE_COLOUR, linewidth=1.2, label="noise")
-        axes.set_yscale("log")
-        low, high = axes.get_ylim()
-        axes.set_ylim(10.0 ** np.floor(np.log10(low)), 10.0 ** np.ceil(np.log10(high)))
-        axes.set_xticks(places, names, rotation=90 if len(mine) > 3 else 0, fontsize=7)
-        axes.set_ylabel(f"rms / ({label})")
-    common_legend(figure, panels[:1])
-    return figure
-
-
-@house_style
-def _mission_figure(result: VerificationResult) -> Figure:
-    """Draw the position error over a day with each compensation, and the limit of 95 %."""
-    figure = new_figure(3.2)
-    axes = figure.subplots()
-    for each in result.coefficients:
-        error = each.worst.error
-        colour, label = _STYLES[each.compensation][0], LABELS[each.compensation]
-        axes.plot(error.time_s / 3600.0, error.distance_nmi, color=colour, linewidth=1.0, label=label)
-        ends = [0.0, *HOURS]
-        high = [error.high_nmi[0], *error.high_nmi]
-        axes.step(
-            ends, high, where="pre", color=colour, linewidth=0.8, linestyle="--", label=f"{label}, 95 %"
-        )
-    axes.set(xlabel="time / h", ylabel="distance / nmi", xlim=(0.0, HOURS[-1]), yscale="log")
-    axes.set_xticks(np.arange(0, 25, 4))
-    axes.set_ylim(
-        bottom=max(1e-4, 0.03 * min(float(each.worst.error.high_nmi[0]) for each in result.coefficients))
-    )
-    common_legend(figure, [axes])
-    return figure
-
-
 def _coefficient_parts(result: VerificationResult) -> list[Section]:
     """Sections of the page; none where no coefficients were compensated."""
     if not result.coefficients:
@@ -318,14 +137,16 @@ def _coefficient_parts(result: VerificationResult) -> list[Section]:
         Section(
             "All coefficients",
             figures=[
-                SectionFigure("coefficients", _COEFFICIENTS_CAPTION, partial(_coefficient_figure, result))
+                SectionFigure(
+                    "coefficients", _COEFFICIENTS_CAPTION, partial(coefficients_left_figure, result)
+                )
             ],
             tables=[_coefficient_table(result)],
         ),
         Section(
             "A mission of a rotational INS",
             [_mission_sentence(result), _SCHEME],
-            [SectionFigure("mission", _MISSION_CAPTION, partial(_mission_figure, result))],
+            [SectionFigure("mission", _MISSION_CAPTION, partial(mission_figure, result))],
             [_mission_table(result)],
         ),
     ]
@@ -342,12 +163,13 @@ def verification_sections(result: VerificationResult) -> list[Section]:
     numbers = SectionTable(_NUMBERS, ["number", "x", "y", "z"], number_rows(result.models))
     figures = [SectionFigure("residuals", _RESIDUALS, partial(residual_bars_figure, result))]
     day = SectionFigure("day", _DAY, partial(day_figure, result))
+    has_day = any(plateau.day for each in result.results for plateau in each.plateaus)
     return [
         Section(
             "Compensations", model_sentences(result.closure, result.models, result.searches), tables=[numbers]
         ),
         Section("Residual", change_sentences(result), figures, [totals, plateaus]),
-        *([Section("A day of a rotational INS", figures=[day])] if _has_day(result) else []),
+        *([Section("A day of a rotational INS", figures=[day])] if has_day else []),
         *_coefficient_parts(result),
         Section("Definitions", reading_sentences(result)),
     ]

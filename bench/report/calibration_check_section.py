@@ -1,4 +1,4 @@
-"""The calibration check: measured biases beside the calibrated ones."""
+"""The calibration check in the report of a run: measured biases beside the calibrated ones."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from gyrobench.bench.foundations.text import counted, flag_text
 from gyrobench.bench.navigation.positions import gyro_label, position_label
 from gyrobench.bench.report.number_format import BiasScale, dph_with_sigma
 from gyrobench.bench.report.page import Section, SectionTable
-from gyrobench.bench.report.statements import POSITION_SIGNIFICANCE
+from gyrobench.bench.report.run_text import POSITION_SIGNIFICANCE
 from gyrobench.bench.runs.tables.calibration_check_table import CalibrationCheckRow
 
 _METHODS = (

@@ -15,8 +15,8 @@ from gyrobench.bench.foundations.arrays import rms_of_known
 from gyrobench.bench.foundations.files import file_sha256
 from gyrobench.bench.foundations.text import counted, listed, probability_number, with_sigma
 from gyrobench.bench.navigation.positions import AXES
-from gyrobench.bench.report.closure import closure_text as text
-from gyrobench.bench.report.closure.closure_figures import (
+from gyrobench.bench.report import closure_text as text
+from gyrobench.bench.report.figures.closure import (
     closure_effect_figure,
     closure_error_figure,
     closure_evidence_figure,

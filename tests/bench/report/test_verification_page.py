@@ -8,13 +8,9 @@ import pytest
 
 from gyrobench.bench.foundations.errors import RunFolderError
 from gyrobench.bench.foundations.text import with_sigma
-from gyrobench.bench.report.verification.verification_page import (
-    day_figure,
-    residual_bars_figure,
-    verification_sections,
-    write_verification_page,
-)
-from gyrobench.bench.report.verification.verification_text import number_rows, plateau_rows, total_rows
+from gyrobench.bench.report.figures.verification import day_figure, residual_bars_figure
+from gyrobench.bench.report.verification_page import verification_sections, write_verification_page
+from gyrobench.bench.report.verification_text import number_rows, plateau_rows, total_rows
 from tests.bench.report.made_up_verification import (
     SITE,
     alone,

@@ -5,7 +5,7 @@ import io
 import pytest
 from rich.console import Console
 
-from gyrobench.bench.report.closure.closure_page import closure_findings
+from gyrobench.bench.report.closure_page import closure_findings
 from gyrobench.bench.report.terminal.tables import section_view
 from tests.bench.report.made_up_closure import (
     ambiguous,

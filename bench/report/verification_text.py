@@ -12,7 +12,7 @@ from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.closure.validation import LACK_OF_FIT_P
 from gyrobench.bench.foundations.text import agreeing, counted, listed, with_sigma
 from gyrobench.bench.navigation.positions import AXES
-from gyrobench.bench.report.closure.closure_text import found_labels
+from gyrobench.bench.report.closure_text import found_labels
 from gyrobench.bench.report.number_format import p_phrase, size_text
 from gyrobench.bench.verification.coefficient_verification import CoefficientResult
 from gyrobench.bench.verification.compensation_verification import (

@@ -6,7 +6,7 @@ import pytest
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.foundations.arrays import rms
-from gyrobench.bench.report.closure.closure_text import (
+from gyrobench.bench.report.closure_text import (
     held_out_cycles,
     is_noise_only,
     residuals_dph,

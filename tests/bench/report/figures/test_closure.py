@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.foundations.arrays import rms
-from gyrobench.bench.report.closure.closure_figures import (
+from gyrobench.bench.report.closure_text import residuals_dph
+from gyrobench.bench.report.figures.closure import (
     closure_effect_figure,
     closure_error_figure,
     closure_evidence_figure,
     closure_residual_figure,
     temperature_groups,
 )
-from gyrobench.bench.report.closure.closure_text import residuals_dph
 from tests.bench.report.made_up_closure import ambiguous, clean, explained, unexplained, without_boards
 
 

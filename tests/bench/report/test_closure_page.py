@@ -9,7 +9,7 @@ import pytest
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.loop import close_loop
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.report.closure.closure_page import closure_sections, write_closure_page
+from gyrobench.bench.report.closure_page import closure_sections, write_closure_page
 from tests.bench.report.made_up_closure import (
     ambiguous,
     clean,

@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.characteristics.results import Curve
-from gyrobench.bench.report.coefficients import (
-    characteristics_figure,
-    coefficients_figure,
-    coefficients_overview,
-)
+from gyrobench.bench.report.coefficient_sections import coefficients_overview
+from gyrobench.bench.report.figures.characteristics import characteristics_figure
+from gyrobench.bench.report.figures.coefficients import coefficients_figure
 from gyrobench.bench.runs.tables.coefficient_table import PlateauCoefficientRow
 
 

@@ -6,7 +6,7 @@ import pytest
 from rich.console import Console
 
 from gyrobench.bench.report.terminal.tables import section_view
-from gyrobench.bench.report.verification.verification_page import verification_findings, verification_plan
+from gyrobench.bench.report.verification_page import verification_findings, verification_plan
 from tests.bench.report.made_up_verification import (
     alone,
     confirmed,

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from gyrobench.bench.engine.verification_runs import flags_note
-from gyrobench.bench.report.verification.verification_text import (
+from gyrobench.bench.report.verification_text import (
     change_sentences,
     comparability_sentences,
     degradation_sentences,

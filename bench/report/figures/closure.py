@@ -12,7 +12,7 @@ from gyrobench.bench.closure.outcome import Closure, FoundEffect
 from gyrobench.bench.closure.search import EFFECT_SIGNIFICANCE
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, rms_of_known
 from gyrobench.bench.navigation.positions import AXES, POSITIONS, position_label
-from gyrobench.bench.report.closure.closure_text import (
+from gyrobench.bench.report.closure_text import (
     held_out_cycles,
     is_noise_only,
     models_of,

@@ -1,6 +1,6 @@
 """Rows of the tables about a search for effects."""
 
-from gyrobench.bench.report.closure.closure_page import effect_table, evidence_table
+from gyrobench.bench.report.closure_page import effect_table, evidence_table
 from tests.bench.report.made_up_closure import ambiguous, clean, explained, without_boards
 
 

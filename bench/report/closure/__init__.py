@@ -1,1 +1,0 @@
-"""The search for effects: its text, figures, page and terminal summary."""

@@ -1,0 +1,103 @@
+"""Shares of the sources of error in the variance of measured biases."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from matplotlib.figure import Figure
+
+from gyrobench.bench.bias.error_sources import SOURCES
+from gyrobench.bench.navigation.positions import gyro_label
+from gyrobench.bench.report.figures.style import common_legend, house_style, new_figure
+from gyrobench.bench.runs.tables.budget_table import COMBINED, BudgetSummary
+
+#: Colours of Okabe and Ito, and hatches, for the sources with the largest shares; the rest is grey.
+_STYLES = (
+    ("#0072B2", ""),
+    ("#E69F00", "///"),
+    ("#009E73", "..."),
+    ("#CC79A7", "xxx"),
+    ("#56B4E9", "\\\\\\"),
+    ("#D55E00", "+++"),
+)
+_OTHER = ("#bbbbbb", "")
+#: Smaller shares than this in all bars are drawn together.
+_SMALLEST = 0.01
+
+
+@dataclass(frozen=True)
+class Shares:
+    """Shares of the variance of the biases of one gyro."""
+
+    label: str
+    is_vertical: bool
+    count: int  #: Number of dwells.
+    sigma_dph: float  #: Root mean square of the standard uncertainties.
+    parts: Mapping[str, float]  #: Share of each source, key of :data:`gyrobench.bench.bias.budget.SOURCES`.
+
+
+def shares(budget: BudgetSummary) -> list[Shares]:
+    """Shares of the variance of each gyro's biases, level and vertical, over the dwells."""
+    found = []
+    for (axis, is_vertical), own in sorted(budget.dwells.items(), key=lambda each: each[0]):
+        total, count = own[COMBINED].variance, own[COMBINED].count
+        parts = {
+            name: each.variance / total for name, each in own.items() if each.shares and name != COMBINED
+        }
+        label = f"{gyro_label(axis)} {level_or_vertical(is_vertical)}"
+        found.append(Shares(label, is_vertical, count, math.sqrt(total / count), parts))
+    return found
+
+
+def level_or_vertical(is_vertical: bool) -> str:
+    """Orientation of a gyro in a word."""
+    return "vertical" if is_vertical else "level"
+
+
+@house_style
+def budget_figure(shares: Sequence[Shares]) -> Figure:
+    """Draw a bar for each gyro, level and vertical."""
+    largest = {name: max(each.parts.get(name, 0.0) for each in shares) for name in SOURCES}
+    order = sorted(largest, key=lambda name: -largest[name])
+    named = [name for name in order[: len(_STYLES)] if largest[name] >= _SMALLEST]
+    figure = new_figure(0.75 + 0.2 * len(shares), left_in=1.2, right_in=1.35, top_in=0.05, bottom_in=0.4)
+    axes = figure.add_subplot()
+    places = range(len(shares))
+    start = [0.0] * len(shares)
+    for name, (colour, hatch) in [*zip(named, _STYLES, strict=False), ("", _OTHER)]:
+        widths = [
+            100.0
+            * (each.parts.get(name, 0.0) if name else 1.0 - sum(each.parts.get(one, 0.0) for one in named))
+            for each in shares
+        ]
+        label = SOURCES[name].title if name else f"other, each below {100.0 * _SMALLEST:g} %"
+        axes.barh(
+            places,
+            widths,
+            0.72,
+            start,
+            color=colour,
+            hatch=hatch,
+            edgecolor="white",
+            linewidth=0.4,
+            label=label,
+        )
+        start = [one + width for one, width in zip(start, widths, strict=True)]
+    for place, each in zip(places, shares, strict=True):
+        axes.annotate(
+            f"{each.sigma_dph:#.2g} deg/h ({each.count})",
+            (100.0, place), (4, 0), textcoords="offset points", va="center", fontsize=8,
+            annotation_clip=False,
+        )  # fmt: skip
+    axes.set(
+        yticks=places,
+        yticklabels=[each.label for each in shares],
+        xlim=(0.0, 100.0),
+        xlabel="share of the variance / %",
+    )
+    axes.invert_yaxis()
+    axes.grid(visible=False, axis="y")
+    common_legend(figure, [axes], "lower center", ncols=2)
+    return figure

@@ -1,1 +1,0 @@
-"""Page and terminal view of an investigation."""
