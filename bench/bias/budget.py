@@ -133,7 +133,7 @@ class BiasBudget:
     gyro: str  #: "x", "y" or "z".
     position: str
     budget: Budget
-    dwell: int | None = None  #: Number of the dwell; None for a bin.
+    dwell: int | None  #: Number of the dwell; None for a bin.
     #: bin_low_c, bin_high_c: Range of the gyro's temperature; NaN for a dwell.
     bin_low_c: float = math.nan
     bin_high_c: float = math.nan

@@ -84,8 +84,8 @@ class Calibration(CoefficientEstimate):
     by_site: Mapping[str, FloatArray]
     options: CalibrationOptions  #: As given, and g-sensitivities where they were found.
     #: What the data contradict: the noise, or whole turns and rotations each other; empty for nothing.
-    findings: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()  #: What is estimated beside the coefficients because the data show it.
+    findings: tuple[str, ...]
+    notes: tuple[str, ...]  #: What is estimated beside the coefficients because the data show it.
 
 
 def calibrate(

@@ -103,7 +103,7 @@ def rotation_list_text(rotations: RotationList) -> str:
 
 
 def expected_noise(
-    declared: NoiseModel | None, rotations: RotationList, velocity_step_mps: float = 0.0
+    declared: NoiseModel | None, rotations: RotationList, velocity_step_mps: float
 ) -> SensorNoise:
     """Noise of a unit as its station declares it; of a navigation-grade unit where it is to be estimated.
 

@@ -64,7 +64,7 @@ class IncrementEpochs:
     #: Epochs, counted from 0 at the start, in the rests before and after whole turns, and the rotation
     #: (3, 3), ENU, that the table's readings leave.
     spins: Sequence[tuple[int, int, FloatArray]]
-    has_vertical: bool = True  #: Whether the vertical velocity is measured; otherwise its rows are zero.
+    has_vertical: bool  #: Whether the vertical velocity is measured; otherwise its rows are zero.
     #: Epochs before and after each rotation about Up that the table measures, and that rotation (3, 3), ENU.
     headings: Sequence[tuple[int, int, FloatArray]] = ()
 

@@ -23,11 +23,7 @@ def file_names(certificate: Certificate, formats: Iterable[str]) -> dict[str, st
 
 
 def issue_certificate(
-    certificate: Certificate,
-    formats: Collection[str],
-    out: Path,
-    key: SigningKey | None = None,
-    schema: Path | None = None,
+    certificate: Certificate, formats: Collection[str], out: Path, key: SigningKey | None, schema: Path | None
 ) -> list[Path]:
     """Write a certificate into the folder ``out`` once all its files are made; returns them.
 

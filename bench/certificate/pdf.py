@@ -51,7 +51,7 @@ _SIMULATED_BOX = (
 )
 
 
-def certificate_pdf(certificate: Certificate, attachments: Mapping[str, bytes] | None = None) -> bytes:
+def certificate_pdf(certificate: Certificate, attachments: Mapping[str, bytes] | None) -> bytes:
     """The certificate as PDF/A-3a, with files attached by name.
 
     Raises GyrobenchError if a system library is missing, and MissingPackageError if weasyprint is not
@@ -61,7 +61,7 @@ def certificate_pdf(certificate: Certificate, attachments: Mapping[str, bytes] |
     with tempfile.TemporaryDirectory() as folder:
         page = _page(certificate, dict(_figures(certificate, Path(folder), word)))
         title = f"{word} Calibration certificate {certificate.order.number}".strip()
-        html = "".join(render_page(page, f"{title}, unit {certificate.unit}", title, watermark=word))
+        html = "".join(render_page(page, f"{title}, unit {certificate.unit}", word, title))
     return pdf_of(html, attachments, _VARIANT)
 
 

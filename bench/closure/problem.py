@@ -99,9 +99,7 @@ class Problem:
         """Reduction of chi2 by a fit of terms, and the number of independent ones among them."""
         return explained_by(*self.inner_products(columns, kept))
 
-    def inner_products(
-        self, columns: FloatArray, kept: BoolArray | None = None
-    ) -> tuple[FloatArray, FloatArray]:
+    def inner_products(self, columns: FloatArray, kept: BoolArray | None) -> tuple[FloatArray, FloatArray]:
         """Of terms of length one (3, k, k), less what is fitted, and of these with the residuals (3, k)."""
         terms = self.independent_parts(columns, kept)
         return terms.mT @ terms, (terms.mT @ self.residuals.T[..., np.newaxis])[..., 0]

@@ -16,7 +16,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import numpy as np
@@ -169,7 +169,7 @@ class Detection:
 
     effect: Effect  #: The effect.
     #: The input without which the campaign can't show it; then the rest is infinite.
-    missing_input: str | None = None
+    missing_input: str | None
     #: typical_dph, largest_dph: Smallest size found with probability :data:`EFFECT_POWER`, for the middle
     #: starting values of its parameters and for the worst ones.
     typical_dph: float = np.inf
@@ -190,7 +190,7 @@ class Separability:
     #: Largest canonical correlation of the terms of two effects for any gyro, typical values.
     correlation: Mapping[tuple[str, str], float]
     #: Size that effects found by a closure have in these dwells, by name; others have a target size.
-    expected_dph: Mapping[str, float] = field(default_factory=dict)
+    expected_dph: Mapping[str, float]
 
     def label(self, name: str) -> str:
         """Label of an effect."""

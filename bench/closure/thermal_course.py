@@ -74,7 +74,7 @@ class UnitThermal:
     #: optics, after a long soak; then what of it follows Up along x, y and z.
     optics_rise_k: FloatArray
     electronics_rise_k: FloatArray
-    rms_k: float | None = None  #: Of the fit to the optics; None for a typical unit.
+    rms_k: float | None  #: Of the fit to the optics; None for a typical unit.
 
     @classmethod
     def typical(cls, thermal: ThermalEstimate) -> UnitThermal:
@@ -88,6 +88,7 @@ class UnitThermal:
             np.full(3, _ELECTRONICS_LAG_SHARE * thermal.time_constant_s),
             np.outer(np.full(3, (1.0 - _CASE_HEATING_SHARE) * thermal.self_heating_c), [1.0, 0.0, 0.0, 0.0]),
             ELECTRONICS_ABOVE_OPTICS_K * rise_k,
+            rms_k=None,
         )
 
     def course(

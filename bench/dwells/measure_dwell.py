@@ -57,10 +57,10 @@ class MeasuredDwell:
     #: INS is at fault.
     persistent_flags: tuple[str, ...]
     #: What of signal map or latitude is wrong; every further dwell would be invalid too.
-    setup_fault: str = ""
+    setup_fault: str
     #: What it shows of scale and latitude; None where the output jumps.
-    evidence: SetupEvidence | None = None
-    are_signs_tested: bool = False  #: Whether wrong signs or axes of the velocities would have shown in it.
+    evidence: SetupEvidence | None
+    are_signs_tested: bool  #: Whether wrong signs or axes of the velocities would have shown in it.
 
     @property
     def flags(self) -> tuple[str, ...]:

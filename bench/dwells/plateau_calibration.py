@@ -54,7 +54,7 @@ class PlateauCalibration:
     #: Of dwells and rotations together, without its parts; None without either.
     estimate: CoefficientEstimate | None
     #: Variances of the estimate by source, shape (21,) each, SI.
-    variances: Mapping[str, FloatArray] = field(default_factory=dict)
+    variances: Mapping[str, FloatArray]
     finding: str = ""  #: Why the rotations give nothing, or that they contradict the dwells.
     note: str = ""  #: What the rotations show beside the coefficients.
     #: As uncertain as if the INS sent specific forces; None where it does.

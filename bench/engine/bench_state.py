@@ -25,7 +25,7 @@ class Readings:
     chamber_s: float  #: on the run's clock
     chamber_alarms: tuple[str, ...]  #: alarms that the chamber reports
     ins: InsStatus  #: of the first unit that is measured
-    asked_s: float = 0.0  #: when they were last asked, whether they answered or not
+    asked_s: float  #: when they were last asked, whether they answered or not
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -32,11 +32,11 @@ class Job:
     plan: Plan
     station: Station
     emulation: Emulation
-    calibration: tuple[DwellRow, ...] = ()
-    compensation: Compensation | None = None
+    calibration: tuple[DwellRow, ...]
+    compensation: Compensation | None
     #: Customer, order and item of the certificate, as far as they are given.
-    certificate_order: Mapping[str, str] = field(default_factory=dict)
-    acknowledged: tuple[str, ...] = ()  #: Instruments past due whose use the operator acknowledges.
+    certificate_order: Mapping[str, str]
+    acknowledged: tuple[str, ...]  #: Instruments past due whose use the operator acknowledges.
 
     def plan_of(self, unit: Station) -> Plan:
         """The plan with the positions of one unit of the station, whose mounting may differ."""

@@ -194,7 +194,7 @@ class InterruptedRun:
     folder: RunFolder
     plan: Plan
     state: ResumeState
-    number: str = ""  #: serial number of the unit, of several
+    number: str  #: serial number of the unit, of several
     damage: Damage = field(default_factory=Damage)  #: to be given up before the run resumes
 
 

@@ -120,7 +120,7 @@ _SCHEMA = pa.schema(
 
 
 def export_navigation(
-    folder: RunFolder, setup: MeasurementSetup, name: str, destination: ExportFolder, dwell: int | None = None
+    folder: RunFolder, setup: MeasurementSetup, name: str, destination: ExportFolder, dwell: int | None
 ) -> None:
     """Write decoded navigation of a run, or of one finished dwell; one part of the log is read at a time.
 

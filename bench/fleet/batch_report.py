@@ -211,7 +211,7 @@ _BAND = (
 )
 
 
-def batch_document(name: str, batch: Sequence[QuantityStatistics], watermark: str = "") -> dict[str, Any]:
+def batch_document(name: str, batch: Sequence[QuantityStatistics], watermark: str) -> dict[str, Any]:
     """Content of ``batch.json``; ``watermark`` is the word across the page, if a run was emulated."""
     return {
         "batch": name,
@@ -240,7 +240,7 @@ def batch_document(name: str, batch: Sequence[QuantityStatistics], watermark: st
 
 
 def write_batch(
-    folder: Path, name: str, batch: Sequence[QuantityStatistics], source: str, watermark: str = ""
+    folder: Path, name: str, batch: Sequence[QuantityStatistics], source: str, watermark: str
 ) -> Path:
     """Write ``batch.json``, ``batch.html`` and figures into a folder, made if it isn't there.
 

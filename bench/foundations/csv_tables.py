@@ -154,7 +154,7 @@ class CsvTable:
             self.problem(index, column, f"an uncertainty must be above zero; found {value:g}")
         return value
 
-    def temperature(self, index: int, column: str, may_be_empty: bool = False) -> float:
+    def temperature(self, index: int, column: str, may_be_empty: bool) -> float:
         """Read the temperature of a gyro, degC."""
         value_c = self.number(index, column, may_be_empty)
         if value_c < COLDEST_C or value_c > HOTTEST_C:
@@ -265,7 +265,7 @@ def one_of(allowed: Collection[str]) -> CellReader:
 def read_rows(
     path: Path,
     kind: type[_RowT],
-    readers: Mapping[str, CellReader] = MappingProxyType({}),
+    readers: Mapping[str, CellReader],
     columns: Mapping[str, str] = MappingProxyType({}),
 ) -> list[_RowT]:
     """Read instances of a data class, whose fields of type str, int, float, flags or None are the columns.
@@ -280,7 +280,7 @@ def read_rows(
 def each_row(
     path: Path,
     kind: type[_RowT],
-    readers: Mapping[str, CellReader] = MappingProxyType({}),
+    readers: Mapping[str, CellReader],
     columns: Mapping[str, str] = MappingProxyType({}),
 ) -> Iterator[_RowT]:
     """The same one after the other, of a table that is larger than what is made of it.

@@ -57,7 +57,7 @@ def shipped_names(kind: str) -> list[str]:
     return sorted({path.stem for folder in shipped_folders(kind) for path in folder.glob("*.yaml")})
 
 
-def world_for(station: str, world: str | None = None, otherwise: str = DEFAULT_WORLD) -> str:
+def world_for(station: str, world: str | None, otherwise: str = DEFAULT_WORLD) -> str:
     """World to emulate: the selected one, else the shipped one with the name of the station."""
     return world or (station if station in shipped_names("worlds") else otherwise)
 

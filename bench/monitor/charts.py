@@ -75,7 +75,7 @@ class CurvePath:
 
     look: str
     path: str
-    label: str = ""
+    label: str
 
 
 @dataclass(frozen=True)

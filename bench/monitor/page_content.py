@@ -117,7 +117,7 @@ def headline(snapshot: RunSnapshot, verdict: str = "") -> Headline:
     )
 
 
-def _state_class(state: RunState, verdict: str = "") -> str:
+def _state_class(state: RunState, verdict: str) -> str:
     """CSS class of a state, and of the verdict on the unit of a run that finished."""
     if state is RunState.FINISHED and verdict:
         return {"accepted": "good", "rejected": "bad"}.get(verdict, "notable")

@@ -58,7 +58,7 @@ def gravity(latitude: float, height: float = 0.0) -> float:
     return surface * (1.0 - 2.0 * slope * relative + 3.0 * relative**2)
 
 
-def curvature_radii(latitude: float, height: float = 0.0) -> tuple[float, float]:
+def curvature_radii(latitude: float, height: float) -> tuple[float, float]:
     """Compute the radii of curvature along the meridian (North) and across it (East), m."""
     shrink = 1.0 - _ECCENTRICITY_SQUARED * float(np.sin(latitude)) ** 2
     east = _SEMI_MAJOR_AXIS / float(np.sqrt(shrink))

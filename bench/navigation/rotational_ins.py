@@ -21,7 +21,7 @@ import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -55,8 +55,7 @@ GIMBALS = TwoAxisTable(np.array([1.0, 0.0, 0.0]), UP, np.eye(3))
 class RotationScheme:
     """Turns of the gimbals, one after the other and then from the beginning.
 
-    Raises MeasurementError if the turns do not lead back to the angles that they began with, or a time is not
-    above zero.
+    Raises MeasurementError if the turns do not lead back to the angles that they began with.
     """
 
     #: Axis and angle of each turn. The outer axis points East, the inner one Up while the outer angle is
@@ -64,12 +63,10 @@ class RotationScheme:
     turns_deg: tuple[tuple[Literal["outer", "inner"], float], ...]
     #: Rest before each turn. With 300 s sixteen dwells last a Schuler period, and what should average out
     #: resonates.
-    dwell_s: float = 180.0
-    rate_dps: float = 10.0  #: Rate of the turns.
+    dwell_s: ClassVar[float] = 180.0
+    rate_dps: ClassVar[float] = 10.0  #: Rate of the turns.
 
     def __post_init__(self) -> None:
-        if not (self.dwell_s > 0.0 and self.rate_dps > 0.0):
-            raise MeasurementError("rotation scheme: dwell_s and rate_dps must be above zero")
         if self.angles_deg()[-1] != (0.0, 0.0):
             raise MeasurementError(
                 f"rotation scheme: the turns end at {self.angles_deg()[-1]} deg; they must lead back to zero"

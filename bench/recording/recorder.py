@@ -229,7 +229,7 @@ class Proxy:
         return bool(request or reply)
 
 
-def _recording_headers(station: Station, note: str = "") -> dict[str, RecordingHeader]:
+def _recording_headers(station: Station, note: str) -> dict[str, RecordingHeader]:
     """Headers of recordings of table and chamber, by the names that errors give the instruments."""
     table, chamber = station.file.rate_table, station.file.chamber
     return {

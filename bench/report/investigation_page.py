@@ -24,7 +24,7 @@ _PURPOSES = {CONFIRM: ", confirmation", TEST_LAW: ", test of the composed law", 
 
 
 def write_investigation_page(
-    folder: Path, found: Investigation, source: str, proof: VerificationResult | None = None
+    folder: Path, found: Investigation, source: str, proof: VerificationResult | None
 ) -> Path:
     """Write figures and page into a folder, with the verification of the compensation if there is one.
 

@@ -109,13 +109,13 @@ _FINDINGS = TypeAdapter(Findings)
 
 
 def render_page(
-    page: Section, source: str, title: str = "", sign_off: str | None = None, watermark: str = ""
+    page: Section, source: str, watermark: str, title: str = "", sign_off: str | None = None
 ) -> Iterator[str]:
     """Give a page, whose figures are PNG files, as HTML text, part by part.
 
-    The source is the line below the page's title, ``title`` that of the browser's window. ``sign_off`` is the
-    name, which may be empty, for a sign-off table; it comes with a table of contents. ``watermark`` is a word
-    across every page, with which there is no table to sign.
+    The source is the line below the page's title. ``watermark`` is a word across every page, with which there
+    is no table to sign, or empty. ``title`` is that of the browser's window, ``sign_off`` the name, which may
+    be empty, for a sign-off table; it comes with a table of contents.
     """
     return _template().generate(
         page=page,
@@ -145,12 +145,12 @@ def _template() -> Template:
 
 
 def with_figure_files(
-    folder: Path, sections: Iterable[Section], key: str = "", watermark: str = "", vectors: Sequence[str] = ()
+    folder: Path, sections: Iterable[Section], watermark: str, key: str = "", vectors: Sequence[str] = ()
 ) -> list[Section]:
     """Draw the figures of sections into an existing folder; gives the sections with PNG files.
 
-    Files that hold the key, a hash of all that the figures show, are kept. ``watermark`` is a word across
-    each figure; ``vectors`` are further formats that all figures are written in, ``svg`` and ``pdf``.
+    ``watermark`` is a word across each figure, or empty. Files that hold the key, a hash of all that the
+    figures show, are kept. ``vectors`` are further formats of all figures, ``svg`` and ``pdf``.
 
     Raises RunFolderError if a file can't be written.
     """
@@ -173,9 +173,9 @@ def write_findings(path: Path, findings: Findings) -> Path:
     """
     folder = path.parent
     make_folder(folder / "figures")
-    sections = with_figure_files(folder / "figures", findings.sections, watermark=findings.watermark)
+    sections = with_figure_files(folder / "figures", findings.sections, findings.watermark)
     page = replace(findings, sections=sections).chapter
-    write_whole(path, map(str.encode, render_page(page, findings.source, watermark=findings.watermark)))
+    write_whole(path, map(str.encode, render_page(page, findings.source, findings.watermark)))
     write_whole(folder / FINDINGS_FILE, _FINDINGS.dump_json(findings, indent=1) + b"\n")
     return path
 

@@ -136,8 +136,8 @@ def write_report(
     [own, *sections] = with_figure_files(
         into.figures,
         [Section("", figures=figures), *compared, *_analysis_sections(content, marked_c)],
-        key,
         content.watermark,
+        key,
         vectors,
     )
     content = with_joint(content, folder)
@@ -234,7 +234,7 @@ def render(
         sections=[part for part in parts if part],
     )
     source = f"Run {content.run_name}{started}"
-    return render_page(page, source, f"{title}: {content.run_name}", prepared_by, content.watermark)
+    return render_page(page, source, content.watermark, f"{title}: {content.run_name}", prepared_by)
 
 
 def _subject(content: RunContent) -> str:

@@ -49,9 +49,7 @@ def write_units_report(folder: RunFolder, prepared_by: str = "", vectors: Sequen
             durations_section(content.took),
         ],
     )
-    text = render_page(
-        page, f"Run {content.name}, {procedure}", sign_off=prepared_by, watermark=content.watermark
-    )
+    text = render_page(page, f"Run {content.name}, {procedure}", content.watermark, sign_off=prepared_by)
     write_whole(folder.report, map(str.encode, text))
     keep_sealed(folder)
     return folder.report

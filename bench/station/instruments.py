@@ -410,9 +410,7 @@ def open_ins(station: Station, clock: Clock, emulation: Emulation, bench: Statio
         raise
 
 
-def _open_ins_bus(
-    station: Station, clock: Clock, emulation: Emulation, bench: Station | None = None
-) -> can.BusABC:
+def _open_ins_bus(station: Station, clock: Clock, emulation: Emulation, bench: Station | None) -> can.BusABC:
     """Open the bus alone, as :func:`open_ins`."""
     section = station.file.ins
     options: dict[str, str | int | float | bool] = dict(section.options)

@@ -33,7 +33,7 @@ class PlateauMission:
     plateau: int  #: Its number, the same in all runs.
     gyro_c: float  #: Mean temperature of the gyros.
     error: MissionError
-    is_in_all: bool = True  #: Whether all runs have the plateau.
+    is_in_all: bool  #: Whether all runs have the plateau.
 
 
 @dataclass(frozen=True, eq=False)

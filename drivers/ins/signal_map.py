@@ -321,8 +321,8 @@ class BoundSignal:
     decode: Callable[[bytes], float]  #: Decodes the signal of one payload to the DBC's unit.
     gain: float
     offset: float
-    saturates: bool = False
-    bits: tuple[int, int] | None = None  #: First and last bit of the raw value, where it is split.
+    saturates: bool
+    bits: tuple[int, int] | None  #: First and last bit of the raw value, where it is split.
 
     def to_si(self, physical: FloatArray | float) -> FloatArray:
         """Convert a value or values in the DBC's unit to SI; NaN where the signal is saturated."""

@@ -43,9 +43,9 @@ _MAX_RESTS = 6
 def calibration_summary(
     calibration: Calibration,
     site: Site,
-    spins: Sequence[SpinScaleFactor] = (),
-    has_whole_turns: bool = False,
-    left_out: tuple[int, int] = (0, 0),
+    spins: Sequence[SpinScaleFactor],
+    has_whole_turns: bool,
+    left_out: tuple[int, int],
 ) -> RenderableType:
     """Table of coefficients, and what they rest on.
 

@@ -59,7 +59,7 @@ def groups_table(by: str, groups: Sequence[Mapping[str, Any]]) -> RenderableType
 
 
 def trend_summary(
-    unit: str, trends: Sequence[Trend], mixed: Sequence[str], due: Sequence[Recalibration | None] = ()
+    unit: str, trends: Sequence[Trend], mixed: Sequence[str], due: Sequence[Recalibration | None]
 ) -> RenderableType:
     """Drift of a unit: a sentence, and a row for each gyro and bin; ``due`` adds dates of recalibration."""
     scale = BiasScale.of([each.bias_dph for each in trends], [each.sigma_dph for each in trends])

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
 from typing import Annotated, ClassVar, Literal, NamedTuple, TypeVar
@@ -186,7 +186,7 @@ class BenchParts:
     ins: CanInsEmulator
     lines: Mapping[str, FaultySerial]  #: ``table`` and ``chamber`` at their ports.
     bus: FaultyCan
-    dialects: Mapping[str, str] = field(default_factory=dict)  #: Their dialects.
+    dialects: Mapping[str, str]  #: Their dialects.
 
     def capable(self, name: str, capability: type[_CapabilityT]) -> _CapabilityT:
         """Table or chamber as an instrument with the capability that a fault needs.

@@ -24,7 +24,7 @@ def fitted():
 
 
 def test_page_and_file_name_the_outlier(fitted, tmp_path):
-    page = write_batch(tmp_path / "batch", "B7", fitted, "30 runs").read_text()
+    page = write_batch(tmp_path / "batch", "B7", fitted, "30 runs", "").read_text()
     assert "<h1>Batch B7</h1>" in page
     assert "1 outlier in 10 units" in page
     assert "Z gyro at 20 to 25 °C, X-Up minus the mean" in page
@@ -75,6 +75,6 @@ def test_the_terminal_needs_80_columns_and_no_colour(fitted):
 
 
 def test_a_batch_without_outliers_says_so(tmp_path):
-    page = write_batch(tmp_path, "", fit_batch(batch(np.random.default_rng(8))), "30 runs").read_text()
+    page = write_batch(tmp_path, "", fit_batch(batch(np.random.default_rng(8))), "30 runs", "").read_text()
     assert "No outlier in 10 units" in page
     assert "No outlying unit" in page

@@ -1,5 +1,4 @@
 import itertools
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -143,17 +142,9 @@ def test_the_error_covers_the_time_asked_for():
     assert error.max_nmi == np.abs(error.velocity_east_mps).max() == 0.0
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"turns_deg": (("outer", 180.0),)}, "must lead back to zero"),
-        ({"dwell_s": 0.0}, "above zero"),
-        ({"rate_dps": -1.0}, "above zero"),
-    ],
-)
-def test_schemes_that_cannot_go_on_for_ever_are_mistakes(changes, message):
-    with pytest.raises(MeasurementError, match=message):
-        replace(HALF_TURNS, **changes)
+def test_schemes_that_cannot_go_on_for_ever_are_mistakes():
+    with pytest.raises(MeasurementError, match="must lead back to zero"):
+        RotationScheme((("outer", 180.0),))
     assert RotationScheme((("outer", 90.0), ("outer", -90.0))).angles_deg()[1] == (90.0, 0.0)
 
 

@@ -373,7 +373,7 @@ def test_a_figure_is_freed_before_the_next_one_is_drawn(empty_folder: RunFolder)
         return figure
 
     section = Section("", figures=[SectionFigure(name, "", draw) for name in ("first", "second", "third")])
-    with_figure_files(empty_folder.path, [section])
+    with_figure_files(empty_folder.path, [section], "")
     assert len(drawn) == 3
 
 
@@ -388,7 +388,7 @@ def test_sections_stand_before_the_dwells(
         [drawn],
         [SectionTable("its caption", ["temperature / °C", "X gyro"], [["72", "1.0 ± 0.2"]])],
     )
-    sections = with_figure_files(empty_folder.path, [section])
+    sections = with_figure_files(empty_folder.path, [section], "")
     page = page_with("".join(render(read_run(empty_folder), [], sections)))
     assert (
         "One bias for all positions What <follows> is made up. the caption its caption "
