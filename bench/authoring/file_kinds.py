@@ -101,7 +101,7 @@ def _most_similar(keys: Iterable[str]) -> list[FileKind]:
     return [KINDS[name] for name, count in shared.items() if count == most > 0]
 
 
-_PROGRAM = "gyrobench.drivers.emulators.documents"
+_PROGRAM = "gyrobench.drivers.emulators.check_file"
 _TIMEOUT_S = 120.0
 _WRONG_FILE = 2
 

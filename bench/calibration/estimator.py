@@ -30,14 +30,7 @@ from gyrobench.bench.calibration.coefficients import (
     CoefficientEstimate,
     SensorErrors,
 )
-from gyrobench.bench.calibration.information import IS_FORCE_SCALE, CalibrationOptions, Information
-from gyrobench.bench.calibration.problem import (
-    GYRO_SCALES,
-    UNEXPLAINED_P_VALUE,
-    CalibrationProblem,
-    Estimates,
-)
-from gyrobench.bench.calibration.recording import (
+from gyrobench.bench.calibration.increment_recording import (
     IncrementRecording,
     RecordedRotation,
     Rest,
@@ -45,6 +38,13 @@ from gyrobench.bench.calibration.recording import (
     find_rests,
     find_rotations,
     measure_noise,
+)
+from gyrobench.bench.calibration.information import IS_FORCE_SCALE, CalibrationOptions, Information
+from gyrobench.bench.calibration.problem import (
+    GYRO_SCALES,
+    UNEXPLAINED_P_VALUE,
+    CalibrationProblem,
+    Estimates,
 )
 from gyrobench.bench.calibration.section import IncrementSection
 from gyrobench.bench.calibration.strapdown import Trajectory

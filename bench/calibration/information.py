@@ -10,7 +10,7 @@ import numpy as np
 
 from gyrobench.bench.bias.statistics import compress, solve
 from gyrobench.bench.calibration.coefficients import BESIDE, COEFFICIENTS, COUNT
-from gyrobench.bench.calibration.recording import SensorNoise
+from gyrobench.bench.calibration.increment_recording import SensorNoise
 from gyrobench.bench.calibration.section import IncrementSection
 from gyrobench.bench.calibration.strapdown import (
     ATTITUDE,

@@ -14,6 +14,7 @@ import numpy as np
 
 from gyrobench.bench.bias.statistics import Chi2Test, chi2_p_value, chi2_test
 from gyrobench.bench.calibration.coefficients import BESIDE, COEFFICIENTS, COUNT, SensorErrors
+from gyrobench.bench.calibration.increment_recording import SensorNoise
 from gyrobench.bench.calibration.information import (
     BIAS_DRIFT,
     IS_GYRO_SCALE,
@@ -22,7 +23,6 @@ from gyrobench.bench.calibration.information import (
     Information,
     integrated_sections,
 )
-from gyrobench.bench.calibration.recording import SensorNoise
 from gyrobench.bench.calibration.section import IncrementSection
 from gyrobench.bench.calibration.strapdown import G_SENSITIVITIES, PARAMETER_COUNT, Trajectory
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, STANDARD_GRAVITY, BoolArray, FloatArray

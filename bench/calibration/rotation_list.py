@@ -16,13 +16,13 @@ from pydantic import Field
 
 from gyrobench.bench.bias.noise_model import NoiseModel, rounding_sigma
 from gyrobench.bench.calibration.coefficients import COUNT
+from gyrobench.bench.calibration.increment_recording import SensorNoise
 from gyrobench.bench.calibration.information import (
     IS_FORCE_SCALE,
     CalibrationOptions,
     Information,
     integrated_sections,
 )
-from gyrobench.bench.calibration.recording import SensorNoise
 from gyrobench.bench.calibration.section import REST_EPOCH_S, IncrementSection
 from gyrobench.bench.calibration.strapdown import PARAMETER_COUNT, IncrementEpochs
 from gyrobench.bench.foundations.arrays import (

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrobench.bench.calibration.coefficients import COUNT, SensorErrors
-from gyrobench.bench.calibration.recording import IncrementRecording, RecordedRotation, Rest
+from gyrobench.bench.calibration.increment_recording import IncrementRecording, RecordedRotation, Rest
 from gyrobench.bench.calibration.strapdown import (
     ATTITUDE,
     DELAY,

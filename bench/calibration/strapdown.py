@@ -30,7 +30,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrobench.bench.calibration.coefficients import BESIDE, COUNT, LOWER, SensorErrors
-from gyrobench.bench.calibration.recording import SensorNoise
+from gyrobench.bench.calibration.increment_recording import SensorNoise
 from gyrobench.bench.calibration.turns import Vector, set_turn
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 from gyrobench.bench.foundations.kernels import compiled, set_product

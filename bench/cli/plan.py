@@ -218,13 +218,13 @@ def _searched(folder: Path) -> Closure:
 
 def _print_separability(job: Job, target_dph: float, closure: Closure | None) -> None:
     from gyrobench.bench.closure.effects import all_effects
-    from gyrobench.bench.closure.outlook import measured_properties, tie_outlooks
     from gyrobench.bench.closure.planned_campaign import planned_campaign
     from gyrobench.bench.closure.procedure_changes import advise, advise_ties
     from gyrobench.bench.closure.separability import searched_dwells, separability
+    from gyrobench.bench.closure.tie_forecast import measured_properties, tie_forecasts
     from gyrobench.bench.report.figures.separability import separability_figure
     from gyrobench.bench.report.figures.style import save_figure
-    from gyrobench.bench.report.terminal.separability import closure_outlook, separability_summary
+    from gyrobench.bench.report.terminal.separability import closure_forecast, separability_summary
 
     unit, name = declared_properties(job.station), job.plan.procedure.procedure
     if closure:
@@ -244,7 +244,7 @@ def _print_separability(job: Job, target_dph: float, closure: Closure | None) ->
     console().print(separability_summary(now, len(campaign), unit, target_dph, [] if closure else advice))
     if closure:
         console().print(
-            closure_outlook(closure, unit, now.expected_dph, tie_outlooks(closure, campaign), advice)
+            closure_forecast(closure, unit, now.expected_dph, tie_forecasts(closure, campaign), advice)
         )
     path = Path(f"separability_{name}.png")
     save_figure(separability_figure(now, target_dph, name), path)

@@ -15,7 +15,7 @@ import numpy as np
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.closure.plausibility import implausible
 from gyrobench.bench.closure.quantity import GYRO_BIAS, Quantity
-from gyrobench.bench.closure.temperatures import TemperatureRecord, record_of_dwells, set_point_path
+from gyrobench.bench.closure.temperature_record import TemperatureRecord, record_of_dwells, set_point_path
 from gyrobench.bench.closure.thermal_network import electronics_above_optics
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray, IntArray
 from gyrobench.bench.foundations.errors import MeasurementError
@@ -230,7 +230,7 @@ class Campaign:
 
     @cached_property
     def set_point_path_c(self) -> FloatArray:
-        """See :func:`gyrobench.bench.closure.temperatures.set_point_path`."""
+        """See :func:`gyrobench.bench.closure.temperature_record.set_point_path`."""
         if self.part_of is not None:
             return self.whole.set_point_path_c[self.part_of[1]]
         return set_point_path(self.start_s, self.end_s, self.set_c, self.air_c)

@@ -14,7 +14,7 @@ from gyrobench.bench.bias.dwell_table import DwellRow, read_dwells
 from gyrobench.bench.closure.campaign import Campaign, Table, campaign_of
 from gyrobench.bench.closure.joined_tables import TableToJoin, join_tables
 from gyrobench.bench.closure.quantity import GYRO_BIAS, Quantity
-from gyrobench.bench.closure.temperatures import TemperatureRecord
+from gyrobench.bench.closure.temperature_record import TemperatureRecord
 from gyrobench.bench.foundations.arrays import FloatArray
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.positions import AXES, POSITIONS

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from gyrobench.bench.closure.campaign import Campaign, Table
-from gyrobench.bench.closure.temperatures import TemperatureRecord
+from gyrobench.bench.closure.temperature_record import TemperatureRecord
 from gyrobench.bench.foundations.arrays import FloatArray, IntArray
 from gyrobench.bench.foundations.errors import MeasurementError
 

@@ -14,8 +14,8 @@ from gyrobench.bench.bias.acceptance import judge
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.bias.verdicts import JudgedQuantity, Judgement
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.temperatures import TemperatureRecord, lag
-from gyrobench.bench.closure.thermal_course import Course, UnitThermal
+from gyrobench.bench.closure.temperature_record import TemperatureRecord, lag
+from gyrobench.bench.closure.unit_thermal import Course, UnitThermal
 from gyrobench.bench.foundations.arrays import S_PER_H, FloatArray, triple
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.text import counted

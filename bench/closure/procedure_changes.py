@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from gyrobench.bench.closure.outcome import Closure
-from gyrobench.bench.closure.outlook import tie_outlooks
 from gyrobench.bench.closure.planned_campaign import UnitProperties, planned_campaign
 from gyrobench.bench.closure.separability import Separability, searched_dwells, separability
+from gyrobench.bench.closure.tie_forecast import tie_forecasts
 from gyrobench.bench.foundations.arrays import S_PER_H
 from gyrobench.bench.foundations.documents import Document
 from gyrobench.bench.foundations.errors import DocumentError
@@ -355,14 +355,14 @@ def advise_ties(
     """
     open_ties = {
         (each.found, each.other)
-        for each in tie_outlooks(closure, planned_campaign(plan, unit))
+        for each in tie_forecasts(closure, planned_campaign(plan, unit))
         if not each.is_settled
     }
     advice = []
     for what, added_h, changed_plan, changed_unit in _changed(document, plan, planner, unit):
         if not open_ties:
             break
-        after = tie_outlooks(closure, planned_campaign(changed_plan, changed_unit))
+        after = tie_forecasts(closure, planned_campaign(changed_plan, changed_unit))
         settled = {(each.found, each.other) for each in after if each.is_settled} & open_ties
         if settled:
             advice.append(Advice(what, added_h, (), tuple(sorted(settled))))

@@ -28,7 +28,7 @@ from gyrobench.bench.calibration.coefficients import (
 from gyrobench.bench.calibration.joint_coefficients import joint_coefficients
 from gyrobench.bench.calibration.results import coefficient_rows
 from gyrobench.bench.dwells.measurement_setup import MeasurementSetup
-from gyrobench.bench.dwells.rotations import OF_GYROS, PlateauRotations, enclosing
+from gyrobench.bench.dwells.run_rotations import OF_GYROS, PlateauRotations, enclosing
 from gyrobench.bench.foundations.arrays import FloatArray, Triple, triple
 from gyrobench.bench.navigation.positions import AXES, POSITIONS
 from gyrobench.bench.runs.tables.coefficient_table import COMMON_SOURCES, PlateauCoefficientRow

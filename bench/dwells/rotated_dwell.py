@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrobench.bench.calibration.recording import MIN_REST_TOTAL_S, IncrementRecording, Rest
+from gyrobench.bench.calibration.increment_recording import MIN_REST_TOTAL_S, IncrementRecording, Rest
 from gyrobench.bench.dwells.clock_check import increments_fault
 from gyrobench.bench.dwells.dwell_output import check_signal_map, decoded_navigation, rest_output
 from gyrobench.bench.dwells.measurement_setup import MeasurementSetup

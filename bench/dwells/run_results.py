@@ -33,7 +33,7 @@ from gyrobench.bench.dwells.recorded_dwells import (
     rotated_dwells,
     rotated_marks,
 )
-from gyrobench.bench.dwells.rotations import RunRotations, spin_record
+from gyrobench.bench.dwells.run_rotations import RunRotations, spin_record
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.foundations.files import remove
 from gyrobench.bench.procedure.plan import DwellPurpose, Plan, PlannedStep

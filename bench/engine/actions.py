@@ -31,7 +31,7 @@ from gyrobench.bench.foundations.errors import (
 )
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.navigation.table_axes import Angles, TurnOrMove
-from gyrobench.bench.procedure.rotations import RotatingStep
+from gyrobench.bench.procedure.rotation_steps import RotatingStep
 from gyrobench.bench.procedure.steps import (
     Align,
     AskOperator,

@@ -22,7 +22,7 @@ from gyrobench.bench.closure.inputs import joined_rows, read_campaign, temperatu
 from gyrobench.bench.closure.loadable_model import model_with_effects
 from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.closure.plausibility import implausible
-from gyrobench.bench.closure.temperatures import TemperatureRecord
+from gyrobench.bench.closure.temperature_record import TemperatureRecord
 from gyrobench.bench.engine.job import Job, emulation_of, job_in, prepare_job
 from gyrobench.bench.engine.observers import RunObserver
 from gyrobench.bench.engine.operator import Operator

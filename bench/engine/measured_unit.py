@@ -14,7 +14,7 @@ from gyrobench.bench.engine.run_context import RunContext
 from gyrobench.bench.foundations.errors import SignalMapError
 from gyrobench.bench.foundations.text import flag_text
 from gyrobench.bench.procedure.plan import DwellPurpose
-from gyrobench.bench.procedure.rotations import counted_moves
+from gyrobench.bench.procedure.rotation_steps import counted_moves
 from gyrobench.bench.runs.marks import DwellMarks
 from gyrobench.drivers.frames import FrameBlock
 

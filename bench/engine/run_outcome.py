@@ -7,8 +7,8 @@ from typing import Literal
 
 from gyrobench.bench.dwells.check_dwell import CheckDwell
 from gyrobench.bench.dwells.measure_dwell import MeasuredDwell
-from gyrobench.bench.dwells.rotations import RunRotations
 from gyrobench.bench.dwells.run_results import RunResults
+from gyrobench.bench.dwells.run_rotations import RunRotations
 from gyrobench.bench.foundations.text import flag_text, run_ending
 from gyrobench.bench.station.safe_state import SafeAction
 

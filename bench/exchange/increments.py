@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from gyrobench.bench.calibration.increment_recording import MIN_REST_TOTAL_S, IncrementRecording
 from gyrobench.bench.calibration.information import CalibrationOptions
-from gyrobench.bench.calibration.recording import MIN_REST_TOTAL_S, IncrementRecording
 from gyrobench.bench.exchange.import_map import LogMap
 from gyrobench.bench.exchange.log_windows import FORCES, RATES, SampleReader, ScaledColumn
 from gyrobench.bench.exchange.signal_logs import NoFramesError

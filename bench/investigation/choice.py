@@ -1,4 +1,4 @@
-"""What each hypothesis predicts for a block, and how much of the doubt the block would remove.
+"""What each hypothesis predicts for a block, and by how much the block would lower the entropy.
 
 A hypothesis fitted to the dwells measured predicts new ones with a Gaussian: its coefficients are linearized
 about the fit. The utility of a block is the expected fall of the entropy of the probabilities per hour, by

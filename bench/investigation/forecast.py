@@ -10,7 +10,7 @@ import numpy as np
 
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.thermal_course import ELECTRONICS_ABOVE_OPTICS_K, Course, UnitThermal
+from gyrobench.bench.closure.unit_thermal import ELECTRONICS_ABOVE_OPTICS_K, Course, UnitThermal
 from gyrobench.bench.foundations.arrays import S_PER_H, FloatArray, Triple, triple
 from gyrobench.bench.investigation.external_bench import BlockPlan, ChamberStep, DwellStep, PowerStep
 from gyrobench.bench.navigation.positions import POSITIONS

@@ -25,7 +25,9 @@ from gyrobench.bench.foundations.operator_name import operator_name
 from gyrobench.bench.foundations.text import listed
 from gyrobench.bench.investigation.blocks import NEW_CYCLE, Block, BlockPlanner
 from gyrobench.bench.investigation.choice import Rival
-from gyrobench.bench.investigation.doubt import (
+from gyrobench.bench.investigation.external_bench import BlockPlan, BlockRefusedError
+from gyrobench.bench.investigation.forecast import Forecast
+from gyrobench.bench.investigation.open_hypotheses import (
     SLOW,
     cause_probability,
     confirming_rivals,
@@ -37,8 +39,6 @@ from gyrobench.bench.investigation.doubt import (
     rivals_of,
     searched,
 )
-from gyrobench.bench.investigation.external_bench import BlockPlan, BlockRefusedError
-from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.investigation.profile import Profile
 from gyrobench.bench.investigation.proposal import (
     MIN_GAIN,

@@ -1,4 +1,4 @@
-"""The next block to measure: the one that is expected to remove most doubt in an hour."""
+"""The next block to measure: the one that is expected to lower the entropy most per hour."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def propose(
     *,
     is_settled: bool = False,
 ) -> list[Proposal]:
-    """Blocks with their utilities, best first: by doubt removed in an hour, or with a profile by hours left.
+    """Blocks with their utilities, best first: by entropy removed per hour, or with a profile by hours left.
 
     Parameters
     ----------

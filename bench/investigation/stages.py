@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.investigation.choice import Rival
-from gyrobench.bench.investigation.doubt import confirming_rivals
+from gyrobench.bench.investigation.open_hypotheses import confirming_rivals
 from gyrobench.bench.investigation.profile import ProfileCalibration
 from gyrobench.bench.investigation.proposal import Outcome, Proposal
 

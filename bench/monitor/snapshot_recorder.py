@@ -49,7 +49,7 @@ from gyrobench.bench.monitor.snapshot import (
     WindowTrace,
 )
 from gyrobench.bench.procedure.plan import Phase, Plan, PlannedStep
-from gyrobench.bench.procedure.rotations import RotatingStep
+from gyrobench.bench.procedure.rotation_steps import RotatingStep
 from gyrobench.bench.procedure.steps import GoTo, Turn
 from gyrobench.bench.procedure.timeline import position_spans, temperature_profile
 from gyrobench.bench.runs.folder import RunFolder

@@ -20,7 +20,7 @@ from gyrobench.bench.procedure.plan import (
     turn_steps_after,
     turns_of,
 )
-from gyrobench.bench.procedure.rotations import RotatingStep, Spin
+from gyrobench.bench.procedure.rotation_steps import RotatingStep, Spin
 from gyrobench.bench.procedure.steps import (
     MIN_NAVIGATION_S,
     Align,

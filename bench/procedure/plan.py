@@ -12,7 +12,7 @@ from gyrobench.bench.foundations.documents import Document, KeyPath
 from gyrobench.bench.navigation.table_axes import TurnOrMove
 from gyrobench.bench.procedure.estimate import BenchEstimate
 from gyrobench.bench.procedure.procedure_file import Procedure, ResolvedStep, resolve
-from gyrobench.bench.procedure.rotations import Rotate, RotatingStep, Spin
+from gyrobench.bench.procedure.rotation_steps import Rotate, RotatingStep, Spin
 from gyrobench.bench.procedure.steps import Align, GoTo, Navigate, Step, Turn, Wait
 
 

@@ -32,7 +32,7 @@ from gyrobench.bench.foundations.documents import (
     validate,
 )
 from gyrobench.bench.foundations.text import did_you_mean
-from gyrobench.bench.procedure.rotations import Rotate, Spin
+from gyrobench.bench.procedure.rotation_steps import Rotate, Spin
 from gyrobench.bench.procedure.steps import (
     Align,
     AskOperator,

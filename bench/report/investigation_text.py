@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from gyrobench.bench.closure.outcome import Closure
 from gyrobench.bench.foundations.text import counted, listed, probability_number
 from gyrobench.bench.investigation.choice import Rival
-from gyrobench.bench.investigation.doubt import rivals_of
+from gyrobench.bench.investigation.open_hypotheses import rivals_of
 from gyrobench.bench.investigation.proposal import Proposal
 from gyrobench.bench.investigation.stages import CONFIRM, Investigation, Stage
 from gyrobench.bench.navigation.positions import AXES

@@ -20,7 +20,6 @@ import pytest
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.documents import parse_document
 from gyrobench.bench.investigation.block_procedure import DwellPattern, opening_procedure
-from gyrobench.bench.investigation.doubt import rivals_of, searched
 from gyrobench.bench.investigation.external_bench import (
     BlockPlan,
     ChamberStep,
@@ -31,6 +30,7 @@ from gyrobench.bench.investigation.external_bench import (
 )
 from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.investigation.investigation import Investigator
+from gyrobench.bench.investigation.open_hypotheses import rivals_of, searched
 from gyrobench.bench.investigation.profile import Profile
 from gyrobench.bench.investigation.proposal import calibration_of
 from gyrobench.bench.procedure.steps import Navigate, PowerOn, SetChamber

@@ -12,8 +12,8 @@ import yaml
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, SensorErrors
 from gyrobench.bench.calibration.estimator import calibrate
+from gyrobench.bench.calibration.increment_recording import IncrementRecording
 from gyrobench.bench.calibration.information import CalibrationOptions
-from gyrobench.bench.calibration.recording import IncrementRecording
 from gyrobench.bench.calibration.rotation_list import (
     RotationSetup,
     expected_uncertainties,

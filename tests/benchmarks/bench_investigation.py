@@ -20,7 +20,9 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.investigation.doubt import (
+from gyrobench.bench.investigation.forecast import Forecast
+from gyrobench.bench.investigation.investigation import MAX_TESTS, PATIENCE
+from gyrobench.bench.investigation.open_hypotheses import (
     SLOW,
     confirming_rivals,
     is_settled,
@@ -29,8 +31,6 @@ from gyrobench.bench.investigation.doubt import (
     rivals_of,
     searched,
 )
-from gyrobench.bench.investigation.forecast import Forecast
-from gyrobench.bench.investigation.investigation import MAX_TESTS, PATIENCE
 from gyrobench.bench.investigation.proposal import hours_left, is_confirmed_by, outcome_of, propose
 from tests.benchmarks.closure_laws import ON_THE_LIST
 from tests.benchmarks.investigation_units import SimulatedUnit

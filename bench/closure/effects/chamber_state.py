@@ -19,7 +19,7 @@ from gyrobench.bench.closure.effects.effect import (
     same_for_all_gyros,
 )
 from gyrobench.bench.closure.effects.grammar import course_of
-from gyrobench.bench.closure.temperatures import lag
+from gyrobench.bench.closure.temperature_record import lag
 from gyrobench.bench.foundations.arrays import FloatArray
 
 _MIN_SLOPE_C = 1e-4

@@ -28,7 +28,7 @@ from gyrobench.bench.closure.effects.effect import (
     needs_electronics,
     needs_positions,
 )
-from gyrobench.bench.closure.temperatures import lag
+from gyrobench.bench.closure.temperature_record import lag
 from gyrobench.bench.foundations.arrays import S_PER_DAY, S_PER_H, FloatArray
 from gyrobench.bench.navigation.positions import AXES
 

@@ -19,7 +19,7 @@ from gyrobench.bench.closure.effects.effect import (
     same_for_all_gyros,
 )
 from gyrobench.bench.closure.effects.grammar import Law, driver_values, form_of
-from gyrobench.bench.closure.temperatures import lag
+from gyrobench.bench.closure.temperature_record import lag
 from gyrobench.bench.foundations.arrays import BoolArray, FloatArray
 
 #: Time within which the power changes at a power-on or off, or between two dwells without a gap.

@@ -11,8 +11,8 @@ from rich.text import Text
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT
 from gyrobench.bench.calibration.estimator import Calibration
+from gyrobench.bench.calibration.increment_recording import SensorNoise
 from gyrobench.bench.calibration.problem import UNEXPLAINED_P_VALUE
-from gyrobench.bench.calibration.recording import SensorNoise
 from gyrobench.bench.calibration.results import (
     NOT_OBSERVABLE,
     CoefficientRow,

@@ -13,11 +13,11 @@ from rich.text import Text
 
 from gyrobench.bench.closure.loop import too_few_dwells
 from gyrobench.bench.closure.outcome import Closure
-from gyrobench.bench.closure.outlook import TieOutlook
 from gyrobench.bench.closure.planned_campaign import UnitProperties
 from gyrobench.bench.closure.posterior import TIE_ODDS
 from gyrobench.bench.closure.procedure_changes import Advice
 from gyrobench.bench.closure.separability import EFFECT_POWER, Detection, Separability
+from gyrobench.bench.closure.tie_forecast import TieForecast
 from gyrobench.bench.foundations.arrays import rms
 from gyrobench.bench.foundations.text import counted, listed
 from gyrobench.bench.report.number_format import odds_text
@@ -64,11 +64,11 @@ def separability_summary(
     return Group(*parts)
 
 
-def closure_outlook(
+def closure_forecast(
     closure: Closure,
     unit: UnitProperties,
     expected_dph: Mapping[str, float],
-    ties: Sequence[TieOutlook],
+    ties: Sequence[TieForecast],
     advice: Sequence[Advice],
 ) -> RenderableType:
     """Ties of a closure, the odds expected after the plan, and procedure changes that settle them.

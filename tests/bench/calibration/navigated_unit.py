@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from gyrobench.bench.calibration.coefficients import COUNT, SensorErrors
-from gyrobench.bench.calibration.recording import IncrementRecording, Rest
+from gyrobench.bench.calibration.increment_recording import IncrementRecording, Rest
 from gyrobench.bench.dwells.rotated_dwell import navigated_increments
 from gyrobench.bench.navigation.attitude import rotation_matrices
 from gyrobench.bench.navigation.error_model import Site

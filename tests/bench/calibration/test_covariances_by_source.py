@@ -8,8 +8,8 @@ import pytest
 from gyrobench.bench.calibration import estimator
 from gyrobench.bench.calibration.coefficients import COUNT
 from gyrobench.bench.calibration.estimator import calibrate, covariances_by_source
+from gyrobench.bench.calibration.increment_recording import IncrementRecording, SensorNoise
 from gyrobench.bench.calibration.information import CalibrationOptions
-from gyrobench.bench.calibration.recording import IncrementRecording, SensorNoise
 from gyrobench.bench.navigation.error_model import Site
 from tests.bench.calibration.rotated_unit import EIGHTEEN, Noise, Unit
 

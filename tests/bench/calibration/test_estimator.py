@@ -12,8 +12,8 @@ from scipy.stats import chi2
 from gyrobench.bench.calibration import estimator
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, SensorErrors
 from gyrobench.bench.calibration.estimator import calibrate, covariances_by_source
+from gyrobench.bench.calibration.increment_recording import IncrementRecording, SensorNoise
 from gyrobench.bench.calibration.information import BIAS_DRIFT, CalibrationOptions
-from gyrobench.bench.calibration.recording import IncrementRecording, SensorNoise
 from gyrobench.bench.foundations.arrays import DPH_TO_RADPS, STANDARD_GRAVITY
 from gyrobench.bench.foundations.errors import MeasurementError
 from gyrobench.bench.navigation.error_model import Site

@@ -7,8 +7,8 @@ import pytest
 
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS
 from gyrobench.bench.calibration.estimator import calibrate
+from gyrobench.bench.calibration.increment_recording import IncrementRecording, SensorNoise
 from gyrobench.bench.calibration.information import CalibrationOptions
-from gyrobench.bench.calibration.recording import IncrementRecording, SensorNoise
 from gyrobench.bench.calibration.rotation_list import (
     RotationList,
     RotationSetup,

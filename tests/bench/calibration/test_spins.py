@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.calibration.estimator import calibrate
+from gyrobench.bench.calibration.increment_recording import IncrementRecording
 from gyrobench.bench.calibration.information import CalibrationOptions
-from gyrobench.bench.calibration.recording import IncrementRecording
 from gyrobench.bench.calibration.spins import spin_scale_factors
 from gyrobench.bench.navigation.attitude import rotation_matrices
 from gyrobench.bench.navigation.error_model import Site

@@ -10,7 +10,7 @@ from gyrobench.bench.closure.effects import bias_jump
 from gyrobench.bench.closure.effects.laws import THERMAL_LAG, TIME_DRIFT, WARM_UP
 from gyrobench.bench.closure.joined_tables import ASSUMED_PAUSE_S, TableToJoin, join_tables
 from gyrobench.bench.closure.loop import close_loop, hold_out_each
-from gyrobench.bench.closure.temperatures import TemperatureRecord
+from gyrobench.bench.closure.temperature_record import TemperatureRecord
 from gyrobench.bench.foundations.errors import MeasurementError
 from tests.bench.closure.thermal_bench import measure
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gyrobench.bench.closure.temperatures import SAMPLES, set_point_path
+from gyrobench.bench.closure.temperature_record import SAMPLES, set_point_path
 
 DWELL_MIN = 30.0
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gyrobench.bench.closure.planned_campaign import forecast_temperatures
-from gyrobench.bench.closure.thermal_course import ELECTRONICS_ABOVE_OPTICS_K
+from gyrobench.bench.closure.unit_thermal import ELECTRONICS_ABOVE_OPTICS_K
 from tests.bench.closure.plans import planned, station
 
 RAMP = "  - chamber: {temperature_c: 60, ramp_c_per_min: 4}\n"

@@ -3,7 +3,7 @@ import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.effects.grammar import MEMORIES
-from gyrobench.bench.closure.temperatures import TemperatureRecord, lag, record_of_dwells
+from gyrobench.bench.closure.temperature_record import TemperatureRecord, lag, record_of_dwells
 from tests.bench.closure.thermal_bench import measure
 
 DWELL_S = 1800.0

@@ -19,8 +19,8 @@ from gyrobench.bench.dwells.plateau_calibration import (
     with_temperature_change,
 )
 from gyrobench.bench.dwells.recorded_dwells import rotated_dwells
-from gyrobench.bench.dwells.rotations import PlateauRotations, RunRotations
 from gyrobench.bench.dwells.run_results import recompute_run
+from gyrobench.bench.dwells.run_rotations import PlateauRotations, RunRotations
 from gyrobench.bench.exchange.import_map import load_log_map
 from gyrobench.bench.exchange.increments import calibration_settings, read_logs
 from gyrobench.bench.foundations.errors import DocumentError

@@ -10,11 +10,11 @@ from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.outcome import CandidateResult
 from gyrobench.bench.foundations.clock import WallClock
 from gyrobench.bench.foundations.errors import RunFolderError
-from gyrobench.bench.investigation import doubt, investigation
-from gyrobench.bench.investigation.doubt import is_settled, only_unconfirmed, rivals_of, searched
+from gyrobench.bench.investigation import investigation, open_hypotheses
 from gyrobench.bench.investigation.external_bench import AfterLastDwell, ExternalBench
 from gyrobench.bench.investigation.forecast import Forecast
 from gyrobench.bench.investigation.investigation import Investigator
+from gyrobench.bench.investigation.open_hypotheses import is_settled, only_unconfirmed, rivals_of, searched
 from gyrobench.bench.investigation.proposal import outcome_of
 from gyrobench.bench.report import investigation_text
 from gyrobench.bench.runs.journal import read_journal
@@ -358,7 +358,7 @@ def test_a_large_hysteresis_is_settled_by_itself(shown_by_one_dwell):
 def test_a_cause_is_open_for_lack_of_confirmation_alone_if_nothing_else_remains(
     rejected, rival, probability, not_on_list, share, without, monkeypatch
 ):
-    monkeypatch.setattr(doubt, "remainder_share", lambda closure: share)
+    monkeypatch.setattr(open_hypotheses, "remainder_share", lambda closure: share)
     effects = [SimpleNamespace(effect=SimpleNamespace(name="warm_up"))]
     other = CandidateResult(SimpleNamespace(name="bias_jump"), rejected=rejected)
     posterior = SimpleNamespace(

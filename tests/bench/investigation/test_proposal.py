@@ -9,8 +9,8 @@ from gyrobench.bench.closure.effects.laws import TIME_DRIFT, WARM_UP
 from gyrobench.bench.closure.posterior import HypothesisProbability, Posterior
 from gyrobench.bench.investigation.blocks import Block, catalogue
 from gyrobench.bench.investigation.choice import Expected
-from gyrobench.bench.investigation.doubt import confirming_rivals, rivals_of, searched
 from gyrobench.bench.investigation.forecast import Forecast
+from gyrobench.bench.investigation.open_hypotheses import confirming_rivals, rivals_of, searched
 from gyrobench.bench.investigation.proposal import (
     Outcome,
     Proposal,

@@ -6,7 +6,7 @@ from pydantic import ValidationError
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.procedure.estimate import BenchEstimate, ThermalEstimate
 from gyrobench.bench.procedure.procedure_file import STEP_KINDS
-from gyrobench.bench.procedure.rotations import Rotate, Rotation, Spin
+from gyrobench.bench.procedure.rotation_steps import Rotate, Rotation, Spin
 from gyrobench.bench.procedure.steps import (
     Align,
     AskOperator,

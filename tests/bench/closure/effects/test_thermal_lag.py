@@ -5,7 +5,7 @@ import pytest
 
 from gyrobench.bench.closure.campaign import campaign_of
 from gyrobench.bench.closure.effects.laws import THERMAL_LAG as EFFECT
-from gyrobench.bench.closure.temperatures import TemperatureRecord
+from gyrobench.bench.closure.temperature_record import TemperatureRecord
 from tests.bench.closure.thermal_bench import measure
 
 FORM, UNDERWAY = EFFECT.forms

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrobench.bench.calibration.recording import (
+from gyrobench.bench.calibration.increment_recording import (
     IncrementRecording,
     find_rests,
     find_rotations,

@@ -8,8 +8,8 @@ import pytest
 
 from gyrobench.bench.bias.dwell_table import DwellRow
 from gyrobench.bench.closure.campaign import campaign_of
-from gyrobench.bench.closure.temperatures import TemperatureRecord
-from gyrobench.bench.closure.thermal_course import Course, UnitThermal
+from gyrobench.bench.closure.temperature_record import TemperatureRecord
+from gyrobench.bench.closure.unit_thermal import Course, UnitThermal
 from gyrobench.bench.navigation.positions import POSITIONS
 from gyrobench.bench.procedure.estimate import ThermalEstimate
 from gyrobench.drivers.emulators.world.thermal import ThermalNetwork

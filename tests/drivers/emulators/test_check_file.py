@@ -5,7 +5,7 @@ import json
 import pytest
 
 from gyrobench.bench.foundations.shipped import find_document
-from gyrobench.drivers.emulators.documents import main
+from gyrobench.drivers.emulators.check_file import main
 
 
 @pytest.mark.parametrize(

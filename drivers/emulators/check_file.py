@@ -1,4 +1,4 @@
-"""Check world files and lists of faults: ``python -m gyrobench.drivers.emulators.documents check world W``.
+"""Check world files and lists of faults: ``python -m gyrobench.drivers.emulators.check_file check world W``.
 
 The bench never reads these files: it runs this program to check one or to get its JSON Schema.
 """
@@ -26,7 +26,7 @@ _KINDS: dict[str, tuple[type[StrictModel], str]] = {
 def main(arguments: list[str] | None = None) -> int:
     """Check a file, or print the schema of a kind; returns the exit code, 2 for a wrong file."""
     parser = argparse.ArgumentParser(
-        prog="python -m gyrobench.drivers.emulators.documents", description=__doc__
+        prog="python -m gyrobench.drivers.emulators.check_file", description=__doc__
     )
     tasks = parser.add_subparsers(dest="task", required=True)
     for task, meaning in (("check", "check a file"), ("schema", "print a JSON Schema")):

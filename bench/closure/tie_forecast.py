@@ -1,4 +1,4 @@
-"""What a planned campaign would decide of what a closure leaves open.
+"""Odds that a planned campaign is expected to give for the ties that a closure leaves open.
 
 The unit of a closure has the noise, sensors and temperatures measured. For each tie, the dwells of the
 plan are predicted by each of the two hypotheses as fitted; both are then fitted to the dwells measured
@@ -25,7 +25,7 @@ from gyrobench.bench.closure.posterior import TIE_ODDS
 from gyrobench.bench.closure.problem import DEGREE, Problem, declared_problem, predict
 from gyrobench.bench.closure.search import Search
 from gyrobench.bench.closure.separability import searched_dwells
-from gyrobench.bench.closure.thermal_course import UnitThermal
+from gyrobench.bench.closure.unit_thermal import UnitThermal
 from gyrobench.bench.foundations.arrays import S_PER_H, BoolArray
 from gyrobench.bench.procedure.estimate import ThermalEstimate
 
@@ -52,7 +52,7 @@ def measured_properties(closure: Closure, estimate: ThermalEstimate) -> UnitProp
 
 
 @dataclass(frozen=True)
-class TieOutlook:
+class TieForecast:
     """A tie of a closure, and the odds that a plan is expected to lead to."""
 
     found: str  #: Name of the effect found.
@@ -74,7 +74,7 @@ class TieOutlook:
         return bool(expected) and min(expected) >= TIE_ODDS
 
 
-def tie_outlooks(closure: Closure, planned: Campaign) -> list[TieOutlook]:
+def tie_forecasts(closure: Closure, planned: Campaign) -> list[TieForecast]:
     """The ties of a closure after a planned campaign that begins at its end."""
     effects = {each.effect.name: each.effect for each in closure.evidence}
     problem = closure.noise.problem(closure.campaign, closure.searched)
@@ -93,12 +93,12 @@ def tie_outlooks(closure: Closure, planned: Campaign) -> list[TieOutlook]:
             (searched_dwells(planned), np.ones(len(searched_dwells(planned)), dtype=bool)),
         )
     )
-    outlooks = []
+    forecasts = []
     for one in closure.effects:
         others = [each for each in found if each is not one.candidate]
         for name in dict.fromkeys(one.tied_with):
             chances = [closure.posterior.of_set(each) for each in (names, names - {one.effect.name} | {name})]
-            tie = TieOutlook(one.effect.name, name, _ratio(*chances))
+            tie = TieForecast(one.effect.name, name, _ratio(*chances))
             instead = _alternative(problem, others, effects[name])
             missing = effects[name].missing_input(planned)
             if instead is not None:
@@ -109,8 +109,8 @@ def tie_outlooks(closure: Closure, planned: Campaign) -> list[TieOutlook]:
             else:
                 odds = alone(found, (*others, effects[name]))
                 tie = replace(tie, alone=odds, if_found=odds)
-            outlooks.append(tie)
-    return outlooks
+            forecasts.append(tie)
+    return forecasts
 
 
 def _alternative(problem: Problem, others: Sequence[Candidate], effect: Effect) -> Hypothesis | None:

@@ -17,9 +17,9 @@ from gyrobench.bench.closure.effects.laws import (
     WARM_UP,
 )
 from gyrobench.bench.closure.loop import close_loop
-from gyrobench.bench.closure.outlook import measured_properties, tie_outlooks
 from gyrobench.bench.closure.posterior import TIE_ODDS
 from gyrobench.bench.closure.separability import searched_dwells, separability
+from gyrobench.bench.closure.tie_forecast import measured_properties, tie_forecasts
 from gyrobench.bench.procedure.estimate import ThermalEstimate
 from tests.bench.closure.thermal_bench import measure
 
@@ -56,9 +56,9 @@ def test_the_same_procedure_again_leaves_by_itself_the_tie_that_the_closure_foun
     closure = closed(name)
     assert closure.verdict == "ambiguous"
     ties = {(each.effect.name, other) for each in closure.effects for other in each.tied_with}
-    outlooks = tie_outlooks(closure, plan())
-    assert {(each.found, each.other) for each in outlooks} == ties
-    for each in outlooks:
+    forecasts = tie_forecasts(closure, plan())
+    assert {(each.found, each.other) for each in forecasts} == ties
+    for each in forecasts:
         assert 1.0 / TIE_ODDS < each.now < TIE_ODDS
         assert each.missing_input or each.alone < TIE_ODDS
         assert not each.missing_input or not each.is_settled
@@ -87,16 +87,16 @@ def test_an_effect_found_is_assumed_with_the_parameters_found():
 
 
 def test_another_power_on_with_the_dwells_so_far_settles_warm_up_against_drift():
-    [outlook] = tie_outlooks(closed("one power-on"), plan())
-    assert outlook.is_settled
-    assert min(outlook.if_found, outlook.if_other) > 1e4
+    [forecast] = tie_forecasts(closed("one power-on"), plan())
+    assert forecast.is_settled
+    assert min(forecast.if_found, forecast.if_other) > 1e4
 
 
 def test_sensors_settle_what_their_lack_left_tied():
-    [outlook] = tie_outlooks(closed("no sensor at the electronics"), plan(sensors=("set", "board")))
-    assert outlook.missing_input is None
-    assert outlook.if_found > TIE_ODDS
-    assert outlook.is_settled
+    [forecast] = tie_forecasts(closed("no sensor at the electronics"), plan(sensors=("set", "board")))
+    assert forecast.missing_input is None
+    assert forecast.if_found > TIE_ODDS
+    assert forecast.is_settled
 
 
 def test_the_noise_is_that_of_the_closure():
@@ -117,7 +117,7 @@ def test_outliers_count_as_in_the_search():
     )
     closure = close_loop(campaign_of(rows), effects=candidates)
     assert {each.dwell for each in closure.noise.outliers} == {rows[7].dwell}
-    [disturbed], [usual] = (tie_outlooks(each, plan()) for each in (closure, closed("one power-on")))
+    [disturbed], [usual] = (tie_forecasts(each, plan()) for each in (closure, closed("one power-on")))
     for name in ("if_found", "if_other"):
         odds = [math.log(getattr(each, name)) for each in (disturbed, usual)]
         assert odds[0] == pytest.approx(odds[1], rel=0.2)

@@ -12,8 +12,8 @@ from gyrobench.bench.bias.dwell_table import NOT_MEASURED
 from gyrobench.bench.bias.plateaus import MAX_FROM_MEAN_K, plateau_key
 from gyrobench.bench.calibration.coefficients import COEFFICIENTS, COUNT, CoefficientEstimate
 from gyrobench.bench.calibration.estimator import Calibration, calibrate, covariances_by_source
+from gyrobench.bench.calibration.increment_recording import IncrementRecording, Rest
 from gyrobench.bench.calibration.information import BIAS_DRIFT, CalibrationOptions, Information
-from gyrobench.bench.calibration.recording import IncrementRecording, Rest
 from gyrobench.bench.calibration.spins import spin_scale_factors
 from gyrobench.bench.characteristics.scale_factor import SpinRecord
 from gyrobench.bench.dwells.measurement_setup import MeasurementSetup

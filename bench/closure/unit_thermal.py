@@ -1,4 +1,4 @@
-"""The course of temperatures of a unit in a chamber, by first-order lags.
+"""Thermal model of a unit in a chamber, by first-order lags.
 
 The case follows the chamber air, the optics of each gyro the case, the electronics the optics; the
 power of the unit raises each of them. The lags and temperature rises are those of a typical unit, or
@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from gyrobench.bench.closure.campaign import Campaign
-from gyrobench.bench.closure.temperatures import lag
+from gyrobench.bench.closure.temperature_record import lag
 from gyrobench.bench.foundations.arrays import FloatArray, rms
 from gyrobench.bench.procedure.estimate import ThermalEstimate
 
@@ -42,7 +42,7 @@ _RAMP_C_PER_S, _MAX_PAUSE = 2.0 / 60.0, 0.05
 
 @dataclass(frozen=True)
 class Course:
-    """Temperatures at m times, degC."""
+    """Temperatures of air and unit at m times, degC."""
 
     time_s: FloatArray  #: Shape (m,).
     #: air_c, case_c: Shape (m,). Chamber air, and case.
