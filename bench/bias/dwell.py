@@ -25,7 +25,7 @@ MAX_ATTITUDE_DISAGREEMENT = np.deg2rad(5.0)
 #: Largest deviation of axes from right angles where the mounting is wrong, rad.
 _RIGHT_ANGLE_TOLERANCE = np.deg2rad(2.0)
 #: Largest change of the attitude of the INS within a window, rad: 3 deg/h for 10 min.
-MAX_MOVEMENT = np.deg2rad(0.5)
+_MAX_MOVEMENT = np.deg2rad(0.5)
 
 
 def slots(time_s: FloatArray, first_s: float, interval_s: float) -> IntArray:
@@ -166,11 +166,11 @@ class Dwell:
 
     def _check_still(self, number: int, window: NavigationWindow) -> None:
         moved = np.linalg.norm(rotation_vector_enu(window.C_nb, window.C_nb[0]), axis=1)
-        if not moved.max() <= MAX_MOVEMENT:
+        if not moved.max() <= _MAX_MOVEMENT:
             raise MeasurementError(
                 f"{self.position_name}: in window {number} the unit turned by "
                 f"{np.rad2deg(moved.max()):.1f} deg according to the INS (at most "
-                f"{np.rad2deg(MAX_MOVEMENT):g} deg is allowed). Check that the table holds its position"
+                f"{np.rad2deg(_MAX_MOVEMENT):g} deg is allowed). Check that the table holds its position"
             )
 
     def _check_attitude(self, what: str, C_one: FloatArray, other: str, C_other: FloatArray) -> None:

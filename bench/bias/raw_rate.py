@@ -28,19 +28,19 @@ from gyrobench.bench.navigation.earth import EARTH_RATE
 from gyrobench.bench.navigation.positions import AXES
 
 #: Shortest recording, s, and fewest samples.
-MIN_DURATION_S = 55.0
-MIN_SAMPLES = 100
+_MIN_DURATION_S = 55.0
+_MIN_SAMPLES = 100
 #: Longest time between two samples, as a multiple of the usual one.
-MAX_GAP_SAMPLES = 1.5
+_MAX_GAP_SAMPLES = 1.5
 #: Angles and forces averaged over this time, s, are compared to see motion.
-MOTION_BLOCK_S = 1.0
+_MOTION_BLOCK_S = 1.0
 #: Second differences of these averages are motion above this number of robust standard deviations,
 #: and above 5 arcsec and 0.5 mm/s^2: at most 0.03 deg/h over 300 s.
-MOTION_SIGMAS = 8.0
-MOTION_RAD = np.deg2rad(5.0 / 3600.0)
-MOTION_MPS2 = 5e-4
+_MOTION_SIGMAS = 8.0
+_MOTION_RAD = np.deg2rad(5.0 / 3600.0)
+_MOTION_MPS2 = 5e-4
 #: Largest angle between a body axis and the vertical that it should be on, rad.
-MAX_TILT = np.deg2rad(5.0)
+_MAX_TILT = np.deg2rad(5.0)
 
 _MIN_IN_BLOCK = 5
 _IQR_TO_SIGMA = 1.0 / 1.349
@@ -69,9 +69,9 @@ class RateRecording:
                     f"the rate of the {axis} gyro never changes: its resolution hides its noise, or it is "
                     "dead. Record increments or a finer output"
                 )
-        self._check_rest("angle", self.angle_rad, MOTION_RAD)
+        self._check_rest("angle", self.angle_rad, _MOTION_RAD)
         if self.specific_force_mps2 is not None:
-            self._check_rest("specific force", self.specific_force_mps2, MOTION_MPS2)
+            self._check_rest("specific force", self.specific_force_mps2, _MOTION_MPS2)
 
     @property
     def interval_s(self) -> float:
@@ -107,15 +107,15 @@ class RateRecording:
                     f"{name} is not a number in {bad.sum()} samples, first at {self.time_s[bad][0]:.3f} s. "
                     f"{_CHECK}"
                 )
-        if count < MIN_SAMPLES:
-            raise MeasurementError(f"only {count} samples; a recording needs {MIN_SAMPLES}. Record longer")
+        if count < _MIN_SAMPLES:
+            raise MeasurementError(f"only {count} samples; a recording needs {_MIN_SAMPLES}. Record longer")
 
     def _check_rest(self, name: str, values: FloatArray, least: float) -> None:
-        block = max(_MIN_IN_BLOCK, round(MOTION_BLOCK_S / self.interval_s))
+        block = max(_MIN_IN_BLOCK, round(_MOTION_BLOCK_S / self.interval_s))
         whole = len(values) // block * block
         bends = np.diff(values[:whole].reshape(-1, block, 3).mean(axis=1), 2, axis=0)
         low, high = np.quantile(bends, [0.25, 0.75], axis=0)
-        limit = np.maximum(MOTION_SIGMAS * _IQR_TO_SIGMA * (high - low), least)
+        limit = np.maximum(_MOTION_SIGMAS * _IQR_TO_SIGMA * (high - low), least)
         moved = (np.abs(bends) > limit).any(axis=1)
         if moved.any():
             about_s = self.time_s[(int(np.argmax(moved)) + 1) * block]
@@ -209,13 +209,13 @@ def _check_times(time_s: FloatArray) -> None:
     steps = np.diff(time_s)
     if not (steps > 0.0).all():
         raise MeasurementError(f"time does not increase after {time_s[:-1][steps <= 0.0][0]:.3f} s. {_CHECK}")
-    if time_s[-1] - time_s[0] < MIN_DURATION_S:
+    if time_s[-1] - time_s[0] < _MIN_DURATION_S:
         raise MeasurementError(
-            f"the recording lasts {time_s[-1] - time_s[0]:.1f} s; it needs {MIN_DURATION_S:g} s. "
+            f"the recording lasts {time_s[-1] - time_s[0]:.1f} s; it needs {_MIN_DURATION_S:g} s. "
             "Record longer"
         )
     widest = int(np.argmax(steps))
-    if steps[widest] > MAX_GAP_SAMPLES * np.median(steps):
+    if steps[widest] > _MAX_GAP_SAMPLES * np.median(steps):
         raise MeasurementError(
             f"no sample for {steps[widest]:.4f} s after {time_s[widest]:.3f} s, where one is expected every "
             f"{np.median(steps):.4f} s: the angle in between is lost. Use the longer part alone"
@@ -242,7 +242,7 @@ def _vertical_rate(recording: RateRecording, axis: str, sign: float) -> tuple[fl
     nominal = sign * np.eye(3)[AXES.index(axis)]
     up = nominal if recording.up is None else recording.up
     tilt = float(np.arccos(np.clip(up @ nominal, -1.0, 1.0)))
-    if not tilt <= MAX_TILT:
+    if not tilt <= _MAX_TILT:
         raise MeasurementError(
             f"the {axis} axis should point {'up' if sign > 0 else 'down'}, but by the specific force it is "
             f"{np.rad2deg(tilt):.1f} deg away from that. Check the order of the recordings"

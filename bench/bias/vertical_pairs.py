@@ -26,7 +26,7 @@ from gyrobench.bench.bias.statistics import chi2_p_value
 from gyrobench.bench.foundations.arrays import FloatArray
 
 #: Probability below which measurements contradict a hypothesis.
-MIN_P_VALUE = 0.01
+_MIN_P_VALUE = 0.01
 
 # How many sigmas from nothing a rate North must lie, if there is one, to confirm a latitude error.
 _MIN_SIGNIFICANCE = 3.0
@@ -249,9 +249,9 @@ def _dwell_weights(groups: Sequence[VerticalPairs], parts: Sequence[FloatArray])
 def _finding(gyros: int, p_value: float, latitude: _LatitudeError, declared: float) -> Finding:
     if gyros == 1:
         return Finding.ONE_GYRO
-    if p_value < MIN_P_VALUE:
+    if p_value < _MIN_P_VALUE:
         return Finding.DIFFERENT
-    if latitude.p_value < MIN_P_VALUE:
+    if latitude.p_value < _MIN_P_VALUE:
         return Finding.NOT_LATITUDE
     if latitude.significance <= _MIN_SIGNIFICANCE:
         return Finding.NOT_CONTRADICTED

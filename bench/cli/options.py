@@ -84,8 +84,8 @@ EMULATED = "emulated"
 
 STATION_HELP = "Station file, or the name of a shipped one."
 WORLD_DEFAULT = f"the one with the name of the station, else {DEFAULT_WORLD}"
-WORLD_HELP = f"World behind emulated instruments: file or shipped name; default: {WORLD_DEFAULT}."
-SEED_HELP = "Seed of everything random in the emulated world."
+_WORLD_HELP = f"World behind emulated instruments: file or shipped name; default: {WORLD_DEFAULT}."
+_SEED_HELP = "Seed of everything random in the emulated world."
 
 
 #: View of a run in the terminal.
@@ -113,8 +113,8 @@ PROCEDURE_HELP = "Procedure file, or the name of a shipped one."
 ProcedureArgument = Annotated[str, typer.Argument(help=PROCEDURE_HELP, autocompletion=complete_procedure)]
 StationArgument = Annotated[str, typer.Argument(help=STATION_HELP, autocompletion=complete_station)]
 StationOption = Annotated[str, typer.Option(help=STATION_HELP, autocompletion=complete_station)]
-WorldOption = Annotated[str | None, typer.Option(help=WORLD_HELP, autocompletion=complete_world)]
-SeedOption = Annotated[int, typer.Option(min=0, help=SEED_HELP)]
+WorldOption = Annotated[str | None, typer.Option(help=_WORLD_HELP, autocompletion=complete_world)]
+SeedOption = Annotated[int, typer.Option(min=0, help=_SEED_HELP)]
 FaultsOption = Annotated[
     str | None,
     typer.Option(

@@ -59,8 +59,8 @@ def console(as_json: bool = False) -> RunConsole:
     return RunConsole(stderr=as_json, markup=False, highlight=False)
 
 
-JSON_HELP = "Print one JSON object instead of text; messages go to standard error."
-JsonOption = Annotated[bool, typer.Option("--json", help=JSON_HELP)]
+_JSON_HELP = "Print one JSON object instead of text; messages go to standard error."
+JsonOption = Annotated[bool, typer.Option("--json", help=_JSON_HELP)]
 
 
 def print_json(content: dict[str, Any]) -> None:

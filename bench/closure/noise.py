@@ -24,7 +24,7 @@ from gyrobench.bench.navigation.positions import AXES
 #: A measured bias further from the model than this many standard deviations is an outlier.
 OUTLIER_SIGMA = 5.0
 #: With a larger share the outliers are no exceptions: all count in full.
-MAX_OUTLIERS = 0.1
+_MAX_OUTLIERS = 0.1
 #: Scatter without structure is noise up to this ratio to the stated uncertainties.
 _MAX_SCALE = 1.7
 #: p-values: below them, scatter is larger than stated, and has structure.
@@ -150,7 +150,7 @@ def estimate_campaign_noise(
     for _ in range(_ROUNDS):
         after = _fitted(noise, campaign, searched, extra)
         updated = _with_outliers(noise, after)
-        if np.mean(updated.factors[searched] > 1.0) > MAX_OUTLIERS:
+        if np.mean(updated.factors[searched] > 1.0) > _MAX_OUTLIERS:
             break
         is_settled = updated.is_like(noise) and np.allclose(updated.factors, noise.factors, rtol=_SAME)
         noise = updated
@@ -214,7 +214,7 @@ def _with_outliers(noise: CampaignNoise, after: Problem) -> CampaignNoise:
     off = after.residuals * noise.factors[searched] / np.sqrt(shares)
     off /= max(1.0, float(np.median(np.abs(off))) / MEDIAN)
     is_outlier = np.abs(off) > OUTLIER_SIGMA
-    if np.mean(is_outlier) > MAX_OUTLIERS:  # the farthest ones may pull the model away from others
+    if np.mean(is_outlier) > _MAX_OUTLIERS:  # the farthest ones may pull the model away from others
         is_known = noise.factors[searched] > 1.0
         is_outlier &= is_known | (np.abs(off) > _FARTHEST * np.abs(off[~is_known]).max(initial=0.0))
     return _of_outliers(after, off, is_outlier)

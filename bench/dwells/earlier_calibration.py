@@ -88,7 +88,7 @@ class EarlierCalibration:
 #: How far beyond the outermost temperature that was measured a curve goes, K.
 REACH_K = 2.0
 #: Values within this are averaged, K.
-AVERAGED_K = 5.0
+_AVERAGED_K = 5.0
 
 # Values that scatter so improbably about their mean make it less certain.
 _CHANCE = 0.01
@@ -160,7 +160,7 @@ def _grouped(points: Iterable[tuple[float, float, float]]) -> list[list[tuple[fl
     """Cut points in the order of temperature into groups of one temperature each."""
     groups: list[list[tuple[float, float, float]]] = []
     for point in points:
-        if groups and point[0] - groups[-1][0][0] <= AVERAGED_K:
+        if groups and point[0] - groups[-1][0][0] <= _AVERAGED_K:
             groups[-1].append(point)
         else:
             groups.append([point])

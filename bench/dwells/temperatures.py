@@ -115,7 +115,7 @@ _STEP_K, _STEP_K_PER_S = 1.0, 0.25
 #: Readings of one moment may differ by this much, K.
 _SPREAD_K = 0.5
 #: A sensor that stands still to the bit is stuck if a neighbour moves by this much, K.
-STUCK_K = 3.0
+_STUCK_K = 3.0
 #: Readings that may be missing: their share, and the longest time without any as a share of all.
 _MIN_FINITE_READINGS, _MAX_GAP = 0.9, 0.25
 
@@ -149,7 +149,7 @@ def valid_temperatures(
         [0.0 if fault else np.ptp(_finite(each)) for fault, each in zip(faults, dwell_c.T, strict=True)]
     )
     for sensor in np.flatnonzero(moved_k == 0.0):
-        if moved_k.max() > STUCK_K and not faults[sensor]:
+        if moved_k.max() > _STUCK_K and not faults[sensor]:
             faults[sensor] = (
                 f"is constant to the last bit while another one of the INS changes by {moved_k.max():.1f} K"
             )
