@@ -12,7 +12,7 @@ import pytest
 from gyrobench.bench.foundations.errors import FaultError, InstrumentError, NoReplyError, RefusedError
 from gyrobench.conformance.instruments import ChamberUnderTest, Noise
 from gyrobench.drivers.chamber import Chamber
-from gyrobench.drivers.emulators.dialect import Restartable, WithAlarms, WithProfiles, WithSensor
+from gyrobench.drivers.emulators.dialect import Restartable, WithAlarms, WithProfiles, WithTemperatureSensor
 
 #: Two set points that every chamber reaches.
 _WARM_C, _COOL_C = 40.0, 15.0
@@ -196,7 +196,7 @@ def test_an_alarm_is_named_while_its_cause_is_present(chamber: ChamberUnderTest)
 
 
 def test_a_broken_sensor_is_a_fault_until_it_is_repaired(chamber: ChamberUnderTest) -> None:
-    sensor = chamber.capable(WithSensor)
+    sensor = chamber.capable(WithTemperatureSensor)
     driver = chamber.open()
     sensor.break_sensor(1)
     with pytest.raises(FaultError):

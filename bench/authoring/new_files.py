@@ -250,10 +250,10 @@ def new_station(name: str, path: Path, table: str | None = None, chamber: str | 
             values[section] = _of_dialect(values[section], dialect, section)
         values[section] = {**values[section], "port": FILL_IN}
     validate(parse_document(_inline(values), path), StationFile)
-    for sections, keys in _OWN.items():
+    for path_of_section, keys in _OWN.items():
         section = values
-        for name in sections:
-            section = section[name]
+        for key in path_of_section:
+            section = section[key]
         section.update(dict.fromkeys(keys, FILL_IN))
     return _text(STATION, path, _StartingFile(schema_of(STATION)).lines(values))
 

@@ -88,7 +88,7 @@ class Servoed(Protocol):
 
 
 @runtime_checkable
-class WithSensor(Protocol):
+class WithTemperatureSensor(Protocol):
     """A chamber whose temperature sensor can fail."""
 
     def break_sensor(self, error: int) -> None:
@@ -118,7 +118,7 @@ class WithProfiles(Protocol):
 
 
 @runtime_checkable
-class WithUnit(Protocol):
+class WithTemperatureUnit(Protocol):
     """A chamber whose panel can change the unit of temperatures."""
 
     def use_fahrenheit(self, fahrenheit: bool) -> None:

@@ -13,8 +13,8 @@ from gyrobench.drivers.emulators.dialect import (
     WithDecimals,
     WithProfiles,
     WithRamp,
-    WithSensor,
-    WithUnit,
+    WithTemperatureSensor,
+    WithTemperatureUnit,
 )
 from gyrobench.drivers.emulators.faults.fault import BenchParts, End, Fault, Occurrence, Persistence
 from gyrobench.drivers.emulators.world.thermal import ChamberAir
@@ -57,12 +57,12 @@ class TemperatureOvershoots(ControlFault):
 class ChamberSensorError(Fault):
     """The controller's sensor fails for ``for_s`` and control stops; the error is latched until cleared."""
 
-    requires = ("chamber", WithSensor)
+    requires = ("chamber", WithTemperatureSensor)
     fault: Literal["chamber_sensor_error"]
     error: Annotated[int, Field(ge=1, le=10)] = Field(1, description="number in register 101")
 
     def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
-        chamber = bench.capable("chamber", WithSensor)
+        chamber = bench.capable("chamber", WithTemperatureSensor)
         chamber.break_sensor(self.error)
         return chamber.repair_sensor
 
@@ -135,11 +135,11 @@ class ProfileStartedAtPanel(Fault):
 class UnitChangedAtPanel(Fault):
     """An operator changes the controller's unit to °F, for ``for_s`` if given."""
 
-    requires = ("chamber", WithUnit)
+    requires = ("chamber", WithTemperatureUnit)
     fault: Literal["unit_changed_at_panel"]
 
     def _begin(self, bench: BenchParts, occurrence: Occurrence) -> End:
-        chamber = bench.capable("chamber", WithUnit)
+        chamber = bench.capable("chamber", WithTemperatureUnit)
         chamber.use_fahrenheit(True)
         return partial(chamber.use_fahrenheit, False)
 
