@@ -2,7 +2,7 @@ import contextlib
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from gyrobench.bench.foundations.errors import (
@@ -203,6 +203,7 @@ def test_after_a_late_reply_the_next_query_waits_for_silence(rig):
 
 
 @given(replies=st.lists(st.binary(max_size=12) | st.sampled_from([b"0\r", b"22.0\r", b"\r", b"nan\r"])))
+@example(replies=[b"22.0\r"] * 8)
 def test_any_reply_gives_a_value_or_an_instrument_error(replies):
     line, _ = any_rig().line("chamber", Scripted(b"0\r", *replies))
     chamber = Thermotron8800(line)

@@ -2,7 +2,7 @@ import contextlib
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from gyrobench.bench.foundations.errors import (
@@ -180,6 +180,7 @@ def test_an_unexpected_reply_is_an_error(rig, reply, error, message):
 
 
 @given(replies=st.lists(st.binary(max_size=12) | st.sampled_from([b"NONE\n", b"22.0\n", b"ON\n", b"nan\n"])))
+@example(replies=[b"NONE\n", b"22.0\n", b"22.0\n", b"ON\n"])
 def test_any_reply_gives_a_value_or_an_instrument_error(replies):
     line, _ = any_rig().line("chamber", Scripted(*OPENED, *replies))
     chamber = WatlowF4T(line)

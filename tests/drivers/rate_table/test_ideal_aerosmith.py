@@ -2,7 +2,7 @@ import contextlib
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from gyrobench.bench.foundations.errors import (
@@ -187,6 +187,7 @@ def test_an_unexpected_reply_is_an_error(rig, reply, error, message):
 
 
 @given(replies=st.lists(st.binary(max_size=12) | st.sampled_from([b">", b"1.5\r>", b"?\r>", b"inf\r>"])))
+@example(replies=[b"1.5\r>"] * 20)
 def test_any_reply_gives_a_value_or_an_error_of_the_instrument(replies):
     line, _ = any_rig().line("table", Scripted(*replies))
     table = IdealAerosmith(line)

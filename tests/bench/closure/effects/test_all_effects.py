@@ -89,7 +89,7 @@ def test_columns_have_a_term_for_each_gyro_and_no_gap_at_any_start(equipped, eff
         assert np.isfinite(columns).all()
 
 
-@pytest.mark.parametrize(("effect", "form"), ALL, ids=label)
+@pytest.mark.parametrize(("effect", "form"), [each for each in ALL if each[1].parameters], ids=label)
 def test_starts_lie_between_the_bounds(equipped, effect, form):
     [bounded] = [each for each in effect.bounded(equipped).forms if each.name == form.name]
     for parameter in bounded.parameters:
